@@ -1,0 +1,43 @@
+"""dssc_jax: vectorised Monte Carlo robustness analysis of Dynamic Smooth Sliding Control.
+
+Importing the package sets compiler flags (see :mod:`dssc_jax.xla`) and nothing else; JAX is loaded on first use.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from dssc_jax import xla
+
+xla.configure()
+
+if TYPE_CHECKING:
+    from dssc_jax import design, plotting as plot
+    from dssc_jax.errors import ConfigError
+    from dssc_jax.results import Result, load, replay, run, simulate
+    from dssc_jax.study import Study
+
+__version__ = "0.1.0"
+__all__ = ["ConfigError", "Result", "Study", "design", "load", "plot", "replay", "run", "simulate"]
+
+_HOME = {
+    "ConfigError": "dssc_jax.errors",
+    "Study": "dssc_jax.study",
+    "Result": "dssc_jax.results",
+    "load": "dssc_jax.results",
+    "replay": "dssc_jax.results",
+    "run": "dssc_jax.results",
+    "simulate": "dssc_jax.results",
+}
+_MODULES = {"design": "dssc_jax.design", "plot": "dssc_jax.plotting"}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(importlib.import_module(_HOME[name]), name)
+    if name in _MODULES:
+        return importlib.import_module(_MODULES[name])
+    raise AttributeError(f"module 'dssc_jax' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -1,0 +1,171 @@
+"""Dynamic Smooth Sliding Control (14)-(18), and SSC as its case of constant functions.
+
+The implicit (backward Euler) form has a closed solution and is the default. With a = T_s/tau_av, b = T_s/tau_m
+and c = T_s k_o/((1+a)(1+b)) the set-valued u_0 in rho Sgn(sigma_tilde+) is solved exactly by a clip. While the
+clip is inactive sigma_hat+ = sigma to rounding and the command obeys the synthesised law (22) in backward-Euler
+form; explicit Euler chatters at every step size and is unstable for T_s > 2 tau_m or T_s > 2 tau_av.
+"""
+
+from enum import StrEnum
+from typing import Annotated, NamedTuple
+
+import jax
+
+from dssc_jax.controllers.gain_functions import GAIN_FUNCTIONS, Constant, StateFunctions
+from dssc_jax.controllers.modulation import MODULATIONS, Signals
+from dssc_jax.controllers.tracking import L0, NominalGains, TrackingError, nominal_control, tracking_error
+from dssc_jax.errors import ConfigError
+from dssc_jax.numerics import saturate, sign
+from dssc_jax.types import (
+    Command,
+    Controller,
+    Discretisation,
+    Entry,
+    Measurement,
+    ReferencePoint,
+    Scalar,
+    Slot,
+    State,
+)
+
+
+@jax.tree_util.register_static
+class PredictorStart(StrEnum):
+    """sigma_hat at the first sample: 0, or sigma (sliding from the start, as in Appendix D)."""
+
+    ZERO = "zero"
+    MATCHED = "matched"
+
+
+class DsscGains(NamedTuple):
+    """Gains of DSSC: the state-dependent functions, the modulation and the nominal control."""
+
+    l0: Annotated[Scalar, L0]
+    functions: Annotated[State, Slot(GAIN_FUNCTIONS)]
+    rho: Annotated[State, Slot(MODULATIONS, number="constant")]
+    nominal: NominalGains | None = None
+    predictor_start: PredictorStart = PredictorStart.ZERO
+
+
+class DsscState(NamedTuple):
+    """Averaged control u_av [m/s], predictor sigma_hat [m/s], state of the modulation."""
+
+    u_av: Scalar
+    sigma_hat: Scalar
+    modulation: State
+
+
+class DsscInfo(NamedTuple):
+    """What the loop may report of one sample.
+
+    ``sliding_margin`` is rho - |u_eq| [m/s], u_eq being the u_0 that would bring sigma_tilde to 0 within the
+    sample: d_0/k_o of (20), discretised. The sliding condition holds where it is not negative.
+    """
+
+    sigma_tilde: Scalar
+    sigma_hat: Scalar
+    u_av: Scalar
+    u_0: Scalar
+    rho: Scalar
+    sliding_margin: Scalar
+    k_o: Scalar
+    tau_m: Scalar
+    tau_av: Scalar
+
+
+class Sampled(NamedTuple):
+    """Filter and predictor after one sample: u_0, u_av+, sigma_hat+ and the equivalent control u_eq [m/s]."""
+
+    u_0: Scalar
+    u_av: Scalar
+    sigma_hat: Scalar
+    u_eq: Scalar
+
+
+def implicit_update(
+    sigma: Scalar, u_av: Scalar, sigma_hat: Scalar, rho: Scalar, at: StateFunctions, dt: Scalar
+) -> Sampled:
+    """Backward Euler of (15)-(18), solved exactly; the ratios stay finite where tau_av or tau_m vanish."""
+    keep = at.tau_av / (at.tau_av + dt)  # 1/(1+a)
+    decay = at.tau_m / (at.tau_m + dt)  # 1/(1+b)
+    c = dt * at.k_o * keep * decay
+    u_eq = (sigma - (sigma_hat * decay - c * u_av)) / c
+    u_0 = saturate(u_eq, rho)
+    return Sampled(u_0, keep * u_av + (1.0 - keep) * u_0, sigma_hat * decay + c * (u_0 - u_av), u_eq)
+
+
+def explicit_update(
+    sigma: Scalar, u_av: Scalar, sigma_hat: Scalar, rho: Scalar, at: StateFunctions, dt: Scalar
+) -> Sampled:
+    """Forward Euler of (15)-(18) with sgn 0 = 0: the naive form, kept for comparison."""
+    decay = 1.0 - dt / at.tau_m
+    u_0 = rho * sign(sigma - sigma_hat)
+    u_eq = (sigma - decay * sigma_hat) / (dt * at.k_o) + u_av
+    return Sampled(u_0, u_av + dt / at.tau_av * (u_0 - u_av), sigma_hat * decay + dt * at.k_o * (u_0 - u_av), u_eq)
+
+
+def init(gains: DsscGains, measurement: Measurement, reference: ReferencePoint) -> DsscState:
+    """u_av = 0; sigma_hat = 0, or sigma of the first sample. It matters: a start at 0 adds about sigma/(k_o tau_av)."""
+    matched = gains.predictor_start == PredictorStart.MATCHED
+    sigma_hat = tracking_error(measurement, reference, gains.l0).sigma if matched else 0.0
+    return DsscState(0.0, sigma_hat, gains.rho.init())
+
+
+def dssc(update) -> Controller:
+    """DSSC with the given sampled form of filter and predictor."""
+
+    def step(
+        gains: DsscGains, state: DsscState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
+    ) -> tuple[DsscState, Command, DsscInfo]:
+        error: TrackingError = tracking_error(measurement, reference, gains.l0)
+        at: StateFunctions = gains.functions.at(error.sigma, error.e, gains.l0)
+        u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, 1.0 / at.tau_m)
+        signals = Signals(
+            u_av=state.u_av,
+            u_nominal=u_nominal,
+            y=measurement.y,
+            y_dot=measurement.y_dot,
+            sigma=error.sigma,
+            sigma_m_dot=reference.y_ddot + gains.l0 * reference.y_dot,
+            k_o=at.k_o,
+            tau_m=at.tau_m,
+            l0=gains.l0,
+        )
+        modulation, rho = gains.rho.at(state.modulation, signals, dt)
+        after = update(error.sigma, state.u_av, state.sigma_hat, rho, at, dt)
+        info = DsscInfo(
+            sigma_tilde=error.sigma - after.sigma_hat,
+            sigma_hat=after.sigma_hat,
+            u_av=after.u_av,
+            u_0=after.u_0,
+            rho=rho,
+            sliding_margin=rho - abs(after.u_eq),
+            **at._asdict(),
+        )
+        return DsscState(after.u_av, after.sigma_hat, modulation), Command(-after.u_av, u_nominal), info
+
+    return Controller(DsscGains, init, step)
+
+
+def constant_functions(gains: DsscGains) -> DsscGains:
+    """SSC is DSSC with constants.
+
+    Raises:
+        ConfigError: the functions are not constants.
+    """
+    if not isinstance(gains.functions, Constant):
+        raise ConfigError("functions.kind", "ssc has constant functions; for others take kind = 'dssc'")
+    return gains
+
+
+MEMBERS = {
+    Discretisation.IMPLICIT: dssc(implicit_update),
+    Discretisation.EXPLICIT: dssc(explicit_update),
+}
+DSSC = Entry(MEMBERS, "dynamic smooth sliding control (14)-(18)", "discretisation", Discretisation.IMPLICIT)
+SSC = Entry(
+    {form: member._replace(prepare=constant_functions) for form, member in MEMBERS.items()},
+    "smooth sliding control: DSSC with constant functions",
+    "discretisation",
+    Discretisation.IMPLICIT,
+)

@@ -1,0 +1,182 @@
+"""What is measured of a run, in streaming form: memory does not grow with the duration.
+
+A metric is a pure ``init``, ``update`` and ``value``. It counts samples at t >= ``after`` only.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from dssc_jax.types import Info, Scalar
+
+
+class Sample(NamedTuple):
+    """What a metric sees of one sample instant.
+
+    ``u`` is the controller's robust part and ``u_previous`` that of the sample before (of the first sample:
+    itself); ``k_p`` is the input gain of the draw.
+    """
+
+    t: Scalar
+    dt: Scalar
+    e: Scalar
+    sigma: Scalar
+    u: Scalar
+    u_previous: Scalar
+    u_total: Scalar
+    k_p: Scalar
+    info: Info
+
+
+@dataclass(frozen=True)
+class Window:
+    """Samples at t >= ``after`` [s]; ``band`` [m] is the error that counts as settled."""
+
+    after: float = 0.0
+    band: float = 0.05
+
+
+class Metric(NamedTuple):
+    """A streaming measure.
+
+    Args:
+        unit: SI unit.
+        meaning: Long name.
+        update: ``(accumulator, sample, window) -> accumulator`` for a sample within the window.
+        value: ``(accumulator, window, count, end) -> value``; ``count`` samples lay within the window, which
+            ended at ``end`` [s].
+        needs: Fields of the controller's info without which the metric does not exist.
+    """
+
+    unit: str
+    meaning: str
+    update: Callable[[Scalar, Sample, Window], Scalar]
+    value: Callable[[Scalar, Window, int, float], Scalar]
+    needs: tuple[str, ...] = ()
+
+
+def peak(of: Callable[[Sample], Scalar]) -> Callable[[Scalar, Sample, Window], Scalar]:
+    """Running maximum of |.|."""
+    return lambda acc, sample, window: jnp.maximum(acc, jnp.abs(of(sample)))
+
+
+def total(of: Callable[[Sample], Scalar]) -> Callable[[Scalar, Sample, Window], Scalar]:
+    """Running sum."""
+    return lambda acc, sample, window: acc + of(sample)
+
+
+def itself(acc: Scalar, window: Window, count: int, end: float) -> Scalar:
+    """The accumulator."""
+    return acc
+
+
+def mean(acc: Scalar, window: Window, count: int, end: float) -> Scalar:
+    """Mean over the window."""
+    return acc / count
+
+
+def root_mean(acc: Scalar, window: Window, count: int, end: float) -> Scalar:
+    """Root of the mean over the window."""
+    return jnp.sqrt(acc / count)
+
+
+def last_outside(acc: Scalar, sample: Sample, window: Window) -> Scalar:
+    """End of the last sample with |e| > band, counted from the window's start."""
+    outside = jnp.abs(sample.e) > window.band
+    return jnp.where(outside, sample.t + sample.dt - window.after, acc)
+
+
+def settling(acc: Scalar, window: Window, count: int, end: float) -> Scalar:
+    """Infinite where the last sample was still outside."""
+    return jnp.where(acc >= (end - window.after) * (1.0 - 1e-12), jnp.inf, acc)
+
+
+def sampling_ratio(sample: Sample) -> Scalar:
+    """(k_p T_s/(k_o tau_av)) (1 + T_s/(2 tau_m))/2: above 1 the sampled loop chatters or diverges.
+
+    Exact stability limit of constant functions on sigma' = k_p u; for state-dependent ones, that of the values
+    at the sample. k_p is the draw's own, so that its largest value over draws is the one at k_max.
+    """
+    info = sample.info
+    proportional = sample.k_p * sample.dt / (info.k_o * info.tau_av)
+    return 0.5 * proportional * (1.0 + 0.5 * sample.dt / info.tau_m)
+
+
+def as_float(flag: Scalar, like: Scalar) -> Scalar:
+    """1 where the flag holds, else 0."""
+    return jnp.where(flag, jnp.ones_like(like), jnp.zeros_like(like))
+
+
+SLIDING, SAMPLING = ("sliding_margin",), ("k_o", "tau_av", "tau_m")
+METRICS: dict[str, Metric] = {
+    "error_rms": Metric("m", "rms of the output error e", total(lambda s: s.e * s.e), root_mean),
+    "error_max": Metric("m", "largest |e|", peak(lambda s: s.e), itself),
+    "sigma_rms": Metric("m/s", "rms of sigma", total(lambda s: s.sigma * s.sigma), root_mean),
+    "sigma_max": Metric("m/s", "largest |sigma|", peak(lambda s: s.sigma), itself),
+    "settling_time": Metric("s", "time after which |e| stays within the band", last_outside, settling),
+    "command_tv": Metric(
+        "m/s", "total variation of the robust command u", total(lambda s: jnp.abs(s.u - s.u_previous)), itself
+    ),
+    "command_rms": Metric("m/s", "rms of the robust command u", total(lambda s: s.u * s.u), root_mean),
+    "command_max": Metric("m/s", "largest |u|", peak(lambda s: s.u), itself),
+    "total_command_max": Metric("m/s", "largest |u + u_n|", peak(lambda s: s.u_total), itself),
+    "outside_sliding": Metric(
+        "1",
+        "share of time outside sliding",
+        total(lambda s: as_float(s.info.sliding_margin < 0.0, s.e)),
+        mean,
+        SLIDING,
+    ),
+    "sampling_ratio": Metric("1", "largest sampling ratio", peak(sampling_ratio), itself, SAMPLING),
+    "sampling_ratio_above_1": Metric(
+        "1",
+        "share of time with a sampling ratio above 1",
+        total(lambda s: as_float(sampling_ratio(s) > 1.0, s.e)),
+        mean,
+        SAMPLING,
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One metric over one window, under the name it has in results."""
+
+    name: str
+    kind: str
+    window: Window
+
+    @property
+    def metric(self) -> Metric:
+        """The streaming form."""
+        return METRICS[self.kind]
+
+
+def available(info_fields: tuple[str, ...]) -> list[str]:
+    """Names of the metrics that a controller with this info can have."""
+    return [name for name, metric in METRICS.items() if set(metric.needs) <= set(info_fields)]
+
+
+def first_sample(window: Window, sample_time: float) -> int:
+    """Index of the first sample at t >= after, robust to rounding of t = k T_s."""
+    return max(0, -int(-(window.after / sample_time - 1e-9) // 1))
+
+
+def update_all(measures: tuple[Measure, ...], accumulators: tuple[Any, ...], sample: Sample, k: Scalar, t_s: float):
+    """Every accumulator after sample k."""
+    updated = []
+    for measure, acc in zip(measures, accumulators, strict=True):
+        new = measure.metric.update(acc, sample, measure.window)
+        start = first_sample(measure.window, t_s)
+        updated.append(new if start == 0 else jnp.where(k >= start, new, acc))
+    return tuple(updated)
+
+
+def values(measures: tuple[Measure, ...], accumulators: tuple[Any, ...], steps: int, t_s: float) -> dict[str, Scalar]:
+    """Every metric at the end of a run of ``steps`` samples."""
+    return {
+        m.name: m.metric.value(acc, m.window, steps - first_sample(m.window, t_s), steps * t_s)
+        for m, acc in zip(measures, accumulators, strict=True)
+    }

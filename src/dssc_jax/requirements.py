@@ -1,0 +1,51 @@
+"""What is required of a run: signed margins, and the outcome code that follows."""
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+
+from dssc_jax.metrics import Measure
+from dssc_jax.types import Outcome, Scalar
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """A bound of one measure. Exactly one of ``maximum`` and ``minimum`` is set, in the metric's unit."""
+
+    measure: Measure
+    maximum: float | None = None
+    minimum: float | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the margin in results."""
+        return f"margin_{self.measure.name}"
+
+    @property
+    def text(self) -> str:
+        """The requirement as one reads it."""
+        window, unit = self.measure.window, self.measure.metric.unit
+        side = f"<= {self.maximum:g}" if self.maximum is not None else f">= {self.minimum:g}"
+        after = f" after {window.after:g} s" if window.after > 0 else ""
+        return f"{self.measure.kind}{after} {side} {unit}".removesuffix(" 1")
+
+    def margin(self, value: Scalar) -> Scalar:
+        """Distance to the bound, in the metric's unit: negative where the requirement fails."""
+        if self.maximum is not None:
+            return self.maximum - value
+        return value - self.minimum  # type: ignore[operator]
+
+
+def judge(
+    requirements: tuple[Requirement, ...], values: dict[str, Scalar], finite: Scalar
+) -> tuple[Scalar, dict[str, Scalar]]:
+    """Outcome code (int32) and the margin of each requirement; -inf where the draw became non-finite."""
+    outcome = jnp.full((), Outcome.OK, dtype=jnp.int32)
+    margins: dict[str, Scalar] = {}
+    for index, requirement in reversed(list(enumerate(requirements))):
+        margin = requirement.margin(values[requirement.measure.name])
+        failed = ~(margin >= 0.0)
+        outcome = jnp.where(failed, Outcome.REQUIREMENT + index, outcome)
+        margins[requirement.name] = jnp.where(finite, margin, -jnp.inf)
+    outcome = jnp.where(finite, outcome, Outcome.NON_FINITE).astype(jnp.int32)
+    return outcome, margins

@@ -1,0 +1,6 @@
+"""Study files: from TOML to a validated closed loop with its laws, axes and requirements."""
+
+from dssc_jax.study.laws import Law
+from dssc_jax.study.study import Study, read_toml
+
+__all__ = ["Law", "Study", "read_toml"]

@@ -1,0 +1,132 @@
+"""The study file's fixed tables: what pydantic validates before any model is looked up."""
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from dssc_jax.errors import meant
+from dssc_jax.integrators import Integrator
+from dssc_jax.study.laws import is_number
+
+STRICT = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+def finite(value: Any) -> float:
+    """A finite number."""
+    if not is_number(value):
+        raise ValueError(f"must be a finite number, got {value!r}")
+    return float(value)
+
+
+Finite = Annotated[float, BeforeValidator(finite)]
+
+
+class LoopTable(BaseModel):
+    """``[loop]``: the clock."""
+
+    model_config = STRICT
+    duration: Finite = Field(gt=0.0)
+    sample_time: Finite = Field(gt=0.0)
+    substeps: int = Field(default=1, ge=1, le=1000)
+    integrator: Literal["rk4", "euler"] = Integrator.RK4.value
+    precision: Literal[32, 64] = 64
+
+    @model_validator(mode="after")
+    def _clock(self) -> "LoopTable":
+        if self.sample_time > self.duration:
+            raise ValueError(f"sample_time must be <= duration = {self.duration:g} s, got {self.sample_time:g}")
+        if self.steps >= 2**31:
+            raise ValueError(f"duration/sample_time must be below 2^31 samples, got {self.steps}")
+        return self
+
+    @property
+    def steps(self) -> int:
+        """Number of samples."""
+        return round(self.duration / self.sample_time)
+
+
+class MetricsTable(BaseModel):
+    """``[metrics]``: the window of the metrics that every run reports."""
+
+    model_config = STRICT
+    after: Finite = Field(default=0.0, ge=0.0)
+    settling_band: Finite = Field(default=0.05, gt=0.0)
+
+
+class RequirementTable(BaseModel):
+    """``[[requirement]]``: a bound of a metric. Field names are the file's."""
+
+    model_config = STRICT
+    metric: str
+    after: Finite | None = Field(default=None, ge=0.0)
+    settling_band: Finite | None = Field(default=None, gt=0.0)
+    max: Finite | None = None
+    min: Finite | None = None
+
+    @model_validator(mode="after")
+    def _one_bound(self) -> "RequirementTable":
+        if (self.max is None) == (self.min is None):
+            raise ValueError("needs exactly one of max and min")
+        return self
+
+
+class PlotTable(BaseModel):
+    """``[plot]``: what the sweep's figure shows."""
+
+    model_config = STRICT
+    metric: str | None = None
+    slope: bool = False
+
+
+AXES = ("linspace", "logspace", "values")
+
+
+def parse_axis(value: Any) -> tuple[float, ...]:
+    """Values of a sweep axis: a list, ``{ values = [...] }``, ``{ linspace = [lo, hi, n] }`` or ``logspace``.
+
+    Raises:
+        ValueError: the rule that is broken, and the value found.
+    """
+    if isinstance(value, list | tuple):
+        value = {"values": list(value)}
+    if not isinstance(value, dict) or len(value) != 1:
+        raise ValueError(f"must be a list or one of {{ linspace | logspace = [lo, hi, count] }}, got {value!r}")
+    ((kind, arguments),) = value.items()
+    if kind not in AXES:
+        raise ValueError(f"'{kind}' is not a spacing; {meant(kind, AXES)}")
+    if not isinstance(arguments, list) or not arguments or not all(is_number(item) for item in arguments):
+        raise ValueError(f"{kind} takes a list of finite numbers, got {arguments!r}")
+    if kind == "values":
+        return tuple(float(item) for item in arguments)
+    if len(arguments) != 3 or not isinstance(arguments[2], int) or arguments[2] < 1:
+        raise ValueError(f"{kind} takes [lo, hi, count] with a whole count >= 1, got {arguments}")
+    low, high, count = arguments
+    if count > 1 and not low < high:
+        raise ValueError(f"{kind} needs lo < hi, got {arguments}")
+    if kind == "logspace":
+        if low <= 0:
+            raise ValueError(f"logspace needs 0 < lo, got {arguments}")
+        return tuple(float(item) for item in np.geomspace(low, high, count))
+    return tuple(float(item) for item in np.linspace(low, high, count))
+
+
+class StudyTable(BaseModel):
+    """The whole file. Tables of models stay as they are here; the registries know their fields."""
+
+    model_config = STRICT
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")
+    description: str = ""
+    seed: int = Field(default=0, ge=0, lt=2**32)
+    draws: int = Field(default=1, ge=1, le=10**9)
+    sampling: Literal["random"] = "random"
+    loop: LoopTable
+    plant: dict[str, Any]
+    controller: dict[str, Any]
+    reference: dict[str, Any] = {"kind": "zero"}
+    unmodelled: dict[str, Any] = {"kind": "none"}
+    disturbance: dict[str, Any] = {"kind": "none"}
+    metrics: MetricsTable = MetricsTable()
+    requirement: list[RequirementTable] = []
+    sweep: dict[str, Annotated[tuple[float, ...], BeforeValidator(parse_axis)]] = {}
+    plot: PlotTable = PlotTable()

@@ -1,0 +1,245 @@
+"""The vocabulary: what a number means, what crosses the borders of a model, and the contracts of models.
+
+A model is a ``NamedTuple`` of pure functions for one draw, without a batch axis, and the ``NamedTuple`` type
+of its parameters. It is chosen before tracing; its parameters may be traced. Every parameter field is
+annotated with a :class:`Quantity`, from which study files are validated.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+from typing import Any, NamedTuple, TypeAlias
+
+import jax
+
+Scalar: TypeAlias = jax.Array | float
+Params: TypeAlias = Any
+State: TypeAlias = Any
+Info: TypeAlias = Any
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Unit, meaning and admissible interval of one number of a model.
+
+    Args:
+        unit: SI unit; ``"1"`` when dimensionless.
+        meaning: The standard term, with the paper's symbol.
+        above: Exclusive lower bound.
+        at_least: Inclusive lower bound.
+        below: Exclusive upper bound.
+        at_most: Inclusive upper bound.
+        law: Whether a probability law may stand in place of the number.
+    """
+
+    unit: str
+    meaning: str
+    above: float | None = None
+    at_least: float | None = None
+    below: float | None = None
+    at_most: float | None = None
+    law: bool = True
+
+    def violated_by(self, low: float, high: float) -> str | None:
+        """The rule that the interval [low, high] breaks, or None."""
+        if self.above is not None and not low > self.above:
+            return f"must be > {self.above:g}"
+        if self.at_least is not None and not low >= self.at_least:
+            return f"must be >= {self.at_least:g}"
+        if self.below is not None and not high < self.below:
+            return f"must be < {self.below:g}"
+        if self.at_most is not None and not high <= self.at_most:
+            return f"must be <= {self.at_most:g}"
+        return None
+
+
+@dataclass(frozen=True)
+class Slot:
+    """Marks a parameter field that holds a part chosen by ``kind`` from ``registry``.
+
+    A part is a ``NamedTuple`` of numbers with methods; its type tells the step what to compute, so that nothing
+    is decided while tracing.
+
+    Args:
+        registry: The kinds that may stand here.
+        number: The kind that a bare number stands for (its first field takes it).
+        default: The kind when the table names none; without one, ``kind`` is required.
+    """
+
+    registry: "Registry"
+    number: str | None = None
+    default: str | None = None
+
+
+class Measurement(NamedTuple):
+    """What the controller sees of the plant: output ``y`` [m] and its derivative ``y_dot`` [m/s]."""
+
+    y: Scalar
+    y_dot: Scalar
+
+
+class ReferencePoint(NamedTuple):
+    """Desired output ``y`` = y_m [m] with first and second derivative [m/s], [m/s^2]."""
+
+    y: Scalar
+    y_dot: Scalar
+    y_ddot: Scalar
+
+
+class Command(NamedTuple):
+    """Plant input u_p of equation (11) in its two parts [m/s]."""
+
+    robust: Scalar
+    nominal: Scalar
+
+    @property
+    def total(self) -> Scalar:
+        """u_p = u + u_n (11) [m/s]."""
+        return self.robust + self.nominal
+
+
+class PlantInput(NamedTuple):
+    """What drives the plant: the command u_p after unmodelled dynamics, and the matched disturbance d [m/s]."""
+
+    command: Scalar
+    disturbance: Scalar
+
+
+def extent(value: Any) -> tuple[float, float]:
+    """Lowest and highest value that a number, or a law that stands for it, can take."""
+    support = getattr(value, "support", None)
+    return support if support is not None else (float(value), float(value))
+
+
+def nothing(params: Params) -> Params:
+    """The preparation that changes nothing."""
+    return params
+
+
+class Plant(NamedTuple):
+    """A plant of relative degree two from command to y.
+
+    Args:
+        params: NamedTuple type of the parameters.
+        init: ``(params) -> state`` at t = 0.
+        derivative: ``(params, state, input, t) -> state'``, the same structure as the state.
+        measure: ``(params, state) -> Measurement``.
+        input_gain: ``(params) -> k_p``, the high-frequency gain from command to y'' [1/s].
+        velocities: Names of the state's fields that semi-implicit Euler advances first.
+        prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
+    """
+
+    params: type
+    init: Callable[[Params], State]
+    derivative: Callable[[Params, State, PlantInput, Scalar], State]
+    measure: Callable[[Params, State], Measurement]
+    input_gain: Callable[[Params], Scalar]
+    velocities: tuple[str, ...] = ()
+    prepare: Callable[[Params], Params] = nothing
+
+
+class Controller(NamedTuple):
+    """A sampled controller.
+
+    Args:
+        gains: NamedTuple type of the gains; must have the field ``l0``.
+        init: ``(gains, measurement, reference) -> state`` from the first sample.
+        step: ``(gains, state, measurement, reference, dt) -> (state, command, info)``. ``info`` is a NamedTuple
+            of scalars for people and metrics, and is never fed back.
+        prepare: As in :class:`Plant`.
+    """
+
+    gains: type
+    init: Callable[[Params, Measurement, ReferencePoint], State]
+    step: Callable[[Params, State, Measurement, ReferencePoint, Scalar], tuple[State, Command, Info]]
+    prepare: Callable[[Params], Params] = nothing
+
+    @property
+    def params(self) -> type:
+        """The gains, under the name that all models share."""
+        return self.gains
+
+
+class Reference(NamedTuple):
+    """A desired trajectory: ``at(params, t) -> ReferencePoint``."""
+
+    params: type
+    at: Callable[[Params, Scalar], ReferencePoint]
+    prepare: Callable[[Params], Params] = nothing
+
+
+class Disturbance(NamedTuple):
+    """A matched disturbance d(y, y', t) [m/s].
+
+    Args:
+        params: NamedTuple type of the parameters.
+        init: ``(params, key) -> state``.
+        step: ``(params, state, key, t, dt) -> state`` at each sample: what is held over [t, t + dt).
+        value: ``(params, state, measurement, sigma, t) -> d``, evaluated in every stage of the integrator.
+        prepare: As in :class:`Plant`.
+    """
+
+    params: type
+    init: Callable[[Params, jax.Array], State]
+    step: Callable[[Params, State, jax.Array, Scalar, Scalar], State]
+    value: Callable[[Params, State, Measurement, Scalar, Scalar], Scalar]
+    prepare: Callable[[Params], Params] = nothing
+
+
+class Unmodelled(NamedTuple):
+    """Unmodelled dynamics G_mu(mu s) in series with the plant input (Section V-A2).
+
+    Args:
+        params: NamedTuple type of the parameters.
+        init: ``(params) -> state`` at rest.
+        step: ``(params, state, command, dt) -> state`` with the command held over dt.
+        output: ``(params, state, command) -> command`` that reaches the plant.
+        prepare: As in :class:`Plant`.
+    """
+
+    params: type
+    init: Callable[[Params], State]
+    step: Callable[[Params, State, Scalar, Scalar], State]
+    output: Callable[[Params, State, Scalar], Scalar]
+    prepare: Callable[[Params], Params] = nothing
+
+
+class Entry(NamedTuple):
+    """One registry row: a model, or a family of which an option picks the member.
+
+    Args:
+        members: The model for each value of the option; a single model stands under the key ``None``.
+        option: Name of the option's field, e.g. ``discretisation``.
+        default: The option's value when the table does not give it.
+        summary: One line for ``dssc-jax info``.
+    """
+
+    members: dict[Any, Any]
+    summary: str
+    option: str | None = None
+    default: StrEnum | None = None
+
+
+Registry: TypeAlias = dict[str, Entry]
+
+
+def single(model: Any, summary: str) -> Entry:
+    """A registry row without options."""
+    return Entry({None: model}, summary)
+
+
+class Discretisation(StrEnum):
+    """How a continuous-time law is sampled (model of the docs, section 5)."""
+
+    IMPLICIT = "implicit"
+    EXPLICIT = "explicit"
+    PROPER = "proper"
+
+
+class Outcome(IntEnum):
+    """How a draw ended. Requirement i (from 0) that fails first is coded ``REQUIREMENT + i``."""
+
+    OK = 0
+    NON_FINITE = 1
+    REQUIREMENT = 10
+
