@@ -1,0 +1,210 @@
+"""The only place that batches: tile, vmap, map, shard, chunk.
+
+A lane is one draw at one sweep point. A block is the unit of work and of storage: a box of the grid
+(sweep axes..., draw), computed as one batch of lanes. A batch is cut into tiles whose state stays in cache; tiles
+are mapped in sequence, and shared out over the devices. Lanes do not see each other, so results do not depend on
+any of these sizes.
+"""
+
+import itertools
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+
+from dssc_jax.loop import simulate
+from dssc_jax.sampling import draw, draw_key, stream
+from dssc_jax.study import Study
+
+TILE = 512  # lanes; measured best between 256 and 1024 for the one-degree-of-freedom loop
+VECTOR = 8  # lanes in a 512-bit vector of float64: every tile is a multiple of it
+BLOCK = 16384  # lanes
+NOISE = stream("disturbance")
+
+Arrays = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The grid of all lanes and its blocks.
+
+    Args:
+        shape: Points of each axis, then draws.
+        block: Shape of a block; those at the far edges may be cut.
+    """
+
+    shape: tuple[int, ...]
+    block: tuple[int, ...]
+
+    @classmethod
+    def of(cls, study: Study, lanes: int = BLOCK) -> "Layout":
+        """Blocks of at most ``lanes`` lanes: whole trailing dimensions, and a part of the next."""
+        shape = (*(len(values) for values in study.axes.values()), study.config.draws)
+        block, room = [], lanes
+        for size in reversed(shape):
+            block.append(max(1, min(size, room)))
+            room //= block[-1] if block[-1] == size else room + 1
+        return cls(shape, tuple(reversed(block)))
+
+    @property
+    def lanes(self) -> int:
+        """Lanes of a whole block."""
+        return math.prod(self.block)
+
+    def blocks(self) -> list[tuple[slice, ...]]:
+        """Every block as a slice of the grid, in C order."""
+        starts = (range(0, size, step) for size, step in zip(self.shape, self.block, strict=True))
+        return [
+            tuple(slice(a, min(a + step, size)) for a, step, size in zip(at, self.block, self.shape, strict=True))
+            for at in itertools.product(*starts)
+        ]
+
+
+@dataclass
+class Clock:
+    """Seconds spent compiling and running, lanes done, and how often the step was traced."""
+
+    compile_seconds: float = 0.0
+    run_seconds: float = 0.0
+    lanes: int = 0
+    traces: int = 0
+
+
+@dataclass
+class Engine:
+    """A study compiled once for batches of a fixed size.
+
+    Args:
+        study: What to simulate.
+        lanes: Lanes of a batch; smaller ones are padded.
+        tile: Lanes of a tile; None: chosen by the batch.
+        devices: Devices to share tiles over; None: all.
+    """
+
+    study: Study
+    lanes: int
+    tile: int | None = None
+    devices: int | None = None
+    clock: Clock = field(default_factory=Clock)
+
+    def __post_init__(self) -> None:
+        usable = jax.devices()[: self.devices]
+        share = -(-self.lanes // len(usable))
+        widest = max(VECTOR, min(self.tile or TILE, share))
+        self._tile = -(-widest // VECTOR) * VECTOR
+        tiles = -(-self.lanes // self._tile)
+        self._tiles = -(-tiles // len(usable)) * len(usable)
+        self._mesh = Mesh(np.array(usable), ("device",))
+        self._run = None
+
+    @property
+    def names(self) -> list[str]:
+        """Numbers that differ between lanes."""
+        return [*self.study.axes, *self.study.laws]
+
+    def __call__(self, values: Mapping[str, np.ndarray], indices: np.ndarray) -> Callable[[], Arrays]:
+        """Start a batch; the result of the returned function is ready when it is called.
+
+        Args:
+            values: For each of ``names`` an array of shape (n,), n <= lanes.
+            indices: Draw index of each lane, shape (n,).
+        """
+        count = len(indices)
+        padding = self._tiles * self._tile - count
+        with jax.enable_x64(self.study.config.loop.precision == 64):
+            dtype = jnp.result_type(float)
+            shaped = {
+                name: np.pad(values[name], (0, padding), mode="edge").astype(dtype).reshape(self._tiles, self._tile)
+                for name in self.names
+            }
+            index = np.pad(indices, (0, padding), mode="edge").astype(np.uint32).reshape(self._tiles, self._tile)
+            if self._run is None:
+                self._run = self._compile(shaped, index)
+            began = time.perf_counter()
+            out = self._run(shaped, index)
+
+        def finish() -> Arrays:
+            arrays = {name: np.asarray(array).reshape(-1)[:count] for name, array in out.items()}
+            self.clock.run_seconds += time.perf_counter() - max(began, self._finished)
+            self._finished = time.perf_counter()
+            self.clock.lanes += count
+            return arrays
+
+        return finish
+
+    _finished: float = 0.0
+
+    def _compile(self, values: dict[str, np.ndarray], index: np.ndarray):
+        began = time.perf_counter()
+        study = self.study
+
+        def one(lane: dict[str, jax.Array], i: jax.Array) -> dict[str, jax.Array]:
+            self.clock.traces += 1
+            key = jax.random.fold_in(draw_key(study.config.seed, i), NOISE)
+            run = simulate(study.loop, study.params(lane), key, study.measures, study.requirements)
+            return {**run.metrics, **run.margins, "outcome": run.outcome, "failed_at": run.failed_at}
+
+        def share(lanes: dict[str, jax.Array], i: jax.Array) -> dict[str, jax.Array]:
+            return jax.lax.map(lambda tile: jax.vmap(one)(*tile), (lanes, i))
+
+        spec = PartitionSpec("device")
+        sharded = jax.shard_map(share, mesh=self._mesh, in_specs=spec, out_specs=spec, check_vma=False)
+        compiled = jax.jit(sharded).lower(values, index).compile()
+        self.clock.compile_seconds += time.perf_counter() - began
+        return compiled
+
+    @property
+    def rate(self) -> float:
+        """Draws times samples a second, without compilation."""
+        return self.clock.lanes * self.study.loop.steps / self.clock.run_seconds if self.clock.run_seconds else 0.0
+
+
+def drawn(study: Study, draws: slice) -> Arrays:
+    """Values of the study's laws for a range of draws."""
+    return draw(study.config.seed, study.laws, np.arange(draws.start, draws.stop))
+
+
+def lanes_of(study: Study, block: tuple[slice, ...], values: Arrays) -> tuple[Arrays, np.ndarray]:
+    """Values and draw indices of every lane of a block, flattened in C order; ``values`` are those of its draws."""
+    *points, draws = block
+    shape = tuple(part.stop - part.start for part in block)
+    flat = {}
+    for position, ((name, axis), part) in enumerate(zip(study.axes.items(), points, strict=True)):
+        along = np.asarray(axis[part]).reshape([-1 if i == position else 1 for i in range(len(shape))])
+        flat[name] = np.broadcast_to(along, shape).reshape(-1)
+    for name, column in values.items():
+        flat[name] = np.broadcast_to(column, shape).reshape(-1)
+    indices = np.broadcast_to(np.arange(draws.start, draws.stop), shape).reshape(-1)
+    return flat, indices
+
+
+def execute(
+    engine: Engine, blocks: list[tuple[slice, ...]]
+) -> Iterator[tuple[tuple[slice, ...], Arrays, Arrays]]:
+    """Compute blocks in turn; each is started before the one before it is handed out.
+
+    Yields:
+        The block, its results with the block's shape, and the drawn values of its range of draws.
+    """
+    waiting = None
+    for block in blocks:
+        values = drawn(engine.study, block[-1])
+        started = engine(*lanes_of(engine.study, block, values))
+        if waiting is not None:
+            yield collect(*waiting)
+        waiting = block, started, values
+    if waiting is not None:
+        yield collect(*waiting)
+
+
+def collect(
+    block: tuple[slice, ...], started: Callable[[], Arrays], values: Arrays
+) -> tuple[tuple[slice, ...], Arrays, Arrays]:
+    """Wait for a block and give its results the block's shape."""
+    shape = tuple(part.stop - part.start for part in block)
+    return block, {name: array.reshape(shape) for name, array in started().items()}, values
