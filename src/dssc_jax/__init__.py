@@ -13,7 +13,8 @@ xla.configure()
 if TYPE_CHECKING:
     from dssc_jax import design, plotting as plot
     from dssc_jax.errors import ConfigError
-    from dssc_jax.results import Result, load, replay, run, simulate
+    from dssc_jax.api import load, replay, run, simulate
+    from dssc_jax.results import Result
     from dssc_jax.study import Study
 
 __version__ = "0.1.0"
@@ -23,10 +24,10 @@ _HOME = {
     "ConfigError": "dssc_jax.errors",
     "Study": "dssc_jax.study",
     "Result": "dssc_jax.results",
-    "load": "dssc_jax.results",
-    "replay": "dssc_jax.results",
-    "run": "dssc_jax.results",
-    "simulate": "dssc_jax.results",
+    "load": "dssc_jax.api",
+    "replay": "dssc_jax.api",
+    "run": "dssc_jax.api",
+    "simulate": "dssc_jax.api",
 }
 _MODULES = {"design": "dssc_jax.design", "plot": "dssc_jax.plotting"}
 

@@ -146,7 +146,7 @@ class Engine:
         def one(lane: dict[str, jax.Array], i: jax.Array) -> dict[str, jax.Array]:
             self.clock.traces += 1
             key = jax.random.fold_in(draw_key(study.config.seed, i), NOISE)
-            run = simulate(study.loop, study.params(lane), key, study.measures, study.requirements)
+            run, _ = simulate(study.loop, study.params(lane), key, study.measures, study.requirements)
             return {**run.metrics, **run.margins, "outcome": run.outcome, "failed_at": run.failed_at}
 
         def share(lanes: dict[str, jax.Array], i: jax.Array) -> dict[str, jax.Array]:

@@ -168,10 +168,24 @@ def step(loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Sc
     return after, Recorded(t, measurement, reference, sample, all_finite(after))
 
 
+class Progress(NamedTuple):
+    """The scan's carry: state, accumulators, whether all has been finite so far, and for how many steps."""
+
+    state: LoopState
+    accumulators: tuple[Scalar, ...]
+    finite: Scalar
+    steps: Scalar
+
+
 def simulate(
-    loop: Loop, params: LoopParams, key: jax.Array, measures: tuple[Measure, ...], requirements: tuple[Requirement, ...]
-) -> Run:
-    """One draw from start to end, metrics only.
+    loop: Loop,
+    params: LoopParams,
+    key: jax.Array,
+    measures: tuple[Measure, ...] = (),
+    requirements: tuple[Requirement, ...] = (),
+    every: int | None = None,
+) -> tuple[Run, Recorded | None]:
+    """One draw from start to end.
 
     A draw that becomes non-finite is frozen at that step: state and accumulators keep their last finite values,
     its metrics are NaN and its margins -inf, and the batch goes on.
@@ -182,43 +196,43 @@ def simulate(
         key: The draw's own random key.
         measures: What to measure.
         requirements: Bounds of some of the measures.
-    """
-
-    def body(carry, k):
-        state, accumulators, alive, steps_alive = carry
-        after, recorded = step(loop, params, key, state, k)
-        updated = update_all(measures, accumulators, recorded.sample, k, loop.sample_time)
-        alive = alive & recorded.finite
-        kept = jax.tree.map(lambda new, old: jnp.where(alive, new, old), (after, updated), (state, accumulators))
-        return (*kept, alive, steps_alive + alive), None
-
-    zero = jnp.zeros((), dtype=jnp.result_type(float))
-    carry = (start(loop, params, key), (zero,) * len(measures), jnp.asarray(True), jnp.zeros((), dtype=jnp.int32))
-    (_, accumulators, finite, steps_alive), _ = jax.lax.scan(body, carry, jnp.arange(loop.steps, dtype=jnp.int32))
-    measured = values(measures, accumulators, loop.steps, loop.sample_time)
-    outcome, margins = judge(requirements, measured, finite)
-    return Run(
-        metrics={name: jnp.where(finite, value, jnp.nan) for name, value in measured.items()},
-        margins=margins,
-        outcome=outcome,
-        failed_at=jnp.where(finite, jnp.nan, (steps_alive + 1) * loop.sample_time),
-    )
-
-
-def trajectory(loop: Loop, params: LoopParams, key: jax.Array, every: int = 1) -> Recorded:
-    """One draw with every ``every``-th sample kept; after a non-finite step the rest is not finite either.
+        every: Record every so-manieth sample; None: none, so that memory does not grow with the duration.
 
     Returns:
-        :class:`Recorded` with leaves of shape (ceil(steps/every),).
+        The outcome, and the trajectory with leaves of shape (ceil(steps/every),), if any.
     """
-    blocks = -(-loop.steps // every)
 
-    def block(state, index):
+    def sample(at: Progress, k: Scalar) -> tuple[Progress, Recorded]:
+        after, recorded = step(loop, params, key, at.state, k)
+        updated = update_all(measures, at.accumulators, recorded.sample, k, loop.sample_time)
+        finite = at.finite & recorded.finite
+        state, accumulators = jax.tree.map(
+            lambda new, old: jnp.where(finite, new, old), (after, updated), (at.state, at.accumulators)
+        )
+        return Progress(state, accumulators, finite, at.steps + finite), recorded
+
+    def block(at: Progress, index: Scalar) -> tuple[Progress, Recorded]:
         first = index * every
-        after, recorded = step(loop, params, key, state, first)
-        if every > 1:
-            after = jax.lax.fori_loop(first + 1, first + every, lambda k, s: step(loop, params, key, s, k)[0], after)
-        return after, recorded
+        at, recorded = sample(at, first)
+        last = jnp.minimum(first + every, loop.steps)
+        return jax.lax.fori_loop(first + 1, last, lambda k, at: sample(at, k)[0], at), recorded
 
-    _, recorded = jax.lax.scan(block, start(loop, params, key), jnp.arange(blocks, dtype=jnp.int32))
-    return recorded
+    zero = jnp.zeros((), dtype=jnp.result_type(float))
+    at = Progress(
+        start(loop, params, key), (zero,) * len(measures), jnp.asarray(True), jnp.zeros((), dtype=jnp.int32)
+    )
+    if every is None:
+        end, recorded = jax.lax.scan(lambda at, k: (sample(at, k)[0], None), at, jnp.arange(loop.steps))
+    elif every == 1:
+        end, recorded = jax.lax.scan(sample, at, jnp.arange(loop.steps))
+    else:
+        end, recorded = jax.lax.scan(block, at, jnp.arange(-(-loop.steps // every)))
+    measured = values(measures, end.accumulators, loop.steps, loop.sample_time)
+    outcome, margins = judge(requirements, measured, end.finite)
+    run = Run(
+        metrics={name: jnp.where(end.finite, value, jnp.nan) for name, value in measured.items()},
+        margins=margins,
+        outcome=outcome,
+        failed_at=jnp.where(end.finite, jnp.nan, (end.steps + 1) * loop.sample_time),
+    )
+    return run, recorded

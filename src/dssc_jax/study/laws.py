@@ -9,78 +9,124 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from dssc_jax.errors import meant
 
 
+Arguments = tuple[float, ...]
+
+
 @dataclass(frozen=True)
 class LawKind:
-    """Arguments of a law, its rule, and its distribution.
+    """A family of laws.
 
     Args:
         signature: The arguments as one writes them.
         counts: How many arguments it takes; None for one or more.
         rule: The rule that arguments must keep, in words, and its test.
-        frozen: The scipy distribution of the arguments.
+        support: Lowest and highest value.
+        quantile: Inverse of the distribution function at levels in (0, 1).
     """
 
     signature: str
     counts: tuple[int, ...] | None
-    rule: tuple[str, Callable[[tuple[float, ...]], bool]]
-    frozen: Callable[[tuple[float, ...]], Any] | None
+    rule: tuple[str, Callable[[Arguments], bool]]
+    support: Callable[[Arguments], tuple[float, float]]
+    quantile: Callable[[Arguments, np.ndarray], np.ndarray]
 
 
-def increasing(a: tuple[float, ...]) -> bool:
-    """Lo < hi."""
-    return a[0] < a[1]
-
-
-def truncated(a: tuple[float, ...]) -> Any:
-    """Normal (mean a[0], deviation a[1]) truncated to [a[2], a[3]]."""
+def truncated_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
+    """Normal (mean a[0], deviation a[1]) truncated to [a[2], a[3]], computed in the lighter tail."""
     mean, std, low, high = a
-    return stats.truncnorm((low - mean) / std, (high - mean) / std, mean, std)
+    left, right = (low - mean) / std, (high - mean) / std
+    if left > 0.0:
+        below, above = special.ndtr(-right), special.ndtr(-left)
+        standard = -special.ndtri(above - u * (above - below))
+    else:
+        below, above = special.ndtr(left), special.ndtr(right)
+        standard = special.ndtri(below + u * (above - below))
+    return np.clip(mean + std * standard, low, high)
 
 
-def scaled_beta(a: tuple[float, ...]) -> Any:
+def triangular_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
+    """Triangular on [lo, hi] with its peak at the mode."""
+    low, mode, high = a
+    width = high - low
+    rising = low + np.sqrt(u * width * (mode - low))
+    falling = high - np.sqrt((1.0 - u) * width * (high - mode))
+    return np.where(u * width < mode - low, rising, falling)
+
+
+def beta_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
     """Beta on [lo, hi], by default [0, 1]."""
     low, high = a[2:] or (0.0, 1.0)
-    return stats.beta(a[0], a[1], low, high - low)
+    return low + (high - low) * special.betaincinv(a[0], a[1], u)
 
 
+def choice_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
+    """One of the values, each as likely."""
+    return np.asarray(a)[np.minimum((u * len(a)).astype(int), len(a) - 1)]
+
+
+INFINITE = math.inf
 LAWS: dict[str, LawKind] = {
-    "uniform": LawKind("[lo, hi]", (2,), ("lo must be below hi", increasing), lambda a: stats.uniform(a[0], a[1] - a[0])),
+    "uniform": LawKind(
+        "[lo, hi]",
+        (2,),
+        ("lo must be below hi", lambda a: a[0] < a[1]),
+        lambda a: (a[0], a[1]),
+        lambda a, u: a[0] + (a[1] - a[0]) * u,
+    ),
     "loguniform": LawKind(
-        "[lo, hi]", (2,), ("0 < lo < hi must hold", lambda a: 0.0 < a[0] < a[1]), lambda a: stats.loguniform(*a)
+        "[lo, hi]",
+        (2,),
+        ("0 < lo < hi must hold", lambda a: 0.0 < a[0] < a[1]),
+        lambda a: (a[0], a[1]),
+        lambda a, u: np.clip(a[0] * np.exp(np.log(a[1] / a[0]) * u), a[0], a[1]),
     ),
     "normal": LawKind(
-        "[mean, std]", (2,), ("std must be positive", lambda a: a[1] > 0.0), lambda a: stats.norm(*a)
+        "[mean, std]",
+        (2,),
+        ("std must be positive", lambda a: a[1] > 0.0),
+        lambda a: (-INFINITE, INFINITE),
+        lambda a, u: a[0] + a[1] * special.ndtri(u),
     ),
     "truncated_normal": LawKind(
         "[mean, std, lo, hi]",
         (4,),
         ("std must be positive and lo below hi", lambda a: a[1] > 0.0 and a[2] < a[3]),
-        truncated,
+        lambda a: (a[2], a[3]),
+        truncated_quantile,
     ),
     "lognormal": LawKind(
         "[mean of the logarithm, std of the logarithm]",
         (2,),
         ("std must be positive", lambda a: a[1] > 0.0),
-        lambda a: stats.lognorm(a[1], scale=math.exp(a[0])),
+        lambda a: (math.ulp(0.0), INFINITE),
+        lambda a, u: np.exp(a[0] + a[1] * special.ndtri(u)),
     ),
     "beta": LawKind(
         "[a, b] or [a, b, lo, hi]",
         (2, 4),
         ("a and b must be positive and lo below hi", lambda a: min(a[:2]) > 0.0 and (len(a) == 2 or a[2] < a[3])),
-        scaled_beta,
+        lambda a: (a[2], a[3]) if len(a) == 4 else (0.0, 1.0),
+        beta_quantile,
     ),
     "triangular": LawKind(
         "[lo, mode, hi]",
         (3,),
         ("lo <= mode <= hi and lo < hi must hold", lambda a: a[0] <= a[1] <= a[2] and a[0] < a[2]),
-        lambda a: stats.triang((a[1] - a[0]) / (a[2] - a[0]), a[0], a[2] - a[0]),
+        lambda a: (a[0], a[2]),
+        triangular_quantile,
     ),
-    "choice": LawKind("[value, value, ...]", None, ("needs at least one value", lambda a: len(a) > 0), None),
+    "choice": LawKind(
+        "[value, value, ...]",
+        None,
+        ("needs at least one value", lambda a: len(a) > 0),
+        lambda a: (min(a), max(a)),
+        choice_quantile,
+    ),
 }
 
 
@@ -99,19 +145,11 @@ class Law:
     @property
     def support(self) -> tuple[float, float]:
         """Lowest and highest value."""
-        make = LAWS[self.kind].frozen
-        if make is None:
-            return min(self.arguments), max(self.arguments)
-        low, high = make(self.arguments).support()
-        return float(low), float(high)
+        return LAWS[self.kind].support(self.arguments)
 
     def quantile(self, u: np.ndarray) -> np.ndarray:
         """Values at the levels ``u`` in (0, 1): the inverse of the distribution function."""
-        make = LAWS[self.kind].frozen
-        if make is None:
-            values = np.asarray(self.arguments)
-            return values[np.minimum((u * len(values)).astype(int), len(values) - 1)]
-        return np.asarray(make(self.arguments).ppf(u))
+        return LAWS[self.kind].quantile(self.arguments, u)
 
     @property
     def median(self) -> float:

@@ -1,0 +1,292 @@
+"""What the command line and notebooks call: run a study, look at one draw, replay one of a result."""
+
+import platform
+import time
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import xarray as xr
+
+from dssc_jax import store
+from dssc_jax.engine import NOISE, Engine, Layout, drawn, execute
+from dssc_jax.errors import ConfigError, meant
+from dssc_jax.loop import simulate as run_loop
+from dssc_jax.results import Result, outcome_codes
+from dssc_jax.sampling import draw_key
+from dssc_jax.study import Study
+
+Progress = Callable[[int, int], None]
+"""Called with the lanes done and the lanes in all."""
+
+VERSIONS = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy", "xarray", "zarr")
+UNITS = {
+    "y": ("m", "output y"),
+    "y_dot": ("m/s", "output's derivative y'"),
+    "y_ref": ("m", "desired output y_m"),
+    "e": ("m", "output error e"),
+    "sigma": ("m/s", "sigma = e' + l_0 e"),
+    "u": ("m/s", "robust command u"),
+    "u_total": ("m/s", "total command u + u_n"),
+    "sigma_tilde": ("m/s", "sliding variable"),
+    "sigma_hat": ("m/s", "predictor's output"),
+    "u_av": ("m/s", "averaged control"),
+    "u_0": ("m/s", "switched control"),
+    "rho": ("m/s", "modulation"),
+    "sliding_margin": ("m/s", "rho - |u_eq|"),
+    "k_o": ("1/s", "predictor gain"),
+    "tau_m": ("s", "predictor time constant"),
+    "tau_av": ("s", "averaging time constant"),
+    "integral": ("m/s", "integral term of u"),
+}
+
+
+def about_run(study: Study, layout: Layout) -> dict[str, Any]:
+    """The manifest before the run: what, with which versions, on which machine."""
+    device = jax.devices()[0]
+    return {
+        "schema": store.SCHEMA,
+        "study": study.table,
+        "source": study.source,
+        "hash": study.hash,
+        "seed": study.config.seed,
+        "sampling": study.config.sampling,
+        "precision": study.config.loop.precision,
+        "layout": {"shape": list(layout.shape), "block": list(layout.block)},
+        "counts": {
+            "points": int(np.prod([len(values) for values in study.axes.values()], dtype=int)),
+            "draws": study.config.draws,
+            "samples": study.loop.steps,
+        },
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in VERSIONS}},
+        "device": {"kind": device.device_kind, "platform": device.platform, "count": len(jax.devices())},
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "complete": False,
+        "times": {},
+    }
+
+
+def run(
+    study: Study,
+    out: str | Path | None = None,
+    *,
+    resume: bool = False,
+    progress: Progress | None = None,
+    block: int | None = None,
+    tile: int | None = None,
+    devices: int | None = None,
+) -> Result:
+    """Simulate every draw of a study at every point of its sweep.
+
+    Args:
+        study: The study; one with a ``[sweep]`` is swept, see :meth:`Study.without_sweep`.
+        out: Results folder to fill as the run goes on; None keeps the result in memory.
+        resume: Keep what an earlier, interrupted run of the same study left in ``out``.
+        progress: Told of the lanes done after each block.
+        block: Lanes of a block at most; None: the engine's choice. Results do not depend on it, nor on the rest.
+        tile: Lanes of a tile.
+        devices: Number of devices to use.
+
+    Raises:
+        ConfigError: ``out`` holds something else.
+    """
+    layout = Layout.of(study, block) if block else Layout.of(study)
+    folder = Path(out) if out is not None else None
+    sink = store.Store(folder, study, layout, resume) if folder else None
+    layout = sink.layout if sink else layout
+    manifest = about_run(study, layout)
+    dataset = store.in_memory(study) if sink is None else None
+    if folder:
+        store.write_json(folder / store.MANIFEST, manifest)
+    began = time.perf_counter()
+    pending = sink.pending() if sink else layout.blocks()
+    engine = Engine(study, layout.lanes, tile, devices)
+    total = int(np.prod(layout.shape))
+    done = total - sum(int(np.prod([part.stop - part.start for part in box])) for box in pending)
+    if progress:
+        progress(done, total)
+    for box, results, values in execute(engine, pending):
+        if sink:
+            sink.write(box, results, values)
+        else:
+            fill(dataset, box, results, values)
+        done += next(iter(results.values())).size
+        if progress:
+            progress(done, total)
+    manifest["complete"] = True
+    manifest["times"] = {
+        "seconds": time.perf_counter() - began,
+        "compile_seconds": engine.clock.compile_seconds,
+        "run_seconds": engine.clock.run_seconds,
+        "rate": engine.rate,
+        "traces": engine.clock.traces,
+    }
+    if folder is None:
+        assert dataset is not None
+        return Result(study, dataset, manifest)
+    store.write_json(folder / store.MANIFEST, manifest)
+    result = store.load(folder)
+    store.write_json(folder / store.SUMMARY, result.summary())
+    return result
+
+
+def fill(dataset: xr.Dataset | None, box: tuple[slice, ...], results: dict, values: dict) -> None:
+    """Put a block into a dataset in memory."""
+    assert dataset is not None
+    for name, array in results.items():
+        dataset[name].values[box] = array
+    for name, column in values.items():
+        dataset[name].values[box[-1]] = column
+
+
+def load(folder: str | Path) -> Result:
+    """Read a results folder; see :func:`dssc_jax.store.load`."""
+    return store.load(folder)
+
+
+def lane_values(study: Study, draw: int, point: Mapping[str, float]) -> dict[str, float]:
+    """Every number that differs between lanes, for one lane.
+
+    Raises:
+        ConfigError: the draw is not among the study's, or a point's name is no swept parameter.
+    """
+    if not 0 <= draw < study.config.draws:
+        raise ConfigError(study.source, f"draw must be in 0 .. {study.config.draws - 1}, got {draw}")
+    for name in point:
+        if name not in study.axes:
+            raise ConfigError(study.source, f"'{name}' is not swept; {meant(name, study.axes)}")
+    missing = [name for name in study.axes if name not in point]
+    if missing:
+        raise ConfigError(study.source, f"the point needs a value of {', '.join(missing)}")
+    values = {name: float(column[0]) for name, column in drawn(study, slice(draw, draw + 1)).items()}
+    return {**values, **point}
+
+
+def simulate(
+    study: Study, draw: int = 0, *, point: Mapping[str, float] | None = None, every: int = 1
+) -> xr.Dataset:
+    """One draw as a trajectory.
+
+    Args:
+        study: The study. Without ``point`` a sweep is left aside.
+        draw: Index of the draw.
+        point: Value of each swept parameter.
+        every: Keep every so-manieth sample.
+
+    Returns:
+        Dimension ``t`` [s]; variables y, y_dot, y_ref, e, sigma, u, u_total and the fields of the controller's
+        info. Attributes hold the drawn values and how the draw ended.
+
+    Raises:
+        ConfigError: draw, point or every is out of range.
+    """
+    if every < 1:
+        raise ConfigError(study.source, f"every must be >= 1, got {every}")
+    study = study if point else study.without_sweep()
+    values = lane_values(study, draw, point or {})
+
+    def one(lane: dict[str, jax.Array], index: jax.Array):
+        key = jax.random.fold_in(draw_key(study.config.seed, index), NOISE)
+        return run_loop(study.loop, study.params(lane), key, study.measures, study.requirements, every)
+
+    with jax.enable_x64(study.config.loop.precision == 64):
+        ended, recorded = jax.tree.map(np.asarray, jax.jit(one)(values, np.uint32(draw)))
+    sample = recorded.sample
+    columns = {
+        "y": recorded.measurement.y,
+        "y_dot": recorded.measurement.y_dot,
+        "y_ref": recorded.reference.y,
+        "e": sample.e,
+        "sigma": sample.sigma,
+        "u": sample.u,
+        "u_total": sample.u_total,
+        **sample.info._asdict(),
+    }
+    described = {name: describe(name) for name in columns}
+    code = int(ended.outcome)
+    return xr.Dataset(
+        {name: (("t",), column, described[name]) for name, column in columns.items()},
+        coords={"t": (("t",), recorded.t, {"units": "s", "long_name": "time"})},
+        attrs={
+            "study": study.name,
+            "draw": draw,
+            **values,
+            "outcome": code,
+            "outcome_meaning": outcome_codes(study)[code],
+            "failed_at": float(ended.failed_at),
+            **{name: float(value) for name, value in {**ended.metrics, **ended.margins}.items()},
+        },
+    )
+
+
+def describe(name: str) -> dict[str, str]:
+    """Attributes of a trajectory's column; a user's own info field has none."""
+    unit, meaning = UNITS.get(name, ("", name))
+    return {"units": unit, "long_name": meaning}
+
+
+def lane_outcome(study: Study, draw: int, values: Mapping[str, float]) -> dict[str, np.generic]:
+    """Metrics, margins and outcome of one lane, as the batch computes them."""
+    engine = Engine(study, 1, devices=1)
+    arrays = engine({name: np.asarray([value]) for name, value in values.items()}, np.asarray([draw]))()
+    return {name: array[0] for name, array in arrays.items()}
+
+
+def replay(result: Result, draw: int, *, point: Mapping[str, float] | None = None, every: int = 1) -> xr.Dataset:
+    """One draw of a result as a trajectory, checked against what the result holds of it.
+
+    Args:
+        result: A loaded or fresh result.
+        draw: Index of the draw.
+        point: Value of each swept parameter, taken to the nearest of the sweep; None: where the draw fails by
+            most, or its first point.
+        every: Keep every so-manieth sample.
+
+    Returns:
+        As :func:`simulate`; the attribute ``deviation`` is the largest relative difference of a metric from the
+        stored one.
+
+    Raises:
+        ConfigError: draw or point is not in the result.
+    """
+    study = result.study
+    if not 0 <= draw < study.config.draws:
+        raise ConfigError(str(result.path or study.source), f"draw must be in 0 .. {study.config.draws - 1}, got {draw}")
+    for name in point or {}:
+        if name not in study.axes:
+            raise ConfigError(study.source, f"'{name}' is not swept; {meant(name, study.axes)}")
+    index = {name: nearest(values, (point or {}).get(name)) for name, values in study.axes.items()}
+    if not point:
+        index = hardest(result, draw)
+    exact = {name: study.axes[name][i] for name, i in index.items()}
+    found = simulate(study, draw, point=exact or None, every=every)
+    stored = result.dataset.isel({**index, "draw": draw})
+    again = lane_outcome(study, draw, lane_values(study, draw, exact))
+    gaps = [relative_gap(float(stored[m.name]), float(again[m.name])) for m in study.measures]
+    found.attrs["deviation"] = max(gaps)
+    return found
+
+
+def nearest(values: tuple[float, ...], wanted: float | None) -> int:
+    """Index of the value nearest to the wanted one; 0 without a wish."""
+    return 0 if wanted is None else int(np.argmin(np.abs(np.asarray(values) - wanted)))
+
+
+def hardest(result: Result, draw: int) -> dict[str, int]:
+    """The sweep point at which the draw has its smallest margin; the first one without requirements."""
+    axes = list(result.study.axes)
+    if not axes or not result.study.requirements:
+        return dict.fromkeys(axes, 0)
+    margin = result.dataset[result.study.requirements[0].name].isel(draw=draw).values
+    return dict(zip(axes, map(int, np.unravel_index(np.argmin(margin), margin.shape)), strict=True))
+
+
+def relative_gap(stored: float, computed: float) -> float:
+    """|difference| relative to the stored value; 0 where both are the same, NaN and infinity included."""
+    if stored == computed or (np.isnan(stored) and np.isnan(computed)):
+        return 0.0
+    return abs(stored - computed) / max(abs(stored), np.finfo(float).tiny)
