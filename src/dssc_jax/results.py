@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from dssc_jax.metrics import METRICS
+from dssc_jax.metrics import METRICS, Measure
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson
 from dssc_jax.study import Study
 from dssc_jax.types import Outcome
@@ -91,6 +91,17 @@ class Result:
         from dssc_jax import store
 
         return store.save(self, Path(folder))
+
+
+def headline(result: Result) -> Measure:
+    """The metric that the study is about: the one it names, else that of its first requirement, else the error."""
+    wanted = result.study.config.plot.metric
+    by_name = {measure.name: measure for measure in result.study.measures}
+    if wanted:
+        return by_name[wanted]
+    if result.study.requirements:
+        return result.study.requirements[0].measure
+    return by_name["error_rms"]
 
 
 def finite_or_none(value: float) -> float | None:

@@ -13,6 +13,7 @@ import sys
 import warnings
 
 SWITCH = "DSSC_JAX_XLA"
+OFF = ("off", "0", "false")
 CODE_GENERATION = (
     "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion",
     "--xla_cpu_prefer_vector_width=512",
@@ -48,7 +49,7 @@ def configure() -> None:
     Warns:
         LateSettingsWarning: when the backend runs already, without these flags.
     """
-    if os.environ.get(SWITCH, "").lower() in {"off", "0", "false"}:
+    if os.environ.get(SWITCH, "").lower() in OFF:
         return
     missing = missing_flags()
     if not missing:

@@ -1,0 +1,43 @@
+"""Where study files are found by name: the current folder's ``studies``, and those that come with the package."""
+
+from pathlib import Path
+
+from dssc_jax.errors import ConfigError, meant
+
+PACKAGED = Path(__file__).parents[1] / "_studies"
+CHECKOUT = Path(__file__).parents[3] / "studies"
+
+
+def folders() -> list[Path]:
+    """Folders that hold studies, nearest first."""
+    found: list[Path] = []
+    for folder in (Path.cwd() / "studies", PACKAGED, CHECKOUT):
+        if folder.is_dir() and folder.resolve() not in [other.resolve() for other in found]:
+            found.append(folder)
+    return found
+
+
+def available() -> dict[str, Path]:
+    """Every study by name; the nearest folder wins."""
+    found: dict[str, Path] = {}
+    for folder in folders():
+        for path in sorted(folder.glob("*.toml")):
+            found.setdefault(path.stem, path)
+    return found
+
+
+def find(name: str) -> Path:
+    """The file of a study given by path or by name.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    path = Path(name)
+    if path.exists() or path.suffix == ".toml" or path.parent != Path():
+        return path
+    known = available()
+    if name in known:
+        return known[name]
+    if name.replace("-", "_") in known:
+        return known[name.replace("-", "_")]
+    raise ConfigError(name, f"is neither a file nor the name of a study; {meant(name, known)}")
