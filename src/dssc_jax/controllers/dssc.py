@@ -10,12 +10,13 @@ from enum import StrEnum
 from typing import Annotated, NamedTuple
 
 import jax
+import jax.numpy as jnp
 
 from dssc_jax.controllers.gain_functions import GAIN_FUNCTIONS, Constant, StateFunctions
 from dssc_jax.controllers.modulation import MODULATIONS, Signals
 from dssc_jax.controllers.tracking import L0, NominalGains, TrackingError, nominal_control, tracking_error
 from dssc_jax.errors import ConfigError
-from dssc_jax.numerics import saturate, sign
+from dssc_jax.numerics import sign
 from dssc_jax.types import (
     Command,
     Controller,
@@ -85,13 +86,21 @@ class Sampled(NamedTuple):
 def implicit_update(
     sigma: Scalar, u_av: Scalar, sigma_hat: Scalar, rho: Scalar, at: StateFunctions, dt: Scalar
 ) -> Sampled:
-    """Backward Euler of (15)-(18), solved exactly; the ratios stay finite where tau_av or tau_m vanish."""
+    """Backward Euler of (15)-(18), solved exactly; the ratios stay finite where tau_av or tau_m vanish.
+
+    The change u_0 - u_av is clipped, not u_0: in sliding nothing of the size of u_av is then subtracted.
+    """
     keep = at.tau_av / (at.tau_av + dt)  # 1/(1+a)
     decay = at.tau_m / (at.tau_m + dt)  # 1/(1+b)
     c = dt * at.k_o * keep * decay
-    u_eq = (sigma - (sigma_hat * decay - c * u_av)) / c
-    u_0 = saturate(u_eq, rho)
-    return Sampled(u_0, keep * u_av + (1.0 - keep) * u_0, sigma_hat * decay + c * (u_0 - u_av), u_eq)
+    wanted = (sigma - decay * sigma_hat) / c  # u_eq - u_av
+    change = jnp.clip(wanted, -rho - u_av, rho - u_av)
+    return Sampled(
+        u_0=u_av + change,
+        u_av=u_av + dt / (at.tau_av + dt) * change,
+        sigma_hat=decay * sigma_hat + c * change,
+        u_eq=u_av + wanted,
+    )
 
 
 def explicit_update(

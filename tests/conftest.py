@@ -1,0 +1,72 @@
+"""Shared fixtures. Two host devices and float64 whatever the machine, set before JAX starts."""
+
+import os
+
+os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=2".strip()
+
+import dssc_jax  # noqa: E402, I001  (sets the other compiler flags)
+import jax  # noqa: E402
+import pytest  # noqa: E402
+
+jax.config.update("jax_enable_x64", True)
+
+CASE_2 = {
+    "name": "case-2-x",
+    "draws": 1,
+    "loop": {"duration": 80.0, "sample_time": 0.005},
+    "plant": {"kind": "normal_form", "initial": [40.0, 0.0]},
+    "reference": {"kind": "mission", "axis": "x"},
+    "controller": {
+        "kind": "dssc",
+        "l0": 0.2,
+        "rho": 1.5,
+        "functions": {
+            "kind": "square_root",
+            "kappa_o": 110.651,
+            "kappa_m": 4.0166,
+            "delta_o": 1.0,
+            "delta_m": 1.0,
+            "tau_av": 0.03,
+        },
+        "nominal": {"a": 1.0, "k": 1.0},
+    },
+    "disturbance": {"kind": "step", "value": -0.8, "at": 20.0},
+    "requirement": [{"metric": "error_rms", "after": 40.0, "max": 5.0}],
+}
+
+UNCERTAIN = {
+    "name": "uncertain",
+    "seed": 3,
+    "draws": 24,
+    "loop": {"duration": 4.0, "sample_time": 0.01},
+    "plant": {
+        "kind": "normal_form",
+        "k_p": {"uniform": [0.8, 1.2]},
+        "a_p": {"normal": [1.0, 0.1]},
+        "zero_dynamics": {"a": [2.0, {"uniform": [1.0, 2.0]}], "c": [0.2, 0.1]},
+        "initial": [1.0, 0.0],
+    },
+    "reference": {"kind": "sine", "amplitude": 1.0, "period": 4.0},
+    "controller": {
+        "kind": "dssc",
+        "l0": 1.0,
+        "rho": {"uniform": [3.0, 5.0]},
+        "functions": {"kind": "approx_sta_2", "kappa1": 1.0, "kappa2": 1.0, "delta": 0.5, "tau_av": 0.05},
+    },
+    "unmodelled": {"kind": "lag", "order": 2, "mu": {"loguniform": [1e-3, 0.1]}},
+    "disturbance": {"kind": "filtered_noise", "std": 0.2, "correlation_time": 0.5},
+    "requirement": [{"metric": "error_max", "after": 2.0, "max": 0.35}],
+    "sweep": {"controller.functions.tau_av": [0.02, 0.05, 0.1], "controller.l0": [0.5, 1.0]},
+}
+
+
+@pytest.fixture
+def case_2() -> "dssc_jax.Study":
+    """Section V-B, Case 2, x axis."""
+    return dssc_jax.Study.from_table(CASE_2)
+
+
+@pytest.fixture
+def uncertain() -> "dssc_jax.Study":
+    """A small study that uses a bit of everything."""
+    return dssc_jax.Study.from_table(UNCERTAIN)

@@ -1,0 +1,34 @@
+import jax
+import jax.numpy as jnp
+import mpmath
+import numpy as np
+import pytest
+
+from dssc_jax.numerics import over_log_defect, root_abs
+
+
+def test_root_abs_is_exact_and_has_finite_gradients():
+    x = np.array([-4.0, 0.0, 1e-300, 9.0])
+    np.testing.assert_allclose(root_abs(x), [2.0, 0.0, 1e-150, 3.0], rtol=1e-15)
+    assert np.all(np.isfinite(jax.vmap(jax.grad(root_abs))(jnp.asarray(x))))
+    assert jax.grad(root_abs)(0.0) == 0.0
+
+
+def test_root_abs_floor():
+    assert root_abs(0.0, 1e-9) == 1e-9
+    assert root_abs(1e-20, 1e-9) == 1e-9
+    assert root_abs(4.0, 1e-9) == 2.0
+
+
+@pytest.mark.parametrize("x", [0.0, 1e-300, 1e-12, 1e-6, 1e-3, 0.0499999, 0.05, 0.0500001, 0.3, 1.0, 50.0, 1e8])
+def test_over_log_defect_against_high_precision(x):
+    with mpmath.workdps(700):
+        exact = mpmath.mpf(2) if x == 0.0 else mpmath.mpf(x) ** 2 / (mpmath.mpf(x) - mpmath.log1p(mpmath.mpf(x)))
+    assert float(over_log_defect(x)) == pytest.approx(float(exact), rel=1e-13)
+
+
+def test_over_log_defect_gradient_is_finite_and_continuous_at_the_switch():
+    slope = jax.vmap(jax.grad(over_log_defect))(jnp.asarray([0.0, 1e-9, 0.05 - 1e-12, 0.05 + 1e-12, 10.0]))
+    assert np.all(np.isfinite(slope))
+    assert float(slope[0]) == pytest.approx(4.0 / 3.0)
+    assert float(slope[2]) == pytest.approx(float(slope[3]), rel=1e-9)
