@@ -13,8 +13,8 @@ xla.configure()
 if TYPE_CHECKING:
     from dssc_jax import design, plotting as plot
     from dssc_jax.errors import ConfigError
-    from dssc_jax.api import load, replay, run, simulate
-    from dssc_jax.results import Result
+    from dssc_jax.api import replay, run, simulate
+    from dssc_jax.results import Result, load
     from dssc_jax.study import Study
 
 __version__ = "0.1.0"
@@ -24,7 +24,7 @@ _HOME = {
     "ConfigError": "dssc_jax.errors",
     "Study": "dssc_jax.study",
     "Result": "dssc_jax.results",
-    "load": "dssc_jax.api",
+    "load": "dssc_jax.results",
     "replay": "dssc_jax.api",
     "run": "dssc_jax.api",
     "simulate": "dssc_jax.api",

@@ -13,10 +13,11 @@ import numpy as np
 import xarray as xr
 
 from dssc_jax import store
+from dssc_jax.dataset import in_memory, outcome_codes
 from dssc_jax.engine import NOISE, Engine, Layout, drawn, execute
 from dssc_jax.errors import ConfigError, meant
 from dssc_jax.loop import simulate as run_loop
-from dssc_jax.results import Result, outcome_codes
+from dssc_jax.results import Result, load
 from dssc_jax.sampling import draw_key
 from dssc_jax.study import Study
 
@@ -56,7 +57,7 @@ def about_run(study: Study, layout: Layout) -> dict[str, Any]:
         "seed": study.config.seed,
         "sampling": study.config.sampling,
         "precision": study.config.loop.precision,
-        "layout": {"shape": list(layout.shape), "block": list(layout.block)},
+        "layout": layout.to_dict(),
         "counts": {
             "points": int(np.prod([len(values) for values in study.axes.values()], dtype=int)),
             "draws": study.config.draws,
@@ -99,7 +100,7 @@ def run(
     sink = store.Store(folder, study, layout, resume) if folder else None
     layout = sink.layout if sink else layout
     manifest = about_run(study, layout)
-    dataset = store.in_memory(study) if sink is None else None
+    dataset = in_memory(study) if sink is None else None
     if folder:
         store.write_json(folder / store.MANIFEST, manifest)
     began = time.perf_counter()
@@ -129,7 +130,7 @@ def run(
         assert dataset is not None
         return Result(study, dataset, manifest)
     store.write_json(folder / store.MANIFEST, manifest)
-    result = store.load(folder)
+    result = load(folder)
     store.write_json(folder / store.SUMMARY, result.summary())
     return result
 
@@ -141,11 +142,6 @@ def fill(dataset: xr.Dataset | None, box: tuple[slice, ...], results: dict, valu
         dataset[name].values[box] = array
     for name, column in values.items():
         dataset[name].values[box[-1]] = column
-
-
-def load(folder: str | Path) -> Result:
-    """Read a results folder; see :func:`dssc_jax.store.load`."""
-    return store.load(folder)
 
 
 def lane_values(study: Study, draw: int, point: Mapping[str, float]) -> dict[str, float]:

@@ -216,6 +216,7 @@ def replay(
     In a sweep, --at picks the point (the nearest one); without it, the point where the draw's margin is smallest.
     """
     from dssc_jax import api
+    from dssc_jax.results import load
 
     point = {}
     for text in at or []:
@@ -224,7 +225,7 @@ def replay(
             point[name] = float(value)
         except ValueError:
             raise ConfigError("--at", f"must be NAME=NUMBER, got '{text}'") from None
-    return tell_trajectory(api.replay(api.load(result), draw, point=point or None, every=every), csv, figure, as_json)
+    return tell_trajectory(api.replay(load(result), draw, point=point or None, every=every), csv, figure, as_json)
 
 
 def tell_trajectory(found: Any, csv: Path | None, figure: Path | None, as_json: bool) -> int:
@@ -310,18 +311,20 @@ def guarded(arguments: list[str]) -> int:
     """Run a command and turn what ends it into an exit code."""
     try:
         code = app(arguments, standalone_mode=False)
-        return code if isinstance(code, int) else DONE
+    except KeyboardInterrupt:
+        code = INTERRUPTED
     except ConfigError as error:
         say(f"error: {' '.join(str(error).split())}")
-    except KeyboardInterrupt:
-        say("interrupted; what was finished is kept, --resume goes on from there")
-        return INTERRUPTED
+        return BAD_INPUT
     except Exception as error:
-        message = getattr(error, "format_message", None)
-        if message is None:
+        usage = getattr(error, "format_message", None)  # typer's errors of usage
+        if usage is None:
             raise
-        say(f"error: {' '.join(str(message()).split())}")
-    return BAD_INPUT
+        say(f"error: {' '.join(str(usage()).split())}")
+        return BAD_INPUT
+    if code == INTERRUPTED:  # typer turns the signal into this code itself
+        say("interrupted; what was finished is kept, --resume goes on from there")
+    return code if isinstance(code, int) else DONE
 
 
 if __name__ == "__main__":

@@ -169,8 +169,12 @@ def step(loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Sc
 
 
 class Progress(NamedTuple):
-    """The scan's carry: state, accumulators, whether all has been finite so far, and for how many steps."""
+    """The scan's carry: next sample, state, accumulators, whether all has been finite, and for how many steps.
 
+    The sample's index is carried, not scanned over: an array of indices would grow with the duration.
+    """
+
+    k: Scalar
     state: LoopState
     accumulators: tuple[Scalar, ...]
     finite: Scalar
@@ -202,31 +206,28 @@ def simulate(
         The outcome, and the trajectory with leaves of shape (ceil(steps/every),), if any.
     """
 
-    def sample(at: Progress, k: Scalar) -> tuple[Progress, Recorded]:
-        after, recorded = step(loop, params, key, at.state, k)
-        updated = update_all(measures, at.accumulators, recorded.sample, k, loop.sample_time)
+    def sample(at: Progress, _: None = None) -> tuple[Progress, Recorded]:
+        after, recorded = step(loop, params, key, at.state, at.k)
+        updated = update_all(measures, at.accumulators, recorded.sample, at.k, loop.sample_time)
         finite = at.finite & recorded.finite
         state, accumulators = jax.tree.map(
             lambda new, old: jnp.where(finite, new, old), (after, updated), (at.state, at.accumulators)
         )
-        return Progress(state, accumulators, finite, at.steps + finite), recorded
+        return Progress(at.k + 1, state, accumulators, finite, at.steps + finite), recorded
 
-    def block(at: Progress, index: Scalar) -> tuple[Progress, Recorded]:
-        first = index * every
-        at, recorded = sample(at, first)
-        last = jnp.minimum(first + every, loop.steps)
-        return jax.lax.fori_loop(first + 1, last, lambda k, at: sample(at, k)[0], at), recorded
+    def block(at: Progress, _: None) -> tuple[Progress, Recorded]:
+        last = jnp.minimum(at.k + every, loop.steps)
+        at, recorded = sample(at)
+        return jax.lax.while_loop(lambda at: at.k < last, lambda at: sample(at)[0], at), recorded
 
-    zero = jnp.zeros((), dtype=jnp.result_type(float))
-    at = Progress(
-        start(loop, params, key), (zero,) * len(measures), jnp.asarray(True), jnp.zeros((), dtype=jnp.int32)
-    )
+    count, zero = jnp.zeros((), dtype=jnp.int32), jnp.zeros((), dtype=jnp.result_type(float))
+    at = Progress(count, start(loop, params, key), (zero,) * len(measures), jnp.asarray(True), count)
     if every is None:
-        end, recorded = jax.lax.scan(lambda at, k: (sample(at, k)[0], None), at, jnp.arange(loop.steps))
+        end, recorded = jax.lax.scan(lambda at, _: (sample(at)[0], None), at, length=loop.steps)
     elif every == 1:
-        end, recorded = jax.lax.scan(sample, at, jnp.arange(loop.steps))
+        end, recorded = jax.lax.scan(sample, at, length=loop.steps)
     else:
-        end, recorded = jax.lax.scan(block, at, jnp.arange(-(-loop.steps // every)))
+        end, recorded = jax.lax.scan(block, at, length=-(-loop.steps // every))
     measured = values(measures, end.accumulators, loop.steps, loop.sample_time)
     outcome, margins = judge(requirements, measured, end.finite)
     run = Run(

@@ -1,6 +1,5 @@
 """The result of a study: every draw's metrics and outcome, and what they say together."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -8,7 +7,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from dssc_jax.metrics import METRICS, Measure
+from dssc_jax import store
+from dssc_jax.dataset import outcome_codes, variables
+from dssc_jax.engine import Layout
+from dssc_jax.metrics import Measure
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson
 from dssc_jax.study import Study
 from dssc_jax.types import Outcome
@@ -83,14 +85,36 @@ class Result:
         }
 
     def save(self, folder: str | Path) -> Path:
-        """Write the results folder; see :func:`dssc_jax.store.save`.
+        """Write the results folder.
+
+        Args:
+            folder: Made when absent; one that holds the same study is written anew.
 
         Raises:
             ConfigError: the folder holds something else.
         """
-        from dssc_jax import store
+        path = Path(folder)
+        target = store.Store(path, self.study, Layout.of(self.study))
+        store.write_json(path / store.MANIFEST, self.manifest | {"layout": target.layout.to_dict()})
+        for block in target.layout.blocks():
+            drawn = {name: self.dataset[name].values[block[-1]] for name in self.study.laws}
+            grid = {name: self.dataset[name].values[block] for name in variables(self.study) if name not in drawn}
+            target.write(block, grid, drawn)
+        self.path = path
+        store.write_json(path / store.SUMMARY, self.summary())
+        return path
 
-        return store.save(self, Path(folder))
+
+def load(folder: str | Path) -> Result:
+    """Read a results folder.
+
+    Args:
+        folder: What ``run`` or ``sweep`` wrote, or :meth:`Result.save`.
+
+    Raises:
+        ConfigError: it is no results folder, it is damaged, or its run did not finish.
+    """
+    return Result(*store.read(Path(folder)), Path(folder))
 
 
 def headline(result: Result) -> Measure:
@@ -107,57 +131,3 @@ def headline(result: Result) -> Measure:
 def finite_or_none(value: float) -> float | None:
     """JSON has no infinity."""
     return float(value) if np.isfinite(value) else None
-
-
-def outcome_codes(study: Study) -> dict[int, str]:
-    """Every outcome code that the study's draws can have, with its meaning."""
-    requirements = {Outcome.REQUIREMENT + i: f"failed_{r.measure.name}" for i, r in enumerate(study.requirements)}
-    return {int(Outcome.OK): "ok", int(Outcome.NON_FINITE): "non_finite", **{int(k): v for k, v in requirements.items()}}
-
-
-@dataclass(frozen=True)
-class Variable:
-    """One variable of a result: its dimensions, type and attributes."""
-
-    dims: tuple[str, ...]
-    dtype: str
-    attributes: Mapping[str, Any]
-
-
-def variables(study: Study) -> dict[str, Variable]:
-    """Every variable of the study's dataset. ``outcome`` stands last: its presence marks a block as complete."""
-    grid = (*study.axes, "draw")
-    real = f"float{study.config.loop.precision}"
-    found = {}
-    for name, law in study.laws.items():
-        quantity = study.quantities[name]
-        about = {"units": quantity.unit, "long_name": quantity.meaning, "law": str(law)}
-        found[name] = Variable(("draw",), "float64", about)
-    for measure in study.measures:
-        metric = METRICS[measure.kind]
-        window = f", t >= {measure.window.after:g} s" if measure.window.after > 0 else ""
-        found[measure.name] = Variable(grid, real, {"units": metric.unit, "long_name": metric.meaning + window})
-    for requirement in study.requirements:
-        about = {"units": requirement.measure.metric.unit, "long_name": f"signed margin of {requirement.text}"}
-        found[requirement.name] = Variable(grid, real, about)
-    about = {"units": "s", "long_name": "time of the first non-finite step (NaN: none)"}
-    found["failed_at"] = Variable(grid, real, about)
-    codes = outcome_codes(study)
-    about = {"long_name": "outcome", "flag_values": list(codes), "flag_meanings": " ".join(codes.values())}
-    found["outcome"] = Variable(grid, "int32", about)
-    return found
-
-
-def coordinates(study: Study) -> dict[str, Variable]:
-    """The dataset's coordinates, one an axis, and the draw's index."""
-    found = {}
-    for name in study.axes:
-        quantity = study.quantities[name]
-        found[name] = Variable((name,), "float64", {"units": quantity.unit, "long_name": quantity.meaning})
-    found["draw"] = Variable(("draw",), "int64", {"long_name": "draw index"})
-    return found
-
-
-def coordinate_values(study: Study) -> dict[str, np.ndarray]:
-    """Values of :func:`coordinates`."""
-    return {**{k: np.asarray(v) for k, v in study.axes.items()}, "draw": np.arange(study.config.draws)}

@@ -14,14 +14,13 @@ import numpy as np
 import xarray as xr
 import zarr
 
+from dssc_jax.dataset import NOT_COMPUTED, Variable, coordinate_values, coordinates, variables
 from dssc_jax.engine import Arrays, Layout
 from dssc_jax.errors import ConfigError
-from dssc_jax.results import Result, Variable, coordinate_values, coordinates, variables
 from dssc_jax.study import Study
 
 SCHEMA = 1
 DATA, MANIFEST, SUMMARY = "data.zarr", "manifest.json", "summary.json"
-NOT_COMPUTED = -1
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -100,8 +99,7 @@ class Store:
             raise ConfigError(
                 str(self.folder), f"holds results of another study ({shown}); choose another --out, nothing was written"
             )
-        stored = manifest["layout"]
-        self.layout = Layout(tuple(stored["shape"]), tuple(stored["block"]))
+        self.layout = Layout.from_dict(manifest["layout"])
 
     def pending(self) -> list[tuple[slice, ...]]:
         """Blocks that are not complete yet."""
@@ -167,51 +165,28 @@ def one_line(error: BaseException) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
-def save(result: Result, folder: Path) -> Path:
-    """Write a result that was computed in memory.
-
-    Raises:
-        ConfigError: as :class:`Store`.
-    """
-    store = Store(folder, result.study, Layout.of(result.study))
-    write_json(folder / MANIFEST, result.manifest)
-    for block in store.layout.blocks():
-        drawn = {name: result.dataset[name].values[block[-1]] for name in result.study.laws}
-        grid = {
-            name: result.dataset[name].values[block] for name in variables(result.study) if name not in result.study.laws
-        }
-        store.write(block, grid, drawn)
-    result.path = folder
-    write_json(folder / SUMMARY, result.summary())
-    return folder
-
-
-def load(folder: str | Path) -> Result:
-    """Read a results folder.
-
-    Args:
-        folder: What ``run`` or ``sweep`` wrote, or :meth:`Result.save`.
+def read(folder: Path) -> tuple[Study, xr.Dataset, dict[str, Any]]:
+    """Study, dataset and manifest of a results folder.
 
     Raises:
         ConfigError: it is no results folder, it is damaged, or its run did not finish.
     """
-    path = Path(folder)
-    manifest = read_manifest(path)
-    study = Study.from_table(manifest["study"], str(path / MANIFEST))
+    manifest = read_manifest(folder)
+    study = Study.from_table(manifest["study"], str(folder / MANIFEST))
     try:
-        layout = Layout(tuple(manifest["layout"]["shape"]), tuple(manifest["layout"]["block"]))
-        dataset = xr.open_zarr(path / DATA, consolidated=False, chunks=None).load()
+        layout = Layout.from_dict(manifest["layout"])
+        dataset = xr.open_zarr(folder / DATA, consolidated=False, chunks=None).load()
     except Exception as error:  # zarr, its codecs and xarray raise errors of many kinds
-        raise ConfigError(str(path / DATA), f"is damaged: {one_line(error)}") from error
-    missing = set(variables(study)) - set(dataset.variables)
+        raise ConfigError(str(folder / DATA), f"is damaged: {one_line(error)}") from error
+    missing = [name for name in variables(study) if name not in dataset]
     if missing:
-        raise ConfigError(str(path / DATA), f"is damaged: {', '.join(sorted(missing))} missing")
+        raise ConfigError(str(folder / DATA), f"is damaged: {', '.join(missing)} missing")
     unfinished = int(np.count_nonzero(dataset["outcome"].values == NOT_COMPUTED))
     if unfinished:
         total = dataset["outcome"].size
-        raise ConfigError(str(path), f"is not complete: {unfinished} of {total} lanes are missing; finish with --resume")
-    require_all_chunks(path, study, layout)
-    return Result(study, dataset, manifest, path)
+        raise ConfigError(str(folder), f"is not complete: {unfinished} of {total} lanes are missing; finish with --resume")
+    require_all_chunks(folder, study, layout)
+    return study, dataset[list(variables(study))], manifest
 
 
 def require_all_chunks(folder: Path, study: Study, layout: Layout) -> None:
@@ -227,22 +202,3 @@ def require_all_chunks(folder: Path, study: Study, layout: Layout) -> None:
         found = sum(1 for file in (folder / DATA / name / "c").rglob("*") if file.is_file())
         if found < expected:
             raise ConfigError(str(folder / DATA / name), f"is damaged: {expected - found} of {expected} chunks missing")
-
-
-def in_memory(study: Study) -> xr.Dataset:
-    """A dataset of the study's shape, not computed yet."""
-    coords = coordinate_values(study)
-    sizes = {name: len(values) for name, values in coords.items()}
-    blank = {}
-    for name, variable in variables(study).items():
-        shape = [sizes[dim] for dim in variable.dims]
-        fill = np.nan if variable.dtype.startswith("float") else NOT_COMPUTED
-        blank[name] = (variable.dims, np.full(shape, fill, variable.dtype), dict(variable.attributes))
-    about = coordinates(study)
-    return xr.Dataset(
-        blank,
-        coords={name: ((name,), values, dict(about[name].attributes)) for name, values in coords.items()},
-        attrs={"title": study.name, "source": "dssc_jax"},
-    )
-
-

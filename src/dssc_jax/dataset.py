@@ -1,0 +1,85 @@
+"""The shape of a result: its variables with dimensions, types, units and meanings, following CF conventions."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from dssc_jax.metrics import METRICS
+from dssc_jax.study import Study
+from dssc_jax.types import Outcome
+
+NOT_COMPUTED = -1  # outcome of a lane whose block is not done
+
+
+def outcome_codes(study: Study) -> dict[int, str]:
+    """Every outcome code that the study's draws can have, with its meaning."""
+    requirements = {Outcome.REQUIREMENT + i: f"failed_{r.measure.name}" for i, r in enumerate(study.requirements)}
+    return {int(Outcome.OK): "ok", int(Outcome.NON_FINITE): "non_finite", **{int(k): v for k, v in requirements.items()}}
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One variable of a result: its dimensions, type and attributes."""
+
+    dims: tuple[str, ...]
+    dtype: str
+    attributes: Mapping[str, Any]
+
+
+def variables(study: Study) -> dict[str, Variable]:
+    """Every variable of the study's dataset. ``outcome`` stands last: its presence marks a block as complete."""
+    grid = (*study.axes, "draw")
+    real = f"float{study.config.loop.precision}"
+    found = {}
+    for name, law in study.laws.items():
+        quantity = study.quantities[name]
+        about = {"units": quantity.unit, "long_name": quantity.meaning, "law": str(law)}
+        found[name] = Variable(("draw",), "float64", about)
+    for measure in study.measures:
+        metric = METRICS[measure.kind]
+        window = f", t >= {measure.window.after:g} s" if measure.window.after > 0 else ""
+        found[measure.name] = Variable(grid, real, {"units": metric.unit, "long_name": metric.meaning + window})
+    for requirement in study.requirements:
+        about = {"units": requirement.measure.metric.unit, "long_name": f"signed margin of {requirement.text}"}
+        found[requirement.name] = Variable(grid, real, about)
+    about = {"units": "s", "long_name": "time of the first non-finite step (NaN: none)"}
+    found["failed_at"] = Variable(grid, real, about)
+    codes = outcome_codes(study)
+    about = {"long_name": "outcome", "flag_values": list(codes), "flag_meanings": " ".join(codes.values())}
+    found["outcome"] = Variable(grid, "int32", about)
+    return found
+
+
+def coordinates(study: Study) -> dict[str, Variable]:
+    """The dataset's coordinates, one an axis, and the draw's index."""
+    found = {}
+    for name in study.axes:
+        quantity = study.quantities[name]
+        found[name] = Variable((name,), "float64", {"units": quantity.unit, "long_name": quantity.meaning})
+    found["draw"] = Variable(("draw",), "int64", {"long_name": "draw index"})
+    return found
+
+
+def coordinate_values(study: Study) -> dict[str, np.ndarray]:
+    """Values of :func:`coordinates`."""
+    return {**{k: np.asarray(v) for k, v in study.axes.items()}, "draw": np.arange(study.config.draws)}
+
+
+def in_memory(study: Study) -> xr.Dataset:
+    """A dataset of the study's shape, not computed yet."""
+    coords = coordinate_values(study)
+    sizes = {name: len(values) for name, values in coords.items()}
+    blank = {}
+    for name, variable in variables(study).items():
+        shape = [sizes[dim] for dim in variable.dims]
+        fill = np.nan if variable.dtype.startswith("float") else NOT_COMPUTED
+        blank[name] = (variable.dims, np.full(shape, fill, variable.dtype), dict(variable.attributes))
+    about = coordinates(study)
+    return xr.Dataset(
+        blank,
+        coords={name: ((name,), values, dict(about[name].attributes)) for name, values in coords.items()},
+        attrs={"title": study.name, "source": "dssc_jax"},
+    )

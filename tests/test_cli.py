@@ -1,0 +1,247 @@
+"""The command line as a person or a program meets it."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from dssc_jax.cli import guarded, parse_over, parse_value
+
+COMMANDS = ["run", "sweep", "simulate", "replay", "check", "studies", "info"]
+STUDY = """
+name = "small"
+seed = 3
+draws = 20
+[loop]
+duration = 2.0
+sample_time = 0.01
+[plant]
+kind = "normal_form"
+k_p = { uniform = [0.8, 1.2] }
+initial = [1.0, 0.0]
+[controller]
+kind = "pi"
+l0 = 1.0
+k_p = 1.0
+k_i = 0.5
+[[requirement]]
+metric = "error_max"
+after = 1.0
+max = 0.47
+[sweep]
+"controller.k_p" = { linspace = [0.5, 2.0, 3] }
+"""
+DESIGN = """
+[bounds]
+k_min = 0.8
+k_max = 1.2
+a_max = 1.0
+k_d4 = 0.1
+[free]
+l0 = 0.5
+phi_a = 0.05
+eps = 0.5
+delta = 1.0
+eps_1 = 0.1
+eps_2 = 0.1
+eps_3 = 2.0
+"""
+
+
+@pytest.fixture
+def study(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "small.toml"
+    path.write_text(STUDY)
+    return path
+
+
+def last_json(capsys):
+    """stdout is one JSON object and nothing else."""
+    out = capsys.readouterr().out
+    return json.loads(out)
+
+
+@pytest.mark.parametrize("command", [None, *COMMANDS])
+def test_help_starts_in_under_a_second(command):
+    arguments = [sys.executable, "-m", "dssc_jax.cli", *([command] if command else []), "--help"]
+    times = []
+    for _ in range(3):
+        began = time.perf_counter()
+        out = subprocess.run(arguments, capture_output=True, text=True, check=True).stdout
+        times.append(time.perf_counter() - began)
+    assert "Usage" in out
+    assert min(times) < 1.0
+
+
+def test_run(study, capsys):
+    assert guarded(["run", str(study), "--json"]) == 0
+    found = last_json(capsys)
+    assert found["draws"] == 20
+    (point,) = found["points"]
+    assert {"failures", "probability", "interval", "certified"} <= point.keys()
+    assert {"rate", "compile_seconds", "seconds", "result"} <= found.keys()
+    assert found["result"] == "results/small-run"
+    assert guarded(["run", str(study)]) == 0
+    shown = capsys.readouterr().out
+    assert f"{point['failures']} failures in 20 draws" in shown
+    assert "Clopper-Pearson" in shown
+    assert "error_max after 1 s <= 0.47 m" in shown
+
+
+def test_sweep_options(study, capsys):
+    arguments = ["sweep", str(study), "--over", "controller.k_i=0.1:10:3:log", "--set", "controller.l0=0.7"]
+    assert guarded([*arguments, "--draws", "9", "--seed", "5", "--out", "elsewhere", "--json"]) == 0
+    found = last_json(capsys)
+    assert [point["controller.k_i"] for point in found["points"]] == pytest.approx([0.1, 1.0, 10.0])
+    assert "controller.k_p" not in found["points"][0]
+    manifest = json.loads((study.parent / "elsewhere" / "manifest.json").read_text())
+    assert (manifest["seed"], manifest["counts"]["draws"], manifest["study"]["controller"]["l0"]) == (5, 9, 0.7)
+    assert (study.parent / "elsewhere" / "figures" / "sweep.png").stat().st_size > 10_000
+
+
+def test_sweep_table_and_again(study, capsys):
+    assert guarded(["sweep", str(study)]) == 0
+    assert "controller.k_p" in capsys.readouterr().out
+    assert guarded(["sweep", str(study)]) == 0  # the same study starts over
+
+
+def test_simulate_and_replay(study, capsys):
+    assert guarded(["simulate", str(study), "--draw", "7", "--csv", "a.csv", "--figure", "a.png", "--json"]) == 0
+    single = last_json(capsys)
+    head, *rows = (study.parent / "a.csv").read_text().splitlines()
+    assert head.split(",") == ["t", "y", "y_dot", "y_ref", "e", "sigma", "u", "u_total", "integral"]
+    assert len(rows) == 200
+    assert guarded(["run", str(study), "--json"]) == 0
+    capsys.readouterr()
+    assert guarded(["replay", "results/small-run", "--draw", "7", "--csv", "b.csv", "--json"]) == 0
+    again = last_json(capsys)
+    assert again["deviation"] == 0.0
+    assert again["error_rms"] == pytest.approx(single["error_rms"], rel=1e-12)
+    assert (study.parent / "b.csv").read_text() == (study.parent / "a.csv").read_text()
+
+
+def test_replay_of_a_sweep_takes_the_point(study, capsys):
+    guarded(["sweep", str(study), "--json"])
+    capsys.readouterr()
+    assert guarded(["replay", "results/small-sweep", "--draw", "2", "--at", "controller.k_p=1.2", "--json"]) == 0
+    assert last_json(capsys)["controller.k_p"] == 1.25
+
+
+def test_dssc_columns(tmp_path, capsys):
+    assert guarded(["simulate", "mu_robustness", "--csv", str(tmp_path / "a.csv"), "--every", "100", "--json"]) == 0
+    head, *rows = (tmp_path / "a.csv").read_text().splitlines()
+    wanted = ["sigma_hat", "u_av", "rho", "k_o", "tau_m", "tau_av", "sigma_tilde"]
+    assert set(wanted) <= set(head.split(","))
+    assert len(rows) == 120
+
+
+def test_check(tmp_path, capsys):
+    path = tmp_path / "design.toml"
+    path.write_text(DESIGN)
+    assert guarded(["check", str(path), "--json"]) == 0
+    found = last_json(capsys)
+    assert found["certified"] is True
+    assert {"name", "equation", "slack", "state", "printed_slack"} <= found["inequalities"][0].keys()
+    path.write_text('recipe = "printed"\n' + DESIGN)
+    assert guarded(["check", str(path)]) == 1
+    assert "boundary" in capsys.readouterr().out
+
+
+def test_studies_and_info(capsys):
+    assert guarded(["studies", "--json"]) == 0
+    assert "mu_robustness" in [row["name"] for row in last_json(capsys)["studies"]]
+    assert guarded(["studies"]) == 0
+    assert guarded(["info", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert "square_root" not in found["kinds"]["controller"]
+    assert "dssc" in found["kinds"]["controller"]
+    assert guarded(["info"]) == 0
+
+
+BAD = {
+    "no such study": (["run", "mu_robustnes"], "did you mean 'mu_robustness'"),
+    "no such file": (["run", "none.toml"], "none.toml: cannot be read"),
+    "no such command": (["sweeep"], "sweeep"),
+    "no such option": (["run", "small.toml", "--drawz", "3"], "--drawz"),
+    "misspelt name": (["run", "small.toml", "--set", "controller.kp=1"], "controller.kp: unknown name; did you mean 'k_p'"),
+    "assignment without value": (["run", "small.toml", "--set", "draws"], "--set: must be NAME=VALUE, got 'draws'"),
+    "broken axis": (["sweep", "small.toml", "--over", "controller.k_p=1:2"], "--over: must be NAME=LO:HI:COUNT[:log]"),
+    "axis of words": (["sweep", "small.toml", "--over", "controller.k_p=a:b:c"], "got 'controller.k_p=a:b:c'"),
+    "unknown axis": (["sweep", "small.toml", "--over", "controller.kp=1:2:3"], "did you mean 'controller.k_p'"),
+    "sweep without axes": (["sweep", "small.toml", "--set", "sweep={}"], "has no [sweep]"),
+    "no draws": (["run", "small.toml", "--draws", "0"], "draws"),
+    "draw out of range": (["simulate", "small.toml", "--draw", "20"], "draw must be in 0 .. 19, got 20"),
+    "negative draw": (["simulate", "small.toml", "--draw", "-1"], "draw must be in 0 .. 19, got -1"),
+    "no result": (["replay", "nothing", "--draw", "0"], "is not a results folder"),
+    "csv nowhere": (["simulate", "small.toml", "--csv", "no/such/folder/a.csv"], "cannot be written"),
+    "figure of an unknown type": (["simulate", "small.toml", "--figure", "a.xyz"], "cannot be written"),
+    "no such design": (["check", "none.toml"], "cannot be read"),
+    "study as design": (["check", "small.toml"], "small.toml: "),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_line_and_exit_2(study, capsys, case):
+    arguments, message = BAD[case]
+    assert guarded(arguments) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    lines = said.err.strip().splitlines()
+    assert len(lines) == 1, said.err
+    assert message in lines[0]
+    assert not (study.parent / "results").exists()
+
+
+def test_out_of_another_study(study, capsys):
+    assert guarded(["run", str(study), "--out", "r", "--json"]) == 0
+    capsys.readouterr()
+    assert guarded(["run", str(study), "--out", "r", "--seed", "9"]) == 2
+    assert "another study" in capsys.readouterr().err
+
+
+def test_interrupt_is_130(study, monkeypatch, capsys):
+    def interrupted(*args, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("dssc_jax.api.run", interrupted)
+    assert guarded(["run", str(study)]) == 130
+    assert "--resume" in capsys.readouterr().err
+
+
+def test_a_signal_keeps_what_is_finished(study, capsys):
+    """SIGINT in the middle of a sweep: exit 130, then --resume gives what one run gives."""
+    arguments = ["--set", "loop.duration=400.0", "--set", "loop.sample_time=0.002", "--draws", "4000", "--out", "cut"]
+    process = subprocess.Popen([sys.executable, "-m", "dssc_jax.cli", "sweep", str(study), *arguments], stderr=-1)
+    data = study.parent / "cut" / "data.zarr" / "outcome" / "c"
+    deadline = time.monotonic() + 60
+    while not data.exists() and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    said = process.communicate(timeout=60)[1].decode()
+    assert process.returncode == 130
+    assert "--resume" in said
+    assert "Traceback" not in said
+
+
+def test_parsing():
+    assert parse_value("0.5") == 0.5
+    assert parse_value('{ uniform = [0, 1] }') == {"uniform": [0, 1]}
+    assert parse_value("implicit") == "implicit"
+    assert parse_over("a.b=0:1:5") == ("a.b", {"linspace": [0.0, 1.0, 5]})
+    assert parse_over("a.b=1e-3:1:5:log") == ("a.b", {"logspace": [1e-3, 1.0, 5]})
+
+
+def test_one_trajectory_is_no_chore():
+    """simulate of one 80 s draw, compile included, as a process; the bound is generous for busy machines."""
+    began = time.perf_counter()
+    arguments = ["simulate", "mu_robustness", "--set", "loop.duration=80.0", "--json"]
+    subprocess.run([sys.executable, "-m", "dssc_jax.cli", *arguments], capture_output=True, check=True)
+    seconds = time.perf_counter() - began
+    print(f"\nsimulate of 80 s: {seconds:.2f} s")
+    assert seconds < 6.0
+
+

@@ -1,0 +1,215 @@
+"""One parametrised test of the contract over every registered model: a new row inherits it."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dssc_jax.controllers import CONTROLLERS
+from dssc_jax.controllers.gain_functions import GAIN_FUNCTIONS
+from dssc_jax.controllers.modulation import MODULATIONS
+from dssc_jax.environment import DISTURBANCES, REFERENCES
+from dssc_jax.plants import PLANTS
+from dssc_jax.study.components import parse_component
+from dssc_jax.types import Measurement, PlantInput, ReferencePoint
+from dssc_jax.unmodelled import UNMODELLED
+
+FUNCTIONS = {
+    "constant": {"k_o": 10.0, "tau_av": 0.1, "tau_m": 1.0},
+    "sta": {"kappa1": 1.0, "kappa2": 1.0, "k_o": 10.0},
+    "approx_sta_1": {"kappa1": 1.0, "kappa2": 1.0, "delta": 0.5, "tau_av": 0.1},
+    "approx_sta_2": {"kappa1": 1.0, "kappa2": 1.0, "delta": 0.5, "k_o": 10.0},
+    "square_root": {"kappa_o": 50.0, "kappa_m": 2.0, "delta_o": 1.0, "delta_m": 1.0, "tau_av": 0.03},
+    "field": {"k_o": 10.0, "kappa1": 0.5, "kappa2": 0.1, "delta": 0.1},
+    "vgsta": dict.fromkeys(["phi_a", "phi_b", "kappa_a", "kappa_b", "kappa_c", "kappa_d"], 0.5)
+    | {"epsilon": 0.5, "gamma": 1.0, "delta": 0.1, "tau_av": 0.1},
+}
+NORM_BOUND = {"kind": "norm_bound", "k_p_max": 1.2, "a_p_max": 1.0, "delta_rho": 0.1}
+VGSTA_GAINS = {k: v for k, v in FUNCTIONS["vgsta"].items() if k != "tau_av"}
+NOMINAL = {"a": 1.0, "k": 1.0}
+PLAIN = {
+    "sta": {"kappa1": 1.0, "kappa2": 2.0, "nominal": NOMINAL},
+    "vgsta": {**VGSTA_GAINS, "nominal": NOMINAL},
+    "pi": {"k_p": 1.0, "k_i": 0.5, "nominal": NOMINAL},
+    "smc": {"gain": 1.0, "nominal": NOMINAL},
+    "ssc": {"functions": {"kind": "constant", **FUNCTIONS["constant"]}, "rho": 2.0},
+}
+
+
+def controller_cases():
+    for kind, entry in CONTROLLERS.items():
+        tables = [PLAIN[kind]] if kind in PLAIN else []
+        if kind == "dssc":
+            for name, numbers in FUNCTIONS.items():
+                functions = {"kind": name, **numbers}
+                tables.append({"functions": functions, "rho": 2.0, "nominal": NOMINAL})
+                tables.append({"functions": functions, "rho": NORM_BOUND, "predictor_start": "matched"})
+        for option in entry.members:
+            for index, table in enumerate(tables):
+                found = {"kind": kind, "l0": 0.5, entry.option: option.value, **table}
+                yield pytest.param(found, id=f"{kind}-{option}-{index}")
+
+
+def test_every_kind_has_a_case():
+    assert set(FUNCTIONS) == set(GAIN_FUNCTIONS)
+    assert {"constant", "norm_bound"} == set(MODULATIONS)
+    assert set(PLAIN) | {"dssc"} == set(CONTROLLERS)
+
+
+def typed(tree):
+    return jax.tree.map(jnp.asarray, tree)
+
+
+@pytest.mark.parametrize("table", list(controller_cases()))
+def test_controller(table):
+    component = parse_component(table, CONTROLLERS, "controller")
+    controller, gains = component.model, component.params
+    reference = ReferencePoint(0.1, -0.2, 0.3)
+
+    def two_steps(y, y_dot):
+        state = controller.init(gains, Measurement(y, y_dot), reference)
+        state, command, info = controller.step(gains, state, Measurement(y, y_dot), reference, 0.01)
+        state, command, info = controller.step(gains, state, Measurement(0.9 * y, y_dot), reference, 0.01)
+        return state, command, info
+
+    state, command, info = jax.jit(two_steps)(1.0, -0.5)
+    first = typed(controller.init(gains, Measurement(1.0, -0.5), reference))
+    assert jax.tree.structure(first) == jax.tree.structure(state)
+    for leaf in jax.tree.leaves((state, command, info)):
+        assert jnp.shape(leaf) == ()
+        assert jnp.isfinite(leaf)
+    assert hasattr(info, "_fields")
+
+    # vmap equals a loop
+    ys = jnp.linspace(-2.0, 2.0, 8)
+    batched = jax.jit(jax.vmap(two_steps, in_axes=(0, None)))(ys, 0.3)
+    for i, y in enumerate(ys):
+        one = jax.tree.leaves(jax.jit(two_steps)(y, 0.3))
+        for b, o in zip(jax.tree.leaves(batched), one, strict=True):
+            np.testing.assert_allclose(b[i] if jnp.ndim(b) else b, o, rtol=1e-12, atol=1e-13)
+
+    # float32 in, float32 out
+    with jax.enable_x64(False):
+        for leaf in jax.tree.leaves(jax.eval_shape(two_steps, jnp.float32(1.0), jnp.float32(0.5))):
+            assert leaf.dtype in (jnp.float32, jnp.dtype("float32"))
+
+
+@pytest.mark.parametrize("table", list(controller_cases()))
+@pytest.mark.parametrize("at", [(0.1, -0.2), (0.1, 0.3), (0.6, -0.45), (1.0, 0.0)])
+def test_gradients_are_finite(table, at):
+    """With respect to the measurement and to every gain; (0.1, -0.2) is sigma = 0 and e = 0 exactly."""
+    component = parse_component(table, CONTROLLERS, "controller")
+    controller = component.model
+    reference = ReferencePoint(0.1, -0.2, 0.3)
+    numbers, tree = jax.tree.flatten(component.params)
+
+    def command(numbers, y, y_dot):
+        gains = tree.unflatten(numbers)
+        state = controller.init(gains, Measurement(y, y_dot), reference)
+        return controller.step(gains, state, Measurement(y, y_dot), reference, 0.01)[1].total
+
+    floats = [float(x) for x in numbers]
+    for leaf in jax.tree.leaves(jax.grad(command, argnums=(0, 1, 2))(floats, *at)):
+        assert jnp.isfinite(leaf)
+
+
+PLANT_TABLES = [
+    {"kind": "normal_form", "initial": [1.0, 2.0]},
+    {"kind": "normal_form", "zero_dynamics": {"a": [2.0, 3.0], "c": [0.1, 0.2]}, "initial": [1.0, 2.0, 0.3]},
+]
+
+
+@pytest.mark.parametrize("table", PLANT_TABLES)
+def test_plant(table):
+    component = parse_component(table, PLANTS, "plant")
+    plant, params = component.model, component.params
+    state = typed(plant.init(params))
+    slope = plant.derivative(params, state, PlantInput(0.5, 0.1), 0.0)
+    assert jax.tree.structure(state) == jax.tree.structure(slope)
+    assert set(plant.velocities) <= set(state._fields)
+    assert isinstance(plant.measure(params, state), Measurement)
+    assert float(plant.input_gain(params)) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("registry", "table"),
+    [
+        (REFERENCES, {"kind": "zero"}),
+        (REFERENCES, {"kind": "sine", "amplitude": 2.0, "period": 7.0, "phase": 0.3, "offset": 1.0}),
+        *((REFERENCES, {"kind": "mission", "axis": axis}) for axis in ("x", "y", "z", "psi")),
+    ],
+)
+def test_reference_derivatives(registry, table):
+    """y_m' and y_m'' are the derivatives of y_m."""
+    component = parse_component(table, registry, "reference")
+
+    def y(t):
+        return jnp.asarray(component.model.at(component.params, t).y, dtype=float)
+
+    for t in (0.0, 1.7, 33.0):
+        point = component.model.at(component.params, t)
+        assert float(jax.grad(y)(t)) == pytest.approx(float(point.y_dot), abs=1e-12)
+        assert float(jax.grad(jax.grad(y))(t)) == pytest.approx(float(point.y_ddot), abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("table", "expected"),
+    [
+        ({"kind": "none"}, 0.0),
+        ({"kind": "constant", "value": 0.4}, 0.4),
+        ({"kind": "sine", "amplitude": 2.0, "period": 4.0}, 2.0 * np.sin(np.pi / 2 * 3.01)),
+        ({"kind": "step", "value": 0.8, "at": 1.0}, 0.8),
+        ({"kind": "step", "value": 0.8, "at": 3.0075}, 0.8 * 0.25),
+        ({"kind": "step", "value": 0.8, "at": 5.0}, 0.0),
+    ],
+)
+def test_disturbance_values(table, expected):
+    component = parse_component(table, DISTURBANCES, "disturbance")
+    model, params, key = component.model, component.params, jax.random.key(0)
+    state = model.step(params, model.init(params, key), key, 3.0, 0.01)
+    assert float(model.value(params, state, Measurement(1.0, 2.0), 0.5, 3.01)) == pytest.approx(expected, abs=1e-14)
+
+
+def test_partition_attains_its_bounds():
+    table = {"kind": "partition", "k_d1": 0.1, "k_d2": 0.2, "k_d3": 0.3, "k_d4": 0.4, "k_d5": 0.2}
+    table |= {"alpha_d2": 0.05, "alpha_d3": 0.07, "period": 2 * np.pi}
+    component = parse_component(table, DISTURBANCES, "disturbance")
+
+    def d(y, y_dot, sigma, t):
+        return component.model.value(component.params, (), Measurement(y, y_dot), sigma, t)
+
+    ts = jnp.linspace(0.0, 2 * np.pi, 2001)
+    by_y = jax.vmap(jax.grad(d), (None, None, None, 0))(1.5, -0.7, 0.0, ts)
+    by_t = jax.vmap(jax.grad(d, 3), (None, None, None, 0))(1.5, -0.7, 0.0, ts)
+    assert float(jnp.abs(by_y).max()) == pytest.approx(0.4)  # k_d4
+    assert float(jnp.abs(by_t).max()) == pytest.approx(0.2 * 1.5 + 0.05 + 0.07)  # k_d5 |y| + alpha_d2 + alpha_d3
+    assert float(jax.grad(d, 2)(1.5, -0.7, 1.0, 0.0)) == pytest.approx(0.1 * 1.5 + 0.2 * 0.7 + 0.3)  # alpha_d1
+
+
+def test_filtered_noise_has_the_stated_law_at_any_step():
+    for dt in (0.001, 0.02, 0.5):
+        component = parse_component({"kind": "filtered_noise", "std": 0.7, "correlation_time": 0.4}, DISTURBANCES, "d")
+        model, params = component.model, component.params
+
+        def path(key, model=model, params=params, dt=dt):
+            keys = jax.random.split(key, 3)
+            first = model.init(params, keys[0])
+            second = model.step(params, first, keys[1], 0.0, dt)
+            return first, second
+
+        first, second = jax.vmap(path)(jax.random.split(jax.random.key(1), 100_000))
+        assert float(jnp.std(second)) == pytest.approx(0.7, rel=0.01)
+        assert float(jnp.corrcoef(first, second)[0, 1]) == pytest.approx(np.exp(-dt / 0.4), abs=0.01)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_lag_is_exact(order):
+    """Against the step response of 1/(mu s + 1)^order, in steps far longer than mu too."""
+    component = parse_component({"kind": "lag", "order": order, "mu": 0.03}, UNMODELLED, "unmodelled")
+    model, params = component.model, component.params
+    for dt in (1e-3, 0.05, 1.0):
+        state, t = model.init(params), 0.0
+        for _ in range(5):
+            state, t = model.step(params, state, 2.0, dt), t + dt
+            exact = 2.0 * (1 - np.exp(-t / 0.03) * (1 + (t / 0.03 if order == 2 else 0.0)))
+            assert float(model.output(params, state, 2.0)) == pytest.approx(exact, abs=1e-14)
