@@ -4,9 +4,9 @@ import os
 
 os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=2".strip()
 
-import dssc_jax  # noqa: E402, I001  (sets the other compiler flags)
-import jax  # noqa: E402
-import pytest  # noqa: E402
+import dssc_jax  # noqa: I001  (sets the other compiler flags)
+import jax
+import pytest
 
 jax.config.update("jax_enable_x64", True)
 

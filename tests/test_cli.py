@@ -167,7 +167,10 @@ BAD = {
     "no such file": (["run", "none.toml"], "none.toml: cannot be read"),
     "no such command": (["sweeep"], "sweeep"),
     "no such option": (["run", "small.toml", "--drawz", "3"], "--drawz"),
-    "misspelt name": (["run", "small.toml", "--set", "controller.kp=1"], "controller.kp: unknown name; did you mean 'k_p'"),
+    "misspelt name": (
+        ["run", "small.toml", "--set", "controller.kp=1"],
+        "controller.kp: unknown name; did you mean 'k_p'",
+    ),
     "assignment without value": (["run", "small.toml", "--set", "draws"], "--set: must be NAME=VALUE, got 'draws'"),
     "broken axis": (["sweep", "small.toml", "--over", "controller.k_p=1:2"], "--over: must be NAME=LO:HI:COUNT[:log]"),
     "axis of words": (["sweep", "small.toml", "--over", "controller.k_p=a:b:c"], "got 'controller.k_p=a:b:c'"),
@@ -229,7 +232,7 @@ def test_a_signal_keeps_what_is_finished(study, capsys):
 
 def test_parsing():
     assert parse_value("0.5") == 0.5
-    assert parse_value('{ uniform = [0, 1] }') == {"uniform": [0, 1]}
+    assert parse_value("{ uniform = [0, 1] }") == {"uniform": [0, 1]}
     assert parse_value("implicit") == "implicit"
     assert parse_over("a.b=0:1:5") == ("a.b", {"linspace": [0.0, 1.0, 5]})
     assert parse_over("a.b=1e-3:1:5:log") == ("a.b", {"logspace": [1e-3, 1.0, 5]})
@@ -243,5 +246,3 @@ def test_one_trajectory_is_no_chore():
     seconds = time.perf_counter() - began
     print(f"\nsimulate of 80 s: {seconds:.2f} s")
     assert seconds < 6.0
-
-

@@ -9,8 +9,8 @@ from dssc_jax.errors import ConfigError
 from dssc_jax.zero_dynamics import ZeroDynamics
 
 BOUNDS = Bounds(
-    k_min=0.8, k_max=1.3, a_max=1.2, k_d1=0.05, k_d2=0.02, k_d3=0.1, k_d4=0.3, c_sigma=0.4, c_e2=0.2, y_m=20.0, y_m_dot=3.0,
-    zero_dynamics=ZeroDynamics((1.0,), (0.2,)),
+    k_min=0.8, k_max=1.3, a_max=1.2, k_d1=0.05, k_d2=0.02, k_d3=0.1, k_d4=0.3, c_sigma=0.4, c_e2=0.2, y_m=20.0,
+    y_m_dot=3.0, zero_dynamics=ZeroDynamics((1.0,), (0.2,)),
 )  # fmt: skip
 FREE = Free(l0=0.5, phi_a=0.1, eps=0.3, delta=0.5, eps_1=0.4, eps_2=0.1, eps_3=2.0)
 

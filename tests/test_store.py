@@ -64,7 +64,7 @@ def test_resume_after_interruption_is_identical(study, stored, tmp_path):
     folder = tmp_path / "interrupted"
     with pytest.raises(KeyboardInterrupt):
         dj.run(study, folder, block=24, progress=stop)
-    with pytest.raises(ConfigError, match="is not complete: .* finish with --resume"):
+    with pytest.raises(ConfigError, match=r"is not complete: .* finish with --resume"):
         dj.load(folder)
     told = []
     resumed = dj.run(study, folder, resume=True, progress=lambda done, total: told.append(done))
@@ -76,7 +76,9 @@ def test_another_studys_folder_is_refused(study, stored):
     before = sorted(path.stat().st_mtime_ns for path in stored.path.rglob("*"))
     other = study.override({"controller.l0": 0.9})
     for resume in (True, False):
-        with pytest.raises(ConfigError, match=r"another study \(controller.l0: 1.0 there, 0.9 here\).*nothing was written"):
+        with pytest.raises(
+            ConfigError, match=r"another study \(controller.l0: 1.0 there, 0.9 here\).*nothing was written"
+        ):
             dj.run(other, stored.path, resume=resume)
     assert sorted(path.stat().st_mtime_ns for path in stored.path.rglob("*")) == before
 
@@ -95,15 +97,19 @@ DAMAGE = {
     "truncated manifest": lambda f: (f / "manifest.json").write_text((f / "manifest.json").read_text()[:100]),
     "empty manifest": lambda f: (f / "manifest.json").write_text("{}"),
     "manifest of another kind": lambda f: (f / "manifest.json").write_text("[1]"),
-    "another schema": lambda f: (f / "manifest.json").write_text((f / "manifest.json").read_text().replace('"schema": 1', '"schema": 9')),
+    "another schema": lambda f: (f / "manifest.json").write_text(
+        (f / "manifest.json").read_text().replace('"schema": 1', '"schema": 9')
+    ),
     "no data": lambda f: shutil.rmtree(f / "data.zarr"),
     "no array": lambda f: shutil.rmtree(f / "data.zarr" / "error_rms"),
     "truncated metadata": lambda f: (f / "data.zarr" / "error_rms" / "zarr.json").write_text('{"zarr'),
-    "truncated chunk": lambda f: [c.write_bytes(c.read_bytes()[:20]) for c in (f / "data.zarr/error_rms/c").rglob("*") if c.is_file()],
+    "truncated chunk": lambda f: [
+        c.write_bytes(c.read_bytes()[:20]) for c in (f / "data.zarr/error_rms/c").rglob("*") if c.is_file()
+    ],
     "missing chunk": lambda f: next(c for c in (f / "data.zarr/error_rms/c").rglob("*") if c.is_file()).unlink(),
     "missing outcome": lambda f: next(c for c in (f / "data.zarr/outcome/c").rglob("*") if c.is_file()).unlink(),
     "missing draws": lambda f: shutil.rmtree(f / "data.zarr/plant.k_p/c"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("kind", DAMAGE)

@@ -11,9 +11,10 @@ from dssc_jax import xla
 xla.configure()
 
 if TYPE_CHECKING:
-    from dssc_jax import design, plotting as plot
-    from dssc_jax.errors import ConfigError
+    from dssc_jax import design
+    from dssc_jax import plotting as plot
     from dssc_jax.api import replay, run, simulate
+    from dssc_jax.errors import ConfigError
     from dssc_jax.results import Result, load
     from dssc_jax.study import Study
 

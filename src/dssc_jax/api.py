@@ -162,9 +162,7 @@ def lane_values(study: Study, draw: int, point: Mapping[str, float]) -> dict[str
     return {**values, **point}
 
 
-def simulate(
-    study: Study, draw: int = 0, *, point: Mapping[str, float] | None = None, every: int = 1
-) -> xr.Dataset:
+def simulate(study: Study, draw: int = 0, *, point: Mapping[str, float] | None = None, every: int = 1) -> xr.Dataset:
     """One draw as a trajectory.
 
     Args:
@@ -251,7 +249,9 @@ def replay(result: Result, draw: int, *, point: Mapping[str, float] | None = Non
     """
     study = result.study
     if not 0 <= draw < study.config.draws:
-        raise ConfigError(str(result.path or study.source), f"draw must be in 0 .. {study.config.draws - 1}, got {draw}")
+        raise ConfigError(
+            str(result.path or study.source), f"draw must be in 0 .. {study.config.draws - 1}, got {draw}"
+        )
     for name in point or {}:
         if name not in study.axes:
             raise ConfigError(study.source, f"'{name}' is not swept; {meant(name, study.axes)}")

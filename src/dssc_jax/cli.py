@@ -257,7 +257,9 @@ def attempt(path: Path, write: Callable[[], Any]) -> None:
 
 @app.command()
 def check(
-    design: Annotated[Path, typer.Argument(metavar="DESIGN", help="A design file: [bounds] with [parameters] or [free].")],
+    design: Annotated[
+        Path, typer.Argument(metavar="DESIGN", help="A design file: [bounds] with [parameters] or [free].")
+    ],
     as_json: JsonOption = False,
 ) -> int:
     """Check the design inequalities of Table 1 over the whole interval of k_p; exit 1 unless all hold strictly."""

@@ -116,7 +116,12 @@ def show_grid(result: "Result", axes: list[str]) -> None:
     head = (f"{down} \\ {across}", *(f"{value:.3g}" for value in result.study.axes[across]))
     rows = []
     for value, row, counts in zip(result.study.axes[down], share, failed.sum(-1), strict=True):
-        rows.append((f"{value:.3g}", *("." if n == 0 else "<1" if p < 0.5 else f"{p:.0f}" for p, n in zip(row, counts, strict=True))))
+        rows.append(
+            (
+                f"{value:.3g}",
+                *("." if n == 0 else "<1" if p < 0.5 else f"{p:.0f}" for p, n in zip(row, counts, strict=True)),
+            )
+        )
     draws = failed.shape[-1]
     bound = describe_probability(0, draws)
     show_table(head, rows, title=f"failures in % of {draws} draws; '.': {bound}; all intervals in summary.json")
@@ -188,7 +193,9 @@ def show_environment(found: dict[str, Any]) -> None:
     """The environment, for people."""
     console = output()
     console.print("  ".join(f"{name} {number}" for name, number in found["versions"].items()))
-    console.print(f"devices    {', '.join(found['devices'])}\nXLA flags  {found['xla_flags'] or 'none'}", soft_wrap=True)
+    console.print(
+        f"devices    {', '.join(found['devices'])}\nXLA flags  {found['xla_flags'] or 'none'}", soft_wrap=True
+    )
     for slot, kinds in found["kinds"].items():
         rows = []
         for kind, about in kinds.items():

@@ -21,6 +21,7 @@ from jax.sharding import Mesh, PartitionSpec
 from dssc_jax.loop import simulate
 from dssc_jax.sampling import draw, draw_key, stream
 from dssc_jax.study import Study
+from dssc_jax.types import Scalar
 
 TILE = 1024  # lanes; measured on the one-degree-of-freedom loop: 256 to 512 are 10 to 20 % slower
 VECTOR = 8  # lanes in a 512-bit vector of float64: every tile is a multiple of it
@@ -153,13 +154,13 @@ class Engine:
         began = time.perf_counter()
         study = self.study
 
-        def one(lane: dict[str, jax.Array], i: jax.Array) -> dict[str, jax.Array]:
+        def one(lane: dict[str, jax.Array], i: jax.Array) -> dict[str, Scalar]:
             self.clock.traces += 1
             key = jax.random.fold_in(draw_key(study.config.seed, i), NOISE)
             run, _ = simulate(study.loop, study.params(lane), key, study.measures, study.requirements)
             return {**run.metrics, **run.margins, "outcome": run.outcome, "failed_at": run.failed_at}
 
-        def share(lanes: dict[str, jax.Array], i: jax.Array) -> dict[str, jax.Array]:
+        def share(lanes: dict[str, jax.Array], i: jax.Array) -> dict[str, Scalar]:
             return jax.lax.map(lambda tile: jax.vmap(one)(*tile), (lanes, i))
 
         spec = PartitionSpec("device")
@@ -193,9 +194,7 @@ def lanes_of(study: Study, block: tuple[slice, ...], values: Arrays) -> tuple[Ar
     return flat, indices
 
 
-def execute(
-    engine: Engine, blocks: list[tuple[slice, ...]]
-) -> Iterator[tuple[tuple[slice, ...], Arrays, Arrays]]:
+def execute(engine: Engine, blocks: list[tuple[slice, ...]]) -> Iterator[tuple[tuple[slice, ...], Arrays, Arrays]]:
     """Compute blocks in turn; each is started before the one before it is handed out.
 
     Yields:

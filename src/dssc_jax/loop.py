@@ -144,13 +144,9 @@ def step(loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Sc
     t = k * dt
     measurement = loop.plant.measure(params.plant, state.plant)
     reference = loop.reference.at(params.reference, t)
-    controller, command, info = loop.controller.step(
-        params.controller, state.controller, measurement, reference, dt
-    )
+    controller, command, info = loop.controller.step(params.controller, state.controller, measurement, reference, dt)
     assert isinstance(command, Command)
-    disturbance = loop.disturbance.step(
-        params.disturbance, state.disturbance, jax.random.fold_in(key, k + 1), t, dt
-    )
+    disturbance = loop.disturbance.step(params.disturbance, state.disturbance, jax.random.fold_in(key, k + 1), t, dt)
     plant, unmodelled = hold(loop, params, state.plant, state.unmodelled, disturbance, command.total, t)
     after = as_arrays(LoopState(plant, controller, unmodelled, disturbance, command.robust))
     e = measurement.y - reference.y
@@ -209,14 +205,14 @@ def simulate(
     def sample(at: Progress, _: None = None) -> tuple[Progress, Recorded]:
         after, recorded = step(loop, params, key, at.state, at.k)
         updated = update_all(measures, at.accumulators, recorded.sample, at.k, loop.sample_time)
-        finite = at.finite & recorded.finite
+        finite = jnp.logical_and(at.finite, recorded.finite)
         state, accumulators = jax.tree.map(
             lambda new, old: jnp.where(finite, new, old), (after, updated), (at.state, at.accumulators)
         )
         return Progress(at.k + 1, state, accumulators, finite, at.steps + finite), recorded
 
     def block(at: Progress, _: None) -> tuple[Progress, Recorded]:
-        last = jnp.minimum(at.k + every, loop.steps)
+        last = jnp.minimum(at.k + (every or 1), loop.steps)
         at, recorded = sample(at)
         return jax.lax.while_loop(lambda at: at.k < last, lambda at: sample(at)[0], at), recorded
 

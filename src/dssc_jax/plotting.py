@@ -18,7 +18,7 @@ from dssc_jax.statistics import clopper_pearson
 
 # Okabe and Ito's palette, told apart with any colour vision
 BLUE, ORANGE, GREEN, RED, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#6b6b6b"
-STYLE: dict[str, Any] = {
+STYLE: dict[Any, Any] = {
     "font.size": 13,
     "axes.titlesize": 14,
     "axes.labelsize": 13,
@@ -93,7 +93,7 @@ def limits(result: Result, measure: Measure) -> list[float]:
 
 
 def quantiles(result: Result, measure: Measure) -> np.ndarray:
-    """5 %, 50 % and 95 % quantiles over draws, shape (3, axes...); failed draws that have no value count as infinite."""
+    """5 %, 50 % and 95 % quantiles over draws, shape (3, axes...); draws without a value count as infinite."""
     values = np.where(np.isnan(result.dataset[measure.name]), np.inf, result.dataset[measure.name])
     return np.quantile(values, [0.05, 0.5, 0.95], axis=-1, method="inverted_cdf")
 
@@ -196,7 +196,7 @@ def sweep(result: Result) -> Figure:
     axes = list(result.study.axes)
     if not axes:
         raise ValueError("the result has no sweep; plot.failures shows a run")
-    fixed = {name: 0 for name in axes[2:]}
+    fixed = dict.fromkeys(axes[2:], 0)
     if fixed:
         result = Result(result.study, result.dataset.isel(fixed), result.manifest)
     return curves(result, axes[0]) if len(axes) == 1 else maps(result, axes[0], axes[1])
@@ -268,11 +268,16 @@ def maps(result: Result, down: str, across: str) -> Figure:
     norm = "log" if is_log(finite) else "linear"
     cap = limits(result, measure)[0] * 30 if limits(result, measure) and norm == "log" else None
     image = right.pcolormesh(x, y, middle, cmap="viridis", norm=norm, shading="nearest", **clip(finite, cap))
-    figure.colorbar(image, ax=right, label=f"median {label(result.dataset[measure.name].attrs)}", extend="max" if cap else "neither")
+    figure.colorbar(
+        image, ax=right, label=f"median {label(result.dataset[measure.name].attrs)}", extend="max" if cap else "neither"
+    )
     for limit in limits(result, measure):
         contour(right, x, y, middle, limit, "-")
     right.set_title("median over draws")
-    keys = [("50 % fail, or the median at its limit", "-"), ("95 % upper bound of the probability at 5 %", "--")]
+    keys: list[tuple[str, Any]] = [
+        ("50 % fail, or the median at its limit", "-"),
+        ("95 % upper bound of the probability at 5 %", "--"),
+    ]
     for ax in (left, right):
         ax.grid(False)
         set_scale(ax, x)
@@ -319,5 +324,3 @@ def write(figure: Figure, path: Path) -> Path:
     with rc_context(STYLE):
         figure.savefig(path)
     return path
-
-

@@ -69,7 +69,9 @@ class Result:
             values = values[~np.isnan(values)]
             if values.size:  # "lower" and "higher" never average a finite with an infinite value
                 found = np.quantile(values, QUANTILES, method="inverted_cdf")
-                metrics[measure.name] = {f"q{100 * q:g}": finite_or_none(v) for q, v in zip(QUANTILES, found, strict=True)}
+                metrics[measure.name] = {
+                    f"q{100 * q:g}": finite_or_none(v) for q, v in zip(QUANTILES, found, strict=True)
+                }
         return {
             **point,
             "draws": draws,

@@ -45,4 +45,5 @@ def describe_probability(failures: int, draws: int, confidence: float = CONFIDEN
     level = f"{100 * confidence:g} % Clopper-Pearson"
     if failures == 0:
         return f"no failure in {draws} draws: failure probability <= {high:.3g} ({level})"
-    return f"{failures} failures in {draws} draws: failure probability {failures / draws:.3g} in [{low:.3g}, {high:.3g}] ({level})"
+    found = f"{failures / draws:.3g} in [{low:.3g}, {high:.3g}]"
+    return f"{failures} failures in {draws} draws: failure probability {found} ({level})"

@@ -40,7 +40,9 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     try:
         manifest = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise ConfigError(str(folder), f"is not a results folder: {MANIFEST} cannot be read ({error.strerror})") from error
+        raise ConfigError(
+            str(folder), f"is not a results folder: {MANIFEST} cannot be read ({error.strerror})"
+        ) from error
     except (ValueError, RecursionError) as error:
         raise ConfigError(str(path), f"is damaged, not valid JSON: {error}") from error
     if not isinstance(manifest, dict) or not {"schema", "study", "hash", "layout"} <= manifest.keys():
@@ -184,7 +186,9 @@ def read(folder: Path) -> tuple[Study, xr.Dataset, dict[str, Any]]:
     unfinished = int(np.count_nonzero(dataset["outcome"].values == NOT_COMPUTED))
     if unfinished:
         total = dataset["outcome"].size
-        raise ConfigError(str(folder), f"is not complete: {unfinished} of {total} lanes are missing; finish with --resume")
+        raise ConfigError(
+            str(folder), f"is not complete: {unfinished} of {total} lanes are missing; finish with --resume"
+        )
     require_all_chunks(folder, study, layout)
     return study, dataset[list(variables(study))], manifest
 

@@ -217,7 +217,7 @@ class Entry(NamedTuple):
     members: dict[Any, Any]
     summary: str
     option: str | None = None
-    default: StrEnum | None = None
+    default: Any = None
 
 
 Registry: TypeAlias = dict[str, Entry]
@@ -242,4 +242,3 @@ class Outcome(IntEnum):
     OK = 0
     NON_FINITE = 1
     REQUIREMENT = 10
-

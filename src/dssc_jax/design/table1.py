@@ -188,7 +188,9 @@ def inequalities(p: Parameters, bounds: Bounds) -> Iterator[Inequality]:
     for name, value, first, second in branches:
         derived = over_phi_b(first, second, 2.0 * p.eps, p.phi_b)
         yield Inequality(name, f"{table}, Appendix F", value, derived, over_phi_b(first, second, 1.0, p.phi_b))
-    yield Inequality("kappa_a (kappa_b/l0)", f"{table}: kappa_a > kappa_b/l0", p.kappa_a, p.kappa_b / p.l0, p.kappa_b / p.l0)
+    yield Inequality(
+        "kappa_a (kappa_b/l0)", f"{table}: kappa_a > kappa_b/l0", p.kappa_a, p.kappa_b / p.l0, p.kappa_b / p.l0
+    )
     yield Inequality("kappa_d", f"{table}, (75)", p.kappa_d, drift, drift)
 
 

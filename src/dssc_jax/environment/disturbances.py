@@ -100,9 +100,7 @@ def noise_step(params: NoiseParams, state: Scalar, key: jax.Array, t: Scalar, dt
     return decay * state + spread * jax.random.normal(key, dtype=jnp.result_type(float))
 
 
-def partition_value(
-    params: PartitionParams, state: Any, measurement: Measurement, sigma: Scalar, t: Scalar
-) -> Scalar:
+def partition_value(params: PartitionParams, state: Any, measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
     """d_1 + d_2 + d_3 of (30)."""
     omega = 2.0 * math.pi / params.period
     s = jnp.sin(omega * t)
@@ -114,9 +112,7 @@ def partition_value(
 
 
 NONE = Disturbance(NoParams, stateless, unchanged, lambda params, state, measurement, sigma, t: 0.0)
-CONSTANT = Disturbance(
-    ConstantParams, stateless, unchanged, lambda params, state, measurement, sigma, t: params.value
-)
+CONSTANT = Disturbance(ConstantParams, stateless, unchanged, lambda params, state, measurement, sigma, t: params.value)
 STEP = Disturbance(StepParams, lambda params, key: 0.0, step_mean, held)
 SINE = Disturbance(SineParams, stateless, unchanged, sine_value)
 FILTERED_NOISE = Disturbance(NoiseParams, noise_init, noise_step, held)

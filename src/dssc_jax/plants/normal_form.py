@@ -69,7 +69,9 @@ def prepare(params: NormalFormParams) -> NormalFormParams:
         require_hurwitz(params.zero_dynamics)
         order = len(params.zero_dynamics.a)
     if not 2 <= len(params.initial) <= 2 + order:
-        raise ConfigError("initial", f"needs x1, x2 and at most {order} values of eta, got {len(params.initial)} values")
+        raise ConfigError(
+            "initial", f"needs x1, x2 and at most {order} values of eta, got {len(params.initial)} values"
+        )
     return params
 
 

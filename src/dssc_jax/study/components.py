@@ -142,9 +142,9 @@ def explain(error: ValidationError, names: typing.Iterable[str]) -> ConfigError:
         case "missing":
             return ConfigError(path, "is required and missing")
         case "value_error":
-            return ConfigError(path, str(first["ctx"]["error"]))
+            return ConfigError(path, str(first.get("ctx", {}).get("error")))
         case "literal_error":
-            expected = first["ctx"]["expected"].replace("'", "")
+            expected = str(first.get("ctx", {}).get("expected")).replace("'", "")
             return ConfigError(path, f"'{value}' is none of {expected}")
         case _:
             return ConfigError(path, f"{first['msg'][0].lower()}{first['msg'][1:]}, got {value!r}")

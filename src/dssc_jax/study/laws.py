@@ -13,7 +13,6 @@ from scipy import special
 
 from dssc_jax.errors import meant
 
-
 Arguments = tuple[float, ...]
 
 

@@ -258,7 +258,9 @@ def measured(config: StudyTable, fields: tuple[str, ...]) -> tuple[tuple[Measure
         measures.setdefault(name, Measure(name, table.metric, window))
         requirements.append(Requirement(measures[name], table.max, table.min))
     if config.plot.metric is not None and config.plot.metric not in measures:
-        raise ConfigError("plot.metric", f"unknown metric '{config.plot.metric}'; {meant(config.plot.metric, measures)}")
+        raise ConfigError(
+            "plot.metric", f"unknown metric '{config.plot.metric}'; {meant(config.plot.metric, measures)}"
+        )
     return tuple(measures.values()), tuple(requirements)
 
 

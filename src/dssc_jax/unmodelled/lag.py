@@ -35,9 +35,7 @@ def first_order(params: LagParams, state: tuple[Scalar], command: Scalar, dt: Sc
     return (command + (z - command) * jnp.exp(-dt / params.mu),)
 
 
-def second_order(
-    params: LagParams, state: tuple[Scalar, Scalar], command: Scalar, dt: Scalar
-) -> tuple[Scalar, Scalar]:
+def second_order(params: LagParams, state: tuple[Scalar, Scalar], command: Scalar, dt: Scalar) -> tuple[Scalar, Scalar]:
     """Exact solution of mu z1' = u - z1, mu z2' = z1 - z2 over dt."""
     z1, z2 = state
     steps = dt / params.mu

@@ -1,0 +1,35 @@
+# Everything runs in .venv, which the first command makes. Needs Python 3.11 or later, git and make.
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+BIN := .venv/bin
+
+.PHONY: study test lint types check measure clean
+
+study: .venv/run  ## install, and run the main job: how much unmodelled lag does a DSSC loop survive?
+	$(BIN)/dssc-jax sweep studies/mu_robustness.toml
+
+test: .venv/test  ## install, and run the tests
+	$(BIN)/python -m pytest
+
+lint: .venv/test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: .venv/test
+	$(BIN)/pyright
+
+check: lint types test  ## what CI runs
+
+measure: .venv/run  ## regenerate docs/measurements.md and the figures of the documentation
+	$(BIN)/python benchmarks/measure.py
+
+.venv/run: pyproject.toml
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	touch $@
+
+.venv/test: .venv/run
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[test]"
+	touch $@
+
+clean:
+	rm -rf .venv build dist .pytest_cache .ruff_cache
