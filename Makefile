@@ -15,7 +15,7 @@ lint: .venv/test
 	$(BIN)/ruff format --check .
 
 types: .venv/test
-	$(BIN)/pyright
+	$(BIN)/pyright --pythonpath $(BIN)/python
 
 check: lint types test  ## what CI runs
 
