@@ -186,6 +186,24 @@ class Disturbance(NamedTuple):
     prepare: Callable[[Params], Params] = nothing
 
 
+class Wind(NamedTuple):
+    """Wind velocity in the inertial frame, z up [m/s].
+
+    Args:
+        params: NamedTuple type of the parameters.
+        init: ``(params, key) -> state``.
+        step: ``(params, state, key, t, dt) -> state`` at each sample: what is held over [t, t + dt).
+        value: ``(params, state, t) -> Vec3``, evaluated in every stage of the integrator.
+        prepare: As in :class:`Plant`.
+    """
+
+    params: type
+    init: Callable[[Params, jax.Array], State]
+    step: Callable[[Params, State, jax.Array, Scalar, Scalar], State]
+    value: Callable[[Params, State, Scalar], Any]
+    prepare: Callable[[Params], Params] = nothing
+
+
 class Unmodelled(NamedTuple):
     """Unmodelled dynamics G_mu(mu s) in series with the plant input (Section V-A2).
 
