@@ -11,8 +11,8 @@ ROOT = Path(dssc_jax.__file__).parent
 LAYERS = [
     {"xla", "errors"},
     {"types"},
-    {"numerics", "zero_dynamics", "integrators"},
-    {"plants", "environment", "controllers", "unmodelled", "design"},
+    {"numerics", "vectors", "zero_dynamics", "integrators"},
+    {"plants", "uav", "environment", "controllers", "unmodelled", "design"},
     {"metrics"},
     {"requirements"},
     {"loop"},
@@ -27,7 +27,7 @@ LAYERS = [
     {"cli"},
 ]
 RANK = {name: rank for rank, layer in enumerate(LAYERS) for name in layer}
-MODELS = {"plants", "environment", "controllers", "unmodelled", "design"}
+MODELS = {"plants", "uav", "environment", "controllers", "unmodelled", "design"}
 FILES = sorted(ROOT.rglob("*.py"))
 
 

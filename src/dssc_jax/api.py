@@ -14,8 +14,9 @@ import xarray as xr
 
 from dssc_jax import store
 from dssc_jax.dataset import in_memory, outcome_codes
-from dssc_jax.engine import NOISE, Engine, Layout, drawn, execute
+from dssc_jax.engine import Engine, Layout, drawn, execute
 from dssc_jax.errors import ConfigError, meant
+from dssc_jax.loop import Recorded
 from dssc_jax.loop import simulate as run_loop
 from dssc_jax.results import Result, load
 from dssc_jax.sampling import draw_key
@@ -43,6 +44,13 @@ UNITS = {
     "tau_m": ("s", "predictor time constant"),
     "tau_av": ("s", "averaging time constant"),
     "integral": ("m/s", "integral term of u"),
+    "phi": ("rad", "roll"),
+    "theta": ("rad", "pitch"),
+    "psi": ("rad", "yaw"),
+    "tilt": ("rad", "tilt of body z"),
+    "thrust": ("N", "wanted net thrust"),
+    "rotor_limited": ("1", "a rotor at its limit"),
+    "lift_bounded": ("1", "wanted lift at its lower bound"),
 }
 
 
@@ -184,27 +192,23 @@ def simulate(study: Study, draw: int = 0, *, point: Mapping[str, float] | None =
     values = lane_values(study, draw, point or {})
 
     def one(lane: dict[str, jax.Array], index: jax.Array):
-        key = jax.random.fold_in(draw_key(study.config.seed, index), NOISE)
-        return run_loop(study.loop, study.params(lane), key, study.measures, study.requirements, every)
+        return run_loop(
+            study.loop,
+            study.params(lane),
+            draw_key(study.config.seed, index),
+            study.measures,
+            study.requirements,
+            every,
+        )
 
     with jax.enable_x64(study.config.loop.precision == 64):
         ended, recorded = jax.tree.map(np.asarray, jax.jit(one)(values, np.uint32(draw)))
-    sample = recorded.sample
-    columns = {
-        "y": recorded.measurement.y,
-        "y_dot": recorded.measurement.y_dot,
-        "y_ref": recorded.reference.y,
-        "e": sample.e,
-        "sigma": sample.sigma,
-        "u": sample.u,
-        "u_total": sample.u_total,
-        **sample.info._asdict(),
-    }
-    described = {name: describe(name) for name in columns}
+    columns = trajectory_columns(study, recorded)
+    described = {name: describe(name, study.loop.channels) for name in columns}
     code = int(ended.outcome)
     return xr.Dataset(
         {name: (("t",), column, described[name]) for name, column in columns.items()},
-        coords={"t": (("t",), recorded.t, {"units": "s", "long_name": "time"})},
+        coords={"t": (("t",), recorded.instant.t, {"units": "s", "long_name": "time"})},
         attrs={
             "study": study.name,
             "draw": draw,
@@ -217,10 +221,36 @@ def simulate(study: Study, draw: int = 0, *, point: Mapping[str, float] | None =
     )
 
 
-def describe(name: str) -> dict[str, str]:
-    """Attributes of a trajectory's column; a user's own info field has none."""
-    unit, meaning = UNITS.get(name, ("", name))
-    return {"units": unit, "long_name": meaning}
+def trajectory_columns(study: Study, recorded: Recorded) -> dict[str, np.ndarray]:
+    """Every signal over time; prefixed by the channel for a plant of several."""
+    columns = {}
+    instant = recorded.instant
+    parts = zip(study.loop.channels, recorded.measurements, recorded.references, instant.channels, strict=True)
+    for channel, measurement, reference, sample in parts:
+        signals = {
+            "y": measurement.y,
+            "y_dot": measurement.y_dot,
+            "y_ref": reference.y,
+            "e": sample.e,
+            "sigma": sample.sigma,
+            "u": sample.u,
+            "u_total": sample.u_total,
+            **sample.info._asdict(),
+        }
+        columns |= {f"{channel}_{name}" if channel else name: values for name, values in signals.items()}
+    seen = instant.plant._asdict() if hasattr(instant.plant, "_asdict") else {}
+    return columns | {name: values.astype(float) for name, values in seen.items()}
+
+
+def describe(name: str, channels: tuple[str, ...]) -> dict[str, str]:
+    """Attributes of a trajectory's column; a user's own info field has none. Angles of a channel are in rad."""
+    channel, _, rest = name.partition("_")
+    if channel not in channels or not channel:
+        unit, meaning = UNITS.get(name, ("", name))
+        return {"units": unit, "long_name": meaning}
+    unit, meaning = UNITS.get(rest, ("", rest))
+    unit = unit.replace("m", "rad") if channel == "psi" else unit
+    return {"units": unit, "long_name": f"{channel}: {meaning}"}
 
 
 def lane_outcome(study: Study, draw: int, values: Mapping[str, float]) -> dict[str, np.generic]:

@@ -18,15 +18,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
-from dssc_jax.loop import simulate
-from dssc_jax.sampling import draw, draw_key, stream
+from dssc_jax.loop import simulate, start
+from dssc_jax.sampling import draw, draw_key
 from dssc_jax.study import Study
 from dssc_jax.types import Scalar
 
-TILE = 1024  # lanes; measured on the one-degree-of-freedom loop: 256 to 512 are 10 to 20 % slower
+CACHE = 256 * 1024  # bytes of state in a tile: a share of the second-level cache that leaves room for temporaries
+WIDEST, NARROWEST = 1024, 128  # lanes of a tile; beyond them measurements show no gain
 VECTOR = 8  # lanes in a 512-bit vector of float64: every tile is a multiple of it
 BLOCK = 16384  # lanes
-NOISE = stream("disturbance")
 
 Arrays = dict[str, np.ndarray]
 
@@ -106,7 +106,7 @@ class Engine:
     def __post_init__(self) -> None:
         usable = jax.devices()[: self.devices]
         share = -(-self.lanes // len(usable))
-        widest = max(VECTOR, min(self.tile or TILE, share))
+        widest = max(VECTOR, min(self.tile or best_tile(self.study), share))
         self._tile = -(-widest // VECTOR) * VECTOR
         tiles = -(-self.lanes // self._tile)
         self._tiles = -(-tiles // len(usable)) * len(usable)
@@ -156,7 +156,7 @@ class Engine:
 
         def one(lane: dict[str, jax.Array], i: jax.Array) -> dict[str, Scalar]:
             self.clock.traces += 1
-            key = jax.random.fold_in(draw_key(study.config.seed, i), NOISE)
+            key = draw_key(study.config.seed, i)
             run, _ = simulate(study.loop, study.params(lane), key, study.measures, study.requirements)
             return {**run.metrics, **run.margins, "outcome": run.outcome, "failed_at": run.failed_at}
 
@@ -173,6 +173,20 @@ class Engine:
     def rate(self) -> float:
         """Draws times samples a second, without compilation."""
         return self.clock.lanes * self.study.loop.steps / self.clock.run_seconds if self.clock.run_seconds else 0.0
+
+
+def best_tile(study: Study) -> int:
+    """Lanes whose state fits the cache, a power of two: 1024 for one degree of freedom, 256 for the UAV."""
+    key = jax.random.key(0)
+    state = jax.eval_shape(lambda: start(study.loop, study.params(medians(study)), key))
+    scalars = len(jax.tree.leaves(state)) + len(study.measures)
+    fitting = CACHE / (scalars * study.config.loop.precision / 8)
+    return int(np.clip(2 ** math.floor(math.log2(fitting)), NARROWEST, WIDEST))
+
+
+def medians(study: Study) -> dict[str, float]:
+    """Each uncertain number at its median."""
+    return {name: law.median for name, law in study.laws.items()}
 
 
 def drawn(study: Study, draws: slice) -> Arrays:

@@ -7,31 +7,42 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.integrators import INTEGRATORS, Integrator
-from dssc_jax.metrics import Measure, Sample, update_all, values
+from dssc_jax.metrics import Instant, Measure, Sample, update_all, values
+from dssc_jax.numerics import stream, wrap_angle
 from dssc_jax.requirements import Requirement, judge
 from dssc_jax.types import (
     Command,
     Controller,
+    Differentiator,
     Disturbance,
     Measurement,
+    Outcome,
     Plant,
     PlantInput,
     Reference,
     ReferencePoint,
     Scalar,
+    Sensor,
     State,
     Unmodelled,
+    Wind,
 )
 
 
 class LoopParams(NamedTuple):
-    """Parameters of every part of the loop; any number may be traced."""
+    """Parameters of every part of the loop; any number may be traced.
+
+    Those of controller, sensor, differentiator, unmodelled dynamics and disturbance are tuples, one a channel.
+    """
 
     plant: Any
     reference: Any
-    controller: Any
-    unmodelled: Any
-    disturbance: Any
+    wind: Any
+    controller: tuple[Any, ...]
+    sensor: tuple[Any, ...]
+    differentiator: tuple[Any, ...]
+    unmodelled: tuple[Any, ...]
+    disturbance: tuple[Any, ...]
 
 
 @dataclass(frozen=True)
@@ -39,6 +50,7 @@ class Loop:
     """What is chosen before tracing: the models in the loop's named slots, and the clock.
 
     Args:
+        channels: Names of the channels; one empty name for a plant of one.
         sample_time: T_s [s].
         steps: Number of samples.
         substeps: Integrator steps between two samples.
@@ -46,37 +58,57 @@ class Loop:
 
     plant: Plant
     reference: Reference
-    controller: Controller
-    unmodelled: Unmodelled
-    disturbance: Disturbance
+    wind: Wind
+    controller: tuple[Controller, ...]
+    sensor: tuple[Sensor, ...]
+    differentiator: tuple[Differentiator, ...]
+    unmodelled: tuple[Unmodelled, ...]
+    disturbance: tuple[Disturbance, ...]
+    channels: tuple[str, ...]
     sample_time: float
     steps: int
     substeps: int = 1
     integrator: Integrator = Integrator.RK4
 
+    def key(self, draw: jax.Array, slot: str, channel: str = "") -> jax.Array:
+        """The random stream of a slot in a channel, of the draw's key."""
+        return jax.random.fold_in(draw, stream(f"{slot}.{channel}" if channel else slot))
 
-class LoopState(NamedTuple):
-    """State of the parts, and the last robust command."""
 
-    plant: State
+class ChannelState(NamedTuple):
+    """State of one channel's parts, and its last robust command."""
+
     controller: State
+    sensor: State
+    differentiator: State
     unmodelled: State
     disturbance: State
     u: Scalar
 
 
-class Recorded(NamedTuple):
-    """One sample as a trajectory shows it; ``finite`` tells whether the step to the next sample stayed finite."""
+class LoopState(NamedTuple):
+    """State of the plant, the wind, and every channel."""
 
-    t: Scalar
-    measurement: Measurement
-    reference: ReferencePoint
-    sample: Sample
+    plant: State
+    wind: State
+    channels: tuple[ChannelState, ...]
+
+
+class Recorded(NamedTuple):
+    """One sample as a trajectory shows it; ``finite`` and ``whole`` tell how the step to the next sample went.
+
+    ``measurements`` are the plant's own, before sensors.
+    """
+
+    instant: Instant
+    measurements: tuple[Measurement, ...]
+    references: tuple[ReferencePoint, ...]
     finite: Scalar
+    whole: Scalar
 
 
 class Run(NamedTuple):
-    """A finished draw: metrics, margins, outcome code and the time of the first non-finite step (NaN: none)."""
+    """A finished draw: metrics, margins, outcome code, and the time of the step that ended it early (NaN: none)."""
 
     metrics: dict[str, Scalar]
     margins: dict[str, Scalar]
@@ -89,48 +121,97 @@ def as_arrays(tree: Any) -> Any:
     return jax.tree.map(lambda x: jnp.asarray(x, dtype=jnp.result_type(float)), tree)
 
 
-def start(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
-    """State at t = 0."""
-    plant = as_arrays(loop.plant.init(params.plant))
-    measurement = loop.plant.measure(params.plant, plant)
-    reference = loop.reference.at(params.reference, 0.0)
-    return as_arrays(
-        LoopState(
-            plant=plant,
-            controller=loop.controller.init(params.controller, measurement, reference),
-            unmodelled=loop.unmodelled.init(params.unmodelled),
-            disturbance=loop.disturbance.init(params.disturbance, jax.random.fold_in(key, 0)),
-            u=0.0,
-        )
+def each(value: Any) -> tuple[Any, ...]:
+    """One value a channel: a plain measurement, reference point or number stands for a plant of one channel."""
+    return value if type(value) is tuple else (value,)
+
+
+def joined(values_: tuple[Any, ...]) -> Any:
+    """The inverse of :func:`each`, for what the plant is given."""
+    return values_[0] if len(values_) == 1 else values_
+
+
+def measured(loop: Loop, params: LoopParams, plant: State, references: tuple[ReferencePoint, ...]):
+    """The plant's measurements; an angle is shifted by whole turns to lie within pi of its reference."""
+    found = each(loop.plant.measure(params.plant, plant))
+    return tuple(
+        m._replace(y=r.y + wrap_angle(m.y - r.y)) if name in loop.plant.angles else m
+        for name, m, r in zip(loop.channels, found, references, strict=True)
     )
 
 
+def start(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
+    """State at t = 0."""
+    plant = as_arrays(loop.plant.init(params.plant))
+    references = each(loop.reference.at(params.reference, 0.0))
+    measurements = measured(loop, params, plant, references)
+    channels = []
+    for i, name in enumerate(loop.channels):
+        sensor = loop.sensor[i].init(params.sensor[i], measurements[i], loop.key(key, "sensor", name))
+        differentiator = loop.differentiator[i].init(params.differentiator[i], measurements[i])
+        channels.append(
+            ChannelState(
+                controller=loop.controller[i].init(params.controller[i], measurements[i], references[i]),
+                sensor=sensor,
+                differentiator=differentiator,
+                unmodelled=loop.unmodelled[i].init(params.unmodelled[i]),
+                disturbance=loop.disturbance[i].init(
+                    params.disturbance[i], jax.random.fold_in(loop.key(key, "disturbance", name), 0)
+                ),
+                u=0.0,
+            )
+        )
+    wind = loop.wind.init(params.wind, jax.random.fold_in(loop.key(key, "wind"), 0))
+    return as_arrays(LoopState(plant, wind, tuple(channels)))
+
+
 def hold(
-    loop: Loop, params: LoopParams, plant: State, unmodelled: State, disturbance: State, command: Scalar, t: Scalar
-) -> tuple[State, State]:
-    """Advance plant and unmodelled dynamics over one sample with the command held.
+    loop: Loop, params: LoopParams, state: LoopState, commands: tuple[Scalar, ...], t: Scalar
+) -> tuple[State, tuple[State, ...]]:
+    """Advance plant and unmodelled dynamics over one sample with the commands held.
 
     The unmodelled dynamics are known at the start, middle and end of a substep, as the integrator asks.
     """
     h = loop.sample_time / loop.substeps
     integrate = INTEGRATORS[loop.integrator]
+    plant, lags = state.plant, tuple(channel.unmodelled for channel in state.channels)
+
+    def lagged(states: tuple[State, ...]) -> tuple[State, ...]:
+        parts = zip(loop.unmodelled, params.unmodelled, states, commands, strict=True)
+        return tuple(model.step(p, z, u, 0.5 * h) for model, p, z, u in parts)
+
+    def reaching(states: tuple[State, ...]) -> tuple[Scalar, ...]:
+        parts = zip(loop.unmodelled, params.unmodelled, states, commands, strict=True)
+        return tuple(model.output(p, z, u) for model, p, z, u in parts)
+
     for index in range(loop.substeps):
-        middle = loop.unmodelled.step(params.unmodelled, unmodelled, command, 0.5 * h)
-        end = loop.unmodelled.step(params.unmodelled, middle, command, 0.5 * h)
-        reaching = [loop.unmodelled.output(params.unmodelled, z, command) for z in (unmodelled, middle, end)]
-        times = [t + (index + fraction) * h for fraction in (0.0, 0.5, 1.0)]
+        middle = lagged(lags)
+        end = lagged(middle)
+        stages = [(t + (index + fraction) * h, reaching(z)) for fraction, z in ((0.0, lags), (0.5, middle), (1.0, end))]
 
-        def derivative(state: State, half_steps: int, times: list = times, reaching: list = reaching) -> State:
-            now = times[half_steps]
-            measurement = loop.plant.measure(params.plant, state)
-            reference = loop.reference.at(params.reference, now)
-            sigma = measurement.y_dot - reference.y_dot + params.controller.l0 * (measurement.y - reference.y)
-            d = loop.disturbance.value(params.disturbance, disturbance, measurement, sigma, now)
-            return loop.plant.derivative(params.plant, state, PlantInput(reaching[half_steps], d), now)
+        def derivative(plant: State, half_steps: int, stages: list = stages) -> State:
+            now, arriving = stages[half_steps]
+            drive = driven(loop, params, state, plant, arriving, now)
+            return loop.plant.derivative(params.plant, plant, drive, now)
 
-        plant = integrate(derivative, plant, h, loop.plant.velocities)
-        unmodelled = end
-    return plant, unmodelled
+        plant = loop.plant.project(params.plant, integrate(derivative, plant, h, loop.plant.velocities))
+        lags = end
+    return plant, lags
+
+
+def driven(
+    loop: Loop, params: LoopParams, state: LoopState, plant: State, commands: tuple[Scalar, ...], now: Scalar
+) -> PlantInput:
+    """What drives the plant at a stage: commands, disturbances of its present state, wind."""
+    references = each(loop.reference.at(params.reference, now))
+    measurements = measured(loop, params, plant, references)
+    disturbances = []
+    for i, channel in enumerate(state.channels):
+        m, r = measurements[i], references[i]
+        sigma = m.y_dot - r.y_dot + params.controller[i].l0 * (m.y - r.y)
+        disturbances.append(loop.disturbance[i].value(params.disturbance[i], channel.disturbance, m, sigma, now))
+    wind = loop.wind.value(params.wind, state.wind, now)
+    return PlantInput(joined(commands), joined(tuple(disturbances)), wind)
 
 
 def all_finite(state: LoopState) -> Scalar:
@@ -138,34 +219,84 @@ def all_finite(state: LoopState) -> Scalar:
     return jnp.isfinite(sum(jnp.square(leaf) for leaf in jax.tree.leaves(state)))
 
 
+def control(
+    loop: Loop,
+    params: LoopParams,
+    key: jax.Array,
+    channel: ChannelState,
+    i: int,
+    measurement: Measurement,
+    reference: ReferencePoint,
+    k: Scalar,
+) -> tuple[ChannelState, Command, Any]:
+    """One channel's sample: sensor, differentiator, controller, and what the disturbance holds."""
+    t, dt, name = k * loop.sample_time, loop.sample_time, loop.channels[i]
+    sensor, seen = loop.sensor[i].step(
+        params.sensor[i],
+        channel.sensor,
+        measurement,
+        jax.random.fold_in(loop.key(key, "sensor", name), k + 1),
+        t,
+        dt,
+    )
+    differentiator, seen = loop.differentiator[i].step(params.differentiator[i], channel.differentiator, seen, dt)
+    controller, command, info = loop.controller[i].step(params.controller[i], channel.controller, seen, reference, dt)
+    disturbance = loop.disturbance[i].step(
+        params.disturbance[i],
+        channel.disturbance,
+        jax.random.fold_in(loop.key(key, "disturbance", name), k + 1),
+        t,
+        dt,
+    )
+    after = ChannelState(controller, sensor, differentiator, channel.unmodelled, disturbance, command.robust)
+    return after, command, info
+
+
 def step(loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Scalar) -> tuple[LoopState, Recorded]:
     """One sample: measure, control, hold."""
     dt = loop.sample_time
     t = k * dt
-    measurement = loop.plant.measure(params.plant, state.plant)
-    reference = loop.reference.at(params.reference, t)
-    controller, command, info = loop.controller.step(params.controller, state.controller, measurement, reference, dt)
-    assert isinstance(command, Command)
-    disturbance = loop.disturbance.step(params.disturbance, state.disturbance, jax.random.fold_in(key, k + 1), t, dt)
-    plant, unmodelled = hold(loop, params, state.plant, state.unmodelled, disturbance, command.total, t)
-    after = as_arrays(LoopState(plant, controller, unmodelled, disturbance, command.robust))
-    e = measurement.y - reference.y
-    sample = Sample(
-        t=t,
-        dt=dt,
-        e=e,
-        sigma=measurement.y_dot - reference.y_dot + params.controller.l0 * e,
-        u=command.robust,
-        u_previous=jnp.where(k == 0, command.robust, state.u),
-        u_total=command.total,
-        k_p=loop.plant.input_gain(params.plant),
-        info=info,
+    references = each(loop.reference.at(params.reference, t))
+    measurements = measured(loop, params, state.plant, references)
+    gains = each(loop.plant.input_gain(params.plant))
+    channels, samples, commands = [], [], []
+    for i, channel in enumerate(state.channels):
+        m, r = measurements[i], references[i]
+        after, command, info = control(loop, params, key, channel, i, m, r, k)
+        e = m.y - r.y
+        samples.append(
+            Sample(
+                t=t,
+                dt=dt,
+                e=e,
+                sigma=m.y_dot - r.y_dot + params.controller[i].l0 * e,
+                u=command.robust,
+                u_previous=jnp.where(k == 0, command.robust, channel.u),
+                u_total=command.total,
+                k_p=gains[i],
+                info=info,
+            )
+        )
+        channels.append(after)
+        commands.append(command.total)
+    wind = loop.wind.step(params.wind, state.wind, jax.random.fold_in(loop.key(key, "wind"), k + 1), t, dt)
+    held = LoopState(state.plant, wind, tuple(channels))
+    plant, lags = hold(loop, params, held, tuple(commands), t)
+    reaching = tuple(
+        model.output(p, c.unmodelled, u)
+        for model, p, c, u in zip(loop.unmodelled, params.unmodelled, channels, commands, strict=True)
     )
-    return after, Recorded(t, measurement, reference, sample, all_finite(after))
+    seen = loop.plant.monitor(params.plant, state.plant, driven(loop, params, held, state.plant, reaching, t))
+    after = as_arrays(
+        LoopState(plant, wind, tuple(c._replace(unmodelled=z) for c, z in zip(channels, lags, strict=True)))
+    )
+    whole = jnp.logical_not(loop.plant.broken(params.plant, after.plant))
+    instant = Instant(t, dt, tuple(samples), seen)
+    return after, Recorded(instant, measurements, references, all_finite(after), whole)
 
 
 class Progress(NamedTuple):
-    """The scan's carry: next sample, state, accumulators, whether all has been finite, and for how many steps.
+    """The scan's carry: next sample, state, accumulators, outcome so far, and for how many steps it was OK.
 
     The sample's index is carried, not scanned over: an array of indices would grow with the duration.
     """
@@ -173,7 +304,7 @@ class Progress(NamedTuple):
     k: Scalar
     state: LoopState
     accumulators: tuple[Scalar, ...]
-    finite: Scalar
+    outcome: Scalar
     steps: Scalar
 
 
@@ -187,8 +318,8 @@ def simulate(
 ) -> tuple[Run, Recorded | None]:
     """One draw from start to end.
 
-    A draw that becomes non-finite is frozen at that step: state and accumulators keep their last finite values,
-    its metrics are NaN and its margins -inf, and the batch goes on.
+    A draw that becomes non-finite, or whose plant breaks, is frozen at that step: state and accumulators keep
+    their last values, its metrics are NaN and its margins -inf, and the batch goes on.
 
     Args:
         loop: The models and the clock.
@@ -196,7 +327,7 @@ def simulate(
         key: The draw's own random key.
         measures: What to measure.
         requirements: Bounds of some of the measures.
-        every: Record every so-manieth sample; None: none, so that memory does not grow with the duration.
+        every: Record one sample of so many; None: none, so that memory does not grow with the duration.
 
     Returns:
         The outcome, and the trajectory with leaves of shape (ceil(steps/every),), if any.
@@ -204,12 +335,15 @@ def simulate(
 
     def sample(at: Progress, _: None = None) -> tuple[Progress, Recorded]:
         after, recorded = step(loop, params, key, at.state, at.k)
-        updated = update_all(measures, at.accumulators, recorded.sample, at.k, loop.sample_time)
-        finite = jnp.logical_and(at.finite, recorded.finite)
+        updated = update_all(measures, at.accumulators, recorded.instant, at.k, loop.sample_time)
+        ended = jnp.where(recorded.whole, Outcome.OK, Outcome.SINGULAR_ATTITUDE)
+        ended = jnp.where(recorded.finite, ended, Outcome.NON_FINITE)
+        outcome = jnp.where(at.outcome == Outcome.OK, ended, at.outcome).astype(jnp.int32)
+        alive = outcome == Outcome.OK
         state, accumulators = jax.tree.map(
-            lambda new, old: jnp.where(finite, new, old), (after, updated), (at.state, at.accumulators)
+            lambda new, old: jnp.where(alive, new, old), (after, updated), (at.state, at.accumulators)
         )
-        return Progress(at.k + 1, state, accumulators, finite, at.steps + finite), recorded
+        return Progress(at.k + 1, state, accumulators, outcome, at.steps + alive), recorded
 
     def block(at: Progress, _: None) -> tuple[Progress, Recorded]:
         last = jnp.minimum(at.k + (every or 1), loop.steps)
@@ -217,19 +351,20 @@ def simulate(
         return jax.lax.while_loop(lambda at: at.k < last, lambda at: sample(at)[0], at), recorded
 
     count, zero = jnp.zeros((), dtype=jnp.int32), jnp.zeros((), dtype=jnp.result_type(float))
-    at = Progress(count, start(loop, params, key), (zero,) * len(measures), jnp.asarray(True), count)
+    at = Progress(count, start(loop, params, key), (zero,) * len(measures), count, count)
     if every is None:
         end, recorded = jax.lax.scan(lambda at, _: (sample(at)[0], None), at, length=loop.steps)
     elif every == 1:
         end, recorded = jax.lax.scan(sample, at, length=loop.steps)
     else:
         end, recorded = jax.lax.scan(block, at, length=-(-loop.steps // every))
-    measured = values(measures, end.accumulators, loop.steps, loop.sample_time)
-    outcome, margins = judge(requirements, measured, end.finite)
+    alive = end.outcome == Outcome.OK
+    found = values(measures, end.accumulators, loop.steps, loop.sample_time)
+    outcome, margins = judge(requirements, found, end.outcome)
     run = Run(
-        metrics={name: jnp.where(end.finite, value, jnp.nan) for name, value in measured.items()},
+        metrics={name: jnp.where(alive, value, jnp.nan) for name, value in found.items()},
         margins=margins,
         outcome=outcome,
-        failed_at=jnp.where(end.finite, jnp.nan, (end.steps + 1) * loop.sample_time),
+        failed_at=jnp.where(alive, jnp.nan, (end.steps + 1) * loop.sample_time),
     )
     return run, recorded

@@ -3,8 +3,9 @@
 A metric is a pure ``init``, ``update`` and ``value``. It counts samples at t >= ``after`` only.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -30,6 +31,22 @@ class Sample(NamedTuple):
     info: Info
 
 
+class Instant(NamedTuple):
+    """One sample instant of the whole loop: every channel, and what the plant's monitor saw."""
+
+    t: Scalar
+    dt: Scalar
+    channels: tuple[Sample, ...]
+    plant: Info
+
+
+class Scope(StrEnum):
+    """What a metric is of: each channel, or the vehicle as a whole."""
+
+    CHANNEL = "channel"
+    VEHICLE = "vehicle"
+
+
 @dataclass(frozen=True)
 class Window:
     """Samples at t >= ``after`` [s]; ``band`` [m] is the error that counts as settled."""
@@ -44,25 +61,28 @@ class Metric(NamedTuple):
     Args:
         unit: SI unit.
         meaning: Long name.
-        update: ``(accumulator, sample, window) -> accumulator`` for a sample within the window.
+        update: ``(accumulator, sample, window) -> accumulator`` for a sample within the window; a metric of the
+            vehicle gets the :class:`Instant`.
         value: ``(accumulator, window, count, end) -> value``; ``count`` samples lay within the window, which
             ended at ``end`` [s].
-        needs: Fields of the controller's info without which the metric does not exist.
+        needs: Fields of the controller's (the vehicle's) info without which the metric does not exist.
+        scope: Whether it is of a channel or of the vehicle.
     """
 
     unit: str
     meaning: str
-    update: Callable[[Scalar, Sample, Window], Scalar]
+    update: Callable[[Scalar, Any, Window], Scalar]
     value: Callable[[Scalar, Window, int, float], Scalar]
     needs: tuple[str, ...] = ()
+    scope: Scope = Scope.CHANNEL
 
 
-def peak(of: Callable[[Sample], Scalar]) -> Callable[[Scalar, Sample, Window], Scalar]:
+def peak(of: Callable[[Any], Scalar]) -> Callable[[Scalar, Any, Window], Scalar]:
     """Running maximum of |.|."""
     return lambda acc, sample, window: jnp.maximum(acc, jnp.abs(of(sample)))
 
 
-def total(of: Callable[[Sample], Scalar]) -> Callable[[Scalar, Sample, Window], Scalar]:
+def total(of: Callable[[Any], Scalar]) -> Callable[[Scalar, Any, Window], Scalar]:
     """Running sum."""
     return lambda acc, sample, window: acc + of(sample)
 
@@ -104,12 +124,17 @@ def sampling_ratio(sample: Sample) -> Scalar:
     return 0.5 * proportional * (1.0 + 0.5 * sample.dt / info.tau_m)
 
 
+def position_error(instant: Instant) -> Scalar:
+    """Distance from the desired position; the first three channels are x, y, z."""
+    return jnp.sqrt(sum(jnp.square(sample.e) for sample in instant.channels[:3]))
+
+
 def as_float(flag: Scalar, like: Scalar) -> Scalar:
     """1 where the flag holds, else 0."""
     return jnp.where(flag, jnp.ones_like(like), jnp.zeros_like(like))
 
 
-SLIDING, SAMPLING = ("sliding_margin",), ("k_o", "tau_av", "tau_m")
+SLIDING, SAMPLING, FLYING = ("sliding_margin",), ("k_o", "tau_av", "tau_m"), ("tilt",)
 METRICS: dict[str, Metric] = {
     "error_rms": Metric("m", "rms of the output error e", total(lambda s: s.e * s.e), root_mean),
     "error_max": Metric("m", "largest |e|", peak(lambda s: s.e), itself),
@@ -137,26 +162,73 @@ METRICS: dict[str, Metric] = {
         mean,
         SAMPLING,
     ),
+    "position_error_rms": Metric(
+        "m",
+        "rms of the position error",
+        total(lambda i: jnp.square(position_error(i))),
+        root_mean,
+        FLYING,
+        Scope.VEHICLE,
+    ),
+    "position_error_max": Metric("m", "largest position error", peak(position_error), itself, FLYING, Scope.VEHICLE),
+    "tilt_max": Metric("rad", "largest tilt of body z", peak(lambda i: i.plant.tilt), itself, FLYING, Scope.VEHICLE),
+    "rotor_limited": Metric(
+        "1",
+        "share of time with a rotor at its limit",
+        total(lambda i: as_float(i.plant.rotor_limited, i.plant.tilt)),
+        mean,
+        FLYING,
+        Scope.VEHICLE,
+    ),
+    "lift_bounded": Metric(
+        "1",
+        "share of time with the wanted lift at its lower bound",
+        total(lambda i: as_float(i.plant.lift_bounded, i.plant.tilt)),
+        mean,
+        FLYING,
+        Scope.VEHICLE,
+    ),
 }
+BRIEF = ("error_rms", "error_max", "command_tv", "command_max", "outside_sliding", "sampling_ratio")
+"""Metrics of each channel that a plant of several reports unless the study names others."""
 
 
 @dataclass(frozen=True)
 class Measure:
-    """One metric over one window, under the name it has in results."""
+    """One metric of one channel (None: of the vehicle) over one window, under the name it has in results."""
 
     name: str
     kind: str
     window: Window
+    channel: int | None = 0
 
     @property
     def metric(self) -> Metric:
         """The streaming form."""
         return METRICS[self.kind]
 
+    def of(self, instant: Instant) -> Any:
+        """What the metric is updated with."""
+        return instant if self.channel is None else instant.channels[self.channel]
 
-def available(info_fields: tuple[str, ...]) -> list[str]:
-    """Names of the metrics that a controller with this info can have."""
-    return [name for name, metric in METRICS.items() if set(metric.needs) <= set(info_fields)]
+
+def available(channels: Mapping[str, Sequence[str]], vehicle: Sequence[str]) -> dict[str, tuple[str, int | None]]:
+    """Metrics that a loop can have: name -> kind and channel.
+
+    Args:
+        channels: Fields of the controller's info by channel; a plant of one channel has the empty name.
+        vehicle: Fields of the plant's own info.
+    """
+    found: dict[str, tuple[str, int | None]] = {}
+    for kind, metric in METRICS.items():
+        if metric.scope is Scope.VEHICLE:
+            if set(metric.needs) <= set(vehicle):
+                found[kind] = (kind, None)
+            continue
+        for index, (channel, fields) in enumerate(channels.items()):
+            if set(metric.needs) <= set(fields):
+                found[f"{kind}_{channel}" if channel else kind] = (kind, index)
+    return found
 
 
 def first_sample(window: Window, sample_time: float) -> int:
@@ -164,11 +236,11 @@ def first_sample(window: Window, sample_time: float) -> int:
     return max(0, -int(-(window.after / sample_time - 1e-9) // 1))
 
 
-def update_all(measures: tuple[Measure, ...], accumulators: tuple[Any, ...], sample: Sample, k: Scalar, t_s: float):
+def update_all(measures: tuple[Measure, ...], accumulators: tuple[Any, ...], instant: Instant, k: Scalar, t_s: float):
     """Every accumulator after sample k."""
     updated = []
     for measure, acc in zip(measures, accumulators, strict=True):
-        new = measure.metric.update(acc, sample, measure.window)
+        new = measure.metric.update(acc, measure.of(instant), measure.window)
         start = first_sample(measure.window, t_s)
         updated.append(new if start == 0 else jnp.where(k >= start, new, acc))
     return tuple(updated)

@@ -27,7 +27,13 @@ class Requirement:
         window, unit = self.measure.window, self.measure.metric.unit
         side = f"<= {self.maximum:g}" if self.maximum is not None else f">= {self.minimum:g}"
         after = f" after {window.after:g} s" if window.after > 0 else ""
-        return f"{self.measure.kind}{after} {side} {unit}".removesuffix(" 1")
+        return f"{self.measure.kind}{self.of_channel}{after} {side} {unit}".removesuffix(" 1")
+
+    @property
+    def of_channel(self) -> str:
+        """The channel's suffix in the measure's name, if any."""
+        rest = self.measure.name.removeprefix(self.measure.kind)
+        return rest.split("_after_")[0].split("_within_")[0]
 
     def margin(self, value: Scalar) -> Scalar:
         """Distance to the bound, in the metric's unit: negative where the requirement fails."""
@@ -37,15 +43,21 @@ class Requirement:
 
 
 def judge(
-    requirements: tuple[Requirement, ...], values: dict[str, Scalar], finite: Scalar
+    requirements: tuple[Requirement, ...], values: dict[str, Scalar], ended: Scalar
 ) -> tuple[Scalar, dict[str, Scalar]]:
-    """Outcome code (int32) and the margin of each requirement; -inf where the draw became non-finite."""
+    """Outcome code (int32) and the margin of each requirement; -inf where the draw ended early.
+
+    Args:
+        requirements: The requirements, the first failing one gives the code.
+        values: Every measure's value by name.
+        ended: The code of the run itself: OK, or why it ended early.
+    """
+    alive = ended == Outcome.OK
     outcome = jnp.full((), Outcome.OK, dtype=jnp.int32)
     margins: dict[str, Scalar] = {}
     for index, requirement in reversed(list(enumerate(requirements))):
         margin = requirement.margin(values[requirement.measure.name])
         failed = ~(margin >= 0.0)
         outcome = jnp.where(failed, Outcome.REQUIREMENT + index, outcome)
-        margins[requirement.name] = jnp.where(finite, margin, -jnp.inf)
-    outcome = jnp.where(finite, outcome, Outcome.NON_FINITE).astype(jnp.int32)
-    return outcome, margins
+        margins[requirement.name] = jnp.where(alive, margin, -jnp.inf)
+    return jnp.where(alive, outcome, ended).astype(jnp.int32), margins

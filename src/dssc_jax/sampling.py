@@ -1,6 +1,5 @@
 """Draw i of a study: it depends on (seed, i) only, never on the number of draws, the chunk or the device."""
 
-import zlib
 from collections.abc import Mapping, Sequence
 from functools import partial
 
@@ -8,14 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dssc_jax.numerics import stream
 from dssc_jax.study.laws import Law
 
 EDGE = 2.0**-53  # keeps quantiles of unbounded laws finite
-
-
-def stream(name: str) -> int:
-    """The number of a named factor's own random stream: adding a factor does not move the others."""
-    return zlib.crc32(name.encode())
 
 
 def draw_key(seed: int, index: jax.Array | int) -> jax.Array:

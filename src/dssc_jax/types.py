@@ -99,10 +99,15 @@ class Command(NamedTuple):
 
 
 class PlantInput(NamedTuple):
-    """What drives the plant: the command u_p after unmodelled dynamics, and the matched disturbance d [m/s]."""
+    """What drives the plant: the command u_p after unmodelled dynamics, and the matched disturbance d [m/s].
 
-    command: Scalar
-    disturbance: Scalar
+    Both are scalars for a plant of one channel, and tuples in the order of its channels otherwise; ``wind`` is a
+    ``Vec3`` [m/s] for plants that fly.
+    """
+
+    command: Any
+    disturbance: Any
+    wind: Any = None
 
 
 def extent(value: Any) -> tuple[float, float]:
@@ -111,13 +116,36 @@ def extent(value: Any) -> tuple[float, float]:
     return support if support is not None else (float(value), float(value))
 
 
+def nominal(value: Any) -> float:
+    """A number, or the median of the law that stands for it."""
+    return float(getattr(value, "median", value))
+
+
 def nothing(params: Params) -> Params:
     """The preparation that changes nothing."""
     return params
 
 
+def as_it_is(params: Params, state: State) -> State:
+    """The projection that changes nothing."""
+    return state
+
+
+def nothing_seen(params: Params, state: State, drive: PlantInput) -> tuple[()]:
+    """The monitor that sees nothing."""
+    return ()
+
+
+def never(params: Params, state: State) -> bool:
+    """The plant that does not break."""
+    return False
+
+
 class Plant(NamedTuple):
-    """A plant of relative degree two from command to y.
+    """A plant of relative degree two from each command to its output.
+
+    A plant of several channels (the UAV) names them; its measurement, input gain and input are then tuples in
+    that order. A plant of one channel deals in plain values.
 
     Args:
         params: NamedTuple type of the parameters.
@@ -127,14 +155,32 @@ class Plant(NamedTuple):
         input_gain: ``(params) -> k_p``, the high-frequency gain from command to y'' [1/s].
         velocities: Names of the state's fields that semi-implicit Euler advances first.
         prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
+        channels: Names of the channels; none for a plant of one.
+        angles: Channels whose output is an angle: its error is wrapped to (-pi, pi].
+        project: ``(params, state) -> state`` after each integrator step, back onto the state's manifold.
+        monitor: ``(params, state, input) -> info`` at each sample, a NamedTuple for metrics and people.
+        broken: ``(params, state) -> bool``: the model ends here (a singular attitude), the draw is frozen.
     """
 
     params: type
     init: Callable[[Params], State]
     derivative: Callable[[Params, State, PlantInput, Scalar], State]
-    measure: Callable[[Params, State], Measurement]
-    input_gain: Callable[[Params], Scalar]
+    measure: Callable[[Params, State], Any]
+    input_gain: Callable[[Params], Any]
     velocities: tuple[str, ...] = ()
+    prepare: Callable[[Params], Params] = nothing
+    channels: tuple[str, ...] = ()
+    angles: tuple[str, ...] = ()
+    project: Callable[[Params, State], State] = as_it_is
+    monitor: Callable[[Params, State, PlantInput], Info] = nothing_seen
+    broken: Callable[[Params, State], Any] = never
+
+
+class Preset(NamedTuple):
+    """A parameter type with an instance that a table overrides field by field."""
+
+    params: type
+    defaults: Any
     prepare: Callable[[Params], Params] = nothing
 
 
@@ -161,10 +207,10 @@ class Controller(NamedTuple):
 
 
 class Reference(NamedTuple):
-    """A desired trajectory: ``at(params, t) -> ReferencePoint``."""
+    """A desired trajectory: ``at(params, t) -> ReferencePoint``, or a tuple of them, one a channel."""
 
     params: type
-    at: Callable[[Params, Scalar], ReferencePoint]
+    at: Callable[[Params, Scalar], Any]
     prepare: Callable[[Params], Params] = nothing
 
 
@@ -201,6 +247,38 @@ class Wind(NamedTuple):
     init: Callable[[Params, jax.Array], State]
     step: Callable[[Params, State, jax.Array, Scalar, Scalar], State]
     value: Callable[[Params, State, Scalar], Any]
+    prepare: Callable[[Params], Params] = nothing
+
+
+class Sensor(NamedTuple):
+    """A sensor between one channel of the plant and its controller.
+
+    Args:
+        params: NamedTuple type of the parameters.
+        init: ``(params, measurement, key) -> state`` from the first true measurement.
+        step: ``(params, state, measurement, key, t, dt) -> (state, measurement)`` at each sample.
+        prepare: As in :class:`Plant`.
+    """
+
+    params: type
+    init: Callable[[Params, Measurement, jax.Array], State]
+    step: Callable[[Params, State, Measurement, jax.Array, Scalar, Scalar], tuple[State, Measurement]]
+    prepare: Callable[[Params], Params] = nothing
+
+
+class Differentiator(NamedTuple):
+    """Makes y' of y where only y is measured; stands between sensor and controller.
+
+    Args:
+        params: NamedTuple type of the parameters.
+        init: ``(params, measurement) -> state`` from the first measurement, whose velocity is not to be used.
+        step: ``(params, state, measurement, dt) -> (state, measurement)`` at each sample.
+        prepare: As in :class:`Plant`.
+    """
+
+    params: type
+    init: Callable[[Params, Measurement], State]
+    step: Callable[[Params, State, Measurement, Scalar], tuple[State, Measurement]]
     prepare: Callable[[Params], Params] = nothing
 
 
@@ -259,4 +337,5 @@ class Outcome(IntEnum):
 
     OK = 0
     NON_FINITE = 1
+    SINGULAR_ATTITUDE = 2
     REQUIREMENT = 10

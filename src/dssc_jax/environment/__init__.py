@@ -1,12 +1,23 @@
-"""What surrounds the loop: desired trajectories and disturbances. A new one is one file and one row here."""
+"""What surrounds the loop: desired trajectories, sensors, disturbances, wind. A new one is one file and one row."""
 
-from dssc_jax.environment import disturbances, references
-from dssc_jax.types import Registry, single
+from dssc_jax.environment import disturbances, references, waypoints
+from dssc_jax.environment.sensors import SENSORS
+from dssc_jax.environment.wind import WINDS
+from dssc_jax.types import Reference, Registry, single
+
+WAYPOINTS = Reference(waypoints.WaypointParams, waypoints.at, waypoints.curve)
 
 REFERENCES: Registry = {
     "zero": single(references.ZERO, "regulation to the origin"),
     "sine": single(references.SINE, "offset + amplitude sin(2 pi t/period + phase)"),
     "mission": references.MISSION_ENTRY,
+}
+TRAJECTORIES: Registry = {
+    "zero": single(references.HOVER, "hover at the origin, or at a given position"),
+    "hover": single(references.HOVER, "a fixed position and yaw"),
+    "steps": single(references.STEPS, "steps of position and yaw"),
+    "mission": single(references.WHOLE_MISSION, "the article's mission, all four axes"),
+    "waypoints": single(WAYPOINTS, "georeferenced waypoints, flown at bounded speed"),
 }
 DISTURBANCES: Registry = {
     "none": single(disturbances.NONE, "no disturbance"),
@@ -16,3 +27,5 @@ DISTURBANCES: Registry = {
     "filtered_noise": single(disturbances.FILTERED_NOISE, "Gauss-Markov noise, exactly sampled"),
     "partition": single(disturbances.PARTITION, "d_1 + d_2 + d_3 of (30), attaining the bounds of (A1)-(A3)"),
 }
+
+__all__ = ["DISTURBANCES", "REFERENCES", "SENSORS", "TRAJECTORIES", "WINDS"]

@@ -17,7 +17,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, cr
 
 from dssc_jax.errors import ConfigError, meant
 from dssc_jax.study.laws import Law, is_law, is_number, parse_law
-from dssc_jax.types import Entry, Quantity, Registry, Slot, nothing, single
+from dssc_jax.types import Entry, Preset, Quantity, Registry, Slot, nothing, single
 
 
 @dataclass
@@ -85,6 +85,12 @@ class FieldSpec:
         """Another parameter type of fixed kind."""
         return self.mark is None and hasattr(self.core, "_fields")
 
+    @property
+    def derived(self) -> bool:
+        """Not for tables: the model's ``prepare`` fills it."""
+        choice = isinstance(self.core, type) and (issubclass(self.core, Enum) or self.core is bool)
+        return self.mark is None and not self.nested and not choice
+
 
 @cache
 def field_specs(params: type) -> dict[str, FieldSpec]:
@@ -120,14 +126,13 @@ def number_type(quantity: Quantity, many: bool, optional: bool) -> Any:
 def table_model(params: type) -> type[BaseModel]:
     """The pydantic model of a table's plain fields; slots and nested tables are parsed on their own."""
     fields: dict[str, Any] = {}
-    defaults = getattr(params, "_field_defaults", {})
     for name, spec in field_specs(params).items():
-        if isinstance(spec.mark, Slot) or spec.nested:
+        if isinstance(spec.mark, Slot) or spec.nested or spec.derived:
             continue
         kind = number_type(spec.mark, spec.many, spec.optional) if isinstance(spec.mark, Quantity) else spec.core
         if isinstance(kind, type) and issubclass(kind, Enum):
             kind = Literal[tuple(member.value for member in kind)]  # type: ignore[valid-type]
-        fields[name] = (kind, defaults.get(name, ...))
+        fields[name] = (kind, ...)
     return create_model(params.__name__, __config__=ConfigDict(extra="forbid", strict=True), **fields)
 
 
@@ -163,6 +168,8 @@ def lookup(kind: Any, registry: Registry, path: str) -> Entry:
         found = getattr(importlib.import_module(module_name), attribute)
     except (ImportError, AttributeError, ValueError) as error:
         raise ConfigError(f"{path}.kind", f"cannot import '{kind}': {error}") from error
+    if hasattr(found, "_fields") and not isinstance(found, type) and not hasattr(found, "params"):
+        found = Preset(type(found), found)
     return found if isinstance(found, Entry) else single(found, "a user's own")
 
 
@@ -204,7 +211,9 @@ def parse_component(value: Any, registry: Registry, path: str, default: str | No
     model = member_of(entry, table, path)
     component = Component(kind, model, None)
     options = (entry.option,) if entry.option else ()
-    component.params = parse_params(table, getattr(model, "params", model), path, component, ("kind", *options))
+    also = ("kind", *options)
+    params = getattr(model, "params", model)
+    component.params = parse_params(table, params, path, component, also, getattr(model, "defaults", None))
     prepare = getattr(model, "prepare", nothing)
     try:
         component.params = prepare(component.params)
@@ -213,21 +222,41 @@ def parse_component(value: Any, registry: Registry, path: str, default: str | No
     return component
 
 
-def parse_params(table: dict[str, Any], params: Any, path: str, into: Component, also: tuple[str, ...] = ()) -> Any:
-    """An instance of a parameter type from its table; the meaning of each number is noted in ``into``."""
+def parse_params(
+    table: dict[str, Any], params: Any, path: str, into: Component, also: tuple[str, ...] = (), preset: Any = None
+) -> Any:
+    """An instance of a parameter type from its table; the meaning of each number is noted in ``into``.
+
+    Args:
+        table: The table, which is used up.
+        params: The parameter type.
+        path: Where the table stands.
+        into: Takes the meaning of each number.
+        also: Names that stood in the table and are valid, for messages.
+        preset: An instance whose values stand where the table is silent.
+
+    Raises:
+        ConfigError: with the path, the rule and the value of the first thing that is wrong.
+    """
     specs = field_specs(params)
-    defaults = getattr(params, "_field_defaults", {})
+    defaults = getattr(params, "_field_defaults", {}) if preset is None else preset._asdict()
     found: dict[str, Any] = {}
     for name, spec in specs.items():
         place = f"{path}.{name}"
-        if not isinstance(spec.mark, Slot) and not spec.nested:
-            continue
-        if name not in table:
-            if name not in defaults:
-                raise ConfigError(place, "is required and missing")
+        if spec.derived:
             found[name] = defaults[name]
             continue
-        value = table.pop(name)
+        if not isinstance(spec.mark, Slot) and not spec.nested:
+            continue
+        inner = defaults.get(name)
+        if name not in table:
+            chosen = isinstance(spec.mark, Slot) and spec.mark.default is not None
+            if not chosen and name not in defaults:
+                raise ConfigError(place, "is required and missing")
+            if not chosen and inner is None:
+                found[name] = None
+                continue
+        value = table.pop(name, {})
         if isinstance(spec.mark, Slot):
             if spec.mark.number is not None and (is_number(value) or is_law(value)):
                 first = next(iter(field_specs(spec.mark.registry[spec.mark.number].members[None])))
@@ -238,9 +267,11 @@ def parse_params(table: dict[str, Any], params: Any, path: str, into: Component,
             into.short.update(part.short)
             found[name] = part.params
         else:
-            found[name] = parse_params(as_table(value, place), spec.core, place, into)
+            found[name] = parse_params(as_table(value, place), spec.core, place, into, (), inner)
+    silent = {name: defaults[name] for name in specs if name in defaults and name not in found}
+    plain = {name: value.value if isinstance(value, Enum) else value for name, value in silent.items()}
     try:
-        checked = table_model(params).model_validate(table)
+        checked = table_model(params).model_validate(plain | table)
     except ValidationError as error:
         raise explain(error, [*specs, *also]).within_path(path) from None
     for name, spec in specs.items():

@@ -52,6 +52,7 @@ class MetricsTable(BaseModel):
     model_config = STRICT
     after: Finite = Field(default=0.0, ge=0.0)
     settling_band: Finite = Field(default=0.05, gt=0.0)
+    names: list[str] | None = None
 
 
 class RequirementTable(BaseModel):
@@ -124,8 +125,11 @@ class StudyTable(BaseModel):
     plant: dict[str, Any]
     controller: dict[str, Any]
     reference: dict[str, Any] = {"kind": "zero"}
+    sensor: dict[str, Any] = {"kind": "ideal"}
+    differentiator: dict[str, Any] = {"kind": "none"}
     unmodelled: dict[str, Any] = {"kind": "none"}
     disturbance: dict[str, Any] = {"kind": "none"}
+    wind: dict[str, Any] = {"kind": "none"}
     metrics: MetricsTable = MetricsTable()
     requirement: list[RequirementTable] = []
     sweep: dict[str, Annotated[tuple[float, ...], BeforeValidator(parse_axis)]] = {}

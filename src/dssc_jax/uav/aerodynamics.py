@@ -1,0 +1,42 @@
+"""Drag of structure and propellers (Appendix A).
+
+F_di = -K_Fdi |thetadot_i| (v_i - v_w) with v_i = v + R (Omega x p_bi). Summed over rotors only the moments of the
+speeds matter: sum w_i, sum w_i p_i and sum w_i p_i p_i^T, w_i = |thetadot_i|.
+"""
+
+from typing import NamedTuple
+
+from dssc_jax.types import Scalar
+from dssc_jax.uav.vehicle import Vehicle
+from dssc_jax.vectors import Mat3, Vec3
+
+
+class Drag(NamedTuple):
+    """F_drag, inertial [N], and tau_drag, body frame [N m]."""
+
+    force: Vec3
+    torque: Vec3
+
+
+def drag(vehicle: Vehicle, rotation: Mat3, rate: Vec3, air_velocity: Vec3, speeds: tuple[Scalar, ...]) -> Drag:
+    """Drag of structure and propellers.
+
+    Args:
+        vehicle: K_Fd, K_Fdi and the geometry.
+        rotation: R, body to inertial.
+        rate: Body rate Omega [rad/s].
+        air_velocity: v_r = v - v_w, inertial [m/s].
+        speeds: |thetadot_i| of each rotor [rad/s].
+    """
+    in_body = rotation.transpose @ air_velocity
+    structure = in_body.scale(Vec3(*vehicle.structure_drag)) * (-air_velocity.norm())
+    s, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for w, (x, y) in zip(speeds, vehicle.rotor_positions(), strict=True):
+        s, sx, sy = s + w, sx + w * x, sy + w * y
+        sxx, sxy, syy = sxx + w * x * x, sxy + w * x * y, syy + w * y * y
+    first = Vec3(sx, sy, 0.0)
+    k = vehicle.propeller_drag
+    propellers = (in_body * s + rate.cross(first)) * (-k)
+    # sum w_i p_i x (Omega x p_i) = sum w_i (|p_i|^2 Omega - (p_i . Omega) p_i)
+    spin = Vec3(syy * rate.x - sxy * rate.y, sxx * rate.y - sxy * rate.x, (sxx + syy) * rate.z)
+    return Drag(rotation @ (structure + propellers), (first.cross(in_body) + spin) * (-k))

@@ -1,0 +1,59 @@
+"""Control allocation: rotor thrusts from net thrust and moment by the pseudo-inverse of the geometry (Figure 1)."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.errors import ConfigError
+from dssc_jax.types import Scalar, nominal
+from dssc_jax.uav.vehicle import Vehicle
+from dssc_jax.vectors import Vec3
+
+
+class Thrusts(NamedTuple):
+    """Commanded thrusts f_i [N], and whether any of them is at a limit."""
+
+    each: tuple[Scalar, ...]
+    limited: Scalar
+
+
+def geometry(vehicle: Vehicle) -> np.ndarray:
+    """The matrix from thrusts to (f, M_x, M_y, M_z), (4, n_r), nominal: laws at their medians."""
+    plain = vehicle._replace(arm=nominal(vehicle.arm), torque_coefficient=nominal(vehicle.torque_coefficient))
+    x, y = np.array(plain.rotor_positions(), dtype=float).T
+    return np.stack([np.ones(vehicle.rotors), y, -x, np.asarray(plain.spins) * plain.torque_coefficient])
+
+
+def pseudo_inverse(vehicle: Vehicle) -> tuple[tuple[float, ...], ...]:
+    """Rows (f, M_x, M_y, M_z) -> f_i, one a rotor.
+
+    Raises:
+        ConfigError: the rotors cannot produce thrust and all three moments.
+    """
+    matrix = geometry(vehicle)
+    scale = np.linalg.norm(matrix, axis=1, keepdims=True)
+    rank = int(np.linalg.matrix_rank(matrix / scale, tol=1e-9))
+    if rank < 4:
+        raise ConfigError(
+            "spins", f"rotor_angles and spins must span thrust and three moments (yaw included), got rank {rank} of 4"
+        )
+    return tuple(tuple(float(value) for value in row) for row in np.linalg.pinv(matrix))
+
+
+def allocate(inverse: tuple[tuple[float, ...], ...], thrust: Scalar, moment: Vec3, limit: Scalar) -> Thrusts:
+    """Thrusts for the wanted net thrust [N] and moment [N m], each limited to [0, limit]."""
+    wanted = [row[0] * thrust + row[1] * moment.x + row[2] * moment.y + row[3] * moment.z for row in inverse]
+    each = tuple(jnp.clip(f, 0.0, limit) for f in wanted)
+    limited = jnp.zeros((), dtype=bool)
+    for f in wanted:
+        limited = limited | (f < 0.0) | (f > limit)
+    return Thrusts(each, limited)
+
+
+def net(vehicle: Vehicle, thrusts: tuple[Scalar, ...]) -> tuple[Scalar, Vec3]:
+    """f = sum f_i and M = sum p_bi x (f_i e3) + e3 sum s_i c_tau f_i."""
+    total, mx, my, mz = 0.0, 0.0, 0.0, 0.0
+    for f, (x, y), spin in zip(thrusts, vehicle.rotor_positions(), vehicle.spins, strict=True):
+        total, mx, my, mz = total + f, mx + y * f, my - x * f, mz + spin * f
+    return total, Vec3(mx, my, vehicle.torque_coefficient * mz)

@@ -1,0 +1,190 @@
+"""Sensors: the law of the noise, constant errors, delay and hold to the sample; and the contract."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dssc_jax.environment.sensors import IDEAL, MOST_DELAY, NOISY, SENSORS, NoisyParams
+from dssc_jax.errors import ConfigError
+from dssc_jax.study.components import parse_component
+from dssc_jax.study.laws import Law
+from dssc_jax.types import Measurement
+from tests.tolerances import ROUNDING
+
+DT = 0.01
+TABLES = [
+    {"kind": "ideal"},
+    {"kind": "noisy"},
+    {"kind": "noisy", "position_std": 0.1, "velocity_std": 0.2, "position_bias": 0.3, "velocity_bias": -0.4},
+    {"kind": "noisy", "position_std": 0.1, "delay_samples": 3, "period_samples": 2},
+]
+
+
+def floats(tree):
+    return jax.tree.map(lambda x: jnp.asarray(x, dtype=jnp.result_type(float)), tree)
+
+
+def path(sensor, params, y, y_dot, key, dt=DT):
+    """What the sensor delivers for a sequence of measurements, the stream of keys as in the loop."""
+    state = floats(sensor.init(params, Measurement(y[0], y_dot[0]), jax.random.fold_in(key, 0)))
+
+    def sample(state, now):
+        k, true = now
+        state, seen = sensor.step(params, state, true, jax.random.fold_in(key, k + 1), k * dt, dt)
+        return floats(state), jnp.stack(seen)
+
+    return jax.lax.scan(sample, state, (jnp.arange(len(y)), Measurement(y, y_dot)))[1].T
+
+
+def ramp(count):
+    k = jnp.arange(count, dtype=float)
+    return k + 1.0, -2.0 * k
+
+
+def delivered(params, count, seed=0):
+    """The path of a ramp; only the counts of samples are compiled in."""
+    counts = params.delay_samples, params.period_samples
+    return np.asarray(ramp_path(tuple(params[:4]), jax.random.key(seed), *counts, count))
+
+
+@functools.partial(jax.jit, static_argnums=(2, 3, 4))
+def ramp_path(numbers, key, delay, period, count):
+    return path(NOISY, NoisyParams(*numbers, delay, period), *ramp(count), key)
+
+
+def test_every_kind_has_a_case():
+    assert {table["kind"] for table in TABLES} == set(SENSORS)
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_contract(table):
+    component = parse_component(table, SENSORS, "sensor")
+    sensor, params = component.model, component.params
+
+    def two_steps(y, y_dot):
+        key = jax.random.key(3)
+        state = sensor.init(params, Measurement(y, y_dot), key)
+        state, _ = sensor.step(params, state, Measurement(y, y_dot), key, 0.0, DT)
+        return sensor.step(params, state, Measurement(0.9 * y, y_dot), key, DT, DT)
+
+    state, seen = jax.jit(two_steps)(1.0, -0.5)
+    assert isinstance(seen, Measurement)
+    first = sensor.init(params, Measurement(1.0, -0.5), jax.random.key(3))
+    assert jax.tree.structure(first) == jax.tree.structure(state)
+    for leaf in jax.tree.leaves((state, seen)):
+        assert jnp.shape(leaf) == ()
+        assert jnp.isfinite(leaf)
+
+    ys = jnp.linspace(-2.0, 2.0, 8)
+    batched = jax.jit(jax.vmap(two_steps, in_axes=(0, None)))(ys, 0.3)
+    for i, y in enumerate(ys):
+        for b, o in zip(jax.tree.leaves(batched), jax.tree.leaves(jax.jit(two_steps)(y, 0.3)), strict=True):
+            np.testing.assert_allclose(b[i] if jnp.ndim(b) else b, o, rtol=ROUNDING, atol=1e-13)
+
+    with jax.enable_x64(False):
+        for leaf in jax.tree.leaves(jax.eval_shape(two_steps, jnp.float32(1.0), jnp.float32(0.5))):
+            assert leaf.dtype == jnp.float32
+
+
+def test_ideal_is_the_identity():
+    true = Measurement(1.25, -0.5)
+    assert IDEAL.step(None, (), true, jax.random.key(0), 0.0, DT) == ((), true)
+
+
+def test_noise_has_the_stated_law():
+    """Over 100 000 samples of one draw; five standard deviations of each estimate."""
+    n, params = 100_000, NoisyParams(0.3, 0.02)
+    zero = jnp.zeros(n)
+    y, y_dot = np.asarray(jax.jit(lambda key: path(NOISY, params, zero, zero, key))(jax.random.key(1)))
+    for noise, std in ((y / 0.3, 1.0), (y_dot / 0.02, 1.0)):
+        assert abs(noise.mean()) < 5 / np.sqrt(n)
+        assert noise.std() == pytest.approx(std, abs=5 / np.sqrt(2 * n))
+        assert np.mean(noise**4) == pytest.approx(3.0, abs=5 * np.sqrt(96 / n))
+        for lag in (1, 2, 7):
+            assert abs(np.mean(noise[lag:] * noise[:-lag])) < 5 / np.sqrt(n)
+    assert abs(np.mean(y / 0.3 * y_dot / 0.02)) < 5 / np.sqrt(n)
+
+
+def test_noise_scales_and_adds_to_the_constant_errors():
+    """One key, one noise: twice the deviation is twice the noise, and the constant errors do not change it."""
+    y, y_dot = ramp(40)
+    one = delivered(NoisyParams(0.1, 0.2), 40) - np.stack([y, y_dot])
+    two = delivered(NoisyParams(0.2, 0.4, 5.0, -7.0), 40) - np.stack([y + 5.0, y_dot - 7.0])
+    np.testing.assert_allclose(two, 2.0 * one, atol=1e-13)
+    assert np.abs(delivered(NoisyParams(0.1, 0.2), 40, seed=4) - np.stack([y, y_dot]) - one).max() > 0.1
+
+
+def test_constant_errors_are_exact():
+    y, y_dot = ramp(40)
+    found = delivered(NoisyParams(position_bias=0.25, velocity_bias=-0.5), 40)
+    np.testing.assert_array_equal(found, [y + 0.25, y_dot - 0.5])
+
+
+@pytest.mark.parametrize(("delay", "period"), [(0, 1), (1, 1), (7, 1), (0, 5), (3, 2), (2, 4)])
+def test_delay_and_hold_to_the_sample(delay, period):
+    """Sample k shows the plant of the last multiple of the period not later than k - delay; before, the start."""
+    count = 40
+    shown = [max(0, (k - delay) // period * period) for k in range(count)]
+    expected = np.stack(ramp(count))[:, shown]
+    np.testing.assert_array_equal(delivered(NoisyParams(delay_samples=delay, period_samples=period), count), expected)
+
+
+def test_longest_delay():
+    count = MOST_DELAY + 20
+    shown = [max(0, k - MOST_DELAY) for k in range(count)]
+    found = delivered(NoisyParams(delay_samples=MOST_DELAY), count)
+    np.testing.assert_array_equal(found, np.stack(ramp(count))[:, shown])
+
+
+def test_noise_is_held_with_the_reading():
+    found = delivered(NoisyParams(0.1, 0.1, period_samples=4), 40).reshape(2, 10, 4)
+    np.testing.assert_array_equal(found, np.repeat(found[:, :, :1], 4, axis=2))
+    assert (np.abs(np.diff(found[0, :, 0] - np.arange(1.0, 40.0, 4))) > 0.0).all()
+
+
+def test_gradients_are_finite():
+    def seen(numbers, y, y_dot):
+        params = NoisyParams(*numbers, delay_samples=1, period_samples=2)
+        return path(NOISY, params, y * jnp.ones(6), y_dot * jnp.ones(6), jax.random.key(0)).sum()
+
+    for leaf in jax.tree.leaves(jax.jit(jax.grad(seen, argnums=(0, 1, 2)))((0.0, 0.1, 0.0, 0.2), 1.0, -0.5)):
+        assert jnp.isfinite(leaf)
+
+
+def test_laws_stand_in_the_numbers():
+    table = {"kind": "noisy", "position_std": {"uniform": [0.0, 0.1]}, "velocity_bias": {"normal": [0.0, 0.2]}}
+    component = parse_component(table, SENSORS, "sensor")
+    assert isinstance(component.params.position_std, Law)
+    assert component.quantities["sensor.velocity_bias"].unit == "m/s"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"kind": "nois"}, "sensor.kind: unknown kind 'nois'; did you mean 'noisy'?"),
+        ({"position_std": -0.1}, "sensor.position_std: standard deviation .* must be >= 0, got -0.1"),
+        ({"velocity_std": {"normal": [0.1, 0.1]}}, "sensor.velocity_std: .* must be >= 0, got .*support"),
+        ({"position_bias": float("nan")}, "sensor.position_bias: must be a finite number"),
+        ({"velocity_bias": "large"}, "sensor.velocity_bias: must be a finite number .* got 'large'"),
+        ({"delay_samples": -1}, "sensor.delay_samples: .* must be >= 0, got -1"),
+        ({"delay_samples": 201}, "sensor.delay_samples: .* must be <= 200, got 201"),
+        ({"delay_samples": 2.5}, "sensor.delay_samples: must be a whole number of samples, got 2.5"),
+        ({"delay_samples": {"uniform": [0, 3]}}, "sensor.delay_samples: must be a plain number here"),
+        ({"period_samples": 0}, "sensor.period_samples: .* must be >= 1, got 0"),
+        ({"period_samples": 1.5}, "sensor.period_samples: must be a whole number of samples, got 1.5"),
+        ({"delay_sample": 1}, "sensor.delay_sample: unknown name; did you mean 'delay_samples'?"),
+    ],
+)
+def test_bad_input_is_told_in_one_line(changes, message):
+    with pytest.raises(ConfigError, match=message.replace("?", r"\?")) as caught:
+        parse_component({"kind": "noisy", **changes}, SENSORS, "sensor")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_traced_count_is_told():
+    """The counts decide shapes; JAX's own error would name neither field nor rule."""
+    with pytest.raises(ConfigError, match="delay_samples: decides the shape of the state"):
+        jax.jit(lambda n: NOISY.init(NoisyParams(delay_samples=n), Measurement(0.0, 0.0), jax.random.key(0)))(2.0)

@@ -1,0 +1,399 @@
+"""Wind: closed forms, bad tables, and the statistics of Dryden turbulence against MIL-F-8785C at any step."""
+
+import math
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import linalg, optimize, special
+
+from dssc_jax.environment import wind
+from dssc_jax.environment.wind import WINDS
+from dssc_jax.errors import ConfigError
+from dssc_jax.study.components import parse_component
+from dssc_jax.vectors import Vec3
+from tests.tolerances import ROUNDING
+
+SIGMAS = 4.0
+"""Sampling errors by which a measured statistic may miss (one of 16 000 would by chance; the seeds are fixed)."""
+
+CLOCK = 1e-9
+"""Relative to the jump: rounding of t = k dt, divided by dt."""
+
+TABLES = {
+    "none": {},
+    "constant": {"x": 8.0, "y": -8.0, "z": 8.0, "at": 20.0},
+    "piecewise": {"times": [1.0, 2.0, 3.5], "x": [1.0, -2.0, 0.0], "y": [0.0, 4.0, 5.0], "z": [0.5, 0.0, -0.5]},
+    "gust": {"x": 3.0, "y": -1.0, "z": 0.5, "at": 2.0, "duration": 4.0, "mean_x": 1.0},
+    "dryden": {"speed": 8.0, "altitude": 3.0, "airspeed": 15.0, "direction": 0.7},
+}
+
+
+def parsed(table):
+    component = parse_component(table, WINDS, "wind")
+    return component.model, component.params
+
+
+def arrays(tree):
+    """A state as the loop carries it."""
+    return jax.tree.map(lambda x: jnp.asarray(x, dtype=jnp.result_type(float)), tree)
+
+
+def held_at(table, t, dt=0.01):
+    """The wind held over the sample [t, t + dt), seen at t."""
+    model, params = parsed(table)
+    key = jax.random.key(0)
+    state = model.step(params, model.init(params, key), key, t, dt)
+    return np.array([float(part) for part in model.value(params, state, t)])
+
+
+def test_every_kind_has_a_case():
+    assert set(TABLES) == set(WINDS)
+
+
+@pytest.mark.parametrize("kind", TABLES)
+def test_contract(kind):
+    """Vec3 of finite scalars, a state that a scan can carry, vmap equals a loop, gradients, float32 stays float32."""
+    model, params = parsed({"kind": kind, **TABLES[kind]})
+    numbers, tree = jax.tree.flatten(params)
+
+    def path(numbers, key):
+        """Every number traced, three samples from t = 2."""
+        params = tree.unflatten(numbers)
+
+        def sample(state, k):
+            return model.step(params, state, jax.random.fold_in(key, k + 1), 2.0 + 0.4 * k, 0.4), None
+
+        state, _ = jax.lax.scan(sample, arrays(model.init(params, key)), jnp.arange(3))
+        return state, model.value(params, state, 2.9)
+
+    keys = jax.random.split(jax.random.key(0), 8)
+    floats = [jnp.asarray(x, dtype=float) for x in numbers]
+    one_path = jax.jit(path)
+    state, velocity = one_path(floats, keys[0])
+    assert type(velocity) is Vec3
+    for leaf in jax.tree.leaves((state, velocity)):
+        assert jnp.shape(leaf) == ()
+        assert jnp.isfinite(leaf)
+
+    batches = [x * jnp.linspace(1.0, 1.2, 8) for x in floats]
+    batched = jax.jit(jax.vmap(path))(batches, keys)
+    for i in range(8):
+        one = one_path([x[i] for x in batches], keys[i])
+        for b, o in zip(jax.tree.leaves(batched), jax.tree.leaves(one), strict=True):
+            np.testing.assert_allclose(b[i], o, rtol=ROUNDING, atol=ROUNDING)
+
+    def energy(numbers):
+        return sum(jnp.square(part) for part in path(numbers, keys[0])[1])
+
+    for leaf in jax.tree.leaves(jax.jit(jax.grad(energy))(floats)):
+        assert jnp.isfinite(leaf)
+
+    with jax.enable_x64(False):
+        single = jax.eval_shape(path, [jnp.float32(x) for x in numbers], jax.random.key(0))
+        for leaf in jax.tree.leaves(single):
+            assert leaf.dtype == jnp.float32
+
+
+@pytest.mark.parametrize(
+    ("table", "t", "expected"),
+    [
+        ({"kind": "none"}, 5.0, (0, 0, 0)),
+        ({"kind": "constant", "x": 8, "y": -8, "z": 8}, 0.0, (8, -8, 8)),
+        ({"kind": "constant", **TABLES["constant"]}, 19.99, (0, 0, 0)),
+        ({"kind": "constant", **TABLES["constant"]}, 20.0, (8, -8, 8)),
+        ({"kind": "constant", **TABLES["constant"]}, 19.9975, (6, -6, 6)),  # mean of the sample
+        ({"kind": "piecewise", **TABLES["piecewise"]}, 0.5, (0, 0, 0)),
+        ({"kind": "piecewise", **TABLES["piecewise"]}, 1.0, (1, 0, 0.5)),
+        ({"kind": "piecewise", **TABLES["piecewise"]}, 1.99, (1, 0, 0.5)),
+        ({"kind": "piecewise", **TABLES["piecewise"]}, 1.995, (-0.5, 2, 0.25)),  # half of each
+        ({"kind": "piecewise", **TABLES["piecewise"]}, 2.0, (-2, 4, 0)),
+        ({"kind": "piecewise", **TABLES["piecewise"]}, 99.0, (0, 5, -0.5)),
+        ({"kind": "gust", **TABLES["gust"]}, 1.9, (1, 0, 0)),
+        ({"kind": "gust", **TABLES["gust"]}, 3.0, (1 + 1.5, -0.5, 0.25)),
+        ({"kind": "gust", **TABLES["gust"]}, 4.0, (1 + 3, -1, 0.5)),
+        ({"kind": "gust", **TABLES["gust"]}, 6.5, (1, 0, 0)),
+    ],
+)
+def test_values(table, t, expected):
+    np.testing.assert_allclose(held_at(table, t), expected, rtol=0, atol=8 * CLOCK)
+
+
+def test_gust_is_the_1_cosine():
+    ts = np.linspace(2.0, 6.0, 41)
+    shape = (1 - np.cos(2 * np.pi * (ts - 2.0) / 4.0)) / 2
+    found = np.array([held_at({"kind": "gust", **TABLES["gust"]}, t) for t in ts])
+    np.testing.assert_allclose(found, [1, 0, 0] + shape[:, None] * [3, -1, 0.5], rtol=0, atol=1e-14)
+
+
+def test_piecewise_means_within_one_long_sample():
+    """A sample that spans the whole table holds the table's mean: nothing is lost between samples."""
+    table = {"kind": "piecewise", **TABLES["piecewise"]}
+    mean = (1.0 * np.array([1, 0, 0.5]) + 1.5 * np.array([-2, 4, 0]) + 0.5 * np.array([0, 5, -0.5])) / 4.0
+    np.testing.assert_allclose(held_at(table, 0.0, 4.0), mean, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("change", "where", "rule"),
+    [
+        ({"times": [1.0, 3.0, 2.0]}, "wind.times.2", r"increase strictly: must be > 3, the one before, got 2"),
+        ({"times": [1.0, 1.0, 2.0]}, "wind.times.1", r"must be > 1, the one before, got 1"),
+        ({"times": [1.0, {"uniform": [0.5, 2.0]}, 3.0]}, "wind.times.1", r"must be > 1, the one before, got 0.5"),
+        ({"times": [-1.0, 1.0, 2.0]}, "wind.times", r"must be >= 0"),
+        ({"y": [0.0, 4.0]}, "wind.y", r"must hold 3 numbers, one for each of times, got 2"),
+        ({"times": [], "x": [], "y": [], "z": []}, "wind.times", r"at least one time"),
+        ({"x": [1.0, float("nan"), 0.0]}, "wind.x", r"finite number"),
+    ],
+)
+def test_bad_tables(change, where, rule):
+    with pytest.raises(ConfigError, match=rule) as error:
+        parsed({"kind": "piecewise", **TABLES["piecewise"], **change})
+    assert error.value.where == where
+
+
+@pytest.mark.parametrize(
+    ("kind", "change", "where"),
+    [
+        ("dryden", {"altitude": 2.0}, "wind.altitude"),
+        ("dryden", {"altitude": 400.0}, "wind.altitude"),
+        ("dryden", {"airspeed": 0.0}, "wind.airspeed"),
+        ("dryden", {"speed": -1.0}, "wind.speed"),
+        ("dryden", {"speed": {"normal": [6.0, 1.0]}}, "wind.speed"),
+        ("dryden", {"turbulence": -0.1}, "wind.turbulence"),
+        ("gust", {"duration": 0.0}, "wind.duration"),
+        ("constant", {"at": -1.0}, "wind.at"),
+    ],
+)
+def test_bad_numbers(kind, change, where):
+    with pytest.raises(ConfigError) as error:
+        parsed({"kind": kind, **TABLES[kind], **change})
+    assert error.value.where == where
+
+
+def dryden(**change):
+    return parsed({"kind": "dryden", **TABLES["dryden"], **change})
+
+
+def test_dryden_law():
+    """At 1000 ft the model's axes are alike; at 20 ft the mean is W20; in between, the formulas in feet."""
+    top = wind.dryden_law(dryden(altitude=304.8)[1])
+    np.testing.assert_allclose([top.length_uv, top.length_w], 304.8, rtol=ROUNDING)
+    np.testing.assert_allclose([top.sigma_uv, top.sigma_w], 0.8, rtol=ROUNDING)
+    low = wind.dryden_law(dryden(altitude=6.096, turbulence=2.0)[1])
+    assert float(low.mean) == pytest.approx(8.0, rel=ROUNDING)
+    assert low.sigma_w == pytest.approx(1.6, rel=ROUNDING)
+    assert low.sigma_uv == pytest.approx(1.6 / (0.177 + 0.01646) ** 0.4, rel=ROUNDING)
+    assert low.length_uv == pytest.approx(0.3048 * 20.0 / (0.177 + 0.01646) ** 1.2, rel=ROUNDING)
+    high = wind.dryden_law(dryden(altitude=150.0)[1])
+    assert float(high.mean) == pytest.approx(8.0 * math.log(150 / 0.3048 / 0.15) / math.log(20 / 0.15), rel=ROUNDING)
+
+
+STEPS = [1e-7, 1e-5, 1e-3, 0.03, 0.3, 0.999, 1.0, 1.001, 3.0, 20.0]
+
+
+@pytest.mark.parametrize("h", STEPS)
+def test_noise_factor_is_exact(h):
+    """L L' = int_0^h (1, s)(1, s)' exp(-2 s) ds, by incomplete gamma functions, in both precisions."""
+    a_a, b_a, b_b = (float(entry) for entry in jax.jit(wind.noise_factor)(h))
+    moments = [special.gammainc(n + 1, 2 * h) * math.factorial(n) / 2 ** (n + 1) for n in range(3)]
+    np.testing.assert_allclose([a_a**2, a_a * b_a, b_a**2 + b_b**2], moments, rtol=ROUNDING)
+    with jax.enable_x64(False):
+        single = jax.jit(wind.noise_factor)(jnp.float32(h))
+        assert all(entry.dtype == jnp.float32 for entry in single)
+        np.testing.assert_allclose(np.array(single, dtype=float), [a_a, b_a, b_b], rtol=2e-6)
+
+
+def test_transverse_filter_is_the_specified_one():
+    """Transition, stationary law and output of :class:`Transverse` belong to (1 + sqrt(3) s)/(1 + s)^2."""
+    matrix, h = np.array([[-1.0, 0.0], [1.0, -1.0]]), 0.37
+    step = partial(wind.transverse_step, h=h, n1=0.0, n2=0.0)
+    moved = np.array([step(wind.Transverse(*unit)) for unit in np.eye(2)]).T
+    np.testing.assert_allclose(moved, linalg.expm(matrix * h), rtol=ROUNDING, atol=ROUNDING)
+    factor = np.array([wind.transverse_init(*unit) for unit in np.eye(2)]).T
+    stationary = linalg.solve_continuous_lyapunov(matrix, -np.diag([1.0, 0.0]))
+    np.testing.assert_allclose(factor @ factor.T, stationary, rtol=ROUNDING)
+    out = np.array([wind.Transverse(*unit).output for unit in np.eye(2)])
+    assert out @ stationary @ out == pytest.approx(1.0, rel=ROUNDING)
+    for s in (0.3j, 1.0j, 5.0j):
+        transfer = out @ np.linalg.solve(s * np.eye(2) - matrix, [1.0, 0.0])
+        assert transfer == pytest.approx((1 + np.sqrt(3) * s) / (1 + s) ** 2, rel=ROUNDING)
+
+
+PATHS, BLOCK, BLOCKS = 1024, 0.06, 200
+"""Independent paths; seconds between records; records a path."""
+DIRECTION = TABLES["dryden"]["direction"]
+
+
+def in_wind_axes(velocity, direction):
+    """u, v, w of an inertial velocity."""
+    c, s = jnp.cos(direction), jnp.sin(direction)
+    return jnp.stack([c * velocity.x + s * velocity.y, c * velocity.y - s * velocity.x, velocity.z])
+
+
+def simulated(dt, paths=PATHS, block=BLOCK, blocks=BLOCKS, seed=1):
+    """Turbulence u, v, w over sigma at the start of each block, and its mean over each block: (paths, blocks, 3)."""
+    model, params = dryden()
+    law = wind.dryden_law(params)
+    sigma, mean = jnp.array([law.sigma_uv, law.sigma_uv, law.sigma_w]), jnp.array([law.mean, 0.0, 0.0])
+    inner = round(block / dt)
+
+    def path(key):
+        def sample(state, k):
+            state = model.step(params, state, jax.random.fold_in(key, k + 1), k * dt, dt)
+            return state, (in_wind_axes(model.value(params, state, k * dt), DIRECTION) - mean) / sigma
+
+        def record(carry, j):
+            state, first = sample(carry, j * inner)
+
+            def more(i, at):
+                state, x = sample(at[0], j * inner + i)
+                return state, at[1] + x
+
+            state, total = jax.lax.fori_loop(1, inner, more, (state, first))
+            return state, (first, total / inner)
+
+        return jax.lax.scan(record, arrays(model.init(params, jax.random.fold_in(key, 0))), jnp.arange(blocks))[1]
+
+    x, means = jax.jit(jax.vmap(path))(jax.random.split(jax.random.key(seed), paths))
+    return np.asarray(x), np.asarray(means)
+
+
+def correlation(lags, transverse):
+    """Autocorrelation of the Dryden form at lags in units of L/V."""
+    return np.exp(-lags) * (1 - 0.5 * transverse * lags)
+
+
+def dispersion(count, h, transverse):
+    """Variance of the mean of ``count`` samples h apart, in units of L/V, of a process of variance 1."""
+    k = np.arange(1, count)
+    return (1.0 + 2.0 * np.sum((1.0 - k / count) * correlation(k * h, transverse))) / count
+
+
+def with_error(samples):
+    """Mean over independent paths and its standard error."""
+    return samples.mean(), samples.std(ddof=1) / math.sqrt(len(samples))
+
+
+def measured_length(means, squares, count, dt, airspeed, transverse):
+    """L from the variance of means over ``count`` blocks, relative to the measured variance; with standard error."""
+    spans = means[:, : len(means[0]) // count * count].reshape(len(means), -1, count).mean(axis=2)
+    power, level = np.square(spans).mean(axis=1), squares.mean()
+    ratio = power.mean() / level
+    error = with_error(power - ratio * squares)[1] / level
+
+    def excess(length, target):
+        return dispersion(count * round(BLOCK / dt), dt * airspeed / length, transverse) - target
+
+    length, far = (optimize.brentq(excess, 0.1, 1e4, args=(target,)) for target in (ratio, ratio + error))
+    return length, far - length
+
+
+@pytest.mark.parametrize("dt", [0.001, 0.005, 0.02])
+def test_dryden_has_the_specified_statistics_at_any_step(dt):
+    """Standard deviation, autocorrelation and scale length of u, v, w, of independent paths with every error known."""
+    airspeed = TABLES["dryden"]["airspeed"]
+    law = wind.dryden_law(dryden()[1])
+    x, means = simulated(dt)
+    for i, (name, length) in enumerate(zip("uvw", (law.length_uv, law.length_uv, law.length_w), strict=True)):
+        transverse, time = name != "u", length / airspeed
+        squares = np.square(x[:, :, i]).mean(axis=1)
+        variance, error = with_error(squares)
+        print(f"\nT_s = {dt:g} s, {name}: sigma/spec {math.sqrt(variance):.4f} +- {0.5 * error:.4f}", end="")
+        assert error < 0.04
+        assert abs(variance - 1.0) < SIGMAS * error
+
+        found, error = measured_length(means[:, :, i], squares, round(3 * time / BLOCK), dt, airspeed, transverse)
+        print(f", L/spec {found / length:.4f} +- {error / length:.4f}, rho at", end="")
+        assert 0 < error < 0.08 * length
+        assert abs(found - length) < SIGMAS * error
+
+        for lag in (0.3, 1.0, 2.0, 4.0):
+            count = max(1, round(lag * time / BLOCK))
+            rho, error = with_error((x[:, count:, i] * x[:, :-count, i]).mean(axis=1))
+            exact = correlation(count * BLOCK / time, transverse)
+            print(f" {count * BLOCK / time:.2f}: {rho:.3f} ({exact:.3f}) +- {error:.3f}", end="")
+            assert error < 0.02
+            assert abs(rho - exact) < SIGMAS * error
+
+        ends = np.square(x[:, [0, 1, -1], i]).mean(axis=0)  # stationary from the first sample
+        assert np.all(np.abs(ends - 1.0) < SIGMAS * math.sqrt(2 / PATHS))
+    pairs = [(0, 1), (0, 2), (1, 2)]
+    for i, j in pairs:
+        cross, error = with_error((x[:, :, i] * x[:, :, j]).mean(axis=1))
+        assert abs(cross) < SIGMAS * error
+
+
+def test_dryden_spectrum():
+    """Hann periodograms against the specification's one-sided spectra in omega, folded at the Nyquist frequency."""
+    dt, count, airspeed = 0.02, 2048, TABLES["dryden"]["airspeed"]
+    law = wind.dryden_law(dryden()[1])
+    x, _ = simulated(dt, paths=384, block=dt, blocks=count, seed=2)
+    window = np.hanning(count)
+    power = np.square(np.abs(np.fft.rfft(x * window[:, None], axis=1))) * dt / (np.pi * np.sum(window**2))
+    omega = 2 * np.pi * np.fft.rfftfreq(count, dt)
+    fold = 2 * np.pi / dt * np.arange(1, 50)[:, None]
+
+    def spectrum(omega, time, transverse):
+        square = np.square(omega * time)
+        return time / np.pi * ((1 + 3 * square) / (1 + square) ** 2 if transverse else 2 / (1 + square))
+
+    for i, length in enumerate((law.length_uv, law.length_uv, law.length_w)):
+        form = partial(spectrum, time=length / airspeed, transverse=i > 0)
+        exact = form(omega) + form(fold - omega).sum(axis=0) + form(fold + omega).sum(axis=0)
+        for low, high in zip(*(np.geomspace(0.7, 150.0, 9)[cut] for cut in (slice(-1), slice(1, None))), strict=True):
+            band = (omega >= low) & (omega < high)
+            ratio, error = with_error((power[:, band, i] / exact[band]).mean(axis=1))
+            assert error < 0.04
+            assert abs(ratio - 1.0) < SIGMAS * error + 0.02  # the window's leakage
+
+
+def test_dryden_axes():
+    """The mean wind blows to ``direction``; u, v, w stand along, across and up; nothing before ``at``."""
+    model, params = dryden(direction=2.0, at=1.0)
+    law = wind.dryden_law(params)
+    still = wind.DrydenState(0.0, wind.Transverse(0.0, 0.0), wind.Transverse(0.0, 0.0), 1.0)
+    mean = float(law.mean) * np.array([math.cos(2.0), math.sin(2.0), 0.0])
+    np.testing.assert_allclose(np.array(model.value(params, still, 0.0)), mean, rtol=0, atol=1e-14)
+    gusty = still._replace(u=1.0, v=wind.Transverse(1.0, 0.0), w=wind.Transverse(0.0, 1.0))
+    found = in_wind_axes(model.value(params, gusty, 0.0) - Vec3(*mean), 2.0)
+    root3 = math.sqrt(3.0)
+    expected = [law.sigma_uv, root3 * law.sigma_uv, (1 - root3) * law.sigma_w]
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
+    assert not held_at({"kind": "dryden", **TABLES["dryden"], "at": 1.0}, 0.5).any()
+    assert held_at({"kind": "dryden", **TABLES["dryden"], "at": 1.0}, 1.0).all()
+
+
+def test_direction_may_be_random():
+    """A uniform law over the circle, its draws traced: mean and turbulence turn with it."""
+    model, params = dryden(direction={"uniform": [-math.pi, math.pi]})
+    directions = params.direction.quantile((np.arange(64) + 0.5) / 64)
+    key = jax.random.key(3)
+
+    def velocity(direction):
+        drawn = params._replace(direction=direction)
+        return in_wind_axes(model.value(drawn, model.step(drawn, model.init(drawn, key), key, 0.0, 0.005), 0.0), 0.0)
+
+    found = np.asarray(jax.jit(jax.vmap(velocity))(directions))
+    angle = np.unwrap(np.arctan2(found[:, 1], found[:, 0]))
+    np.testing.assert_allclose(angle - angle[0], directions - directions[0], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(np.hypot(found[:, 0], found[:, 1]), np.hypot(*found[0, :2]), rtol=ROUNDING)
+    np.testing.assert_allclose(found[:, 2], found[0, 2], rtol=ROUNDING)
+
+
+def test_dryden_in_single_precision_at_a_fine_step():
+    """High above ground at 1 ms, where h = V dt/L is 3e-5: finite, in float32, and of the right spread."""
+    with jax.enable_x64(False):
+        model, params = dryden(altitude=300.0, airspeed=10.0)
+
+        def path(key):
+            def sample(state, k):
+                return model.step(params, state, jax.random.fold_in(key, k), 0.0, 0.001), None
+
+            state, _ = jax.lax.scan(sample, arrays(model.init(params, key)), jnp.arange(100))
+            return model.value(params, state, 0.1).z
+
+        z = jax.jit(jax.vmap(path))(jax.random.split(jax.random.key(5), 4096))
+        assert z.dtype == jnp.float32
+    assert float(jnp.std(z)) == pytest.approx(0.8, rel=SIGMAS / math.sqrt(2 * 4096))
