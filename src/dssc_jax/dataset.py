@@ -16,7 +16,9 @@ NOT_COMPUTED = -1  # outcome of a lane whose block is not done
 
 def outcome_codes(study: Study) -> dict[int, str]:
     """Every outcome code that the study's draws can have, with its meaning."""
-    requirements = {Outcome.REQUIREMENT + i: f"failed_{r.measure.name}" for i, r in enumerate(study.requirements)}
+    requirements = {
+        Outcome.REQUIREMENT + i: f"failed_{r.name.removeprefix('margin_')}" for i, r in enumerate(study.requirements)
+    }
     broken = {int(Outcome.SINGULAR_ATTITUDE): "singular_attitude"} if len(study.loop.channels) > 1 else {}
     return {
         int(Outcome.OK): "ok",

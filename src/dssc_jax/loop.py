@@ -266,7 +266,7 @@ def step(loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Sc
         e = m.y - r.y
         samples.append(
             Sample(
-                t=t,
+                k=k,
                 dt=dt,
                 e=e,
                 sigma=m.y_dot - r.y_dot + params.controller[i].l0 * e,

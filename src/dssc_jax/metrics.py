@@ -3,6 +3,7 @@
 A metric is a pure ``init``, ``update`` and ``value``. It counts samples at t >= ``after`` only.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -10,17 +11,18 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
+from dssc_jax.numerics import root_abs
 from dssc_jax.types import Info, Scalar
 
 
 class Sample(NamedTuple):
     """What a metric sees of one sample instant.
 
-    ``u`` is the controller's robust part and ``u_previous`` that of the sample before (of the first sample:
-    itself); ``k_p`` is the input gain of the draw.
+    ``k`` is the sample's index, ``u`` the controller's robust part and ``u_previous`` that of the sample before (of
+    the first sample: itself); ``k_p`` is the draw's own input gain.
     """
 
-    t: Scalar
+    k: Scalar
     dt: Scalar
     e: Scalar
     sigma: Scalar
@@ -55,6 +57,14 @@ class Window:
     band: float = 0.05
 
 
+class Span(NamedTuple):
+    """What a finished accumulator is evaluated over: samples in the run, samples in the window, and T_s [s]."""
+
+    steps: int
+    inside: int
+    sample_time: float
+
+
 class Metric(NamedTuple):
     """A streaming measure.
 
@@ -63,8 +73,7 @@ class Metric(NamedTuple):
         meaning: Long name.
         update: ``(accumulator, sample, window) -> accumulator`` for a sample within the window; a metric of the
             vehicle gets the :class:`Instant`.
-        value: ``(accumulator, window, count, end) -> value``; ``count`` samples lay within the window, which
-            ended at ``end`` [s].
+        value: ``(accumulator, window, span) -> value``.
         needs: Fields of the controller's (the vehicle's) info without which the metric does not exist.
         scope: Whether it is of a channel or of the vehicle.
     """
@@ -72,7 +81,7 @@ class Metric(NamedTuple):
     unit: str
     meaning: str
     update: Callable[[Scalar, Any, Window], Scalar]
-    value: Callable[[Scalar, Window, int, float], Scalar]
+    value: Callable[[Scalar, Window, Span], Scalar]
     needs: tuple[str, ...] = ()
     scope: Scope = Scope.CHANNEL
 
@@ -87,30 +96,30 @@ def total(of: Callable[[Any], Scalar]) -> Callable[[Scalar, Any, Window], Scalar
     return lambda acc, sample, window: acc + of(sample)
 
 
-def itself(acc: Scalar, window: Window, count: int, end: float) -> Scalar:
+def itself(acc: Scalar, window: Window, span: Span) -> Scalar:
     """The accumulator."""
     return acc
 
 
-def mean(acc: Scalar, window: Window, count: int, end: float) -> Scalar:
+def mean(acc: Scalar, window: Window, span: Span) -> Scalar:
     """Mean over the window."""
-    return acc / count
+    return acc / span.inside
 
 
-def root_mean(acc: Scalar, window: Window, count: int, end: float) -> Scalar:
+def root_mean(acc: Scalar, window: Window, span: Span) -> Scalar:
     """Root of the mean over the window."""
-    return jnp.sqrt(acc / count)
+    return root_abs(acc / span.inside)
 
 
 def last_outside(acc: Scalar, sample: Sample, window: Window) -> Scalar:
-    """End of the last sample with |e| > band, counted from the window's start."""
-    outside = jnp.abs(sample.e) > window.band
-    return jnp.where(outside, sample.t + sample.dt - window.after, acc)
+    """Number of samples up to the last one with |e| > band; a count is exact in float32 up to 16 million."""
+    return jnp.where(jnp.abs(sample.e) > window.band, jnp.asarray(sample.k + 1, jnp.result_type(float)), acc)
 
 
-def settling(acc: Scalar, window: Window, count: int, end: float) -> Scalar:
-    """Infinite where the last sample was still outside."""
-    return jnp.where(acc >= (end - window.after) * (1.0 - 1e-12), jnp.inf, acc)
+def settling(acc: Scalar, window: Window, span: Span) -> Scalar:
+    """Time from the window's start to the end of the last sample outside; infinite where that is the run's last."""
+    time = jnp.maximum(acc * span.sample_time - window.after, 0.0)
+    return jnp.where(acc >= span.steps, jnp.inf, time)
 
 
 def sampling_ratio(sample: Sample) -> Scalar:
@@ -126,7 +135,7 @@ def sampling_ratio(sample: Sample) -> Scalar:
 
 def position_error(instant: Instant) -> Scalar:
     """Distance from the desired position; the first three channels are x, y, z."""
-    return jnp.sqrt(sum(jnp.square(sample.e) for sample in instant.channels[:3]))
+    return root_abs(sum(jnp.square(sample.e) for sample in instant.channels[:3]))
 
 
 def as_float(flag: Scalar, like: Scalar) -> Scalar:
@@ -233,7 +242,7 @@ def available(channels: Mapping[str, Sequence[str]], vehicle: Sequence[str]) -> 
 
 def first_sample(window: Window, sample_time: float) -> int:
     """Index of the first sample at t >= after, robust to rounding of t = k T_s."""
-    return max(0, -int(-(window.after / sample_time - 1e-9) // 1))
+    return max(0, math.ceil(window.after / sample_time - 1e-9))
 
 
 def update_all(measures: tuple[Measure, ...], accumulators: tuple[Any, ...], instant: Instant, k: Scalar, t_s: float):
@@ -249,6 +258,6 @@ def update_all(measures: tuple[Measure, ...], accumulators: tuple[Any, ...], ins
 def values(measures: tuple[Measure, ...], accumulators: tuple[Any, ...], steps: int, t_s: float) -> dict[str, Scalar]:
     """Every metric at the end of a run of ``steps`` samples."""
     return {
-        m.name: m.metric.value(acc, m.window, steps - first_sample(m.window, t_s), steps * t_s)
+        m.name: m.metric.value(acc, m.window, Span(steps, steps - first_sample(m.window, t_s), t_s))
         for m, acc in zip(measures, accumulators, strict=True)
     }

@@ -18,8 +18,13 @@ class Requirement:
 
     @property
     def name(self) -> str:
-        """Name of the margin in results."""
-        return f"margin_{self.measure.name}"
+        """Name of the margin in results; a lower bound says so."""
+        return f"margin_{self.measure.name}{'' if self.maximum is not None else '_min'}"
+
+    @property
+    def bound(self) -> float:
+        """The bound, whichever it is."""
+        return self.maximum if self.maximum is not None else self.minimum  # type: ignore[return-value]
 
     @property
     def text(self) -> str:

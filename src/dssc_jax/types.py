@@ -207,11 +207,15 @@ class Controller(NamedTuple):
 
 
 class Reference(NamedTuple):
-    """A desired trajectory: ``at(params, t) -> ReferencePoint``, or a tuple of them, one a channel."""
+    """A desired trajectory: ``at(params, t) -> ReferencePoint``, or a tuple of them, one a channel.
+
+    ``defaults`` is an instance of the parameters that stands where a table is silent.
+    """
 
     params: type
     at: Callable[[Params, Scalar], Any]
     prepare: Callable[[Params], Params] = nothing
+    defaults: Any = None
 
 
 class Disturbance(NamedTuple):

@@ -70,7 +70,7 @@ def test_implicit_identities_for_every_row(kind, record_property):
     worst, checked = 0.0, 0
     for _ in range(60):
         dt = float(10 ** rng.uniform(-4, -1.5))
-        state = DsscState(float(rng.normal()), float(rng.normal()), ())
+        state = DsscState(float(rng.normal()), float(rng.normal()), 0.0, ())
         held = False  # the sample before was not saturated, so that sigma_hat is its sigma
         before = state.sigma_hat
         for _ in range(6):
@@ -101,7 +101,7 @@ def test_implicit_identities_for_every_row(kind, record_property):
 def test_saturated_step():
     """u_0 = +-rho, and sigma_tilde+ = free -+ c rho."""
     gains = DsscGains(1.0, Constant(10.0, 0.1, 2.0), ConstantModulation(0.5))
-    state = DsscState(0.1, 0.0, ())
+    state = DsscState(0.1, 0.0, 0.0, ())
     dt = 0.01
     after, _, info = scheme_step(gains, state, 5.0, 0.0, dt)
     c = dt * 10.0 / ((1 + dt / 0.1) * (1 + dt / 2.0))

@@ -85,9 +85,9 @@ BAD = {
     ),
     "requirement after the end": (
         {"requirement": [{"metric": "error_rms", "after": 80.0, "max": 1.0}]},
-        "requirement.0.after: must be < duration",
+        "requirement.0.after: must be <= the time of the last sample",
     ),
-    "metrics after the end": ({"metrics.after": 90.0}, "metrics.after: must be < duration"),
+    "metrics after the end": ({"metrics.after": 90.0}, "metrics.after: must be <= the time of the last sample"),
     "unknown swept parameter": (
         {"sweep.plant.kp": [1.0]},
         r"sweep.plant.kp: unknown parameter; did you mean 'plant.k_p'",

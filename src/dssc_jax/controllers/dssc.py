@@ -6,8 +6,9 @@ clip is inactive sigma_hat+ = sigma to rounding and the command obeys the synthe
 form; explicit Euler chatters at every step size and is unstable for T_s > 2 tau_m or T_s > 2 tau_av.
 """
 
+from collections.abc import Callable
 from enum import StrEnum
-from typing import Annotated, NamedTuple
+from typing import Annotated, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -49,18 +50,20 @@ class DsscGains(NamedTuple):
 
 
 class DsscState(NamedTuple):
-    """Averaged control u_av [m/s], predictor sigma_hat [m/s], state of the modulation."""
+    """Averaged control u_av [m/s], predictor sigma_hat [m/s], the last sample's sigma [m/s], modulation's state."""
 
     u_av: Scalar
     sigma_hat: Scalar
+    sigma: Scalar
     modulation: State
 
 
 class DsscInfo(NamedTuple):
     """What the loop may report of one sample.
 
-    ``sliding_margin`` is rho - |u_eq| [m/s], u_eq being the u_0 that would bring sigma_tilde to 0 within the
-    sample: d_0/k_o of (20), discretised. The sliding condition holds where it is not negative.
+    ``sliding_margin`` is rho - |u_eq| [m/s] with u_eq = d_0/k_o of (20), discretised: in the implicit form the u_0
+    that brings sigma_tilde to 0 within the sample; in the explicit one, which never gets there, (20) with the
+    difference of the last two sigma. The sliding condition rho > |d_0|/k_o holds where it is not negative.
     """
 
     sigma_tilde: Scalar
@@ -83,13 +86,16 @@ class Sampled(NamedTuple):
     u_eq: Scalar
 
 
-def implicit_update(
-    sigma: Scalar, u_av: Scalar, sigma_hat: Scalar, rho: Scalar, at: StateFunctions, dt: Scalar
-) -> Sampled:
+Update: TypeAlias = Callable[[Scalar, DsscState, Scalar, StateFunctions, Scalar], Sampled]
+"""(sigma, state, rho, functions, T_s) -> filter and predictor after the sample."""
+
+
+def implicit_update(sigma: Scalar, state: DsscState, rho: Scalar, at: StateFunctions, dt: Scalar) -> Sampled:
     """Backward Euler of (15)-(18), solved exactly; the ratios stay finite where tau_av or tau_m vanish.
 
     The change u_0 - u_av is clipped, not u_0: in sliding nothing of the size of u_av is then subtracted.
     """
+    u_av, sigma_hat = state.u_av, state.sigma_hat
     keep = at.tau_av / (at.tau_av + dt)  # 1/(1+a)
     decay = at.tau_m / (at.tau_m + dt)  # 1/(1+b)
     c = dt * at.k_o * keep * decay
@@ -103,24 +109,23 @@ def implicit_update(
     )
 
 
-def explicit_update(
-    sigma: Scalar, u_av: Scalar, sigma_hat: Scalar, rho: Scalar, at: StateFunctions, dt: Scalar
-) -> Sampled:
+def explicit_update(sigma: Scalar, state: DsscState, rho: Scalar, at: StateFunctions, dt: Scalar) -> Sampled:
     """Forward Euler of (15)-(18) with sgn 0 = 0: the naive form, kept for comparison."""
-    decay = 1.0 - dt / at.tau_m
-    u_0 = rho * sign(sigma - sigma_hat)
-    u_eq = (sigma - decay * sigma_hat) / (dt * at.k_o) + u_av
-    return Sampled(u_0, u_av + dt / at.tau_av * (u_0 - u_av), sigma_hat * decay + dt * at.k_o * (u_0 - u_av), u_eq)
+    u_0 = rho * sign(sigma - state.sigma_hat)
+    change = u_0 - state.u_av
+    u_eq = ((sigma - state.sigma) / dt + sigma / at.tau_m) / at.k_o + state.u_av
+    sigma_hat = state.sigma_hat + dt * (at.k_o * change - state.sigma_hat / at.tau_m)
+    return Sampled(u_0, state.u_av + dt / at.tau_av * change, sigma_hat, u_eq)
 
 
 def init(gains: DsscGains, measurement: Measurement, reference: ReferencePoint) -> DsscState:
     """u_av = 0; sigma_hat = 0, or sigma of the first sample. It matters: a start at 0 adds about sigma/(k_o tau_av)."""
+    sigma = tracking_error(measurement, reference, gains.l0).sigma
     matched = gains.predictor_start == PredictorStart.MATCHED
-    sigma_hat = tracking_error(measurement, reference, gains.l0).sigma if matched else 0.0
-    return DsscState(0.0, sigma_hat, gains.rho.init())
+    return DsscState(0.0, sigma if matched else 0.0, sigma, gains.rho.init())
 
 
-def dssc(update) -> Controller:
+def dssc(update: Update) -> Controller:
     """DSSC with the given sampled form of filter and predictor."""
 
     def step(
@@ -141,7 +146,7 @@ def dssc(update) -> Controller:
             l0=gains.l0,
         )
         modulation, rho = gains.rho.at(state.modulation, signals, dt)
-        after = update(error.sigma, state.u_av, state.sigma_hat, rho, at, dt)
+        after = update(error.sigma, state, rho, at, dt)
         info = DsscInfo(
             sigma_tilde=error.sigma - after.sigma_hat,
             sigma_hat=after.sigma_hat,
@@ -151,7 +156,7 @@ def dssc(update) -> Controller:
             sliding_margin=rho - abs(after.u_eq),
             **at._asdict(),
         )
-        return DsscState(after.u_av, after.sigma_hat, modulation), Command(-after.u_av, u_nominal), info
+        return DsscState(after.u_av, after.sigma_hat, error.sigma, modulation), Command(-after.u_av, u_nominal), info
 
     return Controller(DsscGains, init, step)
 

@@ -23,6 +23,10 @@ class SmcInfo(NamedTuple):
     sliding_margin: Scalar
 
 
+class NoInfo(NamedTuple):
+    """The explicit relay never slides within a sample: there is no margin to tell."""
+
+
 def init(gains: SmcGains, measurement: Measurement, reference: ReferencePoint) -> tuple[()]:
     """No state."""
     return ()
@@ -33,12 +37,13 @@ def smc(implicit: bool) -> Controller:
 
     def step(
         gains: SmcGains, state: tuple[()], measurement: Measurement, reference: ReferencePoint, dt: Scalar
-    ) -> tuple[tuple[()], Command, SmcInfo]:
+    ) -> tuple[tuple[()], Command, SmcInfo | NoInfo]:
         error = tracking_error(measurement, reference, gains.l0)
         u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, 0.0)
         u_eq = -error.sigma / (dt * gains.k_n)
-        u = saturate(u_eq, gains.gain) if implicit else -gains.gain * sign(error.sigma)
-        return state, Command(u, u_nominal), SmcInfo(gains.gain - abs(u_eq))
+        if implicit:
+            return state, Command(saturate(u_eq, gains.gain), u_nominal), SmcInfo(gains.gain - abs(u_eq))
+        return state, Command(-gains.gain * sign(error.sigma), u_nominal), NoInfo()
 
     return Controller(SmcGains, init, step)
 

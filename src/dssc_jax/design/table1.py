@@ -12,7 +12,8 @@ from typing import Annotated, NamedTuple
 from dssc_jax.design.bounds import Bounds, Constants, derive, positive
 from dssc_jax.errors import ConfigError
 
-ROUNDING = 1e-9  # relative; slacks below it are equality, rounding of f - 1 included
+ROUNDING = 1e-12  # relative; slacks below it are equality
+ULPS = 16.0 * 2.0**-52  # a few roundings of the terms that cancel in f
 
 
 class Recipe(StrEnum):
@@ -72,6 +73,7 @@ class Inequality(NamedTuple):
         value: Left side.
         bound: Right side as derived; None where it has no meaning.
         printed_bound: Right side as printed.
+        rounding: Relative rounding error of the bound.
     """
 
     name: str
@@ -79,6 +81,7 @@ class Inequality(NamedTuple):
     value: float
     bound: float | None
     printed_bound: float | None
+    rounding: float = ROUNDING
 
     @property
     def slack(self) -> float | None:
@@ -95,7 +98,7 @@ class Inequality(NamedTuple):
         """Violated, boundary and satisfied told apart at rounding."""
         if self.bound is None or self.slack is None:
             return State.NOT_EVALUABLE
-        if abs(self.slack) <= ROUNDING * max(abs(self.value), abs(self.bound)):
+        if abs(self.slack) <= self.rounding * max(abs(self.value), abs(self.bound)):
             return State.BOUNDARY
         return State.SATISFIED if self.slack > 0.0 else State.VIOLATED
 
@@ -133,16 +136,21 @@ def f(k_p: float, eps: float, gamma: float) -> float:
     return 4.0 * eps * k_p * (gamma * k_p - 4.0 * eps**2)
 
 
+def f_rounding(k_p: float, eps: float, gamma: float) -> float:
+    """Absolute rounding error of f: its two terms cancel."""
+    return ULPS * 4.0 * eps * k_p * (gamma * k_p + 4.0 * eps**2)
+
+
 def kappa_c_bound(k_p: float, eps: float, gamma: float) -> float | None:
     """(8 eps^2 + 2 gamma k_p)/(f - 1); None where f <= 1, where it would turn negative and pass unseen."""
     excess = f(k_p, eps, gamma) - 1.0
-    return (8.0 * eps**2 + 2.0 * gamma * k_p) / excess if excess > ROUNDING else None
+    return (8.0 * eps**2 + 2.0 * gamma * k_p) / excess if excess > f_rounding(k_p, eps, gamma) else None
 
 
 def kappa_d_bound(k_p: float, eps: float, gamma: float) -> float | None:
     """(8 eps^2 gamma k_p + 4 eps^2)/f; None where f <= 0."""
     value = f(k_p, eps, gamma)
-    return (8.0 * eps**2 * gamma * k_p + 4.0 * eps**2) / value if value > 0.0 else None
+    return (8.0 * eps**2 * gamma * k_p + 4.0 * eps**2) / value if value > f_rounding(k_p, eps, gamma) else None
 
 
 def over_phi_b(first: float, second: float, factor: float, phi_b: float) -> float:
@@ -176,22 +184,25 @@ def inequalities(p: Parameters, bounds: Bounds) -> Iterator[Inequality]:
     k_p, k_max = bounds.k_min, bounds.k_max
     at = (k_p, p.eps, p.gamma)
     table = "Table 1"
-    yield Inequality("f", f"{table}: 4 eps k_p (gamma k_p - 4 eps^2) > 1", f(*at), 1.0, 1.0)
+    value, error = f(*at), ROUNDING + f_rounding(*at)
+    yield Inequality("f", f"{table}: 4 eps k_p (gamma k_p - 4 eps^2) > 1", value, 1.0, 1.0, error)
     yield Inequality("phi_b", f"{table}: phi_b > l0/eps", p.phi_b, p.l0 / p.eps, p.l0 / p.eps)
     lyapunov, drift = kappa_c_bound(*at), kappa_d_bound(*at)
-    yield Inequality("kappa_c (Lyapunov)", f"{table}, (75)", p.kappa_c, lyapunov, lyapunov)
+    yield Inequality(
+        "kappa_c (Lyapunov)", f"{table}, (75)", p.kappa_c, lyapunov, lyapunov, error / abs(value - 1.0 or 1.0)
+    )
     branches = (
         ("kappa_c (disturbance)", p.kappa_c, constants.kd3_bar, constants.k_sigma),
         ("kappa_b", p.kappa_b, constants.kd1_bar, k_max * bounds.c_ie),
         ("kappa_a (disturbance)", p.kappa_a, constants.kd2_bar, k_max * bounds.c_isigma),
     )
-    for name, value, first, second in branches:
+    for name, left, first, second in branches:
         derived = over_phi_b(first, second, 2.0 * p.eps, p.phi_b)
-        yield Inequality(name, f"{table}, Appendix F", value, derived, over_phi_b(first, second, 1.0, p.phi_b))
+        yield Inequality(name, f"{table}, Appendix F", left, derived, over_phi_b(first, second, 1.0, p.phi_b))
     yield Inequality(
         "kappa_a (kappa_b/l0)", f"{table}: kappa_a > kappa_b/l0", p.kappa_a, p.kappa_b / p.l0, p.kappa_b / p.l0
     )
-    yield Inequality("kappa_d", f"{table}, (75)", p.kappa_d, drift, drift)
+    yield Inequality("kappa_d", f"{table}, (75)", p.kappa_d, drift, drift, error / abs(value or 1.0))
 
 
 def synthesise(bounds: Bounds, free: Free, recipe: Recipe = Recipe.STRICT) -> Parameters:

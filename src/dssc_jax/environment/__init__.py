@@ -6,6 +6,7 @@ from dssc_jax.environment.wind import WINDS
 from dssc_jax.types import Reference, Registry, single
 
 WAYPOINTS = Reference(waypoints.WaypointParams, waypoints.at, waypoints.curve)
+SOCCER_FIELD = WAYPOINTS._replace(defaults=waypoints.SOCCER_FIELD)
 
 REFERENCES: Registry = {
     "zero": single(references.ZERO, "regulation to the origin"),
@@ -17,6 +18,7 @@ TRAJECTORIES: Registry = {
     "hover": single(references.HOVER, "a fixed position and yaw"),
     "steps": single(references.STEPS, "steps of position and yaw"),
     "mission": single(references.WHOLE_MISSION, "the article's mission, all four axes"),
+    "soccer_field": single(SOCCER_FIELD, "waypoints over a soccer field (made up), like the article's field test"),
     "waypoints": single(WAYPOINTS, "georeferenced waypoints, flown at bounded speed"),
 }
 DISTURBANCES: Registry = {

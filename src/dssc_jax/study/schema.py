@@ -36,6 +36,10 @@ class LoopTable(BaseModel):
     def _clock(self) -> "LoopTable":
         if self.sample_time > self.duration:
             raise ValueError(f"sample_time must be <= duration = {self.duration:g} s, got {self.sample_time:g}")
+        ratio = self.duration / self.sample_time
+        if abs(ratio - self.steps) > 1e-6 * ratio:
+            found = f"{self.duration:g}/{self.sample_time:g}"
+            raise ValueError(f"duration must be a whole number of sample times, got {found}")
         if self.steps >= 2**31:
             raise ValueError(f"duration/sample_time must be below 2^31 samples, got {self.steps}")
         return self

@@ -17,7 +17,7 @@ from dssc_jax.environment import DISTURBANCES, REFERENCES, SENSORS, TRAJECTORIES
 from dssc_jax.errors import ConfigError, meant
 from dssc_jax.integrators import Integrator
 from dssc_jax.loop import Loop, LoopParams, start, step
-from dssc_jax.metrics import BRIEF, METRICS, Measure, Scope, Window, available
+from dssc_jax.metrics import BRIEF, METRICS, Measure, Scope, Window, available, first_sample
 from dssc_jax.plants import PLANTS
 from dssc_jax.requirements import Requirement
 from dssc_jax.study.components import Component, as_table, explain, parse_component, parse_number
@@ -319,8 +319,7 @@ def measured(
 ) -> tuple[tuple[Measure, ...], tuple[Requirement, ...]]:
     """The metrics over the study's window, and one more for each requirement with its own."""
     base = Window(config.metrics.after, config.metrics.settling_band)
-    if config.metrics.after >= config.loop.duration:
-        raise ConfigError("metrics.after", f"must be < duration = {config.loop.duration:g} s, got {base.after:g}")
+    require_samples(config, base, "metrics.after")
     kinds = config.metrics.names if config.metrics.names is not None else default_kinds(several)
     for index, kind in enumerate(kinds):
         if kind not in METRICS:
@@ -335,19 +334,32 @@ def measured(
                 raise ConfigError(f"{place}.metric", f"'{table.metric}' needs {needs}, which this loop does not have")
             raise ConfigError(f"{place}.metric", f"unknown metric '{table.metric}'; {meant(table.metric, names)}")
         after = base.after if table.after is None else table.after
-        if after >= config.loop.duration:
-            raise ConfigError(f"{place}.after", f"must be < duration = {config.loop.duration:g} s, got {after:g}")
         window = Window(after, table.settling_band or base.band)
-        name = table.metric if window == base else f"{table.metric}_after_{after:g}"
+        require_samples(config, window, f"{place}.after")
+        name = table.metric if window == base else f"{table.metric}_after_{after:.12g}"
         if window.band != base.band:
-            name += f"_within_{window.band:g}"
+            name += f"_within_{window.band:.12g}"
         measures.setdefault(name, Measure(name, names[table.metric][0], window, names[table.metric][1]))
-        requirements.append(Requirement(measures[name], table.max, table.min))
+        requirement = Requirement(measures[name], table.max, table.min)
+        if any(requirement.name == other.name for other in requirements):
+            raise ConfigError(place, f"'{table.metric}' is bounded on this side already; keep the stricter one")
+        requirements.append(requirement)
     if config.plot.metric is not None and config.plot.metric not in measures:
         raise ConfigError(
             "plot.metric", f"unknown metric '{config.plot.metric}'; {meant(config.plot.metric, measures)}"
         )
     return tuple(measures.values()), tuple(requirements)
+
+
+def require_samples(config: StudyTable, window: Window, place: str) -> None:
+    """Require that a sample lies in the window.
+
+    Raises:
+        ConfigError: none does.
+    """
+    if first_sample(window, config.loop.sample_time) >= config.loop.steps:
+        last = (config.loop.steps - 1) * config.loop.sample_time
+        raise ConfigError(place, f"must be <= the time of the last sample {last:g} s, got {window.after:g}")
 
 
 def default_kinds(several: bool) -> tuple[str, ...]:
@@ -362,6 +374,8 @@ def check_axes(study: Study) -> None:
     Raises:
         ConfigError: otherwise.
     """
+    if not study.config.sweep:
+        return
     for name, values in study.config.sweep.items():
         if name.startswith("loop."):
             raise ConfigError(f"sweep.{name}", "the clock is fixed before tracing; run once per value with --set")
@@ -374,3 +388,24 @@ def check_axes(study: Study) -> None:
                 parse_number(value, study.quantities[name])
             except ValueError as error:
                 raise ConfigError(f"sweep.{name}", str(error)) from None
+    prepare_box(study)
+
+
+def prepare_box(study: Study) -> None:
+    """What spans several fields must hold for all swept values: they stand as laws in a trial of every part.
+
+    Raises:
+        ConfigError: it does not, or a swept number is one that is used up before tracing.
+    """
+    table = copy.deepcopy(study.table)
+    for name, values in study.config.sweep.items():
+        set_dotted(table, name, {"choice": list(values)})
+    for slot in {name.split(".")[0] for name in study.config.sweep}:
+        try:
+            if slot in PER_CHANNEL:
+                parse_channels(table[slot], slot, study.loop.channels)
+            else:
+                registry = "trajectory" if slot == "reference" and len(study.loop.channels) > 1 else slot
+                parse_component(table[slot], REGISTRIES[registry], slot)
+        except ConfigError as error:
+            raise error.within("sweep") from None
