@@ -165,8 +165,8 @@ def environment() -> dict[str, Any]:
     import jax
 
     from dssc_jax import xla
+    from dssc_jax.study.build import REGISTRIES
     from dssc_jax.study.components import field_specs
-    from dssc_jax.study.study import REGISTRIES
 
     kinds = {}
     for slot, registry in REGISTRIES.items():

@@ -9,7 +9,7 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.errors import ConfigError
 from dssc_jax.study.library import available
-from dssc_jax.study.study import set_dotted
+from dssc_jax.study.tables import set_dotted
 from tests.conftest import CASE_2, UNCERTAIN
 
 BAD = {

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from dssc_jax.design import Bounds, Free, Parameters, Recipe, synthesise
 from dssc_jax.errors import ConfigError, meant
 from dssc_jax.study.components import Component, as_table, parse_params
-from dssc_jax.study.study import read_toml
+from dssc_jax.study.tables import read_toml
 
 
 class DesignFile(NamedTuple):

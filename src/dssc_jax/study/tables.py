@@ -1,0 +1,75 @@
+"""Study files as plain tables: reading, overriding by dotted name, laying one over another."""
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from dssc_jax.errors import ConfigError
+from dssc_jax.study.laws import is_law
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """The content of a TOML file.
+
+    Raises:
+        ConfigError: it cannot be read, or is not TOML.
+    """
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(str(path), f"cannot be read: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(str(path), f"is not UTF-8 text: {error.reason} at byte {error.start}") from error
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise ConfigError(str(path), f"is not valid TOML: {str(error) or 'nested too deeply'}") from error
+
+
+def set_dotted(table: dict[str, Any], name: str, value: Any) -> None:
+    """Set ``table[a][b][c]`` for the name ``a.b.c``; missing tables are made, list items go by index.
+
+    Raises:
+        ConfigError: the name passes through a number, or beyond a list's end.
+    """
+    if name.startswith("sweep."):  # names of axes are dotted themselves
+        table.setdefault("sweep", {})[name.removeprefix("sweep.")] = value
+        return
+    *parents, last = name.split(".")
+    here: Any = table
+    for part in parents:
+        if isinstance(here, list) and part.isdigit() and int(part) < len(here):
+            here = here[int(part)]
+        elif isinstance(here, dict):
+            here = here.setdefault(part, {})
+        else:
+            raise ConfigError(name, f"leads nowhere: '{part}' is not in a table")
+    if isinstance(here, list) and last.isdigit() and int(last) < len(here):
+        here[int(last)] = value
+    elif isinstance(here, dict):
+        here[last] = value
+    else:
+        raise ConfigError(name, f"leads nowhere: '{last}' is not in a table")
+
+
+def merged(common: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    """``common`` with ``own`` on top, table by table; a table of another kind, or a law, replaces the common one."""
+    result = dict(common)
+    for name, value in own.items():
+        below = result.get(name)
+        if isinstance(value, dict) and isinstance(below, dict) and not is_law(value) and not is_law(below):
+            same_kind = value.get("kind", below.get("kind")) == below.get("kind")
+            result[name] = merged(below, value) if same_kind else value
+        else:
+            result[name] = value
+    return result
+
+
+def has_dotted(table: dict[str, Any], name: str) -> bool:
+    """Whether a table holds the dotted name, or a part of it that is no table."""
+    here: Any = table
+    for part in name.split("."):
+        if not isinstance(here, dict):
+            return True
+        if part not in here:
+            return False
+        here = here[part]
+    return True
