@@ -116,7 +116,7 @@ def test_bad_bounds():
         check(synthesise(BOUNDS, FREE), BOUNDS._replace(k_min=2.0))
     with pytest.raises(ConfigError, match=r"Hurwitz"):
         synthesise(BOUNDS._replace(zero_dynamics=ZeroDynamics((-1.0,), (1.0,))), FREE)
-    with pytest.raises(ConfigError, match=r"free.eps_1: must be > 0"):
+    with pytest.raises(ConfigError, match=r"free.eps_1: eps_1.* must be > 0"):
         synthesise(BOUNDS, FREE._replace(eps_1=0.0))
 
 

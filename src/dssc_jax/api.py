@@ -25,6 +25,7 @@ from dssc_jax.study import Study
 Progress = Callable[[int, int], None]
 """Called with the lanes done and the lanes in all."""
 
+MOST_KEPT = 5_000_000  # samples of a trajectory
 VERSIONS = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy", "xarray", "zarr")
 UNITS = {
     "y": ("m", "output y"),
@@ -105,12 +106,10 @@ def run(
     """
     layout = Layout.of(study, block) if block else Layout.of(study)
     folder = Path(out) if out is not None else None
-    sink = store.Store(folder, study, layout, resume) if folder else None
-    layout = sink.layout if sink else layout
     manifest = about_run(study, layout)
+    sink = store.Store(folder, study, layout, manifest, resume) if folder else None
+    layout = sink.layout if sink else layout
     dataset = in_memory(study) if sink is None else None
-    if folder:
-        store.write_json(folder / store.MANIFEST, manifest)
     began = time.perf_counter()
     pending = sink.pending() if sink else layout.blocks()
     engine = Engine(study, layout.lanes, tile, devices)
@@ -137,7 +136,7 @@ def run(
     if folder is None:
         assert dataset is not None
         return Result(study, dataset, manifest)
-    store.write_json(folder / store.MANIFEST, manifest)
+    store.write_json(folder / store.MANIFEST, manifest | {"layout": layout.to_dict()})
     result = load(folder)
     store.write_json(folder / store.SUMMARY, result.summary())
     return result
@@ -188,6 +187,10 @@ def simulate(study: Study, draw: int = 0, *, point: Mapping[str, float] | None =
     """
     if every < 1:
         raise ConfigError(study.source, f"every must be >= 1, got {every}")
+    every = min(every, study.loop.steps)
+    kept = -(-study.loop.steps // every)
+    if kept > MOST_KEPT:
+        raise ConfigError(study.source, f"a trajectory keeps at most {MOST_KEPT} samples, got {kept}; raise every")
     study = study if point else study.without_sweep()
     values = lane_values(study, draw, point or {})
 
@@ -203,7 +206,11 @@ def simulate(study: Study, draw: int = 0, *, point: Mapping[str, float] | None =
 
     with jax.enable_x64(study.config.loop.precision == 64):
         ended, recorded = jax.tree.map(np.asarray, jax.jit(one)(values, np.uint32(draw)))
+    failed_at = float(ended.failed_at)
     columns = trajectory_columns(study, recorded)
+    if not np.isnan(failed_at):  # what follows is the frozen state, which nobody flew
+        gone = recorded.instant.t >= failed_at
+        columns = {name: np.where(gone, np.nan, values) for name, values in columns.items()}
     described = {name: describe(name, study.loop.channels) for name in columns}
     code = int(ended.outcome)
     return xr.Dataset(
@@ -215,7 +222,7 @@ def simulate(study: Study, draw: int = 0, *, point: Mapping[str, float] | None =
             **values,
             "outcome": code,
             "outcome_meaning": outcome_codes(study)[code],
-            "failed_at": float(ended.failed_at),
+            "failed_at": failed_at,
             **{name: float(value) for name, value in {**ended.metrics, **ended.margins}.items()},
         },
     )
@@ -271,8 +278,9 @@ def replay(result: Result, draw: int, *, point: Mapping[str, float] | None = Non
         every: Keep every so-manieth sample.
 
     Returns:
-        As :func:`simulate`; the attribute ``deviation`` is the largest relative difference of a metric from the
-        stored one.
+        As :func:`simulate`; the attribute ``deviation`` is the largest relative difference of a metric, computed
+        again as a batch computes it, from the stored one: 0 on the same machine. ``trajectory_deviation`` is that of
+        the trajectory's own metrics, which another program computed: a few roundings.
 
     Raises:
         ConfigError: draw or point is not in the result.
@@ -292,8 +300,11 @@ def replay(result: Result, draw: int, *, point: Mapping[str, float] | None = Non
     found = simulate(study, draw, point=exact or None, every=every)
     stored = result.dataset.isel({**index, "draw": draw})
     again = lane_outcome(study, draw, lane_values(study, draw, exact))
-    gaps = [relative_gap(float(stored[m.name]), float(again[m.name])) for m in study.measures]
-    found.attrs["deviation"] = max(gaps)
+    names = [measure.name for measure in study.measures]
+    found.attrs["deviation"] = max(relative_gap(float(stored[name]), float(again[name])) for name in names)
+    found.attrs["trajectory_deviation"] = max(
+        relative_gap(float(stored[name]), float(found.attrs[name])) for name in names
+    )
     return found
 
 
@@ -303,11 +314,12 @@ def nearest(values: tuple[float, ...], wanted: float | None) -> int:
 
 
 def hardest(result: Result, draw: int) -> dict[str, int]:
-    """The sweep point at which the draw has its smallest margin; the first one without requirements."""
+    """The sweep point of the draw's smallest margin relative to its bound; the first one without requirements."""
     axes = list(result.study.axes)
     if not axes or not result.study.requirements:
         return dict.fromkeys(axes, 0)
-    margin = result.dataset[result.study.requirements[0].name].isel(draw=draw).values
+    margins = [result.dataset[r.name].isel(draw=draw).values / (abs(r.bound) or 1.0) for r in result.study.requirements]
+    margin = np.min(margins, axis=0)
     return dict(zip(axes, map(int, np.unravel_index(np.argmin(margin), margin.shape)), strict=True))
 
 

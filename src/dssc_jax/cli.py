@@ -1,7 +1,9 @@
 """The command line. Heavy imports wait until a command needs them, so that help is instant."""
 
 import json
+import math
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,6 +16,7 @@ if TYPE_CHECKING:
     from dssc_jax.results import Result
     from dssc_jax.study import Study
 
+FIGURES = (".png", ".svg", ".pdf")
 DONE, FAILS, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 app = typer.Typer(
@@ -56,8 +59,9 @@ EveryOption = Annotated[int, typer.Option("--every", metavar="K", min=1, help="K
 
 
 def say(text: str) -> None:
-    """For people: on stderr, so that stdout stays for results."""
-    print(text, file=sys.stderr)
+    """For people: one line on stderr, so that stdout stays for results; control characters are not passed on."""
+    line = " ".join(text.split())
+    print("".join(c if c.isprintable() else "?" for c in line), file=sys.stderr)
 
 
 def assignment(text: str, option: str) -> tuple[str, str]:
@@ -73,22 +77,34 @@ def parse_value(text: str) -> Any:
     import tomllib
 
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        found = tomllib.loads(f"value = {text}")
+    except ValueError:  # TOMLDecodeError is one, so are integers too long
         return text
+    return found["value"] if len(found) == 1 else text
 
 
 def parse_over(text: str) -> tuple[str, dict[str, list[Any]]]:
     """Name and axis of ``NAME=LO:HI:COUNT[:log]``."""
     name, value = assignment(text, "--over")
-    low, high, count, *rest = [*value.split(":"), "", "", ""][: max(3, len(value.split(":")))]
     try:
+        low, high, count, *rest = value.split(":")
         numbers = [float(low), float(high), int(count)]
     except ValueError:
         raise ConfigError("--over", f"must be NAME=LO:HI:COUNT[:log], got '{text}'") from None
     if rest not in ([], ["log"]):
         raise ConfigError("--over", f"after COUNT only ':log' may stand, got '{text}'")
     return name, {"logspace" if rest else "linspace": numbers}
+
+
+def parse_overs(texts: list[str]) -> dict[str, dict[str, list[Any]]]:
+    """The axes of all ``--over`` options."""
+    axes: dict[str, dict[str, list[Any]]] = {}
+    for text in texts:
+        name, axis = parse_over(text)
+        if name in axes:
+            raise ConfigError("--over", f"'{name}' is given twice")
+        axes[name] = axis
+    return axes
 
 
 def load_study(name: str, settings: list[str] | None, draws: int | None, seed: int | None, local: bool) -> "Study":
@@ -146,7 +162,9 @@ def run(
     as_json: JsonOption = False,
     allow_local: LocalOption = False,
 ) -> int:
-    """Simulate every draw of a study at its own values; its [sweep] is left aside.
+    """Simulate every draw at the study's own values.
+
+    The study's [sweep] is left aside.
 
     Prints the failure probability with its exact (Clopper-Pearson) interval, and writes a results folder. Draws that
     fail are outcomes: the exit code is 0.
@@ -168,14 +186,16 @@ def sweep(
     as_json: JsonOption = False,
     allow_local: LocalOption = False,
 ) -> int:
-    """Simulate every draw at every point of the study's [sweep], or of the axes given by --over.
+    """Simulate every draw at every point of a sweep.
+
+    The axes are those of the study's [sweep], or those given by --over.
 
     All points see the same draws. A swept value takes the place of the law of that parameter. Running the same study
     into the same folder again starts over, unless --resume is given; another study's folder is never touched.
     """
     found = load_study(study, settings, draws, seed, allow_local)
     if over:
-        found = found.override({"sweep": dict(parse_over(text) for text in over)})
+        found = found.override({"sweep": parse_overs(over)})
     if not found.axes:
         raise ConfigError(found.source, "has no [sweep]; add one, or --over NAME=LO:HI:COUNT")
     altered = bool(over or settings or draws is not None or seed is not None)
@@ -194,7 +214,10 @@ def simulate(
     as_json: JsonOption = False,
     allow_local: LocalOption = False,
 ) -> int:
-    """Simulate one draw at the study's own values and tell how it ended; --csv and --figure keep its trajectory."""
+    """Simulate one draw and keep its trajectory.
+
+    Values are the study's own. Tells how the draw ended; --csv and --figure keep the trajectory.
+    """
     from dssc_jax import api
 
     found = load_study(study, settings, None, seed, allow_local)
@@ -211,7 +234,9 @@ def replay(
     every: EveryOption = 1,
     as_json: JsonOption = False,
 ) -> int:
-    """Simulate one draw of a result again, and compare its metrics with the stored ones.
+    """Simulate one draw of a result again.
+
+    Its metrics are compared with the stored ones.
 
     In a sweep, --at picks the point (the nearest one); without it, the point where the draw's margin is smallest.
     """
@@ -224,7 +249,9 @@ def replay(
         try:
             point[name] = float(value)
         except ValueError:
-            raise ConfigError("--at", f"must be NAME=NUMBER, got '{text}'") from None
+            point[name] = math.nan
+        if not math.isfinite(point[name]):
+            raise ConfigError("--at", f"must be NAME=NUMBER, got '{text}'")
     return tell_trajectory(api.replay(load(result), draw, point=point or None, every=every), csv, figure, as_json)
 
 
@@ -232,6 +259,8 @@ def tell_trajectory(found: Any, csv: Path | None, figure: Path | None, as_json: 
     """Keep a trajectory as asked, and tell how the draw ended."""
     from dssc_jax.console import show_draw
 
+    if figure is not None and figure.suffix.lower() not in FIGURES:
+        raise ConfigError(str(figure), f"cannot be written: the name must end in one of {', '.join(FIGURES)}")
     if csv is not None:
         attempt(csv, lambda: found.to_dataframe().to_csv(csv, index_label="t"))
     if figure is not None:
@@ -241,7 +270,7 @@ def tell_trajectory(found: Any, csv: Path | None, figure: Path | None, as_json: 
     if as_json:
         from dssc_jax.console import jsonable
 
-        print(json.dumps(jsonable(found.attrs)))
+        print(json.dumps(jsonable(found.attrs), allow_nan=False))
     else:
         show_draw(found.attrs, [path for path in (csv, figure) if path is not None])
     return DONE
@@ -262,15 +291,19 @@ def check(
     ],
     as_json: JsonOption = False,
 ) -> int:
-    """Check the design inequalities of Table 1 over the whole interval of k_p; exit 1 unless all hold strictly."""
-    from dssc_jax.console import show_certificate
+    """Check Table 1's design inequalities.
+
+    They must hold strictly over the whole interval of k_p; exit 1 otherwise.
+    """
+    from dssc_jax.console import jsonable, show_certificate
     from dssc_jax.design import check as check_design
     from dssc_jax.study.design_file import load_design
 
     found = load_design(design)
     certificate = check_design(found.parameters, found.bounds)
     if as_json:
-        print(json.dumps({"design": found.name, "parameters": found.parameters._asdict(), **certificate.to_dict()}))
+        content = {"design": found.name, "parameters": found.parameters._asdict(), **certificate.to_dict()}
+        print(json.dumps(jsonable(content), allow_nan=False))
     else:
         show_certificate(found.name, found.parameters, certificate)
     return DONE if certificate.certified else FAILS
@@ -283,7 +316,13 @@ def studies(as_json: JsonOption = False) -> int:
     from dssc_jax.study import read_toml
     from dssc_jax.study.library import available
 
-    rows = [(name, str(read_toml(path).get("description", "")), str(path)) for name, path in available().items()]
+    rows = []
+    for name, path in available().items():
+        try:
+            about = str(read_toml(path).get("description", ""))
+        except ConfigError as error:
+            about = f"({error.rule})"
+        rows.append((name, about, str(path)))
     if as_json:
         print(json.dumps({"studies": [dict(zip(("name", "description", "path"), row, strict=True)) for row in rows]}))
     else:
@@ -293,7 +332,10 @@ def studies(as_json: JsonOption = False) -> int:
 
 @app.command()
 def info(as_json: JsonOption = False) -> int:
-    """Show versions, devices, compiler flags, and every kind of model with its fields."""
+    """Show versions, devices and every kind of model.
+
+    Each kind with its fields and options, and the compiler flags in force.
+    """
     from dssc_jax.console import environment, show_environment
 
     found = environment()
@@ -311,18 +353,25 @@ def main() -> None:
 
 def guarded(arguments: list[str]) -> int:
     """Run a command and turn what ends it into an exit code."""
+    warnings.filterwarnings("ignore", category=RuntimeWarning)  # numbers that overflow are outcomes, told as such
     try:
-        code = app(arguments, standalone_mode=False)
+        code = app(arguments or ["--help"], standalone_mode=False)
     except KeyboardInterrupt:
         code = INTERRUPTED
     except ConfigError as error:
-        say(f"error: {' '.join(str(error).split())}")
+        say(f"error: {error}")
+        return BAD_INPUT
+    except MemoryError:
+        say("error: not enough memory for so many draws, points or samples")
+        return BAD_INPUT
+    except OSError as error:
+        say(f"error: {error.filename or 'a file'}: {error.strerror or error}")
         return BAD_INPUT
     except Exception as error:
         usage = getattr(error, "format_message", None)  # typer's errors of usage
         if usage is None:
             raise
-        say(f"error: {' '.join(str(usage()).split())}")
+        say(f"error: {usage()}")
         return BAD_INPUT
     if code == INTERRUPTED:  # typer turns the signal into this code itself
         say("interrupted; what was finished is kept, --resume goes on from there")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -42,21 +43,26 @@ def progress_bar(study: "Study", quiet: bool) -> Iterator[Callable[[int, int], N
         TextColumn("left"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console, disable=quiet and not console.is_terminal) as bar:
-        task = bar.add_task(f"{study.name} (compiling)", total=None)
+    bar = Progress(*columns, console=console, disable=quiet and not console.is_terminal)
+    task = bar.add_task(f"{study.name} (compiling)", total=None)
 
-        def advance(done: int, total: int) -> None:
-            text = study.name if done else f"{study.name} (compiling)"
-            bar.update(task, completed=done, total=total, description=text)
+    def advance(done: int, total: int) -> None:
+        bar.start()  # not before the first call: bad input is told without a bar
+        text = study.name if done else f"{study.name} (compiling)"
+        bar.update(task, completed=done, total=total, description=text)
 
+    try:
         yield advance
+    finally:
+        if bar.live.is_started:
+            bar.stop()
 
 
 def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | None = None) -> None:
     """A plain table."""
-    table = Table(*head, title=title, title_justify="left", box=None, header_style="bold", pad_edge=False)
+    table = Table(*map(escape, head), title=title, title_justify="left", box=None, header_style="bold", pad_edge=False)
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(escape, row))
     output().print(table)
 
 
@@ -65,7 +71,7 @@ def show_result(result: "Result", figures: list[Path]) -> None:
     summary = result.summary()
     console = output()
     required = "; ".join(summary["requirements"]) or "that the draw stays finite"
-    console.print(f"[bold]{result.study.name}[/bold]  required: {required}")
+    console.print(f"[bold]{escape(result.study.name)}[/bold]  required: {escape(required)}")
     axes = list(result.study.axes)
     points = summary["points"]
     if not axes:
@@ -80,7 +86,8 @@ def show_result(result: "Result", figures: list[Path]) -> None:
         f"{times['seconds']:.1f} s, of which {times['compile_seconds']:.1f} s compiling; "
         f"{times['rate'] / 1e6:.0f} million draw samples a second"
     )
-    console.print(f"result  {result.path}\nfigures {', '.join(str(path) for path in figures)}", soft_wrap=True)
+    places = f"result  {result.path}\nfigures {', '.join(str(path) for path in figures)}"
+    console.print(places, soft_wrap=True, markup=False)
 
 
 def show_outcomes(point: dict[str, Any]) -> None:
@@ -90,7 +97,7 @@ def show_outcomes(point: dict[str, Any]) -> None:
         (name, *(f"{value:.4g}" if value is not None else "inf" for value in found.values()))
         for name, found in point["metrics"].items()
     ]
-    show_table(("metric (finite draws)", "5 %", "median", "95 %"), rows)
+    show_table(("metric (ended early: inf)", "5 %", "median", "95 %"), rows)
 
 
 def show_points(axes: list[str], points: list[dict[str, Any]], metric: str) -> None:
@@ -130,19 +137,19 @@ def show_grid(result: "Result", axes: list[str]) -> None:
 def show_draw(attributes: Mapping[str, Any], files: list[Path]) -> None:
     """How one draw ended, its drawn numbers and its metrics."""
     ended = str(attributes["outcome_meaning"]).replace("_", " ")
-    output().print(f"[bold]{attributes['study']}[/bold] draw {attributes['draw']}: {ended}")
+    output().print(f"[bold]{escape(str(attributes['study']))}[/bold] draw {attributes['draw']}: {ended}")
     skipped = {"study", "draw", "outcome", "outcome_meaning"}
     rows = [(name, f"{value:.6g}") for name, value in attributes.items() if name not in skipped]
     show_table(("number", "value"), rows)
     for path in files:
-        output().print(f"wrote {path}", soft_wrap=True)
+        output().print(f"wrote {path}", soft_wrap=True, markup=False)
 
 
 def show_certificate(name: str, parameters: "Parameters", certificate: "Certificate") -> None:
     """Every inequality with its slack."""
     console = output()
     verdict = "[green]certified[/green]" if certificate.certified else "[red]not certified[/red]"
-    console.print(f"[bold]{name}[/bold]: {verdict}")
+    console.print(f"[bold]{escape(name)}[/bold]: {verdict}")
     console.print("  ".join(f"{key}={value:.6g}" for key, value in parameters._asdict().items()))
     rows = []
     for i in certificate.inequalities:
@@ -151,13 +158,14 @@ def show_certificate(name: str, parameters: "Parameters", certificate: "Certific
     show_table(("inequality", "value", "must exceed", "slack", "printed slack", "state", "equation"), rows)
 
 
-def jsonable(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Numbers as JSON has them: NaN and infinity become null."""
-    plain = {}
-    for name, value in content.items():
-        value = value.item() if isinstance(value, np.generic) else value
-        plain[name] = None if isinstance(value, float) and not np.isfinite(value) else value
-    return plain
+def jsonable(content: Any) -> Any:
+    """Plain data as JSON has it: NaN and infinity become null."""
+    if isinstance(content, Mapping):
+        return {name: jsonable(value) for name, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [jsonable(value) for value in content]
+    value = content.item() if isinstance(content, np.generic) else content
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def environment() -> dict[str, Any]:
@@ -201,4 +209,4 @@ def show_environment(found: dict[str, Any]) -> None:
         for kind, about in kinds.items():
             options = "; ".join(f"{name}: {' | '.join(map(str, values))}" for name, values in about["options"].items())
             rows.append((kind, about["summary"], ", ".join(about["fields"]), options))
-        show_table((f"\\[{slot}]", "what", "fields", "options"), rows)
+        show_table((f"[{slot}]", "what", "fields", "options"), rows)

@@ -27,7 +27,7 @@ class ConfigError(ValueError):
 
 def meant(name: str, valid: Iterable[str]) -> str:
     """The end of a message about an unknown name: the nearest valid one, or all of them."""
-    names = sorted(valid)
+    names = sorted(map(str, valid))
     near = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
     if not near:  # the last part of a dotted path is what people remember
         tail = name.rpartition(".")[2]

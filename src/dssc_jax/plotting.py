@@ -1,5 +1,6 @@
 """Figures of results and trajectories. Each returns a matplotlib Figure; a failure probability shows its interval."""
 
+import textwrap
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, PercentFormatter
 
 from dssc_jax.metrics import Measure
-from dssc_jax.results import Result, headline
+from dssc_jax.results import Result, headline, upper_quantiles
 from dssc_jax.statistics import clopper_pearson
 
 # Okabe and Ito's palette, told apart with any colour vision
@@ -31,6 +32,7 @@ STYLE: dict[Any, Any] = {
     "savefig.dpi": 140,
 }
 SLIDE = (11.5, 5.6)  # inches
+DRAWABLE = 1e100  # larger numbers overflow in matplotlib's axes
 LOG_SPAN = 8.0  # axes whose positive values span more than this ratio are logarithmic
 
 
@@ -94,8 +96,17 @@ def limits(result: Result, measure: Measure) -> list[float]:
 
 def quantiles(result: Result, measure: Measure) -> np.ndarray:
     """5 %, 50 % and 95 % quantiles over draws, shape (3, axes...); draws without a value count as infinite."""
-    values = np.where(np.isnan(result.dataset[measure.name]), np.inf, result.dataset[measure.name])
-    return np.quantile(values, [0.05, 0.5, 0.95], axis=-1, method="inverted_cdf")
+    return upper_quantiles(result.dataset[measure.name].values, (0.05, 0.5, 0.95))
+
+
+def title(figure: Figure, text: str) -> None:
+    """A title in the user's own words: wrapped, and no mathematics read into it."""
+    figure.suptitle(textwrap.fill(text, 95), parse_math=False)
+
+
+def named(name: str, about: dict[str, Any]) -> str:
+    """An axis label: the dotted name, and what it means."""
+    return f"{name}\n{textwrap.fill(label(about), 42)}"
 
 
 @styled
@@ -143,7 +154,7 @@ def state_dependent(ax: Axes, run: xr.Dataset) -> None:
 def failures(result: Result) -> Figure:
     """A run without sweep: the distribution of the headline metric, and failures against each uncertain number."""
     measure = headline(result)
-    laws = list(result.study.laws)[:5]
+    laws = [name for name in result.study.laws if np.abs(result.dataset[name].values).max() < DRAWABLE][:5]
     columns = min(3, 1 + len(laws))
     rows = -(-(1 + len(laws)) // columns)
     figure = Figure(figsize=(SLIDE[0], 4.4 * rows if rows > 1 else SLIDE[1]), layout="constrained")
@@ -151,8 +162,9 @@ def failures(result: Result) -> Figure:
     for empty in axes[1 + len(laws) :]:
         empty.set_axis_off()
     values = result.dataset[measure.name].values
-    shown = np.sort(values[np.isfinite(values)])
-    axes[0].plot(shown, np.arange(1, len(shown) + 1) / values.size, color=BLUE)
+    shown = np.sort(values[np.abs(values) < DRAWABLE])
+    few = "o" if len(shown) < 20 else None
+    axes[0].plot(shown, np.arange(1, len(shown) + 1) / values.size, color=BLUE, marker=few)
     for limit in limits(result, measure):
         axes[0].axvline(limit, color=RED, linestyle="--", label="required")
     if shown.size:
@@ -165,9 +177,10 @@ def failures(result: Result) -> Figure:
         factor_panel(ax, result.dataset[name].values, failed)
         ax.set(xlabel=f"{name} [{result.dataset[name].attrs['units']}]", ylabel="failure probability")
     low, high = clopper_pearson(int(failed.sum()), failed.size)
-    figure.suptitle(
+    title(
+        figure,
         f"{result.study.name}: {failed.sum()} of {failed.size} draws fail; "
-        f"probability in [{low:.3g}, {high:.3g}], 95 % Clopper-Pearson"
+        f"probability in [{low:.3g}, {high:.3g}], 95 % Clopper-Pearson",
     )
     return figure
 
@@ -188,7 +201,7 @@ def factor_panel(ax: Axes, values: np.ndarray, failed: np.ndarray, bins: int = 8
 
 @styled
 def sweep(result: Result) -> Figure:
-    """A sweep over one axis as curves, over two as maps; further axes are left at their first value.
+    """A sweep over one axis as curves, over two as maps; further axes are held at their first value, and named.
 
     Raises:
         ValueError: the result has no sweep.
@@ -196,10 +209,17 @@ def sweep(result: Result) -> Figure:
     axes = list(result.study.axes)
     if not axes:
         raise ValueError("the result has no sweep; plot.failures shows a run")
-    fixed = dict.fromkeys(axes[2:], 0)
+    shown = [name for name in axes if len(result.study.axes[name]) > 1][:2] or axes[:1]
+    fixed = {name: 0 for name in axes if name not in shown}
     if fixed:
         result = Result(result.study, result.dataset.isel(fixed), result.manifest)
-    return curves(result, axes[0]) if len(axes) == 1 else maps(result, axes[0], axes[1])
+    return curves(result, shown[0]) if len(shown) == 1 else maps(result, shown[0], shown[1])
+
+
+def held(result: Result) -> str:
+    """The swept parameters that a figure holds at one value, for its title."""
+    left = [name for name in result.study.axes if name not in result.dataset.dims]
+    return "".join(f"; {name} = {result.dataset[name].item():g}" for name in left)
 
 
 def curves(result: Result, axis: str) -> Figure:
@@ -213,10 +233,19 @@ def curves(result: Result, axis: str) -> Figure:
     if several:
         panels[0].fill_between(x, low, high, color=BLUE, alpha=0.2, label="5 to 95 % of draws")
     panels[0].plot(x, middle, "o-", color=BLUE, label="median" if several else "simulated")
+    panels[0].set_xlim(x.min(), x.max()) if len(x) > 1 else None
+    if not np.isfinite(middle).any():
+        panels[0].text(0.5, 0.5, "no finite median", transform=panels[0].transAxes, ha="center")
     for limit in limits(result, measure):
         panels[0].axhline(limit, color=RED, linestyle="--", label="required")
     set_scale(panels[0], middle[np.isfinite(middle)], "y")
-    if result.study.config.plot.slope:
+    if (
+        result.study.config.plot.slope
+        and len(x) > 1
+        and (x > 0).all()
+        and (middle > 0).all()
+        and np.isfinite(middle).all()
+    ):
         add_slope(panels[0], x, middle)
     panels[0].set_ylabel(label(result.dataset[measure.name].attrs))
     panels[0].legend(frameon=False)
@@ -231,8 +260,8 @@ def curves(result: Result, axis: str) -> Figure:
     for ax in panels:
         set_scale(ax, x)
         mark_own_value(ax, result, axis, GREY)
-        ax.set_xlabel(f"{axis}\n{label(result.dataset[axis].attrs)}")
-    figure.suptitle(result.study.config.description or result.study.name)
+        ax.set_xlabel(named(axis, result.dataset[axis].attrs))
+    title(figure, f"{result.study.config.description or result.study.name}{held(result)}")
     return figure
 
 
@@ -262,14 +291,21 @@ def maps(result: Result, down: str, across: str) -> Figure:
     contour(left, x, y, share, 0.5, "-")
     contour(left, x, y, upper, 0.05, "--")
     figure.colorbar(image, ax=left, format=PercentFormatter(1.0), label=f"failure probability ({draws} draws)")
-    left.set_title("; ".join(r.text for r in result.study.requirements) or "the draw stays finite")
+    required = "; ".join(r.text for r in result.study.requirements) or "the draw stays finite"
+    left.set_title(textwrap.fill(required, 44), parse_math=False)
     middle = quantiles(result, measure)[1]
     finite = middle[np.isfinite(middle)]
     norm = "log" if is_log(finite) else "linear"
-    cap = limits(result, measure)[0] * 30 if limits(result, measure) and norm == "log" else None
+    upper_limits = [r.maximum for r in result.study.requirements if r.measure.name == measure.name and r.maximum]
+    cap = 30.0 * min(upper_limits) if upper_limits and norm == "log" else None
+    if not finite.size:
+        right.text(0.5, 0.5, "no finite median", transform=right.transAxes, ha="center")
     image = right.pcolormesh(x, y, middle, cmap="viridis", norm=norm, shading="nearest", **clip(finite, cap))
     figure.colorbar(
-        image, ax=right, label=f"median {label(result.dataset[measure.name].attrs)}", extend="max" if cap else "neither"
+        image,
+        ax=right,
+        label=f"median {label(result.dataset[measure.name].attrs)}",
+        extend="max" if clip(finite, cap) else "neither",
     )
     for limit in limits(result, measure):
         contour(right, x, y, middle, limit, "-")
@@ -285,17 +321,17 @@ def maps(result: Result, down: str, across: str) -> Figure:
         marked = [mark_own_value(ax, result, across, "white"), mark_own_value(ax, result, down, "white", "y")]
         if any(marked) and ax is left:
             keys.append(("the study's own value", ":"))
-        ax.set_xlabel(f"{across}\n{label(result.dataset[across].attrs)}")
-    left.set_ylabel(f"{down}\n{label(result.dataset[down].attrs)}")
+        ax.set_xlabel(named(across, result.dataset[across].attrs))
+    left.set_ylabel(named(down, result.dataset[down].attrs))
     handles = [Line2D([], [], color="black", linestyle=style, linewidth=1.8, label=text) for text, style in keys]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(keys), frameon=False)
-    figure.suptitle(result.study.config.description or result.study.name)
+    title(figure, f"{result.study.config.description or result.study.name}{held(result)}")
     return figure
 
 
 def clip(finite: np.ndarray, cap: float | None) -> dict[str, float]:
     """Colour limits: a diverging corner shall not flatten the rest."""
-    if cap is None or not finite.size or finite.max() <= cap:
+    if cap is None or not finite.size or not finite.min() < cap < finite.max():
         return {}
     return {"vmin": float(finite.min()), "vmax": cap}
 

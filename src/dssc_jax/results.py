@@ -1,5 +1,6 @@
 """The result of a study: every draw's metrics and outcome, and what they say together."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -43,7 +44,7 @@ class Result:
     def summary(self, confidence: float = CONFIDENCE) -> dict[str, Any]:
         """Failures, probability and exact interval of every sweep point, and quantiles of the metrics.
 
-        Quantiles are those of the finite draws; ``finite`` tells how many there are.
+        A draw that ended early has no metric and counts as infinite; ``finite`` tells how many did not.
         """
         times = self.manifest.get("times", {})
         return {
@@ -65,13 +66,8 @@ class Result:
         draws, failures = int(outcome.size), int(np.count_nonzero(outcome != Outcome.OK))
         metrics = {}
         for measure in self.study.measures:
-            values = self.dataset[measure.name].values[index]
-            values = values[~np.isnan(values)]
-            if values.size:  # "lower" and "higher" never average a finite with an infinite value
-                found = np.quantile(values, QUANTILES, method="inverted_cdf")
-                metrics[measure.name] = {
-                    f"q{100 * q:g}": finite_or_none(v) for q, v in zip(QUANTILES, found, strict=True)
-                }
+            found = upper_quantiles(self.dataset[measure.name].values[index], QUANTILES)
+            metrics[measure.name] = {f"q{100 * q:g}": finite_or_none(v) for q, v in zip(QUANTILES, found, strict=True)}
         return {
             **point,
             "draws": draws,
@@ -96,8 +92,8 @@ class Result:
             ConfigError: the folder holds something else.
         """
         path = Path(folder)
-        target = store.Store(path, self.study, Layout.of(self.study))
-        store.write_json(path / store.MANIFEST, self.manifest | {"layout": target.layout.to_dict()})
+        layout = Layout.of(self.study)
+        target = store.Store(path, self.study, layout, self.manifest | {"layout": layout.to_dict()})
         for block in target.layout.blocks():
             drawn = {name: self.dataset[name].values[block[-1]] for name in self.study.laws}
             grid = {name: self.dataset[name].values[block] for name in variables(self.study) if name not in drawn}
@@ -117,6 +113,14 @@ def load(folder: str | Path) -> Result:
         ConfigError: it is no results folder, it is damaged, or its run did not finish.
     """
     return Result(*store.read(Path(folder)), Path(folder))
+
+
+def upper_quantiles(values: np.ndarray, levels: Sequence[float]) -> np.ndarray:
+    """Quantiles along the last axis with draws without a value at infinity, shape (levels, ...).
+
+    Order statistics only: a finite value is never averaged with an infinite one.
+    """
+    return np.quantile(np.where(np.isnan(values), np.inf, values), levels, axis=-1, method="inverted_cdf")
 
 
 def headline(result: Result) -> Measure:

@@ -47,9 +47,28 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         raise ConfigError(str(path), f"is damaged, not valid JSON: {error}") from error
     if not isinstance(manifest, dict) or not {"schema", "study", "hash", "layout"} <= manifest.keys():
         raise ConfigError(str(path), "is damaged: schema, study, hash or layout is missing")
+    if not isinstance(manifest["study"], dict) or not isinstance(manifest["layout"], dict):
+        raise ConfigError(str(path), "is damaged: study and layout must be tables")
     if manifest["schema"] != SCHEMA:
         raise ConfigError(str(path), f"has schema version {manifest['schema']!r}, this program reads {SCHEMA}")
     return manifest
+
+
+def stored_layout(folder: Path, study: Study, manifest: dict[str, Any]) -> Layout:
+    """The layout that a manifest tells, checked against its study.
+
+    Raises:
+        ConfigError: they do not fit, or the study is not the one that was hashed.
+    """
+    place = str(folder / MANIFEST)
+    if manifest["hash"] != study.hash:
+        raise ConfigError(place, "is damaged: the study is not the one that its hash was taken of")
+    shape, block = (manifest["layout"].get(name) for name in ("shape", "block"))
+    sizes = [value for part in (shape, block) if isinstance(part, list) for value in part]
+    whole = all(isinstance(value, int) and value > 0 for value in sizes)
+    if not whole or shape != list(Layout.of(study).shape) or not isinstance(block, list) or len(block) != len(shape):
+        raise ConfigError(place, f"is damaged: the layout {manifest['layout']} does not fit the study")
+    return Layout.from_dict(manifest["layout"])
 
 
 def differences(old: Any, new: Any, path: str = "") -> list[str]:
@@ -68,28 +87,32 @@ class Store:
     Args:
         folder: Where; made when absent.
         study: The study as run.
-        layout: Its blocks.
+        layout: Its blocks; a resumed run keeps those it began with.
+        manifest: What manifest.json says until the run is complete.
         resume: Keep the blocks that an earlier run of the same study finished.
 
     Raises:
         ConfigError: the folder holds another study's results, or something that is no result.
     """
 
-    def __init__(self, folder: Path, study: Study, layout: Layout, resume: bool = False) -> None:
+    def __init__(
+        self, folder: Path, study: Study, layout: Layout, manifest: dict[str, Any], resume: bool = False
+    ) -> None:
         self.folder, self.study, self.layout = folder, study, layout
         occupied = folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
         if occupied:
             self._require_same_study()
         if occupied and resume:
-            self.group = open_group(folder, mode="r+")
-        else:
-            try:
-                folder.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise ConfigError(str(folder), f"cannot be made: {error.strerror}") from error
-            shutil.rmtree(folder / DATA, ignore_errors=True)
-            (folder / SUMMARY).unlink(missing_ok=True)
-            self.group = lay_out(folder, study, layout)
+            self.layout = stored_layout(folder, study, read_manifest(folder))
+            self.group = open_group(folder, mode="a")
+            if all(name in self.group for name in variables(study)):
+                return
+        folder.mkdir(parents=True, exist_ok=True)
+        shutil.rmtree(folder / DATA, ignore_errors=True)
+        (folder / SUMMARY).unlink(missing_ok=True)
+        self.layout = layout
+        write_json(folder / MANIFEST, manifest)  # before the data, so that an interrupted run is known as one
+        self.group = lay_out(folder, study, layout)
 
     def _require_same_study(self) -> None:
         if not self.folder.is_dir():
@@ -97,11 +120,11 @@ class Store:
         manifest = read_manifest(self.folder)
         if manifest["hash"] != self.study.hash:
             differing = differences(manifest["study"], self.study.table)
+            differing = differing or ["its hash differs"]
             shown = "; ".join(differing[:3]) + (f"; and {len(differing) - 3} more" if len(differing) > 3 else "")
             raise ConfigError(
                 str(self.folder), f"holds results of another study ({shown}); choose another --out, nothing was written"
             )
-        self.layout = Layout.from_dict(manifest["layout"])
 
     def pending(self) -> list[tuple[slice, ...]]:
         """Blocks that are not complete yet."""
@@ -175,14 +198,17 @@ def read(folder: Path) -> tuple[Study, xr.Dataset, dict[str, Any]]:
     """
     manifest = read_manifest(folder)
     study = Study.from_table(manifest["study"], str(folder / MANIFEST))
+    layout = stored_layout(folder, study, manifest)
     try:
-        layout = Layout.from_dict(manifest["layout"])
         dataset = xr.open_zarr(folder / DATA, consolidated=False, chunks=None).load()
     except Exception as error:  # zarr, its codecs and xarray raise errors of many kinds
         raise ConfigError(str(folder / DATA), f"is damaged: {one_line(error)}") from error
-    missing = [name for name in variables(study) if name not in dataset]
+    missing = [name for name in (*coordinates(study), *variables(study)) if name not in dataset.variables]
     if missing:
         raise ConfigError(str(folder / DATA), f"is damaged: {', '.join(missing)} missing")
+    sizes = {name: len(values) for name, values in coordinate_values(study).items()}
+    if dict(dataset.sizes) != sizes:
+        raise ConfigError(str(folder / DATA), f"is damaged: its dimensions are {dict(dataset.sizes)}, not {sizes}")
     unfinished = int(np.count_nonzero(dataset["outcome"].values == NOT_COMPUTED))
     if unfinished:
         total = dataset["outcome"].size

@@ -182,4 +182,5 @@ SSC = Entry(
     "smooth sliding control: DSSC with constant functions",
     "discretisation",
     Discretisation.IMPLICIT,
+    {"functions": {"kind": "constant"}},
 )

@@ -1,10 +1,12 @@
 """What is known of plant, disturbance, nominal control and reference (A0)-(A4), and the constants that follow."""
 
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple, get_type_hints
 
 from dssc_jax.errors import ConfigError
 from dssc_jax.types import Quantity
 from dssc_jax.zero_dynamics import ZeroDynamics, require_hurwitz
+
+MOST = 1e30  # numbers beyond it, or below its inverse, overflow in products of powers
 
 
 def known(unit: str, meaning: str) -> Quantity:
@@ -15,6 +17,27 @@ def known(unit: str, meaning: str) -> Quantity:
 def positive(unit: str, meaning: str) -> Quantity:
     """A positive number."""
     return Quantity(unit, meaning, above=0.0, law=False)
+
+
+def require_plain(numbers: Any) -> None:
+    """Require that every number is a plain one within its quantity's interval.
+
+    Raises:
+        ConfigError: with the field, the rule and the value.
+    """
+    for name, hint in get_type_hints(type(numbers), include_extras=True).items():
+        quantity = next((mark for mark in getattr(hint, "__metadata__", ()) if isinstance(mark, Quantity)), None)
+        if quantity is None:
+            continue
+        value = getattr(numbers, name)
+        for item in value if isinstance(value, tuple) else (value,):
+            if isinstance(item, bool) or not isinstance(item, int | float) or not abs(item) < MOST:
+                raise ConfigError(name, f"must be a plain number below {MOST:.0e}, got {item}")
+            if item != 0.0 and abs(item) < 1.0 / MOST:
+                raise ConfigError(name, f"must be 0 or at least {1.0 / MOST:.0e} in magnitude, got {item}")
+            broken = quantity.violated_by(item, item)
+            if broken:
+                raise ConfigError(name, f"{quantity.meaning} [{quantity.unit}] {broken}, got {item:g}")
 
 
 class Bounds(NamedTuple):
@@ -45,9 +68,11 @@ class Bounds(NamedTuple):
         Raises:
             ConfigError: k_min > k_max, or A_eta is not Hurwitz.
         """
+        require_plain(self)
         if self.k_min > self.k_max:
             raise ConfigError("k_min", f"must be <= k_max = {self.k_max:g}, got {self.k_min:g}")
         if self.zero_dynamics is not None:
+            require_plain(self.zero_dynamics)
             require_hurwitz(self.zero_dynamics)
         return self
 

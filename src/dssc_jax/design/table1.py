@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from enum import StrEnum
 from typing import Annotated, NamedTuple
 
-from dssc_jax.design.bounds import Bounds, Constants, derive, positive
+from dssc_jax.design.bounds import Bounds, Constants, derive, positive, require_plain
 from dssc_jax.errors import ConfigError
 
 ROUNDING = 1e-12  # relative; slacks below it are equality
@@ -175,6 +175,7 @@ def check(parameters: Parameters, bounds: Bounds) -> Certificate:
     Raises:
         ConfigError: the bounds contradict themselves.
     """
+    require_plain(parameters)
     return Certificate(tuple(inequalities(parameters, bounds.prepare())), derive(bounds, parameters.l0))
 
 
@@ -220,9 +221,10 @@ def synthesise(bounds: Bounds, free: Free, recipe: Recipe = Recipe.STRICT) -> Pa
         ConfigError: the bounds contradict themselves, or a free parameter is not positive.
     """
     bounds = bounds.prepare()
-    for name, value in free._asdict().items():
-        if not value > 0.0:
-            raise ConfigError(f"free.{name}", f"must be > 0, got {value}")
+    try:
+        require_plain(free)
+    except ConfigError as error:
+        raise error.within_path("free") from None
     recipe = Recipe(recipe)
     k_p, k_max, eps = bounds.k_min, bounds.k_max, free.eps
     factor, grow = (max(1.0, 2.0 * eps), 1.0 + free.slack) if recipe is Recipe.STRICT else (1.0, 1.0)

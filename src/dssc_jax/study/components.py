@@ -5,7 +5,9 @@ and what stands when it is absent. A validated table becomes the chosen model an
 type, whose leaves are numbers and laws.
 """
 
+import contextlib
 import importlib
+import sys
 import types
 import typing
 from dataclasses import dataclass, field
@@ -17,6 +19,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, cr
 
 from dssc_jax.errors import ConfigError, meant
 from dssc_jax.study.laws import Law, is_law, is_number, parse_law
+from dssc_jax.study.tables import merged
 from dssc_jax.types import Entry, Preset, Quantity, Registry, Slot, nothing, single
 
 
@@ -165,12 +168,19 @@ def lookup(kind: Any, registry: Registry, path: str) -> Entry:
         raise ConfigError(f"{path}.kind", f"unknown kind '{kind}'; {meant(kind, registry)}")
     module_name, _, attribute = kind.partition(":")
     try:
-        found = getattr(importlib.import_module(module_name), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ConfigError(f"{path}.kind", f"cannot import '{kind}': {error}") from error
+        with contextlib.redirect_stdout(sys.stderr):
+            found = getattr(importlib.import_module(module_name), attribute)
+    except (Exception, SystemExit) as error:  # a module's own code may raise anything
+        raise ConfigError(f"{path}.kind", f"cannot import '{kind}': {type(error).__name__}: {error}") from error
     if hasattr(found, "_fields") and not isinstance(found, type) and not hasattr(found, "params"):
         found = Preset(type(found), found)
-    return found if isinstance(found, Entry) else single(found, "a user's own")
+    if isinstance(found, Entry):
+        return found
+    contract = type(next(iter(next(iter(registry.values())).members.values())))
+    if not isinstance(found, contract) or (contract is type and not hasattr(found, "_fields")):
+        wanted = "a NamedTuple type" if contract is type else f"a {contract.__name__}"
+        raise ConfigError(f"{path}.kind", f"'{kind}' must be {wanted}, got {type(found).__name__}")
+    return single(found, "a user's own")
 
 
 def member_of(entry: Entry, table: dict[str, Any], path: str) -> Any:
@@ -179,7 +189,7 @@ def member_of(entry: Entry, table: dict[str, Any], path: str) -> Any:
         return entry.members[None]
     choice = table.pop(entry.option, entry.default)
     for key, member in entry.members.items():
-        if choice == key:
+        if choice == key and not isinstance(choice, bool):
             return member
     valid = [key.value for key in entry.members]
     hint = meant(choice, valid) if isinstance(choice, str) else f"valid are {', '.join(map(str, valid))}"
@@ -208,6 +218,7 @@ def parse_component(value: Any, registry: Registry, path: str, default: str | No
     if kind is None:
         raise ConfigError(f"{path}.kind", f"is required and missing; valid names are {', '.join(sorted(registry))}")
     entry = lookup(kind, registry, path)
+    table = merged(entry.silent, table)
     model = member_of(entry, table, path)
     component = Component(kind, model, None)
     options = (entry.option,) if entry.option else ()

@@ -41,6 +41,11 @@ def parse_design(table: dict[str, Any], name: str) -> DesignFile:
     for key in table:
         if key not in TABLES:
             raise ConfigError(key, f"unknown name; {meant(key, TABLES)}")
+    name = table.get("name", name)
+    if not isinstance(name, str):
+        raise ConfigError("name", f"must be text, got {name!r}")
+    if "recipe" in table and "parameters" in table:
+        raise ConfigError("recipe", "belongs to [free]; the parameters are given")
     if ("parameters" in table) == ("free" in table):
         raise ConfigError("", "needs [bounds] and exactly one of [parameters] and [free]")
     bounds = plain(table, Bounds, "bounds")
@@ -49,11 +54,11 @@ def parse_design(table: dict[str, Any], name: str) -> DesignFile:
     except ConfigError as error:
         raise error.within_path("bounds") from None
     if "parameters" in table:
-        return DesignFile(table.get("name", name), bounds, plain(table, Parameters, "parameters"))
+        return DesignFile(name, bounds, plain(table, Parameters, "parameters"))
     recipe = table.get("recipe", Recipe.STRICT.value)
     if recipe not in list(Recipe):
         raise ConfigError("recipe", f"must be strict or printed, got {recipe!r}")
-    return DesignFile(table.get("name", name), bounds, synthesise(bounds, plain(table, Free, "free"), Recipe(recipe)))
+    return DesignFile(name, bounds, synthesise(bounds, plain(table, Free, "free"), Recipe(recipe)))
 
 
 def plain(table: dict[str, Any], kind: type, path: str) -> Any:

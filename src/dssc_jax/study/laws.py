@@ -94,7 +94,10 @@ LAWS: dict[str, LawKind] = {
     "truncated_normal": LawKind(
         "[mean, std, lo, hi]",
         (4,),
-        ("std must be positive and lo below hi", lambda a: a[1] > 0.0 and a[2] < a[3]),
+        (
+            "std must be positive, lo below hi, and [lo, hi] within 37 std of the mean",
+            lambda a: a[1] > 0.0 and a[2] < a[3] and a[2] < a[0] + 37.0 * a[1] and a[3] > a[0] - 37.0 * a[1],
+        ),
         lambda a: (a[2], a[3]),
         truncated_quantile,
     ),
@@ -161,7 +164,12 @@ class Law:
 
 def is_number(value: Any) -> bool:
     """A finite int or float, and not a bool."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    try:
+        return math.isfinite(float(value))
+    except OverflowError:  # an integer of more than 308 digits
+        return False
 
 
 def is_law(value: Any) -> bool:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from dssc_jax.errors import ConfigError, meant
 
+LONGEST = 255
 PACKAGED = Path(__file__).parents[1] / "_studies"
 CHECKOUT = Path(__file__).parents[3] / "studies"
 
@@ -33,6 +34,8 @@ def find(name: str) -> Path:
         ConfigError: there is none.
     """
     path = Path(name)
+    if len(path.name) > LONGEST:
+        raise ConfigError(f"{name[:40]}...", f"is longer than a file's name can be ({LONGEST} characters)")
     if path.exists() or path.suffix == ".toml" or path.parent != Path():
         return path
     known = available()

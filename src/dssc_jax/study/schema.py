@@ -1,5 +1,6 @@
 """The study file's fixed tables: what pydantic validates before any model is looked up."""
 
+import math
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -37,11 +38,11 @@ class LoopTable(BaseModel):
         if self.sample_time > self.duration:
             raise ValueError(f"sample_time must be <= duration = {self.duration:g} s, got {self.sample_time:g}")
         ratio = self.duration / self.sample_time
+        if not ratio < 2**31:
+            raise ValueError(f"duration/sample_time must be below 2^31 samples, got {ratio:g}")
         if abs(ratio - self.steps) > 1e-6 * ratio:
             found = f"{self.duration:g}/{self.sample_time:g}"
             raise ValueError(f"duration must be a whole number of sample times, got {found}")
-        if self.steps >= 2**31:
-            raise ValueError(f"duration/sample_time must be below 2^31 samples, got {self.steps}")
         return self
 
     @property
@@ -84,6 +85,7 @@ class PlotTable(BaseModel):
     slope: bool = False
 
 
+MOST_VALUES, MOST_LANES = 10**6, 10**9
 AXES = ("linspace", "logspace", "values")
 
 
@@ -107,6 +109,8 @@ def parse_axis(value: Any) -> tuple[float, ...]:
     if len(arguments) != 3 or not isinstance(arguments[2], int) or arguments[2] < 1:
         raise ValueError(f"{kind} takes [lo, hi, count] with a whole count >= 1, got {arguments}")
     low, high, count = arguments
+    if count > MOST_VALUES:
+        raise ValueError(f"{kind} takes at most {MOST_VALUES} values, got {count}")
     if count > 1 and not low < high:
         raise ValueError(f"{kind} needs lo < hi, got {arguments}")
     if kind == "logspace":
@@ -123,7 +127,7 @@ class StudyTable(BaseModel):
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")
     description: str = ""
     seed: int = Field(default=0, ge=0, lt=2**32)
-    draws: int = Field(default=1, ge=1, le=10**9)
+    draws: int = Field(default=1, ge=1, le=10**8)
     sampling: Literal["random"] = "random"
     loop: LoopTable
     plant: dict[str, Any]
@@ -138,3 +142,10 @@ class StudyTable(BaseModel):
     requirement: list[RequirementTable] = []
     sweep: dict[str, Annotated[tuple[float, ...], BeforeValidator(parse_axis)]] = {}
     plot: PlotTable = PlotTable()
+
+    @model_validator(mode="after")
+    def _size(self) -> "StudyTable":
+        lanes = self.draws * math.prod(len(values) for values in self.sweep.values())
+        if lanes > MOST_LANES:
+            raise ValueError(f"draws times sweep points must be <= {MOST_LANES:.0e}, got {lanes:.3g}")
+        return self

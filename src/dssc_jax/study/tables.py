@@ -20,8 +20,13 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         raise ConfigError(str(path), f"cannot be read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
         raise ConfigError(str(path), f"is not UTF-8 text: {error.reason} at byte {error.start}") from error
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError, so are integers too long
         raise ConfigError(str(path), f"is not valid TOML: {str(error) or 'nested too deeply'}") from error
+
+
+def is_index(part: str) -> bool:
+    """A plain decimal number."""
+    return part.isascii() and part.isdecimal() and len(part) < 10
 
 
 def set_dotted(table: dict[str, Any], name: str, value: Any) -> None:
@@ -31,18 +36,21 @@ def set_dotted(table: dict[str, Any], name: str, value: Any) -> None:
         ConfigError: the name passes through a number, or beyond a list's end.
     """
     if name.startswith("sweep."):  # names of axes are dotted themselves
-        table.setdefault("sweep", {})[name.removeprefix("sweep.")] = value
+        axes = table.setdefault("sweep", {})
+        if not isinstance(axes, dict):
+            raise ConfigError("sweep", f"must be a table, got {axes!r}")
+        axes[name.removeprefix("sweep.")] = value
         return
     *parents, last = name.split(".")
     here: Any = table
     for part in parents:
-        if isinstance(here, list) and part.isdigit() and int(part) < len(here):
+        if isinstance(here, list) and is_index(part) and int(part) < len(here):
             here = here[int(part)]
         elif isinstance(here, dict):
             here = here.setdefault(part, {})
         else:
             raise ConfigError(name, f"leads nowhere: '{part}' is not in a table")
-    if isinstance(here, list) and last.isdigit() and int(last) < len(here):
+    if isinstance(here, list) and is_index(last) and int(last) < len(here):
         here[int(last)] = value
     elif isinstance(here, dict):
         here[last] = value
