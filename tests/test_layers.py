@@ -11,7 +11,7 @@ ROOT = Path(dssc_jax.__file__).parent
 LAYERS = [
     {"xla", "errors"},
     {"types"},
-    {"numerics", "vectors", "zero_dynamics", "integrators"},
+    {"tracking", "numerics", "vectors", "zero_dynamics", "integrators"},
     {"plants", "uav", "environment", "controllers", "unmodelled", "design"},
     {"metrics"},
     {"requirements"},

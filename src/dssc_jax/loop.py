@@ -10,6 +10,7 @@ from dssc_jax.integrators import INTEGRATORS, Integrator
 from dssc_jax.metrics import Instant, Measure, Sample, update_all, values
 from dssc_jax.numerics import stream, wrap_angle
 from dssc_jax.requirements import Requirement, judge
+from dssc_jax.tracking import tracking_error
 from dssc_jax.types import (
     Command,
     Controller,
@@ -207,9 +208,9 @@ def driven(
     measurements = measured(loop, params, plant, references)
     disturbances = []
     for i, channel in enumerate(state.channels):
-        m, r = measurements[i], references[i]
-        sigma = m.y_dot - r.y_dot + params.controller[i].l0 * (m.y - r.y)
-        disturbances.append(loop.disturbance[i].value(params.disturbance[i], channel.disturbance, m, sigma, now))
+        sigma = tracking_error(measurements[i], references[i], params.controller[i].l0).sigma
+        model, held = loop.disturbance[i], channel.disturbance
+        disturbances.append(model.value(params.disturbance[i], held, measurements[i], sigma, now))
     wind = loop.wind.value(params.wind, state.wind, now)
     return PlantInput(joined(commands), joined(tuple(disturbances)), wind)
 
@@ -263,13 +264,13 @@ def step(loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Sc
     for i, channel in enumerate(state.channels):
         m, r = measurements[i], references[i]
         after, command, info = control(loop, params, key, channel, i, m, r, k)
-        e = m.y - r.y
+        error = tracking_error(m, r, params.controller[i].l0)
         samples.append(
             Sample(
                 k=k,
                 dt=dt,
-                e=e,
-                sigma=m.y_dot - r.y_dot + params.controller[i].l0 * e,
+                e=error.e,
+                sigma=error.sigma,
                 u=command.robust,
                 u_previous=jnp.where(k == 0, command.robust, channel.u),
                 u_total=command.total,

@@ -233,7 +233,8 @@ def curves(result: Result, axis: str) -> Figure:
     if several:
         panels[0].fill_between(x, low, high, color=BLUE, alpha=0.2, label="5 to 95 % of draws")
     panels[0].plot(x, middle, "o-", color=BLUE, label="median" if several else "simulated")
-    panels[0].set_xlim(x.min(), x.max()) if len(x) > 1 else None
+    if len(x) > 1:
+        panels[0].set_xlim(x.min(), x.max())
     if not np.isfinite(middle).any():
         panels[0].text(0.5, 0.5, "no finite median", transform=panels[0].transAxes, ha="center")
     for limit in limits(result, measure):

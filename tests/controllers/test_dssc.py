@@ -18,7 +18,7 @@ from dssc_jax.controllers.gain_functions import (
     Vgsta,
 )
 from dssc_jax.controllers.modulation import ConstantModulation
-from dssc_jax.controllers.tracking import tracking_error
+from dssc_jax.tracking import tracking_error
 from dssc_jax.types import Discretisation, Measurement, ReferencePoint
 from tests.tolerances import IDENTITY, ROUNDING
 

@@ -123,7 +123,7 @@ def test_constant_errors_are_exact():
     np.testing.assert_array_equal(found, [y + 0.25, y_dot - 0.5])
 
 
-@pytest.mark.parametrize(("delay", "period"), [(0, 1), (1, 1), (7, 1), (0, 5), (3, 2), (2, 4)])
+@pytest.mark.parametrize(("delay", "period"), [(0, 1), (7, 1), (0, 5), (3, 2)])
 def test_delay_and_hold_to_the_sample(delay, period):
     """Sample k shows the plant of the last multiple of the period not later than k - delay; before, the start."""
     count = 40

@@ -15,9 +15,10 @@ import jax.numpy as jnp
 
 from dssc_jax.controllers.gain_functions import GAIN_FUNCTIONS, Constant, StateFunctions
 from dssc_jax.controllers.modulation import MODULATIONS, Signals
-from dssc_jax.controllers.tracking import L0, NominalGains, TrackingError, nominal_control, tracking_error
+from dssc_jax.controllers.nominal import L0, NominalGains, nominal_control
 from dssc_jax.errors import ConfigError
 from dssc_jax.numerics import sign
+from dssc_jax.tracking import TrackingError, tracking_error
 from dssc_jax.types import (
     Command,
     Controller,

@@ -13,7 +13,7 @@ from dssc_jax.types import Quantity, Registry, Scalar, single
 
 ROOT_FLOOR = 1e-9  # [(m/s)^(1/2)]: the standard STA's k_o tau_av and tau_m vanish at sigma = 0
 
-KAPPA_1 = Quantity("(m/s)^(1/2)/s", "proportional gain kappa_1 in Table 2's normalisation", above=0.0)
+KAPPA_1 = Quantity("(m/s)^(1/2)", "proportional gain kappa_1 in Table 2's normalisation", above=0.0)
 KAPPA_2 = Quantity("m/s^2", "integral gain kappa_2 in Table 2's normalisation: sgn times kappa_2/2", above=0.0)
 DELTA = Quantity("(m/s)^(1/2)", "smoothing delta", above=0.0)
 K_O = Quantity("1/s", "predictor gain k_o", above=0.0)
@@ -170,7 +170,11 @@ def variable_gains(
 
 
 class Vgsta(NamedTuple):
-    """The functions of Table 1, which synthesise an approximation of the variable-gain STA."""
+    """The functions of Table 1, which synthesise an approximation of the variable-gain STA.
+
+    tau_m > 0 for every (sigma, e) needs phi_b > l_0/eps and kappa_a >= kappa_b/l_0, two of Table 1's inequalities;
+    outside of them the predictor can be unstable, and the draws show it.
+    """
 
     phi_a: Annotated[Scalar, Quantity("(m/s)^(1/2)", "square-root part phi_a", at_least=0.0)]
     phi_b: Annotated[Scalar, Quantity("1", "linear part phi_b", above=0.0)]

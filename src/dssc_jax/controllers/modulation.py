@@ -83,8 +83,14 @@ class NormBound(NamedTuple):
         return self.eta_bar_initial
 
     def at(self, state: Scalar, signals: Signals, dt: Scalar) -> tuple[Scalar, Scalar]:
-        """(33) and (34); the observer by implicit Euler, which keeps eta_bar >= 0 at every step size."""
+        """(33) and (34); the observer by implicit Euler, which keeps eta_bar >= 0 at every step size.
+
+        Between samples |C_eta eta| may exceed eta_bar by O(T_s): delta_rho has to cover that.
+        """
+        assert self.observer_rate is not None  # held by prepare
+        assert self.observer_gain is not None
         speed = jnp.abs(signals.y_dot)
+        eta_bar = (state + dt * self.observer_gain * speed) / (1.0 + dt * self.observer_rate)
         alpha = self.alpha_d + self.alpha_y * jnp.abs(signals.y) + self.alpha_y_dot * speed
         known = (
             self.k_p_max * jnp.abs(signals.u_nominal)
@@ -92,12 +98,10 @@ class NormBound(NamedTuple):
             + self.k_p_max * alpha
             + jnp.abs(signals.sigma_m_dot)
             + jnp.abs(signals.sigma) / signals.tau_m
-            + state
+            + eta_bar
         )
         rho = ((signals.k_o + self.k_p_max) * jnp.abs(signals.u_av) + known + self.delta_rho) / signals.k_o
-        assert self.observer_rate is not None  # held by prepare
-        assert self.observer_gain is not None
-        return (state + dt * self.observer_gain * speed) / (1.0 + dt * self.observer_rate), rho
+        return eta_bar, rho
 
 
 MODULATIONS: Registry = {

@@ -2,7 +2,8 @@
 
 from typing import Annotated, NamedTuple
 
-from dssc_jax.controllers.tracking import L0, NominalGains, nominal_control, tracking_error
+from dssc_jax.controllers.nominal import L0, NominalGains, nominal_control
+from dssc_jax.tracking import tracking_error
 from dssc_jax.types import Command, Controller, Discretisation, Entry, Measurement, Quantity, ReferencePoint, Scalar
 
 

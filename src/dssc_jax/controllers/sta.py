@@ -14,8 +14,9 @@ from typing import Annotated, NamedTuple
 import jax.numpy as jnp
 
 from dssc_jax.controllers.gain_functions import KAPPA_1, KAPPA_2
-from dssc_jax.controllers.tracking import L0, NominalGains, nominal_control, tracking_error
+from dssc_jax.controllers.nominal import L0, NominalGains, nominal_control
 from dssc_jax.numerics import root_abs, saturate, sign
+from dssc_jax.tracking import tracking_error
 from dssc_jax.types import Command, Controller, Discretisation, Entry, Measurement, Quantity, ReferencePoint, Scalar
 
 K_N = Quantity("1/s", "nominal input gain k_n", above=0.0)

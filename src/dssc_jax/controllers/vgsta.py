@@ -13,9 +13,10 @@ from typing import Annotated, NamedTuple
 import jax.numpy as jnp
 
 from dssc_jax.controllers.gain_functions import KAPPA_ABC, ROOT_FLOOR, VariableGains, variable_gains
+from dssc_jax.controllers.nominal import L0, NominalGains, nominal_control
 from dssc_jax.controllers.sta import K_N, LIMIT, IntegralInfo, IntegralState, root_of
-from dssc_jax.controllers.tracking import L0, NominalGains, nominal_control, tracking_error
 from dssc_jax.numerics import root_abs, saturate, sign
+from dssc_jax.tracking import tracking_error
 from dssc_jax.types import Command, Controller, Discretisation, Entry, Measurement, Quantity, ReferencePoint, Scalar
 
 

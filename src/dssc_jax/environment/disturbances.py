@@ -79,7 +79,7 @@ def held(params: Any, state: Scalar, measurement: Measurement, sigma: Scalar, t:
 
 
 def step_mean(params: StepParams, state: Scalar, key: jax.Array, t: Scalar, dt: Scalar) -> Scalar:
-    """Mean of the step over [t, t + dt): a jump within a sample does not spoil the integrator's order."""
+    """Mean of the step over [t, t + dt): the impulse of a jump within a sample is right, its instant to O(T_s)."""
     return params.value * jnp.clip((t + dt - params.at) / dt, 0.0, 1.0)
 
 

@@ -1,19 +1,13 @@
-"""Tracking errors (9), (10) and the nominal control (37), which every controller shares."""
+"""The nominal control (37), which every controller shares."""
 
 from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 
-from dssc_jax.types import Measurement, Quantity, ReferencePoint, Scalar
+from dssc_jax.tracking import TrackingError
+from dssc_jax.types import Quantity, ReferencePoint, Scalar
 
 L0 = Quantity("1/s", "error pole l_0 of sigma = e' + l_0 e", above=0.0)
-
-
-class TrackingError(NamedTuple):
-    """Output error e = y - y_m (9) [m] and the output of relative degree one sigma = e' + l_0 e (10) [m/s]."""
-
-    e: Scalar
-    sigma: Scalar
 
 
 class NominalGains(NamedTuple):
@@ -22,12 +16,6 @@ class NominalGains(NamedTuple):
     a: Annotated[Scalar, Quantity("1/s", "nominal damping a_n")]
     k: Annotated[Scalar, Quantity("1/s", "nominal input gain k_n", above=0.0)]
     predictor_term: bool = True
-
-
-def tracking_error(measurement: Measurement, reference: ReferencePoint, l0: Scalar) -> TrackingError:
-    """Equations (9) and (10)."""
-    e = measurement.y - reference.y
-    return TrackingError(e, measurement.y_dot - reference.y_dot + l0 * e)
 
 
 def nominal_control(
