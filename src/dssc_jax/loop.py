@@ -148,11 +148,16 @@ def start(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
     measurements = measured(loop, params, plant, references)
     channels = []
     for i, name in enumerate(loop.channels):
-        sensor = loop.sensor[i].init(params.sensor[i], measurements[i], loop.key(key, "sensor", name))
-        differentiator = loop.differentiator[i].init(params.differentiator[i], measurements[i])
+        stream_key = loop.key(key, "sensor", name)
+        sensor = loop.sensor[i].init(params.sensor[i], measurements[i], jax.random.fold_in(stream_key, 0))
+        # the controller starts from what it will see at the first sample, not from the truth
+        first = jax.random.fold_in(stream_key, 1)
+        _, seen = loop.sensor[i].step(params.sensor[i], sensor, measurements[i], first, 0.0, loop.sample_time)
+        differentiator = loop.differentiator[i].init(params.differentiator[i], seen)
+        _, seen = loop.differentiator[i].step(params.differentiator[i], differentiator, seen, loop.sample_time)
         channels.append(
             ChannelState(
-                controller=loop.controller[i].init(params.controller[i], measurements[i], references[i]),
+                controller=loop.controller[i].init(params.controller[i], seen, references[i]),
                 sensor=sensor,
                 differentiator=differentiator,
                 unmodelled=loop.unmodelled[i].init(params.unmodelled[i]),

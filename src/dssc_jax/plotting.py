@@ -67,7 +67,7 @@ def set_scale(ax: Axes, values: np.ndarray, which: str = "x") -> None:
     axis = ax.xaxis if which == "x" else ax.yaxis
     positive = values[np.isfinite(values)]
     decades = np.log10(positive.max() / positive.min())
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if decades < 2.5 else (1.0,)))
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if decades < 2.0 else (1.0,)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
@@ -113,9 +113,13 @@ def named(name: str, about: dict[str, Any]) -> str:
 def trajectory(run: xr.Dataset) -> Figure:
     """One draw over time: output, error, command, and the state-dependent functions where there are any.
 
+    A plant of several channels is shown by commands on the left and errors on the right, a row a channel.
+
     Args:
         run: What ``simulate`` or ``replay`` returned.
     """
+    if "y" not in run:
+        return flight(run)
     figure = Figure(figsize=(11.5, 8.0), layout="constrained")
     panels = figure.subplots(2, 2, sharex=True)
     t = run["t"].values
@@ -134,8 +138,31 @@ def trajectory(run: xr.Dataset) -> Figure:
             ax.legend(loc="best", frameon=False)
     for ax in panels[1]:
         ax.set_xlabel("time [s]")
+    title(figure, how_it_ended(run))
+    return figure
+
+
+def how_it_ended(run: xr.Dataset) -> str:
+    """A trajectory's title."""
     ended = str(run.attrs.get("outcome_meaning", "")).replace("_", " ")
-    figure.suptitle(f"{run.attrs.get('study', '')}, draw {run.attrs.get('draw', 0)}: {ended}", fontsize=15)
+    return f"{run.attrs.get('study', '')}, draw {run.attrs.get('draw', 0)}: {ended}"
+
+
+def flight(run: xr.Dataset) -> Figure:
+    """Commands and errors of every channel."""
+    channels = [str(name).removesuffix("_y_ref") for name in run if str(name).endswith("_y_ref")]
+    figure = Figure(figsize=(11.5, 2.3 * len(channels) + 1.0), layout="constrained")
+    rows = figure.subplots(len(channels), 2, sharex=True, squeeze=False)
+    for (left, right), channel in zip(rows, channels, strict=True):
+        for name, colour, text in (("u_total", GREY, "total $u + u_n$"), ("u", RED, "robust $u$")):
+            left.plot(run["t"], run[f"{channel}_{name}"], color=colour, linewidth=1.2, label=text)
+        right.plot(run["t"], run[f"{channel}_e"], color=BLUE)
+        left.set_ylabel(f"{channel}: command [{run[f'{channel}_u'].attrs['units']}]")
+        right.set_ylabel(f"{channel}: error [{run[f'{channel}_e'].attrs['units']}]")
+    rows[0, 0].legend(loc="best", frameon=False)
+    for ax in rows[-1]:
+        ax.set_xlabel("time [s]")
+    title(figure, how_it_ended(run))
     return figure
 
 
@@ -305,7 +332,7 @@ def maps(result: Result, down: str, across: str) -> Figure:
     figure.colorbar(
         image,
         ax=right,
-        label=f"median {label(result.dataset[measure.name].attrs)}",
+        label=textwrap.fill(f"median {label(result.dataset[measure.name].attrs)}", 40),
         extend="max" if clip(finite, cap) else "neither",
     )
     for limit in limits(result, measure):
