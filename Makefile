@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 
-.PHONY: study test lint types check measure clean
+.PHONY: study test lint types check measure paper clean
 
 study: .venv/run  ## install, and run the main job: how much unmodelled lag does a DSSC loop survive?
 	$(BIN)/dssc-jax sweep studies/mu_robustness.toml
@@ -21,6 +21,9 @@ check: lint types test  ## what CI runs
 
 measure: .venv/run  ## regenerate docs/measurements.md and the figures of the documentation
 	$(BIN)/python benchmarks/measure.py
+
+paper: .venv/run  ## regenerate docs/paper.md: the article's figures and a table of its claims
+	$(BIN)/python benchmarks/paper.py
 
 .venv/run: pyproject.toml
 	$(PYTHON) -m venv .venv

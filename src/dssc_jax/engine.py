@@ -112,6 +112,7 @@ class Engine:
         self._tiles = -(-tiles // len(usable)) * len(usable)
         self._mesh = Mesh(np.array(usable), ("device",))
         self._run = None
+        self._finished = 0.0
 
     @property
     def names(self) -> list[str]:
@@ -147,8 +148,6 @@ class Engine:
             return arrays
 
         return finish
-
-    _finished: float = 0.0
 
     def _compile(self, values: dict[str, np.ndarray], index: np.ndarray):
         began = time.perf_counter()

@@ -331,7 +331,7 @@ def single(model: Any, summary: str) -> Entry:
 
 
 class Discretisation(StrEnum):
-    """How a continuous-time law is sampled (model of the docs, section 5)."""
+    """How a continuous-time law is sampled; see docs/model.md, Sampling."""
 
     IMPLICIT = "implicit"
     EXPLICIT = "explicit"

@@ -186,6 +186,16 @@ def test_case_2_table(table):
     assert table[5e-3, "explicit"][0] == pytest.approx(9.8435, abs=5e-2)
 
 
+def test_both_forms_tell_the_sliding_condition_alike(case_2):
+    """After the first seconds |d_0|/k_o of (20) stays below rho: explicit chatter is not loss of sliding."""
+    study = case_2.override({"metrics.after": 5.0})
+    for form in ("implicit", "explicit"):
+        run = dj.simulate(study.override({"controller.discretisation": form}))
+        assert run.attrs["outside_sliding"] == 0.0
+    starved = dj.simulate(study.override({"controller.discretisation": "explicit", "controller.rho": 0.3}))
+    assert starved.attrs["outside_sliding"] > 0.1
+
+
 def test_predictor_start_matters(case_2):
     """The first samples leave an integration constant: rms 4.31 from zero, 3.08 matched."""
     matched = dj.run(case_2.override({"controller.predictor_start": "matched"}), devices=1)

@@ -12,7 +12,42 @@ from dssc_jax.study.library import available
 from dssc_jax.study.tables import set_dotted
 from tests.conftest import CASE_2, UNCERTAIN
 
+NORM_BOUND = {
+    "kind": "norm_bound",
+    "k_p_max": 1.2,
+    "a_p_max": 1.0,
+    "delta_rho": 0.1,
+    "zero_dynamics": {"a": [1.0], "c": [0.2]},
+}
 BAD = {
+    "window without a sample": (
+        {"requirement": [{"metric": "error_max", "after": 79.999, "max": 1.0}]},
+        "requirement.0.after: must be <= the time of the last sample 79.995 s, got 79.999",
+    ),
+    "duration that is no whole number of samples": ({"loop.sample_time": 0.3}, "loop: duration must be a whole number"),
+    "bounded twice on one side": (
+        {"requirement": [{"metric": "error_max", "max": 1.0}, {"metric": "error_max", "max": 2.0}]},
+        "requirement.1: 'error_max' is bounded on this side already",
+    ),
+    "swept out of the Hurwitz region": (
+        {"plant.zero_dynamics": {"a": [1.0], "c": [0.2]}, "sweep.plant.zero_dynamics.a.0": [1.0, -4.0]},
+        "sweep: plant.zero_dynamics.a: A_eta must be Hurwitz",
+    ),
+    "sweep of what is used up before tracing": (
+        {"controller.rho": NORM_BOUND, "sweep.controller.rho.zero_dynamics.c.0": [0.1, 0.2]},
+        "the norm observer is designed from plain numbers",
+    ),
+    "too many lanes": ({"draws": 10**7, "sweep.plant.k_p": {"linspace": [1, 2, 1000]}}, "draws times sweep points"),
+    "too long an integer": ({"plant.k_p": 10**400}, "plant.k_p: must be a finite number"),
+    "what is no plant": ({"plant.kind": "math:pi"}, "'math:pi' must be a Plant, got float"),
+    "wind without wings": (
+        {"wind": {"kind": "constant", "x": 1.0, "y": 0.0, "z": 0.0}},
+        "wind.kind: the plant 'normal_form' does not fly",
+    ),
+    "half a sample of delay": (
+        {"sensor": {"kind": "noisy", "delay_samples": 0.5}},
+        "sensor.delay_samples: must be a whole number",
+    ),
     "misspelt top-level name": ({"drawz": 3}, r"drawz: unknown name; did you mean 'draws'\?"),
     "misspelt field": ({"plant.kp": 1.0}, r"plant.kp: unknown name; did you mean 'k_p'\?"),
     "misspelt nested field": (
