@@ -1,0 +1,87 @@
+"""Section V's studies run, and the numbers behind the claims are finite on short runs."""
+
+import importlib.util
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import dssc_jax as dj
+
+ROOT = Path(__file__).parents[1]
+NAMES = ("paper_case1", "paper_case2", "paper_sta_comparison", "paper_field_test", "uav_robustness")
+SHORT = 1.0  # s
+NUMBER = re.compile(r"-?\d+\.?\d*(?:e[+-]?\d+)?")
+
+
+@pytest.fixture(scope="module")
+def paper():
+    spec = importlib.util.spec_from_file_location("paper", ROOT / "benchmarks" / "paper.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules[spec.name]
+
+
+@pytest.fixture(scope="module")
+def printed(paper):
+    study = paper.comparison(**{"loop.duration": 0.3})
+    clipped = dj.simulate(study.override({"controller": paper.sta(clipped=True)}))
+    dssc = dj.simulate(study)
+    return {"DSSC": dssc, "STA": clipped, "STA clipped": clipped, "DSSC wide": dssc}
+
+
+@pytest.fixture(scope="module")
+def runs(paper):
+    """Each study for a second; whole flights are what the documentation shows."""
+    short = {"loop.duration": SHORT, "requirement": []}
+    return {name: dj.simulate(paper.load(name).override(short)) for name in NAMES}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_study_simulates(name, runs):
+    assert runs[name].attrs["outcome_meaning"] == "ok"
+    assert all(np.isfinite(column).all() for column in runs[name].values())
+
+
+def test_case_2_takes_each_axis_of_the_article(paper):
+    starts = {axis: paper.case_2(axis).template.plant.initial[0] for axis in paper.AXES}
+    assert starts == {"x": 40.0, "y": 10.0, "z": 10.0, "psi": np.pi / 4}
+    assert [paper.case_2(axis).template.disturbance[0].value for axis in paper.AXES] == [-0.8, 0.8, 0.2, 0.1]
+
+
+def test_fast_part_of_a_known_signal(paper):
+    t = np.arange(0.0, 40.0, 0.005)
+    signal = 3.0 + 0.1 * t + 0.2 * np.sin(2.0 * np.pi * 2.0 * t)
+    run = xr.Dataset({"u": (("t",), signal)}, coords={"t": t})
+    assert paper.fast_part(run, "u", 5.0, 35.0) == pytest.approx(0.2 / np.sqrt(2.0), rel=0.01)
+
+
+def test_both_models(paper, runs):
+    full, simple = runs["paper_case1"], paper.simplified(SHORT)
+    claims = [*paper.before_disturbance(full, simple, 0.2, 0.8), paper.functions_rise(full, simple, 0.5, 0.4)]
+    require_finite(claims)
+
+
+def test_comparison(paper, printed):
+    assert all(run.attrs["outcome_meaning"] == "ok" for run in printed.values())
+    require_finite([*paper.oscillation(printed, 0.1), paper.alike(printed, 100.0, start=0.1)])
+
+
+def test_field_test(paper, runs):
+    short = {"loop.duration": SHORT, "requirement": [], "controller": paper.FIELD_STA}
+    flight = {"DSSC": runs["paper_field_test"], "STA": dj.simulate(paper.load("paper_field_test").override(short))}
+    require_finite([paper.efforts([flight], "short", 0.2)])
+
+
+def require_finite(claims):
+    for claim in claims:
+        numbers = [float(number) for number in NUMBER.findall(claim.measured)]
+        assert "nan" not in claim.measured
+        assert "inf" not in claim.measured
+        assert numbers or claim.measured == "flies to the end"
+        assert claim.verdict
