@@ -576,8 +576,8 @@ def remarks(settings: dict[str, Runs]) -> list[str]:
         f"{calmer[1]:.0f} (y) times the high-frequency rms of DSSC's, which delta = 2 in k_o smooths; so they are not "
         f"alike. The price is error: rms after 20 s of {errors['DSSC'][0]:.2g} (x) and {errors['DSSC'][1]:.2g} m (y) "
         f"against {errors['STA'][0]:.2g} and {errors['STA'][1]:.2g} m. With delta = 0.0025 in k_o as in tau_m, which "
-        f"is row 4 of Table 2, DSSC oscillates in x by {waves['DSSC']:.2g} m/s and the STA by {waves['STA']:.2g}; out of "
-        f"phase, hence a difference of {near:.2g} times the rms on the worst axis.",
+        f"is row 4 of Table 2, DSSC oscillates in x by {waves['DSSC']:.2g} m/s and the STA by {waves['STA']:.2g}, out "
+        f"of phase, hence a difference of {near:.2g} times the rms on the worst axis.",
     ]
 
 
