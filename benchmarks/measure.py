@@ -24,7 +24,7 @@ from dssc_jax.study.library import find
 
 DOCS = Path(__file__).parents[1] / "docs"
 FIGURES = DOCS / "figures"
-SAMPLE_TIMES = (1e-5, 1e-4, 3e-4, 1e-3, 2e-3, 5e-3, 1e-2)
+SAMPLE_TIMES = (1e-5, 1e-4, 2.5e-4, 1e-3, 2e-3, 5e-3, 1e-2)
 MEMORY = """
 import sys
 import dssc_jax as dj

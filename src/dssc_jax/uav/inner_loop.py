@@ -36,7 +36,11 @@ class ThrustRule(StrEnum):
 
 @jax.tree_util.register_static
 class AttitudeReference(StrEnum):
-    """Whether phi_d, theta_d are taken as constants, or their rates are fed forward."""
+    """Whether phi_d, theta_d are taken as constants, or their rates are fed forward.
+
+    With a held command the rates are those of -k_d v: feed-forward acts as extra stiffness, and slow velocity loops
+    become 0.8/(s + 0.8) where plain ones are 1/(s + 1).
+    """
 
     PLAIN = "plain"
     RATE_FEED_FORWARD = "rate_feed_forward"

@@ -59,7 +59,7 @@ def ring(rotors: int) -> tuple[float, ...]:
 
 
 def alternating(rotors: int) -> tuple[float, ...]:
-    """Spin signs +1, -1, ...: with the rotors on a ring, other orders of the same signs lose yaw."""
+    """Spin signs +1, -1, ...; with four rotors on a ring, other orders of the same signs lose yaw."""
     return tuple(1.0 if i % 2 == 0 else -1.0 for i in range(rotors))
 
 
