@@ -4,21 +4,19 @@ Every number in the documentation comes from here, with the machine and the date
 """
 
 import json
-import platform
 import subprocess
 import sys
 import time
-from datetime import UTC, datetime
 from pathlib import Path
 from statistics import median
 
 import dssc_jax as dj  # isort: skip  (sets compiler flags before anything starts JAX)
-import jax
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from dssc_jax import plotting
+from dssc_jax.console import machine
 from dssc_jax.engine import Engine, Layout, execute
 from dssc_jax.study.library import find
 
@@ -132,16 +130,6 @@ def memory(draws: int) -> tuple[float, float]:
     out = subprocess.run([sys.executable, "-c", MEMORY, str(draws)], check=True, capture_output=True, text=True)
     gigabytes, seconds = map(float, out.stdout.split())
     return gigabytes, seconds
-
-
-def machine() -> str:
-    """What this was measured on."""
-    model = platform.processor() or platform.machine()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        names = [line.partition(":")[2].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
-        model = f"{len(names)} cores of {names[0]}" if names else model
-    return f"{model}, Python {platform.python_version()}, JAX {jax.__version__}, {datetime.now(UTC):%Y-%m-%d}"
 
 
 def write(lines: list[str]) -> None:

@@ -3,20 +3,18 @@
 Every number of the page comes from here, with the machine and the date. Axes are x, y, z [m] and psi [rad].
 """
 
-import platform
 import time
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import dssc_jax as dj  # isort: skip  (sets compiler flags before anything starts JAX)
-import jax
 import numpy as np
 import xarray as xr
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from dssc_jax import plotting
+from dssc_jax.console import machine
 from dssc_jax.statistics import clopper_pearson
 
 ROOT = Path(__file__).parents[1]
@@ -442,16 +440,6 @@ def save(figure: Figure, name: str) -> None:
 
 
 # The page
-
-
-def machine() -> str:
-    """What this was measured on."""
-    model = platform.processor() or platform.machine()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        names = [line.partition(":")[2].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
-        model = f"{len(names)} cores of {names[0]}" if names else model
-    return f"{model}, Python {platform.python_version()}, JAX {jax.__version__}, {datetime.now(UTC):%Y-%m-%d}"
 
 
 def variants() -> dict[str, dict[str, Any]]:

@@ -5,6 +5,7 @@ import platform
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -166,6 +167,18 @@ def jsonable(content: Any) -> Any:
         return [jsonable(value) for value in content]
     value = content.item() if isinstance(content, np.generic) else content
     return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def machine() -> str:
+    """Processor, versions and date, to stand beside a measured number."""
+    import jax
+
+    model = platform.processor() or platform.machine()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        names = [line.partition(":")[2].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
+        model = f"{len(names)} cores of {names[0]}" if names else model
+    return f"{model}, Python {platform.python_version()}, JAX {jax.__version__}, {datetime.now(UTC):%Y-%m-%d}"
 
 
 def environment() -> dict[str, Any]:
