@@ -8,7 +8,8 @@ import time
 
 import pytest
 
-from dssc_jax.cli import guarded, parse_over, parse_value
+from dssc_jax.cli import guarded
+from dssc_jax.cli.shared import parse_over, parse_value
 
 COMMANDS = ["run", "sweep", "simulate", "replay", "check", "studies", "info"]
 STUDY = """

@@ -1,180 +1,18 @@
-"""Figures of results and trajectories. Each returns a matplotlib Figure; a failure probability shows its interval."""
+"""Figures of a result: the draws of a run, and the points of a sweep."""
 
 import textwrap
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, PercentFormatter
+from matplotlib.ticker import PercentFormatter
 
 from dssc_jax.metrics import Measure
+from dssc_jax.plotting.style import BLUE, DRAWABLE, GREY, RED, SLIDE, is_log, label, named, set_scale, styled, title
 from dssc_jax.results import Result, headline, upper_quantiles
 from dssc_jax.statistics import clopper_pearson
-
-# Okabe and Ito's palette, told apart with any colour vision
-BLUE, ORANGE, GREEN, RED, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#6b6b6b"
-STYLE: dict[Any, Any] = {
-    "font.size": 13,
-    "axes.titlesize": 14,
-    "axes.labelsize": 13,
-    "legend.fontsize": 12,
-    "axes.grid": True,
-    "grid.alpha": 0.25,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "lines.linewidth": 1.8,
-    "savefig.dpi": 140,
-}
-SLIDE = (11.5, 5.6)  # inches
-DRAWABLE = 1e100  # larger numbers overflow in matplotlib's axes
-LOG_SPAN = 8.0  # axes whose positive values span more than this ratio are logarithmic
-
-
-def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
-    """Draw in the project's style without touching the caller's."""
-
-    def wrapper(*args: Any, **options: Any) -> Figure:
-        with rc_context(STYLE):
-            return draw(*args, **options)
-
-    wrapper.__doc__, wrapper.__name__ = draw.__doc__, draw.__name__
-    return wrapper
-
-
-def label(about: dict[str, Any]) -> str:
-    """Long name with unit."""
-    unit = about.get("units", "")
-    return f"{about.get('long_name', '')} [{unit}]" if unit not in ("", "1") else str(about.get("long_name", ""))
-
-
-def is_log(values: np.ndarray) -> bool:
-    """Whether an axis reads better logarithmically."""
-    positive = values[np.isfinite(values)]
-    return positive.size > 2 and positive.min() > 0 and positive.max() / positive.min() > LOG_SPAN
-
-
-def set_scale(ax: Axes, values: np.ndarray, which: str = "x") -> None:
-    """Logarithmic where it helps, with plain numbers at 1, 2 and 5 where the span is short."""
-    if not is_log(values):
-        return
-    (ax.set_xscale if which == "x" else ax.set_yscale)("log")
-    axis = ax.xaxis if which == "x" else ax.yaxis
-    positive = values[np.isfinite(values)]
-    decades = np.log10(positive.max() / positive.min())
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if decades < 2.0 else (1.0,)))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
-
-
-def own_value(result: Result, name: str) -> float | None:
-    """The value that the study itself gives a swept number; None where it is a law."""
-    value = result.study.leaves().get(name)
-    return float(value) if isinstance(value, float) else None
-
-
-def mark_own_value(ax: Axes, result: Result, name: str, colour: str, which: str = "x") -> bool:
-    """A dotted line at the study's own value of a swept number, if the axis reaches it."""
-    value = own_value(result, name)
-    axis = np.asarray(result.study.axes[name])
-    if value is None or not axis.min() <= value <= axis.max():
-        return False
-    (ax.axvline if which == "x" else ax.axhline)(value, color=colour, linestyle=":", linewidth=2.0)
-    return True
-
-
-def limits(result: Result, measure: Measure) -> list[float]:
-    """Required bounds of a measure."""
-    bounds = [r for r in result.study.requirements if r.measure.name == measure.name]
-    return [value for r in bounds for value in (r.maximum, r.minimum) if value is not None]
-
-
-def quantiles(result: Result, measure: Measure) -> np.ndarray:
-    """5 %, 50 % and 95 % quantiles over draws, shape (3, axes...); draws without a value count as infinite."""
-    return upper_quantiles(result.dataset[measure.name].values, (0.05, 0.5, 0.95))
-
-
-def title(figure: Figure, text: str) -> None:
-    """A title in the user's own words: wrapped, and no mathematics read into it."""
-    figure.suptitle(textwrap.fill(text, 95), parse_math=False)
-
-
-def named(name: str, about: dict[str, Any]) -> str:
-    """An axis label: the dotted name, and what it means."""
-    return f"{name}\n{textwrap.fill(label(about), 42)}"
-
-
-@styled
-def trajectory(run: xr.Dataset) -> Figure:
-    """One draw over time: output, error, command, and the state-dependent functions where there are any.
-
-    A plant of several channels is shown by commands on the left and errors on the right, a row a channel.
-
-    Args:
-        run: What ``simulate`` or ``replay`` returned.
-    """
-    if "y" not in run:
-        return flight(run)
-    figure = Figure(figsize=(11.5, 8.0), layout="constrained")
-    panels = figure.subplots(2, 2, sharex=True)
-    t = run["t"].values
-    panels[0, 0].plot(t, run["y_ref"], color=GREY, linestyle="--", label="desired $y_m$")
-    panels[0, 0].plot(t, run["y"], color=BLUE, label="output $y$")
-    panels[0, 0].set_ylabel("output [m]")
-    panels[0, 1].plot(t, run["e"], color=BLUE, label="error $e$ [m]")
-    panels[0, 1].plot(t, run["sigma"], color=ORANGE, label=r"$\sigma = \dot e + l_0 e$ [m/s]")
-    panels[0, 1].set_ylabel("error")
-    panels[1, 0].plot(t, run["u_total"], color=GREY, linewidth=1.0, label="total $u + u_n$")
-    panels[1, 0].plot(t, run["u"], color=RED, label="robust $u$")
-    panels[1, 0].set_ylabel("command [m/s]")
-    state_dependent(panels[1, 1], run)
-    for ax in panels.flat:
-        if ax.has_data():
-            ax.legend(loc="best", frameon=False)
-    for ax in panels[1]:
-        ax.set_xlabel("time [s]")
-    title(figure, how_it_ended(run))
-    return figure
-
-
-def how_it_ended(run: xr.Dataset) -> str:
-    """A trajectory's title."""
-    ended = str(run.attrs.get("outcome_meaning", "")).replace("_", " ")
-    return f"{run.attrs.get('study', '')}, draw {run.attrs.get('draw', 0)}: {ended}"
-
-
-def flight(run: xr.Dataset) -> Figure:
-    """Commands and errors of every channel."""
-    channels = [str(name).removesuffix("_y_ref") for name in run if str(name).endswith("_y_ref")]
-    figure = Figure(figsize=(11.5, 2.3 * len(channels) + 1.0), layout="constrained")
-    rows = figure.subplots(len(channels), 2, sharex=True, squeeze=False)
-    for (left, right), channel in zip(rows, channels, strict=True):
-        for name, colour, text in (("u_total", GREY, "total $u + u_n$"), ("u", RED, "robust $u$")):
-            left.plot(run["t"], run[f"{channel}_{name}"], color=colour, linewidth=1.2, label=text)
-        right.plot(run["t"], run[f"{channel}_e"], color=BLUE)
-        left.set_ylabel(f"{channel}: command [{run[f'{channel}_u'].attrs['units']}]")
-        right.set_ylabel(f"{channel}: error [{run[f'{channel}_e'].attrs['units']}]")
-    rows[0, 0].legend(loc="best", frameon=False)
-    for ax in rows[-1]:
-        ax.set_xlabel("time [s]")
-    title(figure, how_it_ended(run))
-    return figure
-
-
-def state_dependent(ax: Axes, run: xr.Dataset) -> None:
-    """k_o and the time constants, on a logarithmic axis; the sliding margin is not theirs to show."""
-    shown = {"k_o": ("$k_o$ [1/s]", BLUE), "tau_m": (r"$\tau_m$ [s]", GREEN), "tau_av": (r"$\tau_{av}$ [s]", ORANGE)}
-    for name, (text, colour) in shown.items():
-        if name in run:
-            ax.semilogy(run["t"], run[name], color=colour, label=text)
-    ax.set_ylabel("state-dependent functions")
-    if not ax.has_data():
-        ax.set_axis_off()
 
 
 @styled
@@ -293,18 +131,6 @@ def curves(result: Result, axis: str) -> Figure:
     return figure
 
 
-def fitted_slope(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Slope and intercept of log y against log x by least squares."""
-    slope, intercept = np.polyfit(np.log(x), np.log(y), 1)
-    return float(slope), float(intercept)
-
-
-def add_slope(ax: Axes, x: np.ndarray, y: np.ndarray) -> None:
-    """The fitted power law."""
-    slope, intercept = fitted_slope(x, y)
-    ax.plot(x, np.exp(intercept) * x**slope, color=GREY, linestyle="--", label=f"fitted slope {slope:.2f}")
-
-
 def maps(result: Result, down: str, across: str) -> Figure:
     """Failure probability, and the median of the headline metric, over two axes."""
     measure = headline(result)
@@ -357,6 +183,45 @@ def maps(result: Result, down: str, across: str) -> Figure:
     return figure
 
 
+def quantiles(result: Result, measure: Measure) -> np.ndarray:
+    """5 %, 50 % and 95 % quantiles over draws, shape (3, axes...); draws without a value count as infinite."""
+    return upper_quantiles(result.dataset[measure.name].values, (0.05, 0.5, 0.95))
+
+
+def limits(result: Result, measure: Measure) -> list[float]:
+    """Required bounds of a measure."""
+    bounds = [r for r in result.study.requirements if r.measure.name == measure.name]
+    return [value for r in bounds for value in (r.maximum, r.minimum) if value is not None]
+
+
+def own_value(result: Result, name: str) -> float | None:
+    """The value that the study itself gives a swept number; None where it is a law."""
+    value = result.study.leaves().get(name)
+    return float(value) if isinstance(value, float) else None
+
+
+def mark_own_value(ax: Axes, result: Result, name: str, colour: str, which: str = "x") -> bool:
+    """A dotted line at the study's own value of a swept number, if the axis reaches it."""
+    value = own_value(result, name)
+    axis = np.asarray(result.study.axes[name])
+    if value is None or not axis.min() <= value <= axis.max():
+        return False
+    (ax.axvline if which == "x" else ax.axhline)(value, color=colour, linestyle=":", linewidth=2.0)
+    return True
+
+
+def fitted_slope(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Slope and intercept of log y against log x by least squares."""
+    slope, intercept = np.polyfit(np.log(x), np.log(y), 1)
+    return float(slope), float(intercept)
+
+
+def add_slope(ax: Axes, x: np.ndarray, y: np.ndarray) -> None:
+    """The fitted power law."""
+    slope, intercept = fitted_slope(x, y)
+    ax.plot(x, np.exp(intercept) * x**slope, color=GREY, linestyle="--", label=f"fitted slope {slope:.2f}")
+
+
 def clip(finite: np.ndarray, cap: float | None) -> dict[str, float]:
     """Colour limits: a diverging corner shall not flatten the rest."""
     if cap is None or not finite.size or not finite.min() < cap < finite.max():
@@ -369,22 +234,3 @@ def contour(ax: Axes, x: np.ndarray, y: np.ndarray, z: np.ndarray, level: float,
     if min(z.shape) >= 2 and np.nanmin(z) < level < np.nanmax(z):
         shown = np.where(np.isfinite(z), z, 1e3 * abs(level))
         ax.contour(x, y, shown, levels=(level,), colors="white", linewidths=1.8, linestyles=style)
-
-
-def save_all(result: Result, folder: Path) -> list[Path]:
-    """Write the figures of a result as PNG and SVG.
-
-    Returns:
-        The files written.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    figure = sweep(result) if result.study.axes else failures(result)
-    name = "sweep" if result.study.axes else "failures"
-    return [write(figure, folder / f"{name}.{suffix}") for suffix in ("png", "svg")]
-
-
-def write(figure: Figure, path: Path) -> Path:
-    """Save a figure."""
-    with rc_context(STYLE):
-        figure.savefig(path)
-    return path

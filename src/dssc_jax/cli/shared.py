@@ -1,0 +1,126 @@
+"""What commands share: the application, their options, and how a study is loaded and a result is told."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dssc_jax.errors import ConfigError
+
+if TYPE_CHECKING:
+    from dssc_jax.study import Study
+
+DONE, FAILS, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+app = typer.Typer(
+    name="dssc-jax",
+    help="How much uncertainty does this controller survive, and how do I know?\n\n"
+    "Monte Carlo robustness of Dynamic Smooth Sliding Control and its rivals, on study files (TOML).",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+StudyArgument = Annotated[str, typer.Argument(metavar="STUDY", help="A study file, or the name of one of `studies`.")]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="NAME=VALUE", help="Override a value by dotted name; may be repeated."),
+]
+OverOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--over",
+        metavar="NAME=LO:HI:COUNT[:log]",
+        help="Sweep this parameter instead of the study's own axes; may be repeated.",
+    ),
+]
+DrawsOption = Annotated[int | None, typer.Option("--draws", metavar="N", help="Number of draws.")]
+SeedOption = Annotated[int | None, typer.Option("--seed", metavar="S", help="Seed of the draws.")]
+OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Results folder [results/NAME-COMMAND].")]
+ResumeOption = Annotated[bool, typer.Option("--resume", help="Keep what an interrupted run of this study finished.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
+LocalOption = Annotated[
+    bool, typer.Option("--allow-local", help="Let `module:object` names in the study import from its own folder.")
+]
+PointOption = Annotated[
+    list[str] | None, typer.Option("--at", metavar="NAME=VALUE", help="Point of the sweep; may be repeated.")
+]
+CsvOption = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write the trajectory as CSV.")]
+FigureOption = Annotated[Path | None, typer.Option("--figure", metavar="FILE", help="Write a figure (PNG, SVG, PDF).")]
+EveryOption = Annotated[int, typer.Option("--every", metavar="K", min=1, help="Keep every K-th sample.")]
+
+
+def assignment(text: str, option: str) -> tuple[str, str]:
+    """Name and value of ``NAME=VALUE``."""
+    name, equals, value = text.partition("=")
+    if not equals or not name or not value:
+        raise ConfigError(option, f"must be NAME=VALUE, got '{text}'")
+    return name, value
+
+
+def parse_value(text: str) -> Any:
+    """A TOML value; what is none is a string."""
+    import tomllib
+
+    try:
+        found = tomllib.loads(f"value = {text}")
+    except ValueError:  # TOMLDecodeError is one, so are integers too long
+        return text
+    return found["value"] if len(found) == 1 else text
+
+
+def parse_over(text: str) -> tuple[str, dict[str, list[Any]]]:
+    """Name and axis of ``NAME=LO:HI:COUNT[:log]``."""
+    name, value = assignment(text, "--over")
+    try:
+        low, high, count, *rest = value.split(":")
+        numbers = [float(low), float(high), int(count)]
+    except ValueError:
+        raise ConfigError("--over", f"must be NAME=LO:HI:COUNT[:log], got '{text}'") from None
+    if rest not in ([], ["log"]):
+        raise ConfigError("--over", f"after COUNT only ':log' may stand, got '{text}'")
+    return name, {"logspace" if rest else "linspace": numbers}
+
+
+def parse_overs(texts: list[str]) -> dict[str, dict[str, list[Any]]]:
+    """The axes of all ``--over`` options."""
+    axes: dict[str, dict[str, list[Any]]] = {}
+    for text in texts:
+        name, axis = parse_over(text)
+        if name in axes:
+            raise ConfigError("--over", f"'{name}' is given twice")
+        axes[name] = axis
+    return axes
+
+
+def load_study(name: str, settings: list[str] | None, draws: int | None, seed: int | None, local: bool) -> "Study":
+    """The study as the options change it."""
+    from dssc_jax.study import Study
+    from dssc_jax.study.library import find
+
+    path = find(name)
+    if local:
+        sys.path.insert(0, str(path.resolve().parent))
+    study = Study.load(path)
+    changes: dict[str, Any] = {}
+    for text in settings or []:
+        key, value = assignment(text, "--set")
+        changes[key] = parse_value(value)
+    changes |= {key: value for key, value in (("draws", draws), ("seed", seed)) if value is not None}
+    return study.override(changes) if changes else study
+
+
+def default_out(study: "Study", command: str, altered: bool) -> Path:
+    """results/NAME-COMMAND, with the study's hash where options have altered it."""
+    return Path("results") / f"{study.name}-{command}{'-' + study.hash[:8] if altered else ''}"
+
+
+def attempt(path: Path, write: Callable[[], Any]) -> None:
+    """Write a file the user named; what prevents it is bad input."""
+    try:
+        write()
+    except (OSError, ValueError) as error:
+        raise ConfigError(str(path), f"cannot be written: {' '.join(str(error).split())}") from error

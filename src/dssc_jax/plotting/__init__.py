@@ -1,0 +1,36 @@
+"""Figures of results and trajectories. Each returns a matplotlib Figure; a failure probability shows its interval."""
+
+from pathlib import Path
+
+from dssc_jax.plotting.populations import failures, fitted_slope, sweep
+from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, STYLE, write
+from dssc_jax.plotting.trajectories import trajectory
+from dssc_jax.results import Result
+
+__all__ = [
+    "BLUE",
+    "GREEN",
+    "GREY",
+    "ORANGE",
+    "RED",
+    "SLIDE",
+    "STYLE",
+    "failures",
+    "fitted_slope",
+    "save_all",
+    "sweep",
+    "trajectory",
+    "write",
+]
+
+
+def save_all(result: Result, folder: Path) -> list[Path]:
+    """Write the figures of a result as PNG and SVG.
+
+    Returns:
+        The files written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    figure = sweep(result) if result.study.axes else failures(result)
+    name = "sweep" if result.study.axes else "failures"
+    return [write(figure, folder / f"{name}.{suffix}") for suffix in ("png", "svg")]

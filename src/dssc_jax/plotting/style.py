@@ -1,0 +1,83 @@
+"""The look that all figures share: palette, scales, labels."""
+
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+# Okabe and Ito's palette, told apart with any colour vision
+BLUE, ORANGE, GREEN, RED, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#6b6b6b"
+STYLE: dict[Any, Any] = {
+    "font.size": 13,
+    "axes.titlesize": 14,
+    "axes.labelsize": 13,
+    "legend.fontsize": 12,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "lines.linewidth": 1.8,
+    "savefig.dpi": 140,
+}
+SLIDE = (11.5, 5.6)  # inches
+DRAWABLE = 1e100  # larger numbers overflow in matplotlib's axes
+LOG_SPAN = 8.0  # axes whose positive values span more than this ratio are logarithmic
+
+
+def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
+    """Draw in the project's style without touching the caller's."""
+
+    def wrapper(*args: Any, **options: Any) -> Figure:
+        with rc_context(STYLE):
+            return draw(*args, **options)
+
+    wrapper.__doc__, wrapper.__name__ = draw.__doc__, draw.__name__
+    return wrapper
+
+
+def label(about: dict[str, Any]) -> str:
+    """Long name with unit."""
+    unit = about.get("units", "")
+    return f"{about.get('long_name', '')} [{unit}]" if unit not in ("", "1") else str(about.get("long_name", ""))
+
+
+def named(name: str, about: dict[str, Any]) -> str:
+    """An axis label: the dotted name, and what it means."""
+    return f"{name}\n{textwrap.fill(label(about), 42)}"
+
+
+def title(figure: Figure, text: str) -> None:
+    """A title in the user's own words: wrapped, and no mathematics read into it."""
+    figure.suptitle(textwrap.fill(text, 95), parse_math=False)
+
+
+def is_log(values: np.ndarray) -> bool:
+    """Whether an axis reads better logarithmically."""
+    positive = values[np.isfinite(values)]
+    return positive.size > 2 and positive.min() > 0 and positive.max() / positive.min() > LOG_SPAN
+
+
+def set_scale(ax: Axes, values: np.ndarray, which: str = "x") -> None:
+    """Logarithmic where it helps, with plain numbers at 1, 2 and 5 where the span is short."""
+    if not is_log(values):
+        return
+    (ax.set_xscale if which == "x" else ax.set_yscale)("log")
+    axis = ax.xaxis if which == "x" else ax.yaxis
+    positive = values[np.isfinite(values)]
+    decades = np.log10(positive.max() / positive.min())
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if decades < 2.0 else (1.0,)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def write(figure: Figure, path: Path) -> Path:
+    """Save a figure."""
+    with rc_context(STYLE):
+        figure.savefig(path)
+    return path
