@@ -1,27 +1,28 @@
-"""Table 1 of the article: synthesis and check of the DSSC's parameters from bounds."""
+"""Theorem 1 and Table 1 of the article as a tool: from bounds to gains, and to a certificate of any gains."""
 
 from dssc_jax.design.bounds import Bounds, Constants, derive
-from dssc_jax.design.table1 import (
-    Certificate,
-    Free,
-    Inequality,
-    Parameters,
-    Recipe,
-    State,
-    check,
-    synthesise,
-)
+from dssc_jax.design.certificate import Certificate, certified, check
+from dssc_jax.design.practice import Modulation
+from dssc_jax.design.small_gain import Guarantee, guarantee, small_gain
+from dssc_jax.design.synthesis import Free, Recipe, design, synthesise
+from dssc_jax.design.table1 import Inequality, Parameters, State
 
 __all__ = [
     "Bounds",
     "Certificate",
     "Constants",
     "Free",
+    "Guarantee",
     "Inequality",
+    "Modulation",
     "Parameters",
     "Recipe",
     "State",
+    "certified",
     "check",
     "derive",
+    "design",
+    "guarantee",
+    "small_gain",
     "synthesise",
 ]

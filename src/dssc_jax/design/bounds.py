@@ -1,9 +1,12 @@
-"""What is known of plant, disturbance, nominal control and reference (A0)-(A4), and the constants that follow."""
+"""What is known of plant, disturbance, nominal control and reference (A0)-(A4), and the constants that follow.
+
+Formulas here and in the rest of the package take numbers, arrays or traced values alike.
+"""
 
 from typing import Annotated, Any, NamedTuple, get_type_hints
 
 from dssc_jax.errors import ConfigError
-from dssc_jax.types import Quantity
+from dssc_jax.types import Quantity, Scalar
 from dssc_jax.zero_dynamics import ZeroDynamics, require_hurwitz
 
 MOST = 1e30  # numbers beyond it, or below its inverse, overflow in products of powers
@@ -43,23 +46,28 @@ def require_plain(numbers: Any) -> None:
 class Bounds(NamedTuple):
     """The bounds of (A0)-(A4) and of the reference."""
 
-    k_min: Annotated[float, positive("1/s", "lower bound of k_p (A0.a)")]
-    k_max: Annotated[float, positive("1/s", "upper bound of k_p (A0.a)")]
-    a_max: Annotated[float, known("1/s", "bound of |a_p| (A0.a)")]
-    k_d1: Annotated[float, known("1/m", "k_d1 of (A1)")] = 0.0
-    k_d2: Annotated[float, known("s/m", "k_d2 of (A1)")] = 0.0
-    k_d3: Annotated[float, known("1", "k_d3 of (A1)")] = 0.0
-    k_d4: Annotated[float, known("1/s", "k_d4 of (A2)")] = 0.0
-    k_d5: Annotated[float, known("1/s^2", "k_d5 of (A2)")] = 0.0
-    alpha_d2: Annotated[float, known("m/s^2", "alpha_d2 of (A2)")] = 0.0
-    alpha_d3: Annotated[float, known("m/s^2", "alpha_d3 of (A3)")] = 0.0
-    c_sigma: Annotated[float, known("1", "c_sigma of (A4)")] = 0.0
-    c_e1: Annotated[float, known("1/s", "c_e1 of (A4)")] = 0.0
-    c_e2: Annotated[float, known("1/s", "c_e2 of (A4)")] = 0.0
-    c_isigma: Annotated[float, known("SI", "c_isigma of (A4)")] = 0.0
-    c_ie: Annotated[float, known("SI", "c_ie of (A4)")] = 0.0
-    y_m: Annotated[float, known("m", "sup |y_m|")] = 0.0
-    y_m_dot: Annotated[float, known("m/s", "sup |y_m'|")] = 0.0
+    k_min: Annotated[Scalar, positive("1/s", "lower bound of k_p (A0.a)")]
+    k_max: Annotated[Scalar, positive("1/s", "upper bound of k_p (A0.a)")]
+    a_max: Annotated[Scalar, known("1/s", "bound of |a_p| (A0.a)")]
+    k_d1: Annotated[Scalar, known("1/m", "k_d1 of (A1)")] = 0.0
+    k_d2: Annotated[Scalar, known("s/m", "k_d2 of (A1)")] = 0.0
+    k_d3: Annotated[Scalar, known("1", "k_d3 of (A1)")] = 0.0
+    k_d4: Annotated[Scalar, known("1/s", "k_d4 of (A2)")] = 0.0
+    k_d5: Annotated[Scalar, known("1/s^2", "k_d5 of (A2)")] = 0.0
+    alpha_d2: Annotated[Scalar, known("m/s^2", "alpha_d2 of (A2)")] = 0.0
+    alpha_d3: Annotated[Scalar, known("m/s^2", "alpha_d3 of (A3)")] = 0.0
+    c_sigma: Annotated[Scalar, known("1", "c_sigma of (A4)")] = 0.0
+    c_e1: Annotated[Scalar, known("1/s", "c_e1 of (A4)")] = 0.0
+    c_e2: Annotated[Scalar, known("1/s", "c_e2 of (A4)")] = 0.0
+    c_isigma: Annotated[Scalar, known("SI", "c_isigma of (A4)")] = 0.0
+    c_ie: Annotated[Scalar, known("SI", "c_ie of (A4)")] = 0.0
+    y_m: Annotated[Scalar, known("m", "sup |y_m|")] = 0.0
+    y_m_dot: Annotated[Scalar, known("m/s", "sup |y_m'|")] = 0.0
+    y_m_ddot: Annotated[Scalar, known("m/s^2", "sup |y_m''|")] = 0.0
+    y_m_dddot: Annotated[Scalar, known("m/s^3", "sup |y_m'''|")] = 0.0
+    c_m: Annotated[Scalar, known("m/s", "c_m of (A4), bound of |u_m|")] = 0.0
+    u_m_dot: Annotated[Scalar, known("m/s^2", "sup |u_m'|")] = 0.0
+    alpha_d: Annotated[Scalar, known("m/s", "bound of |d| (A0.b)")] = 0.0
     zero_dynamics: ZeroDynamics | None = None
 
     def prepare(self) -> "Bounds":
@@ -78,32 +86,57 @@ class Bounds(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """What the inequalities of Table 1 are made of; the barred constants at k_max."""
+    """What the theorem's inequalities are made of; k_p at k_max."""
 
-    kd1_bar: float
-    kd2_bar: float
-    kd3_bar: float
-    csigma_bar: float
-    k_sigma: float
-    c_eta_b_eta: float
+    kd1_bar: Annotated[Scalar, Quantity("1/(m s)", "bound of |beta_1/sigma| growing with |e| (69)")]
+    kd2_bar: Annotated[Scalar, Quantity("1/m", "bound of |beta_1/sigma| growing with |sigma| (69)")]
+    kd3_bar: Annotated[Scalar, Quantity("1/s", "constant part of the bound of |beta_1/sigma| (69)")]
+    csigma_bar: Annotated[Scalar, Quantity("1/s", "bound of |k_p u_d + (l_0 - a_p) sigma|/|sigma| (69)")]
+    k_sigma: Annotated[Scalar, Quantity("1/s^2", "constant part of the bound of |beta_2/sigma| (72)")]
+    kappa_e: Annotated[Scalar, Quantity("1/s^3", "bound of beta_e growing with |e| (71), derived")]
+    kappa_e_printed: Annotated[Scalar, Quantity("1/s^3", "the same as printed")]
+    c_eta_a_eta: Annotated[Scalar, Quantity("SI", "|C_eta A_eta| (71)")]
+    c_eta_b_eta: Annotated[Scalar, Quantity("SI", "|C_eta B_eta| (72)")]
+    beta_m: Annotated[Scalar, Quantity("m/s^3", "bound of beta_m, and of the constant rest of beta_e (70), (71)")]
+    beta_m_printed: Annotated[Scalar, Quantity("m/s^3", "the same term by term as printed, lost dots restored")]
 
 
-def derive(bounds: Bounds, l0: float) -> Constants:
-    """The barred constants of (69), with y = e + y_m and y' = -l0 e + sigma + y_m', and k_sigma of (70).
+def derive(bounds: Bounds, l0: Scalar) -> Constants:
+    """The constants of Appendix E, with y = e + y_m and y' = -l0 e + sigma + y_m'.
+
+    kappa_e follows from the derivative of (64): the article misplaces a factor l0 and drops k_p on du_p/de.
+    In beta_m the terms l0 y_m'' of sigma_m'' and of (l0 - a_p) y_m'' cancel, of which the article makes no use.
 
     Args:
         bounds: The bounds.
         l0: Error pole [1/s].
     """
-    k_max = bounds.k_max
-    c_eta_b_eta = abs(bounds.zero_dynamics.c[-1]) if bounds.zero_dynamics is not None else 0.0
-    csigma_bar = k_max * bounds.c_sigma + l0 + bounds.a_max
-    reference = bounds.k_d1 * bounds.y_m + bounds.k_d2 * bounds.y_m_dot + bounds.k_d3
+    b, k_max = bounds, bounds.k_max
+    c_eta_a_eta, c_eta_b_eta = coupling(b.zero_dynamics)
+    csigma_bar = k_max * b.c_sigma + l0 + b.a_max
+    k_sigma = (l0 + b.a_max) * l0 + k_max * (b.c_e2 + b.k_d4) + c_eta_b_eta
+    printed = (l0 + b.a_max) * l0 + b.c_e2 + k_max * l0 * b.k_d4 + c_eta_b_eta
+    exogenous = k_max * (b.u_m_dot + b.k_d5 * b.y_m + b.alpha_d2 + b.alpha_d3)
+    steady = exogenous + (k_max * b.k_d4 + c_eta_b_eta) * b.y_m_dot + b.y_m_dddot
     return Constants(
-        kd1_bar=k_max * (bounds.k_d1 + l0 * bounds.k_d2),
-        kd2_bar=k_max * bounds.k_d2,
-        kd3_bar=csigma_bar + k_max * reference,
+        kd1_bar=k_max * (b.k_d1 + l0 * b.k_d2),
+        kd2_bar=k_max * b.k_d2,
+        kd3_bar=csigma_bar + k_max * (b.k_d1 * b.y_m + b.k_d2 * b.y_m_dot + b.k_d3),
         csigma_bar=csigma_bar,
-        k_sigma=(l0 + bounds.a_max) * l0 + k_max * (bounds.c_e2 + bounds.k_d4) + float(c_eta_b_eta),
-        c_eta_b_eta=float(c_eta_b_eta),
+        k_sigma=k_sigma,
+        kappa_e=l0 * k_sigma + k_max * b.k_d5,
+        kappa_e_printed=l0 * printed + k_max * b.k_d5,
+        c_eta_a_eta=c_eta_a_eta,
+        c_eta_b_eta=c_eta_b_eta,
+        beta_m=steady + b.a_max * b.y_m_ddot,
+        beta_m_printed=steady + (2.0 * l0 + b.a_max) * b.y_m_ddot,
     )
+
+
+def coupling(dynamics: ZeroDynamics | None) -> tuple[float, float]:
+    """|C_eta A_eta| and |C_eta B_eta|; both 0 for a plant of order two."""
+    if dynamics is None:
+        return 0.0, 0.0
+    a, c = dynamics.a, dynamics.c
+    row = [(c[i - 1] if i else 0.0) - c[-1] * a[i] for i in range(len(a))]
+    return sum(x * x for x in row) ** 0.5, abs(c[-1])

@@ -1,0 +1,142 @@
+"""The certificate: Table 1, the Lyapunov matrices, positive functions, the small gain, and what follows from them."""
+
+from typing import Any, NamedTuple
+
+from dssc_jax.design.bounds import Bounds, Constants, derive, require_plain
+from dssc_jax.design.lyapunov import attack_q, eigenvalues_of_p, functions_are_positive, q_is_positive
+from dssc_jax.design.practice import Practice, practice
+from dssc_jax.design.small_gain import Guarantee, SmallGain, guarantee, small_gain
+from dssc_jax.design.table1 import Inequality, Parameters, State, inequalities
+from dssc_jax.types import Scalar
+
+
+class Lyapunov(NamedTuple):
+    """The matrices of (53), (54).
+
+    Args:
+        p_smallest: Smallest eigenvalue of P over the interval of k_p; NaN where P is not positive definite.
+        q_smallest: Smallest eigenvalue of Q - 2 eps I that a search over sigma, e, alpha_1, alpha_2 and k_p found.
+        q_proved: Whether Q - 2 eps I > 0 is proved for all of them.
+        functions_proved: Whether k_o tau_av > 0 and tau_m > 0 are proved for all sigma, e.
+    """
+
+    p_smallest: float
+    q_smallest: float
+    q_proved: bool
+    functions_proved: bool
+
+
+class Certificate(NamedTuple):
+    """What can be said of a design under its bounds.
+
+    Args:
+        inequalities: Table 1, row by row.
+        constants: What the inequalities are made of.
+        lyapunov: P, Q - 2 eps I and the functions.
+        small_gain: The least phi_b in three readings.
+        phi_b: The design's own.
+        guarantee: Decay rate and residual sets.
+        practice: Sampling period and modulation that the design needs.
+    """
+
+    inequalities: tuple[Inequality, ...]
+    constants: Constants
+    lyapunov: Lyapunov
+    small_gain: SmallGain
+    phi_b: float
+    guarantee: Guarantee
+    practice: Practice
+
+    @property
+    def table(self) -> bool:
+        """Whether every inequality of Table 1 is strictly satisfied."""
+        return all(inequality.state is State.SATISFIED for inequality in self.inequalities)
+
+    @property
+    def certified(self) -> bool:
+        """Whether Theorem 1 holds: Table 1 strictly, and phi_b above the derived small-gain bound."""
+        return self.table and self.phi_b > self.small_gain.derived
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON, NaN and infinity still to be replaced."""
+        rows = [
+            {
+                "name": i.name,
+                "equation": i.equation,
+                "value": i.value,
+                "bound": i.bound,
+                "slack": i.slack,
+                "state": i.state.value,
+                "printed_slack": i.printed_slack,
+            }
+            for i in self.inequalities
+        ]
+        gain = {
+            f"{name}_phi_b": {"bound": bound, "slack": self.phi_b - bound}
+            for name, bound in self.small_gain._asdict().items()
+        }
+        return {
+            "inequalities": rows,
+            "certified": self.certified,
+            "table": self.table,
+            "small_gain": gain,
+            "lyapunov": self.lyapunov._asdict(),
+            "guarantee": self.guarantee._asdict(),
+            "practice": self.practice._asdict(),
+            "constants": self.constants._asdict(),
+        }
+
+
+def check(parameters: Parameters, bounds: Bounds) -> Certificate:
+    """Check a design under its bounds, over the whole interval of k_p.
+
+    Args:
+        parameters: The parameters in question, plain numbers.
+        bounds: What is known of plant, disturbance, nominal control and reference.
+
+    Returns:
+        Each inequality with its slack, as derived and as printed, and what they guarantee together.
+
+    Raises:
+        ConfigError: a number is out of its range, or the bounds contradict themselves.
+    """
+    require_plain(parameters)
+    bounds = bounds.prepare()
+    p = parameters
+    lyapunov = Lyapunov(
+        p_smallest=float(eigenvalues_of_p(bounds.k_min, p.eps, p.gamma).low),
+        q_smallest=attack_q(p, bounds),
+        q_proved=bool(q_is_positive(p, bounds)),
+        functions_proved=bool(functions_are_positive(p)),
+    )
+    return Certificate(
+        inequalities=tuple(plain(row) for row in inequalities(p, bounds)),
+        constants=plain(derive(bounds, p.l0)),
+        lyapunov=lyapunov,
+        small_gain=plain(small_gain(p, bounds)),
+        phi_b=p.phi_b,
+        guarantee=plain(guarantee(p, bounds)),
+        practice=plain(practice(p, bounds)),
+    )
+
+
+def plain(numbers: Any) -> Any:
+    """A tuple whose numbers are Python's own."""
+    return type(numbers)(*(value if isinstance(value, str) else float(value) for value in numbers))
+
+
+def certified(parameters: Parameters, bounds: Bounds) -> Scalar:
+    """Whether Theorem 1 holds, for many designs at once: what :attr:`Certificate.certified` says of each.
+
+    Args:
+        parameters: Arrays, traced or not, of shapes that broadcast.
+        bounds: Likewise; the zero dynamics are plain numbers.
+
+    Returns:
+        True or False for each design; False where a number is out of its range.
+    """
+    p = parameters
+    holds = p.phi_b > small_gain(p, bounds).derived
+    for row in inequalities(p, bounds):
+        holds = holds & row.satisfied
+    return holds

@@ -1,0 +1,166 @@
+"""The Lyapunov function V = zeta^T P zeta of (53), and Q - 2 eps I > 0 over all admissible disturbances (54).
+
+P = [[gamma k_p, -2 eps], [-2 eps, 1]]. With kappa_2 = 2 eps kappa_1 + gamma,
+Q - 2 eps I = [[k_q, 2 eps alpha_1 - alpha_2], [., 2 eps]], where
+k_q = 2 (gamma k_p - 4 eps^2) k_p kappa_1 - 4 eps gamma k_p - 2 gamma k_p alpha_1 + 4 eps alpha_2 - 2 eps
+(the article prints its second term with the wrong sign).
+"""
+
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.design.arrays import namespace, ratio_where
+from dssc_jax.design.bounds import Bounds, Constants, derive
+from dssc_jax.design.table1 import Parameters, f
+from dssc_jax.types import Scalar
+
+POINTS = 49  # of |sigma| and of |e| in the numerical attack, from 0 to infinity
+
+
+class Spread(NamedTuple):
+    """Smallest and largest eigenvalue of a positive definite matrix."""
+
+    low: Scalar
+    high: Scalar
+
+    @property
+    def condition(self) -> Scalar:
+        """Their ratio."""
+        return self.high / self.low
+
+
+def eigenvalues_of_p(k_p: Scalar, eps: Scalar, gamma: Scalar) -> Spread:
+    """Eigenvalues of P; the smaller one is NaN unless P > 0, that is gamma k_p > 4 eps^2."""
+    first = gamma * k_p
+    root = ((first - 1.0) ** 2 + 16.0 * eps**2) ** 0.5
+    high = 0.5 * (first + 1.0 + root)
+    determinant = first - 4.0 * eps**2
+    return Spread(ratio_where(determinant > 0.0, determinant, high), high)
+
+
+def norm_of_pb(eps: Scalar) -> Scalar:
+    """|P B| with B = [0, 1]^T: it does not depend on k_p."""
+    return (1.0 + 4.0 * eps**2) ** 0.5
+
+
+class Alphas(NamedTuple):
+    """Bounds rho_1, rho_2 of |alpha_1|, |alpha_2| (Appendix E)."""
+
+    rho_1: Scalar
+    rho_2: Scalar
+
+
+def alphas(p: Parameters, bounds: Bounds, constants: Constants, sigma: Scalar, e: Scalar) -> Alphas:
+    """rho_1 and rho_2 at (sigma, e); the article drops k_p on the integral terms of rho_2."""
+    first = constants.kd1_bar * abs(e) + constants.kd2_bar * abs(sigma) + constants.kd3_bar
+    second = constants.k_sigma + bounds.k_max * (bounds.c_isigma * abs(sigma) + bounds.c_ie * abs(e))
+    return Alphas(first / p.phi_b, second / p.phi_b**2)
+
+
+def kappa_1(p: Parameters, sigma: Scalar, e: Scalar) -> Scalar:
+    """kappa_1 = (kappa_a |sigma| + kappa_b |e| + kappa_c)^2 + kappa_d (78)."""
+    return (p.kappa_a * abs(sigma) + p.kappa_b * abs(e) + p.kappa_c) ** 2 + p.kappa_d
+
+
+def smallest_of_q(p: Parameters, k_p: Scalar, gain: Scalar, alpha_1: Scalar, alpha_2: Scalar) -> Scalar:
+    """Smallest eigenvalue of Q - 2 eps I.
+
+    Args:
+        p: The parameters.
+        k_p: High-frequency gain [1/s].
+        gain: kappa_1.
+        alpha_1: beta_1/phi_1.
+        alpha_2: beta_2/phi_2.
+    """
+    eps, first = p.eps, p.gamma * k_p
+    k_q = (
+        2.0 * (first - 4.0 * eps**2) * k_p * gain
+        - 4.0 * eps * first
+        - 2.0 * first * alpha_1
+        + 4.0 * eps * alpha_2
+        - 2.0 * eps
+    )
+    off = 2.0 * eps * alpha_1 - alpha_2
+    mean, half = 0.5 * k_q + eps, 0.5 * k_q - eps
+    root = (half**2 + off**2) ** 0.5
+    large = mean + root  # the smaller eigenvalue as determinant over the larger: no cancellation while that is positive
+    positive = large > 0.0
+    xp = namespace(large)
+    return xp.where(positive, (2.0 * eps * k_q - off**2) / xp.where(positive, large, 1.0), mean - root)
+
+
+def worst_of_q(p: Parameters, bounds: Bounds, k_p: Scalar, sigma: Scalar, e: Scalar) -> Scalar:
+    """Smallest eigenvalue of Q - 2 eps I over |alpha_1| <= rho_1, |alpha_2| <= rho_2.
+
+    It is concave in (alpha_1, alpha_2), in which the matrix is affine, so that the four vertices suffice.
+    """
+    limit = alphas(p, bounds, derive(bounds, p.l0), sigma, e)
+    gain = kappa_1(p, sigma, e)
+    vertices = [
+        smallest_of_q(p, k_p, gain, first * limit.rho_1, second * limit.rho_2)
+        for first, second in product((-1.0, 1.0), repeat=2)
+    ]
+    xp = namespace(*vertices)
+    return xp.stack(xp.broadcast_arrays(*vertices)).min(axis=0)
+
+
+def attack_q(p: Parameters, bounds: Bounds) -> float:
+    """Smallest eigenvalue of Q - 2 eps I found over a grid of all sigma, e, and k_p; for plain numbers.
+
+    |sigma| and |e| run to 10^6 of the scale at which they matter in kappa.
+    """
+    scale = np.concatenate([[0.0], np.logspace(-3, 6, POINTS - 1)])
+    sigma = scale[:, None, None] * p.kappa_c / p.kappa_a
+    e = scale[None, :, None] * p.kappa_c / p.kappa_b
+    k_p = np.linspace(bounds.k_min, bounds.k_max, 5)
+    return float(np.min(worst_of_q(p, bounds, k_p, sigma, e)))
+
+
+def q_coefficients(p: Parameters, bounds: Bounds) -> tuple[Scalar, ...]:
+    """Coefficients of a polynomial in (|sigma|, |e|) whose positivity for all of them is Q - 2 eps I > 0 throughout.
+
+    2 eps k_q > (2 eps alpha_1 - alpha_2)^2 at the worst vertex (rho_1, -rho_2), where each of its terms is at its
+    worst, reads f kappa_1 - rho^2 - 4 eps gamma k_p rho_1 - 8 eps^2 rho_2 - 8 eps^2 gamma k_p - 4 eps^2 > 0 with
+    rho = 2 eps rho_1 + rho_2: a polynomial of second degree. Where all of its coefficients are positive it is
+    positive. Divided by f every subtracted term falls with k_p, hence k_min suffices. This asks for less than
+    Table 1, which bounds rho_1 and rho_2 by rho.
+
+    Returns:
+        The coefficients of sigma^2, |sigma e|, e^2, |sigma|, |e| and 1, at k_min.
+    """
+    c, eps, k_p = derive(bounds, p.l0), p.eps, bounds.k_min
+    gain, first = f(k_p, eps, p.gamma), p.gamma * k_p
+    rho_1 = tuple(x / p.phi_b for x in (c.kd2_bar, c.kd1_bar, c.kd3_bar))
+    rho_2 = tuple(
+        x / p.phi_b**2 for x in (bounds.k_max * bounds.c_isigma, bounds.k_max * bounds.c_ie, c.k_sigma)
+    )
+    a, b, d = (2.0 * eps * x + y for x, y in zip(rho_1, rho_2, strict=True))
+    linear = [4.0 * eps * first * x + 8.0 * eps**2 * y for x, y in zip(rho_1, rho_2, strict=True)]
+    return (
+        gain * p.kappa_a**2 - a**2,
+        2.0 * (gain * p.kappa_a * p.kappa_b - a * b),
+        gain * p.kappa_b**2 - b**2,
+        2.0 * (gain * p.kappa_a * p.kappa_c - a * d) - linear[0],
+        2.0 * (gain * p.kappa_b * p.kappa_c - b * d) - linear[1],
+        gain * (p.kappa_c**2 + p.kappa_d) - d**2 - linear[2] - 8.0 * eps**2 * first - 4.0 * eps**2,
+    )
+
+
+def q_is_positive(p: Parameters, bounds: Bounds) -> Scalar:
+    """Whether Q - 2 eps I > 0 is proved for all sigma, e, alpha and k_p: f > 0 and positive coefficients."""
+    holds = p.gamma * bounds.k_min > 4.0 * p.eps**2
+    for coefficient in q_coefficients(p, bounds):
+        holds = holds & (coefficient > 0.0)
+    return holds
+
+
+def functions_are_positive(p: Parameters) -> Scalar:
+    """Whether k_o tau_av > 0 and tau_m > 0 are proved for all sigma, e.
+
+    (28) is positive term by term. For (29), eps kappa phi_b > kappa_b (l0 |e| + |sigma|) suffices, coefficient by
+    coefficient: phi_b >= l0/eps and kappa_a >= kappa_b/(eps phi_b), which asks for less than Table 1's
+    kappa_a > kappa_b/l0; kappa_c, kappa_d and gamma make it strict.
+    """
+    return (p.eps * p.phi_b >= p.l0) & (p.kappa_a * p.eps * p.phi_b >= p.kappa_b)

@@ -1,0 +1,134 @@
+"""From the theorem to a running loop: the sampling period and the modulation that a design needs.
+
+The theorem is about continuous time and a modulation that dominates the disturbance. What is bounded here is bounded
+where the loop lives in the end, in the guaranteed residual set; a start far away needs more of either.
+"""
+
+from typing import Annotated, NamedTuple
+
+from dssc_jax.design.arrays import namespace
+from dssc_jax.design.bounds import Bounds, derive, known, positive
+from dssc_jax.design.lyapunov import kappa_1
+from dssc_jax.design.small_gain import Guarantee, guarantee
+from dssc_jax.design.table1 import Parameters
+from dssc_jax.types import Scalar
+
+RATIO = 0.5  # share of the sampling limit that the proposed periods use
+
+
+class Practice(NamedTuple):
+    """What a running loop needs.
+
+    What concerns the residual set is NaN where none is guaranteed; ``u_av`` and ``drift`` also where the bounds do not
+    tell: a disturbance without ``alpha_d``, or an integral in the nominal control.
+
+    Args:
+        sample_time_origin: Sampling period for half the sampling limit at sigma = e = 0 and k_p = k_max [s].
+        sample_time: The same over the guaranteed residual set [s].
+        proportional_gain: Bound of 1/(k_o tau_av), the synthesised proportional gain, over that set [1].
+        u_av: Bound of |u_av| over that set [m/s].
+        drift: Bound of |sigma' + sigma/tau_m| over that set [m/s^2]. By (20) k_o u_eq = k_o u_av + sigma' +
+            sigma/tau_m in sliding, so that the sliding condition is met by rho > u_av + drift/k_o.
+    """
+
+    sample_time_origin: Scalar
+    sample_time: Scalar
+    proportional_gain: Scalar
+    u_av: Scalar
+    drift: Scalar
+
+
+def practice(p: Parameters, bounds: Bounds) -> Practice:
+    """Sampling periods by the sampling limit of the synthesised law, and what a constant rho has to dominate.
+
+    Args:
+        p: The parameters.
+        bounds: What is known.
+    """
+    reached = finite(guarantee(p, bounds))
+    inside = proportional_gain(p, reached.sigma, reached.e)
+    return Practice(
+        sample_time(bounds.k_max, proportional_gain(p, 0.0, 0.0), predictor_pole(p)),
+        sample_time(bounds.k_max, inside, predictor_pole(p)),
+        inside,
+        *command_bounds(p, bounds, reached),
+    )
+
+
+def finite(reached: Guarantee) -> Guarantee:
+    """NaN in place of infinity, which would make NaN of 0 times itself."""
+    xp = namespace(*reached)
+    return Guarantee(*(xp.where(xp.isfinite(value), value, xp.nan) for value in reached))
+
+
+def proportional_gain(p: Parameters, sigma: Scalar, e: Scalar) -> Scalar:
+    """Bound of 1/(k_o tau_av) = kappa_1' phi_1 + kappa_1 phi_1' (28) for |sigma|, |e| up to the given ones.
+
+    phi_1' and phi_1/sigma are largest at sigma = 0, where both are phi_a/delta + phi_b; exact there.
+    """
+    kappa = p.kappa_a * sigma + p.kappa_b * e + p.kappa_c
+    return (2.0 * kappa * p.kappa_a * sigma + kappa_1(p, sigma, e)) * (p.phi_a / p.delta + p.phi_b)
+
+
+def predictor_pole(p: Parameters) -> Scalar:
+    """Bound of 1/tau_m of (29) over all (sigma, e).
+
+    Its part of d kappa_1/d e is at most kappa_b/kappa_a, that of kappa_2 at most the largest phi_1/sigma times the
+    largest kappa_2/kappa_1.
+    """
+    largest_share = 2.0 * p.eps + p.gamma / (p.kappa_c**2 + p.kappa_d)
+    return p.kappa_b / p.kappa_a + (p.phi_a / p.delta + p.phi_b) * largest_share
+
+
+def sample_time(k_p: Scalar, gain: Scalar, pole: Scalar) -> Scalar:
+    """T_s for which (k_p T_s gain)(1 + T_s pole/2)/2 is :data:`RATIO` [s].
+
+    Args:
+        k_p: High-frequency gain [1/s].
+        gain: 1/(k_o tau_av).
+        pole: 1/tau_m [1/s].
+    """
+    linear = 2.0 * RATIO / (k_p * gain)  # of a vanishing pole
+    return 2.0 * linear / (1.0 + (1.0 + 2.0 * linear * pole) ** 0.5)
+
+
+def command_bounds(p: Parameters, bounds: Bounds, reached: Guarantee) -> tuple[Scalar, Scalar]:
+    """Bounds of |u_av| and |sigma' + sigma/tau_m| in the residual set.
+
+    sigma' = -k_p kappa_1 phi_1 + beta_1 + z (48) with |phi_1|, |z| <= zeta, and k_p u_av = d_sigma - sigma' (13).
+    """
+    b, c = bounds, derive(bounds, p.l0)
+    xp = namespace(reached.sigma)
+    sigma, e = reached.sigma, reached.e
+    slope = c.kd1_bar * e + c.kd2_bar * sigma + c.kd3_bar
+    sigma_dot = (b.k_max * kappa_1(p, sigma, e) + 1.0) * reached.zeta + slope * sigma
+    y_dot = p.l0 * e + sigma + b.y_m_dot
+    sigma_m_dot = b.y_m_ddot + p.l0 * b.y_m_dot
+    nominal = b.c_e1 * e + b.c_sigma * sigma + b.c_m
+    d_sigma = b.k_max * (nominal + b.alpha_d) + (p.l0 + b.a_max) * y_dot + sigma_m_dot + output_norm(b) * reached.x_eta
+    disturbed = sum((b.k_d1, b.k_d2, b.k_d3, b.k_d4, b.k_d5, b.alpha_d2, b.alpha_d3)) > 0.0
+    known_ = ((b.alpha_d > 0.0) | ~xp.asarray(disturbed)) & (b.c_isigma + b.c_ie == 0.0)
+    u_av = xp.where(known_, (d_sigma + sigma_dot) / b.k_min, xp.nan)
+    return u_av, xp.where(known_, sigma_dot + sigma * predictor_pole(p), xp.nan)
+
+
+def output_norm(bounds: Bounds) -> float:
+    """|C_eta|; 0 for a plant of order two."""
+    return 0.0 if bounds.zero_dynamics is None else sum(x * x for x in bounds.zero_dynamics.c) ** 0.5
+
+
+class Modulation(NamedTuple):
+    """How the loop is meant to reach sliding."""
+
+    k_o: Annotated[float, positive("1/s", "constant predictor gain k_o")]
+    delta_rho: Annotated[float, positive("m/s^2", "margin delta_rho of (33)")]
+    sigma_tilde: Annotated[float, known("m/s", "|sigma - sigma_hat| at the start")] = 0.0
+
+    def needed_rho(self, found: Practice) -> Scalar:
+        """Constant rho that keeps sliding in the residual set with the margin delta_rho [m/s]."""
+        return found.u_av + (found.drift + self.delta_rho) / self.k_o
+
+    @property
+    def first_sliding(self) -> float:
+        """Bound of the time of the first sliding under (33) [s]: |sigma_tilde|' <= -delta_rho (44)."""
+        return self.sigma_tilde / self.delta_rho

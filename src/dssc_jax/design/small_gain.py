@@ -1,0 +1,194 @@
+"""Theorem 1's small-gain condition, and the numbers that it guarantees: decay rate and residual sets.
+
+With W_eta = (x_eta^T P_eta x_eta)^(1/2), x_eta = (eta, e), and W_v = (zeta^T P zeta)^(1/2), (60) and (58) are
+W_eta' <= -k_eta1 W_eta + k_eta2 W_v + k_eta3 |y_m'| and W_v' <= -k_v1 W_v + k_v2 W_eta + k_v3 beta_m. The linear
+comparison system is stable, and decays to the residual set, if and only if k_v1 k_eta1 > k_v2 k_eta2.
+
+k_p enters through P alone, and the extremes over [k_min, k_max] are attained at its ends. Stability and residuals
+depend on P's condition number only, and its derivative with respect to x = gamma k_p has the sign of
+x - 1 - 8 eps^2: it falls, then rises. The decay rate exceeds r if and only if r < k_eta1 and
+eps phi_b lmin(P) - r det P - (k_v2 k_eta2 lmin(P)/(k_eta1 - r)) lmax(P) > 0, where k_v2 k_eta2 lmin(P) does not
+depend on k_p: a concave function of k_p, since lmin is concave, det P affine and lmax convex.
+"""
+
+from typing import NamedTuple
+
+from dssc_jax.design.arrays import greater, namespace
+from dssc_jax.design.bounds import Bounds, Constants, derive
+from dssc_jax.design.lyapunov import Spread, eigenvalues_of_p, norm_of_pb
+from dssc_jax.design.table1 import Parameters
+from dssc_jax.types import Scalar
+
+
+class ErrorDynamics(NamedTuple):
+    """The solution P_eta of A_xeta^T P_eta + P_eta A_xeta = -2 I, as far as the theorem needs it (59).
+
+    Args:
+        spread: Its eigenvalues.
+        input: |P_eta B_sigma|.
+        reference: |P_eta B_m|.
+    """
+
+    spread: Spread
+    input: Scalar
+    reference: Scalar
+
+
+def error_dynamics(bounds: Bounds, l0: Scalar) -> ErrorDynamics:
+    """P_eta for A_xeta = [[A_eta, -l0 B_eta], [0, -l0]], B_sigma = [B_eta; 1], B_m = [B_eta; 0].
+
+    For a plant of order two it is 1/l0.
+    """
+    if bounds.zero_dynamics is None:
+        return ErrorDynamics(Spread(1.0 / l0, 1.0 / l0), 1.0 / l0, 0.0 * l0)
+    xp = namespace(l0)
+    l0 = xp.asarray(l0)
+    a = bounds.zero_dynamics.a
+    m = len(a)
+    zero, one = xp.zeros_like(l0), xp.ones_like(l0)
+    rows = [[one if j == i + 1 else zero for j in range(m)] + [zero] for i in range(m - 1)]
+    rows += [[-x * one for x in a] + [-l0], [zero] * m + [-l0]]
+    matrix = xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
+    p = lyapunov(matrix)
+    eigenvalues = xp.linalg.eigvalsh(p)
+    column = p[..., :, m - 1]
+    return ErrorDynamics(
+        Spread(eigenvalues[..., 0], eigenvalues[..., -1]),
+        ((column + p[..., :, m]) ** 2).sum(axis=-1) ** 0.5,
+        (column**2).sum(axis=-1) ** 0.5,
+    )
+
+
+def lyapunov(matrix: Scalar) -> Scalar:
+    """The symmetric P of A^T P + P A = -2 I for each matrix of a stack, shape (..., n, n), as one linear system."""
+    xp = namespace(matrix)
+    n = matrix.shape[-1]
+    identity = xp.eye(n)
+    transposed = xp.swapaxes(matrix, -1, -2)
+    # vec(A^T P + P A) = (A^T x I + I x A^T) vec P, row by row
+    left = transposed[..., :, None, :, None] * identity[:, None, :]
+    right = identity[:, None, :, None] * transposed[..., None, :, None, :]
+    system = (left + right).reshape(*matrix.shape[:-2], n * n, n * n)
+    wanted = xp.broadcast_to(-2.0 * identity.reshape(n * n, 1), (*matrix.shape[:-2], n * n, 1))
+    p = xp.linalg.solve(system, wanted).reshape(matrix.shape)
+    return 0.5 * (p + xp.swapaxes(p, -1, -2))
+
+
+def worst_condition(p: Parameters, bounds: Bounds) -> Scalar:
+    """Largest condition number of P over the interval of k_p: at one of its ends."""
+    low, high = (eigenvalues_of_p(k_p, p.eps, p.gamma).condition for k_p in (bounds.k_min, bounds.k_max))
+    return greater(low, high)
+
+
+class SmallGain(NamedTuple):
+    """The least phi_b of the small-gain condition in its three readings.
+
+    Args:
+        derived: The linear comparison system is stable for phi_b above it, from (58) and (60). This one certifies.
+        theorem: 4 gamma_1 gamma_2 <= phi_b^2 of Appendix G with the derived gains: twice as much.
+        printed: The last bound of Appendix D, with 1/4 where 4 belongs and mixed powers of eigenvalues.
+    """
+
+    derived: Scalar
+    theorem: Scalar
+    printed: Scalar
+
+
+def small_gain(p: Parameters, bounds: Bounds) -> SmallGain:
+    """The least phi_b for which the interconnection of tracking error and sliding motion is stable.
+
+    phi_b^2 > |P_eta B_sigma| |P B| (kappa_e + |C_eta A_eta|) cond(P) cond(P_eta)/eps. Nothing on its right depends
+    on phi_b: enlarging phi_b always meets it.
+    """
+    c, eta = derive(bounds, p.l0), error_dynamics(bounds, p.l0)
+    shared = eta.input * norm_of_pb(p.eps) * eta.spread.condition / p.eps
+    derived = (shared * (c.kappa_e + c.c_eta_a_eta) * worst_condition(p, bounds)) ** 0.5
+    ends = [eigenvalues_of_p(k_p, p.eps, p.gamma) for k_p in (bounds.k_min, bounds.k_max)]
+    mixed = greater(*(end.high / end.low**0.5 for end in ends))
+    printed = 0.25 * shared * (c.kappa_e_printed + c.c_eta_a_eta) * mixed / eta.spread.low**0.5
+    return SmallGain(derived, 2.0 * derived, printed**0.5)
+
+
+class Gains(NamedTuple):
+    """Coefficients of the comparison system (61), (62) at one k_p."""
+
+    k_eta1: Scalar
+    k_eta2: Scalar
+    k_eta3: Scalar
+    k_v1: Scalar
+    k_v2: Scalar
+    k_v3: Scalar
+
+
+def comparison_gains(p: Parameters, c: Constants, eta: ErrorDynamics, lyapunov_of: Spread) -> Gains:
+    """The coefficients, with the article's mixed powers of eigenvalues put right.
+
+    Args:
+        p: The parameters.
+        c: Their constants.
+        eta: P_eta.
+        lyapunov_of: Eigenvalues of P at the k_p in question.
+    """
+    pb = norm_of_pb(p.eps)
+    return Gains(
+        k_eta1=1.0 / eta.spread.high,
+        k_eta2=eta.input / (p.phi_b * (eta.spread.low * lyapunov_of.low) ** 0.5),
+        k_eta3=eta.reference / eta.spread.low**0.5,
+        k_v1=p.eps * p.phi_b / lyapunov_of.high,
+        k_v2=pb * (c.kappa_e + c.c_eta_a_eta) / (lyapunov_of.low * eta.spread.low) ** 0.5,
+        k_v3=pb / lyapunov_of.low**0.5,
+    )
+
+
+class Guarantee(NamedTuple):
+    """What Theorem 1 promises, with its constants; infinite, and a rate of 0, where the small gain fails.
+
+    Args:
+        decay_rate: Rate at which W_eta and W_v decay to the residual set [1/s].
+        sigma: Ultimate bound of |sigma| [m/s].
+        e: Ultimate bound of |e| [m].
+        zeta: Ultimate bound of |phi_1| and |z| [SI].
+        x_eta: Ultimate bound of |(eta, e)| [SI].
+        order: e phi_b^2, the constant of O(1/phi_b^2) [m].
+    """
+
+    decay_rate: Scalar
+    sigma: Scalar
+    e: Scalar
+    zeta: Scalar
+    x_eta: Scalar
+    order: Scalar
+
+
+def guarantee(p: Parameters, bounds: Bounds) -> Guarantee:
+    """Residual sets and decay rate of Theorem 1, the worst over the interval of k_p.
+
+    Args:
+        p: The parameters; Table 1 must hold for the numbers to mean anything.
+        bounds: What is known. The reference needs a bounded third derivative and u_m a bounded first one, neither
+            of which the article assumes.
+    """
+    c, eta = derive(bounds, p.l0), error_dynamics(bounds, p.l0)
+    low, high = (guarantee_at(p, bounds, c, eta, k_p) for k_p in (bounds.k_min, bounds.k_max))
+    worst = [greater(first, second) for first, second in zip(low[1:], high[1:], strict=True)]
+    return Guarantee(-greater(-low.decay_rate, -high.decay_rate), *worst)
+
+
+def guarantee_at(p: Parameters, bounds: Bounds, c: Constants, eta: ErrorDynamics, k_p: Scalar) -> Guarantee:
+    """The same at one k_p."""
+    spread = eigenvalues_of_p(k_p, p.eps, p.gamma)
+    k = comparison_gains(p, c, eta, spread)
+    margin = k.k_v1 - k.k_v2 * k.k_eta2 / k.k_eta1
+    holds = margin > 0.0
+    xp = namespace(margin)
+    driven = k.k_v3 * c.beta_m + k.k_v2 * k.k_eta3 * bounds.y_m_dot / k.k_eta1
+    w_v = xp.where(holds, driven / xp.where(holds, margin, 1.0), xp.inf)
+    w_eta = (k.k_eta2 * w_v + k.k_eta3 * bounds.y_m_dot) / k.k_eta1
+    # the smaller root of (k_eta1 - r)(k_v1 - r) = k_v2 k_eta2, without cancellation
+    mean = 0.5 * (k.k_eta1 + k.k_v1)
+    root = (0.25 * (k.k_eta1 - k.k_v1) ** 2 + k.k_v2 * k.k_eta2) ** 0.5
+    rate = xp.where(holds, margin * k.k_eta1 / (mean + root), 0.0)
+    zeta = w_v / spread.low**0.5
+    sigma = zeta / p.phi_b
+    e = sigma / p.l0
+    return Guarantee(rate, sigma, e, zeta, w_eta / eta.spread.low**0.5, e * p.phi_b**2)

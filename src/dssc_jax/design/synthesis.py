@@ -1,0 +1,85 @@
+"""From bounds and free parameters to a certified design."""
+
+from enum import StrEnum
+from typing import Annotated, NamedTuple
+
+from dssc_jax.design.arrays import greater
+from dssc_jax.design.bounds import Bounds, derive, positive, require_plain
+from dssc_jax.design.small_gain import small_gain
+from dssc_jax.design.table1 import Parameters, over_phi_b
+from dssc_jax.errors import ConfigError
+from dssc_jax.types import Scalar
+
+
+class Recipe(StrEnum):
+    """How parameters follow from the bounds.
+
+    ``strict`` meets every inequality over the whole interval of k_p, and the small gain, with a chosen slack.
+    ``printed`` is Table 1's own column of parameters at k_min, which meets those of kappa_c and kappa_d with
+    equality only, and leaves the small gain to chance.
+    """
+
+    STRICT = "strict"
+    PRINTED = "printed"
+
+
+class Free(NamedTuple):
+    """The free parameters of Table 1, and the relative slack of the strict recipe."""
+
+    l0: Annotated[Scalar, positive("1/s", "error pole l_0")]
+    phi_a: Annotated[Scalar, positive("(m/s)^(1/2)", "square-root part phi_a")]
+    eps: Annotated[Scalar, positive("SI", "eps")]
+    delta: Annotated[Scalar, positive("(m/s)^(1/2)", "smoothing delta")]
+    eps_1: Annotated[Scalar, positive("1", "eps_1, so that f(k_min) = 1 + eps_1")]
+    eps_2: Annotated[Scalar, positive("SI", "eps_2, added to kappa_a and kappa_b")]
+    eps_3: Annotated[Scalar, positive("1", "eps_3, the least excess of phi_b over l0/eps")]
+    slack: Annotated[Scalar, positive("1", "relative slack of kappa_c, kappa_d and of phi_b's small-gain bound")] = 0.01
+
+
+def synthesise(bounds: Bounds, free: Free, recipe: Recipe = Recipe.STRICT) -> Parameters:
+    """Parameters of Table 1 from bounds and free parameters.
+
+    gamma makes f(k_min) = 1 + eps_1. The strict recipe takes max(1, 2 eps) for the factor m, which meets the
+    derived and the printed inequalities, leaves the relative slack on kappa_c and kappa_d, and raises phi_b above
+    l0/eps + eps_3 where the small gain needs it.
+
+    Args:
+        bounds: What is known.
+        free: l0, phi_a, eps, delta, eps_1, eps_2, eps_3 > 0 and the slack.
+        recipe: See :class:`Recipe`.
+
+    Raises:
+        ConfigError: the bounds contradict themselves, or a free parameter is not positive.
+    """
+    bounds = bounds.prepare()
+    try:
+        require_plain(free)
+    except ConfigError as error:
+        raise error.within_path("free") from None
+    found = design(bounds, free, Recipe(recipe))
+    return Parameters(*map(float, found))
+
+
+def design(bounds: Bounds, free: Free, recipe: Recipe = Recipe.STRICT) -> Parameters:
+    """:func:`synthesise` without its checks, for arrays and traced values."""
+    strict = recipe is Recipe.STRICT
+    k_p, k_max, eps = bounds.k_min, bounds.k_max, free.eps
+    grow = 1.0 + free.slack if strict else 1.0
+    factor = greater(1.0, 2.0 * eps) if strict else 1.0
+    c = derive(bounds, free.l0)
+    gamma = (1.0 + free.eps_1) / (4.0 * eps * k_p**2) + 4.0 * eps**2 / k_p
+    # f - 1 = eps_1 by construction: the printed form of the bounds, without the difference's rounding
+    lyapunov = (8.0 * eps**2 + 2.0 * gamma * k_p) / free.eps_1
+    drift = (8.0 * eps**2 * gamma * k_p + 4.0 * eps**2) / (1.0 + free.eps_1)
+    phi_b = free.l0 / eps + free.eps_3
+    partial = Parameters(free.l0, free.phi_a, phi_b, free.delta, eps, gamma, 0.0, 0.0, 0.0, grow * drift)
+    if strict:
+        phi_b = greater(phi_b, grow * small_gain(partial, bounds).derived)
+    kappa_b = over_phi_b(c.kd1_bar, k_max * bounds.c_ie, factor, phi_b) + free.eps_2
+    kappa_a = over_phi_b(c.kd2_bar, k_max * bounds.c_isigma, factor, phi_b)
+    return partial._replace(
+        phi_b=phi_b,
+        kappa_a=greater(kappa_a, kappa_b / free.l0) + free.eps_2,
+        kappa_b=kappa_b,
+        kappa_c=grow * greater(lyapunov, over_phi_b(c.kd3_bar, c.k_sigma, factor, phi_b)),
+    )
