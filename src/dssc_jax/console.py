@@ -20,7 +20,6 @@ from dssc_jax.results import headline
 from dssc_jax.statistics import describe_probability
 
 if TYPE_CHECKING:
-    from dssc_jax.design import Certificate, Parameters
     from dssc_jax.results import Result
     from dssc_jax.study import Study
 
@@ -144,19 +143,6 @@ def show_draw(attributes: Mapping[str, Any], files: list[Path]) -> None:
     show_table(("number", "value"), rows)
     for path in files:
         output().print(f"wrote {path}", soft_wrap=True, markup=False)
-
-
-def show_certificate(name: str, parameters: "Parameters", certificate: "Certificate") -> None:
-    """Every inequality with its slack."""
-    console = output()
-    verdict = "[green]certified[/green]" if certificate.certified else "[red]not certified[/red]"
-    console.print(f"[bold]{escape(name)}[/bold]: {verdict}")
-    console.print("  ".join(f"{key}={value:.6g}" for key, value in parameters._asdict().items()))
-    rows = []
-    for i in certificate.inequalities:
-        numbers = ["-" if x is None else f"{x:.6g}" for x in (i.value, i.bound, i.slack, i.printed_slack)]
-        rows.append((i.name, *numbers, i.state.value.replace("_", " "), i.equation))
-    show_table(("inequality", "value", "must exceed", "slack", "printed slack", "state", "equation"), rows)
 
 
 def jsonable(content: Any) -> Any:

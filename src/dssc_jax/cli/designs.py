@@ -1,34 +1,83 @@
-"""Commands on the theorem: check."""
+"""Commands on the theorem: check, design."""
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dssc_jax.cli.shared import DONE, FAILS, JsonOption, app
+from dssc_jax.cli.shared import DONE, FAILS, JsonOption, app, attempt
+
+if TYPE_CHECKING:
+    from dssc_jax.study.design_file import DesignFile
+
+LatexOption = Annotated[bool, typer.Option("--latex", help="Print the tables as LaTeX (booktabs).")]
 
 
 @app.command()
 def check(
     design: Annotated[
-        Path, typer.Argument(metavar="DESIGN", help="A design file: [bounds] with [parameters] or [free].")
+        Path, typer.Argument(metavar="DESIGN", help="A design file: [bounds] with [parameters], [free] or [goal].")
     ],
     as_json: JsonOption = False,
+    as_latex: LatexOption = False,
 ) -> int:
-    """Check Table 1's design inequalities.
+    """Check a design against Theorem 1: exit 1 where it is not certified.
 
-    They must hold strictly over the whole interval of k_p; exit 1 otherwise.
+    Table 1's inequalities must hold strictly over the whole interval of k_p, and phi_b must meet the small-gain
+    condition. Tells each slack, the guaranteed residual and decay rate, and the sampling period that the design needs.
     """
-    from dssc_jax.console import jsonable, show_certificate
-    from dssc_jax.design import check as check_design
     from dssc_jax.study.design_file import load_design
 
-    found = load_design(design)
+    return tell_design(load_design(design), as_json, as_latex)
+
+
+@app.command()
+def design(
+    bounds: Annotated[Path, typer.Argument(metavar="BOUNDS", help="A file with [bounds]; [free], [goal] as wanted.")],
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write the design file.")] = None,
+    as_json: JsonOption = False,
+    as_latex: LatexOption = False,
+) -> int:
+    """Find gains with a certificate from bounds.
+
+    [free] fixes free parameters of Table 1; what it leaves open is chosen for the [goal]: without one, for the
+    smallest guaranteed error at a sampling period of 1 ms.
+    """
+    from dssc_jax.study.design_file import load_design, to_toml
+
+    found = load_design(bounds, complete=False)
+    if out is not None:
+        attempt(out, lambda: out.write_text(to_toml(found), encoding="utf-8"))
+    return tell_design(found, as_json, as_latex)
+
+
+def tell_design(found: "DesignFile", as_json: bool, as_latex: bool) -> int:
+    """Print a design with its certificate; the exit code says whether there is one."""
+    from dssc_jax.console import jsonable
+    from dssc_jax.design import check as check_design
+    from dssc_jax.design.feasibility import limits
+    from dssc_jax.design_tables import latex, show
+
     certificate = check_design(found.parameters, found.bounds)
+    reach = limits(found.parameters, found.bounds) if certificate.certified else None
     if as_json:
-        content = {"design": found.name, "parameters": found.parameters._asdict(), **certificate.to_dict()}
+        content = {
+            "design": found.name,
+            "parameters": found.parameters._asdict(),
+            "free": found.free and found.free._asdict(),
+            "goal": found.goal and found.goal._asdict(),
+            **certificate.to_dict(),
+            "limits": reach and reach._asdict(),
+            "modulation": found.modulation
+            and {
+                "needed_rho": found.modulation.needed_rho(certificate.practice),
+                "first_sliding": found.modulation.first_sliding,
+            },
+        }
         print(json.dumps(jsonable(content), allow_nan=False))
+    elif as_latex:
+        print(latex(found, certificate))
     else:
-        show_certificate(found.name, found.parameters, certificate)
+        show(found, certificate, reach)
     return DONE if certificate.certified else FAILS

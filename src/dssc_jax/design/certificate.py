@@ -2,12 +2,12 @@
 
 from typing import Any, NamedTuple
 
+from dssc_jax.design.arrays import Number
 from dssc_jax.design.bounds import Bounds, Constants, derive, require_plain
 from dssc_jax.design.lyapunov import attack_q, eigenvalues_of_p, functions_are_positive, q_is_positive
 from dssc_jax.design.practice import Practice, practice
 from dssc_jax.design.small_gain import Guarantee, SmallGain, guarantee, small_gain
 from dssc_jax.design.table1 import Inequality, Parameters, State, inequalities
-from dssc_jax.types import Scalar
 
 
 class Lyapunov(NamedTuple):
@@ -125,7 +125,7 @@ def plain(numbers: Any) -> Any:
     return type(numbers)(*(value if isinstance(value, str) else float(value) for value in numbers))
 
 
-def certified(parameters: Parameters, bounds: Bounds) -> Scalar:
+def certified(parameters: Parameters, bounds: Bounds) -> Number:
     """Whether Theorem 1 holds, for many designs at once: what :attr:`Certificate.certified` says of each.
 
     Args:

@@ -11,10 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.design.arrays import namespace, ratio_where
+from dssc_jax.design.arrays import Number, namespace, ratio_where
 from dssc_jax.design.bounds import Bounds, Constants, derive
 from dssc_jax.design.table1 import Parameters, f
-from dssc_jax.types import Scalar
 
 POINTS = 49  # of |sigma| and of |e| in the numerical attack, from 0 to infinity
 
@@ -22,16 +21,16 @@ POINTS = 49  # of |sigma| and of |e| in the numerical attack, from 0 to infinity
 class Spread(NamedTuple):
     """Smallest and largest eigenvalue of a positive definite matrix."""
 
-    low: Scalar
-    high: Scalar
+    low: Number
+    high: Number
 
     @property
-    def condition(self) -> Scalar:
+    def condition(self) -> Number:
         """Their ratio."""
         return self.high / self.low
 
 
-def eigenvalues_of_p(k_p: Scalar, eps: Scalar, gamma: Scalar) -> Spread:
+def eigenvalues_of_p(k_p: Number, eps: Number, gamma: Number) -> Spread:
     """Eigenvalues of P; the smaller one is NaN unless P > 0, that is gamma k_p > 4 eps^2."""
     first = gamma * k_p
     root = ((first - 1.0) ** 2 + 16.0 * eps**2) ** 0.5
@@ -40,7 +39,7 @@ def eigenvalues_of_p(k_p: Scalar, eps: Scalar, gamma: Scalar) -> Spread:
     return Spread(ratio_where(determinant > 0.0, determinant, high), high)
 
 
-def norm_of_pb(eps: Scalar) -> Scalar:
+def norm_of_pb(eps: Number) -> Number:
     """|P B| with B = [0, 1]^T: it does not depend on k_p."""
     return (1.0 + 4.0 * eps**2) ** 0.5
 
@@ -48,23 +47,23 @@ def norm_of_pb(eps: Scalar) -> Scalar:
 class Alphas(NamedTuple):
     """Bounds rho_1, rho_2 of |alpha_1|, |alpha_2| (Appendix E)."""
 
-    rho_1: Scalar
-    rho_2: Scalar
+    rho_1: Number
+    rho_2: Number
 
 
-def alphas(p: Parameters, bounds: Bounds, constants: Constants, sigma: Scalar, e: Scalar) -> Alphas:
+def alphas(p: Parameters, bounds: Bounds, constants: Constants, sigma: Number, e: Number) -> Alphas:
     """rho_1 and rho_2 at (sigma, e); the article drops k_p on the integral terms of rho_2."""
     first = constants.kd1_bar * abs(e) + constants.kd2_bar * abs(sigma) + constants.kd3_bar
     second = constants.k_sigma + bounds.k_max * (bounds.c_isigma * abs(sigma) + bounds.c_ie * abs(e))
     return Alphas(first / p.phi_b, second / p.phi_b**2)
 
 
-def kappa_1(p: Parameters, sigma: Scalar, e: Scalar) -> Scalar:
+def kappa_1(p: Parameters, sigma: Number, e: Number) -> Number:
     """kappa_1 = (kappa_a |sigma| + kappa_b |e| + kappa_c)^2 + kappa_d (78)."""
     return (p.kappa_a * abs(sigma) + p.kappa_b * abs(e) + p.kappa_c) ** 2 + p.kappa_d
 
 
-def smallest_of_q(p: Parameters, k_p: Scalar, gain: Scalar, alpha_1: Scalar, alpha_2: Scalar) -> Scalar:
+def smallest_of_q(p: Parameters, k_p: Number, gain: Number, alpha_1: Number, alpha_2: Number) -> Number:
     """Smallest eigenvalue of Q - 2 eps I.
 
     Args:
@@ -91,7 +90,7 @@ def smallest_of_q(p: Parameters, k_p: Scalar, gain: Scalar, alpha_1: Scalar, alp
     return xp.where(positive, (2.0 * eps * k_q - off**2) / xp.where(positive, large, 1.0), mean - root)
 
 
-def worst_of_q(p: Parameters, bounds: Bounds, k_p: Scalar, sigma: Scalar, e: Scalar) -> Scalar:
+def worst_of_q(p: Parameters, bounds: Bounds, k_p: Number, sigma: Number, e: Number) -> Number:
     """Smallest eigenvalue of Q - 2 eps I over |alpha_1| <= rho_1, |alpha_2| <= rho_2.
 
     It is concave in (alpha_1, alpha_2), in which the matrix is affine, so that the four vertices suffice.
@@ -118,7 +117,7 @@ def attack_q(p: Parameters, bounds: Bounds) -> float:
     return float(np.min(worst_of_q(p, bounds, k_p, sigma, e)))
 
 
-def q_coefficients(p: Parameters, bounds: Bounds) -> tuple[Scalar, ...]:
+def q_coefficients(p: Parameters, bounds: Bounds) -> tuple[Number, ...]:
     """Coefficients of a polynomial in (|sigma|, |e|) whose positivity for all of them is Q - 2 eps I > 0 throughout.
 
     2 eps k_q > (2 eps alpha_1 - alpha_2)^2 at the worst vertex (rho_1, -rho_2), where each of its terms is at its
@@ -133,9 +132,7 @@ def q_coefficients(p: Parameters, bounds: Bounds) -> tuple[Scalar, ...]:
     c, eps, k_p = derive(bounds, p.l0), p.eps, bounds.k_min
     gain, first = f(k_p, eps, p.gamma), p.gamma * k_p
     rho_1 = tuple(x / p.phi_b for x in (c.kd2_bar, c.kd1_bar, c.kd3_bar))
-    rho_2 = tuple(
-        x / p.phi_b**2 for x in (bounds.k_max * bounds.c_isigma, bounds.k_max * bounds.c_ie, c.k_sigma)
-    )
+    rho_2 = tuple(x / p.phi_b**2 for x in (bounds.k_max * bounds.c_isigma, bounds.k_max * bounds.c_ie, c.k_sigma))
     a, b, d = (2.0 * eps * x + y for x, y in zip(rho_1, rho_2, strict=True))
     linear = [4.0 * eps * first * x + 8.0 * eps**2 * y for x, y in zip(rho_1, rho_2, strict=True)]
     return (
@@ -148,7 +145,7 @@ def q_coefficients(p: Parameters, bounds: Bounds) -> tuple[Scalar, ...]:
     )
 
 
-def q_is_positive(p: Parameters, bounds: Bounds) -> Scalar:
+def q_is_positive(p: Parameters, bounds: Bounds) -> Number:
     """Whether Q - 2 eps I > 0 is proved for all sigma, e, alpha and k_p: f > 0 and positive coefficients."""
     holds = p.gamma * bounds.k_min > 4.0 * p.eps**2
     for coefficient in q_coefficients(p, bounds):
@@ -156,7 +153,7 @@ def q_is_positive(p: Parameters, bounds: Bounds) -> Scalar:
     return holds
 
 
-def functions_are_positive(p: Parameters) -> Scalar:
+def functions_are_positive(p: Parameters) -> Number:
     """Whether k_o tau_av > 0 and tau_m > 0 are proved for all sigma, e.
 
     (28) is positive term by term. For (29), eps kappa phi_b > kappa_b (l0 |e| + |sigma|) suffices, coefficient by

@@ -6,12 +6,11 @@ where the loop lives in the end, in the guaranteed residual set; a start far awa
 
 from typing import Annotated, NamedTuple
 
-from dssc_jax.design.arrays import namespace
+from dssc_jax.design.arrays import Number, namespace
 from dssc_jax.design.bounds import Bounds, derive, known, positive
 from dssc_jax.design.lyapunov import kappa_1
 from dssc_jax.design.small_gain import Guarantee, guarantee
 from dssc_jax.design.table1 import Parameters
-from dssc_jax.types import Scalar
 
 RATIO = 0.5  # share of the sampling limit that the proposed periods use
 
@@ -31,11 +30,11 @@ class Practice(NamedTuple):
             sigma/tau_m in sliding, so that the sliding condition is met by rho > u_av + drift/k_o.
     """
 
-    sample_time_origin: Scalar
-    sample_time: Scalar
-    proportional_gain: Scalar
-    u_av: Scalar
-    drift: Scalar
+    sample_time_origin: Number
+    sample_time: Number
+    proportional_gain: Number
+    u_av: Number
+    drift: Number
 
 
 def practice(p: Parameters, bounds: Bounds) -> Practice:
@@ -61,7 +60,7 @@ def finite(reached: Guarantee) -> Guarantee:
     return Guarantee(*(xp.where(xp.isfinite(value), value, xp.nan) for value in reached))
 
 
-def proportional_gain(p: Parameters, sigma: Scalar, e: Scalar) -> Scalar:
+def proportional_gain(p: Parameters, sigma: Number, e: Number) -> Number:
     """Bound of 1/(k_o tau_av) = kappa_1' phi_1 + kappa_1 phi_1' (28) for |sigma|, |e| up to the given ones.
 
     phi_1' and phi_1/sigma are largest at sigma = 0, where both are phi_a/delta + phi_b; exact there.
@@ -70,7 +69,7 @@ def proportional_gain(p: Parameters, sigma: Scalar, e: Scalar) -> Scalar:
     return (2.0 * kappa * p.kappa_a * sigma + kappa_1(p, sigma, e)) * (p.phi_a / p.delta + p.phi_b)
 
 
-def predictor_pole(p: Parameters) -> Scalar:
+def predictor_pole(p: Parameters) -> Number:
     """Bound of 1/tau_m of (29) over all (sigma, e).
 
     Its part of d kappa_1/d e is at most kappa_b/kappa_a, that of kappa_2 at most the largest phi_1/sigma times the
@@ -80,7 +79,7 @@ def predictor_pole(p: Parameters) -> Scalar:
     return p.kappa_b / p.kappa_a + (p.phi_a / p.delta + p.phi_b) * largest_share
 
 
-def sample_time(k_p: Scalar, gain: Scalar, pole: Scalar) -> Scalar:
+def sample_time(k_p: Number, gain: Number, pole: Number) -> Number:
     """T_s for which (k_p T_s gain)(1 + T_s pole/2)/2 is :data:`RATIO` [s].
 
     Args:
@@ -92,7 +91,7 @@ def sample_time(k_p: Scalar, gain: Scalar, pole: Scalar) -> Scalar:
     return 2.0 * linear / (1.0 + (1.0 + 2.0 * linear * pole) ** 0.5)
 
 
-def command_bounds(p: Parameters, bounds: Bounds, reached: Guarantee) -> tuple[Scalar, Scalar]:
+def command_bounds(p: Parameters, bounds: Bounds, reached: Guarantee) -> tuple[Number, Number]:
     """Bounds of |u_av| and |sigma' + sigma/tau_m| in the residual set.
 
     sigma' = -k_p kappa_1 phi_1 + beta_1 + z (48) with |phi_1|, |z| <= zeta, and k_p u_av = d_sigma - sigma' (13).
@@ -114,7 +113,7 @@ def command_bounds(p: Parameters, bounds: Bounds, reached: Guarantee) -> tuple[S
 
 def output_norm(bounds: Bounds) -> float:
     """|C_eta|; 0 for a plant of order two."""
-    return 0.0 if bounds.zero_dynamics is None else sum(x * x for x in bounds.zero_dynamics.c) ** 0.5
+    return 0.0 if bounds.zero_dynamics is None else float(sum(x * x for x in bounds.zero_dynamics.c) ** 0.5)
 
 
 class Modulation(NamedTuple):
@@ -124,7 +123,7 @@ class Modulation(NamedTuple):
     delta_rho: Annotated[float, positive("m/s^2", "margin delta_rho of (33)")]
     sigma_tilde: Annotated[float, known("m/s", "|sigma - sigma_hat| at the start")] = 0.0
 
-    def needed_rho(self, found: Practice) -> Scalar:
+    def needed_rho(self, found: Practice) -> Number:
         """Constant rho that keeps sliding in the residual set with the margin delta_rho [m/s]."""
         return found.u_av + (found.drift + self.delta_rho) / self.k_o
 

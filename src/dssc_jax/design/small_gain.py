@@ -13,11 +13,10 @@ depend on k_p: a concave function of k_p, since lmin is concave, det P affine an
 
 from typing import NamedTuple
 
-from dssc_jax.design.arrays import greater, namespace
+from dssc_jax.design.arrays import Number, greater, namespace
 from dssc_jax.design.bounds import Bounds, Constants, derive
 from dssc_jax.design.lyapunov import Spread, eigenvalues_of_p, norm_of_pb
 from dssc_jax.design.table1 import Parameters
-from dssc_jax.types import Scalar
 
 
 class ErrorDynamics(NamedTuple):
@@ -30,11 +29,11 @@ class ErrorDynamics(NamedTuple):
     """
 
     spread: Spread
-    input: Scalar
-    reference: Scalar
+    input: Number
+    reference: Number
 
 
-def error_dynamics(bounds: Bounds, l0: Scalar) -> ErrorDynamics:
+def error_dynamics(bounds: Bounds, l0: Number) -> ErrorDynamics:
     """P_eta for A_xeta = [[A_eta, -l0 B_eta], [0, -l0]], B_sigma = [B_eta; 1], B_m = [B_eta; 0].
 
     For a plant of order two it is 1/l0.
@@ -59,7 +58,7 @@ def error_dynamics(bounds: Bounds, l0: Scalar) -> ErrorDynamics:
     )
 
 
-def lyapunov(matrix: Scalar) -> Scalar:
+def lyapunov(matrix: Number) -> Number:
     """The symmetric P of A^T P + P A = -2 I for each matrix of a stack, shape (..., n, n), as one linear system."""
     xp = namespace(matrix)
     n = matrix.shape[-1]
@@ -74,7 +73,7 @@ def lyapunov(matrix: Scalar) -> Scalar:
     return 0.5 * (p + xp.swapaxes(p, -1, -2))
 
 
-def worst_condition(p: Parameters, bounds: Bounds) -> Scalar:
+def worst_condition(p: Parameters, bounds: Bounds) -> Number:
     """Largest condition number of P over the interval of k_p: at one of its ends."""
     low, high = (eigenvalues_of_p(k_p, p.eps, p.gamma).condition for k_p in (bounds.k_min, bounds.k_max))
     return greater(low, high)
@@ -89,9 +88,9 @@ class SmallGain(NamedTuple):
         printed: The last bound of Appendix D, with 1/4 where 4 belongs and mixed powers of eigenvalues.
     """
 
-    derived: Scalar
-    theorem: Scalar
-    printed: Scalar
+    derived: Number
+    theorem: Number
+    printed: Number
 
 
 def small_gain(p: Parameters, bounds: Bounds) -> SmallGain:
@@ -112,12 +111,12 @@ def small_gain(p: Parameters, bounds: Bounds) -> SmallGain:
 class Gains(NamedTuple):
     """Coefficients of the comparison system (61), (62) at one k_p."""
 
-    k_eta1: Scalar
-    k_eta2: Scalar
-    k_eta3: Scalar
-    k_v1: Scalar
-    k_v2: Scalar
-    k_v3: Scalar
+    k_eta1: Number
+    k_eta2: Number
+    k_eta3: Number
+    k_v1: Number
+    k_v2: Number
+    k_v3: Number
 
 
 def comparison_gains(p: Parameters, c: Constants, eta: ErrorDynamics, lyapunov_of: Spread) -> Gains:
@@ -152,12 +151,12 @@ class Guarantee(NamedTuple):
         order: e phi_b^2, the constant of O(1/phi_b^2) [m].
     """
 
-    decay_rate: Scalar
-    sigma: Scalar
-    e: Scalar
-    zeta: Scalar
-    x_eta: Scalar
-    order: Scalar
+    decay_rate: Number
+    sigma: Number
+    e: Number
+    zeta: Number
+    x_eta: Number
+    order: Number
 
 
 def guarantee(p: Parameters, bounds: Bounds) -> Guarantee:
@@ -174,7 +173,7 @@ def guarantee(p: Parameters, bounds: Bounds) -> Guarantee:
     return Guarantee(-greater(-low.decay_rate, -high.decay_rate), *worst)
 
 
-def guarantee_at(p: Parameters, bounds: Bounds, c: Constants, eta: ErrorDynamics, k_p: Scalar) -> Guarantee:
+def guarantee_at(p: Parameters, bounds: Bounds, c: Constants, eta: ErrorDynamics, k_p: Number) -> Guarantee:
     """The same at one k_p."""
     spread = eigenvalues_of_p(k_p, p.eps, p.gamma)
     k = comparison_gains(p, c, eta, spread)

@@ -8,9 +8,8 @@ so all hold on the interval if and only if they hold at k_min.
 from enum import StrEnum
 from typing import Annotated, NamedTuple
 
-from dssc_jax.design.arrays import greater, ratio_where
+from dssc_jax.design.arrays import Number, greater, ratio_where
 from dssc_jax.design.bounds import Bounds, derive, positive
-from dssc_jax.types import Scalar
 
 ROUNDING = 1e-12  # relative; slacks below it are equality
 ULPS = 16.0 * 2.0**-52  # a few roundings of the terms that cancel in f
@@ -19,16 +18,16 @@ ULPS = 16.0 * 2.0**-52  # a few roundings of the terms that cancel in f
 class Parameters(NamedTuple):
     """The parameters of Table 1 that the inequalities speak of, and delta."""
 
-    l0: Annotated[Scalar, positive("1/s", "error pole l_0")]
-    phi_a: Annotated[Scalar, positive("(m/s)^(1/2)", "square-root part phi_a")]
-    phi_b: Annotated[Scalar, positive("1", "linear part phi_b")]
-    delta: Annotated[Scalar, positive("(m/s)^(1/2)", "smoothing delta")]
-    eps: Annotated[Scalar, positive("SI", "eps")]
-    gamma: Annotated[Scalar, positive("SI", "gamma")]
-    kappa_a: Annotated[Scalar, positive("SI", "kappa_a")]
-    kappa_b: Annotated[Scalar, positive("SI", "kappa_b")]
-    kappa_c: Annotated[Scalar, positive("SI", "kappa_c")]
-    kappa_d: Annotated[Scalar, positive("SI", "kappa_d")]
+    l0: Annotated[Number, positive("1/s", "error pole l_0")]
+    phi_a: Annotated[Number, positive("(m/s)^(1/2)", "square-root part phi_a")]
+    phi_b: Annotated[Number, positive("1", "linear part phi_b")]
+    delta: Annotated[Number, positive("(m/s)^(1/2)", "smoothing delta")]
+    eps: Annotated[Number, positive("SI", "eps")]
+    gamma: Annotated[Number, positive("SI", "gamma")]
+    kappa_a: Annotated[Number, positive("SI", "kappa_a")]
+    kappa_b: Annotated[Number, positive("SI", "kappa_b")]
+    kappa_c: Annotated[Number, positive("SI", "kappa_c")]
+    kappa_d: Annotated[Number, positive("SI", "kappa_d")]
 
 
 class State(StrEnum):
@@ -54,28 +53,28 @@ class Inequality(NamedTuple):
 
     name: str
     equation: str
-    value: Scalar
-    bound: Scalar
-    printed_bound: Scalar
-    rounding: Scalar = ROUNDING
+    value: Number
+    bound: Number
+    printed_bound: Number
+    rounding: Number = ROUNDING
 
     @property
-    def slack(self) -> Scalar:
+    def slack(self) -> Number:
         """Value less the derived bound; NaN where that has no meaning."""
         return self.value - self.bound
 
     @property
-    def printed_slack(self) -> Scalar:
+    def printed_slack(self) -> Number:
         """Value less the printed bound."""
         return self.value - self.printed_bound
 
     @property
-    def tolerance(self) -> Scalar:
+    def tolerance(self) -> Number:
         """Slacks of at most this size are equality."""
         return self.rounding * greater(abs(self.value), abs(self.bound))
 
     @property
-    def satisfied(self) -> Scalar:
+    def satisfied(self) -> Number:
         """Whether it holds strictly; False where it has no meaning. For arrays, element by element."""
         return self.slack > self.tolerance
 
@@ -89,29 +88,29 @@ class Inequality(NamedTuple):
         return State.SATISFIED if self.slack > 0.0 else State.VIOLATED
 
 
-def f(k_p: Scalar, eps: Scalar, gamma: Scalar) -> Scalar:
+def f(k_p: Number, eps: Number, gamma: Number) -> Number:
     """f(k_p) = 4 eps k_p (gamma k_p - 4 eps^2), the first design inequality's left side."""
     return 4.0 * eps * k_p * (gamma * k_p - 4.0 * eps**2)
 
 
-def f_rounding(k_p: Scalar, eps: Scalar, gamma: Scalar) -> Scalar:
+def f_rounding(k_p: Number, eps: Number, gamma: Number) -> Number:
     """Absolute rounding error of f: its two terms cancel."""
     return ULPS * 4.0 * eps * k_p * (gamma * k_p + 4.0 * eps**2)
 
 
-def kappa_c_bound(k_p: Scalar, eps: Scalar, gamma: Scalar) -> Scalar:
+def kappa_c_bound(k_p: Number, eps: Number, gamma: Number) -> Number:
     """(8 eps^2 + 2 gamma k_p)/(f - 1); NaN where f <= 1, where it would turn negative and pass unseen."""
     excess = f(k_p, eps, gamma) - 1.0
     return ratio_where(excess > f_rounding(k_p, eps, gamma), 8.0 * eps**2 + 2.0 * gamma * k_p, excess)
 
 
-def kappa_d_bound(k_p: Scalar, eps: Scalar, gamma: Scalar) -> Scalar:
+def kappa_d_bound(k_p: Number, eps: Number, gamma: Number) -> Number:
     """(8 eps^2 gamma k_p + 4 eps^2)/f; NaN where f <= 0."""
     value = f(k_p, eps, gamma)
     return ratio_where(value > f_rounding(k_p, eps, gamma), 8.0 * eps**2 * gamma * k_p + 4.0 * eps**2, value)
 
 
-def over_phi_b(first: Scalar, second: Scalar, factor: Scalar, phi_b: Scalar) -> Scalar:
+def over_phi_b(first: Number, second: Number, factor: Number, phi_b: Number) -> Number:
     """(first m phi_b + second)/phi_b^2, the form of the bounds of kappa_a, kappa_b and of kappa_c's second branch.
 
     The factor m is 2 eps as derived, since rho = 2 eps rho_1 + rho_2; the article prints 1, enough for
@@ -134,7 +133,7 @@ def inequalities(p: Parameters, bounds: Bounds) -> tuple[Inequality, ...]:
     value, error = f(*at), ROUNDING + f_rounding(*at)
     lyapunov, drift = kappa_c_bound(*at), kappa_d_bound(*at)
 
-    def disturbed(name: str, left: Scalar, first: Scalar, second: Scalar) -> Inequality:
+    def disturbed(name: str, left: Number, first: Number, second: Number) -> Inequality:
         derived = over_phi_b(first, second, 2.0 * p.eps, p.phi_b)
         return Inequality(name, f"{table}, Appendix F", left, derived, over_phi_b(first, second, 1.0, p.phi_b))
 

@@ -1,0 +1,192 @@
+"""How far a certificate reaches, and the free parameters that serve a goal best."""
+
+from collections.abc import Callable, Mapping
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import differential_evolution
+
+from dssc_jax.design.bounds import Bounds
+from dssc_jax.design.certificate import certified
+from dssc_jax.design.practice import practice
+from dssc_jax.design.small_gain import guarantee
+from dssc_jax.design.synthesis import Free, design, synthesise
+from dssc_jax.design.table1 import Parameters
+from dssc_jax.errors import ConfigError, meant
+
+REACH = 1e6  # factors beyond it count as no limit
+HALVINGS = 60
+DISTURBANCES = ("k_d1", "k_d2", "k_d3", "k_d4", "k_d5", "alpha_d2", "alpha_d3")
+
+
+class Limits(NamedTuple):
+    """How far single bounds can go until the certificate of a fixed design ends.
+
+    Args:
+        phi_b: Least phi_b, the other parameters kept; NaN where none of them is certified.
+        disturbance: Largest common factor on the disturbance bounds; infinite where they do not matter.
+        k_min: Least k_min [1/s].
+        k_max: Largest k_max [1/s].
+        a_max: Largest a_max [1/s].
+    """
+
+    phi_b: float
+    disturbance: float
+    k_min: float
+    k_max: float
+    a_max: float
+
+
+def limits(p: Parameters, bounds: Bounds) -> Limits:
+    """The limits of a certified design, each with everything else as it is; NaN for one that is not certified."""
+
+    def along(change: Callable[[float], tuple[Parameters, Bounds]], far: float) -> float:
+        return last_true(lambda factor: bool(certified(*change(factor))), far)
+
+    def disturbed(factor: float) -> tuple[Parameters, Bounds]:
+        return p, scaled(bounds, factor)
+
+    return Limits(
+        phi_b=p.phi_b * along(lambda x: (p._replace(phi_b=p.phi_b * x), bounds), 1.0 / REACH),
+        disturbance=along(disturbed, REACH),
+        k_min=bounds.k_min * along(lambda x: (p, bounds._replace(k_min=bounds.k_min * x)), 1.0 / REACH),
+        k_max=bounds.k_max * along(lambda x: (p, bounds._replace(k_max=bounds.k_max * x)), REACH),
+        a_max=along(lambda x: (p, bounds._replace(a_max=bounds.a_max + x - 1.0)), REACH) - 1.0 + bounds.a_max,
+    )
+
+
+def scaled(bounds: Bounds, factor: float) -> Bounds:
+    """The bounds with every disturbance constant of (A1)-(A3) times a factor."""
+    return bounds._replace(**{name: factor * getattr(bounds, name) for name in DISTURBANCES})
+
+
+def last_true(holds: Callable[[float], bool], far: float) -> float:
+    """The factor between 1 and ``far`` up to which a condition holds, by bisection of its logarithm.
+
+    NaN where it does not hold at 1; infinity, or 0, where it still does at ``far``.
+    """
+    if not holds(1.0):
+        return float("nan")
+    if holds(far):
+        return float("inf") if far > 1.0 else 0.0
+    inside, outside = 0.0, float(np.log(far))
+    for _ in range(HALVINGS):
+        middle = 0.5 * (inside + outside)
+        inside, outside = (middle, outside) if holds(float(np.exp(middle))) else (inside, middle)
+    return float(np.exp(inside))
+
+
+class Criterion(StrEnum):
+    """What the free parameters are chosen for."""
+
+    RESIDUAL = "residual"
+    DECAY_RATE = "decay_rate"
+    GAIN = "gain"
+    PHI_B = "phi_b"
+
+
+OBJECTIVES: dict[Criterion, Callable[[Parameters, Bounds], np.ndarray]] = {
+    Criterion.RESIDUAL: lambda p, bounds: guarantee(p, bounds).e,
+    Criterion.DECAY_RATE: lambda p, bounds: 1.0 / np.maximum(guarantee(p, bounds).decay_rate, 1e-300),
+    Criterion.GAIN: lambda p, bounds: (p.kappa_c**2 + p.kappa_d) * (p.phi_a / p.delta + p.phi_b),
+    Criterion.PHI_B: lambda p, bounds: p.phi_b,
+}
+"""Each is to be made small; the gain is the synthesised proportional one at sigma = e = 0."""
+
+
+class Goal(NamedTuple):
+    """What a design is optimised for.
+
+    Args:
+        criterion: What is made small, or for the decay rate large.
+        residual: Required bound of the guaranteed |e| [m].
+        sample_time: Least sampling period at which the design must run, at half the sampling limit of the origin [s].
+    """
+
+    criterion: Criterion = Criterion.RESIDUAL
+    residual: float = float("inf")
+    sample_time: float = 0.0
+
+
+RANGES: dict[str, tuple[float, float]] = {
+    "l0": (0.05, 5.0),
+    "eps": (0.02, 2.0),
+    "eps_1": (0.05, 50.0),
+    "eps_3": (0.01, 1000.0),
+}
+"""Where the optimiser looks unless told otherwise (assumed)."""
+
+
+def optimise(
+    bounds: Bounds, free: Free, goal: Goal, ranges: Mapping[str, tuple[float, float]] = RANGES, seed: int = 0
+) -> Free:
+    """The free parameters of Table 1 that serve a goal best, by differential evolution on their logarithms.
+
+    Every candidate is a design of the strict recipe, hence certified.
+
+    Args:
+        bounds: What is known.
+        free: Values of what is not varied.
+        goal: What is wanted.
+        ranges: Lower and upper end of each varied field of ``free``.
+        seed: Of the search.
+
+    Returns:
+        ``free`` with the best values.
+
+    Raises:
+        ConfigError: a range is not one, or no design in the ranges meets the goal: says how near the nearest comes.
+
+    Reference:
+        R. Storn, K. Price, "Differential evolution", J. Global Optimization 11 (1997) 341-359.
+    """
+    bounds = bounds.prepare()
+    for name, (low, high) in ranges.items():
+        if name not in Free._fields:
+            raise ConfigError(f"vary.{name}", f"unknown name; {meant(name, Free._fields)}")
+        if not 0.0 < low < high < float("inf"):
+            raise ConfigError(f"vary.{name}", f"must be [low, high] with 0 < low < high, got [{low:g}, {high:g}]")
+
+    def candidate(logarithms: np.ndarray) -> Free:
+        return free._replace(**dict(zip(ranges, np.exp(logarithms), strict=True)))
+
+    def cost(logarithms: np.ndarray) -> np.ndarray:
+        p = design(bounds, candidate(logarithms))
+        excess = shortfall(p, bounds, goal)
+        value = np.log(np.clip(OBJECTIVES[goal.criterion](p, bounds), 1e-300, 1e300))
+        return np.where(excess > 0.0, 1e4 + excess, value)
+
+    box = [(float(np.log(low)), float(np.log(high))) for low, high in ranges.values()]
+    found = differential_evolution(
+        cost, box, rng=seed, popsize=20, tol=1e-8, maxiter=400, polish=False, vectorized=True, updating="deferred"
+    )
+    best = Free(*map(float, candidate(found.x)))
+    short = float(shortfall(synthesise(bounds, best), bounds, goal))
+    if short > 0.0:
+        raise ConfigError("goal", infeasible(bounds, best, goal))
+    return best
+
+
+def shortfall(p: Parameters, bounds: Bounds, goal: Goal) -> np.ndarray:
+    """By how many powers of e a design misses the goal's limits; 0 where it meets them."""
+    missed = np.zeros(np.shape(p.phi_b))
+    if np.isfinite(goal.residual):
+        missed = missed + np.maximum(np.log(np.clip(guarantee(p, bounds).e, 1e-300, 1e300) / goal.residual), 0.0)
+    if goal.sample_time > 0.0:
+        missed = missed + np.maximum(np.log(goal.sample_time / practice(p, bounds).sample_time_origin), 0.0)
+    return missed
+
+
+def infeasible(bounds: Bounds, nearest: Free, goal: Goal) -> str:
+    """Which limit cannot be met, and how near the nearest design comes."""
+    p = synthesise(bounds, nearest)
+    e, period = float(guarantee(p, bounds).e), float(practice(p, bounds).sample_time_origin)
+    wanted = [
+        *([f"residual <= {goal.residual:g} m"] if np.isfinite(goal.residual) else []),
+        *([f"sample_time >= {goal.sample_time:g} s"] if goal.sample_time > 0.0 else []),
+    ]
+    return (
+        f"no design in the ranges has {' and '.join(wanted)}; the nearest guarantees |e| <= {e:.4g} m at a sampling "
+        f"period of {period:.4g} s (phi_b = {p.phi_b:.4g}, kappa_c = {p.kappa_c:.4g})"
+    )
