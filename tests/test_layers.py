@@ -17,7 +17,7 @@ LAYERS = [
     {"requirements"},
     {"loop"},
     {"study"},
-    {"sampling"},
+    {"sampling", "certification"},
     {"engine", "statistics"},
     {"dataset"},
     {"store"},

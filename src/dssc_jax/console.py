@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from dssc_jax.study import Study
 
 WIDEST_ROWS = 40
+MARKS = {True: "yes", False: "no", None: "-"}
 
 
 def output() -> Console:
@@ -81,6 +82,9 @@ def show_result(result: "Result", figures: list[Path]) -> None:
         show_grid(result, axes)
     else:
         show_points(axes, points, headline(result).name)
+    marks = [point["certified"] for point in points]
+    told = f"{sum(marks)} of {len(marks)} points: " if None not in marks else "no point: "
+    console.print(f"certified: {told}{result.certificate}", markup=False)
     times = result.manifest["times"]
     console.print(
         f"{times['seconds']:.1f} s, of which {times['compile_seconds']:.1f} s compiling; "
@@ -109,8 +113,9 @@ def show_points(axes: list[str], points: list[dict[str, Any]], metric: str) -> N
         values = [f"{point[name]:.5g}" for name in axes]
         middle = point["metrics"].get(metric, {}).get("q50")
         shown = "inf" if middle is None else f"{middle:.4g}"
-        rows.append((*values, f"{point['failures']}/{point['draws']}", share, f"[{low:.3g}, {high:.3g}]", shown))
-    show_table((*axes, "failures", "probability", "95 % interval", f"median {metric}"), rows)
+        numbers = (f"{point['failures']}/{point['draws']}", share, f"[{low:.3g}, {high:.3g}]", shown)
+        rows.append((*values, *numbers, MARKS[point["certified"]]))
+    show_table((*axes, "failures", "probability", "95 % interval", f"median {metric}", "certified"), rows)
     if len(points) > WIDEST_ROWS:
         output().print(f"... and {len(points) - WIDEST_ROWS} more points in summary.json")
 

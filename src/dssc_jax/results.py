@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from dssc_jax import store
+from dssc_jax import certification, store
 from dssc_jax.dataset import outcome_codes, variables
 from dssc_jax.engine import Layout
 from dssc_jax.metrics import Measure
@@ -29,12 +29,21 @@ class Result:
             swept parameters and ``draw``.
         manifest: Study, versions, device, counts and times.
         path: The results folder, once there is one.
+        certificate: What the coordinate ``certified`` of the dataset means, or why there is none.
     """
 
     study: Study
     dataset: xr.Dataset
     manifest: dict[str, Any] = field(default_factory=dict)
     path: Path | None = None
+    certificate: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        found = certification.mark(self.study)
+        self.certificate = found.reason or "Theorem 1, for the loop without unmodelled dynamics, sensors and sampling"
+        if found.certified is not None:
+            about = {"long_name": f"certified by {self.certificate}"}
+            self.dataset = self.dataset.assign_coords(certified=(tuple(self.study.axes), found.certified, about))
 
     @property
     def failed(self) -> xr.DataArray:
@@ -51,6 +60,7 @@ class Result:
             "study": self.study.name,
             "draws": self.study.config.draws,
             "confidence": confidence,
+            "certificate": self.certificate,
             "requirements": [requirement.text for requirement in self.study.requirements],
             "points": [self._point(index, confidence) for index in np.ndindex(*map(len, self.study.axes.values()))],
             "rate": times.get("rate"),
@@ -74,7 +84,7 @@ class Result:
             "failures": failures,
             "probability": failures / draws,
             "interval": clopper_pearson(failures, draws, confidence).tolist(),
-            "certified": None,
+            "certified": bool(self.dataset["certified"].values[index]) if "certified" in self.dataset.coords else None,
             "finite": int(np.count_nonzero(outcome != Outcome.NON_FINITE)),
             "outcomes": {
                 meaning: int(np.count_nonzero(outcome == code)) for code, meaning in outcome_codes(self.study).items()

@@ -4,22 +4,11 @@ import numpy as np
 import pytest
 
 from dssc_jax.design import Bounds, Free, Parameters, Recipe, State, check, derive, synthesise
+from dssc_jax.design.bounds import coupling
 from dssc_jax.design.table1 import f, kappa_c_bound, kappa_d_bound
 from dssc_jax.errors import ConfigError
-from dssc_jax.zero_dynamics import ZeroDynamics
-
-BOUNDS = Bounds(
-    k_min=0.8, k_max=1.3, a_max=1.2, k_d1=0.05, k_d2=0.02, k_d3=0.1, k_d4=0.3, c_sigma=0.4, c_e2=0.2, y_m=20.0,
-    y_m_dot=3.0, zero_dynamics=ZeroDynamics((1.0,), (0.2,)),
-)  # fmt: skip
-FREE = Free(l0=0.5, phi_a=0.1, eps=0.3, delta=0.5, eps_1=0.4, eps_2=0.1, eps_3=2.0)
-
-
-def random_case(rng):
-    k_min = 10 ** rng.uniform(-1, 1)
-    numbers = dict(zip(Bounds._fields[3:17], 10 ** rng.uniform(-2, 0.5, 14), strict=True))
-    bounds = Bounds(k_min=k_min, k_max=k_min * (1 + rng.uniform(0, 3)), a_max=rng.uniform(0, 3), **numbers)
-    return bounds, Free(*10 ** rng.uniform(-1.5, 0.7, 7))
+from dssc_jax.zero_dynamics import ZeroDynamics, companion
+from tests.design.cases import BOUNDS, FREE, random_case
 
 
 def states(certificate):
@@ -45,18 +34,18 @@ def test_f_is_one_plus_eps_1_at_k_min():
 
 
 def test_synthesised_parameters_are_strict_over_the_whole_interval():
-    """(E3) for 200 random bounds: at 1,001 values of k_p each, and certified."""
+    """(E3) for 1,000 random bounds: certified, and strict at 10,001 values of k_p each."""
     rng = np.random.default_rng(5)
-    for _ in range(200):
+    for _ in range(1000):
         bounds, free = random_case(rng)
         p = synthesise(bounds, free)
         certificate = check(p, bounds)
         assert certificate.certified, states(certificate)
         assert all(i.printed_slack > 0 for i in certificate.inequalities)
-        for k_p in np.linspace(bounds.k_min, bounds.k_max, 1001):
-            assert f(k_p, p.eps, p.gamma) > 1.0
-            assert p.kappa_c > kappa_c_bound(k_p, p.eps, p.gamma)
-            assert p.kappa_d > kappa_d_bound(k_p, p.eps, p.gamma)
+        k_p = np.linspace(bounds.k_min, bounds.k_max, 10_001)
+        assert np.all(f(k_p, p.eps, p.gamma) > 1.0)
+        assert np.all(p.kappa_c > kappa_c_bound(k_p, p.eps, p.gamma))
+        assert np.all(p.kappa_d > kappa_d_bound(k_p, p.eps, p.gamma))
 
 
 def test_a_design_at_the_nominal_gain_fails_below_it():
@@ -109,6 +98,16 @@ def test_constants():
     assert constants.csigma_bar == pytest.approx(1.3 * 0.4 + 0.5 + 1.2)
     assert constants.kd3_bar == pytest.approx(constants.csigma_bar + 1.3 * (0.05 * 20 + 0.02 * 3 + 0.1))
     assert constants.k_sigma == pytest.approx((0.5 + 1.2) * 0.5 + 1.3 * 0.2 + 1.3 * 0.3 + 0.2)
+    assert constants.kappa_e == pytest.approx(0.5 * constants.k_sigma)
+    assert constants.beta_m == pytest.approx((1.3 * 0.3 + 0.2) * 3.0)
+    assert (constants.c_eta_a_eta, constants.c_eta_b_eta) == pytest.approx((0.2, 0.2))
+
+
+def test_coupling_of_the_zero_dynamics():
+    """|C A| and |C B| against the matrices."""
+    dynamics = ZeroDynamics((2.0, 3.0, 4.0), (0.5, -0.7, 0.9))
+    a, c = companion(dynamics.a), np.asarray(dynamics.c)
+    assert coupling(dynamics) == pytest.approx((np.linalg.norm(c @ a), abs(c[-1])), rel=1e-14)
 
 
 def test_bad_bounds():

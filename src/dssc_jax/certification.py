@@ -1,0 +1,179 @@
+"""Whether Theorem 1 certifies a study's loop, at every point of its sweep.
+
+The bounds (A0)-(A4) follow from the study: the interval of k_p and a_p from their laws, the disturbance's constants
+from its kind, those of the reference and of the nominal control from theirs. The certificate is that of the loop in
+continuous time, without unmodelled dynamics and sensors, and with a rho that keeps sliding: what else the study
+holds is what the simulation is for.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dssc_jax.controllers.dssc import DsscGains
+from dssc_jax.controllers.gain_functions import Vgsta
+from dssc_jax.controllers.nominal import NominalGains
+from dssc_jax.design import Bounds, Parameters, certified
+from dssc_jax.design.practice import predictor_pole
+from dssc_jax.environment import disturbances, references
+from dssc_jax.plants.normal_form import NormalFormParams
+from dssc_jax.study import Study
+from dssc_jax.study.laws import Law
+from dssc_jax.types import Reference
+
+
+class Silent(Exception):
+    """The theorem does not speak of this loop; the message says why."""
+
+
+class Mark(NamedTuple):
+    """What the theorem says of a study.
+
+    Args:
+        certified: True or False for each point, of the shape of the sweep's axes; None where it does not speak.
+        reason: Why it does not speak; empty where it does.
+    """
+
+    certified: np.ndarray | None
+    reason: str
+
+
+class Ends(NamedTuple):
+    """Lowest and highest value of every number of a loop, each an array over the sweep's axes or a number."""
+
+    low: Any
+    high: Any
+
+    def largest(self, name: str) -> Any:
+        """Largest magnitude of a field."""
+        return np.maximum(np.abs(getattr(self.low, name)), np.abs(getattr(self.high, name)))
+
+    def part(self, name: str, index: int | None = None) -> "Ends":
+        """The ends of a part."""
+        low, high = getattr(self.low, name), getattr(self.high, name)
+        return Ends(low, high) if index is None else Ends(low[index], high[index])
+
+
+def mark(study: Study) -> Mark:
+    """Whether each point of a study's sweep is certified."""
+    try:
+        with np.errstate(all="ignore"):  # an unbounded law makes infinite bounds, which nothing certifies
+            found = certified(*design_of(study))
+    except Silent as silence:
+        return Mark(None, str(silence))
+    shape = tuple(len(values) for values in study.axes.values())
+    return Mark(np.broadcast_to(np.asarray(found, dtype=bool), shape).copy(), "")
+
+
+def design_of(study: Study) -> tuple[Parameters, Bounds]:
+    """The parameters of Table 1 and the bounds of a study's loop, over its sweep.
+
+    Raises:
+        Silent: the plant is not (5)-(8), the functions are not those of Table 1, or something has no bound.
+    """
+    ends = ends_of(study)
+    if not isinstance(ends.low.plant, NormalFormParams):
+        raise Silent("the plant is not of the class (5)-(8)")
+    gains = ends.low.controller[0]
+    if not isinstance(gains, DsscGains) or not isinstance(gains.functions, Vgsta):
+        raise Silent("Theorem 1 is about DSSC with the functions of Table 1 (kind = 'vgsta')")
+    if any(isinstance(leaf, Law) for name, leaf in study.leaves().items() if is_gain(name) and name not in study.axes):
+        raise Silent("the controller's own numbers are uncertain")
+    own = gains.functions._asdict() | {"eps": gains.functions.epsilon, "l0": gains.l0}
+    parameters = Parameters(**{name: own[name] for name in Parameters._fields})
+    return parameters, bounds_of(study.loop.reference, ends, parameters)
+
+
+def is_gain(name: str) -> bool:
+    """Whether a dotted name is one of the functions' or l0."""
+    return name.startswith("controller.functions.") or name == "controller.l0"
+
+
+def ends_of(study: Study) -> Ends:
+    """The loop's parameters at both ends of every law; swept values lie along their axes."""
+    count = len(study.axes)
+    along: dict[str, Any] = {
+        name: np.asarray(values).reshape([-1 if i == position else 1 for i in range(count)])
+        for position, (name, values) in enumerate(study.axes.items())
+    }
+    low, high = (study.params({name: law.support[end] for name, law in study.laws.items()} | along) for end in (0, 1))
+    return Ends(low, high)
+
+
+def bounds_of(model: Reference, ends: Ends, p: Parameters) -> Bounds:
+    """The bounds (A0)-(A4) of a loop of the class (5)-(8)."""
+    plant = ends.low.plant
+    dynamics = plant.zero_dynamics
+    if dynamics is not None and not is_fixed(ends.part("plant").part("zero_dynamics")):
+        raise Silent("the zero dynamics are uncertain")
+    reference = reference_bounds(model, ends.part("reference"))
+    return Bounds(
+        k_min=plant.k_p,
+        k_max=ends.high.plant.k_p,
+        a_max=ends.part("plant").largest("a_p"),
+        zero_dynamics=dynamics,
+        **reference,
+        **disturbance_bounds(ends.part("disturbance", 0)),
+        **nominal_bounds(ends.low.controller[0].nominal, p, reference),
+    )
+
+
+def is_fixed(ends: Ends) -> bool:
+    """Whether every number of a part is plain, and the same at both ends."""
+    low, high = ([value for row in part for value in row] for part in ends)
+    return all(isinstance(value, int | float) for value in low) and low == high
+
+
+def swing(amplitude: Any, period: Any, order: int) -> Any:
+    """Largest value of the derivative of a sine of the given order."""
+    return amplitude * (2.0 * math.pi / period) ** order
+
+
+def reference_bounds(model: Reference, ends: Ends) -> dict[str, Any]:
+    """Suprema of the reference and its first three derivatives."""
+    for axis, member in references.MISSION_ENTRY.members.items():
+        if model is member:
+            ends = Ends(references.MISSION[axis], references.MISSION[axis])
+    low = ends.low
+    if isinstance(low, references.ZeroParams):
+        return {}
+    if not isinstance(low, references.SineParams):
+        raise Silent("the reference's third derivative has no known bound")
+    amplitude = ends.largest("amplitude")
+    names = ("y_m_dot", "y_m_ddot", "y_m_dddot")
+    swings = {name: swing(amplitude, low.period, order) for order, name in enumerate(names, 1)}
+    return {"y_m": amplitude + ends.largest("offset"), **swings}
+
+
+def disturbance_bounds(ends: Ends) -> dict[str, Any]:
+    """The constants of (A0.b)-(A3). A step is constant but for its instant, after which the theorem starts anew."""
+    low = ends.low
+    if isinstance(low, disturbances.NoParams):
+        return {}
+    if isinstance(low, disturbances.ConstantParams | disturbances.StepParams):
+        return {"alpha_d": ends.largest("value")}
+    if isinstance(low, disturbances.SineParams):
+        amplitude = ends.largest("amplitude")
+        return {"alpha_d": amplitude, "alpha_d3": swing(amplitude, low.period, 1)}
+    if isinstance(low, disturbances.PartitionParams):
+        names = ("k_d1", "k_d2", "k_d3", "k_d4", "k_d5", "alpha_d2", "alpha_d3")
+        return {name: getattr(ends.high, name) for name in names}
+    raise Silent("the disturbance's derivative has no known bound")
+
+
+def nominal_bounds(nominal: NominalGains | None, p: Parameters, reference: dict[str, Any]) -> dict[str, Any]:
+    """The constants of (A4) of the nominal control (37), with 1/tau_m at its largest."""
+    if nominal is None:
+        return {}
+    speed, acceleration, jerk = (reference.get(name, 0.0) for name in ("y_m_dot", "y_m_ddot", "y_m_dddot"))
+    pole = predictor_pole(p) if nominal.predictor_term else 0.0
+    damping = abs(nominal.a)
+    c_e = abs((nominal.a - p.l0) * p.l0 / nominal.k)
+    return {
+        "c_sigma": (abs(p.l0 - nominal.a) + pole) / nominal.k,
+        "c_e1": c_e,
+        "c_e2": c_e,
+        "c_m": (damping * speed + acceleration) / nominal.k,
+        "u_m_dot": (damping * acceleration + jerk) / nominal.k,
+    }
