@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 
-.PHONY: study test lint types check measure paper clean
+.PHONY: study test lint types check measure paper conservatism clean
 
 study: .venv/run  ## install, and run the main job: how much unmodelled lag does a DSSC loop survive?
 	$(BIN)/dssc-jax sweep studies/mu_robustness.toml
@@ -24,6 +24,9 @@ measure: .venv/run  ## regenerate docs/measurements.md and the figures of the do
 
 paper: .venv/run  ## regenerate docs/paper.md: the article's figures and a table of its claims
 	$(BIN)/python benchmarks/paper.py
+
+conservatism: .venv/run  ## regenerate docs/conservatism.md: certified against simulated
+	$(BIN)/python benchmarks/conservatism.py
 
 .venv/run: pyproject.toml
 	$(PYTHON) -m venv .venv
