@@ -85,7 +85,7 @@ def test_e03_the_inequalities_are_decided_at_k_min():
 
 
 def test_e04_the_factor_two_eps():
-    """rho = 2 eps rho_1 + rho_2 carries 2 eps on the barred constants; a printed design has an indefinite Q - 2 eps I."""
+    """rho = 2 eps rho_1 + rho_2 carries 2 eps on the barred constants; a printed design makes Q - 2 eps I indefinite."""
     kd, k_sigma = sp.symbols("kd k_sigma", positive=True)
     rho = 2 * eps * kd / phi_b + k_sigma / phi_b**2
     assert zero(rho - (2 * eps * kd * phi_b + k_sigma) / phi_b**2)
@@ -249,7 +249,7 @@ def test_e19_greater_than_one_may_tend_to_one():
 
 def test_e20_the_lost_dots():
     """What (66) prints, with u_m', y_m' and sigma_m' for u_m', y_m'' and sigma_m'', is not beta_m."""
-    derivative, (e, sigma, y_m, eta, u_m, d_3), (slope_u, slope_y, slope_t), (a_eta, c_eta) = sigma_a_dot()
+    derivative, (e, _, y_m, eta, u_m, d_3), (_, slope_y, slope_t), (_, c_eta) = sigma_a_dot()
     at_rest = {e: 0, eta: 0}  # the error-free loop: all that is left is beta_m
     found = derivative.subs(at_rest).doit()
     speed = sp.diff(y_m.subs(e, 0), t)
