@@ -85,7 +85,7 @@ def test_e03_the_inequalities_are_decided_at_k_min():
 
 
 def test_e04_the_factor_two_eps():
-    """rho = 2 eps rho_1 + rho_2 carries 2 eps on the barred constants; a printed design makes Q - 2 eps I indefinite."""
+    """rho = 2 eps rho_1 + rho_2 carries 2 eps; a design by the print makes Q - 2 eps I indefinite."""
     kd, k_sigma = sp.symbols("kd k_sigma", positive=True)
     rho = 2 * eps * kd / phi_b + k_sigma / phi_b**2
     assert zero(rho - (2 * eps * kd * phi_b + k_sigma) / phi_b**2)

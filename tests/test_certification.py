@@ -1,0 +1,91 @@
+"""What the theorem says of a study: bounds from its laws, a mark for each point of its sweep."""
+
+import numpy as np
+import pytest
+
+import dssc_jax as dj
+from dssc_jax.certification import design_of, mark
+from dssc_jax.design import Bounds, Free, synthesise
+
+BOUNDS = Bounds(0.9, 1.1, 1.0, alpha_d3=0.1 * np.pi / 3, alpha_d=0.1)
+FREE = Free(0.5, 0.1, 0.3, 0.5, 2.0, 0.1, 6.0)
+
+
+def table(**changes):
+    p = synthesise(BOUNDS, FREE)
+    functions = {("epsilon" if name == "eps" else name): value for name, value in p._asdict().items() if name != "l0"}
+    base = {
+        "name": "t",
+        "draws": 8,
+        "loop": {"duration": 1.0, "sample_time": 0.001},
+        "plant": {"kind": "normal_form", "k_p": {"uniform": [0.9, 1.1]}, "a_p": {"uniform": [-1.0, 0.5]}},
+        "controller": {"kind": "dssc", "l0": 0.5, "rho": 50.0, "functions": {"kind": "vgsta", "k_o": 1.0, **functions}},
+        "disturbance": {"kind": "sine", "amplitude": 0.1, "period": 6.0},
+    }
+    return base | changes
+
+
+def test_the_bounds_are_read_off_the_study():
+    parameters, bounds = design_of(dj.Study.from_table(table()))
+    assert parameters == synthesise(BOUNDS, FREE)
+    for name in Bounds._fields:
+        assert getattr(bounds, name) == getattr(BOUNDS, name) or np.isclose(getattr(bounds, name), getattr(BOUNDS, name))
+
+
+def test_reference_and_nominal_control_enter():
+    study = dj.Study.from_table(
+        table(
+            reference={"kind": "sine", "amplitude": 2.0, "period": 4.0, "offset": 1.0},
+            controller=table()["controller"] | {"nominal": {"a": 1.0, "k": 2.0, "predictor_term": False}},
+        )
+    )
+    _, bounds = design_of(study)
+    rate = np.pi / 2
+    assert bounds.y_m == pytest.approx(3.0)
+    assert [bounds.y_m_dot, bounds.y_m_ddot, bounds.y_m_dddot] == pytest.approx([2 * rate, 2 * rate**2, 2 * rate**3])
+    assert bounds.c_e2 == pytest.approx(0.5 * 0.5 / 2)
+    assert bounds.c_sigma == pytest.approx(0.5 / 2)
+    assert bounds.u_m_dot == pytest.approx((2 * rate**2 + 2 * rate**3) / 2)
+
+
+def test_a_sweep_is_marked_point_by_point():
+    """phi_b below and above its least value, k_p at and beyond the design's interval."""
+    study = dj.Study.from_table(
+        table(sweep={"controller.functions.phi_b": [2.0, 8.0], "plant.k_p": [0.5, 0.9, 1.1]})
+    )
+    assert mark(study).certified.tolist() == [[False, False, False], [False, True, True]]
+    result = dj.run(study)
+    assert result.dataset["certified"].dims == ("controller.functions.phi_b", "plant.k_p")
+    assert [point["certified"] for point in result.summary()["points"]] == [False] * 4 + [True] * 2
+
+
+def test_a_point_without_sweep():
+    study = dj.Study.from_table(table())
+    assert mark(study).certified.shape == ()
+    assert dj.run(study).summary()["points"][0]["certified"] is True
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"controller": {"kind": "pi", "l0": 0.5, "k_p": 1.0, "k_i": 1.0}}, "Table 1"),
+        ({"disturbance": {"kind": "filtered_noise", "std": 0.1, "correlation_time": 1.0}}, "derivative"),
+        (
+            {
+                "controller": table()["controller"]
+                | {"functions": table()["controller"]["functions"] | {"phi_b": {"uniform": [6.0, 9.0]}}}
+            },
+            "uncertain",
+        ),
+    ],
+)
+def test_where_the_theorem_does_not_speak(changes, reason):
+    found = mark(dj.Study.from_table(table(**changes)))
+    assert found.certified is None
+    assert reason in found.reason
+    assert dj.run(dj.Study.from_table(table(**changes))).summary()["points"][0]["certified"] is None
+
+
+def test_an_unbounded_law_is_not_certified():
+    study = dj.Study.from_table(table(plant={"kind": "normal_form", "a_p": {"normal": [0.0, 0.1]}}))
+    assert mark(study).certified.item() is False
