@@ -29,7 +29,9 @@ def test_the_bounds_are_read_off_the_study():
     parameters, bounds = design_of(dj.Study.from_table(table()))
     assert parameters == synthesise(BOUNDS, FREE)
     for name in Bounds._fields:
-        assert getattr(bounds, name) == getattr(BOUNDS, name) or np.isclose(getattr(bounds, name), getattr(BOUNDS, name))
+        assert getattr(bounds, name) == getattr(BOUNDS, name) or np.isclose(
+            getattr(bounds, name), getattr(BOUNDS, name)
+        )
 
 
 def test_reference_and_nominal_control_enter():
@@ -50,9 +52,7 @@ def test_reference_and_nominal_control_enter():
 
 def test_a_sweep_is_marked_point_by_point():
     """phi_b below and above its least value, k_p at and beyond the design's interval."""
-    study = dj.Study.from_table(
-        table(sweep={"controller.functions.phi_b": [2.0, 8.0], "plant.k_p": [0.5, 0.9, 1.1]})
-    )
+    study = dj.Study.from_table(table(sweep={"controller.functions.phi_b": [2.0, 8.0], "plant.k_p": [0.5, 0.9, 1.1]}))
     assert mark(study).certified.tolist() == [[False, False, False], [False, True, True]]
     result = dj.run(study)
     assert result.dataset["certified"].dims == ("controller.functions.phi_b", "plant.k_p")

@@ -11,7 +11,7 @@ import pytest
 from dssc_jax.cli import guarded
 from dssc_jax.cli.shared import parse_over, parse_value
 
-COMMANDS = ["run", "sweep", "simulate", "replay", "check", "studies", "info"]
+COMMANDS = ["run", "sweep", "simulate", "replay", "check", "design", "studies", "info"]
 STUDY = """
 name = "small"
 seed = 3

@@ -18,7 +18,16 @@ SILENT = Free(l0=1.0, phi_a=0.1, eps=0.5, delta=1.0, eps_1=1.0, eps_2=0.1, eps_3
 REQUIRED = set(Free._fields) - set(Free._field_defaults)
 RUNNABLE = 1e-3  # s; sampling period that a design must allow where no goal is given
 
+
+def interval(value: Any) -> tuple[float, float]:
+    """Two finite numbers."""
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise ValueError(f"must be [low, high], got {value!r}")
+    return finite(value[0]), finite(value[1])
+
+
 Real = Annotated[float, BeforeValidator(finite)]
+Range = Annotated[tuple[float, float], BeforeValidator(interval)]
 
 
 class DesignFile(NamedTuple):
@@ -48,7 +57,7 @@ class GoalTable(BaseModel):
     criterion: str | None = None
     residual: Real | None = Field(default=None, gt=0.0)
     sample_time: Real = Field(default=RUNNABLE, ge=0.0)
-    vary: dict[str, tuple[Real, Real]] = {}
+    vary: dict[str, Range] = {}
 
 
 TABLES = ("name", "recipe", "bounds", "parameters", "free", "goal", "modulation")
