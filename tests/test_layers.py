@@ -21,8 +21,8 @@ LAYERS = [
     {"engine", "statistics"},
     {"dataset"},
     {"store"},
-    {"results"},
-    {"plotting", "api"},
+    {"results", "analysis", "probing"},
+    {"plotting", "api", "margins"},
     {"console"},
     {"cli"},
 ]

@@ -15,17 +15,32 @@ if TYPE_CHECKING:
     from dssc_jax import plotting as plot
     from dssc_jax.api import replay, run, simulate
     from dssc_jax.errors import ConfigError
+    from dssc_jax.margins import Margins, margin
     from dssc_jax.results import Result, load
     from dssc_jax.study import Study
 
 __version__ = "0.1.0"
-__all__ = ["ConfigError", "Result", "Study", "design", "load", "plot", "replay", "run", "simulate"]
+__all__ = [
+    "ConfigError",
+    "Margins",
+    "Result",
+    "Study",
+    "design",
+    "load",
+    "margin",
+    "plot",
+    "replay",
+    "run",
+    "simulate",
+]
 
 _HOME = {
     "ConfigError": "dssc_jax.errors",
     "Study": "dssc_jax.study",
     "Result": "dssc_jax.results",
     "load": "dssc_jax.results",
+    "Margins": "dssc_jax.margins",
+    "margin": "dssc_jax.margins",
     "replay": "dssc_jax.api",
     "run": "dssc_jax.api",
     "simulate": "dssc_jax.api",

@@ -146,6 +146,34 @@ def show_draw(attributes: Mapping[str, Any], files: list[Path]) -> None:
         output().print(f"wrote {path}", soft_wrap=True, markup=False)
 
 
+def show_margins(summary: Mapping[str, Any], files: list[Path]) -> None:
+    """A distribution of margins by the numbers one can defend."""
+    console = output()
+    start, end = summary["bounds"]
+    required = "; ".join(summary["requirements"]) or "that the draw stays finite"
+    console.print(f"[bold]{escape(summary['study'])}[/bold]  required: {escape(required)}")
+
+    def told(value: float | None, before: str) -> str:
+        if value is None:
+            return before
+        return f"{value:.6g} {summary['unit']}" + (" or beyond" if value == end else "")
+
+    few = "none: it lies before the start, or 59 draws are needed"
+    rows = [
+        ("draws", str(summary["draws"])),
+        ("walk", f"{start:g} to {end:g} {summary['unit']}"),
+        ("median critical value", told(summary["median"], "before the start")),
+        ("95 % of all draws pass up to (confidence 95 %, Wilks)", told(summary["lower_tolerance"], few)),
+        ("fail at the start already", f"{100 * summary['fail_at_start']:.3g} %"),
+        ("pass the whole way", f"{100 * summary['pass_to_end']:.3g} %"),
+        ("pass again beyond a failure", f"{100 * summary['non_monotone']:.3g} %"),
+        ("seconds", f"{summary['seconds']:.1f}, of which {summary['compile_seconds']:.1f} compiling"),
+    ]
+    show_table((summary["parameter"], ""), rows)
+    for path in files:
+        console.print(f"wrote {path}", soft_wrap=True, markup=False)
+
+
 def show_certificate(name: str, parameters: "Parameters", certificate: "Certificate") -> None:
     """Every inequality with its slack."""
     console = output()

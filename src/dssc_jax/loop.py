@@ -283,7 +283,8 @@ def step(loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Sc
                 info=info,
             )
         )
-        channels.append(after)
+        sampled = loop.unmodelled[i].sample(params.unmodelled[i], channel.unmodelled, command.total, dt)
+        channels.append(after._replace(unmodelled=sampled))
         commands.append(command.total)
     wind = loop.wind.step(params.wind, state.wind, jax.random.fold_in(loop.key(key, "wind"), k + 1), t, dt)
     held = LoopState(state.plant, wind, tuple(channels))

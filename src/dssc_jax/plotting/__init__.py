@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from dssc_jax.plotting.margins import margin
 from dssc_jax.plotting.populations import failures, fitted_slope, sweep
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, STYLE, write
 from dssc_jax.plotting.trajectories import trajectory
@@ -17,6 +18,7 @@ __all__ = [
     "STYLE",
     "failures",
     "fitted_slope",
+    "margin",
     "save_all",
     "sweep",
     "trajectory",
