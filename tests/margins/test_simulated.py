@@ -98,10 +98,10 @@ def test_delay(study):
 
 
 def test_sample_time(study):
-    explicit = study.override({"controller.discretisation": "explicit", "draws": 8})
-    found = dj.margin(explicit, over="loop.sample_time", bounds=(0.01, 0.5), log=True, points=4)
+    few = study.override({"draws": 8, "requirement": [{"metric": "command_tv", "after": 2.0, "max": 2.0}]})
+    found = dj.margin(few, over="loop.sample_time", bounds=(0.02, 0.6), log=True, points=3)
     grid = found.dataset["value"].values
-    verdicts = [dj.run(explicit.override({"loop.sample_time": float(t)})).dataset["outcome"].values == 0 for t in grid]
+    verdicts = [dj.run(few.override({"loop.sample_time": float(t)})).dataset["outcome"].values == 0 for t in grid]
     assert np.array_equal(verdicts, found.dataset["margin"].values >= 0)
     assert 0 < np.sum(verdicts) < np.size(verdicts)
     assert set(found.dataset["critical"].dropna("draw").values) <= set(grid)

@@ -96,5 +96,5 @@ def search(margin_of: MarginOf, draws: int, walk: Walk, bisections: int = BISECT
         good, bad = np.where(ok, middle, good), np.where(ok, bad, middle)
     value = np.full(draws, np.nan)
     value[inside] = walk.at(good)
-    beyond = np.arange(walk.points)[:, None] > first
-    return Critical(value, censoring, (passed & beyond).any(axis=0), margin)
+    again = passed & (np.arange(walk.points)[:, None] > first)
+    return Critical(value, censoring, np.any(again, axis=0), margin)
