@@ -14,7 +14,7 @@ LAYERS = [
     {"tracking", "numerics", "vectors", "zero_dynamics", "integrators"},
     {"plants", "uav", "environment", "controllers", "unmodelled", "design"},
     {"metrics"},
-    {"requirements"},
+    {"performance", "requirements"},
     {"loop"},
     {"study"},
     {"sampling"},
@@ -23,6 +23,7 @@ LAYERS = [
     {"store"},
     {"results", "analysis", "probing"},
     {"plotting", "api", "margins"},
+    {"theory"},
     {"console"},
     {"cli"},
 ]

@@ -11,7 +11,7 @@ from dssc_jax import xla
 xla.configure()
 
 if TYPE_CHECKING:
-    from dssc_jax import design
+    from dssc_jax import design, theory
     from dssc_jax import plotting as plot
     from dssc_jax.api import replay, run, simulate
     from dssc_jax.errors import ConfigError
@@ -32,6 +32,7 @@ __all__ = [
     "replay",
     "run",
     "simulate",
+    "theory",
 ]
 
 _HOME = {
@@ -45,7 +46,7 @@ _HOME = {
     "run": "dssc_jax.api",
     "simulate": "dssc_jax.api",
 }
-_MODULES = {"design": "dssc_jax.design", "plot": "dssc_jax.plotting"}
+_MODULES = {"design": "dssc_jax.design", "plot": "dssc_jax.plotting", "theory": "dssc_jax.theory"}
 
 
 def __getattr__(name: str) -> Any:

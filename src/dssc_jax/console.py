@@ -150,8 +150,8 @@ def show_margins(summary: Mapping[str, Any], files: list[Path]) -> None:
     """A distribution of margins by the numbers one can defend."""
     console = output()
     start, end = summary["bounds"]
-    required = "; ".join(summary["requirements"]) or "that the draw stays finite"
-    console.print(f"[bold]{escape(summary['study'])}[/bold]  required: {escape(required)}")
+    required = escape("; ".join(summary["criterion"]))
+    console.print(f"[bold]{escape(summary['study'])}[/bold]  required: {required}")
 
     def told(value: float | None, before: str) -> str:
         if value is None:

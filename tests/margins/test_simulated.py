@@ -112,14 +112,14 @@ def test_no_requirement_means_staying_finite(study):
     found = dj.margin(free, over="plant.a_p", bounds=(1.0, -300.0), points=4, bisections=4)
     assert np.isposinf(found.dataset["margin"].values[0]).all()
     assert np.isneginf(found.dataset["margin"].values[-1]).all()
-    assert found.summary()["requirements"] == []
+    assert found.summary()["criterion"] == ["the draw stays finite"]
 
 
 def margins_of(study, censoring, value, walk):
     """Margins with the given critical values."""
     draws = len(value)
     critical = Critical(np.asarray(value), np.asarray(censoring), np.zeros(draws, bool), np.zeros((walk.points, draws)))
-    return Margins.of(study.override({"draws": draws}), "unmodelled.mu", walk, critical, {}, {})
+    return Margins.of(study.override({"draws": draws}), "unmodelled.mu", walk, critical, {}, {}, ())
 
 
 def test_wilks_counts_censored_draws(study):

@@ -29,6 +29,7 @@ class Margins:
         walk: The way it went.
         dataset: Along ``draw``: ``critical``, ``censoring``, ``non_monotone`` and every drawn number; along ``value``
             and ``draw``: ``margin``, that of the worst requirement relative to its bound.
+        criterion: What a draw must keep in order to pass, in words.
         times: Seconds in all, and compiling.
     """
 
@@ -36,6 +37,7 @@ class Margins:
     parameter: str
     walk: Walk
     dataset: xr.Dataset
+    criterion: tuple[str, ...]
     times: dict[str, float] = field(default_factory=dict)
 
     @classmethod
@@ -47,6 +49,7 @@ class Margins:
         found: Critical,
         drawn: Mapping[str, np.ndarray],
         times: Mapping[str, float],
+        criterion: tuple[str, ...],
     ) -> "Margins":
         """The margins that a search found, with the drawn numbers beside them."""
         quantity = study.quantities.get(parameter, SAMPLE_TIME)
@@ -66,7 +69,7 @@ class Margins:
             attrs={"title": study.name, "parameter": parameter},
         )
         data["margin"] = (("value", "draw"), found.margin, {"units": "1", "long_name": "signed margin"})
-        return cls(study, parameter, walk, data, dict(times))
+        return cls(study, parameter, walk, data, criterion, dict(times))
 
     def at_rank(self, rank: int) -> float | None:
         """The rank-th critical value from the safe end; the walk's end where it lies beyond, None before its start."""
@@ -118,7 +121,7 @@ class Margins:
             "unit": data["critical"].attrs["units"],
             "draws": draws,
             "bounds": [self.walk.start, self.walk.end],
-            "requirements": [requirement.text for requirement in self.study.requirements],
+            "criterion": list(self.criterion),
             "critical": [None if np.isnan(value) else float(value) for value in data["critical"].values],
             "median": self.at_rank((draws + 1) // 2),
             "lower_tolerance": self.lower_tolerance(),

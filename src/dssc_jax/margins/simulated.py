@@ -61,7 +61,8 @@ def margin(
     find = over_sample_time if over == CLOCK else over_number
     critical, values = find(study, over, walk, bisections, clock, progress or (lambda done, total: None))
     times = {"seconds": time.perf_counter() - began, "compile_seconds": clock.compile_seconds}
-    return Margins.of(study, over, walk, critical, values, times)
+    criterion = tuple(requirement.text for requirement in study.requirements) or ("the draw stays finite",)
+    return Margins.of(study, over, walk, critical, values, times, criterion)
 
 
 def checked(over: str, bounds: tuple[float, float], log: bool, points: int, bisections: int) -> tuple[float, float]:

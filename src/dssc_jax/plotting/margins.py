@@ -35,13 +35,8 @@ def margin(found: "Margins") -> Figure:
             ax.set_xscale("log")
         ax.set_xlim(found.walk.start, found.walk.end)
     right.legend(frameon=False)
-    title(figure, f"{found.study.config.description or found.study.name}: {'; '.join(required(found))}")
+    title(figure, f"{found.study.config.description or found.study.name}: {'; '.join(found.criterion)}")
     return figure
-
-
-def required(found: "Margins") -> list[str]:
-    """The requirements as one reads them."""
-    return [requirement.text for requirement in found.study.requirements] or ["the draw stays finite"]
 
 
 def distribution(ax: Axes, found: "Margins") -> None:
