@@ -48,9 +48,8 @@ def limit_cycle(study: Study, point: Mapping[str, float] | None = None) -> Limit
     rest = at_rest(study)
     values = {**medians(rest), **(point or {})}
     with jax.enable_x64(True):
-        params = jax.tree.map(np.float64, rest.params(values))
-        response = jax.tree.map(np.asarray, open_loop(rest, params))
-    gains = params.controller[0]
+        response = jax.tree.map(np.asarray, jax.jit(lambda lane: open_loop(rest, rest.params(lane)))(values))
+    gains = rest.params(values).controller[0]
     match kind_of(rest, "controller"):
         case "smc":
             balance = relay_balance(float(gains.gain))
