@@ -24,6 +24,7 @@ LAYERS = [
     {"results", "analysis", "probing"},
     {"plotting", "api", "margins"},
     {"theory"},
+    {"comparison"},
     {"console"},
     {"cli"},
 ]

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from dssc_jax import design, theory
     from dssc_jax import plotting as plot
     from dssc_jax.api import replay, run, simulate
+    from dssc_jax.comparison import Comparison, compare
     from dssc_jax.errors import ConfigError
     from dssc_jax.margins import Margins, margin
     from dssc_jax.results import Result, load
@@ -21,10 +22,12 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
+    "Comparison",
     "ConfigError",
     "Margins",
     "Result",
     "Study",
+    "compare",
     "design",
     "load",
     "margin",
@@ -40,6 +43,8 @@ _HOME = {
     "Study": "dssc_jax.study",
     "Result": "dssc_jax.results",
     "load": "dssc_jax.results",
+    "Comparison": "dssc_jax.comparison",
+    "compare": "dssc_jax.comparison",
     "Margins": "dssc_jax.margins",
     "margin": "dssc_jax.margins",
     "replay": "dssc_jax.api",

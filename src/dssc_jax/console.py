@@ -174,6 +174,40 @@ def show_margins(summary: Mapping[str, Any], files: list[Path]) -> None:
         console.print(f"wrote {path}", soft_wrap=True, markup=False)
 
 
+def show_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
+    """Controllers one by one and in pairs, with the gains that correspond and with tuned ones."""
+    console = output()
+    required = "; ".join(summary["requirements"]) or "that the draw stays finite"
+    console.print(f"[bold]{escape(summary['study'])}[/bold]  required: {escape(required)}")
+    for contest, gains in ((summary, "given or corresponding gains"), (summary["tuned"], "tuned gains")):
+        if contest is None:
+            continue
+        metric = headline_metric(contest)
+        rows = []
+        for name, own in contest["controllers"].items():
+            low, high = own["interval"]
+            share = f"{own['probability']:.4g}" if own["failures"] else f"<= {high:.3g}"
+            middle = f"{own['median'][metric]:.4g}" if metric else ""
+            rows.append((name, f"{own['failures']}/{summary['draws']}", share, f"[{low:.3g}, {high:.3g}]", middle))
+        show_table((gains, "failures", "probability", "95 % interval", f"median {metric or ''}"), rows)
+        rows = []
+        for pair in contest["pairs"]:
+            low, high = pair["interval"]
+            difference = f"{pair['difference']:+.4g} in [{low:+.3g}, {high:+.3g}]"
+            rows.append((f"{pair['a']} - {pair['b']}", difference, f"{pair['p_value']:.3g}"))
+        show_table(("failure probability, paired", "difference, 95 % interval", "p-value (exact McNemar)"), rows)
+    if summary["tuned"]:
+        console.print(f"tuning: {escape(summary['tuned']['budget'])}", soft_wrap=True)
+    for path in files:
+        console.print(f"wrote {path}", soft_wrap=True, markup=False)
+
+
+def headline_metric(contest: Mapping[str, Any]) -> str | None:
+    """The last metric of a contest, which a requirement added, if there is any."""
+    metrics = list(next(iter(contest["controllers"].values()))["median"])
+    return metrics[-1] if metrics else None
+
+
 def show_certificate(name: str, parameters: "Parameters", certificate: "Certificate") -> None:
     """Every inequality with its slack."""
     console = output()

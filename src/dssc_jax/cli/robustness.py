@@ -1,4 +1,4 @@
-"""Commands on how robust a loop is: margin."""
+"""Commands on how robust a loop is: margin, compare."""
 
 import json
 from pathlib import Path
@@ -78,6 +78,52 @@ def margin(
         print(json.dumps(summary, allow_nan=False))
     else:
         show_margins(summary, [folder, *figures])
+    return DONE
+
+
+@app.command()
+def compare(
+    study: StudyArgument,
+    controllers: Annotated[
+        str, typer.Option("--controllers", metavar="A,B,..", help="Kinds, or names of the study's [compare.NAME].")
+    ],
+    tune: Annotated[
+        int | None, typer.Option("--tune", metavar="N", help="Candidates tried for each controller; 0: none [64].")
+    ] = None,
+    settings: SetOption = None,
+    draws: DrawsOption = None,
+    seed: SeedOption = None,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+    allow_local: LocalOption = False,
+) -> int:
+    """Compare controllers on the same draws and noise.
+
+    Gains that the study does not give follow from DSSC's; --tune also tunes all on equal budgets.
+
+    Prints failure probabilities, and for every pair the difference with its interval and an exact paired test. What is
+    tuned is tuned on draws of its own. Plants of several channels are not tuned.
+    """
+    from dssc_jax import plotting
+    from dssc_jax.analysis import require_free
+    from dssc_jax.comparison import compare as contest
+    from dssc_jax.comparison.tuning import CANDIDATES
+    from dssc_jax.console import jsonable, progress_bar, show_comparison
+
+    loaded = load_study(study, settings, draws, seed, allow_local)
+    folder = out or default_out(loaded, "compare", bool(settings or draws is not None or seed is not None))
+    require_free(folder, "compare")
+    names = [name.strip() for name in controllers.split(",")]
+    usual = CANDIDATES if len(loaded.loop.channels) == 1 else 0
+    with progress_bar(loaded, quiet=as_json) as advance:
+        found = contest(loaded, names, candidates=usual if tune is None else tune, progress=advance)
+    found.save(folder)
+    figures = write_figures(plotting.comparison(found), folder, "compare")
+    summary = found.summary() | {"result": str(folder)}
+    if as_json:
+        print(json.dumps(jsonable(summary), allow_nan=False))
+    else:
+        show_comparison(summary, [folder, *figures])
     return DONE
 
 

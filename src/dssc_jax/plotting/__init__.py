@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from dssc_jax.plotting.comparisons import comparison
 from dssc_jax.plotting.margins import margin
 from dssc_jax.plotting.populations import failures, fitted_slope, sweep
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, STYLE, write
@@ -16,6 +17,7 @@ __all__ = [
     "RED",
     "SLIDE",
     "STYLE",
+    "comparison",
     "failures",
     "fitted_slope",
     "margin",
