@@ -34,14 +34,16 @@ def comparison(found: "Comparison") -> Figure:
         probabilities(left, contest, colour, text, shift)
         differences(right, contest, names[0], colour, shift)
     right.axvline(0.0, color=GREY, linewidth=1.0)
-    left.set(xlabel="failure probability", yticks=range(len(names)), yticklabels=names, xlim=(-0.03, 1.03))
-    right.set_xlabel(f"minus that of {names[0]}, on the same draws")
+    left.set(
+        xlabel="failure probability, 95 % interval", yticks=range(len(names)), yticklabels=names, xlim=(-0.03, 1.03)
+    )
+    right.set_xlabel(f"minus that of {names[0]} on the same draws, 95 % interval")
     left.invert_yaxis()
     for ax in (left, right):
         ax.xaxis.set_major_formatter(PercentFormatter(1.0))
     figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
     required = "; ".join(summary["requirements"]) or "the draw stays finite"
-    title(figure, f"{summary['study']}, {summary['draws']} draws: {required}; 95 % intervals")
+    title(figure, f"{summary['study']}, {summary['draws']} draws: {required}")
     return figure
 
 
