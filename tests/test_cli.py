@@ -1,6 +1,7 @@
 """The command line as a person or a program meets it."""
 
 import json
+import resource
 import signal
 import subprocess
 import sys
@@ -240,10 +241,11 @@ def test_parsing():
 
 
 def test_one_trajectory_is_no_chore():
-    """simulate of one 80 s draw, compile included, as a process; the bound is generous for busy machines."""
-    began = time.perf_counter()
+    """simulate of one 80 s draw, compile included, as a process, in processor time: others leave that alone."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     arguments = ["simulate", "mu_robustness", "--set", "loop.duration=80.0", "--json"]
     subprocess.run([sys.executable, "-m", "dssc_jax.cli", *arguments], capture_output=True, check=True)
-    seconds = time.perf_counter() - began
-    print(f"\nsimulate of 80 s: {seconds:.2f} s")
-    assert seconds < 6.0
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    print(f"\nsimulate of 80 s: {seconds:.2f} s of processor time")
+    assert seconds < 8.0

@@ -9,6 +9,7 @@ from dssc_jax.controllers import CONTROLLERS
 from dssc_jax.controllers.gain_functions import GAIN_FUNCTIONS
 from dssc_jax.controllers.modulation import MODULATIONS
 from dssc_jax.environment import DISTURBANCES, REFERENCES
+from dssc_jax.errors import ConfigError
 from dssc_jax.plants import PLANTS
 from dssc_jax.study.components import parse_component
 from dssc_jax.types import Measurement, PlantInput, ReferencePoint
@@ -213,3 +214,22 @@ def test_lag_is_exact(order):
             state, t = model.step(params, state, 2.0, dt), t + dt
             exact = 2.0 * (1 - np.exp(-t / 0.03) * (1 + (t / 0.03 if order == 2 else 0.0)))
             assert float(model.output(params, state, 2.0)) == pytest.approx(exact, abs=1e-14)
+
+
+@pytest.mark.parametrize("delay", [0.0, 2.0, 2.25])
+def test_delay_is_linear_between_samples(delay):
+    """A delay of n + f samples is (1 - f) of the command n samples ago and f of the one before."""
+    component = parse_component({"kind": "delay", "samples": delay, "memory": 4}, UNMODELLED, "unmodelled")
+    model, params = component.model, component.params
+    state, seen = model.init(params), []
+    for command in range(1, 8):
+        state = model.sample(params, state, float(command), 0.1)
+        seen.append(float(model.output(params, state, float(command))))
+    assert seen[3:] == pytest.approx([command - delay for command in range(4, 8)], abs=1e-14)
+
+
+def test_a_delay_must_fit_the_memory():
+    with pytest.raises(ConfigError, match="must be <= memory = 4, got up to 5"):
+        parse_component({"kind": "delay", "samples": {"uniform": [0, 5]}, "memory": 4}, UNMODELLED, "unmodelled")
+    with pytest.raises(ConfigError, match="whole number"):
+        parse_component({"kind": "delay", "samples": 1.0, "memory": 4.5}, UNMODELLED, "unmodelled")

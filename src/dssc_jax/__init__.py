@@ -11,26 +11,47 @@ from dssc_jax import xla
 xla.configure()
 
 if TYPE_CHECKING:
-    from dssc_jax import design
+    from dssc_jax import design, theory
     from dssc_jax import plotting as plot
     from dssc_jax.api import replay, run, simulate
+    from dssc_jax.comparison import Comparison, compare
     from dssc_jax.errors import ConfigError
+    from dssc_jax.margins import Margins, margin
     from dssc_jax.results import Result, load
     from dssc_jax.study import Study
 
 __version__ = "0.1.0"
-__all__ = ["ConfigError", "Result", "Study", "design", "load", "plot", "replay", "run", "simulate"]
+__all__ = [
+    "Comparison",
+    "ConfigError",
+    "Margins",
+    "Result",
+    "Study",
+    "compare",
+    "design",
+    "load",
+    "margin",
+    "plot",
+    "replay",
+    "run",
+    "simulate",
+    "theory",
+]
 
 _HOME = {
     "ConfigError": "dssc_jax.errors",
     "Study": "dssc_jax.study",
     "Result": "dssc_jax.results",
     "load": "dssc_jax.results",
+    "Comparison": "dssc_jax.comparison",
+    "compare": "dssc_jax.comparison",
+    "Margins": "dssc_jax.margins",
+    "margin": "dssc_jax.margins",
     "replay": "dssc_jax.api",
     "run": "dssc_jax.api",
     "simulate": "dssc_jax.api",
 }
-_MODULES = {"design": "dssc_jax.design", "plot": "dssc_jax.plotting"}
+_MODULES = {"design": "dssc_jax.design", "plot": "dssc_jax.plotting", "theory": "dssc_jax.theory"}
 
 
 def __getattr__(name: str) -> Any:

@@ -150,6 +150,68 @@ def show_draw(attributes: Mapping[str, Any], files: list[Path]) -> None:
         output().print(f"wrote {path}", soft_wrap=True, markup=False)
 
 
+def show_margins(summary: Mapping[str, Any], files: list[Path]) -> None:
+    """A distribution of margins by the numbers one can defend."""
+    console = output()
+    start, end = summary["bounds"]
+    required = escape("; ".join(summary["criterion"]))
+    console.print(f"[bold]{escape(summary['study'])}[/bold]  required: {required}")
+
+    def told(value: float | None, before: str) -> str:
+        if value is None:
+            return before
+        return f"{value:.6g} {summary['unit']}" + (" or beyond" if value == end else "")
+
+    few = "none: it lies before the start, or 59 draws are needed"
+    rows = [
+        ("draws", str(summary["draws"])),
+        ("walk", f"{start:g} to {end:g} {summary['unit']}"),
+        ("median critical value", told(summary["median"], "before the start")),
+        ("95 % of all draws pass up to (confidence 95 %, Wilks)", told(summary["lower_tolerance"], few)),
+        ("fail at the start already", f"{100 * summary['fail_at_start']:.3g} %"),
+        ("pass the whole way", f"{100 * summary['pass_to_end']:.3g} %"),
+        ("pass again beyond a failure", f"{100 * summary['non_monotone']:.3g} %"),
+        ("seconds", f"{summary['seconds']:.1f}, of which {summary['compile_seconds']:.1f} compiling"),
+    ]
+    show_table((summary["parameter"], ""), rows)
+    for path in files:
+        console.print(f"wrote {path}", soft_wrap=True, markup=False)
+
+
+def show_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
+    """Controllers one by one and in pairs, with the gains that correspond and with tuned ones."""
+    console = output()
+    required = "; ".join(summary["requirements"]) or "that the draw stays finite"
+    console.print(f"[bold]{escape(summary['study'])}[/bold]  required: {escape(required)}")
+    for contest, gains in ((summary, "given or corresponding gains"), (summary["tuned"], "tuned gains")):
+        if contest is None:
+            continue
+        metric = headline_metric(contest)
+        rows = []
+        for name, own in contest["controllers"].items():
+            low, high = own["interval"]
+            share = f"{own['probability']:.4g}" if own["failures"] else f"<= {high:.3g}"
+            middle = f"{own['median'][metric]:.4g}" if metric else ""
+            rows.append((name, f"{own['failures']}/{summary['draws']}", share, f"[{low:.3g}, {high:.3g}]", middle))
+        show_table((gains, "failures", "probability", "95 % interval", f"median {metric or ''}"), rows)
+        rows = []
+        for pair in contest["pairs"]:
+            low, high = pair["interval"]
+            difference = f"{pair['difference']:+.4g} in [{low:+.3g}, {high:+.3g}]"
+            rows.append((f"{pair['a']} - {pair['b']}", difference, f"{pair['p_value']:.3g}"))
+        show_table(("failure probability, paired", "difference, 95 % interval", "p-value (exact McNemar)"), rows)
+    if summary["tuned"]:
+        console.print(f"tuning: {escape(summary['tuned']['budget'])}", soft_wrap=True)
+    for path in files:
+        console.print(f"wrote {path}", soft_wrap=True, markup=False)
+
+
+def headline_metric(contest: Mapping[str, Any]) -> str | None:
+    """The last metric of a contest, which a requirement added, if there is any."""
+    metrics = list(next(iter(contest["controllers"].values()))["median"])
+    return metrics[-1] if metrics else None
+
+
 def jsonable(content: Any) -> Any:
     """Plain data as JSON has it: NaN and infinity become null."""
     if isinstance(content, Mapping):

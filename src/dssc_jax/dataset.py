@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from dssc_jax.metrics import METRICS
 from dssc_jax.study import Study
 from dssc_jax.types import Outcome
 
@@ -47,7 +46,7 @@ def variables(study: Study) -> dict[str, Variable]:
         about = {"units": quantity.unit, "long_name": quantity.meaning, "law": str(law)}
         found[name] = Variable(("draw",), "float64", about)
     for measure in study.measures:
-        metric = METRICS[measure.kind]
+        metric = measure.metric
         window = f", t >= {measure.window.after:g} s" if measure.window.after > 0 else ""
         found[measure.name] = Variable(grid, real, {"units": metric.unit, "long_name": metric.meaning + window})
     for requirement in study.requirements:

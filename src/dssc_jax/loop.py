@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.integrators import INTEGRATORS, Integrator
-from dssc_jax.metrics import Instant, Measure, Sample, update_all, values
+from dssc_jax.metrics import Instant, Measure, Sample, starts, update_all, values
 from dssc_jax.numerics import stream, wrap_angle
 from dssc_jax.requirements import Requirement, judge
 from dssc_jax.tracking import tracking_error
@@ -283,7 +283,8 @@ def step(loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Sc
                 info=info,
             )
         )
-        channels.append(after)
+        sampled = loop.unmodelled[i].sample(params.unmodelled[i], channel.unmodelled, command.total, dt)
+        channels.append(after._replace(unmodelled=sampled))
         commands.append(command.total)
     wind = loop.wind.step(params.wind, state.wind, jax.random.fold_in(loop.key(key, "wind"), k + 1), t, dt)
     held = LoopState(state.plant, wind, tuple(channels))
@@ -309,7 +310,7 @@ class Progress(NamedTuple):
 
     k: Scalar
     state: LoopState
-    accumulators: tuple[Scalar, ...]
+    accumulators: tuple[Any, ...]
     outcome: Scalar
     steps: Scalar
 
@@ -356,8 +357,8 @@ def simulate(
         at, recorded = sample(at)
         return jax.lax.while_loop(lambda at: at.k < last, lambda at: sample(at)[0], at), recorded
 
-    count, zero = jnp.zeros((), dtype=jnp.int32), jnp.zeros((), dtype=jnp.result_type(float))
-    at = Progress(count, start(loop, params, key), (zero,) * len(measures), count, count)
+    count = jnp.zeros((), dtype=jnp.int32)
+    at = Progress(count, start(loop, params, key), as_arrays(starts(measures)), count, count)
     if every is None:
         end, recorded = jax.lax.scan(lambda at, _: (sample(at)[0], None), at, length=loop.steps)
     elif every == 1:

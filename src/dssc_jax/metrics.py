@@ -7,8 +7,10 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from dssc_jax.numerics import root_abs
@@ -76,14 +78,16 @@ class Metric(NamedTuple):
         value: ``(accumulator, window, span) -> value``.
         needs: Fields of the controller's (the vehicle's) info without which the metric does not exist.
         scope: Whether it is of a channel or of the vehicle.
+        start: The accumulator before the first sample: a number, or a ``NamedTuple`` of numbers.
     """
 
     unit: str
     meaning: str
-    update: Callable[[Scalar, Any, Window], Scalar]
-    value: Callable[[Scalar, Window, Span], Scalar]
+    update: Callable[[Any, Any, Window], Any]
+    value: Callable[[Any, Window, Span], Scalar]
     needs: tuple[str, ...] = ()
     scope: Scope = Scope.CHANNEL
+    start: Any = 0.0
 
 
 def peak(of: Callable[[Any], Scalar]) -> Callable[[Scalar, Any, Window], Scalar]:
@@ -204,32 +208,39 @@ BRIEF = ("error_rms", "error_max", "command_tv", "command_max", "outside_sliding
 
 @dataclass(frozen=True)
 class Measure:
-    """One metric of one channel (None: of the vehicle) over one window, under the name it has in results."""
+    """One metric of one channel (None: of the vehicle) over one window, under the name it has in results.
+
+    ``own`` is the streaming form of a kind that is not in :data:`METRICS`.
+    """
 
     name: str
     kind: str
     window: Window
     channel: int | None = 0
+    own: Metric | None = None
 
     @property
     def metric(self) -> Metric:
         """The streaming form."""
-        return METRICS[self.kind]
+        return self.own or METRICS[self.kind]
 
     def of(self, instant: Instant) -> Any:
         """What the metric is updated with."""
         return instant if self.channel is None else instant.channels[self.channel]
 
 
-def available(channels: Mapping[str, Sequence[str]], vehicle: Sequence[str]) -> dict[str, tuple[str, int | None]]:
+def available(
+    channels: Mapping[str, Sequence[str]], vehicle: Sequence[str], metrics: Mapping[str, Metric]
+) -> dict[str, tuple[str, int | None]]:
     """Metrics that a loop can have: name -> kind and channel.
 
     Args:
         channels: Fields of the controller's info by channel; a plant of one channel has the empty name.
         vehicle: Fields of the plant's own info.
+        metrics: Every kind there is.
     """
     found: dict[str, tuple[str, int | None]] = {}
-    for kind, metric in METRICS.items():
+    for kind, metric in metrics.items():
         if metric.scope is Scope.VEHICLE:
             if set(metric.needs) <= set(vehicle):
                 found[kind] = (kind, None)
@@ -245,13 +256,18 @@ def first_sample(window: Window, sample_time: float) -> int:
     return max(0, math.ceil(window.after / sample_time - 1e-9))
 
 
+def starts(measures: tuple[Measure, ...]) -> tuple[Any, ...]:
+    """Every accumulator before the first sample."""
+    return tuple(measure.metric.start for measure in measures)
+
+
 def update_all(measures: tuple[Measure, ...], accumulators: tuple[Any, ...], instant: Instant, k: Scalar, t_s: float):
     """Every accumulator after sample k."""
     updated = []
     for measure, acc in zip(measures, accumulators, strict=True):
         new = measure.metric.update(acc, measure.of(instant), measure.window)
         start = first_sample(measure.window, t_s)
-        updated.append(new if start == 0 else jnp.where(k >= start, new, acc))
+        updated.append(new if start == 0 else jax.tree.map(partial(jnp.where, k >= start), new, acc))
     return tuple(updated)
 
 

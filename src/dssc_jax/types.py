@@ -141,6 +141,11 @@ def never(params: Params, state: State) -> bool:
     return False
 
 
+def unsampled(params: Params, state: State, command: Scalar, dt: Scalar) -> State:
+    """The state of what does not heed sample instants."""
+    return state
+
+
 class Plant(NamedTuple):
     """A plant of relative degree two from each command to its output.
 
@@ -295,6 +300,7 @@ class Unmodelled(NamedTuple):
         step: ``(params, state, command, dt) -> state`` with the command held over dt.
         output: ``(params, state, command) -> command`` that reaches the plant.
         prepare: As in :class:`Plant`.
+        sample: ``(params, state, command, dt) -> state`` once a sample of length dt, when its command is given.
     """
 
     params: type
@@ -302,6 +308,7 @@ class Unmodelled(NamedTuple):
     step: Callable[[Params, State, Scalar, Scalar], State]
     output: Callable[[Params, State, Scalar], Scalar]
     prepare: Callable[[Params], Params] = nothing
+    sample: Callable[[Params, State, Scalar, Scalar], State] = unsampled
 
 
 class Entry(NamedTuple):

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from dssc_jax.plotting.comparisons import comparison
+from dssc_jax.plotting.margins import margin
 from dssc_jax.plotting.populations import failures, fitted_slope, sweep
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, STYLE, write
 from dssc_jax.plotting.trajectories import trajectory
@@ -15,8 +17,10 @@ __all__ = [
     "RED",
     "SLIDE",
     "STYLE",
+    "comparison",
     "failures",
     "fitted_slope",
+    "margin",
     "save_all",
     "sweep",
     "trajectory",

@@ -16,7 +16,7 @@ from dssc_jax.plants import PLANTS
 from dssc_jax.requirements import Requirement
 from dssc_jax.study.components import Component, as_table, explain, parse_component, parse_number
 from dssc_jax.study.laws import Law
-from dssc_jax.study.measuring import measured
+from dssc_jax.study.measuring import kinds_of, measured
 from dssc_jax.study.schema import LoopTable, MetricsTable, PlotTable, RequirementTable, StudyTable
 from dssc_jax.study.tables import has_dotted, merged, set_dotted
 from dssc_jax.types import Quantity, single
@@ -106,8 +106,9 @@ def build(table: dict[str, Any]) -> Parts:
     everything = [*wholes.values(), *(part for column in parts.values() for part in column)]
     short = {long: brief for part in everything for long, brief in part.short.items()}
     quantities = {short.get(name, name): q for part in everything for name, q in part.quantities.items()}
-    names = available(*info_fields(loop, template))
-    measures, requirements = measured(config, names, several)
+    known = kinds_of(config)
+    names = available(*info_fields(loop, template), known)
+    measures, requirements = measured(config, names, known, several)
     parts_found = Parts(config, loop, template, quantities, short, measures, requirements)
     check_axes(parts_found)
     prepare_box(table, parts_found)

@@ -158,6 +158,20 @@ def explain(error: ValidationError, names: typing.Iterable[str]) -> ConfigError:
             return ConfigError(path, f"{first['msg'][0].lower()}{first['msg'][1:]}, got {value!r}")
 
 
+def imported(name: str, place: str) -> Any:
+    """A user's own object by its dotted name ``package.module:object``.
+
+    Raises:
+        ConfigError: it cannot be imported.
+    """
+    module_name, _, attribute = name.partition(":")
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            return getattr(importlib.import_module(module_name), attribute)
+    except (Exception, SystemExit) as error:  # a module's own code may raise anything
+        raise ConfigError(place, f"cannot import '{name}': {type(error).__name__}: {error}") from error
+
+
 def lookup(kind: Any, registry: Registry, path: str) -> Entry:
     """The registry row of a kind, or a user's own model by its dotted name ``package.module:object``."""
     if not isinstance(kind, str):
@@ -166,12 +180,7 @@ def lookup(kind: Any, registry: Registry, path: str) -> Entry:
         return registry[kind]
     if ":" not in kind:
         raise ConfigError(f"{path}.kind", f"unknown kind '{kind}'; {meant(kind, registry)}")
-    module_name, _, attribute = kind.partition(":")
-    try:
-        with contextlib.redirect_stdout(sys.stderr):
-            found = getattr(importlib.import_module(module_name), attribute)
-    except (Exception, SystemExit) as error:  # a module's own code may raise anything
-        raise ConfigError(f"{path}.kind", f"cannot import '{kind}': {type(error).__name__}: {error}") from error
+    found = imported(kind, f"{path}.kind")
     if hasattr(found, "_fields") and not isinstance(found, type) and not hasattr(found, "params"):
         found = Preset(type(found), found)
     if isinstance(found, Entry):

@@ -1,40 +1,87 @@
 """From a study's tables to what is measured and required."""
 
+from collections.abc import Mapping
+
 from dssc_jax.errors import ConfigError, meant
-from dssc_jax.metrics import BRIEF, METRICS, Measure, Scope, Window, first_sample
+from dssc_jax.metrics import BRIEF, METRICS, Measure, Metric, Scope, Window, first_sample
+from dssc_jax.performance import PERFORMANCE
 from dssc_jax.requirements import Requirement
+from dssc_jax.study.components import imported
 from dssc_jax.study.schema import StudyTable
+
+KNOWN = METRICS | PERFORMANCE
+
+
+def kinds_of(config: StudyTable) -> dict[str, Metric]:
+    """Every metric by name: the package's, and a user's own that the study names as ``package.module:object``.
+
+    Raises:
+        ConfigError: one cannot be imported, is no metric, or takes the name of another.
+    """
+    found = dict(KNOWN)
+    named = [(f"metrics.names.{i}", name) for i, name in enumerate(config.metrics.names or ())]
+    named += [(f"requirement.{i}.metric", table.metric) for i, table in enumerate(config.requirement)]
+    for place, name in named:
+        if ":" not in name:
+            continue
+        metric = imported(name, place)
+        if not isinstance(metric, Metric):
+            raise ConfigError(place, f"'{name}' must be a Metric, got {type(metric).__name__}")
+        if found.setdefault(short(name), metric) is not metric:
+            raise ConfigError(place, f"there is another metric of the name '{short(name)}'; rename the object")
+    return found
+
+
+def short(name: str) -> str:
+    """A metric's name in results: a user's own goes by its object's name alone."""
+    return name.rpartition(":")[2]
 
 
 def measured(
-    config: StudyTable, names: dict[str, tuple[str, int | None]], several: bool
+    config: StudyTable, names: dict[str, tuple[str, int | None]], known: Mapping[str, Metric], several: bool
 ) -> tuple[tuple[Measure, ...], tuple[Requirement, ...]]:
-    """The metrics over the study's window, and one more for each requirement with its own."""
+    """The metrics over the study's window, and one more for each requirement with its own.
+
+    Args:
+        config: The study's tables.
+        names: Metrics that the loop can have: name -> kind and channel.
+        known: Every kind there is.
+        several: Whether the plant has several channels.
+
+    Raises:
+        ConfigError: a metric is unknown or not to be had here, or a window holds no sample.
+    """
+
+    def measure(name: str, of: str, window: Window) -> Measure:
+        kind, channel = names[of]
+        return Measure(name, kind, window, channel, None if kind in METRICS else known[kind])
+
     base = Window(config.metrics.after, config.metrics.settling_band)
     require_samples(config, base, "metrics.after")
-    kinds = config.metrics.names if config.metrics.names is not None else default_kinds(several)
+    named = config.metrics.names
+    kinds = default_kinds(several) if named is None else [short(name) for name in named]
     for index, kind in enumerate(kinds):
-        if kind not in METRICS:
-            raise ConfigError(f"metrics.names.{index}", f"unknown metric '{kind}'; {meant(kind, METRICS)}")
-    measures = {name: Measure(name, kind, base, at) for name, (kind, at) in names.items() if kind in kinds}
+        if kind not in known:
+            raise ConfigError(f"metrics.names.{index}", f"unknown metric '{kind}'; {meant(kind, known)}")
+    measures = {name: measure(name, name, base) for name, (kind, _) in names.items() if kind in kinds}
     requirements = []
     for index, table in enumerate(config.requirement):
-        place = f"requirement.{index}"
-        if table.metric not in names:
-            if table.metric in METRICS and not several:
-                needs = ", ".join(METRICS[table.metric].needs)
-                raise ConfigError(f"{place}.metric", f"'{table.metric}' needs {needs}, which this loop does not have")
-            raise ConfigError(f"{place}.metric", f"unknown metric '{table.metric}'; {meant(table.metric, names)}")
+        place, wanted = f"requirement.{index}", short(table.metric)
+        if wanted not in names:
+            if wanted in known and not several:
+                needs = ", ".join(known[wanted].needs)
+                raise ConfigError(f"{place}.metric", f"'{wanted}' needs {needs}, which this loop does not have")
+            raise ConfigError(f"{place}.metric", f"unknown metric '{wanted}'; {meant(wanted, names)}")
         after = base.after if table.after is None else table.after
         window = Window(after, table.settling_band or base.band)
         require_samples(config, window, f"{place}.after")
-        name = table.metric if window == base else f"{table.metric}_after_{after:.12g}"
+        name = wanted if window == base else f"{wanted}_after_{after:.12g}"
         if window.band != base.band:
             name += f"_within_{window.band:.12g}"
-        measures.setdefault(name, Measure(name, names[table.metric][0], window, names[table.metric][1]))
+        measures.setdefault(name, measure(name, wanted, window))
         requirement = Requirement(measures[name], table.max, table.min)
         if any(requirement.name == other.name for other in requirements):
-            raise ConfigError(place, f"'{table.metric}' is bounded on this side already; keep the stricter one")
+            raise ConfigError(place, f"'{wanted}' is bounded on this side already; keep the stricter one")
         requirements.append(requirement)
     if config.plot.metric is not None and config.plot.metric not in measures:
         raise ConfigError(

@@ -138,6 +138,7 @@ class StudyTable(BaseModel):
     unmodelled: dict[str, Any] = {"kind": "none"}
     disturbance: dict[str, Any] = {"kind": "none"}
     wind: dict[str, Any] = {"kind": "none"}
+    compare: dict[str, dict[str, Any]] = {}
     metrics: MetricsTable = MetricsTable()
     requirement: list[RequirementTable] = []
     sweep: dict[str, Annotated[tuple[float, ...], BeforeValidator(parse_axis)]] = {}

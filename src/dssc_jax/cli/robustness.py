@@ -1,0 +1,135 @@
+"""Commands on how robust a loop is: margin, compare."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from dssc_jax.cli.shared import (
+    DONE,
+    DrawsOption,
+    JsonOption,
+    LocalOption,
+    OutOption,
+    SeedOption,
+    SetOption,
+    StudyArgument,
+    app,
+    assignment,
+    default_out,
+    load_study,
+)
+from dssc_jax.errors import ConfigError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def parse_bounds(text: str) -> tuple[str, tuple[float, float]]:
+    """Name and bounds of ``NAME=LO:HI``."""
+    name, value = assignment(text, "--over")
+    try:
+        start, end = map(float, value.split(":"))
+    except ValueError:
+        raise ConfigError("--over", f"must be NAME=LO:HI, got '{text}'") from None
+    return name, (start, end)
+
+
+@app.command()
+def margin(
+    study: StudyArgument,
+    over: Annotated[
+        str, typer.Option("--over", metavar="NAME=LO:HI", help="The number to walk, from its safe end to the other.")
+    ],
+    log: Annotated[bool, typer.Option("--log", help="Walk evenly in the logarithm.")] = False,
+    points: Annotated[int, typer.Option("--points", metavar="N", help="Values of the bracketing grid.")] = 17,
+    bisections: Annotated[int, typer.Option("--bisections", metavar="N", help="Halvings of a grid's cell.")] = 14,
+    settings: SetOption = None,
+    draws: DrawsOption = None,
+    seed: SeedOption = None,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+    allow_local: LocalOption = False,
+) -> int:
+    """Find every draw's critical value of one number.
+
+    The walk starts at LO, where draws are expected to pass; HI may be the lower end.
+
+    Prints the median, the value up to which 95 % of all draws pass with 95 % confidence (Wilks), the share of draws
+    without a critical value between the bounds, and the share that passes again beyond a failure.
+    """
+    from dssc_jax.analysis import require_free
+    from dssc_jax.console import progress_bar, show_margins
+    from dssc_jax.margins import margin as find
+
+    name, bounds = parse_bounds(over)
+    loaded = load_study(study, settings, draws, seed, allow_local)
+    folder = out or default_out(loaded, f"margin-{name}", bool(settings or draws is not None or seed is not None))
+    require_free(folder, "margin")
+    with progress_bar(loaded, quiet=as_json) as advance:
+        found = find(loaded, over=name, bounds=bounds, log=log, points=points, bisections=bisections, progress=advance)
+    found.save(folder)
+    from dssc_jax import plotting
+
+    figures = write_figures(plotting.margin(found), folder, "margin")
+    summary = found.summary() | {"result": str(folder)}
+    if as_json:
+        print(json.dumps(summary, allow_nan=False))
+    else:
+        show_margins(summary, [folder, *figures])
+    return DONE
+
+
+@app.command()
+def compare(
+    study: StudyArgument,
+    controllers: Annotated[
+        str, typer.Option("--controllers", metavar="A,B,..", help="Kinds, or names of the study's [compare.NAME].")
+    ],
+    tune: Annotated[
+        int | None, typer.Option("--tune", metavar="N", help="Candidates tried for each controller; 0: none [64].")
+    ] = None,
+    settings: SetOption = None,
+    draws: DrawsOption = None,
+    seed: SeedOption = None,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+    allow_local: LocalOption = False,
+) -> int:
+    """Compare controllers on the same draws and noise.
+
+    Gains that the study does not give follow from DSSC's; --tune also tunes all on equal budgets.
+
+    Prints failure probabilities, and for every pair the difference with its interval and an exact paired test. What is
+    tuned is tuned on draws of its own. Plants of several channels are not tuned.
+    """
+    from dssc_jax import plotting
+    from dssc_jax.analysis import require_free
+    from dssc_jax.comparison import compare as contest
+    from dssc_jax.comparison.tuning import CANDIDATES
+    from dssc_jax.console import jsonable, progress_bar, show_comparison
+
+    loaded = load_study(study, settings, draws, seed, allow_local)
+    folder = out or default_out(loaded, "compare", bool(settings or draws is not None or seed is not None))
+    require_free(folder, "compare")
+    names = [name.strip() for name in controllers.split(",")]
+    usual = CANDIDATES if len(loaded.loop.channels) == 1 else 0
+    with progress_bar(loaded, quiet=as_json) as advance:
+        found = contest(loaded, names, candidates=usual if tune is None else tune, progress=advance)
+    found.save(folder)
+    figures = write_figures(plotting.comparison(found), folder, "compare")
+    summary = found.summary() | {"result": str(folder)}
+    if as_json:
+        print(json.dumps(jsonable(summary), allow_nan=False))
+    else:
+        show_comparison(summary, [folder, *figures])
+    return DONE
+
+
+def write_figures(figure: "Figure", folder: Path, name: str) -> list[Path]:
+    """A figure as PNG and SVG in the results folder."""
+    from dssc_jax import plotting
+
+    (folder / "figures").mkdir(exist_ok=True)
+    return [plotting.write(figure, folder / "figures" / f"{name}.{suffix}") for suffix in ("png", "svg")]

@@ -1,0 +1,100 @@
+"""Critical values of many draws at once: bracketing on a grid, then bisection."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+POINTS, BISECTIONS = 17, 14
+
+MarginOf = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""(indices of some of the draws, a value for each) -> signed margins, negative where the draw fails."""
+
+
+class Censoring(IntEnum):
+    """Where a critical value lies: found between the bounds, before the first, or beyond the second."""
+
+    BEFORE = -1
+    FOUND = 0
+    BEYOND = 1
+
+
+@dataclass(frozen=True)
+class Walk:
+    """The way from the safe end to the other, at a pace that is even in the number or in its logarithm.
+
+    Args:
+        start: The safe end.
+        end: The other end, above or below.
+        log: Even in the logarithm.
+        points: Values of the bracketing grid, both ends included.
+        parted: A length that every value must divide into whole parts; values are moved to the nearest that does.
+    """
+
+    start: float
+    end: float
+    log: bool = False
+    points: int = POINTS
+    parted: float | None = None
+
+    def at(self, share: np.ndarray) -> np.ndarray:
+        """The value at a share of the way in [0, 1]."""
+        if self.log:
+            value = np.exp((1.0 - share) * np.log(self.start) + share * np.log(self.end))
+        else:
+            value = (1.0 - share) * self.start + share * self.end
+        value = np.clip(value, min(self.start, self.end), max(self.start, self.end))
+        return value if self.parted is None else self.parted / np.round(self.parted / value)
+
+    @property
+    def grid(self) -> np.ndarray:
+        """The values of the grid."""
+        return self.at(np.linspace(0.0, 1.0, self.points))
+
+
+class Critical(NamedTuple):
+    """What a search found of each draw.
+
+    Args:
+        value: The critical value; NaN where censored. Shape (n,).
+        censoring: A :class:`Censoring` code.
+        non_monotone: The draw passes again beyond a value at which it fails.
+        margin: Signed margins on the grid, shape (points, n).
+    """
+
+    value: np.ndarray
+    censoring: np.ndarray
+    non_monotone: np.ndarray
+    margin: np.ndarray
+
+
+def search(margin_of: MarginOf, draws: int, walk: Walk, bisections: int = BISECTIONS) -> Critical:
+    """Critical values of all draws at once.
+
+    Args:
+        margin_of: The signed margin of chosen draws at chosen values.
+        draws: Number of draws.
+        walk: Where to look.
+        bisections: Halvings of the grid's cell that holds the first failure.
+
+    Returns:
+        Critical values at which the draw passes, with a failure at most a cell/2^bisections further on.
+    """
+    everyone = np.arange(draws)
+    margin = np.stack([margin_of(everyone, np.full(draws, value)) for value in walk.grid])
+    passed = margin >= 0.0
+    first = np.where(passed.all(axis=0), walk.points, np.argmin(passed, axis=0))
+    censoring = np.where(first == 0, Censoring.BEFORE, np.where(first == walk.points, Censoring.BEYOND, 0))
+    inside = np.flatnonzero(censoring == Censoring.FOUND)
+    cells = walk.points - 1
+    good, bad = (first[inside] - 1) / cells, first[inside] / cells
+    for _ in range(bisections if inside.size else 0):
+        middle = 0.5 * (good + bad)
+        ok = margin_of(inside, walk.at(middle)) >= 0.0
+        good, bad = np.where(ok, middle, good), np.where(ok, bad, middle)
+    value = np.full(draws, np.nan)
+    value[inside] = walk.at(good)
+    again = passed & (np.arange(walk.points)[:, None] > first)
+    return Critical(value, censoring, np.any(again, axis=0), margin)

@@ -1,0 +1,135 @@
+"""Critical values by simulation: each draw runs at each value that the search asks for."""
+
+import math
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from dssc_jax.engine import BLOCK, Arrays, Clock, Engine, Layout, execute
+from dssc_jax.errors import ConfigError
+from dssc_jax.margins.result import Margins
+from dssc_jax.margins.search import BISECTIONS, POINTS, Critical, Walk, search
+from dssc_jax.probing import Probe, worst_margin
+from dssc_jax.study import Study
+
+CLOCK = "loop.sample_time"
+MOST_POINTS, MOST_BISECTIONS = 1000, 52
+
+Progress = Callable[[int, int], None]
+"""Called with the lanes done and the lanes in all at most."""
+
+
+def margin(
+    study: Study,
+    *,
+    over: str,
+    bounds: tuple[float, float],
+    log: bool = False,
+    points: int = POINTS,
+    bisections: int = BISECTIONS,
+    progress: Progress | None = None,
+) -> Margins:
+    """The critical value of one number of the loop for every draw of a study.
+
+    The number takes the place of its law; everything else is drawn. Where no requirement is set, a draw fails by
+    becoming non-finite.
+
+    Args:
+        study: The study; its own sweep is left aside.
+        over: Dotted name of the number, e.g. ``unmodelled.mu``. ``loop.sample_time`` is fixed before tracing: its grid
+            is taken to whole numbers of samples, with a program each and no bisection.
+        bounds: The safe end, where draws are expected to pass, then the other end, which may be the lower one.
+        log: Walk evenly in the logarithm.
+        points: Values of the bracketing grid. A draw that fails and passes again between two of them is not noticed.
+        bisections: Halvings of the grid's cell.
+        progress: Told of the lanes done.
+
+    Raises:
+        ConfigError: the number, or a bound, is not admissible.
+
+    Example:
+        >>> import dssc_jax as dj
+        >>> study = dj.Study.load("studies/mu_robustness.toml").override({"draws": 8, "loop.duration": 45.0})
+        >>> found = dj.margin(study, over="unmodelled.mu", bounds=(0.02, 2.0), log=True, points=5, bisections=4)
+        >>> found.summary()["censored"]
+        0.0
+    """
+    study, began, clock = study.without_sweep(), time.perf_counter(), Clock()
+    parted = study.config.loop.duration if over == CLOCK else None
+    walk = Walk(*checked(over, bounds, log, points, bisections), log, points, parted)
+    find = over_sample_time if over == CLOCK else over_number
+    critical, values = find(study, over, walk, bisections, clock, progress or (lambda done, total: None))
+    times = {"seconds": time.perf_counter() - began, "compile_seconds": clock.compile_seconds}
+    criterion = tuple(requirement.text for requirement in study.requirements) or ("the draw stays finite",)
+    return Margins.of(study, over, walk, critical, values, times, criterion)
+
+
+def checked(over: str, bounds: tuple[float, float], log: bool, points: int, bisections: int) -> tuple[float, float]:
+    """The bounds.
+
+    Raises:
+        ConfigError: a walk between them makes no sense.
+    """
+    start, end = bounds
+    if not (math.isfinite(start) and math.isfinite(end)) or start == end:
+        raise ConfigError(over, f"the bounds must be two different finite numbers, got {start:g} and {end:g}")
+    if log and not min(bounds) > 0.0:
+        raise ConfigError(over, f"a logarithmic walk needs bounds > 0, got {start:g} and {end:g}")
+    if over == CLOCK and not min(bounds) > 0.0:
+        raise ConfigError(over, f"must be > 0, got {start:g} and {end:g}")
+    if not 2 <= points <= MOST_POINTS:
+        raise ConfigError("points", f"must be in 2 .. {MOST_POINTS}, got {points}")
+    if not 0 <= bisections <= MOST_BISECTIONS:
+        raise ConfigError("bisections", f"must be in 0 .. {MOST_BISECTIONS}, got {bisections}")
+    return float(start), float(end)
+
+
+def over_number(
+    study: Study, over: str, walk: Walk, bisections: int, clock: Clock, progress: Progress
+) -> tuple[Critical, Arrays]:
+    """Critical values of a number that is traced, and the drawn ones: one program, a block of draws after another."""
+    draws, evaluations = study.config.draws, walk.points + bisections
+    probe = Probe(study, {over: (walk.start, walk.end)}, min(draws, BLOCK))
+    probe.engine.clock = clock
+    found, columns = [], []
+    for begin in range(0, draws, probe.lanes):
+        indices = np.arange(begin, min(begin + probe.lanes, draws))
+        laws = probe.drawn(slice(begin, begin + len(indices)))
+
+        def margin_of(which: np.ndarray, values: np.ndarray, indices=indices, laws=laws) -> np.ndarray:
+            chosen = {name: column[which] for name, column in laws.items()}
+            worst = worst_margin(probe.swept, probe(indices[which], {**chosen, over: values}))
+            progress(clock.lanes, evaluations * draws)
+            return worst
+
+        found.append(search(margin_of, len(indices), walk, bisections))
+        columns.append(laws)
+    joined = {name: np.concatenate([part[name] for part in columns]) for name in columns[0]}
+    return Critical(*(np.concatenate(parts, axis=-1) for parts in zip(*found, strict=True))), joined
+
+
+def over_sample_time(
+    study: Study, over: str, walk: Walk, bisections: int, clock: Clock, progress: Progress
+) -> tuple[Critical, Arrays]:
+    """Critical sample times on the grid: the clock is fixed before tracing, so every value is a program of its own.
+
+    Raises:
+        ConfigError: two values of the grid fall on the same number of samples.
+    """
+    del bisections
+    if len(set(walk.grid)) < walk.points:
+        raise ConfigError(over, f"{walk.points} points fall on fewer numbers of samples; take fewer, or wider bounds")
+    studies = {value: study.override({over: float(value)}) for value in walk.grid}  # all checked before the first runs
+    columns: Arrays = {}
+
+    def margin_of(which: np.ndarray, values: np.ndarray) -> np.ndarray:
+        at = studies[values[0]]
+        layout = Layout.of(at)
+        engine = Engine(at, layout.lanes, clock=clock)
+        parts = list(execute(engine, layout.blocks()))
+        columns.update({name: np.concatenate([part[name] for _, _, part in parts]) for name in at.laws})
+        progress(clock.lanes, len(studies) * len(which))
+        return np.concatenate([worst_margin(at, results) for _, results, _ in parts])
+
+    return search(margin_of, study.config.draws, walk, bisections=0), columns

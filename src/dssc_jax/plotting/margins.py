@@ -1,0 +1,62 @@
+"""Figures of margins: the distribution of critical values, and failure along the walk."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import PercentFormatter
+
+from dssc_jax.plotting.style import BLUE, GREY, ORANGE, RED, SLIDE, named, styled, title
+
+if TYPE_CHECKING:
+    from dssc_jax.margins import Margins
+
+
+@styled
+def margin(found: "Margins") -> Figure:
+    """Critical values of all draws, with their lower tolerance limit, and the degradation curve with its band.
+
+    Args:
+        found: What :func:`dssc_jax.margin` returned.
+    """
+    figure = Figure(figsize=SLIDE, layout="constrained")
+    left, right = figure.subplots(1, 2)
+    distribution(left, found)
+    curve = found.degradation()
+    values, text = curve["value"].values, named(found.parameter, curve["value"].attrs)
+    level = f"{100 * curve.attrs['confidence']:g} % band over all values together"
+    right.fill_between(values, curve["lower"], curve["upper"], color=RED, alpha=0.2, label=level)
+    right.plot(values, curve["probability"], "o-", color=RED, label="failed draws")
+    right.set(xlabel=text, ylabel="failure probability", ylim=(-0.03, 1.03))
+    right.yaxis.set_major_formatter(PercentFormatter(1.0))
+    for ax in (left, right):
+        if found.walk.log:
+            ax.set_xscale("log")
+        ax.set_xlim(found.walk.start, found.walk.end)
+    right.legend(frameon=False)
+    title(figure, f"{found.study.config.description or found.study.name}: {'; '.join(found.criterion)}")
+    return figure
+
+
+def distribution(ax: Axes, found: "Margins") -> None:
+    """Share of draws that have failed by each value of the walk; censored ones stand before and beyond it."""
+    summary = found.summary()
+    critical = found.dataset["critical"].values
+    steps = np.sort(critical[~np.isnan(critical)])
+    steps = steps if found.walk.end > found.walk.start else steps[::-1]
+    draws, before = critical.size, summary["fail_at_start"]
+    x = np.concatenate([[found.walk.start], steps, [found.walk.end]])
+    y = np.concatenate([[before], before + np.arange(1, len(steps) + 1) / draws, [before + len(steps) / draws]])
+    ax.step(x, y, where="post", color=BLUE, label=f"{draws} draws")
+    lines = (("median", "median", ":"), ("lower_tolerance", "95 % of draws pass, confidence 95 %", "--"))
+    for name, text, style in lines:
+        if summary[name] is not None:
+            colour = ORANGE if name == "lower_tolerance" else GREY
+            ax.axvline(summary[name], color=colour, linestyle=style, label=f"{text}: {summary[name]:.3g}")
+    ax.set(xlabel=named(found.parameter, found.dataset["critical"].attrs), ylabel="share of draws at or below")
+    if found.walk.end < found.walk.start:
+        ax.set_ylabel("share of draws at or above")
+    ax.set_ylim(-0.03, 1.03)
+    ax.yaxis.set_major_formatter(PercentFormatter(1.0))
+    ax.legend(frameon=False, loc="best")

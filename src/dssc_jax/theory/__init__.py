@@ -1,0 +1,21 @@
+"""What theory says of the same loops that are simulated: linearisation at the origin, and describing functions.
+
+A local margin is about deviations that stay small; a simulated margin is about requirements. They answer different
+questions and are never mixed: each result says by what criterion it was found.
+"""
+
+from dssc_jax.theory.describing import LimitCycle, limit_cycle
+from dssc_jax.theory.linearised import Linearised, at_rest, open_loop, synthesised_gains
+from dssc_jax.theory.local import Time, local_margin, spectrum
+
+__all__ = [
+    "LimitCycle",
+    "Linearised",
+    "Time",
+    "at_rest",
+    "limit_cycle",
+    "local_margin",
+    "open_loop",
+    "spectrum",
+    "synthesised_gains",
+]

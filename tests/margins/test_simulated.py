@@ -1,0 +1,176 @@
+"""Margins by simulation: draw by draw against runs at the values around the critical one."""
+
+import numpy as np
+import pytest
+
+import dssc_jax as dj
+from dssc_jax.engine import Engine
+from dssc_jax.margins import Censoring, Margins, Walk
+from dssc_jax.margins.search import Critical
+from dssc_jax.statistics import clopper_pearson
+
+LOOP = {
+    "name": "margins",
+    "seed": 4,
+    "draws": 40,
+    "loop": {"duration": 6.0, "sample_time": 0.02},
+    "plant": {"kind": "normal_form", "k_p": {"uniform": [0.7, 1.3]}, "initial": [0.5, 0.0]},
+    "controller": {
+        "kind": "dssc",
+        "l0": 1.0,
+        "rho": 6.0,
+        "functions": {"kind": "approx_sta_2", "kappa1": 4.0, "kappa2": 4.0, "delta": 0.5, "tau_av": 0.05},
+    },
+    "unmodelled": {"kind": "lag", "order": 2, "mu": {"uniform": [0.01, 0.02]}},
+    "disturbance": {"kind": "step", "value": 0.3, "at": 3.0},
+    "requirement": [{"metric": "error_max", "after": 2.0, "max": 0.2}],
+}
+
+
+@pytest.fixture(scope="module")
+def study():
+    return dj.Study.from_table(LOOP)
+
+
+@pytest.fixture(scope="module")
+def over_mu(study):
+    return dj.margin(study, over="unmodelled.mu", bounds=(0.02, 1.5), log=True, points=7, bisections=10)
+
+
+def passes(study, name, values):
+    """Whether each draw passes at each value, by a sweep: shape (values, draws)."""
+    return dj.run(study.override({"sweep": {name: list(values)}})).dataset["outcome"].values == 0
+
+
+def test_the_draw_passes_at_its_critical_value_and_fails_just_beyond(study, over_mu):
+    critical = over_mu.dataset["critical"].values
+    assert over_mu.summary()["censored"] == 0.0
+    assert np.ptp(critical) > 0.005
+    step = np.exp(np.log(75.0) / 6 / 2**10) * (1 + 1e-9)
+    draws = [0, 17, 39]
+    assert passes(study, "unmodelled.mu", critical[draws])[range(3), draws].all()
+    assert not passes(study, "unmodelled.mu", critical[draws] * step)[range(3), draws].any()
+
+
+def test_one_compile(study, monkeypatch):
+    compiled = []
+    original = Engine._compile
+    monkeypatch.setattr(Engine, "_compile", lambda self, *a: compiled.append(1) or original(self, *a))
+    dj.margin(study, over="plant.k_p", bounds=(1.0, 0.01), points=5, bisections=6)
+    assert len(compiled) == 1
+
+
+def test_draws_do_not_depend_on_their_number(study, over_mu):
+    few = dj.margin(
+        study.override({"draws": 7}), over="unmodelled.mu", bounds=(0.02, 1.5), log=True, points=7, bisections=10
+    )
+    assert np.array_equal(few.dataset["critical"].values, over_mu.dataset["critical"].values[:7])
+    assert np.array_equal(few.dataset["plant.k_p"].values, over_mu.dataset["plant.k_p"].values[:7])
+
+
+def test_degradation_is_the_run_at_each_value(study, over_mu):
+    curve = over_mu.degradation()
+    swept = dj.run(study.override({"sweep": {"unmodelled.mu": curve["value"].values.tolist()}}))
+    failures = swept.failed.sum("draw").values
+    assert np.array_equal(curve["probability"].values, failures / 40)
+    assert 0 < failures.max() <= 40
+    wide = clopper_pearson(failures, 40, 1.0 - 0.05 / 7)
+    assert np.array_equal(np.stack([curve["lower"].values, curve["upper"].values], -1), wide)
+
+
+@pytest.mark.parametrize(
+    ("name", "bounds"), [("disturbance.value", (0.3, 6.0)), ("plant.k_p", (1.3, 0.02)), ("controller.rho", (6.0, 0.1))]
+)
+def test_every_kind_of_number(study, name, bounds):
+    found = dj.margin(study.override({"draws": 16}), over=name, bounds=bounds, points=6, bisections=8)
+    assert found.summary()["censored"] < 0.5
+    inside = found.dataset["critical"].dropna("draw").values
+    assert np.all((inside >= min(bounds)) & (inside <= max(bounds)))
+
+
+def test_delay(study):
+    delayed = study.override({"unmodelled": {"kind": "delay", "samples": 0.0, "memory": 60}, "draws": 8})
+    found = dj.margin(delayed, over="unmodelled.samples", bounds=(0.0, 60.0), points=7, bisections=6)
+    critical = found.dataset["critical"].values
+    assert np.all((critical > 1.0) & (critical < 60.0))
+    verdicts = passes(delayed, "unmodelled.samples", [critical[3], critical[3] + 10.0 / 2**6 + 1e-9])
+    assert verdicts[:, 3].tolist() == [True, False]
+
+
+def test_sample_time(study):
+    few = study.override({"draws": 8, "requirement": [{"metric": "command_tv", "after": 2.0, "max": 2.0}]})
+    found = dj.margin(few, over="loop.sample_time", bounds=(0.02, 0.6), log=True, points=3)
+    grid = found.dataset["value"].values
+    verdicts = [dj.run(few.override({"loop.sample_time": float(t)})).dataset["outcome"].values == 0 for t in grid]
+    assert np.array_equal(verdicts, found.dataset["margin"].values >= 0)
+    assert 0 < np.sum(verdicts) < np.size(verdicts)
+    assert set(found.dataset["critical"].dropna("draw").values) <= set(grid)
+
+
+def test_no_requirement_means_staying_finite(study):
+    free = study.override({"requirement": [], "draws": 8})
+    found = dj.margin(free, over="plant.a_p", bounds=(1.0, -300.0), points=4, bisections=4)
+    assert np.isposinf(found.dataset["margin"].values[0]).all()
+    assert np.isneginf(found.dataset["margin"].values[-1]).all()
+    assert found.summary()["criterion"] == ["the draw stays finite"]
+
+
+def margins_of(study, censoring, value, walk):
+    """Margins with the given critical values."""
+    draws = len(value)
+    critical = Critical(np.asarray(value), np.asarray(censoring), np.zeros(draws, bool), np.zeros((walk.points, draws)))
+    return Margins.of(study.override({"draws": draws}), "unmodelled.mu", walk, critical, {}, {}, ())
+
+
+def test_wilks_counts_censored_draws(study):
+    """59 draws: the smallest bounds the 5 % quantile; 93: the second smallest. Censored ones keep their places."""
+    value, code = np.linspace(1.0, 2.0, 59), np.zeros(59, int)
+    walk = Walk(0.5, 2.5)
+    assert margins_of(study, code, value, walk).lower_tolerance() == 1.0
+    assert margins_of(study, code[1:], value[1:], walk).lower_tolerance() is None
+    code[7], value[7] = Censoring.BEFORE, np.nan
+    assert margins_of(study, code, value, walk).lower_tolerance() is None
+    value, code = np.linspace(1.0, 2.0, 93), np.zeros(93, int)
+    code[50], value[50] = Censoring.BEFORE, np.nan
+    assert margins_of(study, code, value, walk).lower_tolerance() == 1.0
+    code[1:], value[1:] = Censoring.BEYOND, np.nan
+    assert margins_of(study, code, value, walk).lower_tolerance() == 2.5
+
+
+def test_downward_margins_are_ranked_from_the_safe_end(study):
+    found = margins_of(study, np.zeros(59, int), np.linspace(-2.0, 1.0, 59), Walk(2.0, -3.0))
+    assert found.lower_tolerance() == 1.0
+    assert found.summary()["median"] == pytest.approx(-0.5)
+
+
+@pytest.mark.parametrize(
+    ("over", "bounds", "options", "rule"),
+    [
+        ("unmodelled.mu", (0.1, 0.1), {}, "two different finite numbers"),
+        ("unmodelled.mu", (0.1, np.inf), {}, "two different finite numbers"),
+        ("unmodelled.mu", (0.0, 1.0), {}, "must be > 0, got 0.0"),
+        ("disturbance.value", (0.0, 1.0), {"log": True}, "logarithmic walk needs bounds > 0"),
+        ("unmodelled.nu", (0.1, 1.0), {}, "did you mean 'unmodelled.mu'"),
+        ("unmodelled.mu", (0.1, 1.0), {"points": 1}, "must be in 2 .."),
+        ("unmodelled.mu", (0.1, 1.0), {"bisections": -1}, "must be in 0 .."),
+        ("loop.sample_time", (0.0, 1.0), {}, "must be > 0"),
+        ("loop.sample_time", (1.0, 6.0), {"points": 30}, "fewer numbers of samples"),
+        ("loop.duration", (1.0, 6.0), {}, "clock is fixed"),
+    ],
+)
+def test_bad_input(study, over, bounds, options, rule):
+    with pytest.raises(dj.ConfigError, match=rule):
+        dj.margin(study, over=over, bounds=bounds, **options)
+
+
+def test_save(study, over_mu, tmp_path):
+    import xarray as xr
+
+    over_mu.save(tmp_path / "m")
+    over_mu.save(tmp_path / "m")
+    back = xr.open_zarr(tmp_path / "m" / "data.zarr", consolidated=False, chunks=None)
+    assert np.array_equal(back["critical"].values, over_mu.dataset["critical"].values)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "file").touch()
+    with pytest.raises(dj.ConfigError, match="something other than a margin analysis"):
+        over_mu.save(tmp_path / "other")

@@ -1,0 +1,204 @@
+"""Local margins: simulated growth, the sampled loop's eigenvalues, an independent oracle of them, continuous time."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import dssc_jax as dj
+from dssc_jax.engine import drawn
+from dssc_jax.theory import at_rest, spectrum
+
+BOUNDS = (0.02, 10.0)
+DURATION, SAMPLE_TIME = 100.0, 0.01
+OPTIONS = {"over": "unmodelled.mu", "bounds": BOUNDS, "log": True, "points": 5, "bisections": 12}
+CONSTANT = {
+    "kind": "constant",
+    "k_o": {"loguniform": [2.0, 10.0]},
+    "tau_av": 0.05,
+    "tau_m": {"loguniform": [0.15, 0.6]},
+}
+DELTA = 0.5
+SQUARE_ROOT = {
+    "kind": "square_root",
+    "kappa_o": {"loguniform": [4.0, 20.0]},
+    "kappa_m": {"loguniform": [0.3, 1.2]},
+    "delta_o": DELTA,
+    "delta_m": DELTA,
+    "tau_av": 0.05,
+}
+
+
+def random_gains(order, functions, draws=200, sample_time=SAMPLE_TIME):
+    """Random plants and gains; a deviation so small that its growth does not make it large."""
+    return dj.Study.from_table(
+        {
+            "name": "local",
+            "seed": 5,
+            "draws": draws,
+            "loop": {"duration": DURATION, "sample_time": sample_time},
+            "plant": {
+                "kind": "normal_form",
+                "k_p": {"uniform": [0.7, 1.4]},
+                "a_p": {"uniform": [0.2, 2.0]},
+                "initial": [1e-200, 0.0],
+            },
+            "controller": {
+                "kind": "dssc",
+                "l0": {"uniform": [1.0, 3.0]},
+                "rho": 1e30,
+                "predictor_start": "matched",
+                "functions": functions,
+            },
+            "unmodelled": {"kind": "lag", "order": order, "mu": 0.1},
+            "metrics": {"names": []},
+            "requirement": [
+                {"metric": "growth_rate", "after": DURATION / 4, "max": 0.0},
+                {"metric": "sigma_max", "max": 1e-4 * DELTA**2},
+            ],
+        }
+    )
+
+
+def critical(found):
+    """Critical values, every draw having one."""
+    assert found.summary()["censored"] == 0.0
+    assert found.summary()["non_monotone"] == 0.0
+    return found.dataset["critical"].values
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_simulated_growth_is_that_of_the_sampled_eigenvalues(order):
+    """Constant functions, rho never reached, 200 random gain sets: within 0.2 %."""
+    study = random_gains(order, CONSTANT)
+    local = critical(dj.theory.local_margin(study, **OPTIONS))
+    simulated = critical(dj.margin(study, **OPTIONS))
+    assert np.ptp(np.log(local)) > 2.0
+    assert simulated == pytest.approx(local, rel=2e-3)
+
+
+def test_state_dependent_functions_by_growth_of_a_small_deviation():
+    """The functions' values at the origin decide while the deviation stays under 1e-4 delta^2."""
+    study = random_gains(2, SQUARE_ROOT, draws=40)
+    local = critical(dj.theory.local_margin(study, **OPTIONS))
+    assert critical(dj.margin(study, **OPTIONS)) == pytest.approx(local, rel=2e-3)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_continuous_time_is_met_to_first_order_in_the_sample_time(order):
+    options = OPTIONS | {"bisections": 30}
+    exact = critical(dj.theory.local_margin(random_gains(order, CONSTANT), kind="continuous", **options))
+    gaps = []
+    for sample_time in (0.005, 0.0025):
+        study = random_gains(order, CONSTANT, sample_time=sample_time)
+        gaps.append(critical(dj.theory.local_margin(study, **options)) / exact - 1.0)
+    assert gaps[0] / gaps[1] == pytest.approx(2.0, abs=0.05)
+    assert np.abs(gaps[1]).max() < 0.02
+
+
+def oracle(lane, order, dt, nominal):
+    """The sampled loop by a matrix exponential, written down apart: state (x1, x2, lags, last sigma, u_av)."""
+    k_p, a_p, l0, mu = lane["plant.k_p"], lane["plant.a_p"], lane["controller.l0"], lane["unmodelled.mu"]
+    k_o, tau_m = lane["controller.functions.k_o"], lane["controller.functions.tau_m"]
+    n = 2 + order
+    a, b = np.zeros((n, n)), np.zeros(n)
+    a[0, 1], a[1, 1], a[1, n - 1] = 1.0, -a_p, k_p
+    for i in range(order):
+        a[2 + i, 2 + i] = -1.0 / mu
+        if i:
+            a[2 + i, 1 + i] = 1.0 / mu
+    b[2] = 1.0 / mu
+    hold = expm(dt * np.block([[a, b[:, None]], [np.zeros((1, n + 1))]]))
+    sigma = np.concatenate([[l0, 1.0], np.zeros(order + 2)])
+    e = np.eye(n + 2)[0]
+    u_av = np.eye(n + 2)[-1] + ((1.0 + dt / tau_m) * sigma - np.eye(n + 2)[-2]) / (k_o * 0.05)
+    u_n = -(nominal["a"] - l0) * l0 * e - (l0 - nominal["a"] + 1.0 / tau_m) * sigma if nominal else 0.0 * e
+    after = np.zeros((n + 2, n + 2))
+    after[:n, :n] = hold[:n, :n]
+    after[:n] += np.outer(hold[:n, n], u_n - u_av)
+    after[-2], after[-1] = sigma, u_av
+    return np.linalg.eigvals(after)
+
+
+@pytest.mark.parametrize("nominal", [None, {"a": 1.0, "k": 1.0}])
+@pytest.mark.parametrize("order", [1, 2])
+def test_sampled_eigenvalues_against_a_matrix_exponential(order, nominal):
+    study = random_gains(order, CONSTANT, draws=20)
+    if nominal:
+        study = study.override({"controller.nominal": nominal})
+    rest = at_rest(study).override({"sweep": {"unmodelled.mu": [0.05, 1.0]}})
+    values = drawn(rest, slice(0, 20)) | {"unmodelled.mu": np.geomspace(0.05, 1.0, 20)}
+    found = spectrum(rest)(values)
+    for draw in range(20):
+        expected = oracle({name: column[draw] for name, column in values.items()}, order, SAMPLE_TIME, nominal)
+        assert np.abs(found[draw]).max() == pytest.approx(np.abs(expected).max(), rel=1e-7)
+        for eigenvalue in expected:  # the loop's own step has more states, whose eigenvalues are 0
+            assert np.abs(found[draw] - eigenvalue).min() < 1e-5
+
+
+def test_routh():
+    """PI through a lag of order 1 on 1/(s (s + a)): s^2 (s + a)(mu s + 1) + k (s + l)(K_P s + K_I)."""
+    k, a, l, k_p, k_i = 1.2, 0.7, 1.5, 4.0, 6.0  # noqa: E741  (l_0)
+    c1, c0 = k * (k_p * l + k_i), k * k_i * l
+
+    def routh(mu):
+        c4, c3, c2 = mu, 1.0 + mu * a, a + k * k_p
+        return (c3 * c2 - c4 * c1) * c1 - c3**2 * c0
+
+    low, high = 1e-3, 10.0
+    for _ in range(80):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if routh(middle) > 0.0 else (low, middle)
+    study = dj.Study.from_table(
+        {
+            "name": "routh",
+            "loop": {"duration": 1.0, "sample_time": 0.01},
+            "plant": {"kind": "normal_form", "k_p": k, "a_p": a},
+            "controller": {"kind": "pi", "l0": l, "k_p": k_p, "k_i": k_i},
+            "unmodelled": {"kind": "lag", "order": 1, "mu": 0.1},
+        }
+    )
+    options = {"over": "unmodelled.mu", "bounds": (1e-3, 10.0), "log": True, "bisections": 40}
+    found = dj.theory.local_margin(study, kind="continuous", **options)
+    assert found.dataset["critical"].item() == pytest.approx(low, rel=1e-9)
+
+
+def test_delay_margin():
+    """Proportional control of an integrator through n samples of delay: k_p K T_s = 2 sin(pi/(2 (2 n + 1)))."""
+    study = dj.Study.from_table(
+        {
+            "name": "delay",
+            "loop": {"duration": 1.0, "sample_time": 0.01},
+            "plant": {"kind": "normal_form", "a_p": 1.0},  # l0 = a_p cancels it: sigma' = k_p u
+            "controller": {"kind": "pi", "l0": 1.0, "k_p": 1.0, "k_i": 1e-6},
+            "unmodelled": {"kind": "delay", "samples": 3},
+        }
+    )
+    for samples in (0, 3, 7):
+        found = dj.theory.local_margin(
+            study.override({"unmodelled.samples": samples}), over="controller.k_p", bounds=(1.0, 300.0), bisections=40
+        )
+        gain = 2.0 * np.sin(np.pi / (2.0 * (2 * samples + 1))) / 0.01
+        assert found.dataset["critical"].item() == pytest.approx(gain, rel=1e-5), samples
+
+
+@pytest.mark.parametrize(
+    ("changes", "options", "rule"),
+    [
+        ({"controller": {"kind": "sta", "l0": 1.0, "kappa1": 1.0, "kappa2": 1.0}}, {}, "sta switches at the origin"),
+        ({"controller.discretisation": "explicit"}, {}, "the explicit form of dssc switches"),
+        ({"sensor": {"kind": "noisy", "position_bias": 0.1}}, {}, "is not at rest"),
+        ({"unmodelled": {"kind": "delay", "samples": 1}}, {"kind": "continuous", "over": "plant.k_p"}, "lags only"),
+        ({}, {"over": "loop.sample_time"}, "clock is fixed"),
+        ({}, {"bounds": (1.0, 1.0)}, "two different finite numbers"),
+    ],
+)
+def test_bad_input(changes, options, rule):
+    study = random_gains(1, CONSTANT, draws=2).override(changes)
+    with pytest.raises(dj.ConfigError, match=rule):
+        dj.theory.local_margin(study, **({"over": "unmodelled.mu", "bounds": (0.1, 1.0)} | options))
+
+
+def test_no_origin_for_several_channels():
+    uav = dj.Study.load("studies/paper_case1.toml")
+    with pytest.raises(dj.ConfigError, match="one channel"):
+        dj.theory.local_margin(uav, over="controller.l0", bounds=(0.1, 1.0))
