@@ -1,10 +1,15 @@
-"""Figures of results and trajectories. Each returns a matplotlib Figure; a failure probability shows its interval."""
+"""Figures of results and trajectories. Each returns a matplotlib Figure; a failure probability shows its interval.
+
+``failures``, ``sweep`` and ``trajectory`` compose a slide; ``distribution``, ``factor``, ``probability``, ``typical`` and
+``signals`` are single panels that also draw into axes of yours.
+"""
 
 from pathlib import Path
 
-from dssc_jax.plotting.populations import failures, fitted_slope, sweep
+from dssc_jax.plotting.draws import distribution, factor, failures
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, STYLE, write
-from dssc_jax.plotting.trajectories import trajectory
+from dssc_jax.plotting.sweeps import fitted_slope, probability, sweep, typical
+from dssc_jax.plotting.trajectories import signals, trajectory
 from dssc_jax.results import Result
 
 __all__ = [
@@ -15,11 +20,16 @@ __all__ = [
     "RED",
     "SLIDE",
     "STYLE",
+    "distribution",
+    "factor",
     "failures",
     "fitted_slope",
+    "probability",
     "save_all",
+    "signals",
     "sweep",
     "trajectory",
+    "typical",
     "write",
 ]
 

@@ -2,8 +2,9 @@
 
 import textwrap
 from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 from matplotlib import rc_context
@@ -25,20 +26,30 @@ STYLE: dict[Any, Any] = {
     "lines.linewidth": 1.8,
     "savefig.dpi": 140,
 }
-SLIDE = (11.5, 5.6)  # inches
+SLIDE, PANEL = (11.5, 5.6), (6.4, 4.6)  # inches
 DRAWABLE = 1e100  # larger numbers overflow in matplotlib's axes
 LOG_SPAN = 8.0  # axes whose positive values span more than this ratio are logarithmic
+Arguments, Drawn = ParamSpec("Arguments"), TypeVar("Drawn")
 
 
-def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
+def styled(draw: Callable[Arguments, Drawn]) -> Callable[Arguments, Drawn]:
     """Draw in the project's style without touching the caller's."""
 
-    def wrapper(*args: Any, **options: Any) -> Figure:
+    @wraps(draw)
+    def wrapper(*args: Arguments.args, **options: Arguments.kwargs) -> Drawn:
         with rc_context(STYLE):
             return draw(*args, **options)
 
-    wrapper.__doc__, wrapper.__name__ = draw.__doc__, draw.__name__
     return wrapper
+
+
+def panel(ax: Axes | None, size: tuple[float, float] = PANEL) -> tuple[Figure, Axes]:
+    """The axes to draw into, and their figure; a figure of its own where none are given."""
+    if ax is None:
+        ax = Figure(figsize=size, layout="constrained").subplots()
+    figure = ax.get_figure(root=True)
+    assert figure is not None  # axes that were removed from theirs are not drawn into
+    return figure, ax
 
 
 def label(about: dict[str, Any]) -> str:
