@@ -138,6 +138,17 @@ def headline(result: Result) -> Measure:
     return by_name["error_rms"]
 
 
+def measured(result: Result, metric: str | None) -> Measure:
+    """The measure of that name; None: the headline.
+
+    Raises:
+        KeyError: the result has no such metric.
+    """
+    if metric is None:
+        return headline(result)
+    return {measure.name: measure for measure in result.study.measures}[metric]
+
+
 def finite_or_none(value: float) -> float | None:
     """JSON has no infinity."""
     return float(value) if np.isfinite(value) else None

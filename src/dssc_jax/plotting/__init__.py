@@ -1,7 +1,7 @@
 """Figures of results and trajectories. Each returns a matplotlib Figure; a failure probability shows its interval.
 
-``failures``, ``sweep`` and ``trajectory`` compose a slide; ``distribution``, ``factor``, ``probability``, ``typical`` and
-``signals`` are single panels that also draw into axes of yours.
+``failures``, ``sweep`` and ``trajectory`` compose a slide; ``distribution``, ``factor``, ``probability``, ``typical``
+and ``signals`` are single panels that also draw into axes of yours.
 """
 
 from pathlib import Path

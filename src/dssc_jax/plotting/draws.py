@@ -8,7 +8,7 @@ from matplotlib.ticker import PercentFormatter
 from dssc_jax.metrics import Measure
 from dssc_jax.plotting.style import BLUE, DRAWABLE, RED, SLIDE, label, panel, set_scale, styled, title
 from dssc_jax.plotting.thinning import picked
-from dssc_jax.results import Result, headline
+from dssc_jax.results import Result, measured
 from dssc_jax.statistics import clopper_pearson
 
 BINS, MOST_FACTORS, FEW = 8, 5, 20
@@ -53,19 +53,21 @@ def shown_laws(result: Result) -> list[str]:
 
 
 @styled
-def distribution(result: Result, ax: Axes | None = None) -> Figure:
-    """Share of draws at or below each value of the headline metric, with the exact interval of each share.
+def distribution(result: Result, ax: Axes | None = None, metric: str | None = None) -> Figure:
+    """Share of draws at or below each value of a metric, with the exact interval of each share.
 
     Args:
         result: A run, or one point of a sweep (:meth:`Result.at`).
         ax: Where to draw; None: a figure of its own.
+        metric: Name of the metric; None: the one that the study is about.
 
     Raises:
         ValueError: the result has several points.
+        KeyError: the result has no such metric.
     """
     one_point(result)
     figure, ax = panel(ax)
-    measure = headline(result)
+    measure = measured(result, metric)
     values = result.dataset[measure.name].values
     finite = np.sort(values[np.abs(values) < DRAWABLE])
     ranks = 1 + picked(len(finite)) if len(finite) else np.array([], int)

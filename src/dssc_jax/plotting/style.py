@@ -29,7 +29,8 @@ STYLE: dict[Any, Any] = {
 SLIDE, PANEL = (11.5, 5.6), (6.4, 4.6)  # inches
 DRAWABLE = 1e100  # larger numbers overflow in matplotlib's axes
 LOG_SPAN = 8.0  # axes whose positive values span more than this ratio are logarithmic
-Arguments, Drawn = ParamSpec("Arguments"), TypeVar("Drawn")
+Arguments = ParamSpec("Arguments")
+Drawn = TypeVar("Drawn")
 
 
 def styled(draw: Callable[Arguments, Drawn]) -> Callable[Arguments, Drawn]:

@@ -28,7 +28,7 @@ from dssc_jax.plotting.style import (
     styled,
     title,
 )
-from dssc_jax.results import Result, headline, upper_quantiles
+from dssc_jax.results import Result, measured, upper_quantiles
 from dssc_jax.statistics import clopper_pearson
 
 FINE = 2500  # a map of more cells is written as an image, not cell by cell
@@ -87,23 +87,25 @@ def probability(result: Result, ax: Axes | None = None) -> Figure:
 
 
 @styled
-def typical(result: Result, ax: Axes | None = None) -> Figure:
-    """Median of the headline metric over the first one or two axes of a sweep; along one axis with 5 to 95 % of draws.
+def typical(result: Result, ax: Axes | None = None, metric: str | None = None) -> Figure:
+    """Median of a metric over the first one or two axes of a sweep; along one axis with 5 to 95 % of draws.
 
     Args:
         result: A sweep; axes beyond the second are held at their first value.
         ax: Where to draw; None: a figure of its own.
+        metric: Name of the metric; None: the one that the study is about.
 
     Raises:
         ValueError: the result has no sweep.
+        KeyError: the result has no such metric.
     """
     result = held_to_two(result)
     figure, ax = panel(ax, PANEL if len(free_axes(result)) == 1 else (PANEL[0], PANEL[1] + 0.8))
     axes = free_axes(result)
     if len(axes) == 1:
-        typical_curve(ax, result, axes[0])
+        typical_curve(ax, result, measured(result, metric), axes[0])
     else:
-        typical_map(ax, result, *axes)
+        typical_map(ax, result, measured(result, metric), *axes)
     return figure
 
 
@@ -132,9 +134,8 @@ def held(result: Result) -> str:
     return "".join(f"; {name} = {result.dataset[name].item():g}" for name in left)
 
 
-def typical_curve(ax: Axes, result: Result, axis: str) -> None:
-    """The headline metric's quantiles along one axis."""
-    measure = headline(result)
+def typical_curve(ax: Axes, result: Result, measure: Measure, axis: str) -> None:
+    """A metric's quantiles along one axis."""
     x = result.dataset[axis].values
     low, middle, high = quantiles(result, measure)
     several = result.study.config.draws > 1
@@ -198,9 +199,8 @@ def probability_map(ax: Axes, result: Result, down: str, across: str) -> None:
     finish_map(ax, result, down, across)
 
 
-def typical_map(ax: Axes, result: Result, down: str, across: str) -> None:
-    """The median of the headline metric over two axes."""
-    measure = headline(result)
+def typical_map(ax: Axes, result: Result, measure: Measure, down: str, across: str) -> None:
+    """The median of a metric over two axes."""
     x, y = result.dataset[across].values, result.dataset[down].values
     middle = upper_quantiles(result.dataset[measure.name].transpose(down, across, "draw").values, (0.5,))[0]
     finite = middle[np.isfinite(middle)]
