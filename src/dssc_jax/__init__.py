@@ -11,7 +11,7 @@ from dssc_jax import xla
 xla.configure()
 
 if TYPE_CHECKING:
-    from dssc_jax import design
+    from dssc_jax import design, report
     from dssc_jax import plotting as plot
     from dssc_jax.api import replay, run, simulate
     from dssc_jax.errors import ConfigError
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from dssc_jax.study import Study
 
 __version__ = "0.1.0"
-__all__ = ["ConfigError", "Result", "Study", "design", "load", "plot", "replay", "run", "simulate"]
+__all__ = ["ConfigError", "Result", "Study", "design", "load", "plot", "replay", "report", "run", "simulate"]
 
 _HOME = {
     "ConfigError": "dssc_jax.errors",
@@ -30,7 +30,7 @@ _HOME = {
     "run": "dssc_jax.api",
     "simulate": "dssc_jax.api",
 }
-_MODULES = {"design": "dssc_jax.design", "plot": "dssc_jax.plotting"}
+_MODULES = {"design": "dssc_jax.design", "plot": "dssc_jax.plotting", "report": "dssc_jax.report"}
 
 
 def __getattr__(name: str) -> Any:

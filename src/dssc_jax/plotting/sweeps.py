@@ -188,8 +188,7 @@ def probability_map(ax: Axes, result: Result, down: str, across: str) -> None:
     failed = result.failed.transpose(down, across, "draw").values
     draws, share = failed.shape[-1], failed.mean(-1)
     x, y = result.dataset[across].values, result.dataset[down].values
-    options = {"cmap": "cividis", "vmin": 0.0, "vmax": 1.0, "shading": "nearest", "rasterized": share.size > FINE}
-    image = ax.pcolormesh(x, y, share, **options)
+    image = ax.pcolormesh(x, y, share, cmap="cividis", vmin=0.0, vmax=1.0, **cells(share))
     contour(ax, x, y, share, 0.5, "-")
     contour(ax, x, y, clopper_pearson(failed.sum(-1), draws)[..., 1], 0.05, "--")
     text = f"failure probability ({draws} draws)"
@@ -209,8 +208,7 @@ def typical_map(ax: Axes, result: Result, measure: Measure, down: str, across: s
     cap = 30.0 * min(upper_limits) if upper_limits and norm == "log" else None
     if not finite.size:
         ax.text(0.5, 0.5, "no finite median", transform=ax.transAxes, ha="center")
-    options = {"cmap": "viridis", "norm": norm, "shading": "nearest", "rasterized": middle.size > FINE}
-    image = ax.pcolormesh(x, y, middle, **options, **clip(finite, cap))
+    image = ax.pcolormesh(x, y, middle, cmap="viridis", norm=norm, **cells(middle), **clip(finite, cap))
     ax.figure.colorbar(
         image,
         ax=ax,
@@ -241,10 +239,18 @@ def finish_map(ax: Axes, result: Result, down: str, across: str) -> None:
     ax.legend(handles=map_keys(result), loc="upper center", bbox_to_anchor=(0.5, -0.24), frameon=False)
 
 
+def cells(values: np.ndarray) -> dict[str, Any]:
+    """How a map's cells are drawn: without seams between them, and as one image where they are many."""
+    return {"shading": "nearest", "edgecolors": "face", "linewidth": 0.4, "rasterized": values.size > FINE}
+
+
 def map_keys(result: Result) -> list[Any]:
     """Legend of what is white on a map."""
     ink = rcParams["text.color"]
-    keys = [("50 % fail, or the median at its limit", "-"), ("95 % upper bound of the probability at 5 %", "--")]
+    keys: list[tuple[str, Any]] = [
+        ("50 % fail, or the median at its limit", "-"),
+        ("95 % upper bound of the probability at 5 %", "--"),
+    ]
     if any(reaches_own_value(result, name) for name in free_axes(result)):
         keys.append(("the study's own value", ":"))
     handles: list[Any] = [Line2D([], [], color=ink, linestyle=line, linewidth=1.8, label=text) for text, line in keys]
@@ -307,7 +313,7 @@ def add_slope(ax: Axes, x: np.ndarray, y: np.ndarray) -> None:
     ax.plot(x, np.exp(intercept) * x**slope, color=GREY, linestyle="--", label=f"fitted slope {slope:.2f}")
 
 
-def clip(finite: np.ndarray, cap: float | None) -> dict[str, float]:
+def clip(finite: np.ndarray, cap: float | None) -> dict[str, Any]:
     """Colour limits: a diverging corner shall not flatten the rest."""
     if cap is None or not finite.size or not finite.min() < cap < finite.max():
         return {}
