@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from dssc_jax.metrics import Measure
-from dssc_jax.plotting.style import BLUE, DRAWABLE, RED, SLIDE, label, panel, set_scale, styled, title
+from dssc_jax.plotting.style import BLUE, DRAWABLE, RED, SLIDE, SMALL, label, panel, set_scale, styled, title
 from dssc_jax.plotting.thinning import picked
 from dssc_jax.results import Result, measured
 from dssc_jax.statistics import clopper_pearson
@@ -100,7 +100,7 @@ def factor(result: Result, name: str, ax: Axes | None = None) -> Figure:
         KeyError: the number is not uncertain.
     """
     one_point(result)
-    figure, ax = panel(ax)
+    figure, ax = panel(ax, SMALL)
     values, failed = result.dataset[name].values, result.failed.values
     groups = np.array_split(np.argsort(values), min(BINS, values.size))
     centres = np.array([np.median(values[group]) for group in groups])
@@ -108,8 +108,12 @@ def factor(result: Result, name: str, ax: Axes | None = None) -> Figure:
     sizes = np.array([len(group) for group in groups])
     share = counts / sizes
     ax.errorbar(centres, share, np.abs(clopper_pearson(counts, sizes).T - share), fmt="o", color=RED, capsize=3)
-    set_scale(ax, centres)
-    ax.set(xlabel=f"{name} [{result.dataset[name].attrs['units']}]", ylabel="failure probability", ylim=(-0.03, 1.03))
+    if result.study.laws[name].support[0] > 0.0:
+        set_scale(ax, centres)
+    if ax.get_xscale() == "linear":
+        ax.locator_params(axis="x", nbins=5)
+    unit = result.dataset[name].attrs["units"]
+    ax.set(xlabel=f"{name}\n[{unit}]", ylabel="failure probability", ylim=(-0.03, 1.03))
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
     return figure
 

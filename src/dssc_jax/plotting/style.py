@@ -26,7 +26,7 @@ STYLE: dict[Any, Any] = {
     "lines.linewidth": 1.8,
     "savefig.dpi": 140,
 }
-SLIDE, PANEL = (11.5, 5.6), (6.4, 4.6)  # inches
+SLIDE, PANEL, SMALL = (11.5, 5.6), (6.4, 4.6), (4.6, 3.8)  # inches
 DRAWABLE = 1e100  # larger numbers overflow in matplotlib's axes
 LOG_SPAN = 8.0  # axes whose positive values span more than this ratio are logarithmic
 Arguments = ParamSpec("Arguments")

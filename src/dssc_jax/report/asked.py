@@ -68,18 +68,18 @@ def laws(about: Subject) -> Section | None:
         low, middle, high = law.quantile(np.array([0.05, 0.5, 0.95]))
         quantity = study.quantities[name]
         unit = "" if quantity.unit == "1" else quantity.unit
-        values = (unit, number(middle), f"{number(low)} to {number(high)}")
-        rows.append((h.code[name], quantity.meaning, str(law), sketch(law), *values))
-    head = ("number", "meaning", "law", "density", "unit", "median", "5 to 95 %")
+        what = [h.code[name], h.span(".meaning")[quantity.meaning]]
+        rows.append((what, str(law), sketch(law), unit, number(middle), f"{number(low)} to {number(high)}"))
+    head = ("number", "law", "density", "unit", "median", "5 to 95 %")
     caption = "Laws of the uncertain numbers, independent"
-    return Section("laws", "What is uncertain", table(caption, head, rows, words=5))
+    return Section("laws", "What is uncertain", table(caption, head, rows, words=4))
 
 
 def sketch(law: Law) -> h.Element:
     """A small picture of a law's density, over a logarithmic axis where its values span much."""
     values = law.quantile((np.arange(BINS * EACH) + 0.5) / (BINS * EACH))
     low, high = float(values.min()), float(values.max())
-    stretched = low > 0.0 and high > LOG_SPAN * low
+    stretched = law.support[0] > 0.0 and high > LOG_SPAN * low
     shown = np.log(values) if stretched else values
     counts, _ = np.histogram(shown, bins=BINS)
     width, height = SKETCH
@@ -112,7 +112,10 @@ def provenance(about: Subject) -> Section:
     ]
     text = tomli_w.dumps(without_none(study.table))
     again = ["Save it as a file and give it to ", h.code["dssc-jax run"], " or ", h.code["dssc-jax sweep"], "."]
-    body = [facts(pairs, "facts wide"), folded("The study file", [h.p[again], h.pre(tabindex="0")[h.code[text]]])]
+    body = [
+        facts(pairs, "facts wide"),
+        folded("The study file", [h.p[again], h.pre(tabindex="0")[h.code[text]]], on_paper=True),
+    ]
     return Section("provenance", "Provenance", body)
 
 

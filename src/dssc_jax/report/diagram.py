@@ -140,7 +140,8 @@ def diagram(study: Study) -> h.Element:
     top = ABOVE if any((has_nominal(study), present(study, "disturbance"), present(study, "wind"))) else FORWARD
     size = (end + GAP + 2 * MARGIN, bottom - top + 2 * MARGIN)
     head = h.marker("#arrow", viewBox="0 0 8 8", refX=8, refY=4, markerWidth=8, markerHeight=8, orient="auto")
-    return h.svg(".diagram", role="img", aria_label=words(study), viewBox=f"0 {top - MARGIN} {size[0]} {size[1]}")[
+    box = f"0 {top - MARGIN} {size[0]} {size[1]}"
+    return h.svg(".diagram", role="img", aria_label=words(study), viewBox=box, width=size[0])[
         h.defs[head[h.path(".head", d="M0 0L8 4L0 8z")]], drawing.parts
     ]
 

@@ -92,6 +92,6 @@ def facts(pairs: Sequence[tuple[str, h.Node]], class_: str = "facts") -> h.Eleme
     return h.dl(class_=class_)[(h.div[h.dt[name], h.dd[value]] for name, value in pairs)]
 
 
-def folded(summary: str, body: h.Node) -> h.Element:
-    """What one opens to see; on paper it is open."""
-    return h.details[h.summary[summary], body]
+def folded(summary: str, body: h.Node, on_paper: bool = False) -> h.Element:
+    """What one opens to see; on paper it is open or absent."""
+    return h.details(class_="printed" if on_paper else None)[h.summary[summary], body]

@@ -9,6 +9,8 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from dssc_jax import plotting
+from dssc_jax.dataset import outcome_codes
+from dssc_jax.metrics import Measure
 from dssc_jax.plotting.draws import shown_laws
 from dssc_jax.report.elements import (
     LEVEL,
@@ -25,11 +27,17 @@ from dssc_jax.report.elements import (
 )
 from dssc_jax.report.subject import Subject
 from dssc_jax.report.vector import inline
-from dssc_jax.results import headline, upper_quantiles
+from dssc_jax.results import Result, headline, upper_quantiles
 from dssc_jax.study import Study
+from dssc_jax.types import Outcome
 
 MOST_ROWS, MOST_FACTORS = 400, 24
 CERTIFIED = {None: "not evaluated", True: "yes", False: "no"}
+WORDS = {
+    "ok": "meets all that is required",
+    "non_finite": "does not stay finite",
+    "singular_attitude": "reaches a singular attitude",
+}
 CHATTER = ("command_tv", "sampling_ratio", "sampling_ratio_above_1", "outside_sliding")
 
 
@@ -39,19 +47,28 @@ def outcome(about: Subject) -> Section:
         return Section("outcome", "The outcome", points(about))
     (point,) = about.summary["points"]
     draws = point["draws"]
+    words = endings(about.result.study)
     rows = [
-        (name.replace("_", " "), f"{n:,}", number(n / draws) if n else probability(0, draws), interval(n, draws))
+        (words[name], f"{n:,}", number(n / draws) if n else probability(0, draws), interval(n, draws))
         for name, n in point["outcomes"].items()
     ]
     rows.append((h.strong["fails in any way"], *fails(point)))
     head = ("how a draw ended", "draws", "probability", f"{LEVEL} interval")
     note = [
-        f"Intervals are exact (Clopper-Pearson), each at {LEVEL} on its own. No draw in {draws:,} is told by its ",
-        "upper bound. Certified by Table 1: ",
+        f"Intervals are exact (Clopper-Pearson), each at {LEVEL} on its own. A way that no draw in {draws:,} ended is ",
+        "told by its upper bound. Certified by Table 1: ",
         h.strong[CERTIFIED[point["certified"]]],
         ".",
     ]
     return Section("outcome", "The outcome", [table(f"Outcomes of {counted(draws, 'draw')}", head, rows), h.p[note]])
+
+
+def endings(study: Study) -> dict[str, str]:
+    """Every outcome by the name it has in results, in words."""
+    return {
+        name: WORDS.get(name) or f"fails {study.requirements[code - Outcome.REQUIREMENT].text}"
+        for code, name in outcome_codes(study).items()
+    }
 
 
 def fails(point: dict[str, Any]) -> tuple[str, str, str]:
@@ -122,7 +139,7 @@ def metrics(about: Subject) -> Section:
     rows = []
     for measure in study.measures:
         found = upper_quantiles(close.dataset[measure.name].values, (0.05, 0.5, 0.95))
-        unit = "" if measure.metric.unit == "1" else measure.metric.unit
+        unit = unit_of(close, measure)
         asked = [requirement for requirement in study.requirements if requirement.measure == measure]
         bounds = [f"{'≤' if r.maximum is not None else '≥'} {r.bound:g}" for r in asked]
         meaning = close.dataset[measure.name].attrs["long_name"]
@@ -138,6 +155,12 @@ def metrics(about: Subject) -> Section:
         h.div(".pair")[figure(picture, caption)],
     ]
     return Section("metrics", "What was measured", body)
+
+
+def unit_of(result: Result, measure: Measure) -> str:
+    """A metric's unit as a cell shows it."""
+    unit = result.dataset[measure.name].attrs["units"]
+    return "" if unit == "1" else unit
 
 
 def causes(about: Subject) -> Section | None:
@@ -165,7 +188,7 @@ def worst(about: Subject) -> Section | None:
     """The draws with the smallest margins, over time."""
     if not about.trajectories:
         return None
-    laws = about.result.study.laws
+    laws, words = about.result.study.laws, endings(about.result.study)
     body: list[h.Node] = [
         h.p[
             f"The draws with the smallest margin{about.where}, simulated again. Each can be had with ",
@@ -175,10 +198,11 @@ def worst(about: Subject) -> Section | None:
     ]
     for rank, run in enumerate(about.trajectories):
         drawn = [(name, with_unit(run.attrs[name], about.result.study.quantities[name].unit)) for name in laws]
-        picture = inline(partial(untitled, run), described(run), f"worst{rank}")
+        text = described(run, words)
+        picture = inline(partial(untitled, run), text, f"worst{rank}")
         gap = run.attrs["deviation"]
         agrees = f"Its metrics are the stored ones{f' within {gap:.1g} of their value' if gap else ''}."
-        body += [h.h3[f"Draw {run.attrs['draw']}"], figure(picture, f"{described(run)} {agrees}"), facts(drawn)]
+        body += [h.h3[f"Draw {run.attrs['draw']}"], figure(picture, f"{text} {agrees}"), facts(drawn)]
     return Section("worst", "The worst draws", body)
 
 
@@ -189,11 +213,11 @@ def untitled(run: xr.Dataset) -> Figure:
     return figure
 
 
-def described(run: xr.Dataset) -> str:
+def described(run: xr.Dataset, words: dict[str, str]) -> str:
     """How a draw ended, in a sentence."""
-    ended = str(run.attrs["outcome_meaning"]).replace("_", " ")
+    ended = words[run.attrs["outcome_meaning"]]
     at = "" if np.isnan(run.attrs["failed_at"]) else f" at {run.attrs['failed_at']:.4g} s"
-    return f"Draw {run.attrs['draw']} over time: {ended}{at}."
+    return f"Draw {run.attrs['draw']} over time: it {ended}{at}."
 
 
 def chattering(about: Subject) -> Section | None:
@@ -206,7 +230,7 @@ def chattering(about: Subject) -> Section | None:
     for measure in measures:
         values = close.dataset[measure.name].values
         middle, high, largest = upper_quantiles(values, (0.5, 0.95, 1.0))
-        unit = "" if measure.metric.unit == "1" else measure.metric.unit
+        unit = unit_of(close, measure)
         rows.append((h.code[measure.name], measure.metric.meaning, unit, number(middle), number(high), number(largest)))
     head = ("metric", "meaning", "unit", "median", "95 %", "largest")
     body: list[h.Node] = [
