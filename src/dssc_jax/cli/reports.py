@@ -25,7 +25,7 @@ def report(
 
     The page needs neither network nor JavaScript and prints well. The worst draws are simulated again for it.
 
-    With --index, a page over all the results in a folder instead; reports that are missing are made.
+    With --index, a page over all the results in a folder instead; reports that are missing or older than their result are made.
     """
     if (result is None) == (index is None):
         raise ConfigError("report", "takes a results folder, or --index with a folder of them, and not both")
@@ -55,7 +55,7 @@ def tell_index(root: Path, as_json: bool) -> int:
     from dssc_jax.console import show_page
     from dssc_jax.report import write_index
 
-    page, rows = write_index(root, lambda made: None if as_json else show_page(made, "it was missing"))
+    page, rows = write_index(root, lambda made: None if as_json else show_page(made, "it was missing or out of date"))
     troubled = sum(bool(row.trouble) for row in rows)
     if as_json:
         results = [{**row._asdict(), "folder": str(row.folder)} for row in rows]

@@ -76,14 +76,15 @@ def is_log(values: np.ndarray) -> bool:
 
 
 def set_scale(ax: Axes, values: np.ndarray, which: str = "x") -> None:
-    """Logarithmic where it helps, with plain numbers at 1, 2 and 5 where the span is short."""
+    """Logarithmic where it helps, with plain numbers, more of them where the span is short."""
     if not is_log(values):
         return
     (ax.set_xscale if which == "x" else ax.set_yscale)("log")
     axis = ax.xaxis if which == "x" else ax.yaxis
     positive = values[np.isfinite(values)]
     decades = np.log10(positive.max() / positive.min())
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if decades < 2.0 else (1.0,)))
+    subs = (1.0, 2.0, 5.0) if decades < 1.3 else (1.0, 3.0) if decades < 2.0 else (1.0,)
+    axis.set_major_locator(LogLocator(subs=subs))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 

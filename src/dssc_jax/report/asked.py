@@ -67,12 +67,12 @@ def laws(about: Subject) -> Section | None:
     for name, law in study.laws.items():
         low, middle, high = law.quantile(np.array([0.05, 0.5, 0.95]))
         quantity = study.quantities[name]
-        unit = "" if quantity.unit == "1" else quantity.unit
-        what = [h.code[name], h.span(".meaning")[quantity.meaning]]
-        rows.append((what, str(law), sketch(law), unit, number(middle), f"{number(low)} to {number(high)}"))
-    head = ("number", "law", "density", "unit", "median", "5 to 95 %")
+        unit = "" if quantity.unit == "1" else f" [{quantity.unit}]"
+        what = [h.code[name], h.span(".meaning")[f"{quantity.meaning}{unit}"]]
+        rows.append((what, str(law), sketch(law), number(middle), f"{number(low)} to {number(high)}"))
+    head = ("number", "law", "density", "median", "5 to 95 %")
     caption = "Laws of the uncertain numbers, independent"
-    return Section("laws", "What is uncertain", table(caption, head, rows, words=4))
+    return Section("laws", "What is uncertain", table(caption, head, rows, words=3))
 
 
 def sketch(law: Law) -> h.Element:
@@ -112,10 +112,8 @@ def provenance(about: Subject) -> Section:
     ]
     text = tomli_w.dumps(without_none(study.table))
     again = ["Save it as a file and give it to ", h.code["dssc-jax run"], " or ", h.code["dssc-jax sweep"], "."]
-    body = [
-        facts(pairs, "facts wide"),
-        folded("The study file", [h.p[again], h.pre(tabindex="0")[h.code[text]]], on_paper=True),
-    ]
+    listing = [h.p[again], h.pre(tabindex="0")[h.code[text]]]
+    body = [facts(pairs, "facts wide"), folded("The study file", listing, on_paper=True)]
     return Section("provenance", "Provenance", body)
 
 

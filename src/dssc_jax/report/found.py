@@ -48,7 +48,7 @@ def outcome(about: Subject) -> Section:
     (point,) = about.summary["points"]
     draws = point["draws"]
     words = endings(about.result.study)
-    rows = [
+    rows: list[tuple[h.Node, ...]] = [
         (words[name], f"{n:,}", number(n / draws) if n else probability(0, draws), interval(n, draws))
         for name, n in point["outcomes"].items()
     ]

@@ -33,12 +33,14 @@ class Row(NamedTuple):
 
 
 def folders(root: Path) -> Iterator[Path]:
-    """Every results folder below ``root``, and the folders right in it that are none."""
-    for place, inner, files in os.walk(root):
-        here = Path(place)
-        if here != root and (store.MANIFEST in files or here.parent == root):
-            yield here
-        inner[:] = [] if store.MANIFEST in files else sorted(set(inner) - {store.DATA})
+    """Every results folder below ``root``, and the folders right in it that lead to none."""
+    for child in sorted(path for path in root.iterdir() if path.is_dir()):
+        found = []
+        for place, inner, files in os.walk(child):
+            if store.MANIFEST in files:
+                found.append(Path(place))
+            inner[:] = [] if store.MANIFEST in files else sorted(set(inner) - {store.DATA})
+        yield from found or [child]
 
 
 def row_of(folder: Path) -> Row:
@@ -66,18 +68,20 @@ def numbers(points: list[dict[str, Any]]) -> dict[str, Any]:
     size = counted(best["draws"], "draw") + (f" at {len(points):,} points" if len(points) > 1 else "")
     return {
         "size": size,
-        "probability": " … ".join(probability(point["failures"], point["draws"]) for point in shown),
+        "probability": " to ".join(probability(point["failures"], point["draws"]) for point in shown),
         "interval": interval(best["failures"], best["draws"]) if len(points) == 1 else "",
         "worst": most["failures"] / most["draws"],
     }
 
 
 def report_of(row: Row, made: Callable[[Path], None]) -> Row:
-    """The row once its report is there; one that is missing is made."""
-    if row.trouble or (row.folder / REPORT).exists():
+    """The row once its report is there; one that is missing, or older than the result, is made."""
+    if row.trouble:
         return row
+    page = row.folder / REPORT
     try:
-        made(write(load(row.folder), row.folder / REPORT))
+        if not page.exists() or page.stat().st_mtime < (row.folder / store.SUMMARY).stat().st_mtime:
+            made(write(load(row.folder), page))
     except ConfigError as error:
         return row._replace(trouble=error.rule)
     except OSError as error:
@@ -86,11 +90,11 @@ def report_of(row: Row, made: Callable[[Path], None]) -> Row:
 
 
 def write_index(root: str | Path, made: Callable[[Path], None] = lambda page: None) -> tuple[Path, list[Row]]:
-    """Write ``index.html`` over the results folders below ``root``; reports that are missing are made first.
+    """Write ``index.html`` over the results folders below ``root``; reports that are missing or out of date are made first.
 
     Args:
         root: A folder of results folders.
-        made: Told of each report that was missing.
+        made: Told of each report that was made.
 
     Returns:
         The file, and what it says of each folder.
