@@ -25,7 +25,7 @@ def report(
 
     The page needs neither network nor JavaScript and prints well. The worst draws are simulated again for it.
 
-    With --index, a page over all the results in a folder instead; reports that are missing or older than their result are made.
+    With --index, a page over all the results in a folder instead; reports that are missing or out of date are made.
     """
     if (result is None) == (index is None):
         raise ConfigError("report", "takes a results folder, or --index with a folder of them, and not both")

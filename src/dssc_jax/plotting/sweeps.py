@@ -33,6 +33,8 @@ from dssc_jax.statistics import clopper_pearson
 
 FINE = 2500  # a map of more cells is written as an image, not cell by cell
 CERTIFIED = "certified by Table 1"
+HALF, BOUND = ("half of the draws fail", "-"), ("95 % upper bound of the probability at 5 %", "--")
+LIMIT = ("the median at its limit", "-")
 
 
 @styled
@@ -56,8 +58,10 @@ def sweep(result: Result) -> Figure:
         typical(result, panels[1])
         panels[1].set_ylabel("")
         for ax in panels:
-            ax.get_legend().remove()
-        figure.legend(handles=map_keys(result), loc="outside lower center", ncols=2, frameon=False)
+            if (legend := ax.get_legend()) is not None:
+                legend.remove()
+        keys = [(f"{HALF[0]}, or {LIMIT[0]}", "-"), BOUND]
+        figure.legend(handles=map_keys(result, keys), loc="outside lower center", ncols=2, frameon=False)
     title(figure, f"{result.study.config.description or result.study.name}{held(result)}")
     return figure
 
@@ -195,7 +199,7 @@ def probability_map(ax: Axes, result: Result, down: str, across: str) -> None:
     ax.figure.colorbar(image, ax=ax, format=PercentFormatter(1.0), label=text)
     required = "; ".join(r.text for r in result.study.requirements) or "the draw stays finite"
     ax.set_title(textwrap.fill(required, 44), parse_math=False)
-    finish_map(ax, result, down, across)
+    finish_map(ax, result, down, across, [HALF, BOUND])
 
 
 def typical_map(ax: Axes, result: Result, measure: Measure, down: str, across: str) -> None:
@@ -218,10 +222,10 @@ def typical_map(ax: Axes, result: Result, measure: Measure, down: str, across: s
     for limit in limits(result, measure):
         contour(ax, x, y, middle, limit, "-")
     ax.set_title("median over draws")
-    finish_map(ax, result, down, across)
+    finish_map(ax, result, down, across, [LIMIT] if limits(result, measure) else [])
 
 
-def finish_map(ax: Axes, result: Result, down: str, across: str) -> None:
+def finish_map(ax: Axes, result: Result, down: str, across: str, keys: list[tuple[str, Any]]) -> None:
     """What every map shows: the certified region, the study's own values, scales, labels and a key below."""
     x, y = result.dataset[across].values, result.dataset[down].values
     certified = certified_region(result)
@@ -236,23 +240,20 @@ def finish_map(ax: Axes, result: Result, down: str, across: str) -> None:
     mark_own_value(ax, result, down, "white", "y")
     ax.set_xlabel(named(across, result.dataset[across].attrs))
     ax.set_ylabel(named(down, result.dataset[down].attrs))
-    ax.legend(handles=map_keys(result), loc="upper center", bbox_to_anchor=(0.5, -0.24), frameon=False)
+    if handles := map_keys(result, keys):
+        ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.24), frameon=False)
 
 
 def cells(values: np.ndarray) -> dict[str, Any]:
-    """How a map's cells are drawn: without seams between them, and as one image where they are many."""
-    return {"shading": "nearest", "edgecolors": "face", "linewidth": 0.4, "rasterized": values.size > FINE}
+    """How a map's cells are drawn: as one image where they are many."""
+    return {"shading": "nearest", "rasterized": values.size > FINE}
 
 
-def map_keys(result: Result) -> list[Any]:
-    """Legend of what is white on a map."""
+def map_keys(result: Result, keys: list[tuple[str, Any]]) -> list[Any]:
+    """Legend of what is white on a map: its contours, and what every map shows."""
     ink = rcParams["text.color"]
-    keys: list[tuple[str, Any]] = [
-        ("50 % fail, or the median at its limit", "-"),
-        ("95 % upper bound of the probability at 5 %", "--"),
-    ]
     if any(reaches_own_value(result, name) for name in free_axes(result)):
-        keys.append(("the study's own value", ":"))
+        keys = [*keys, ("the study's own value", ":")]
     handles: list[Any] = [Line2D([], [], color=ink, linestyle=line, linewidth=1.8, label=text) for text, line in keys]
     if (certified := certified_region(result)) is not None and certified.any():
         handles.append(Patch(facecolor="none", edgecolor=ink, hatch="//", linewidth=0.0, label=CERTIFIED))

@@ -57,7 +57,7 @@ def row_of(folder: Path) -> Row:
         return row._replace(**numbers(summary["points"]))
     except OSError as error:
         return row._replace(trouble=f"{store.SUMMARY} cannot be read ({error.strerror})")
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, ArithmeticError, RecursionError) as error:
         return row._replace(trouble=f"{store.SUMMARY} is damaged: {type(error).__name__}")
 
 
@@ -90,7 +90,7 @@ def report_of(row: Row, made: Callable[[Path], None]) -> Row:
 
 
 def write_index(root: str | Path, made: Callable[[Path], None] = lambda page: None) -> tuple[Path, list[Row]]:
-    """Write ``index.html`` over the results folders below ``root``; reports that are missing or out of date are made first.
+    """Write ``index.html`` over the results below ``root``; reports that are missing or out of date are made first.
 
     Args:
         root: A folder of results folders.
