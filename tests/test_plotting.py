@@ -1,6 +1,7 @@
 """Figures: they draw where they are told to, with units and intervals, and lose no peak."""
 
 import copy
+import doctest
 import io
 
 import numpy as np
@@ -9,6 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 import dssc_jax as dj
+from dssc_jax.plotting import thinning
+from dssc_jax.plotting.style import label
 from dssc_jax.plotting.sweeps import cell_edges
 from dssc_jax.plotting.thinning import COLUMNS, picked, thinned
 from dssc_jax.statistics import clopper_pearson
@@ -135,6 +138,17 @@ def test_thinning_keeps_peaks_gaps_and_order():
     assert np.isnan(kept_y).any()
     assert thinned(t[:10], y[:10])[0] is not t
     assert (thinned(t[:10], y[:10])[0] == t[:10]).all()
+
+
+def test_the_example_of_thinning_holds():
+    assert doctest.testmod(thinning).attempted == 1
+    assert doctest.testmod(thinning).failed == 0
+
+
+def test_dollars_in_a_users_words_are_no_mathematics():
+    figure = Figure()
+    figure.subplots().set_xlabel(label({"long_name": "cost $x_{$", "units": "$"}))
+    figure.savefig(io.BytesIO(), format="svg")
 
 
 def test_picked_keeps_both_ends():

@@ -78,6 +78,26 @@ def test_names_are_text_and_links_are_quoted(results):
     assert "<code>&lt;b&gt;50%# &amp; more</code>" in text
 
 
+def test_bytes_that_are_no_text(results):
+    """A folder's name that is no UTF-8, and a name in a manifest that is half a character."""
+    manifest = results / "good" / "manifest.json"
+    manifest.write_text(manifest.read_text().replace('"uncertain"', '"\\ud800"'))
+    os.rename(results / "good", os.fsencode(results) + b"/\xff")
+    page, (row,) = write_index(results)
+    assert row.trouble == ""
+    assert b'href="%FF/report.html"' in page.read_bytes()
+
+
+def test_one_report_that_fails_does_not_take_the_index_with_it(results, monkeypatch):
+    (results / "good" / REPORT).unlink()
+
+    def fail(*arguments):
+        raise ArithmeticError("of the unforeseen kind")
+
+    monkeypatch.setattr("dssc_jax.report.index.write", fail)
+    assert trouble(results) == {"good": "its report cannot be made: ArithmeticError: of the unforeseen kind"}
+
+
 def test_results_in_subfolders_are_found(results):
     (results / "deep" / "er").mkdir(parents=True)
     (results / "good").rename(results / "deep" / "er" / "good")

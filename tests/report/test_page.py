@@ -219,6 +219,13 @@ def test_figures_take_the_pages_colours(ran):
     assert "var(--red)" in drawn
 
 
+@pytest.mark.parametrize(
+    "broken", [{}, {"times": 3, "device": [], "versions": None, "started": {}}, {"times": {"rate": "x"}}]
+)
+def test_a_manifest_without_provenance(ran, broken):
+    assert "not recorded" in html(dj.Result(ran.study, ran.dataset, broken), worst=0)
+
+
 def test_where_it_cannot_be_written(ran, tmp_path):
     with pytest.raises(OSError, match="No such file"):
         write(ran, tmp_path / "no" / "report.html", worst=0)

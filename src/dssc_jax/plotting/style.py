@@ -54,9 +54,9 @@ def panel(ax: Axes | None, size: tuple[float, float] = PANEL) -> tuple[Figure, A
 
 
 def label(about: dict[str, Any]) -> str:
-    """Long name with unit."""
-    unit = about.get("units", "")
-    return f"{about.get('long_name', '')} [{unit}]" if unit not in ("", "1") else str(about.get("long_name", ""))
+    """Long name with unit; a dollar in it is no mathematics."""
+    unit, name = about.get("units", ""), str(about.get("long_name", ""))
+    return (name if unit in ("", "1") else f"{name} [{unit}]").replace("$", r"\$")
 
 
 def named(name: str, about: dict[str, Any]) -> str:

@@ -96,8 +96,8 @@ def sketch(law: Law) -> h.Element:
 def provenance(about: Subject) -> Section:
     """Where the numbers come from, and how to have them again."""
     result, manifest = about.result, about.result.manifest
-    study, times, device = result.study, manifest.get("times", {}), manifest.get("device", {})
-    versions = "  ".join(f"{name} {version}" for name, version in manifest.get("versions", {}).items())
+    study, device = result.study, part(manifest, "device")
+    versions = "  ".join(f"{name} {version}" for name, version in part(manifest, "versions").items())
     sizes = [len(values) for values in study.axes.values()]
     pairs: list[tuple[str, h.Node]] = [
         ("study", f"{study.name}, from {manifest.get('source', study.source)}"),
@@ -106,7 +106,7 @@ def provenance(about: Subject) -> Section:
         ("size", f"{counted(study.config.draws, 'draw')} at {counted(int(np.prod(sizes)), 'point')}"),
         ("arithmetic", f"float{study.config.loop.precision}, {study.config.loop.integrator}"),
         ("started", moment(str(manifest.get("started", "")))),
-        ("time", spent(times)),
+        ("time", spent(part(manifest, "times"))),
         ("machine", f"{device.get('count', '?')} of {device.get('kind', '?')} ({device.get('platform', '?')})"),
         ("versions", versions),
     ]
@@ -117,12 +117,19 @@ def provenance(about: Subject) -> Section:
     return Section("provenance", "Provenance", body)
 
 
+def part(manifest: dict[str, Any], name: str) -> dict[str, Any]:
+    """A table of the manifest; empty where it is damaged, which only what it would tell suffers from."""
+    found = manifest.get(name)
+    return found if isinstance(found, dict) else {}
+
+
 def spent(times: dict[str, Any]) -> str:
     """Time and throughput of the run."""
-    if not times:
+    try:
+        rate = f", {times['rate'] / 1e6:.0f} million draw samples a second" if times.get("rate") else ""
+        return f"{times['seconds']:.1f} s, of which {times['compile_seconds']:.1f} s compiling{rate}"
+    except (KeyError, TypeError, ValueError):
         return "not recorded"
-    rate = f", {times['rate'] / 1e6:.0f} million draw samples a second" if times.get("rate") else ""
-    return f"{times['seconds']:.1f} s, of which {times['compile_seconds']:.1f} s compiling{rate}"
 
 
 def moment(text: str) -> str:

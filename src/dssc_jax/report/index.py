@@ -13,7 +13,7 @@ from dssc_jax import store
 from dssc_jax.errors import ConfigError
 from dssc_jax.report.asked import moment
 from dssc_jax.report.elements import counted, interval, probability, table
-from dssc_jax.report.page import REPORT, page, write
+from dssc_jax.report.page import REPORT, page, save, write
 from dssc_jax.results import load
 
 INDEX = "index.html"
@@ -86,6 +86,8 @@ def report_of(row: Row, made: Callable[[Path], None]) -> Row:
         return row._replace(trouble=error.rule)
     except OSError as error:
         return row._replace(trouble=f"{REPORT} cannot be written ({error.strerror})")
+    except Exception as error:  # one report that cannot be made must not take the index with it
+        return row._replace(trouble=f"its report cannot be made: {type(error).__name__}: {error}")
     return row
 
 
@@ -107,7 +109,7 @@ def write_index(root: str | Path, made: Callable[[Path], None] = lambda page: No
         raise ConfigError(str(top), "is not a folder of results")
     rows = [report_of(row_of(place), made) for place in folders(top)]
     target = top / INDEX
-    target.write_text(html(top, rows), encoding="utf-8")
+    save(html(top, rows), target)
     return target, rows
 
 
@@ -120,7 +122,7 @@ def html(root: Path, rows: list[Row]) -> str:
     if good:
         cells = [
             (
-                h.a(href=quote(str((row.folder / REPORT).relative_to(root))))[row.study],
+                h.a(href=quote(os.fsencode((row.folder / REPORT).relative_to(root))))[row.study],
                 moment(row.started),
                 h.code[str(row.folder.relative_to(root))],
                 row.size,

@@ -90,5 +90,10 @@ def write(result: Result, path: str | Path, worst: int = WORST) -> Path:
         worst: As for :func:`html`.
     """
     target = Path(path)
-    target.write_text(html(result, worst), encoding="utf-8")
+    save(html(result, worst), target)
     return target
+
+
+def save(text: str, path: Path) -> None:
+    """Write a page; characters that are none (lone surrogates of damaged names) are replaced."""
+    path.write_text(text, encoding="utf-8", errors="replace")
