@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 
-.PHONY: study test lint types check measure paper conservatism clean
+.PHONY: study test lint types check measure paper conservatism docs clean
 
 study: .venv/run  ## install, and run the main job: how much unmodelled lag does a DSSC loop survive?
 	$(BIN)/dssc-jax sweep studies/mu_robustness.toml
@@ -28,6 +28,9 @@ paper: .venv/run  ## regenerate docs/paper.md: the article's figures and a table
 conservatism: .venv/run  ## regenerate docs/conservatism.md: certified against simulated
 	$(BIN)/python benchmarks/conservatism.py
 
+docs: .venv/docs  ## build the documentation site into site/; a warning is an error
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
+
 .venv/run: pyproject.toml
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
@@ -37,5 +40,9 @@ conservatism: .venv/run  ## regenerate docs/conservatism.md: certified against s
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[test]"
 	touch $@
 
+.venv/docs: .venv/run
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[docs]"
+	touch $@
+
 clean:
-	rm -rf .venv build dist .pytest_cache .ruff_cache
+	rm -rf .venv build dist site .pytest_cache .ruff_cache

@@ -12,7 +12,7 @@ import pytest
 from dssc_jax.cli import guarded
 from dssc_jax.cli.shared import parse_over, parse_value
 
-COMMANDS = ["run", "sweep", "simulate", "replay", "check", "design", "studies", "info"]
+COMMANDS = ["run", "sweep", "simulate", "replay", "report", "check", "design", "studies", "info"]
 STUDY = """
 name = "small"
 seed = 3
@@ -133,6 +133,22 @@ def test_replay_of_a_sweep_takes_the_point(study, capsys):
     assert last_json(capsys)["controller.k_p"] == 1.25
 
 
+def test_report_and_index(study, capsys):
+    assert guarded(["run", str(study), "--json"]) == 0
+    capsys.readouterr()
+    assert guarded(["report", "results/small-run", "--worst", "1", "--json"]) == 0
+    found = last_json(capsys)
+    page = study.parent / found["report"]
+    assert page == study.parent / "results" / "small-run" / "report.html"
+    assert page.stat().st_size == found["bytes"]
+    (study.parent / "results" / "broken").mkdir()
+    assert guarded(["report", "--index", "results", "--json"]) == 0
+    found = last_json(capsys)
+    assert [bool(row["trouble"]) for row in found["results"]] == [True, False]
+    assert guarded(["report", "--index", "results"]) == 0
+    assert "1 results, 1 that cannot be shown" in capsys.readouterr().out
+
+
 def test_dssc_columns(tmp_path, capsys):
     assert guarded(["simulate", "mu_robustness", "--csv", str(tmp_path / "a.csv"), "--every", "100", "--json"]) == 0
     head, *rows = (tmp_path / "a.csv").read_text().splitlines()
@@ -184,6 +200,11 @@ BAD = {
     "no result": (["replay", "nothing", "--draw", "0"], "is not a results folder"),
     "csv nowhere": (["simulate", "small.toml", "--csv", "no/such/folder/a.csv"], "cannot be written"),
     "figure of an unknown type": (["simulate", "small.toml", "--figure", "a.xyz"], "cannot be written"),
+    "report of nothing": (["report"], "takes a results folder, or --index"),
+    "report of two": (["report", "a", "--index", "b"], "and not both"),
+    "report of no result": (["report", "nothing"], "is not a results folder"),
+    "index of no folder": (["report", "--index", "small.toml"], "is not a folder of results"),
+    "index elsewhere": (["report", "--index", ".", "--out", "a.html"], "is for one report"),
     "no such design": (["check", "none.toml"], "cannot be read"),
     "study as design": (["check", "small.toml"], "small.toml: "),
 }

@@ -9,8 +9,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAGES = ["README.md", "docs/extending.md"]
 BLOCK = re.compile(r"```(\w+)\n(.*?)```", re.DOTALL)
+EVERY = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]
+PAGES = sorted(str(page.relative_to(ROOT)) for page in EVERY if BLOCK.search(page.read_text()))
+LANGUAGES = {"sh", "python", "toml"}
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -19,6 +21,7 @@ def test_examples_run(page, tmp_path):
     environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
     ran = 0
     for language, text in BLOCK.findall((ROOT / page).read_text()):
+        assert language in LANGUAGES, f"a block that is not tested; indent it by four blanks:\n{text}"
         named = re.match(r"# (\w+\.(?:toml|py))\n", text)
         if named:
             (tmp_path / named[1]).write_text(text)
@@ -43,6 +46,42 @@ def test_make_targets_of_the_readme_exist():
 
 
 def test_links_lead_somewhere():
-    for page in [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]:
+    for page in EVERY:
         for link in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
             assert (page.parent / link).exists(), f"{page.name}: {link}"
+
+
+def navigation(entries):
+    """Every page that the site's contents name."""
+    for entry in entries:
+        for value in entry.values():
+            yield from navigation(value) if isinstance(value, list) else [value]
+
+
+def test_every_page_is_in_the_sites_contents():
+    """The site is built without network by `make docs`, which is stricter: no warning."""
+    yaml = pytest.importorskip("yaml")
+    site = yaml.safe_load((ROOT / "mkdocs.yml").read_text())
+    named = list(navigation(site["nav"]))
+    assert len(named) == len(set(named))
+    assert set(named) == {page.name for page in (ROOT / "docs").glob("*.md")}
+    assert site["theme"]["font"] is False
+    assert site["strict"] is True
+
+
+def test_the_site_builds_without_warning(tmp_path):
+    """And nothing in it is loaded from elsewhere; links of the theme to its makers are all there is."""
+    pytest.importorskip("material")
+    pytest.importorskip("mkdocstrings_handlers.python")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path)]
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    for page in tmp_path.glob("*.html"):
+        text = page.read_text()
+        assert not re.search(r"<(?:script|img|iframe)[^>]*src=\"(?:https?:)?//", text), page.name
+        assert not re.search(r"<link[^>]*rel=\"(?:stylesheet|preconnect)\"[^>]*href=\"(?:https?:)?//", text), page.name
+    reference = (tmp_path / "reference.html").read_text()
+    assert "dssc_jax.api.run" in reference
+    assert ":meth:" not in reference

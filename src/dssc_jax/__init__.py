@@ -11,7 +11,7 @@ from dssc_jax import xla
 xla.configure()
 
 if TYPE_CHECKING:
-    from dssc_jax import design, theory
+    from dssc_jax import design, report, theory
     from dssc_jax import plotting as plot
     from dssc_jax.api import replay, run, simulate
     from dssc_jax.comparison import Comparison, compare
@@ -33,6 +33,7 @@ __all__ = [
     "margin",
     "plot",
     "replay",
+    "report",
     "run",
     "simulate",
     "theory",
@@ -51,7 +52,12 @@ _HOME = {
     "run": "dssc_jax.api",
     "simulate": "dssc_jax.api",
 }
-_MODULES = {"design": "dssc_jax.design", "plot": "dssc_jax.plotting", "theory": "dssc_jax.theory"}
+_MODULES = {
+    "design": "dssc_jax.design",
+    "plot": "dssc_jax.plotting",
+    "report": "dssc_jax.report",
+    "theory": "dssc_jax.theory",
+}
 
 
 def __getattr__(name: str) -> Any:

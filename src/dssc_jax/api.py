@@ -16,7 +16,7 @@ from dssc_jax import store
 from dssc_jax.dataset import in_memory, outcome_codes
 from dssc_jax.engine import Engine, Layout, drawn, execute
 from dssc_jax.errors import ConfigError, meant
-from dssc_jax.loop import Recorded
+from dssc_jax.loop import Recorded, Run
 from dssc_jax.loop import simulate as run_loop
 from dssc_jax.results import Result, load
 from dssc_jax.sampling import draw_key
@@ -185,15 +185,30 @@ def simulate(study: Study, draw: int = 0, *, point: Mapping[str, float] | None =
     Raises:
         ConfigError: draw, point or every is out of range.
     """
+    return recorder(study if point else study.without_sweep(), every)(draw, point or {})
+
+
+def recorder(study: Study, every: int = 1) -> Callable[[int, Mapping[str, float]], xr.Dataset]:
+    """Trajectories of one draw after another by one compiled program.
+
+    Args:
+        study: The study, sweep and all.
+        every: Keep every so-manieth sample.
+
+    Returns:
+        ``(draw, point) -> trajectory`` as :func:`simulate` describes it.
+
+    Raises:
+        ConfigError: every is out of range; when called, draw or point is.
+    """
     if every < 1:
         raise ConfigError(study.source, f"every must be >= 1, got {every}")
     every = min(every, study.loop.steps)
     kept = -(-study.loop.steps // every)
     if kept > MOST_KEPT:
         raise ConfigError(study.source, f"a trajectory keeps at most {MOST_KEPT} samples, got {kept}; raise every")
-    study = study if point else study.without_sweep()
-    values = lane_values(study, draw, point or {})
 
+    @jax.jit
     def one(lane: dict[str, jax.Array], index: jax.Array):
         return run_loop(
             study.loop,
@@ -204,13 +219,22 @@ def simulate(study: Study, draw: int = 0, *, point: Mapping[str, float] | None =
             every,
         )
 
-    with jax.enable_x64(study.config.loop.precision == 64):
-        ended, recorded = jax.tree.map(np.asarray, jax.jit(one)(values, np.uint32(draw)))
+    def record(draw: int, point: Mapping[str, float]) -> xr.Dataset:
+        values = lane_values(study, draw, point)
+        with jax.enable_x64(study.config.loop.precision == 64):
+            ended, recorded = jax.tree.map(np.asarray, one(values, np.uint32(draw)))
+        return as_trajectory(study, draw, values, ended, recorded)
+
+    return record
+
+
+def as_trajectory(study: Study, draw: int, values: Mapping[str, float], ended: Run, recorded: Recorded) -> xr.Dataset:
+    """What the loop recorded of one draw, with units, meanings and how it ended."""
     failed_at = float(ended.failed_at)
     columns = trajectory_columns(study, recorded)
     if not np.isnan(failed_at):  # what follows is the frozen state, which nobody flew
         gone = recorded.instant.t >= failed_at
-        columns = {name: np.where(gone, np.nan, values) for name, values in columns.items()}
+        columns = {name: np.where(gone, np.nan, column) for name, column in columns.items()}
     described = {name: describe(name, study.loop.channels) for name in columns}
     code = int(ended.outcome)
     return xr.Dataset(
@@ -300,11 +324,8 @@ def replay(result: Result, draw: int, *, point: Mapping[str, float] | None = Non
     found = simulate(study, draw, point=exact or None, every=every)
     stored = result.dataset.isel({**index, "draw": draw})
     again = lane_outcome(study, draw, lane_values(study, draw, exact))
-    names = [measure.name for measure in study.measures]
-    found.attrs["deviation"] = max(relative_gap(float(stored[name]), float(again[name])) for name in names)
-    found.attrs["trajectory_deviation"] = max(
-        relative_gap(float(stored[name]), float(found.attrs[name])) for name in names
-    )
+    found.attrs["deviation"] = deviation(study, stored, again)
+    found.attrs["trajectory_deviation"] = deviation(study, stored, found.attrs)
     return found
 
 
@@ -321,6 +342,12 @@ def hardest(result: Result, draw: int) -> dict[str, int]:
     margins = [result.dataset[r.name].isel(draw=draw).values / (abs(r.bound) or 1.0) for r in result.study.requirements]
     margin = np.min(margins, axis=0)
     return dict(zip(axes, map(int, np.unravel_index(np.argmin(margin), margin.shape)), strict=True))
+
+
+def deviation(study: Study, stored: xr.Dataset, computed: Mapping[str, Any]) -> float:
+    """Largest relative difference of a metric of one lane from the stored one."""
+    names = [measure.name for measure in study.measures]
+    return max(relative_gap(float(stored[name]), float(computed[name])) for name in names)
 
 
 def relative_gap(stored: float, computed: float) -> float:

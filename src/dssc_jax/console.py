@@ -150,6 +150,11 @@ def show_draw(attributes: Mapping[str, Any], files: list[Path]) -> None:
         output().print(f"wrote {path}", soft_wrap=True, markup=False)
 
 
+def show_page(page: Path, note: str) -> None:
+    """A page that was written."""
+    output().print(f"wrote {page} ({note})", soft_wrap=True, markup=False)
+
+
 def show_margins(summary: Mapping[str, Any], files: list[Path]) -> None:
     """A distribution of margins by the numbers one can defend."""
     console = output()

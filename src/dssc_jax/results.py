@@ -1,6 +1,6 @@
 """The result of a study: every draw's metrics and outcome, and what they say together."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -49,6 +49,10 @@ class Result:
     def failed(self) -> xr.DataArray:
         """Whether each draw failed, in any way; a non-finite draw is a failure."""
         return self.dataset["outcome"] != Outcome.OK
+
+    def at(self, index: Mapping[str, int]) -> "Result":
+        """The result at given indices of swept parameters; the others stay axes of the dataset."""
+        return Result(self.study, self.dataset.isel(index), self.manifest)
 
     def summary(self, confidence: float = CONFIDENCE) -> dict[str, Any]:
         """Failures, probability and exact interval of every sweep point, and quantiles of the metrics.
@@ -142,6 +146,17 @@ def headline(result: Result) -> Measure:
     if result.study.requirements:
         return result.study.requirements[0].measure
     return by_name["error_rms"]
+
+
+def measured(result: Result, metric: str | None) -> Measure:
+    """The measure of that name; None: the headline.
+
+    Raises:
+        KeyError: the result has no such metric.
+    """
+    if metric is None:
+        return headline(result)
+    return {measure.name: measure for measure in result.study.measures}[metric]
 
 
 def finite_or_none(value: float) -> float | None:

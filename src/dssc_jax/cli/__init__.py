@@ -7,12 +7,10 @@ import warnings
 from dssc_jax.cli.shared import BAD_INPUT, DONE, INTERRUPTED, app
 from dssc_jax.errors import ConfigError
 
-for module in (
-    "simulation",
-    "robustness",
-    "designs",
-    "about",
-):  # each registers its commands; help lists them in this order
+MODULES = ("simulation", "robustness", "reports", "designs", "about")
+"""Each registers its commands; help lists them in this order."""
+
+for module in MODULES:
     importlib.import_module(f"dssc_jax.cli.{module}")
 
 

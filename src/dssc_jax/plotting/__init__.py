@@ -1,12 +1,17 @@
-"""Figures of results and trajectories. Each returns a matplotlib Figure; a failure probability shows its interval."""
+"""Figures of results and trajectories. Each returns a matplotlib Figure; a failure probability shows its interval.
+
+``failures``, ``sweep`` and ``trajectory`` compose a slide; ``distribution``, ``factor``, ``probability``, ``typical``
+and ``signals`` are single panels that also draw into axes of yours.
+"""
 
 from pathlib import Path
 
 from dssc_jax.plotting.comparisons import comparison
+from dssc_jax.plotting.draws import distribution, factor, failures
 from dssc_jax.plotting.margins import margin
-from dssc_jax.plotting.populations import failures, fitted_slope, sweep
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, STYLE, write
-from dssc_jax.plotting.trajectories import trajectory
+from dssc_jax.plotting.sweeps import fitted_slope, probability, sweep, typical
+from dssc_jax.plotting.trajectories import signals, trajectory
 from dssc_jax.results import Result
 
 __all__ = [
@@ -18,12 +23,17 @@ __all__ = [
     "SLIDE",
     "STYLE",
     "comparison",
+    "distribution",
+    "factor",
     "failures",
     "fitted_slope",
     "margin",
+    "probability",
     "save_all",
+    "signals",
     "sweep",
     "trajectory",
+    "typical",
     "write",
 ]
 

@@ -2,8 +2,9 @@
 
 import textwrap
 from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 from matplotlib import rc_context
@@ -25,26 +26,37 @@ STYLE: dict[Any, Any] = {
     "lines.linewidth": 1.8,
     "savefig.dpi": 140,
 }
-SLIDE = (11.5, 5.6)  # inches
+SLIDE, PANEL, SMALL = (11.5, 5.6), (6.4, 4.6), (4.6, 3.8)  # inches
 DRAWABLE = 1e100  # larger numbers overflow in matplotlib's axes
 LOG_SPAN = 8.0  # axes whose positive values span more than this ratio are logarithmic
+Arguments = ParamSpec("Arguments")
+Drawn = TypeVar("Drawn")
 
 
-def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
+def styled(draw: Callable[Arguments, Drawn]) -> Callable[Arguments, Drawn]:
     """Draw in the project's style without touching the caller's."""
 
-    def wrapper(*args: Any, **options: Any) -> Figure:
+    @wraps(draw)
+    def wrapper(*args: Arguments.args, **options: Arguments.kwargs) -> Drawn:
         with rc_context(STYLE):
             return draw(*args, **options)
 
-    wrapper.__doc__, wrapper.__name__ = draw.__doc__, draw.__name__
     return wrapper
 
 
+def panel(ax: Axes | None, size: tuple[float, float] = PANEL) -> tuple[Figure, Axes]:
+    """The axes to draw into, and their figure; a figure of its own where none are given."""
+    if ax is None:
+        ax = Figure(figsize=size, layout="constrained").subplots()
+    figure = ax.get_figure(root=True)
+    assert figure is not None  # axes that were removed from theirs are not drawn into
+    return figure, ax
+
+
 def label(about: dict[str, Any]) -> str:
-    """Long name with unit."""
-    unit = about.get("units", "")
-    return f"{about.get('long_name', '')} [{unit}]" if unit not in ("", "1") else str(about.get("long_name", ""))
+    """Long name with unit; a dollar in it is no mathematics."""
+    unit, name = about.get("units", ""), str(about.get("long_name", ""))
+    return (name if unit in ("", "1") else f"{name} [{unit}]").replace("$", r"\$")
 
 
 def named(name: str, about: dict[str, Any]) -> str:
@@ -64,14 +76,15 @@ def is_log(values: np.ndarray) -> bool:
 
 
 def set_scale(ax: Axes, values: np.ndarray, which: str = "x") -> None:
-    """Logarithmic where it helps, with plain numbers at 1, 2 and 5 where the span is short."""
+    """Logarithmic where it helps, with plain numbers, more of them where the span is short."""
     if not is_log(values):
         return
     (ax.set_xscale if which == "x" else ax.set_yscale)("log")
     axis = ax.xaxis if which == "x" else ax.yaxis
     positive = values[np.isfinite(values)]
     decades = np.log10(positive.max() / positive.min())
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if decades < 2.0 else (1.0,)))
+    subs = (1.0, 2.0, 5.0) if decades < 1.3 else (1.0, 3.0) if decades < 2.0 else (1.0,)
+    axis.set_major_locator(LogLocator(subs=subs))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 

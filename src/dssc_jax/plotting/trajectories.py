@@ -1,10 +1,15 @@
 """Figures of one draw over time."""
 
+from collections.abc import Sequence
+
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, styled, title
+from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, label, panel, styled, title
+from dssc_jax.plotting.thinning import thinned
+
+CYCLE = (BLUE, ORANGE, GREEN, RED, GREY)
 
 
 @styled
@@ -20,15 +25,14 @@ def trajectory(run: xr.Dataset) -> Figure:
         return flight(run)
     figure = Figure(figsize=(11.5, 8.0), layout="constrained")
     panels = figure.subplots(2, 2, sharex=True)
-    t = run["t"].values
-    panels[0, 0].plot(t, run["y_ref"], color=GREY, linestyle="--", label="desired $y_m$")
-    panels[0, 0].plot(t, run["y"], color=BLUE, label="output $y$")
+    line(panels[0, 0], run, "y_ref", GREY, "desired $y_m$", linestyle="--")
+    line(panels[0, 0], run, "y", BLUE, "output $y$")
     panels[0, 0].set_ylabel("output [m]")
-    panels[0, 1].plot(t, run["e"], color=BLUE, label="error $e$ [m]")
-    panels[0, 1].plot(t, run["sigma"], color=ORANGE, label=r"$\sigma = \dot e + l_0 e$ [m/s]")
-    panels[0, 1].set_ylabel("error")
-    panels[1, 0].plot(t, run["u_total"], color=GREY, linewidth=1.0, label="total $u + u_n$")
-    panels[1, 0].plot(t, run["u"], color=RED, label="robust $u$")
+    line(panels[0, 1], run, "e", BLUE, "error $e$ [m]")
+    line(panels[0, 1], run, "sigma", ORANGE, r"$\sigma = \dot e + l_0 e$ [m/s]")
+    panels[0, 1].set_ylabel(r"error $e$ [m], $\sigma$ [m/s]")
+    line(panels[1, 0], run, "u_total", GREY, "total $u + u_n$", linewidth=1.0)
+    line(panels[1, 0], run, "u", RED, "robust $u$")
     panels[1, 0].set_ylabel("command [m/s]")
     state_dependent(panels[1, 1], run)
     for ax in panels.flat:
@@ -40,15 +44,40 @@ def trajectory(run: xr.Dataset) -> Figure:
     return figure
 
 
+@styled
+def signals(run: xr.Dataset, names: Sequence[str], ax: Axes | None = None) -> Figure:
+    """Signals of one draw over time, each under its meaning and unit.
+
+    Args:
+        run: What ``simulate`` or ``replay`` returned.
+        names: Variables of it, at most five.
+        ax: Where to draw; None: a figure of its own.
+
+    Raises:
+        KeyError: the trajectory has no such signal.
+    """
+    figure, ax = panel(ax)
+    for name, colour in zip(names, CYCLE, strict=False):
+        line(ax, run, name, colour, label(run[name].attrs) or name)
+    ax.set(xlabel="time [s]", ylabel=", ".join(dict.fromkeys(f"[{run[name].attrs['units']}]" for name in names)))
+    ax.legend(loc="best", frameon=False)
+    return figure
+
+
+def line(ax: Axes, run: xr.Dataset, name: str, colour: str, text: str, **look: object) -> None:
+    """One signal, with as many points as a page can show."""
+    ax.plot(*thinned(run["t"].values, run[name].values), color=colour, label=text, **look)  # type: ignore[arg-type]
+
+
 def flight(run: xr.Dataset) -> Figure:
     """Commands and errors of every channel."""
     channels = [str(name).removesuffix("_y_ref") for name in run if str(name).endswith("_y_ref")]
     figure = Figure(figsize=(11.5, 2.3 * len(channels) + 1.0), layout="constrained")
     rows = figure.subplots(len(channels), 2, sharex=True, squeeze=False)
     for (left, right), channel in zip(rows, channels, strict=True):
-        for name, colour, text in (("u_total", GREY, "total $u + u_n$"), ("u", RED, "robust $u$")):
-            left.plot(run["t"], run[f"{channel}_{name}"], color=colour, linewidth=1.2, label=text)
-        right.plot(run["t"], run[f"{channel}_e"], color=BLUE)
+        line(left, run, f"{channel}_u_total", GREY, "total $u + u_n$", linewidth=1.2)
+        line(left, run, f"{channel}_u", RED, "robust $u$", linewidth=1.2)
+        line(right, run, f"{channel}_e", BLUE, "error")
         left.set_ylabel(f"{channel}: command [{run[f'{channel}_u'].attrs['units']}]")
         right.set_ylabel(f"{channel}: error [{run[f'{channel}_e'].attrs['units']}]")
     rows[0, 0].legend(loc="best", frameon=False)
@@ -63,9 +92,11 @@ def state_dependent(ax: Axes, run: xr.Dataset) -> None:
     shown = {"k_o": ("$k_o$ [1/s]", BLUE), "tau_m": (r"$\tau_m$ [s]", GREEN), "tau_av": (r"$\tau_{av}$ [s]", ORANGE)}
     for name, (text, colour) in shown.items():
         if name in run:
-            ax.semilogy(run["t"], run[name], color=colour, label=text)
-    ax.set_ylabel("state-dependent functions")
-    if not ax.has_data():
+            line(ax, run, name, colour, text)
+    if ax.has_data():
+        ax.set_yscale("log")
+        ax.set_ylabel("functions: gain [1/s], time constants [s]")
+    else:
         ax.set_axis_off()
 
 

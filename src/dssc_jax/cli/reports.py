@@ -1,0 +1,65 @@
+"""Commands that show results: report."""
+
+import json
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dssc_jax.cli.shared import DONE, JsonOption, app, attempt
+from dssc_jax.errors import ConfigError
+
+
+@app.command()
+def report(
+    result: Annotated[Path | None, typer.Argument(metavar="[RESULT]", help="A results folder.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="The page [RESULT/report.html].")] = None,
+    worst: Annotated[int, typer.Option("--worst", metavar="N", min=0, help="How many worst draws to show.")] = 3,
+    index: Annotated[
+        Path | None, typer.Option("--index", metavar="DIR", help="Write DIR/index.html over the results in DIR.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Write a result as one HTML page.
+
+    The page needs neither network nor JavaScript and prints well. The worst draws are simulated again for it.
+
+    With --index, a page over all the results in a folder instead; reports that are missing or out of date are made.
+    """
+    if (result is None) == (index is None):
+        raise ConfigError("report", "takes a results folder, or --index with a folder of them, and not both")
+    if result is None:
+        if out is not None:
+            raise ConfigError("--out", "is for one report; the index is written beside the results")
+        assert index is not None
+        return tell_index(index, as_json)
+    from dssc_jax.report import write
+    from dssc_jax.results import load
+
+    began = time.perf_counter()
+    page, found = out or result / "report.html", load(result)
+    attempt(page, lambda: write(found, page, worst))
+    size, seconds = page.stat().st_size, time.perf_counter() - began
+    if as_json:
+        print(json.dumps({"report": str(page), "bytes": size, "seconds": seconds}))
+    else:
+        from dssc_jax.console import show_page
+
+        show_page(page, f"{size / 1e6:.2f} MB in {seconds:.1f} s")
+    return DONE
+
+
+def tell_index(root: Path, as_json: bool) -> int:
+    """Write the index of a folder of results, and tell what is in it."""
+    from dssc_jax.console import show_page
+    from dssc_jax.report import write_index
+
+    page, rows = write_index(root, lambda made: None if as_json else show_page(made, "it was missing or out of date"))
+    troubled = sum(bool(row.trouble) for row in rows)
+    if as_json:
+        results = [{**row._asdict(), "folder": str(row.folder)} for row in rows]
+        print(json.dumps({"index": str(page), "results": results}))
+    else:
+        show_page(page, f"{len(rows) - troubled} results, {troubled} that cannot be shown")
+    return DONE

@@ -1,0 +1,124 @@
+"""Figures of a run: how the headline metric is distributed, and what the failures depend on."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import PercentFormatter
+
+from dssc_jax.metrics import Measure
+from dssc_jax.plotting.style import BLUE, DRAWABLE, RED, SLIDE, SMALL, label, panel, set_scale, styled, title
+from dssc_jax.plotting.thinning import picked
+from dssc_jax.results import Result, measured
+from dssc_jax.statistics import clopper_pearson
+
+BINS, MOST_FACTORS, FEW = 8, 5, 20
+
+
+@styled
+def failures(result: Result) -> Figure:
+    """A run without sweep: the distribution of the headline metric, and failures against each uncertain number."""
+    laws = shown_laws(result)[:MOST_FACTORS]
+    columns = min(3, 1 + len(laws))
+    rows = -(-(1 + len(laws)) // columns)
+    figure = Figure(figsize=(SLIDE[0], 4.4 * rows if rows > 1 else SLIDE[1]), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(rows, columns)).ravel()
+    for empty in axes[1 + len(laws) :]:
+        empty.set_axis_off()
+    distribution(result, axes[0])
+    for ax, name in zip(axes[1:], laws, strict=False):
+        factor(result, name, ax)
+    failed = result.failed.values
+    low, high = clopper_pearson(int(failed.sum()), failed.size)
+    title(
+        figure,
+        f"{result.study.name}: {failed.sum()} of {failed.size} draws fail; "
+        f"probability in [{low:.3g}, {high:.3g}], 95 % Clopper-Pearson",
+    )
+    return figure
+
+
+def one_point(result: Result) -> None:
+    """The same draws at several points are not independent: their failures have no binomial interval.
+
+    Raises:
+        ValueError: the result has several points.
+    """
+    if result.failed.ndim > 1:
+        raise ValueError(f"shows one point of a sweep, got all of {', '.join(result.study.axes)}; take Result.at")
+
+
+def shown_laws(result: Result) -> list[str]:
+    """The uncertain numbers whose draws an axis can hold."""
+    return [name for name in result.study.laws if np.abs(result.dataset[name].values).max() < DRAWABLE]
+
+
+@styled
+def distribution(result: Result, ax: Axes | None = None, metric: str | None = None) -> Figure:
+    """Share of draws at or below each value of a metric, with the exact interval of each share.
+
+    Args:
+        result: A run, or one point of a sweep (:meth:`Result.at`).
+        ax: Where to draw; None: a figure of its own.
+        metric: Name of the metric; None: the one that the study is about.
+
+    Raises:
+        ValueError: the result has several points.
+        KeyError: the result has no such metric.
+    """
+    one_point(result)
+    figure, ax = panel(ax)
+    measure = measured(result, metric)
+    values = result.dataset[measure.name].values
+    finite = np.sort(values[np.abs(values) < DRAWABLE])
+    ranks = 1 + picked(len(finite)) if len(finite) else np.array([], int)
+    shown = finite[ranks - 1]
+    interval = clopper_pearson(ranks, values.size)
+    ax.fill_between(shown, *interval.T, color=BLUE, alpha=0.2, step="post", linewidth=0.0, label="95 % interval")
+    ax.step(shown, ranks / values.size, color=BLUE, where="post", marker="o" if len(shown) < FEW else None)
+    for limit in limits(result, measure):
+        ax.axvline(limit, color=RED, linestyle="--", label="required")
+    if shown.size:
+        set_scale(ax, shown)
+    else:
+        ax.text(0.5, 0.5, "no finite value", transform=ax.transAxes, ha="center")
+    ax.set(xlabel=label(result.dataset[measure.name].attrs), ylabel="share of draws at or below", ylim=(0, 1.02))
+    ax.legend(frameon=False)
+    return figure
+
+
+@styled
+def factor(result: Result, name: str, ax: Axes | None = None) -> Figure:
+    """Failure probability with its exact interval against one uncertain number, in bins of equal count.
+
+    Args:
+        result: A run, or one point of a sweep (:meth:`Result.at`).
+        name: The uncertain number's dotted name.
+        ax: Where to draw; None: a figure of its own.
+
+    Raises:
+        ValueError: the result has several points.
+        KeyError: the number is not uncertain.
+    """
+    one_point(result)
+    figure, ax = panel(ax, SMALL)
+    values, failed = result.dataset[name].values, result.failed.values
+    groups = np.array_split(np.argsort(values), min(BINS, values.size))
+    centres = np.array([np.median(values[group]) for group in groups])
+    counts = np.array([failed[group].sum() for group in groups])
+    sizes = np.array([len(group) for group in groups])
+    share = counts / sizes
+    ax.errorbar(centres, share, np.abs(clopper_pearson(counts, sizes).T - share), fmt="o", color=RED, capsize=3)
+    if result.study.laws[name].support[0] > 0.0:
+        set_scale(ax, centres)
+    if ax.get_xscale() == "linear":
+        ax.locator_params(axis="x", nbins=5)
+    unit = result.dataset[name].attrs["units"]
+    ax.set(xlabel=f"{name}\n[{unit}]", ylabel="failure probability", ylim=(-0.03, 1.03))
+    ax.yaxis.set_major_formatter(PercentFormatter(1.0))
+    return figure
+
+
+def limits(result: Result, measure: Measure) -> list[float]:
+    """Required bounds of a measure."""
+    bounds = [r for r in result.study.requirements if r.measure.name == measure.name]
+    return [value for r in bounds for value in (r.maximum, r.minimum) if value is not None]

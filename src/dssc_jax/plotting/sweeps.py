@@ -1,0 +1,328 @@
+"""Figures of a sweep: failure probability and the headline metric over one axis as curves, over two as maps."""
+
+import textwrap
+from typing import Any
+
+import numpy as np
+from matplotlib import rcParams
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import PercentFormatter
+
+from dssc_jax.metrics import Measure
+from dssc_jax.plotting.draws import limits
+from dssc_jax.plotting.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    PANEL,
+    RED,
+    SLIDE,
+    is_log,
+    label,
+    named,
+    panel,
+    set_scale,
+    styled,
+    title,
+)
+from dssc_jax.results import Result, measured, upper_quantiles
+from dssc_jax.statistics import clopper_pearson
+
+FINE = 2500  # a map of more cells is written as an image, not cell by cell
+CERTIFIED = "certified by Table 1"
+HALF, BOUND = ("half of the draws fail", "-"), ("95 % upper bound of the probability at 5 %", "--")
+LIMIT = ("the median at its limit", "-")
+
+
+@styled
+def sweep(result: Result) -> Figure:
+    """A sweep over one axis as curves, over two as maps; further axes are held at their first value, and named.
+
+    Raises:
+        ValueError: the result has no sweep.
+    """
+    result = held_to_two(result)
+    across = len(free_axes(result)) == 1
+    both = bool(result.study.requirements) or not across
+    figure = Figure(figsize=SLIDE if across else (SLIDE[0], SLIDE[1] + 0.6), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(1, 1 + both, sharey=not across))
+    if across:
+        typical(result, panels[0])
+        if both:
+            probability(result, panels[1])
+    else:
+        probability(result, panels[0])
+        typical(result, panels[1])
+        panels[1].set_ylabel("")
+        for ax in panels:
+            if (legend := ax.get_legend()) is not None:
+                legend.remove()
+        keys = [(f"{HALF[0]}, or {LIMIT[0]}", "-"), BOUND]
+        figure.legend(handles=map_keys(result, keys), loc="outside lower center", ncols=2, frameon=False)
+    title(figure, f"{result.study.config.description or result.study.name}{held(result)}")
+    return figure
+
+
+@styled
+def probability(result: Result, ax: Axes | None = None) -> Figure:
+    """Failure probability over the first one or two axes of a sweep, with what its exact interval allows to say.
+
+    Along one axis the interval is a band. On a map the solid contour is a probability of one half, and beyond the
+    dashed one the interval's upper end exceeds 5 %.
+
+    Args:
+        result: A sweep; axes beyond the second are held at their first value.
+        ax: Where to draw; None: a figure of its own.
+
+    Raises:
+        ValueError: the result has no sweep.
+    """
+    result = held_to_two(result)
+    figure, ax = panel(ax, PANEL if len(free_axes(result)) == 1 else (PANEL[0], PANEL[1] + 0.8))
+    axes = free_axes(result)
+    if len(axes) == 1:
+        probability_curve(ax, result, axes[0])
+    else:
+        probability_map(ax, result, *axes)
+    return figure
+
+
+@styled
+def typical(result: Result, ax: Axes | None = None, metric: str | None = None) -> Figure:
+    """Median of a metric over the first one or two axes of a sweep; along one axis with 5 to 95 % of draws.
+
+    Args:
+        result: A sweep; axes beyond the second are held at their first value.
+        ax: Where to draw; None: a figure of its own.
+        metric: Name of the metric; None: the one that the study is about.
+
+    Raises:
+        ValueError: the result has no sweep.
+        KeyError: the result has no such metric.
+    """
+    result = held_to_two(result)
+    figure, ax = panel(ax, PANEL if len(free_axes(result)) == 1 else (PANEL[0], PANEL[1] + 0.8))
+    axes = free_axes(result)
+    if len(axes) == 1:
+        typical_curve(ax, result, measured(result, metric), axes[0])
+    else:
+        typical_map(ax, result, measured(result, metric), *axes)
+    return figure
+
+
+def free_axes(result: Result) -> list[str]:
+    """The swept parameters that the dataset still has as dimensions."""
+    return [name for name in result.study.axes if name in result.dataset.dims]
+
+
+def held_to_two(result: Result) -> Result:
+    """The result with its first two axes of several values; the others held at their first value.
+
+    Raises:
+        ValueError: the result has no sweep.
+    """
+    axes = free_axes(result)
+    if not axes:
+        raise ValueError("the result has no sweep; plot.failures shows a run")
+    shown = [name for name in axes if result.dataset.sizes[name] > 1][:2] or axes[:1]
+    fixed = {name: 0 for name in axes if name not in shown}
+    return result.at(fixed) if fixed else result
+
+
+def held(result: Result) -> str:
+    """The swept parameters that a figure holds at one value, for its title."""
+    left = [name for name in result.study.axes if name not in result.dataset.dims]
+    return "".join(f"; {name} = {result.dataset[name].item():g}" for name in left)
+
+
+def typical_curve(ax: Axes, result: Result, measure: Measure, axis: str) -> None:
+    """A metric's quantiles along one axis."""
+    x = result.dataset[axis].values
+    low, middle, high = quantiles(result, measure)
+    several = result.study.config.draws > 1
+    if several:
+        ax.fill_between(x, low, high, color=BLUE, alpha=0.2, linewidth=0.0, label="5 to 95 % of draws")
+    ax.plot(x, middle, "o-", color=BLUE, label="median" if several else "simulated")
+    if len(x) > 1:
+        ax.set_xlim(x.min(), x.max())
+    if not np.isfinite(middle).any():
+        ax.text(0.5, 0.5, "no finite median", transform=ax.transAxes, ha="center")
+    for limit in limits(result, measure):
+        ax.axhline(limit, color=RED, linestyle="--", label="required")
+    set_scale(ax, middle[np.isfinite(middle)], "y")
+    if result.study.config.plot.slope and len(x) > 1 and is_power(x) and is_power(middle):
+        add_slope(ax, x, middle)
+    ax.set_ylabel(label(result.dataset[measure.name].attrs))
+    finish_curve(ax, result, axis)
+
+
+def probability_curve(ax: Axes, result: Result, axis: str) -> None:
+    """The failure probability with its interval along one axis."""
+    x, failed = result.dataset[axis].values, result.failed.values
+    interval = clopper_pearson(failed.sum(-1), failed.shape[-1])
+    ax.fill_between(x, *interval.T, color=RED, alpha=0.2, linewidth=0.0, label="95 % Clopper-Pearson")
+    ax.plot(x, failed.mean(-1), "o-", color=RED, label="failed draws")
+    ax.set(ylabel="failure probability", ylim=(-0.03, 1.03))
+    ax.yaxis.set_major_formatter(PercentFormatter(1.0))
+    finish_curve(ax, result, axis)
+
+
+def finish_curve(ax: Axes, result: Result, axis: str) -> None:
+    """What every curve shows: the certified stretch, the study's own value, scale and labels of the axis."""
+    x = result.dataset[axis].values
+    set_scale(ax, x)
+    certified = certified_region(result)
+    if certified is not None and certified.any():
+        inside = certified.values
+        edges = cell_edges(x, is_log(x))
+        for i in np.flatnonzero(inside):
+            text = CERTIFIED if i == inside.argmax() else None
+            ax.axvspan(edges[i], edges[i + 1], fc="none", ec=GREEN, hatch="//", linewidth=0.0, label=text)
+        ax.set_xlim(edges[0], edges[-1])
+    mark_own_value(ax, result, axis, GREY)
+    ax.set_xlabel(named(axis, result.dataset[axis].attrs))
+    ax.legend(frameon=False)
+
+
+def probability_map(ax: Axes, result: Result, down: str, across: str) -> None:
+    """Failure probability over two axes."""
+    failed = result.failed.transpose(down, across, "draw").values
+    draws, share = failed.shape[-1], failed.mean(-1)
+    x, y = result.dataset[across].values, result.dataset[down].values
+    image = ax.pcolormesh(x, y, share, cmap="cividis", vmin=0.0, vmax=1.0, **cells(share))
+    contour(ax, x, y, share, 0.5, "-")
+    contour(ax, x, y, clopper_pearson(failed.sum(-1), draws)[..., 1], 0.05, "--")
+    text = f"failure probability ({draws} draws)"
+    ax.figure.colorbar(image, ax=ax, format=PercentFormatter(1.0), label=text)
+    required = "; ".join(r.text for r in result.study.requirements) or "the draw stays finite"
+    ax.set_title(textwrap.fill(required, 44), parse_math=False)
+    finish_map(ax, result, down, across, [HALF, BOUND])
+
+
+def typical_map(ax: Axes, result: Result, measure: Measure, down: str, across: str) -> None:
+    """The median of a metric over two axes."""
+    x, y = result.dataset[across].values, result.dataset[down].values
+    middle = upper_quantiles(result.dataset[measure.name].transpose(down, across, "draw").values, (0.5,))[0]
+    finite = middle[np.isfinite(middle)]
+    norm = "log" if is_log(finite) else "linear"
+    upper_limits = [r.maximum for r in result.study.requirements if r.measure.name == measure.name and r.maximum]
+    cap = 30.0 * min(upper_limits) if upper_limits and norm == "log" else None
+    if not finite.size:
+        ax.text(0.5, 0.5, "no finite median", transform=ax.transAxes, ha="center")
+    image = ax.pcolormesh(x, y, middle, cmap="viridis", norm=norm, **cells(middle), **clip(finite, cap))
+    ax.figure.colorbar(
+        image,
+        ax=ax,
+        label=textwrap.fill(f"median {label(result.dataset[measure.name].attrs)}", 40),
+        extend="max" if clip(finite, cap) else "neither",
+    )
+    for limit in limits(result, measure):
+        contour(ax, x, y, middle, limit, "-")
+    ax.set_title("median over draws")
+    finish_map(ax, result, down, across, [LIMIT] if limits(result, measure) else [])
+
+
+def finish_map(ax: Axes, result: Result, down: str, across: str, keys: list[tuple[str, Any]]) -> None:
+    """What every map shows: the certified region, the study's own values, scales, labels and a key below."""
+    x, y = result.dataset[across].values, result.dataset[down].values
+    certified = certified_region(result)
+    if certified is not None and certified.any():
+        inside = certified.transpose(down, across).values
+        hatched = np.ma.masked_array(np.ones(inside.shape), mask=~inside)
+        ax.pcolor(x, y, hatched, shading="nearest", facecolor="none", edgecolor="white", hatch="//", linewidth=0.0)
+    ax.grid(False)
+    set_scale(ax, x)
+    set_scale(ax, y, "y")
+    mark_own_value(ax, result, across, "white")
+    mark_own_value(ax, result, down, "white", "y")
+    ax.set_xlabel(named(across, result.dataset[across].attrs))
+    ax.set_ylabel(named(down, result.dataset[down].attrs))
+    if handles := map_keys(result, keys):
+        ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.24), frameon=False)
+
+
+def cells(values: np.ndarray) -> dict[str, Any]:
+    """How a map's cells are drawn: as one image where they are many."""
+    return {"shading": "nearest", "rasterized": values.size > FINE}
+
+
+def map_keys(result: Result, keys: list[tuple[str, Any]]) -> list[Any]:
+    """Legend of what is white on a map: its contours, and what every map shows."""
+    ink = rcParams["text.color"]
+    if any(reaches_own_value(result, name) for name in free_axes(result)):
+        keys = [*keys, ("the study's own value", ":")]
+    handles: list[Any] = [Line2D([], [], color=ink, linestyle=line, linewidth=1.8, label=text) for text, line in keys]
+    if (certified := certified_region(result)) is not None and certified.any():
+        handles.append(Patch(facecolor="none", edgecolor=ink, hatch="//", linewidth=0.0, label=CERTIFIED))
+    return handles
+
+
+def certified_region(result: Result) -> Any:
+    """Where Table 1 certifies the loop, over the axes that are left; None where nobody has looked."""
+    return result.dataset["certified"].astype(bool) if "certified" in result.dataset else None
+
+
+def quantiles(result: Result, measure: Measure) -> np.ndarray:
+    """5 %, 50 % and 95 % quantiles over draws, shape (3, axes...); draws without a value count as infinite."""
+    return upper_quantiles(result.dataset[measure.name].values, (0.05, 0.5, 0.95))
+
+
+def cell_edges(values: np.ndarray, logarithmic: bool) -> np.ndarray:
+    """Borders half way between neighbours, and as far beyond both ends; shape (n + 1,)."""
+    x = np.log(values) if logarithmic else values
+    half = np.diff(x) / 2.0 if len(x) > 1 else np.array([0.5])
+    edges = np.concatenate(([x[0] - half[0]], x[:-1] + half[: len(x) - 1], [x[-1] + half[-1]]))
+    return np.exp(edges) if logarithmic else edges
+
+
+def own_value(result: Result, name: str) -> float | None:
+    """The value that the study itself gives a swept number; None where it is a law."""
+    value = result.study.leaves().get(name)
+    return float(value) if isinstance(value, float) else None
+
+
+def reaches_own_value(result: Result, name: str) -> bool:
+    """Whether an axis reaches the study's own value of it."""
+    value, axis = own_value(result, name), result.study.axes[name]
+    return value is not None and min(axis) <= value <= max(axis)
+
+
+def mark_own_value(ax: Axes, result: Result, name: str, colour: str, which: str = "x") -> None:
+    """A dotted line at the study's own value of a swept number, if the axis reaches it."""
+    if reaches_own_value(result, name):
+        line = ax.axvline if which == "x" else ax.axhline
+        line(own_value(result, name) or 0.0, color=colour, linestyle=":", linewidth=2.0)
+
+
+def is_power(values: np.ndarray) -> bool:
+    """Whether the values have logarithms."""
+    return bool(np.isfinite(values).all() and (values > 0).all())
+
+
+def fitted_slope(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Slope and intercept of log y against log x by least squares."""
+    slope, intercept = np.polyfit(np.log(x), np.log(y), 1)
+    return float(slope), float(intercept)
+
+
+def add_slope(ax: Axes, x: np.ndarray, y: np.ndarray) -> None:
+    """The fitted power law."""
+    slope, intercept = fitted_slope(x, y)
+    ax.plot(x, np.exp(intercept) * x**slope, color=GREY, linestyle="--", label=f"fitted slope {slope:.2f}")
+
+
+def clip(finite: np.ndarray, cap: float | None) -> dict[str, Any]:
+    """Colour limits: a diverging corner shall not flatten the rest."""
+    if cap is None or not finite.size or not finite.min() < cap < finite.max():
+        return {}
+    return {"vmin": float(finite.min()), "vmax": cap}
+
+
+def contour(ax: Axes, x: np.ndarray, y: np.ndarray, z: np.ndarray, level: float, style: str) -> None:
+    """A white contour where the level is crossed."""
+    if min(z.shape) >= 2 and np.nanmin(z) < level < np.nanmax(z):
+        shown = np.where(np.isfinite(z), z, 1e3 * abs(level))
+        ax.contour(x, y, shown, levels=(level,), colors="white", linewidths=1.8, linestyles=style)

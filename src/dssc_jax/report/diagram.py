@@ -1,0 +1,178 @@
+"""The closed loop as a block diagram, drawn from the slots that a study fills."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import htpy as h
+
+from dssc_jax.study import Study
+
+WIDTH, HEIGHT, GAP = 158, 66, 44  # of a block, and between blocks
+FORWARD, ABOVE, BACK = 150, 34, 256  # upper edges of the rows of blocks
+MARGIN, RADIUS, FITS = 14, 9, 24  # FITS: characters across a block
+ABSENT = ("none", "ideal")
+NAMES = {
+    "reference": "reference",
+    "controller": "controller",
+    "unmodelled": "unmodelled",
+    "plant": "plant",
+    "disturbance": "disturbance d",
+    "wind": "wind",
+    "sensor": "sensor",
+    "differentiator": "differentiator",
+}
+
+
+@dataclass
+class Drawing:
+    """Blocks and lines as they are put down, and how far they reach."""
+
+    parts: list[h.Element] = field(default_factory=list)
+
+    def block(self, x: int, y: int, title: str, lines: Sequence[str]) -> None:
+        """A block with its title and up to two lines below."""
+        texts = [title, *(shortened(line) for line in lines if line)]
+        first = y + HEIGHT // 2 - 8 * (len(texts) - 1) + 5
+        self.parts.append(
+            h.g[
+                h.title[" ".join((title, *lines))],
+                h.rect(".block", x=x, y=y, width=WIDTH, height=HEIGHT, rx=6),
+                (
+                    h.text(class_="title" if i == 0 else "line", x=x + WIDTH // 2, y=first + 16 * i)[text]
+                    for i, text in enumerate(texts)
+                ),
+            ]
+        )
+
+    def arrow(self, *points: tuple[int, int], label: str = "") -> None:
+        """A line through points with its head at the last; the label stands over its first stretch."""
+        (x, y), (x2, y2) = points[0], points[1]
+        path = "M" + "L".join(f"{a} {b}" for a, b in points)
+        self.parts.append(h.path(".wire", d=path, marker_end="url(#arrow)"))
+        if label:
+            beside = (x + 7, (y + y2) // 2 + 4) if x == x2 else ((x + x2) // 2, y - 7)
+            self.parts.append(h.text(".signal", x=beside[0], y=beside[1])[label])
+
+    def junction(self, x: int, y: int) -> None:
+        """A circle in which signals are added."""
+        self.parts.append(h.circle(".sum", cx=x, cy=y, r=RADIUS))
+        self.parts.append(h.text(".plus", x=x, y=y + 5)["+"])
+
+
+def kind_of(study: Study, slot: str) -> str:
+    """The kind that a slot of the study holds."""
+    return str(getattr(study.config, slot)["kind"])
+
+
+def present(study: Study, slot: str) -> bool:
+    """Whether a slot holds more than nothing, in any channel."""
+    table = getattr(study.config, slot)
+    own = [table[name] for name in study.loop.channels if name and name in table]
+    return any(part.get("kind", table["kind"]) not in ABSENT for part in (table, *own))
+
+
+def has_nominal(study: Study) -> bool:
+    """Whether the controller has a nominal part."""
+    return any(getattr(gains, "nominal", None) is not None for gains in study.template.controller)
+
+
+def notes(study: Study, slot: str) -> list[str]:
+    """Under a block's title: its kind, and which of its numbers are uncertain or swept."""
+    functions = getattr(study.config, slot).get("functions")
+    inner = f": {functions['kind']}" if isinstance(functions, dict) and "kind" in functions else ""
+    marks = (("~", study.laws), ("⇄", study.axes))
+    uncertain = [f"{mark} {name.rpartition('.')[2]}" for mark, names in marks for name in within(names, slot)]
+    few = len(uncertain) <= 2
+    return [kind_of(study, slot) + inner, "  ".join(uncertain) if few else f"~ {len(uncertain)} uncertain or swept"]
+
+
+def within(names: object, slot: str) -> Iterator[str]:
+    """The dotted names that belong to a slot."""
+    return (name for name in names if name.startswith(f"{slot}."))  # type: ignore[union-attr, attr-defined]
+
+
+def shortened(text: str) -> str:
+    """What fits into a block."""
+    return text if len(text) <= FITS else f"{text[: FITS - 1]}…"
+
+
+def words(study: Study) -> str:
+    """The diagram in one sentence."""
+    slots = [slot for slot in NAMES if slot in ("reference", "plant", "controller") or present(study, slot)]
+    parts = [f"{NAMES[slot]} {kind_of(study, slot)}" for slot in slots]
+    nominal = ", with a nominal part added to the command" if has_nominal(study) else ""
+    return f"Block diagram of the closed loop: {', '.join(parts)}{nominal}. The output is fed back to the controller."
+
+
+def diagram(study: Study) -> h.Element:
+    """The loop as an SVG element: the forward path from reference to output, what enters it, and the feedback."""
+    drawing = Drawing()
+    middle, several = FORWARD + HEIGHT // 2, len(study.loop.channels) > 1
+    drawing.block(MARGIN, FORWARD, NAMES["reference"], notes(study, "reference"))
+    x = MARGIN + WIDTH
+    drawing.arrow((x, middle), (x + GAP, middle), label="yₘ")
+    controller = x + GAP
+    drawing.block(controller, FORWARD, NAMES["controller"], notes(study, "controller"))
+    x = controller + WIDTH
+    if has_nominal(study):
+        x = add(drawing, x, middle, "nominal control", [], controller, "u", "uₙ")
+    if present(study, "unmodelled"):
+        drawing.arrow((x, middle), (x + GAP, middle), label="uₚ" if has_nominal(study) else "u")
+        drawing.block(x + GAP, FORWARD, NAMES["unmodelled"], notes(study, "unmodelled"))
+        x += GAP + WIDTH
+    if present(study, "disturbance"):
+        x = add(drawing, x, middle, NAMES["disturbance"], notes(study, "disturbance"), x - WIDTH, "", "d")
+    drawing.arrow((x, middle), (x + GAP, middle))
+    plant = x + GAP
+    drawing.block(plant, FORWARD, NAMES["plant"], notes(study, "plant"))
+    if present(study, "wind"):
+        above = max(plant, x + RADIUS + 4)
+        drawing.block(above, ABOVE, NAMES["wind"], notes(study, "wind"))
+        drawing.arrow((above + WIDTH // 2, ABOVE + HEIGHT), (above + WIDTH // 2, FORWARD))
+    end = plant + WIDTH
+    drawing.arrow((end, middle), (end + GAP + MARGIN, middle))
+    drawing.parts.append(h.text(".signal", x=end + GAP, y=middle - 9)["y"])
+    bottom = feed_back(drawing, study, end + GAP // 2, middle, controller + WIDTH // 2)
+    if several:
+        text = f"Everything but reference, wind and plant is there in each channel: {', '.join(study.loop.channels)}."
+        bottom += 2 * MARGIN
+        drawing.parts.append(h.text(".note", x=MARGIN, y=bottom)[text])
+    top = ABOVE if any((has_nominal(study), present(study, "disturbance"), present(study, "wind"))) else FORWARD
+    size = (end + GAP + 2 * MARGIN, bottom - top + 2 * MARGIN)
+    head = h.marker("#arrow", viewBox="0 0 8 8", refX=8, refY=4, markerWidth=8, markerHeight=8, orient="auto")
+    box = f"0 {top - MARGIN} {size[0]} {size[1]}"
+    return h.svg(".diagram", role="img", aria_label=words(study), viewBox=box, width=size[0])[
+        h.defs[head[h.path(".head", d="M0 0L8 4L0 8z")]], drawing.parts
+    ]
+
+
+def add(
+    drawing: Drawing, x: int, middle: int, title: str, lines: Sequence[str], above: int, before: str, label: str
+) -> int:
+    """A block in the upper row whose signal is added to the forward path; returns where that goes on."""
+    node = max(x + GAP, above + WIDTH + GAP)
+    drawing.block(above, ABOVE, title, lines)
+    drawing.arrow((x, middle), (node - RADIUS, middle), label=before)
+    drawing.parts.append(h.text(".signal", x=above + WIDTH + GAP // 2, y=ABOVE + HEIGHT // 2 - 7)[label])
+    drawing.arrow((above + WIDTH, ABOVE + HEIGHT // 2), (node, ABOVE + HEIGHT // 2), (node, middle - RADIUS))
+    drawing.junction(node, middle)
+    return node + RADIUS
+
+
+def feed_back(drawing: Drawing, study: Study, start: int, middle: int, into: int) -> int:
+    """The way back: from the output through sensor and differentiator, where there are any, into the controller.
+
+    Returns:
+        The lowest point.
+    """
+    drawing.parts.append(h.circle(".node", cx=start, cy=middle, r=3))
+    slots = [slot for slot in ("sensor", "differentiator") if present(study, slot)]
+    row = BACK + HEIGHT // 2 if slots else BACK
+    here = [(start, middle), (start, row)]
+    for i, slot in enumerate(slots):
+        right = start - GAP - i * (WIDTH + GAP)
+        drawing.arrow(*here, (right, row))
+        drawing.block(right - WIDTH, BACK, NAMES[slot], notes(study, slot))
+        here = [(right - WIDTH, row)]
+    drawing.arrow(*here, (into, row), (into, FORWARD + HEIGHT))
+    return BACK + HEIGHT if slots else BACK

@@ -1,0 +1,97 @@
+"""What the page is built of: sections, tables, figures and numbers. Text is escaped by htpy wherever it comes from."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import htpy as h
+
+from dssc_jax.statistics import CONFIDENCE, clopper_pearson
+
+MINUS = "\N{MINUS SIGN}"
+LEVEL = f"{100 * CONFIDENCE:g} %"
+
+
+class Section(NamedTuple):
+    """A part of the page under a heading of its own.
+
+    Args:
+        key: Its anchor.
+        heading: What the contents list says.
+        body: Anything that htpy can render.
+    """
+
+    key: str
+    heading: str
+    body: h.Node
+
+
+def number(value: float | None) -> str:
+    """Four significant digits; a value that a draw does not have is infinite."""
+    if value is None or math.isinf(value):
+        return "∞" if value is None or value > 0 else f"{MINUS}∞"
+    return "none" if math.isnan(value) else f"{value:.4g}".replace("-", MINUS)
+
+
+def with_unit(value: float, unit: str) -> str:
+    """A number and its unit; a dimensionless one has none."""
+    return number(value) if unit in ("", "1") else f"{number(value)} {unit}"
+
+
+def probability(failures: int, draws: int) -> str:
+    """A probability as a cell shows it: none in n is an upper bound, never 0."""
+    return number(failures / draws) if failures else f"≤ {clopper_pearson(0, draws)[1]:.3g}"
+
+
+def interval(failures: int, draws: int) -> str:
+    """The exact interval of a probability."""
+    low, high = clopper_pearson(failures, draws)
+    return f"{low:.3g} to {high:.3g}"
+
+
+def counted(count: int, noun: str) -> str:
+    """A count with its noun in the right number."""
+    return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
+
+
+def table(caption: str, head: Sequence[h.Node], rows: Sequence[Sequence[h.Node]], words: int = 1) -> h.Element:
+    """A table with its caption and headers; the first cell of a row is the row's header.
+
+    Args:
+        caption: What it shows.
+        head: The columns' headers.
+        rows: The cells.
+        words: How many leading columns hold words; the others hold numbers and are set to the right.
+    """
+    look = ["words" if i < words else None for i in range(len(head))]
+    return h.div(".scroll", role="region", tabindex="0", aria_label=caption)[
+        h.table[
+            h.caption[caption],
+            h.thead[h.tr[(h.th(scope="col", class_=c)[text] for text, c in zip(head, look, strict=True))]],
+            h.tbody[(row_of(row, look) for row in rows)],
+        ]
+    ]
+
+
+def row_of(row: Sequence[h.Node], look: Sequence[str | None]) -> h.Element:
+    """One row, under its own header."""
+    first, *rest = row
+    return h.tr[
+        h.th(scope="row", class_=look[0])[first],
+        (h.td(class_=c)[cell] for cell, c in zip(rest, look[1:], strict=True)),
+    ]
+
+
+def figure(picture: h.Node, caption: h.Node) -> h.Element:
+    """A picture with its caption."""
+    return h.figure[h.div(".scroll", role="group", tabindex="0", aria_label="figure")[picture], h.figcaption[caption]]
+
+
+def facts(pairs: Sequence[tuple[str, h.Node]], class_: str = "facts") -> h.Element:
+    """Names with their values."""
+    return h.dl(class_=class_)[(h.div[h.dt[name], h.dd[value]] for name, value in pairs)]
+
+
+def folded(summary: str, body: h.Node, on_paper: bool = False) -> h.Element:
+    """What one opens to see; on paper it is open or absent."""
+    return h.details(class_="printed" if on_paper else None)[h.summary[summary], body]

@@ -1,0 +1,278 @@
+"""Sections on what was found: outcome, sweep, metrics, causes, worst draws, chattering."""
+
+from functools import partial
+from typing import Any
+
+import htpy as h
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from dssc_jax import plotting
+from dssc_jax.dataset import outcome_codes
+from dssc_jax.metrics import Measure
+from dssc_jax.plotting.draws import shown_laws
+from dssc_jax.report.elements import (
+    LEVEL,
+    Section,
+    counted,
+    facts,
+    figure,
+    folded,
+    interval,
+    number,
+    probability,
+    table,
+    with_unit,
+)
+from dssc_jax.report.subject import Subject
+from dssc_jax.report.vector import inline
+from dssc_jax.results import Result, headline, upper_quantiles
+from dssc_jax.study import Study
+from dssc_jax.types import Outcome
+
+MOST_ROWS, MOST_FACTORS = 400, 24
+CERTIFIED = {None: "not evaluated", True: "yes", False: "no"}
+WORDS = {
+    "ok": "meets all that is required",
+    "non_finite": "does not stay finite",
+    "singular_attitude": "reaches a singular attitude",
+}
+CHATTER = ("command_tv", "sampling_ratio", "sampling_ratio_above_1", "outside_sliding")
+
+
+def outcome(about: Subject) -> Section:
+    """How the draws ended, with exact intervals."""
+    if about.result.study.axes:
+        return Section("outcome", "The outcome", points(about))
+    (point,) = about.summary["points"]
+    draws = point["draws"]
+    words = endings(about.result.study)
+    rows: list[tuple[h.Node, ...]] = [
+        (words[name], f"{n:,}", number(n / draws) if n else probability(0, draws), interval(n, draws))
+        for name, n in point["outcomes"].items()
+    ]
+    rows.append((h.strong["fails in any way"], *fails(point)))
+    head = ("how a draw ended", "draws", "probability", f"{LEVEL} interval")
+    note = [
+        f"Intervals are exact (Clopper-Pearson), each at {LEVEL} on its own. A way that no draw in {draws:,} ended is ",
+        "told by its upper bound. Certified by Table 1: ",
+        h.strong[CERTIFIED[point["certified"]]],
+        ".",
+    ]
+    return Section("outcome", "The outcome", [table(f"Outcomes of {counted(draws, 'draw')}", head, rows), h.p[note]])
+
+
+def endings(study: Study) -> dict[str, str]:
+    """Every outcome by the name it has in results, in words."""
+    return {
+        name: WORDS.get(name) or f"fails {study.requirements[code - Outcome.REQUIREMENT].text}"
+        for code, name in outcome_codes(study).items()
+    }
+
+
+def fails(point: dict[str, Any]) -> tuple[str, str, str]:
+    """Failures of a point, their probability and its interval."""
+    failures, draws = point["failures"], point["draws"]
+    return f"{failures:,}", probability(failures, draws), interval(failures, draws)
+
+
+def points(about: Subject) -> list[h.Node]:
+    """Points of a sweep: the best, the worst, the one looked at closely; and all of them, folded."""
+    study, found = about.result.study, about.summary["points"]
+    names = [(name, study.quantities[name].unit) for name in study.axes]
+    swept = [name if unit == "1" else f"{name} [{unit}]" for name, unit in names]
+    middle = f"median {headline(about.result).name}"
+    head = (*swept, "failures", "probability", f"{LEVEL} interval", middle, "certified")
+    best, most = (pick(found, key=lambda point: point["probability"]) for pick in (min, max))
+    shape = tuple(len(values) for values in study.axes.values())
+    close = found[int(np.ravel_multi_index(tuple(about.index.values()), shape))]
+    picked = {"least failures": best, "nearest to half": close, "most failures": most}
+    some = [(name, *cells(about, point)) for name, point in picked.items()]
+    every = [cells(about, point) for point in found[:MOST_ROWS]]
+    more = f"; the first {MOST_ROWS} of {len(found):,}, all are in summary.json" if len(found) > MOST_ROWS else ""
+    caption = f"{counted(study.config.draws, 'draw')} at each point{more}"
+    note = (
+        f"Intervals are exact (Clopper-Pearson), each at {LEVEL} on its own; the draws of all points are the same, "
+        "so that differences between points are sharper than the intervals suggest."
+    )
+    return [
+        table("Three points of the sweep", ("point", *head), some),
+        h.p[note],
+        folded(f"All {counted(len(found), 'point')}", table(caption, head, every)),
+    ]
+
+
+def cells(about: Subject, point: dict[str, Any]) -> tuple[h.Node, ...]:
+    """A point of a sweep as a row: where, failures with interval, the headline's median, the certificate."""
+    where = (number(point[name]) for name in about.result.study.axes)
+    middle = point["metrics"][headline(about.result).name]["q50"]
+    return *where, *fails(point), number(middle), CERTIFIED[point["certified"]]
+
+
+def sweep(about: Subject) -> Section | None:
+    """Failure probability and the headline metric over the sweep."""
+    result = about.result
+    if not result.study.axes:
+        return None
+    evaluated = "certified" in result.dataset
+    note = "Hatched: certified by Table 1." if evaluated else "The certified region was not evaluated."
+    shown = [name for name, values in result.study.axes.items() if len(values) > 1][:2]
+    rest = [f"{name} = {values[0]:g}" for name, values in result.study.axes.items() if name not in shown]
+    held = f" Held: {', '.join(rest)}." if rest else ""
+    shares = [point["probability"] for point in about.summary["points"]]
+    over = " and ".join(shown or result.study.axes)
+    low, high = number(min(shares)), number(max(shares))
+    text = f"Failure probability over {over}: from {low} to {high}. All points are in the table of the outcome."
+    metric = headline(result).name
+    captions = (f"Failure probability. {note}{held}", f"Median of {metric}: half of the draws are below.{held}")
+    pictures = (
+        inline(lambda: plotting.probability(result), text, "probability"),
+        inline(lambda: plotting.typical(result), f"Median of {metric} over {over}.", "typical"),
+    )
+    return Section("sweep", "The sweep", h.div(".pair")[map(figure, pictures, captions)])
+
+
+def metrics(about: Subject) -> Section:
+    """Quantiles of every metric."""
+    study, close = about.result.study, about.close
+    rows = []
+    for measure in study.measures:
+        found = upper_quantiles(close.dataset[measure.name].values, (0.05, 0.5, 0.95))
+        unit = unit_of(close, measure)
+        asked = [requirement for requirement in study.requirements if requirement.measure == measure]
+        bounds = [f"{'≤' if r.maximum is not None else '≥'} {r.bound:g}" for r in asked]
+        meaning = close.dataset[measure.name].attrs["long_name"]
+        rows.append((h.code[measure.name], meaning, unit, *map(number, found), " ".join(bounds)))
+    head = ("metric", "meaning", "unit", "5 %", "median", "95 %", "required")
+    name = headline(about.result).name
+    text = f"Share of draws at or below each value of {name}; its quantiles are in the table."
+    picture = inline(lambda: plotting.distribution(close), text, "distribution")
+    caption = f"Distribution of {name} with the exact interval of each share."
+    body = [
+        h.p[f"Quantiles over draws{about.where}. A draw that ended early counts as ∞."],
+        table("Quantiles of the metrics", head, rows, words=3),
+        h.div(".pair")[figure(picture, caption)],
+    ]
+    return Section("metrics", "What was measured", body)
+
+
+def unit_of(result: Result, measure: Measure) -> str:
+    """A metric's unit as a cell shows it."""
+    unit = result.dataset[measure.name].attrs["units"]
+    return "" if unit == "1" else unit
+
+
+def causes(about: Subject) -> Section | None:
+    """Failures against each uncertain number."""
+    close = about.close
+    names = shown_laws(close)[:MOST_FACTORS]
+    failures = int(close.failed.sum())
+    if not names or not 0 < failures < close.failed.size:
+        return None
+    pictures = []
+    for i, name in enumerate(names):
+        text = f"Failure probability against {name}, in bins of equal count, with exact intervals."
+        picture = inline(partial(plotting.factor, close, name), text, f"cause{i}")
+        pictures.append(figure(picture, [h.code[name], f": {close.study.quantities[name].meaning}"]))
+    left = len(close.study.laws) - len(names)
+    more = f" {counted(left, 'number')} more are in the dataset." if left > 0 else ""
+    note = (
+        f"Failure probability{about.where}, in bins of equal count of one uncertain number while all the others vary, "
+        f"with exact {LEVEL} intervals. A slope tells on what failures depend.{more}"
+    )
+    return Section("causes", "What failures depend on", [h.p[note], h.div(".grid")[pictures]])
+
+
+def worst(about: Subject) -> Section | None:
+    """The draws with the smallest margins, over time."""
+    if not about.trajectories:
+        return None
+    laws, words = about.result.study.laws, endings(about.result.study)
+    body: list[h.Node] = [
+        h.p[
+            f"The draws with the smallest margin{about.where}, simulated again. Each can be had with ",
+            h.code["dssc-jax replay"],
+            "; its index is all that is needed.",
+        ]
+    ]
+    for rank, run in enumerate(about.trajectories):
+        drawn = [(name, with_unit(run.attrs[name], about.result.study.quantities[name].unit)) for name in laws]
+        text = described(run, words)
+        picture = inline(partial(untitled, run), text, f"worst{rank}")
+        gap = run.attrs["deviation"]
+        agrees = f"Its metrics are the stored ones{f' within {gap:.1g} of their value' if gap else ''}."
+        body += [h.h3[f"Draw {run.attrs['draw']}"], figure(picture, f"{text} {agrees}"), facts(drawn)]
+    return Section("worst", "The worst draws", body)
+
+
+def untitled(run: xr.Dataset) -> Figure:
+    """A trajectory without its title, which the page gives."""
+    figure = plotting.trajectory(run)
+    figure.suptitle("")
+    return figure
+
+
+def described(run: xr.Dataset, words: dict[str, str]) -> str:
+    """How a draw ended, in a sentence."""
+    ended = words[run.attrs["outcome_meaning"]]
+    at = "" if np.isnan(run.attrs["failed_at"]) else f" at {run.attrs['failed_at']:.4g} s"
+    return f"Draw {run.attrs['draw']} over time: it {ended}{at}."
+
+
+def chattering(about: Subject) -> Section | None:
+    """How much the command moves, and whether the sampling allows what the gains ask for."""
+    study, close = about.result.study, about.close
+    measures = [measure for measure in study.measures if measure.kind in CHATTER]
+    if not measures:
+        return None
+    rows = []
+    for measure in measures:
+        values = close.dataset[measure.name].values
+        middle, high, largest = upper_quantiles(values, (0.5, 0.95, 1.0))
+        unit = unit_of(close, measure)
+        rows.append((h.code[measure.name], measure.metric.meaning, unit, number(middle), number(high), number(largest)))
+    head = ("metric", "meaning", "unit", "median", "95 %", "largest")
+    body: list[h.Node] = [
+        h.p[
+            "A total variation of the command far above its range means that it switches. A sampling ratio above 1 "
+            "says that the sampled loop chatters or diverges, since the hold is too slow for the gain.",
+            above_one(about),
+        ],
+        table(f"Chattering{about.where}", head, rows, words=3),
+    ]
+    if study.axes and any(measure.name == "command_tv" for measure in measures):
+        picture = inline(
+            lambda: plotting.typical(about.result, metric="command_tv"),
+            "Median total variation of the command over the sweep.",
+            "chattering",
+        )
+        body.append(h.div(".pair")[figure(picture, "Median total variation of the robust command.")])
+    return Section("chattering", "Chattering", body)
+
+
+def above_one(about: Subject) -> str:
+    """How many lanes have a sampling ratio above 1 at some time; of a vehicle, in any channel."""
+    names = [measure.name for measure in about.result.study.measures if measure.kind == "sampling_ratio"]
+    if not names:
+        return ""
+    ratios = np.max([about.result.dataset[name].values for name in names], axis=0)
+    lanes = int(np.count_nonzero(ratios > 1.0))
+    return f" Here {lanes:,} of {ratios.size:,} simulated loops have one at some time."
+
+
+def verdict(about: Subject) -> tuple[str, str]:
+    """The result in a few characters, and in a sentence."""
+    found = about.summary["points"]
+    if not about.result.study.axes:
+        failures, draws = found[0]["failures"], found[0]["draws"]
+        said = f"{failures:,} of {draws:,} draws fail; {LEVEL} interval {interval(failures, draws)}"
+        return probability(failures, draws), said
+    best, most = (pick(found, key=lambda point: point["probability"]) for pick in (min, max))
+    text = " to ".join(probability(point["failures"], point["draws"]) for point in (best, most))
+    return text, f"from the best to the worst of {counted(len(found), 'point')}, {best['draws']:,} draws each"
+
+
+def title_of(study: Study) -> str:
+    """The page's title."""
+    return f"{study.name}: robustness report"

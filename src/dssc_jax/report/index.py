@@ -1,0 +1,146 @@
+"""A page over many runs: what a folder of results holds, each with its report."""
+
+import json
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import quote
+
+import htpy as h
+
+from dssc_jax import store
+from dssc_jax.errors import ConfigError
+from dssc_jax.report.asked import moment
+from dssc_jax.report.elements import counted, interval, probability, table
+from dssc_jax.report.page import REPORT, page, save, write
+from dssc_jax.results import load
+
+INDEX = "index.html"
+
+
+class Row(NamedTuple):
+    """One results folder; ``trouble`` tells why its numbers cannot be shown."""
+
+    folder: Path
+    study: str = ""
+    started: str = ""
+    size: str = ""
+    probability: str = ""
+    interval: str = ""
+    worst: float = -1.0
+    trouble: str = ""
+
+
+def folders(root: Path) -> Iterator[Path]:
+    """Every results folder below ``root``, and the folders right in it that lead to none."""
+    for child in sorted(path for path in root.iterdir() if path.is_dir()):
+        found = []
+        for place, inner, files in os.walk(child):
+            if store.MANIFEST in files:
+                found.append(Path(place))
+            inner[:] = [] if store.MANIFEST in files else sorted(set(inner) - {store.DATA})
+        yield from found or [child]
+
+
+def row_of(folder: Path) -> Row:
+    """What the index says of a folder, read from its manifest and summary alone."""
+    try:
+        manifest = store.read_manifest(folder)
+    except ConfigError as error:
+        return Row(folder, trouble=error.rule)
+    row = Row(folder, study=str(manifest["study"].get("name", "")), started=str(manifest.get("started", "")))
+    if not manifest.get("complete"):
+        return row._replace(trouble="is not complete; finish with --resume")
+    try:
+        summary = json.loads((folder / store.SUMMARY).read_text(encoding="utf-8"))
+        return row._replace(**numbers(summary["points"]))
+    except OSError as error:
+        return row._replace(trouble=f"{store.SUMMARY} cannot be read ({error.strerror})")
+    except (ValueError, KeyError, TypeError, ArithmeticError, RecursionError) as error:
+        return row._replace(trouble=f"{store.SUMMARY} is damaged: {type(error).__name__}")
+
+
+def numbers(points: list[dict[str, Any]]) -> dict[str, Any]:
+    """Size, probability and interval; of a sweep, of its best and its worst point."""
+    best, most = (pick(points, key=lambda point: point["failures"] / point["draws"]) for pick in (min, max))
+    shown = [best] if len(points) == 1 else [best, most]
+    size = counted(best["draws"], "draw") + (f" at {len(points):,} points" if len(points) > 1 else "")
+    return {
+        "size": size,
+        "probability": " to ".join(probability(point["failures"], point["draws"]) for point in shown),
+        "interval": interval(best["failures"], best["draws"]) if len(points) == 1 else "",
+        "worst": most["failures"] / most["draws"],
+    }
+
+
+def report_of(row: Row, made: Callable[[Path], None]) -> Row:
+    """The row once its report is there; one that is missing, or older than the result, is made."""
+    if row.trouble:
+        return row
+    page = row.folder / REPORT
+    try:
+        if not page.exists() or page.stat().st_mtime < (row.folder / store.SUMMARY).stat().st_mtime:
+            made(write(load(row.folder), page))
+    except ConfigError as error:
+        return row._replace(trouble=error.rule)
+    except OSError as error:
+        return row._replace(trouble=f"{REPORT} cannot be written ({error.strerror})")
+    except Exception as error:  # one report that cannot be made must not take the index with it
+        return row._replace(trouble=f"its report cannot be made: {type(error).__name__}: {error}")
+    return row
+
+
+def write_index(root: str | Path, made: Callable[[Path], None] = lambda page: None) -> tuple[Path, list[Row]]:
+    """Write ``index.html`` over the results below ``root``; reports that are missing or out of date are made first.
+
+    Args:
+        root: A folder of results folders.
+        made: Told of each report that was made.
+
+    Returns:
+        The file, and what it says of each folder.
+
+    Raises:
+        ConfigError: ``root`` is no folder.
+    """
+    top = Path(root)
+    if not top.is_dir():
+        raise ConfigError(str(top), "is not a folder of results")
+    rows = [report_of(row_of(place), made) for place in folders(top)]
+    target = top / INDEX
+    save(html(top, rows), target)
+    return target, rows
+
+
+def html(root: Path, rows: list[Row]) -> str:
+    """The index as a page: by study, then date, then probability, the newest first."""
+    good = sorted((row for row in rows if not row.trouble), key=lambda row: row.worst)
+    good = sorted(sorted(good, key=lambda row: row.started, reverse=True), key=lambda row: row.study)
+    bad = [row for row in rows if row.trouble]
+    body: list[h.Node] = []
+    if good:
+        cells = [
+            (
+                h.a(href=quote(os.fsencode((row.folder / REPORT).relative_to(root))))[row.study],
+                moment(row.started),
+                h.code[str(row.folder.relative_to(root))],
+                row.size,
+                row.probability,
+                row.interval,
+            )
+            for row in good
+        ]
+        head = ("study", "started", "folder", "size", "failure probability", "95 % interval")
+        body.append(section("runs", "Runs", table("A sweep shows its best and its worst point", head, cells, words=4)))
+    if bad:
+        troubled = [(h.code[str(row.folder.relative_to(root))], row.study, row.trouble) for row in bad]
+        caption = "Folders without a result that can be shown"
+        body.append(section("damaged", "Not shown", table(caption, ("folder", "study", "why"), troubled, words=3)))
+    lead = f"{counted(len(good), 'run')} in {root.resolve().name}" if good else f"No result in {root.resolve().name}"
+    return page(f"Results in {root.resolve().name}", [h.h1["Results"], h.p(".lead")[lead]], body, [])
+
+
+def section(key: str, heading: str, body: h.Node) -> h.Element:
+    """A part of the page."""
+    return h.section(aria_labelledby=key)[h.h2(id=key)[heading], body]

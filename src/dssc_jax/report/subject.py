@@ -1,0 +1,86 @@
+"""What a report is about: a result, the point of it that is looked at closely, and its worst draws."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from dssc_jax.api import deviation, recorder
+from dssc_jax.results import Result, headline
+
+WORST = 3  # draws that are shown over time
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A result with what several sections need of it.
+
+    Args:
+        result: The result.
+        worst: How many of its worst draws are simulated again.
+    """
+
+    result: Result
+    worst: int = WORST
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """Every point's failures, interval and quantiles."""
+        return self.result.summary()
+
+    @cached_property
+    def index(self) -> dict[str, int]:
+        """The point that is looked at closely: of a sweep the one where nearest to half of the draws fail."""
+        axes = list(self.result.study.axes)
+        share = self.result.failed.mean("draw").transpose(*axes).values
+        nearest = np.unravel_index(np.argmin(np.abs(share - 0.5)), share.shape)
+        return dict(zip(axes, map(int, nearest), strict=True))
+
+    @property
+    def point(self) -> dict[str, float]:
+        """The swept parameters' values there."""
+        return {name: self.result.study.axes[name][i] for name, i in self.index.items()}
+
+    @cached_property
+    def close(self) -> Result:
+        """The result at that point."""
+        return self.result.at(self.index)
+
+    @property
+    def where(self) -> str:
+        """That point as the end of a phrase; empty for a run."""
+        at = " and ".join(f"{name} = {value:.4g}" for name, value in self.point.items())
+        return f" at {at}, the point where nearest to half of the draws fail" if at else ""
+
+    @cached_property
+    def trajectories(self) -> list[xr.Dataset]:
+        """The worst draws simulated again; ``deviation`` compares their metrics with the stored ones."""
+        if not self.worst:
+            return []
+        study = self.result.study
+        record = recorder(study)
+        found = []
+        for draw in worst_draws(self.close, self.worst):
+            run = record(draw, self.point)
+            run.attrs["deviation"] = deviation(study, self.close.dataset.isel(draw=draw), run.attrs)
+            found.append(run)
+        return found
+
+
+def worst_draws(close: Result, count: int) -> list[int]:
+    """Draws of one point by the smallest margin relative to its bound; among those that ended early, the earliest.
+
+    Without requirements, by the largest value of the headline metric.
+    """
+    required: Mapping[str, float] = {r.name: abs(r.bound) or 1.0 for r in close.study.requirements}
+    if required:
+        margin = np.min([close.dataset[name].values / bound for name, bound in required.items()], axis=0)
+    else:
+        value = close.dataset[headline(close).name].values
+        margin = -np.where(np.isnan(value), np.inf, value)
+    ended = close.dataset["failed_at"].values
+    order = np.lexsort((np.where(np.isnan(ended), np.inf, ended), margin))
+    return [int(draw) for draw in order[:count]]

@@ -1,0 +1,55 @@
+"""The block diagram holds what the study holds, and nothing else."""
+
+import re
+
+import pytest
+
+import dssc_jax as dj
+from dssc_jax.report.diagram import FITS, diagram, words
+from dssc_jax.study.library import find
+from tests.conftest import CASE_2, UNCERTAIN
+
+
+def titles(study):
+    return set(re.findall(r'<text class="title"[^>]*>([^<]*)<', str(diagram(study))))
+
+
+ALWAYS = {"reference", "controller", "plant"}
+
+
+def test_only_what_is_present():
+    assert titles(dj.Study.from_table(CASE_2)) == ALWAYS | {"nominal control", "disturbance d"}
+    assert titles(dj.Study.from_table(UNCERTAIN)) == ALWAYS | {"unmodelled", "disturbance d"}
+    measured = {"sensor": {"kind": "noisy"}, "differentiator": {"kind": "lead_filter", "tau_f": 0.01}}
+    study = dj.Study.from_table({**UNCERTAIN, **measured, "disturbance": {"kind": "none"}})
+    assert titles(study) == ALWAYS | {"unmodelled", "sensor", "differentiator"}
+
+
+def test_a_vehicle_has_wind_and_channels():
+    study = dj.Study.load(find("uav_robustness"))
+    assert titles(study) == ALWAYS | {"nominal control", "sensor", "wind"}
+    assert "x, y, z, psi" in str(diagram(study))
+    assert "dryden" in words(study)
+
+
+def test_a_sensor_of_one_channel_alone_is_there():
+    study = dj.Study.load(find("uav_robustness")).override({"sensor": {"psi": {"kind": "noisy"}, "kind": "ideal"}})
+    assert "sensor" in titles(study)
+
+
+def test_uncertain_and_swept_numbers_are_marked():
+    drawn = str(diagram(dj.Study.load(find("mu_robustness"))))
+    assert "~ k_p  ~ a_p" in drawn
+    assert "⇄ tau_av" in drawn
+    assert "~ 3 uncertain or swept" in str(diagram(dj.Study.from_table(UNCERTAIN)))
+
+
+@pytest.mark.parametrize("name", ["mu_robustness", "paper_field_test", "uav_robustness", "residual_scaling"])
+def test_it_stays_within_its_frame(name):
+    drawn = str(diagram(dj.Study.load(find(name))))
+    left, top, width, height = map(float, re.search(r'viewBox="([^"]*)" width', drawn)[1].split())
+    for x, y, w, h in re.findall(r'<rect class="block" x="(\d+)" y="(\d+)" width="(\d+)" height="(\d+)"', drawn):
+        assert left <= float(x) <= float(x) + float(w) <= left + width
+        assert top <= float(y) <= float(y) + float(h) <= top + height
+    for line in re.findall(r'<text class="line"[^>]*>([^<]*)<', drawn):
+        assert len(line) <= FITS

@@ -1,0 +1,112 @@
+"""The index: one row a result, damaged ones among them."""
+
+import json
+import os
+import shutil
+
+import pytest
+
+from dssc_jax.errors import ConfigError
+from dssc_jax.report import write_index
+from dssc_jax.report.index import REPORT
+
+
+@pytest.fixture
+def results(ran, tmp_path):
+    """A folder of one good result, with a report already."""
+    ran.save(tmp_path / "good")
+    manifest = json.loads((tmp_path / "good" / "manifest.json").read_text())
+    (tmp_path / "good" / "manifest.json").write_text(json.dumps(manifest | {"complete": True}))
+    (tmp_path / "good" / REPORT).write_text("made before")
+    ran.path = None
+    return tmp_path
+
+
+def trouble(results):
+    return {row.folder.name: row.trouble for row in write_index(results)[1]}
+
+
+def test_a_good_result_is_linked(results, ran):
+    page, (row,) = write_index(results)
+    text = page.read_text()
+    assert 'href="good/report.html"' in text
+    assert row.trouble == ""
+    assert f"{ran.failed.values.mean():.4g}" in text
+    assert (results / "good" / REPORT).read_text() == "made before"
+
+
+def test_reports_that_are_missing_or_out_of_date_are_made(results):
+    page, made = results / "good" / REPORT, []
+    page.unlink()
+    write_index(results, made.append)
+    assert "What was measured" in page.read_text()
+    os.utime(page, (1.0, 1.0))
+    write_index(results, made.append)
+    assert made == [page, page]
+
+
+def test_damage_is_listed_and_nothing_else_changes(results):
+    def copied(name):
+        return shutil.copytree(results / "good", results / name)
+
+    (results / "empty").mkdir()
+    (copied("broken") / "manifest.json").write_text("{")
+    (copied("binary") / "manifest.json").write_bytes(b"\xff\xfe\x00")
+    (copied("array") / "summary.json").write_text("[1]")
+    (copied("words") / "summary.json").write_text('{"points": [{"failures": "many", "draws": 3}]}')
+    (copied("none") / "summary.json").write_text('{"points": []}')
+    (copied("zero") / "summary.json").write_text('{"points": [{"failures": 0, "draws": 0}]}')
+    (copied("without") / "summary.json").unlink()
+    shutil.rmtree(copied("hollow") / "data.zarr")
+    (results / "hollow" / REPORT).unlink()
+    cut = copied("cut") / "manifest.json"
+    cut.write_text(cut.read_text().replace('"complete": true', '"complete": false'))
+    found = trouble(results)
+    assert found.pop("good") == ""
+    assert len(found) == 10
+    assert all(found.values())
+    assert "--resume" in found["cut"]
+    text = (results / "index.html").read_text()
+    assert all(f"<code>{name}</code>" in text for name in found)
+    assert not (results / "hollow" / REPORT).exists()
+
+
+def test_names_are_text_and_links_are_quoted(results):
+    (results / "good").rename(results / "<b>50%# & more")
+    text = write_index(results)[0].read_text()
+    assert 'href="%3Cb%3E50%25%23%20%26%20more/report.html"' in text
+    assert "<code>&lt;b&gt;50%# &amp; more</code>" in text
+
+
+def test_bytes_that_are_no_text(results):
+    """A folder's name that is no UTF-8, and a name in a manifest that is half a character."""
+    manifest = results / "good" / "manifest.json"
+    manifest.write_text(manifest.read_text().replace('"uncertain"', '"\\ud800"'))
+    os.rename(results / "good", os.fsencode(results) + b"/\xff")
+    page, (row,) = write_index(results)
+    assert row.trouble == ""
+    assert b'href="%FF/report.html"' in page.read_bytes()
+
+
+def test_one_report_that_fails_does_not_take_the_index_with_it(results, monkeypatch):
+    (results / "good" / REPORT).unlink()
+
+    def fail(*arguments):
+        raise ArithmeticError("of the unforeseen kind")
+
+    monkeypatch.setattr("dssc_jax.report.index.write", fail)
+    assert trouble(results) == {"good": "its report cannot be made: ArithmeticError: of the unforeseen kind"}
+
+
+def test_results_in_subfolders_are_found(results):
+    (results / "deep" / "er").mkdir(parents=True)
+    (results / "good").rename(results / "deep" / "er" / "good")
+    assert trouble(results) == {"good": ""}
+
+
+def test_an_empty_folder_and_none(tmp_path):
+    page, rows = write_index(tmp_path)
+    assert rows == []
+    assert "No result" in page.read_text()
+    with pytest.raises(ConfigError, match="not a folder of results"):
+        write_index(tmp_path / "none")
