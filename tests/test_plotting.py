@@ -105,7 +105,7 @@ def test_the_certified_stretch_is_hatched(swept):
     assert hatched[0].get_x() < axis[0]
     assert axis[1] < hatched[1].get_x() + hatched[1].get_width() < axis[2]
     labels = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert labels.count("certified by Table 1") == 1
+    assert labels.count("certified by Theorem 1") == 1
 
 
 def test_cell_edges():

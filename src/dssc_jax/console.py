@@ -82,9 +82,7 @@ def show_result(result: "Result", figures: list[Path]) -> None:
         show_grid(result, axes)
     else:
         show_points(axes, points, headline(result).name)
-    marks = [point["certified"] for point in points]
-    told = f"{sum(marks)} of {len(marks)} points: " if None not in marks else "no point: "
-    console.print(f"certified: {told}{result.certificate}", markup=False)
+    console.print(result.certificate, markup=False)
     times = result.manifest["times"]
     console.print(
         f"{times['seconds']:.1f} s, of which {times['compile_seconds']:.1f} s compiling; "

@@ -29,21 +29,32 @@ class Result:
             swept parameters and ``draw``.
         manifest: Study, versions, device, counts and times.
         path: The results folder, once there is one.
-        certificate: What the coordinate ``certified`` of the dataset means, or why there is none.
+        silence: Why the dataset has no coordinate ``certified``, which tells for each point of the sweep whether
+            Theorem 1 holds for the loop without unmodelled dynamics, sensors and sampling; empty where it has one.
     """
 
     study: Study
     dataset: xr.Dataset
     manifest: dict[str, Any] = field(default_factory=dict)
     path: Path | None = None
-    certificate: str = field(init=False)
+    silence: str = field(init=False)
 
     def __post_init__(self) -> None:
-        found = certification.mark(self.study)
-        self.certificate = found.reason or "Theorem 1, for the loop without unmodelled dynamics, sensors and sampling"
-        if found.certified is not None:
-            about = {"long_name": f"certified by {self.certificate}"}
-            self.dataset = self.dataset.assign_coords(certified=(tuple(self.study.axes), found.certified, about))
+        certified, self.silence = certification.mark(self.study)
+        if certified is not None and "certified" not in self.dataset:
+            about = {"long_name": "certified by Theorem 1"}
+            self.dataset = self.dataset.assign_coords(certified=(tuple(self.study.axes), certified, about))
+
+    @property
+    def certificate(self) -> str:
+        """What Theorem 1 says of the loop, in a line."""
+        if "certified" not in self.dataset:
+            return f"not certified: {self.silence}"
+        found = self.dataset["certified"].values
+        count = (
+            f"{np.count_nonzero(found)} of {found.size} points" if found.ndim else ("nothing", "the loop")[int(found)]
+        )
+        return f"Theorem 1 certifies {count}"
 
     @property
     def failed(self) -> xr.DataArray:

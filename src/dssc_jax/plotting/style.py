@@ -65,8 +65,8 @@ def named(name: str, about: dict[str, Any]) -> str:
 
 
 def title(figure: Figure, text: str) -> None:
-    """A title in the user's own words: wrapped, and no mathematics read into it."""
-    figure.suptitle(textwrap.fill(text, 95), parse_math=False)
+    """A title in the user's own words: each line wrapped, and no mathematics read into it."""
+    figure.suptitle("\n".join(textwrap.fill(line, 95) for line in text.splitlines()), parse_math=False)
 
 
 def is_log(values: np.ndarray) -> bool:

@@ -32,7 +32,7 @@ from dssc_jax.results import Result, measured, upper_quantiles
 from dssc_jax.statistics import clopper_pearson
 
 FINE = 2500  # a map of more cells is written as an image, not cell by cell
-CERTIFIED = "certified by Table 1"
+CERTIFIED = "certified by Theorem 1"
 HALF, BOUND = ("half of the draws fail", "-"), ("95 % upper bound of the probability at 5 %", "--")
 LIMIT = ("the median at its limit", "-")
 
@@ -62,7 +62,7 @@ def sweep(result: Result) -> Figure:
                 legend.remove()
         keys = [(f"{HALF[0]}, or {LIMIT[0]}", "-"), BOUND]
         figure.legend(handles=map_keys(result, keys), loc="outside lower center", ncols=2, frameon=False)
-    title(figure, f"{result.study.config.description or result.study.name}{held(result)}")
+    title(figure, f"{result.study.config.description or result.study.name}{held(result)}\n{result.certificate}")
     return figure
 
 
@@ -261,7 +261,7 @@ def map_keys(result: Result, keys: list[tuple[str, Any]]) -> list[Any]:
 
 
 def certified_region(result: Result) -> Any:
-    """Where Table 1 certifies the loop, over the axes that are left; None where nobody has looked."""
+    """Where Theorem 1 certifies the loop, over the axes that are left; None where it does not speak."""
     return result.dataset["certified"].astype(bool) if "certified" in result.dataset else None
 
 

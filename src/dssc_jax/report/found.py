@@ -32,7 +32,7 @@ from dssc_jax.study import Study
 from dssc_jax.types import Outcome
 
 MOST_ROWS, MOST_FACTORS = 400, 24
-CERTIFIED = {None: "not evaluated", True: "yes", False: "no"}
+CERTIFIED = {None: "-", True: "yes", False: "no"}
 WORDS = {
     "ok": "meets all that is required",
     "non_finite": "does not stay finite",
@@ -56,8 +56,8 @@ def outcome(about: Subject) -> Section:
     head = ("how a draw ended", "draws", "probability", f"{LEVEL} interval")
     note = [
         f"Intervals are exact (Clopper-Pearson), each at {LEVEL} on its own. A way that no draw in {draws:,} ended is ",
-        "told by its upper bound. Certified by Table 1: ",
-        h.strong[CERTIFIED[point["certified"]]],
+        "told by its upper bound. ",
+        h.strong[about.result.certificate],
         ".",
     ]
     return Section("outcome", "The outcome", [table(f"Outcomes of {counted(draws, 'draw')}", head, rows), h.p[note]])
@@ -115,8 +115,7 @@ def sweep(about: Subject) -> Section | None:
     result = about.result
     if not result.study.axes:
         return None
-    evaluated = "certified" in result.dataset
-    note = "Hatched: certified by Table 1." if evaluated else "The certified region was not evaluated."
+    note = f"{result.certificate}{' (hatched)' if 'certified' in result.dataset else ''}."
     shown = [name for name, values in result.study.axes.items() if len(values) > 1][:2]
     rest = [f"{name} = {values[0]:g}" for name, values in result.study.axes.items() if name not in shown]
     held = f" Held: {', '.join(rest)}." if rest else ""
