@@ -1,0 +1,167 @@
+"""Two systems on the same independent draws: what one may say of their difference."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import special
+
+from dssc_jax.statistics.order import quantile_interval
+from dssc_jax.statistics.proportions import CONFIDENCE, clopper_pearson
+
+DISCORDANCE = 0.2  # share of the error spent on how often the two differ; the rest goes to which of them fails
+
+
+class FailureDifference(NamedTuple):
+    """Failure probability of a minus that of b.
+
+    Args:
+        only_a: Draws on which a alone failed.
+        only_b: Draws on which b alone failed.
+        draws: All draws.
+        difference: The estimate (only_a - only_b)/draws.
+        interval: Its two-sided interval.
+        p_value: Of the exact McNemar test that both fail equally often.
+    """
+
+    only_a: int
+    only_b: int
+    draws: int
+    difference: float
+    interval: tuple[float, float]
+    p_value: float
+
+
+class MetricDifference(NamedTuple):
+    """A quantile of the draw-by-draw difference of a metric, a minus b.
+
+    Args:
+        level: Which quantile; 1/2: the median.
+        difference: Its estimate, an order statistic.
+        interval: Its order-statistic interval.
+        only_a: Draws on which a alone has no value; they count as +inf.
+        only_b: Draws on which b alone has none; -inf.
+        neither: Draws on which neither has one; they count as a tie.
+    """
+
+    level: float
+    difference: float
+    interval: tuple[float, float]
+    only_a: int
+    only_b: int
+    neither: int
+
+
+def mcnemar(only_a: int, only_b: int) -> float:
+    """Two-sided p-value of the exact McNemar test: the draws that tell the two apart fall either way like a coin.
+
+    Args:
+        only_a: Draws on which a alone failed.
+        only_b: Draws on which b alone failed.
+
+    Raises:
+        ValueError: a count is negative.
+
+    Example:
+        >>> mcnemar(1, 9)
+        0.021484375
+
+    Reference:
+        Q. McNemar, Psychometrika 12 (1947) 153-157, with the binomial law in place of the normal one.
+    """
+    if min(only_a, only_b) < 0:
+        raise ValueError(f"counts must not be negative, got {only_a} and {only_b}")
+    if only_a == only_b:
+        return 1.0
+    return float(min(1.0, 2.0 * special.bdtr(min(only_a, only_b), only_a + only_b, 0.5)))
+
+
+def difference_interval(
+    only_a: ArrayLike, only_b: ArrayLike, draws: ArrayLike, confidence: float = CONFIDENCE
+) -> np.ndarray:
+    """Interval of P(a fails) - P(b fails) from paired draws; its coverage is at least ``confidence``, for every n.
+
+    The difference is theta (2 pi - 1): theta is the probability that the two differ, pi that it is a who fails when
+    they do. Both get exact (Clopper-Pearson) intervals, that of pi given the number of discordant draws, and the
+    error of both together is at most 1 - confidence (Bonferroni). Where they hardly differ, what counts is pi, hence
+    its larger share.
+
+    Args:
+        only_a: Draws on which a alone failed, any shape.
+        only_b: Draws on which b alone failed, broadcastable.
+        draws: All draws, broadcastable.
+        confidence: Coverage, in (0, 1).
+
+    Returns:
+        Shape (..., 2): lower and upper bound, in [-1, 1].
+
+    Raises:
+        ValueError: the counts do not fit.
+
+    Example:
+        >>> difference_interval(30, 10, 1000).round(4)
+        array([0.0042, 0.0444])
+    """
+    a, b, n = np.broadcast_arrays(np.asarray(only_a), np.asarray(only_b), np.asarray(draws))
+    if np.any(a < 0) or np.any(b < 0) or np.any(a + b > n):
+        raise ValueError(f"needs only_a, only_b >= 0 and only_a + only_b <= draws, got {only_a}, {only_b}, {draws}")
+    error = 1.0 - confidence
+    differ = clopper_pearson(a + b, n, 1.0 - DISCORDANCE * error)
+    given = clopper_pearson(a, np.maximum(a + b, 1), 1.0 - (1.0 - DISCORDANCE) * error)
+    given = np.where((a + b == 0)[..., None], [0.0, 1.0], given)
+    side = 2.0 * given - 1.0
+    low = np.where(side[..., 0] >= 0.0, differ[..., 0], differ[..., 1]) * side[..., 0]
+    high = np.where(side[..., 1] >= 0.0, differ[..., 1], differ[..., 0]) * side[..., 1]
+    return np.stack([low, high], axis=-1)
+
+
+def compare_failures(failed_a: np.ndarray, failed_b: np.ndarray, confidence: float = CONFIDENCE) -> FailureDifference:
+    """Failures of two systems on the same independent draws.
+
+    Args:
+        failed_a: Whether a failed on each draw, shape (n,).
+        failed_b: The same for b.
+        confidence: Coverage of the interval.
+
+    Raises:
+        ValueError: the shapes differ.
+    """
+    if failed_a.shape != failed_b.shape:
+        raise ValueError(f"paired draws have one shape, got {failed_a.shape} and {failed_b.shape}")
+    only_a = int(np.count_nonzero(failed_a & ~failed_b))
+    only_b = int(np.count_nonzero(failed_b & ~failed_a))
+    low, high = difference_interval(only_a, only_b, failed_a.size, confidence).tolist()
+    difference = (only_a - only_b) / failed_a.size
+    return FailureDifference(only_a, only_b, failed_a.size, difference, (low, high), mcnemar(only_a, only_b))
+
+
+def compare_metrics(
+    a: np.ndarray, b: np.ndarray, level: float = 0.5, confidence: float = CONFIDENCE
+) -> MetricDifference:
+    """A quantile, by default the median, of a metric's difference a - b on the same independent draws.
+
+    No draw is dropped: where one of the two ended early it is infinitely worse, where both did they tie. Order
+    statistics bear infinite values and any law; a mean with Student's t would bear neither.
+
+    Args:
+        a: The metric under a, shape (n,); NaN where the draw has no value. Small values are good ones.
+        b: The same under b.
+        level: Which quantile, in (0, 1).
+        confidence: Coverage of the interval.
+
+    Raises:
+        ValueError: the shapes differ, or level or confidence is outside (0, 1).
+    """
+    if a.shape != b.shape:
+        raise ValueError(f"paired draws have one shape, got {a.shape} and {b.shape}")
+    gone_a, gone_b = ~np.isfinite(a), ~np.isfinite(b)
+    difference = np.where(gone_a, np.inf, a) - np.where(gone_b, 0.0, b)
+    difference = np.where(gone_b, np.where(gone_a, 0.0, -np.inf), difference)
+    return MetricDifference(
+        level=level,
+        difference=float(np.quantile(difference, level, method="inverted_cdf")),
+        interval=quantile_interval(difference, level, confidence),
+        only_a=int(np.count_nonzero(gone_a & ~gone_b)),
+        only_b=int(np.count_nonzero(gone_b & ~gone_a)),
+        neither=int(np.count_nonzero(gone_a & gone_b)),
+    )
