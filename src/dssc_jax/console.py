@@ -76,7 +76,7 @@ def show_result(result: "Result", figures: list[Path]) -> None:
     axes = list(result.study.axes)
     points = summary["points"]
     if not axes:
-        console.print(describe_probability(points[0]["failures"], points[0]["draws"]))
+        console.print(describe_probability(result.failed.values, result.method))
         show_outcomes(points[0])
     elif len(axes) == 2 and len(points) > WIDEST_ROWS:
         show_grid(result, axes)
@@ -95,10 +95,23 @@ def show_outcomes(point: dict[str, Any]) -> None:
     """How the draws ended, and the metrics' quantiles."""
     show_table(("outcome", "draws"), [(name.replace("_", " "), str(n)) for name, n in point["outcomes"].items()])
     rows = [
-        (name, *(f"{value:.4g}" if value is not None else "inf" for value in found.values()))
+        (name, *(quantile_text(found, level) for level in ("q5", "q50", "q95")))
         for name, found in point["metrics"].items()
     ]
     show_table(("metric (ended early: inf)", "5 %", "median", "95 %"), rows)
+
+
+def quantile_text(found: Mapping[str, Any], level: str) -> str:
+    """A quantile with its interval, where there is one."""
+
+    def number(value: float | None, infinite: str) -> str:
+        return infinite if value is None else f"{value:.4g}"
+
+    text = number(found[level], "inf")
+    if f"{level}_interval" not in found:
+        return text
+    low, high = found[f"{level}_interval"]
+    return f"{text} [{number(low, '-inf')}, {number(high, 'inf')}]"
 
 
 def show_points(axes: list[str], points: list[dict[str, Any]], metric: str) -> None:
@@ -131,7 +144,7 @@ def show_grid(result: "Result", axes: list[str]) -> None:
             )
         )
     draws = failed.shape[-1]
-    bound = describe_probability(0, draws)
+    bound = describe_probability(np.zeros(draws, dtype=bool), result.method)
     show_table(head, rows, title=f"failures in % of {draws} draws; '.': {bound}; all intervals in summary.json")
 
 

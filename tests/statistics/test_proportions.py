@@ -35,6 +35,6 @@ def test_coverage_is_at_least_nominal():
 
 
 def test_no_failure_is_told_by_its_upper_bound():
-    text = describe_probability(0, 100)
+    text = describe_probability(np.zeros(100, dtype=bool))
     assert "<= 0.0362" in text
     assert "probability 0 " not in text

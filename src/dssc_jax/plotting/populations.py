@@ -12,7 +12,7 @@ from matplotlib.ticker import PercentFormatter
 from dssc_jax.metrics import Measure
 from dssc_jax.plotting.style import BLUE, DRAWABLE, GREY, RED, SLIDE, is_log, label, named, set_scale, styled, title
 from dssc_jax.results import Result, headline, upper_quantiles
-from dssc_jax.statistics import clopper_pearson
+from dssc_jax.statistics import Method
 
 
 @styled
@@ -39,26 +39,27 @@ def failures(result: Result) -> Figure:
         axes[0].legend(frameon=False)
     failed = result.failed.values
     for ax, name in zip(axes[1:], laws, strict=False):
-        factor_panel(ax, result.dataset[name].values, failed)
-        ax.set(xlabel=f"{name} [{result.dataset[name].attrs['units']}]", ylabel="failure probability")
-    low, high = clopper_pearson(int(failed.sum()), failed.size)
+        factor_panel(ax, result.dataset[name].values, failed, result.method)
+        ax.set_xlabel(f"{name} [{result.dataset[name].attrs['units']}]")
+    low, high = result.method.interval(failed)
     title(
         figure,
         f"{result.study.name}: {failed.sum()} of {failed.size} draws fail; "
-        f"probability in [{low:.3g}, {high:.3g}], 95 % Clopper-Pearson",
+        f"probability in [{low:.3g}, {high:.3g}], 95 % {result.method.name}",
     )
     return figure
 
 
-def factor_panel(ax: Axes, values: np.ndarray, failed: np.ndarray, bins: int = 8) -> None:
-    """Failure probability with its interval in bins of equal count of one uncertain number."""
+def factor_panel(ax: Axes, values: np.ndarray, failed: np.ndarray, method: Method, bins: int = 8) -> None:
+    """Failure probability in bins of equal count of one uncertain number; its interval where draws are independent."""
     groups = np.array_split(np.argsort(values), min(bins, len(values)))
     centres = [float(np.median(values[group])) for group in groups]
-    counts = np.array([failed[group].sum() for group in groups])
-    sizes = np.array([len(group) for group in groups])
-    interval = clopper_pearson(counts, sizes)
-    share = counts / sizes
-    ax.errorbar(centres, share, np.abs(interval.T - share), fmt="o", color=RED, capsize=3)
+    share = np.array([failed[group].mean() for group in groups])
+    reach = None
+    if method.independent:
+        reach = np.abs(np.stack([method.interval(failed[group]) for group in groups]).T - share)
+    ax.errorbar(centres, share, reach, fmt="o", color=RED, capsize=3)
+    ax.set_ylabel("failure probability" if method.independent else "share of failed draws (no interval)")
     set_scale(ax, np.asarray(centres))
     ax.set_ylim(-0.03, 1.03)
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
@@ -117,8 +118,8 @@ def curves(result: Result, axis: str) -> Figure:
     panels[0].legend(frameon=False)
     if result.study.requirements:
         failed = result.failed.values
-        interval = clopper_pearson(failed.sum(-1), failed.shape[-1])
-        panels[1].fill_between(x, *interval.T, color=RED, alpha=0.2, label="95 % Clopper-Pearson")
+        interval = result.method.interval(failed)
+        panels[1].fill_between(x, *interval.T, color=RED, alpha=0.2, label=f"95 % {result.method.name}")
         panels[1].plot(x, failed.mean(-1), "o-", color=RED, label="failed draws")
         panels[1].set(ylabel="failure probability", ylim=(-0.03, 1.03))
         panels[1].yaxis.set_major_formatter(PercentFormatter(1.0))
@@ -141,7 +142,7 @@ def maps(result: Result, down: str, across: str) -> Figure:
     share = failed.mean(-1)
     image = left.pcolormesh(x, y, share, cmap="cividis", vmin=0.0, vmax=1.0, shading="nearest")
     draws = failed.shape[-1]
-    upper = clopper_pearson(failed.sum(-1), draws)[..., 1]
+    upper = result.method.interval(failed)[..., 1]
     contour(left, x, y, share, 0.5, "-")
     contour(left, x, y, upper, 0.05, "--")
     figure.colorbar(image, ax=left, format=PercentFormatter(1.0), label=f"failure probability ({draws} draws)")
@@ -166,7 +167,7 @@ def maps(result: Result, down: str, across: str) -> Figure:
     right.set_title("median over draws")
     keys: list[tuple[str, Any]] = [
         ("50 % fail, or the median at its limit", "-"),
-        ("95 % upper bound of the probability at 5 %", "--"),
+        (f"95 % upper bound at 5 % ({result.method.name})", "--"),
     ]
     for ax in (left, right):
         ax.grid(False)
