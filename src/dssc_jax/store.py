@@ -101,7 +101,7 @@ class Store:
         self.folder, self.study, self.layout = folder, study, layout
         occupied = folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
         if occupied:
-            self._require_same_study()
+            self._require_same_study(resume)
         if occupied and resume:
             self.layout = stored_layout(folder, study, read_manifest(folder))
             self.group = open_group(folder, mode="a")
@@ -114,7 +114,7 @@ class Store:
         write_json(folder / MANIFEST, manifest)  # before the data, so that an interrupted run is known as one
         self.group = lay_out(folder, study, layout)
 
-    def _require_same_study(self) -> None:
+    def _require_same_study(self, resume: bool) -> None:
         if not self.folder.is_dir():
             raise ConfigError(str(self.folder), "is a file, not a results folder; nothing was written")
         manifest = read_manifest(self.folder)
@@ -122,9 +122,13 @@ class Store:
             differing = differences(manifest["study"], self.study.table)
             differing = differing or ["its hash differs"]
             shown = "; ".join(differing[:3]) + (f"; and {len(differing) - 3} more" if len(differing) > 3 else "")
+            if self.study.config.sampling == "lhs" and [text.partition(":")[0] for text in differing] == ["draws"]:
+                shown += "; a Latin hypercube cannot be extended"
             raise ConfigError(
                 str(self.folder), f"holds results of another study ({shown}); choose another --out, nothing was written"
             )
+        if resume and manifest.get("stopping"):
+            raise ConfigError(str(self.folder), "ended where its draws decided; that cannot be resumed, start over")
 
     def pending(self) -> list[tuple[slice, ...]]:
         """Blocks that are not complete yet."""
