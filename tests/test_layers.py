@@ -19,10 +19,12 @@ LAYERS = [
     {"study"},
     {"sampling"},
     {"engine", "statistics"},
+    {"global_sensitivity", "rare_events"},
     {"dataset"},
     {"store"},
     {"results"},
     {"plotting", "api"},
+    {"stopping"},
     {"console"},
     {"cli"},
 ]

@@ -148,13 +148,18 @@ def upper_quantiles(values: np.ndarray, levels: Sequence[float]) -> np.ndarray:
 
 
 def headline(result: Result) -> Measure:
-    """The metric that the study is about: the one it names, else that of its first requirement, else the error."""
-    wanted = result.study.config.plot.metric
-    by_name = {measure.name: measure for measure in result.study.measures}
+    """The metric that a result's study is about."""
+    return headline_measure(result.study)
+
+
+def headline_measure(study: Study) -> Measure:
+    """The metric that a study is about: the one it names, else that of its first requirement, else the error."""
+    wanted = study.config.plot.metric
+    by_name = {measure.name: measure for measure in study.measures}
     if wanted:
         return by_name[wanted]
-    if result.study.requirements:
-        return result.study.requirements[0].measure
+    if study.requirements:
+        return study.requirements[0].measure
     return by_name["error_rms"]
 
 

@@ -14,6 +14,7 @@ from dssc_jax.engine import Arrays, Engine, Layout, best_tile, drawn, execute
 from dssc_jax.errors import ConfigError
 from dssc_jax.results import Result
 from dssc_jax.statistics import AcceptReject, UntilWidth, looks
+from dssc_jax.statistics.sequential import FIRST
 from dssc_jax.study import Study
 from dssc_jax.types import Outcome
 
@@ -48,6 +49,8 @@ def run_until(
             something else.
     """
     require_sequential(study)
+    if most < FIRST:
+        raise ConfigError(study.source, f"a data-driven stop needs at least {FIRST} draws at most, got {most}")
     whole = study.override({"draws": most})
     if out is not None:
         require_same_rule(Path(out), whole, rule, most)
@@ -102,7 +105,8 @@ def require_sequential(study: Study) -> None:
         raise ConfigError(study.source, "a data-driven stop is for one point; leave [sweep] aside")
     if study.config.sampling != "random":
         raise ConfigError(
-            study.source, f"a data-driven stop needs independent draws: sampling = 'random', not '{study.config.sampling}'"
+            study.source,
+            "a data-driven stop needs independent draws: sampling = 'random'",
         )
 
 
@@ -119,5 +123,6 @@ def require_same_rule(folder: Path, study: Study, rule: Rule, most: int) -> None
     same_rule = (stopping.get("rule"), stopping.get("most")) == (rule.text, most)
     if not same_rule or manifest["study"] | {"draws": most} != study.table:
         raise ConfigError(
-            str(folder), "holds something else than this study under this rule; choose another --out, nothing was written"
+            str(folder),
+            "holds something else than this study under this rule; choose another --out",
         )

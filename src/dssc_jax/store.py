@@ -30,6 +30,30 @@ def write_json(path: Path, content: Any) -> None:
     os.replace(partial, path)
 
 
+def write_answer(path: Path, content: dict[str, Any], study: Study) -> None:
+    """Write an analysis that has no dataset, with the study that it is of.
+
+    Args:
+        path: A JSON file; its folder is made when absent.
+        content: The answer.
+        study: What it answers for.
+
+    Raises:
+        ConfigError: the file holds something else, or the folder is a file.
+    """
+    if path.parent.exists() and not path.parent.is_dir():
+        raise ConfigError(str(path.parent), "is a file, not a results folder; nothing was written")
+    if path.exists():
+        try:
+            same = json.loads(path.read_text(encoding="utf-8"))["hash"] == study.hash
+        except (ValueError, KeyError, TypeError):
+            same = False
+        if not same:
+            raise ConfigError(str(path), "holds the answer to another study; choose another --out, nothing was written")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_json(path, {**content, "hash": study.hash, "source": study.source, "inputs": study.table})
+
+
 def read_manifest(folder: Path) -> dict[str, Any]:
     """The manifest of a results folder.
 

@@ -7,7 +7,8 @@ import warnings
 from dssc_jax.cli.shared import BAD_INPUT, DONE, INTERRUPTED, app
 from dssc_jax.errors import ConfigError
 
-for module in ("simulation", "designs", "about"):  # each registers its commands; help lists them in this order
+# each registers its commands; help lists them in this order
+for module in ("simulation", "statistics", "designs", "about"):
     importlib.import_module(f"dssc_jax.cli.{module}")
 
 

@@ -80,6 +80,9 @@ class FixedCount(NamedTuple):
         return clopper_pearson(np.count_nonzero(failed, axis=-1), failed.shape[-1], confidence)
 
 
+FIXED = FixedCount()
+
+
 class DataDriven(NamedTuple):
     """Independent draws that ended at the j-th look because of what they showed.
 
@@ -107,18 +110,18 @@ class DataDriven(NamedTuple):
 
     def interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
         """Intervals from failures of shape (..., n), shape (..., 2)."""
-        return FixedCount().interval(failed, self.level(confidence))
+        return FIXED.interval(failed, self.level(confidence))
 
 
 class Replicated(NamedTuple):
     """Independent replicates of a design whose draws are not independent; draw i belongs to replicate i mod R.
 
     Args:
-        count: R >= 2.
+        replicates: R >= 2.
         design: What is replicated, for people.
     """
 
-    count: int
+    replicates: int
     design: str
 
     @property
@@ -129,7 +132,7 @@ class Replicated(NamedTuple):
     @property
     def name(self) -> str:
         """The interval's name."""
-        return f"Student's t over {self.count} {self.design} replicates"
+        return f"Student's t over {self.replicates} {self.design} replicates"
 
     def interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
         """Intervals from failures of shape (..., n), shape (..., 2).
@@ -137,7 +140,7 @@ class Replicated(NamedTuple):
         Student's t over the replicates' shares, widened on both sides by ln(2/a)/n: where all replicates agree, on
         no failure for one, t alone has width 0. So much is what n independent draws without a failure leave open.
         """
-        low, high = np.moveaxis(replicate_interval(failed.astype(float), self.count, confidence), -1, 0)
+        low, high = np.moveaxis(replicate_interval(failed.astype(float), self.replicates, confidence), -1, 0)
         unseen = math.log(2.0 / (1.0 - confidence)) / failed.shape[-1]
         return np.stack([np.maximum(low - unseen, 0.0), np.minimum(high + unseen, 1.0)], axis=-1)
 
@@ -168,7 +171,7 @@ def replicate_interval(values: np.ndarray, replicates: int, confidence: float = 
     return np.stack([middle - half, middle + half], axis=-1)
 
 
-def describe_probability(failed: np.ndarray, method: Method = FixedCount(), confidence: float = CONFIDENCE) -> str:
+def describe_probability(failed: np.ndarray, method: Method = FIXED, confidence: float = CONFIDENCE) -> str:
     """One line for people. No failure in n is told by its upper bound, never as 0.
 
     Args:

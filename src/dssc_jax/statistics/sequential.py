@@ -47,6 +47,11 @@ class UntilWidth:
         """The rule, for people."""
         return f"until the {100 * self.confidence:g} % interval is no wider than {self.width:g}"
 
+    @property
+    def slug(self) -> str:
+        """The rule, for the name of a folder."""
+        return f"width-{self.width:g}"
+
     def verdict(self, failures: int, draws: int, look: int) -> str | None:
         """``narrow`` when it is; None: go on."""
         low, high = clopper_pearson(failures, draws, 1.0 - look_error(look, 1.0 - self.confidence))
@@ -88,6 +93,11 @@ class AcceptReject:
             f"until a failure probability <= {self.accept:g} is accepted, or one >= {self.reject:g} rejected, "
             f"with confidence {self.confidence:g}"
         )
+
+    @property
+    def slug(self) -> str:
+        """The rule, for the name of a folder."""
+        return f"accept-{self.accept:g}-reject-{self.reject:g}"
 
     def verdict(self, failures: int, draws: int, look: int) -> str | None:
         """``accepted``, ``rejected``, or None: go on. The test needs no sharing out over looks."""
