@@ -123,9 +123,10 @@ def sobol_indices(
     means = np.concatenate([shares.mean(0, keepdims=True), resampled(shares, rng)])
     indices = means[:, 1:] / means[:, :1]
     tail = 0.5 * (1.0 - confidence)
-    low, high = np.quantile(indices[1:], [tail, 1.0 - tail], axis=0)
-    finest = 1.0 / len(f_a)  # a bootstrap of so many rows cannot tell what no row has shown
-    table = np.stack([indices[0], low - finest, high + finest], axis=-1)
+    ends = np.quantile(indices[1:], [tail, 1.0 - tail], axis=0)
+    # a bootstrap of so many rows cannot tell what no row has shown: never closer than 1/rows
+    reach = np.hypot(ends - indices[0], 1.0 / len(f_a))
+    table = np.stack([indices[0], indices[0] - reach[0], indices[0] + reach[1]], axis=-1)
     return Indices(table[: len(f_ab)], table[len(f_ab) :])
 
 
@@ -134,18 +135,18 @@ def controlled(
 ) -> np.ndarray:
     """A numerator's rows less that combination of control variates which leaves the least variance to its index.
 
-    The controls f_A f_B, (f_AB^2 - f_A^2)/2 and (f_A^2 - f_B^2)/2 have mean 0. Coefficients (1, 0, 0) and (0, 1, 0)
-    would give Saltelli's and Jansen's estimators of a first-order index; neither is the better one for every index.
-    Those of a random half of the rows are fitted to the other and conversely, so that the scatter that the bootstrap
-    sees is not fitted away. (Even and odd rows would not do: Sobol points alternate between the halves of an axis.)
+    The controls f_A f_B, (f_AB^2 - f_A^2)/2 and (f_A^2 - f_B^2)/2 have mean 0. The first alone makes of f_B f_AB
+    Saltelli's estimator of a first-order index, the second alone Jansen's; neither is the better one for every index.
+    They compete with fitted coefficients, those of a random half of the rows from the other half, so that the scatter
+    that the bootstrap sees is not fitted away. (Even and odd rows would not do: Sobol points alternate between halves
+    of an axis.)
     """
     controls = np.stack([f_a * f_b, 0.5 * (f_ab**2 - f_a**2), 0.5 * (f_a**2 - f_b**2)], axis=1)
-    target = share - variance * (share.mean() / variance.mean())
-    found = share.copy()
+    known = variance * (share.mean() / variance.mean())
+    fitted = share.copy()
     for mine, others in ((halved, ~halved), (~halved, halved)):
-        fitted = np.linalg.lstsq(controls[others], target[others], rcond=None)[0]
-        found[mine] -= controls[mine] @ fitted
-    return found
+        fitted[mine] -= controls[mine] @ np.linalg.lstsq(controls[others], (share - known)[others], rcond=None)[0]
+    return min((fitted, share - controls[:, 0], share - controls[:, 1], share), key=lambda rows: np.var(rows - known))
 
 
 def resampled(shares: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -78,8 +78,8 @@ def quantile_interval(values: np.ndarray, level: float, confidence: float = CONF
 def wilks_confidence(draws: int, content: float, order: int = 1, sides: int = 1) -> float:
     """Confidence that order statistics of ``draws`` draws leave at most 1 - ``content`` of the law outside.
 
-    One side: the k-th largest (or smallest); two sides: both k-th extremes. It is 1 - sum_i C(n, i) (1-p)^i p^(n-i) over
-    i < k sides.
+    One side: the k-th largest (or smallest); two sides: both k-th extremes. It is 1 - sum_i C(n, i) (1-p)^i p^(n-i)
+    over i < k sides.
     """
     return float(special.bdtrc(order * sides - 1, draws, 1.0 - content)) if draws >= order * sides else 0.0
 
