@@ -11,7 +11,7 @@ import pytest
 from dssc_jax.cli import guarded
 from dssc_jax.cli.shared import parse_over, parse_value
 
-COMMANDS = ["run", "sweep", "simulate", "replay", "check", "studies", "info"]
+COMMANDS = ["run", "sweep", "simulate", "replay", "plan", "sensitivity", "rare", "check", "studies", "info"]
 STUDY = """
 name = "small"
 seed = 3
@@ -247,3 +247,55 @@ def test_one_trajectory_is_no_chore():
     seconds = time.perf_counter() - began
     print(f"\nsimulate of 80 s: {seconds:.2f} s")
     assert seconds < 6.0
+
+
+def test_plan(capsys):
+    assert guarded(["plan", "--error", "0.01", "--confidence", "0.99", "--probability", "0.02", "--json"]) == 0
+    draws = {answer["question"]: answer["draws"] for answer in last_json(capsys)["answers"]}
+    assert draws["failure probability, whatever it is (Chernoff)"] == 26492
+    assert guarded(["plan"]) == 0
+    assert "Wilks" in capsys.readouterr().out
+    assert guarded(["plan", "--error", "2"]) == 2
+
+
+def test_run_until(study, capsys):
+    arguments = ["run", str(study), "--max-draws", "200", "--json"]
+    assert guarded([*arguments, "--until-width", "0.3"]) == 0
+    found = last_json(capsys)
+    assert "data-driven" in found["interval_method"]
+    assert found["draws"] == found["stopping"]["looks"][-1]["draws"]
+    assert guarded([*arguments, "--accept", "0.01", "--reject", "0.02"]) == 1  # it is rejected
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--until-width", "0.1", "--accept", "0.1", "--reject", "0.2"],
+        ["--accept", "0.1"],
+        ["--accept", "0.2", "--reject", "0.1"],
+        ["--until-width", "0"],
+        ["--until-width", "0.1", "--draws", "50"],
+        ["--until-width", "0.1", "--resume"],
+        ["--max-draws", "50"],
+    ],
+)
+def test_options_that_do_not_go_together(study, options, capsys):
+    assert guarded(["run", str(study), *options]) == 2
+    assert capsys.readouterr().err.startswith("error: --")
+
+
+def test_sensitivity_and_rare(study, capsys):
+    uncertain = ["--set", "plant.a_p={ normal = [1.0, 0.1] }"]
+    assert guarded(["sensitivity", str(study), *uncertain, "--draws", "300", "--out", "s", "--json"]) == 0
+    found = last_json(capsys)
+    assert (found["rows"], found["simulations"]) == (256, 1024)
+    assert (study.parent / "s" / "figures" / "sensitivity.png").stat().st_size > 10_000
+    spent = ["--particles", "20", "--moves", "2", "--repeats", "10"]
+    assert guarded(["rare", str(study), *uncertain, *spent, "--out", "r"]) == 0
+    shown = capsys.readouterr().out
+    assert "10 independent repeats" in shown
+    stored = json.loads((study.parent / "r" / "rare.json").read_text())
+    assert stored["inputs"]["plant"]["a_p"] == {"normal": [1.0, 0.1]}
+    assert guarded(["rare", str(study), *spent, "--out", "r"]) == 2  # another study's answer is there
+    assert "another study" in capsys.readouterr().err
