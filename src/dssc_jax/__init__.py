@@ -16,25 +16,36 @@ if TYPE_CHECKING:
     from dssc_jax.api import replay, run, simulate
     from dssc_jax.comparison import Comparison, compare
     from dssc_jax.errors import ConfigError
+    from dssc_jax.global_sensitivity import sensitivity
     from dssc_jax.margins import Margins, margin
+    from dssc_jax.rare_events import Splitting, rare
     from dssc_jax.results import Result, load
+    from dssc_jax.statistics import AcceptReject, UntilWidth, plan
+    from dssc_jax.stopping import run_until
     from dssc_jax.study import Study
 
 __version__ = "0.1.0"
 __all__ = [
+    "AcceptReject",
     "Comparison",
     "ConfigError",
     "Margins",
     "Result",
+    "Splitting",
     "Study",
+    "UntilWidth",
     "compare",
     "design",
     "load",
     "margin",
+    "plan",
     "plot",
+    "rare",
     "replay",
     "report",
     "run",
+    "run_until",
+    "sensitivity",
     "simulate",
     "theory",
 ]
@@ -51,6 +62,13 @@ _HOME = {
     "replay": "dssc_jax.api",
     "run": "dssc_jax.api",
     "simulate": "dssc_jax.api",
+    "run_until": "dssc_jax.stopping",
+    "UntilWidth": "dssc_jax.statistics",
+    "AcceptReject": "dssc_jax.statistics",
+    "plan": "dssc_jax.statistics",
+    "sensitivity": "dssc_jax.global_sensitivity",
+    "rare": "dssc_jax.rare_events",
+    "Splitting": "dssc_jax.rare_events",
 }
 _MODULES = {
     "design": "dssc_jax.design",

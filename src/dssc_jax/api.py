@@ -21,6 +21,7 @@ from dssc_jax.loop import simulate as run_loop
 from dssc_jax.results import Result, load
 from dssc_jax.sampling import draw_key
 from dssc_jax.study import Study
+from dssc_jax.study.correlation import gaussian
 
 Progress = Callable[[int, int], None]
 """Called with the lanes done and the lanes in all."""
@@ -64,7 +65,7 @@ def about_run(study: Study, layout: Layout) -> dict[str, Any]:
         "source": study.source,
         "hash": study.hash,
         "seed": study.config.seed,
-        "sampling": study.config.sampling,
+        "sampling": about_sampling(study),
         "precision": study.config.loop.precision,
         "layout": layout.to_dict(),
         "counts": {
@@ -77,6 +78,16 @@ def about_run(study: Study, layout: Layout) -> dict[str, Any]:
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "complete": False,
         "times": {},
+    }
+
+
+def about_sampling(study: Study) -> dict[str, Any]:
+    """The design of the draws, and the correlations among them: ranks as given, and those of the normal variables."""
+    config = study.config
+    return {
+        "kind": config.sampling,
+        "replicates": config.replicates if config.sampling != "random" else None,
+        "correlation": {pair: {"rank": rank, "normal": gaussian(rank)} for pair, rank in config.correlation.items()},
     }
 
 
@@ -126,13 +137,7 @@ def run(
         if progress:
             progress(done, total)
     manifest["complete"] = True
-    manifest["times"] = {
-        "seconds": time.perf_counter() - began,
-        "compile_seconds": engine.clock.compile_seconds,
-        "run_seconds": engine.clock.run_seconds,
-        "rate": engine.rate,
-        "traces": engine.clock.traces,
-    }
+    manifest["times"] = times(engine, began)
     if folder is None:
         assert dataset is not None
         return Result(study, dataset, manifest)
@@ -140,6 +145,17 @@ def run(
     result = load(folder)
     store.write_json(folder / store.SUMMARY, result.summary())
     return result
+
+
+def times(engine: Engine, began: float) -> dict[str, float]:
+    """What a run cost, for its manifest."""
+    return {
+        "seconds": time.perf_counter() - began,
+        "compile_seconds": engine.clock.compile_seconds,
+        "run_seconds": engine.clock.run_seconds,
+        "rate": engine.rate,
+        "traces": engine.clock.traces,
+    }
 
 
 def fill(dataset: xr.Dataset | None, box: tuple[slice, ...], results: dict, values: dict) -> None:

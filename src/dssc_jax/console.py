@@ -16,10 +16,12 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from dssc_jax.results import headline
+from dssc_jax.global_sensitivity import FAILURE
+from dssc_jax.results import headline, headline_measure
 from dssc_jax.statistics import describe_probability
 
 if TYPE_CHECKING:
+    from dssc_jax.global_sensitivity import Sensitivity
     from dssc_jax.results import Result
     from dssc_jax.study import Study
 
@@ -59,6 +61,25 @@ def progress_bar(study: "Study", quiet: bool) -> Iterator[Callable[[int, int], N
             bar.stop()
 
 
+@contextmanager
+def counter(study: "Study", quiet: bool) -> Iterator[Callable[[int], None]]:
+    """The simulations done so far, on stderr, for work whose end nobody knows."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), TextColumn("{task.completed:,.0f} simulations"), TimeElapsedColumn())
+    bar = Progress(*columns, console=console, disable=quiet and not console.is_terminal)
+    task = bar.add_task(study.name, total=None)
+
+    def advance(done: int) -> None:
+        bar.start()
+        bar.update(task, completed=done)
+
+    try:
+        yield advance
+    finally:
+        if bar.live.is_started:
+            bar.stop()
+
+
 def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | None = None) -> None:
     """A plain table."""
     table = Table(*map(escape, head), title=title, title_justify="left", box=None, header_style="bold", pad_edge=False)
@@ -76,7 +97,10 @@ def show_result(result: "Result", figures: list[Path]) -> None:
     axes = list(result.study.axes)
     points = summary["points"]
     if not axes:
-        console.print(describe_probability(points[0]["failures"], points[0]["draws"]))
+        console.print(describe_probability(result.failed.values, result.method), markup=False)
+        if summary["stopping"]:
+            stopping = summary["stopping"]
+            console.print(f"the draws decided their number, {stopping['rule']}: {stopping['verdict']}", markup=False)
         show_outcomes(points[0])
     elif len(axes) == 2 and len(points) > WIDEST_ROWS:
         show_grid(result, axes)
@@ -96,10 +120,22 @@ def show_outcomes(point: dict[str, Any]) -> None:
     """How the draws ended, and the metrics' quantiles."""
     show_table(("outcome", "draws"), [(name.replace("_", " "), str(n)) for name, n in point["outcomes"].items()])
     rows = [
-        (name, *(f"{value:.4g}" if value is not None else "inf" for value in found.values()))
+        (name, *(quantile_text(found, level) for level in ("q5", "q50", "q95")))
         for name, found in point["metrics"].items()
     ]
     show_table(("metric (ended early: inf)", "5 %", "median", "95 %"), rows)
+
+
+def quantile_text(found: Mapping[str, Any], level: str) -> str:
+    """A quantile with its interval, where there is one."""
+
+    def number(value: float | None, infinite: str) -> str:
+        return infinite if value is None else f"{value:.4g}"
+
+    if found[level] is None or f"{level}_interval" not in found:
+        return number(found[level], "inf")
+    low, high = found[f"{level}_interval"]
+    return f"{found[level]:.4g} [{number(low, '-inf')}, {number(high, 'inf')}]"
 
 
 def show_points(axes: list[str], points: list[dict[str, Any]], metric: str) -> None:
@@ -133,8 +169,63 @@ def show_grid(result: "Result", axes: list[str]) -> None:
             )
         )
     draws = failed.shape[-1]
-    bound = describe_probability(0, draws)
+    bound = describe_probability(np.zeros(draws, dtype=bool), result.method)
     show_table(head, rows, title=f"failures in % of {draws} draws; '.': {bound}; all intervals in summary.json")
+
+
+def show_sensitivity(result: "Sensitivity", files: list[Path]) -> None:
+    """Indices of failure and of the study's headline metric; the file has those of all."""
+    console = output()
+    console.print(
+        f"[bold]{escape(result.study.name)}[/bold]  Sobol indices, {result.simulations} simulations on {result.rows} "
+        f"rows; {100 * result.confidence:g} % bootstrap intervals"
+    )
+    for name in dict.fromkeys((FAILURE, headline_measure(result.study).name)):
+        found = result.outputs[name]
+        if found is None:
+            why = f"has no value on {result.missing[name]} draws" if result.missing[name] else "does not vary"
+            console.print(f"{name}: {why}, hence no indices", markup=False)
+            continue
+        rows = [
+            (factor, interval_text(*first), interval_text(*total))
+            for factor, first, total in zip(result.factors, found.first, found.total, strict=True)
+        ]
+        show_table((name, "first order: alone", "total: with all interactions"), rows)
+    for path in files:
+        console.print(f"wrote {path}", soft_wrap=True, markup=False)
+
+
+def interval_text(value: float, low: float, high: float) -> str:
+    """An index with its interval; one that could be 0 says so."""
+    return f"{value:.3f} [{low:.3f}, {high:.3f}]{'  consistent with 0' if low <= 0.0 else ''}"
+
+
+def show_rare(found: Mapping[str, Any], files: list[Path]) -> None:
+    """The probability of a rare failure, what it cost, and where failures are."""
+    console = output()
+    low, high = found["interval"]
+    level = f"{100 * found['confidence']:g} % {found['interval_method']}"
+    console.print(f"[bold]{escape(found['study'])}[/bold]  required: {escape('; '.join(found['requirements']))}")
+    if found["probability"] == 0.0:
+        console.print("no repeat reached a failure; this method then says nothing of its probability", markup=False)
+    else:
+        console.print(
+            f"failure probability {found['probability']:.3g} in [{low:.3g}, {high:.3g}] ({level})", markup=False
+        )
+        console.print(
+            f"coefficient of variation {found['variation']:.2g} by {found['simulations']:,} simulations; plain draws "
+            f"would take {found['plain_draws'] or np.inf:,.0f}",
+            markup=False,
+        )
+        rows = [
+            (name, f"{about['median']:.4g}", *(f"{value:.4g}" for value in about["failing"]))
+            for name, about in found["where"].items()
+        ]
+        show_table(("number", "median", "failing: 5 %", "median", "95 %"), rows)
+    if found["in_loop_noise"]:
+        console.print("in-loop noise: half of the moves redraw it; a failure that only rare noise causes costs more")
+    for path in files:
+        console.print(f"wrote {path}", soft_wrap=True, markup=False)
 
 
 def show_draw(attributes: Mapping[str, Any], files: list[Path]) -> None:

@@ -28,6 +28,7 @@ CACHE = 256 * 1024  # bytes of state in a tile: a share of the second-level cach
 WIDEST, NARROWEST = 1024, 128  # lanes of a tile; beyond them measurements show no gain
 VECTOR = 8  # lanes in a 512-bit vector of float64: every tile is a multiple of it
 BLOCK = 16384  # lanes
+PROBES = 16  # draws that are simulated twice to find in-loop noise
 
 Arrays = dict[str, np.ndarray]
 
@@ -191,7 +192,7 @@ def medians(study: Study) -> dict[str, float]:
 
 def drawn(study: Study, draws: slice) -> Arrays:
     """Values of the study's laws for a range of draws."""
-    return draw(study.config.seed, study.laws, np.arange(draws.start, draws.stop))
+    return draw(study, np.arange(draws.start, draws.stop))
 
 
 def lanes_of(study: Study, block: tuple[slice, ...], values: Arrays) -> tuple[Arrays, np.ndarray]:
@@ -223,6 +224,30 @@ def execute(engine: Engine, blocks: list[tuple[slice, ...]]) -> Iterator[tuple[t
         waiting = block, started, values
     if waiting is not None:
         yield collect(*waiting)
+
+
+def evaluate(engine: Engine, values: Arrays, indices: np.ndarray) -> Arrays:
+    """Results at any number of given points, in batches of the engine's size.
+
+    Args:
+        engine: The compiled study.
+        values: For each of the engine's names an array of shape (n,).
+        indices: Draw index of each lane, which decides its in-loop noise, shape (n,).
+
+    Returns:
+        Each metric, margin, ``outcome`` and ``failed_at``, shape (n,).
+    """
+    parts = [slice(start, start + engine.lanes) for start in range(0, len(indices), engine.lanes)]
+    started = [engine({name: column[part] for name, column in values.items()}, indices[part]) for part in parts]
+    found = [finish() for finish in started]
+    return {name: np.concatenate([arrays[name] for arrays in found]) for name in found[0]}
+
+
+def is_noisy(engine: Engine) -> bool:
+    """Whether a draw's result depends on its index beyond its values: noise of sensors, wind or disturbances."""
+    values = draw(engine.study, np.arange(PROBES) % engine.study.config.draws)
+    same, other = (evaluate(engine, values, np.arange(first, first + PROBES)) for first in (0, PROBES))
+    return any(not np.array_equal(same[name], other[name], equal_nan=True) for name in same)
 
 
 def collect(

@@ -12,11 +12,13 @@ from dssc_jax import certification, store
 from dssc_jax.dataset import outcome_codes, variables
 from dssc_jax.engine import Layout
 from dssc_jax.metrics import Measure
-from dssc_jax.statistics import CONFIDENCE, clopper_pearson
+from dssc_jax.statistics import CONFIDENCE, DataDriven, FixedCount, Method, Replicated
+from dssc_jax.statistics.order import at_rank, quantile_ranks, ranked
 from dssc_jax.study import Study
 from dssc_jax.types import Outcome
 
 QUANTILES = (0.05, 0.5, 0.95)
+DESIGNS = {"sobol": "scrambled Sobol", "lhs": "Latin hypercube"}
 
 
 @dataclass
@@ -51,10 +53,9 @@ class Result:
         if "certified" not in self.dataset:
             return f"not certified: {self.silence}"
         found = self.dataset["certified"].values
-        count = (
-            f"{np.count_nonzero(found)} of {found.size} points" if found.ndim else ("nothing", "the loop")[int(found)]
-        )
-        return f"Theorem 1 certifies {count}"
+        if not found.ndim:
+            return "certified by Theorem 1" if found else "not certified by Theorem 1"
+        return f"Theorem 1 certifies {np.count_nonzero(found)} of {found.size} points"
 
     @property
     def failed(self) -> xr.DataArray:
@@ -65,10 +66,19 @@ class Result:
         """The result at given indices of swept parameters; the others stay axes of the dataset."""
         return Result(self.study, self.dataset.isel(index), self.manifest)
 
-    def summary(self, confidence: float = CONFIDENCE) -> dict[str, Any]:
-        """Failures, probability and exact interval of every sweep point, and quantiles of the metrics.
+    @property
+    def method(self) -> Method:
+        """How intervals follow from these draws: by their design, and by what ended them."""
+        config, stopping = self.study.config, self.manifest.get("stopping")
+        if stopping:
+            return DataDriven(stopping["look"])
+        return FixedCount() if config.sampling == "random" else Replicated(config.replicates, DESIGNS[config.sampling])
 
-        A draw that ended early has no metric and counts as infinite; ``finite`` tells how many did not.
+    def summary(self, confidence: float = CONFIDENCE) -> dict[str, Any]:
+        """Failures, probability and interval of every sweep point, and quantiles of the metrics.
+
+        A draw that ended early has no metric and counts as infinite; ``finite`` tells how many did not. Intervals of
+        quantiles are order statistics, hence for independent draws only.
         """
         times = self.manifest.get("times", {})
         return {
@@ -76,6 +86,8 @@ class Result:
             "draws": self.study.config.draws,
             "confidence": confidence,
             "certificate": self.certificate,
+            "interval_method": self.method.name,
+            "stopping": self.manifest.get("stopping"),
             "requirements": [requirement.text for requirement in self.study.requirements],
             "points": [self._point(index, confidence) for index in np.ndindex(*map(len, self.study.axes.values()))],
             "rate": times.get("rate"),
@@ -88,24 +100,39 @@ class Result:
         axes = self.study.axes
         point = {name: axes[name][i] for name, i in zip(axes, index, strict=True)}
         outcome = self.dataset["outcome"].values[index]
-        draws, failures = int(outcome.size), int(np.count_nonzero(outcome != Outcome.OK))
-        metrics = {}
-        for measure in self.study.measures:
-            found = upper_quantiles(self.dataset[measure.name].values[index], QUANTILES)
-            metrics[measure.name] = {f"q{100 * q:g}": finite_or_none(v) for q, v in zip(QUANTILES, found, strict=True)}
+        draws, failed = int(outcome.size), outcome != Outcome.OK
+        failures = int(np.count_nonzero(failed))
+        metrics = {
+            measure.name: self._quantiles(self.dataset[measure.name].values[index], confidence)
+            for measure in self.study.measures
+        }
         return {
             **point,
             "draws": draws,
             "failures": failures,
             "probability": failures / draws,
-            "interval": clopper_pearson(failures, draws, confidence).tolist(),
-            "certified": bool(self.dataset["certified"].values[index]) if "certified" in self.dataset.coords else None,
+            "interval": self.method.interval(failed, confidence).tolist(),
+            "certified": self._certified(index),
             "finite": int(np.count_nonzero(outcome != Outcome.NON_FINITE)),
             "outcomes": {
                 meaning: int(np.count_nonzero(outcome == code)) for code, meaning in outcome_codes(self.study).items()
             },
             "metrics": metrics,
         }
+
+    def _certified(self, index: tuple[int, ...]) -> bool | None:
+        marks = self.dataset.get("certified")
+        return None if marks is None else bool(marks.transpose(*self.study.axes).values[index])
+
+    def _quantiles(self, values: np.ndarray, confidence: float) -> dict[str, Any]:
+        ordered, method = ranked(values), self.method
+        found: dict[str, Any] = {}
+        for level, value in zip(QUANTILES, upper_quantiles(values, QUANTILES), strict=True):
+            found[f"q{100 * level:g}"] = finite_or_none(value)
+            if not isinstance(method, Replicated):
+                ranks = quantile_ranks(len(ordered), level, method.level(confidence))
+                found[f"q{100 * level:g}_interval"] = [finite_or_none(at_rank(ordered, rank)) for rank in ranks]
+        return found
 
     def save(self, folder: str | Path) -> Path:
         """Write the results folder.
@@ -149,13 +176,18 @@ def upper_quantiles(values: np.ndarray, levels: Sequence[float]) -> np.ndarray:
 
 
 def headline(result: Result) -> Measure:
-    """The metric that the study is about: the one it names, else that of its first requirement, else the error."""
-    wanted = result.study.config.plot.metric
-    by_name = {measure.name: measure for measure in result.study.measures}
+    """The metric that a result's study is about."""
+    return headline_measure(result.study)
+
+
+def headline_measure(study: Study) -> Measure:
+    """The metric that a study is about: the one it names, else that of its first requirement, else the error."""
+    wanted = study.config.plot.metric
+    by_name = {measure.name: measure for measure in study.measures}
     if wanted:
         return by_name[wanted]
-    if result.study.requirements:
-        return result.study.requirements[0].measure
+    if study.requirements:
+        return study.requirements[0].measure
     return by_name["error_rms"]
 
 

@@ -1,16 +1,24 @@
-"""Draw i of a study: it depends on (seed, i) only, never on the number of draws, the chunk or the device."""
+"""Draw i of a study: a point of the unit cube, and the values that the laws make of it.
 
-from collections.abc import Mapping, Sequence
-from functools import partial
+Random draws depend on (seed, i) only, never on the number of draws, the chunk or the device, and a factor's on its
+own name only. The points of the other designs are shared out over independent replicates, draw i to replicate i mod R:
+Sobol points can be extended (but another law moves them all), those of a Latin hypercube cannot.
+"""
+
+import warnings
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy import special
 
 from dssc_jax.numerics import stream
-from dssc_jax.study.laws import Law
+from dssc_jax.study import Study
 
 EDGE = 2.0**-53  # keeps quantiles of unbounded laws finite
+SOBOL_BITS = 30  # of a coordinate; scipy's fast_forward knows words of 32 bits only
 
 
 def draw_key(seed: int, index: jax.Array | int) -> jax.Array:
@@ -27,37 +35,121 @@ def _uniform(seed: int, streams: tuple[int, ...], indices: jax.Array) -> jax.Arr
     return jax.vmap(point)(indices)
 
 
-def unit_points(seed: int, names: Sequence[str], indices: np.ndarray) -> np.ndarray:
-    """Independent points of the open unit cube.
+def random_points(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
+    """Independent points."""
+    with jax.enable_x64(True):
+        return np.asarray(_uniform(study.config.seed, streams, jnp.asarray(indices, dtype=jnp.uint32)))
+
+
+def generator(*words: int) -> np.random.Generator:
+    """A host generator of its own for each tuple of numbers."""
+    return np.random.default_rng(np.random.SeedSequence(words))
+
+
+def sobol_points(dimension: int, first: int, last: int, words: Sequence[int]) -> np.ndarray:
+    """Points first .. last - 1 of a Sobol sequence whose scrambling is drawn from ``words``, in their cells' middle.
+
+    Returns:
+        Shape (last - first, dimension).
+    """
+    from scipy.stats import qmc
+
+    sequence = qmc.Sobol(dimension, scramble=True, bits=SOBOL_BITS, rng=generator(*words))
+    if first:
+        sequence.fast_forward(first)
+    with warnings.catch_warnings():  # a block need not be a power of two; the study's whole design is
+        warnings.filterwarnings("ignore", "The balance properties of Sobol' points require n to be a power of 2")
+        return sequence.random(last - first) + 0.5**SOBOL_BITS / 2.0
+
+
+def replicated_sobol(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
+    """Scrambled Sobol points, the first one kept; every replicate has a scrambling of its own."""
+    found = np.empty((len(indices), len(streams)))
+    position, replicate = np.divmod(indices, study.config.replicates)
+    for r in np.unique(replicate):
+        mine = replicate == r
+        first, last = int(position[mine].min()), int(position[mine].max()) + 1
+        words = (study.config.seed, stream("sobol"), int(r))
+        found[mine] = sobol_points(len(streams), first, last, words)[position[mine] - first]
+    return found
+
+
+@lru_cache(maxsize=1)
+def latin_design(seed: int, streams: tuple[int, ...], replicates: int, draws: int) -> np.ndarray:
+    """All points of independent Latin hypercubes, shape (draws, factors): a design of one dimension for each factor."""
+    from scipy.stats import qmc
+
+    def column(factor: int, replicate: int) -> np.ndarray:
+        return qmc.LatinHypercube(1, rng=generator(seed, factor, replicate)).random(draws // replicates)[:, 0]
+
+    columns = [np.stack([column(factor, r) for r in range(replicates)], axis=1).reshape(-1) for factor in streams]
+    return np.stack(columns, axis=1)
+
+
+def replicated_latin(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
+    """Points of Latin hypercubes, one a replicate. They depend on the number of draws."""
+    config = study.config
+    return latin_design(config.seed, streams, config.replicates, config.draws)[indices]
+
+
+DESIGNS: dict[str, Callable[[Study, tuple[int, ...], np.ndarray], np.ndarray]] = {
+    "random": random_points,
+    "sobol": replicated_sobol,
+    "lhs": replicated_latin,
+}
+
+
+def unit_points(study: Study, indices: np.ndarray) -> np.ndarray:
+    """Points of the open unit cube, a column a factor, by the study's design.
 
     Args:
-        seed: The study's seed.
-        names: Names of the factors.
+        study: The study.
         indices: Draw indices, shape (n,).
 
     Returns:
-        Shape (n, len(names)), float64 whatever the study's precision.
+        Shape (n, number of laws), float64 whatever the study's precision.
     """
+    names = list(study.laws)
     if not names:
         return np.empty((len(indices), 0))
     streams = tuple(stream(name) for name in names)
     if len(set(streams)) != len(streams):
-        raise ValueError(f"two factors share a random stream; rename one of {list(names)}")
-    with jax.enable_x64(True):
-        points = np.asarray(_uniform(seed, streams, jnp.asarray(indices, dtype=jnp.uint32)))
+        raise ValueError(f"two factors share a random stream; rename one of {names}")
+    return inside(DESIGNS[study.config.sampling](study, streams, np.asarray(indices)))
+
+
+def inside(points: np.ndarray) -> np.ndarray:
+    """Points moved off the faces of the unit cube, where quantiles may be infinite."""
     return np.clip(points, EDGE, 1.0 - EDGE)
 
 
-def draw(seed: int, laws: Mapping[str, Law], indices: np.ndarray) -> dict[str, np.ndarray]:
+def values_at(study: Study, points: np.ndarray) -> dict[str, np.ndarray]:
+    """Values of the uncertain numbers at points of the unit cube; correlated ones through a Gaussian copula.
+
+    Args:
+        study: The study.
+        points: Independent uniform coordinates, a column a law, shape (n, laws).
+
+    Returns:
+        For each factor an array of shape (n,), float64.
+    """
+    names = list(study.laws)
+    points = np.asarray(points).copy()
+    coupled = [names.index(name) for name in study.correlated]
+    if coupled:
+        normal = special.ndtri(points[:, coupled]) @ np.linalg.cholesky(study.correlation).T
+        points[:, coupled] = inside(special.ndtr(normal))
+    return {name: law.quantile(points[:, column]) for column, (name, law) in enumerate(study.laws.items())}
+
+
+def draw(study: Study, indices: np.ndarray) -> dict[str, np.ndarray]:
     """Values of the uncertain numbers for the given draws.
 
     Args:
-        seed: The study's seed.
-        laws: Law of each factor.
+        study: The study.
         indices: Draw indices, shape (n,).
 
     Returns:
         For each factor an array of shape (n,), float64.
     """
-    points = unit_points(seed, list(laws), indices)
-    return {name: law.quantile(points[:, column]) for column, (name, law) in enumerate(laws.items())}
+    return values_at(study, unit_points(study, indices))

@@ -30,6 +30,30 @@ def write_json(path: Path, content: Any) -> None:
     os.replace(partial, path)
 
 
+def write_answer(path: Path, content: dict[str, Any], study: Study) -> None:
+    """Write an analysis that has no dataset, with the study that it is of.
+
+    Args:
+        path: A JSON file; its folder is made when absent.
+        content: The answer.
+        study: What it answers for.
+
+    Raises:
+        ConfigError: the file holds something else, or the folder is a file.
+    """
+    if path.parent.exists() and not path.parent.is_dir():
+        raise ConfigError(str(path.parent), "is a file, not a results folder; nothing was written")
+    if path.exists():
+        try:
+            same = json.loads(path.read_text(encoding="utf-8"))["hash"] == study.hash
+        except (ValueError, KeyError, TypeError):
+            same = False
+        if not same:
+            raise ConfigError(str(path), "holds the answer to another study; choose another --out, nothing was written")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_json(path, {**content, "hash": study.hash, "source": study.source, "inputs": study.table})
+
+
 def read_manifest(folder: Path) -> dict[str, Any]:
     """The manifest of a results folder.
 
@@ -101,7 +125,7 @@ class Store:
         self.folder, self.study, self.layout = folder, study, layout
         occupied = folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
         if occupied:
-            self._require_same_study()
+            self._require_same_study(resume)
         if occupied and resume:
             self.layout = stored_layout(folder, study, read_manifest(folder))
             self.group = open_group(folder, mode="a")
@@ -114,7 +138,7 @@ class Store:
         write_json(folder / MANIFEST, manifest)  # before the data, so that an interrupted run is known as one
         self.group = lay_out(folder, study, layout)
 
-    def _require_same_study(self) -> None:
+    def _require_same_study(self, resume: bool) -> None:
         if not self.folder.is_dir():
             raise ConfigError(str(self.folder), "is a file, not a results folder; nothing was written")
         manifest = read_manifest(self.folder)
@@ -122,9 +146,13 @@ class Store:
             differing = differences(manifest["study"], self.study.table)
             differing = differing or ["its hash differs"]
             shown = "; ".join(differing[:3]) + (f"; and {len(differing) - 3} more" if len(differing) > 3 else "")
+            if self.study.config.sampling == "lhs" and [text.partition(":")[0] for text in differing] == ["draws"]:
+                shown += "; a Latin hypercube cannot be extended"
             raise ConfigError(
                 str(self.folder), f"holds results of another study ({shown}); choose another --out, nothing was written"
             )
+        if resume and manifest.get("stopping"):
+            raise ConfigError(str(self.folder), "ended where its draws decided; that cannot be resumed, start over")
 
     def pending(self) -> list[tuple[slice, ...]]:
         """Blocks that are not complete yet."""

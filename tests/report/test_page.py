@@ -206,8 +206,8 @@ def test_numbers():
         "1.234e\N{MINUS SIGN}05",
         "\N{MINUS SIGN}2",
     ]
-    assert elements.probability(0, 100) == "≤ 0.0362"
-    assert elements.probability(50, 100) == "0.5"
+    assert elements.probability(0.0, (0.0, 0.0362)) == "≤ 0.0362"
+    assert elements.probability(0.5, (0.4, 0.6)) == "0.5"
 
 
 def test_figures_take_the_pages_colours(ran):

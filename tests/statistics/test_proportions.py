@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from dssc_jax.statistics import clopper_pearson, describe_probability
+from dssc_jax.statistics import DataDriven, FixedCount, Replicated, clopper_pearson, describe_probability
 
 
 @pytest.mark.parametrize(("k", "n", "low", "high"), [(0, 100, 0.0, 0.036217), (10, 100, 0.049005, 0.176223)])
@@ -35,6 +35,42 @@ def test_coverage_is_at_least_nominal():
 
 
 def test_no_failure_is_told_by_its_upper_bound():
-    text = describe_probability(0, 100)
+    text = describe_probability(np.zeros(100, dtype=bool))
     assert "<= 0.0362" in text
     assert "probability 0 " not in text
+
+
+def test_wilson_would_not_do():
+    """Why not the shorter interval: it covers 0.84 near p = 0.17/n, for every n."""
+    for n in (100, 10_000):
+        p = 0.17 / n
+        found = [stats.binomtest(k, n).proportion_ci(0.95, "wilson") for k in range(20)]
+        inside = np.array([interval.low <= p <= interval.high for interval in found])
+        assert stats.binom.pmf(np.arange(20), n, p)[inside].sum() == pytest.approx(0.84, abs=0.01)
+
+
+def test_every_method_names_itself_and_bounds_no_failure():
+    none, some = np.zeros(160, dtype=bool), np.arange(160) % 10 == 0
+    for method in (FixedCount(), DataDriven(3), Replicated(8, "scrambled Sobol")):
+        assert method.name in describe_probability(some, method)
+        assert "failure probability <= 0.0" in describe_probability(none, method)
+        low, high = method.interval(some)
+        assert low < 0.1 < high
+
+
+def test_replicates_that_agree_leave_open_what_they_cannot_see():
+    low, high = Replicated(8, "Latin hypercube").interval(np.zeros(800, dtype=bool))
+    assert (low, high) == (0.0, pytest.approx(np.log(40.0) / 800))
+
+
+def test_replicates_that_scatter_get_students_t():
+    failed = np.random.default_rng(0).random((8, 100)) < np.linspace(0.2, 0.4, 8)[:, None]
+    low, high = Replicated(8, "scrambled Sobol").interval(failed.T.reshape(-1))
+    means = failed.mean(1)
+    half = stats.t.ppf(0.975, 7) * stats.sem(means) + np.log(40.0) / 800
+    np.testing.assert_allclose([low, high], [means.mean() - half, means.mean() + half])
+
+
+def test_replicates_must_share_the_draws_evenly():
+    with pytest.raises(ValueError, match="cannot be shared out"):
+        Replicated(8, "scrambled Sobol").interval(np.zeros(100, dtype=bool))

@@ -7,7 +7,7 @@ import warnings
 from dssc_jax.cli.shared import BAD_INPUT, DONE, INTERRUPTED, app
 from dssc_jax.errors import ConfigError
 
-MODULES = ("simulation", "robustness", "reports", "designs", "about")
+MODULES = ("simulation", "robustness", "statistics", "reports", "designs", "about")
 """Each registers its commands; help lists them in this order."""
 
 for module in MODULES:

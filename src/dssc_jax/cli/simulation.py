@@ -9,6 +9,7 @@ import typer
 
 from dssc_jax.cli.shared import (
     DONE,
+    FAILS,
     CsvOption,
     DrawsOption,
     EveryOption,
@@ -33,6 +34,7 @@ from dssc_jax.errors import ConfigError
 
 if TYPE_CHECKING:
     from dssc_jax.results import Result
+    from dssc_jax.stopping import Rule
     from dssc_jax.study import Study
 
 FIGURES = (".png", ".svg", ".pdf")
@@ -46,6 +48,16 @@ def run(
     seed: SeedOption = None,
     out: OutOption = None,
     resume: ResumeOption = False,
+    until_width: Annotated[
+        float | None, typer.Option("--until-width", metavar="W", help="Draw until the interval is no wider than W.")
+    ] = None,
+    accept: Annotated[
+        float | None, typer.Option("--accept", metavar="P0", help="Draw until a probability <= P0 is shown, or ...")
+    ] = None,
+    reject: Annotated[float | None, typer.Option("--reject", metavar="P1", help="... one >= P1; exit 1 then.")] = None,
+    max_draws: Annotated[
+        int | None, typer.Option("--max-draws", metavar="N", help="Stop undecided at so many draws [100000].")
+    ] = None,
     as_json: JsonOption = False,
     allow_local: LocalOption = False,
 ) -> int:
@@ -53,10 +65,17 @@ def run(
 
     The study's [sweep] is left aside.
 
-    Prints the failure probability with its exact (Clopper-Pearson) interval, and writes a results folder. Draws that
-    fail are outcomes: the exit code is 0.
+    Prints the failure probability with its interval, and writes a results folder. Draws that fail are outcomes: the
+    exit code is 0. With --until-width, or --accept and --reject, the draws decide their number; the interval is the
+    sequential one, which stays valid, and the exit code is 1 unless the
+    rule is met (narrow enough, or accepted).
     """
+    rule = stopping_rule(until_width, accept, reject)
     found = load_study(study, settings, draws, seed, allow_local).without_sweep()
+    if rule is not None:
+        require_unset("a data-driven stop", draws=draws, resume=resume or None)
+        return finish_sequential(found, rule, max_draws, out, as_json)
+    require_unset("a fixed number of draws", max_draws=max_draws)
     altered = bool(settings or draws is not None or seed is not None)
     return finish(found, out or default_out(found, "run", altered), resume, as_json)
 
@@ -140,6 +159,50 @@ def replay(
         if not math.isfinite(point[name]):
             raise ConfigError("--at", f"must be NAME=NUMBER, got '{text}'")
     return tell_trajectory(api.replay(load(result), draw, point=point or None, every=every), csv, figure, as_json)
+
+
+def stopping_rule(width: float | None, accept: float | None, reject: float | None) -> "Rule | None":
+    """The rule that the options ask for."""
+    if width is accept is reject is None:
+        return None
+    if width is not None and (accept is not None or reject is not None):
+        raise ConfigError("--until-width", "cannot stand with --accept and --reject")
+    if width is None and (accept is None or reject is None):
+        raise ConfigError("--accept" if accept is None else "--reject", "is missing; the two go together")
+    from dssc_jax.statistics import AcceptReject, UntilWidth
+
+    try:
+        if width is not None:
+            return UntilWidth(width)
+        assert accept is not None
+        assert reject is not None
+        return AcceptReject(accept, reject)
+    except ValueError as error:
+        raise ConfigError("--until-width" if width is not None else "--accept", str(error)) from None
+
+
+def require_unset(purpose: str, **options: Any) -> None:
+    """Require that options which have no meaning here are not given."""
+    for name, value in options.items():
+        if value is not None:
+            raise ConfigError(f"--{name.replace('_', '-')}", f"has no meaning with {purpose}")
+
+
+def finish_sequential(study: "Study", rule: "Rule", most: int | None, out: Path | None, as_json: bool) -> int:
+    """Draw until the rule is content, draw the figures, tell the result."""
+    from dssc_jax.console import progress_bar, show_result
+    from dssc_jax.stopping import MOST, run_until
+
+    most = MOST if most is None else most
+    out = out or default_out(study.override({"draws": most}), f"run-{rule.slug}", True)
+    with progress_bar(study, quiet=as_json) as advance:
+        result = run_until(study, rule, out, most=most, progress=advance)
+    figures = draw_figures(result, out)
+    if as_json:
+        print(json.dumps(result.summary()))
+    else:
+        show_result(result, figures)
+    return DONE if result.manifest["stopping"]["verdict"] in ("narrow", "accepted") else FAILS
 
 
 def finish(study: "Study", out: Path, resume: bool, as_json: bool) -> int:

@@ -6,8 +6,11 @@ and ``signals`` are single panels that also draw into axes of yours.
 
 from pathlib import Path
 
+from matplotlib.figure import Figure
+
 from dssc_jax.plotting.comparisons import comparison
 from dssc_jax.plotting.draws import distribution, factor, failures
+from dssc_jax.plotting.indices import sensitivity
 from dssc_jax.plotting.margins import margin
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, STYLE, write
 from dssc_jax.plotting.sweeps import fitted_slope, probability, sweep, typical
@@ -30,6 +33,8 @@ __all__ = [
     "margin",
     "probability",
     "save_all",
+    "save_figure",
+    "sensitivity",
     "signals",
     "sweep",
     "trajectory",
@@ -44,7 +49,15 @@ def save_all(result: Result, folder: Path) -> list[Path]:
     Returns:
         The files written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     figure = sweep(result) if result.study.axes else failures(result)
-    name = "sweep" if result.study.axes else "failures"
+    return save_figure(figure, folder, "sweep" if result.study.axes else "failures")
+
+
+def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
+    """Write a figure as PNG and SVG.
+
+    Returns:
+        The files written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
     return [write(figure, folder / f"{name}.{suffix}") for suffix in ("png", "svg")]

@@ -9,7 +9,7 @@ from dssc_jax.metrics import Measure
 from dssc_jax.plotting.style import BLUE, DRAWABLE, RED, SLIDE, SMALL, label, panel, set_scale, styled, title
 from dssc_jax.plotting.thinning import picked
 from dssc_jax.results import Result, measured
-from dssc_jax.statistics import clopper_pearson
+from dssc_jax.statistics import CONFIDENCE, Replicated, clopper_pearson
 
 BINS, MOST_FACTORS, FEW = 8, 5, 20
 
@@ -28,11 +28,11 @@ def failures(result: Result) -> Figure:
     for ax, name in zip(axes[1:], laws, strict=False):
         factor(result, name, ax)
     failed = result.failed.values
-    low, high = clopper_pearson(int(failed.sum()), failed.size)
+    low, high = result.method.interval(failed)
     title(
         figure,
         f"{result.study.name}: {failed.sum()} of {failed.size} draws fail; "
-        f"probability in [{low:.3g}, {high:.3g}], 95 % Clopper-Pearson",
+        f"probability in [{low:.3g}, {high:.3g}], 95 % {result.method.name}",
     )
     return figure
 
@@ -72,8 +72,9 @@ def distribution(result: Result, ax: Axes | None = None, metric: str | None = No
     finite = np.sort(values[np.abs(values) < DRAWABLE])
     ranks = 1 + picked(len(finite)) if len(finite) else np.array([], int)
     shown = finite[ranks - 1]
-    interval = clopper_pearson(ranks, values.size)
-    ax.fill_between(shown, *interval.T, color=BLUE, alpha=0.2, step="post", linewidth=0.0, label="95 % interval")
+    if not isinstance(result.method, Replicated):
+        interval = clopper_pearson(ranks, values.size, result.method.level(CONFIDENCE))
+        ax.fill_between(shown, *interval.T, color=BLUE, alpha=0.2, step="post", linewidth=0.0, label="95 % interval")
     ax.step(shown, ranks / values.size, color=BLUE, where="post", marker="o" if len(shown) < FEW else None)
     for limit in limits(result, measure):
         ax.axvline(limit, color=RED, linestyle="--", label="required")
@@ -104,16 +105,18 @@ def factor(result: Result, name: str, ax: Axes | None = None) -> Figure:
     values, failed = result.dataset[name].values, result.failed.values
     groups = np.array_split(np.argsort(values), min(BINS, values.size))
     centres = np.array([np.median(values[group]) for group in groups])
-    counts = np.array([failed[group].sum() for group in groups])
-    sizes = np.array([len(group) for group in groups])
-    share = counts / sizes
-    ax.errorbar(centres, share, np.abs(clopper_pearson(counts, sizes).T - share), fmt="o", color=RED, capsize=3)
+    share = np.array([failed[group].mean() for group in groups])
+    reach = None
+    if result.method.independent:
+        reach = np.abs(np.stack([result.method.interval(failed[group]) for group in groups]).T - share)
+    ax.errorbar(centres, share, reach, fmt="o", color=RED, capsize=3)
     if result.study.laws[name].support[0] > 0.0:
         set_scale(ax, centres)
     if ax.get_xscale() == "linear":
         ax.locator_params(axis="x", nbins=5)
     unit = result.dataset[name].attrs["units"]
-    ax.set(xlabel=f"{name}\n[{unit}]", ylabel="failure probability", ylim=(-0.03, 1.03))
+    what = "failure probability" if result.method.independent else "share of failed draws (no interval)"
+    ax.set(xlabel=f"{name}\n[{unit}]", ylabel=what, ylim=(-0.03, 1.03))
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
     return figure
 

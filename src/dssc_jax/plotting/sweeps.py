@@ -29,7 +29,6 @@ from dssc_jax.plotting.style import (
     title,
 )
 from dssc_jax.results import Result, measured, upper_quantiles
-from dssc_jax.statistics import clopper_pearson
 
 FINE = 2500  # a map of more cells is written as an image, not cell by cell
 CERTIFIED = "certified by Theorem 1"
@@ -162,8 +161,8 @@ def typical_curve(ax: Axes, result: Result, measure: Measure, axis: str) -> None
 def probability_curve(ax: Axes, result: Result, axis: str) -> None:
     """The failure probability with its interval along one axis."""
     x, failed = result.dataset[axis].values, result.failed.values
-    interval = clopper_pearson(failed.sum(-1), failed.shape[-1])
-    ax.fill_between(x, *interval.T, color=RED, alpha=0.2, linewidth=0.0, label="95 % Clopper-Pearson")
+    interval = result.method.interval(failed)
+    ax.fill_between(x, *interval.T, color=RED, alpha=0.2, linewidth=0.0, label=f"95 % {result.method.name}")
     ax.plot(x, failed.mean(-1), "o-", color=RED, label="failed draws")
     ax.set(ylabel="failure probability", ylim=(-0.03, 1.03))
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
@@ -194,7 +193,7 @@ def probability_map(ax: Axes, result: Result, down: str, across: str) -> None:
     x, y = result.dataset[across].values, result.dataset[down].values
     image = ax.pcolormesh(x, y, share, cmap="cividis", vmin=0.0, vmax=1.0, **cells(share))
     contour(ax, x, y, share, 0.5, "-")
-    contour(ax, x, y, clopper_pearson(failed.sum(-1), draws)[..., 1], 0.05, "--")
+    contour(ax, x, y, result.method.interval(failed)[..., 1], 0.05, "--")
     text = f"failure probability ({draws} draws)"
     ax.figure.colorbar(image, ax=ax, format=PercentFormatter(1.0), label=text)
     required = "; ".join(r.text for r in result.study.requirements) or "the draw stays finite"

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import htpy as h
 
-from dssc_jax.statistics import CONFIDENCE, clopper_pearson
+from dssc_jax.statistics import CONFIDENCE
 
 MINUS = "\N{MINUS SIGN}"
 LEVEL = f"{100 * CONFIDENCE:g} %"
@@ -38,14 +38,14 @@ def with_unit(value: float, unit: str) -> str:
     return number(value) if unit in ("", "1") else f"{number(value)} {unit}"
 
 
-def probability(failures: int, draws: int) -> str:
-    """A probability as a cell shows it: none in n is an upper bound, never 0."""
-    return number(failures / draws) if failures else f"≤ {clopper_pearson(0, draws)[1]:.3g}"
+def probability(share: float, bounds: Sequence[float]) -> str:
+    """A probability as a cell shows it: where no draw failed its upper bound, never 0."""
+    return number(share) if share else f"≤ {bounds[1]:.3g}"
 
 
-def interval(failures: int, draws: int) -> str:
-    """The exact interval of a probability."""
-    low, high = clopper_pearson(failures, draws)
+def interval(bounds: Sequence[float]) -> str:
+    """The interval of a probability."""
+    low, high = bounds
     return f"{low:.3g} to {high:.3g}"
 
 

@@ -42,20 +42,22 @@ CHATTER = ("command_tv", "sampling_ratio", "sampling_ratio_above_1", "outside_sl
 
 
 def outcome(about: Subject) -> Section:
-    """How the draws ended, with exact intervals."""
+    """How the draws ended, with intervals."""
     if about.result.study.axes:
         return Section("outcome", "The outcome", points(about))
     (point,) = about.summary["points"]
     draws = point["draws"]
+    ended, method = about.result.dataset["outcome"].values, about.result.method
     words = endings(about.result.study)
-    rows: list[tuple[h.Node, ...]] = [
-        (words[name], f"{n:,}", number(n / draws) if n else probability(0, draws), interval(n, draws))
-        for name, n in point["outcomes"].items()
-    ]
+    rows: list[tuple[h.Node, ...]] = []
+    for code, name in outcome_codes(about.result.study).items():
+        bounds = method.interval(ended == code).tolist()
+        n = point["outcomes"][name]
+        rows.append((words[name], f"{n:,}", probability(n / draws, bounds), interval(bounds)))
     rows.append((h.strong["fails in any way"], *fails(point)))
     head = ("how a draw ended", "draws", "probability", f"{LEVEL} interval")
     note = [
-        f"Intervals are exact (Clopper-Pearson), each at {LEVEL} on its own. A way that no draw in {draws:,} ended is ",
+        f"Intervals: {method.name}, each at {LEVEL} on its own. A way that no draw in {draws:,} ended is ",
         "told by its upper bound. ",
         h.strong[about.result.certificate],
         ".",
@@ -73,8 +75,8 @@ def endings(study: Study) -> dict[str, str]:
 
 def fails(point: dict[str, Any]) -> tuple[str, str, str]:
     """Failures of a point, their probability and its interval."""
-    failures, draws = point["failures"], point["draws"]
-    return f"{failures:,}", probability(failures, draws), interval(failures, draws)
+    bounds = point["interval"]
+    return f"{point['failures']:,}", probability(point["probability"], bounds), interval(bounds)
 
 
 def points(about: Subject) -> list[h.Node]:
@@ -93,7 +95,7 @@ def points(about: Subject) -> list[h.Node]:
     more = f"; the first {MOST_ROWS} of {len(found):,}, all are in summary.json" if len(found) > MOST_ROWS else ""
     caption = f"{counted(study.config.draws, 'draw')} at each point{more}"
     note = (
-        f"Intervals are exact (Clopper-Pearson), each at {LEVEL} on its own; the draws of all points are the same, "
+        f"Intervals: {about.result.method.name}, each at {LEVEL} on its own; the draws of all points are the same, "
         "so that differences between points are sharper than the intervals suggest."
     )
     return [
@@ -147,7 +149,7 @@ def metrics(about: Subject) -> Section:
     name = headline(about.result).name
     text = f"Share of draws at or below each value of {name}; its quantiles are in the table."
     picture = inline(lambda: plotting.distribution(close), text, "distribution")
-    caption = f"Distribution of {name} with the exact interval of each share."
+    caption = f"Distribution of {name} with the interval of each share."
     body = [
         h.p[f"Quantiles over draws{about.where}. A draw that ended early counts as ∞."],
         table("Quantiles of the metrics", head, rows, words=3),
@@ -171,14 +173,14 @@ def causes(about: Subject) -> Section | None:
         return None
     pictures = []
     for i, name in enumerate(names):
-        text = f"Failure probability against {name}, in bins of equal count, with exact intervals."
+        text = f"Failure probability against {name}, in bins of equal count, with intervals."
         picture = inline(partial(plotting.factor, close, name), text, f"cause{i}")
         pictures.append(figure(picture, [h.code[name], f": {close.study.quantities[name].meaning}"]))
     left = len(close.study.laws) - len(names)
     more = f" {counted(left, 'number')} more are in the dataset." if left > 0 else ""
     note = (
         f"Failure probability{about.where}, in bins of equal count of one uncertain number while all the others vary, "
-        f"with exact {LEVEL} intervals. A slope tells on what failures depend.{more}"
+        f"with {LEVEL} intervals. A slope tells on what failures depend.{more}"
     )
     return Section("causes", "What failures depend on", [h.p[note], h.div(".grid")[pictures]])
 
@@ -264,11 +266,11 @@ def verdict(about: Subject) -> tuple[str, str]:
     """The result in a few characters, and in a sentence."""
     found = about.summary["points"]
     if not about.result.study.axes:
-        failures, draws = found[0]["failures"], found[0]["draws"]
-        said = f"{failures:,} of {draws:,} draws fail; {LEVEL} interval {interval(failures, draws)}"
-        return probability(failures, draws), said
+        (point,) = found
+        said = f"{point['failures']:,} of {point['draws']:,} draws fail; {LEVEL} interval {interval(point['interval'])}"
+        return probability(point["probability"], point["interval"]), said
     best, most = (pick(found, key=lambda point: point["probability"]) for pick in (min, max))
-    text = " to ".join(probability(point["failures"], point["draws"]) for point in (best, most))
+    text = " to ".join(probability(point["probability"], point["interval"]) for point in (best, most))
     return text, f"from the best to the worst of {counted(len(found), 'point')}, {best['draws']:,} draws each"
 
 

@@ -63,14 +63,14 @@ def row_of(folder: Path) -> Row:
 
 def numbers(points: list[dict[str, Any]]) -> dict[str, Any]:
     """Size, probability and interval; of a sweep, of its best and its worst point."""
-    best, most = (pick(points, key=lambda point: point["failures"] / point["draws"]) for pick in (min, max))
+    best, most = (pick(points, key=lambda point: point["probability"]) for pick in (min, max))
     shown = [best] if len(points) == 1 else [best, most]
     size = counted(best["draws"], "draw") + (f" at {len(points):,} points" if len(points) > 1 else "")
     return {
         "size": size,
-        "probability": " to ".join(probability(point["failures"], point["draws"]) for point in shown),
-        "interval": interval(best["failures"], best["draws"]) if len(points) == 1 else "",
-        "worst": most["failures"] / most["draws"],
+        "probability": " to ".join(probability(point["probability"], point["interval"]) for point in shown),
+        "interval": interval(best["interval"]) if len(points) == 1 else "",
+        "worst": most["probability"],
     }
 
 

@@ -1,9 +1,9 @@
-"""What the order statistics of independent draws say of any law: quantiles and tolerance limits."""
+"""What the order statistics of independent draws say of any law: intervals of quantiles, and tolerance limits."""
 
 import numpy as np
 from scipy import special
 
-from dssc_jax.statistics.proportions import CONFIDENCE
+from dssc_jax.statistics.proportions import CONFIDENCE, require_share
 
 
 def binomial_quantile(level: float, draws: int, probability: float) -> int:
@@ -16,37 +16,143 @@ def binomial_quantile(level: float, draws: int, probability: float) -> int:
     return k
 
 
-def quantile_interval(values: np.ndarray, level: float, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Two order statistics that enclose a quantile of any law, whatever its shape.
+def ranked(values: np.ndarray) -> np.ndarray:
+    """Values in rising order; a draw without a value (NaN) counts as +inf."""
+    return np.sort(np.where(np.isnan(values), np.inf, values))
 
-    [X_(r), X_(s)] with P(Bin(n, p) < r) <= a/2 and P(Bin(n, p) >= s) <= a/2; an end is infinite where n draws are too
-    few for it.
+
+def at_rank(ordered: np.ndarray, rank: int) -> float:
+    """The order statistic X_(rank), counted from 1; infinite beyond the draws."""
+    if rank < 1:
+        return -np.inf
+    return float(ordered[rank - 1]) if rank <= len(ordered) else np.inf
+
+
+def quantile_ranks(draws: int, level: float, confidence: float = CONFIDENCE) -> tuple[int, int]:
+    """Ranks r, s of the order statistics that enclose a quantile: P(B < r) <= a/2 and P(B >= s) <= a/2, B ~ Bin(n, p).
 
     Args:
-        values: Independent, identically distributed draws, shape (n,); a draw without a value (NaN) counts as +inf.
+        draws: n >= 1.
         level: p of the quantile, in (0, 1).
-        confidence: Coverage, in (0, 1); the true one is at least that.
+        confidence: 1 - a, in (0, 1).
 
     Returns:
-        Lower and upper end.
+        r in 0 .. n and s in 1 .. n + 1; 0 and n + 1 stand for infinite ends.
 
     Raises:
-        ValueError: no values, or a level or confidence outside (0, 1).
-
-    Example:
-        >>> quantile_interval(np.arange(1.0, 101.0), 0.5)
-        (40.0, 61.0)
+        ValueError: an argument is out of range.
 
     Reference:
         H. A. David, H. N. Nagaraja, Order Statistics, 3rd ed. (2003), section 7.1.
     """
-    if len(values) == 0 or not 0.0 < level < 1.0 or not 0.0 < confidence < 1.0:
-        raise ValueError(f"needs values, level and confidence in (0, 1), got {len(values)}, {level}, {confidence}")
-    ranked = np.sort(np.where(np.isnan(values), np.inf, values))
+    require_share(level=level, confidence=confidence)
+    if draws < 1:
+        raise ValueError(f"needs at least one draw, got {draws}")
     tail = 0.5 * (1.0 - confidence)
-    low = binomial_quantile(tail, len(ranked), level)
-    high = binomial_quantile(1.0 - tail, len(ranked), level) + 1
-    return (
-        float(ranked[low - 1]) if low > 0 else -np.inf,
-        float(ranked[high - 1]) if high <= len(ranked) else np.inf,
-    )
+    return binomial_quantile(tail, draws, level), binomial_quantile(1.0 - tail, draws, level) + 1
+
+
+def quantile_interval(values: np.ndarray, level: float, confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """Two order statistics that enclose a quantile of any law, whatever its shape.
+
+    Args:
+        values: Independent, identically distributed draws, shape (n,); NaN counts as +inf.
+        level: p of the quantile, in (0, 1).
+        confidence: Coverage, in (0, 1); the true one is at least that.
+
+    Returns:
+        Lower and upper end; infinite where n draws are too few for it.
+
+    Raises:
+        ValueError: an argument is out of range.
+
+    Example:
+        >>> quantile_interval(np.arange(1.0, 101.0), 0.5)
+        (40.0, 61.0)
+    """
+    low, high = quantile_ranks(len(values), level, confidence)
+    ordered = ranked(values)
+    return at_rank(ordered, low), at_rank(ordered, high)
+
+
+def wilks_confidence(draws: int, content: float, order: int = 1, sides: int = 1) -> float:
+    """Confidence that order statistics of ``draws`` draws leave at most 1 - ``content`` of the law outside.
+
+    One side: the k-th largest (or smallest); two sides: both k-th extremes. It is 1 - sum_i C(n, i) (1-p)^i p^(n-i)
+    over i < k sides.
+    """
+    return float(special.bdtrc(order * sides - 1, draws, 1.0 - content)) if draws >= order * sides else 0.0
+
+
+def wilks_draws(content: float, confidence: float = CONFIDENCE, order: int = 1, sides: int = 1) -> int:
+    """Fewest draws whose k-th extremes are tolerance limits.
+
+    Args:
+        content: p, the share of the law that lies within, in (0, 1).
+        confidence: How sure, in (0, 1).
+        order: k >= 1; a higher one costs draws and gives a limit that scatters less.
+        sides: 1 for a lower or an upper limit, 2 for both at once.
+
+    Raises:
+        ValueError: an argument is out of range.
+
+    Example:
+        >>> [wilks_draws(0.95, order=k) for k in (1, 2, 3)], wilks_draws(0.95, sides=2)
+        ([59, 93, 124], 93)
+
+    Reference:
+        S. S. Wilks, Annals of Mathematical Statistics 12 (1941) 91-96.
+    """
+    require_share(content=content, confidence=confidence)
+    if order < 1 or sides not in (1, 2):
+        raise ValueError(f"needs order >= 1 and sides 1 or 2, got {order} and {sides}")
+    enough = 1
+    while wilks_confidence(enough, content, order, sides) < confidence:
+        enough *= 2
+    short = enough // 2
+    while enough - short > 1:
+        middle = (short + enough) // 2
+        if wilks_confidence(middle, content, order, sides) < confidence:
+            short = middle
+        else:
+            enough = middle
+    return enough
+
+
+def wilks_order(draws: int, content: float, confidence: float = CONFIDENCE, sides: int = 1) -> int:
+    """The highest order k whose extremes are tolerance limits with so many draws; 0: they are too few for any."""
+    require_share(content=content, confidence=confidence)
+    order = binomial_quantile(1.0 - confidence, draws, 1.0 - content) // sides + 1
+    while order > 0 and wilks_confidence(draws, content, order, sides) < confidence:
+        order -= 1
+    return order
+
+
+def tolerance_limits(
+    values: np.ndarray, content: float, confidence: float = CONFIDENCE, side: str = "both"
+) -> tuple[float, float]:
+    """Limits within which at least ``content`` of any law lies, with the given confidence.
+
+    Args:
+        values: Independent, identically distributed draws, shape (n,); NaN counts as +inf.
+        content: Share of the law, in (0, 1).
+        confidence: How sure, in (0, 1).
+        side: ``lower``, ``upper`` or ``both``; the other end is infinite.
+
+    Returns:
+        Lower and upper limit; infinite where n draws are too few.
+
+    Raises:
+        ValueError: an argument is out of range.
+
+    Example:
+        >>> tolerance_limits(np.arange(1.0, 94.0), 0.95, side="upper")
+        (-inf, 92.0)
+    """
+    if side not in ("lower", "upper", "both"):
+        raise ValueError(f"side must be lower, upper or both, got '{side}'")
+    order = wilks_order(len(values), content, confidence, sides=2 if side == "both" else 1)
+    ordered = ranked(values)
+    low = at_rank(ordered, order) if order and side != "upper" else -np.inf
+    high = at_rank(ordered, len(values) + 1 - order) if order and side != "lower" else np.inf
+    return low, high

@@ -1,10 +1,24 @@
-"""Statements about probabilities that hold at the confidence they print."""
+"""Failure probabilities: the interval that fits how the draws were made and how their number was chosen."""
+
+import math
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import betaincinv
+from scipy import special
 
 CONFIDENCE = 0.95
+
+
+def require_share(**shares: float) -> None:
+    """Require that each lies in (0, 1).
+
+    Raises:
+        ValueError: one does not.
+    """
+    for name, value in shares.items():
+        if not 0.0 < value < 1.0:
+            raise ValueError(f"{name} must lie in (0, 1), got {value!r}")
 
 
 def clopper_pearson(failures: ArrayLike, draws: ArrayLike, confidence: float = CONFIDENCE) -> np.ndarray:
@@ -34,15 +48,140 @@ def clopper_pearson(failures: ArrayLike, draws: ArrayLike, confidence: float = C
     if np.any(n < 1) or np.any(k < 0) or np.any(k > n):
         raise ValueError(f"needs 0 <= failures <= draws and draws >= 1, got {failures} of {draws}")
     tail = 0.5 * (1.0 - confidence)
-    lower = np.where(k > 0, betaincinv(np.maximum(k, 1), n - k + 1, tail), 0.0)
-    upper = np.where(k < n, betaincinv(k + 1, np.maximum(n - k, 1), 1.0 - tail), 1.0)
+    lower = np.where(k > 0, special.betaincinv(np.maximum(k, 1), n - k + 1, tail), 0.0)
+    upper = np.where(k < n, special.betaincinv(k + 1, np.maximum(n - k, 1), 1.0 - tail), 1.0)
     return np.stack([lower, upper], axis=-1)
 
 
-def describe_probability(failures: int, draws: int, confidence: float = CONFIDENCE) -> str:
-    """One line for people. No failure in n is told by its upper bound, never as 0."""
-    low, high = clopper_pearson(failures, draws, confidence)
-    level = f"{100 * confidence:g} % Clopper-Pearson"
+def look_error(look: int, error: float) -> float:
+    """Error spent at the j-th look, a_j = 6 a/(pi^2 j^2): all looks together spend no more than a."""
+    return 6.0 * error / (math.pi * look) ** 2
+
+
+class FixedCount(NamedTuple):
+    """Independent draws whose number was fixed beforehand."""
+
+    @property
+    def independent(self) -> bool:
+        """Whether the draws are."""
+        return True
+
+    @property
+    def name(self) -> str:
+        """The interval's name."""
+        return "Clopper-Pearson"
+
+    def level(self, confidence: float) -> float:
+        """The confidence at which one statement is to be made."""
+        return confidence
+
+    def interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
+        """Intervals from failures of shape (..., n), shape (..., 2)."""
+        return clopper_pearson(np.count_nonzero(failed, axis=-1), failed.shape[-1], confidence)
+
+
+FIXED = FixedCount()
+
+
+class DataDriven(NamedTuple):
+    """Independent draws that ended at the j-th look because of what they showed.
+
+    Whatever made the look the last one, the interval covers: those of all looks hold together.
+
+    Args:
+        look: j >= 1.
+    """
+
+    look: int
+
+    @property
+    def independent(self) -> bool:
+        """Whether the draws are."""
+        return True
+
+    @property
+    def name(self) -> str:
+        """The interval's name."""
+        return f"sequential Clopper-Pearson, data-driven stop at look {self.look}"
+
+    def level(self, confidence: float) -> float:
+        """The confidence at which a statement at this look is to be made."""
+        return 1.0 - look_error(self.look, 1.0 - confidence)
+
+    def interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
+        """Intervals from failures of shape (..., n), shape (..., 2)."""
+        return FIXED.interval(failed, self.level(confidence))
+
+
+class Replicated(NamedTuple):
+    """Independent replicates of a design whose draws are not independent; draw i belongs to replicate i mod R.
+
+    Args:
+        replicates: R >= 2.
+        design: What is replicated, for people.
+    """
+
+    replicates: int
+    design: str
+
+    @property
+    def independent(self) -> bool:
+        """Whether the draws are."""
+        return False
+
+    @property
+    def name(self) -> str:
+        """The interval's name."""
+        return f"Student's t over {self.replicates} {self.design} replicates"
+
+    def interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
+        """Intervals from failures of shape (..., n), shape (..., 2).
+
+        Student's t over the replicates' shares, widened on both sides by ln(2/a)/n: where all replicates agree, on
+        no failure for one, t alone has width 0. So much is what n independent draws without a failure leave open.
+        """
+        low, high = np.moveaxis(replicate_interval(failed.astype(float), self.replicates, confidence), -1, 0)
+        unseen = math.log(2.0 / (1.0 - confidence)) / failed.shape[-1]
+        return np.stack([np.maximum(low - unseen, 0.0), np.minimum(high + unseen, 1.0)], axis=-1)
+
+
+Method: TypeAlias = FixedCount | DataDriven | Replicated
+"""How a failure probability's interval follows from the draws."""
+
+
+def replicate_interval(values: np.ndarray, replicates: int, confidence: float = CONFIDENCE) -> np.ndarray:
+    """Student's t interval of a mean over independent replicates; value i belongs to replicate i mod R.
+
+    Args:
+        values: Shape (..., n), n a multiple of R.
+        replicates: R >= 2.
+        confidence: Coverage, in (0, 1).
+
+    Returns:
+        Shape (..., 2).
+
+    Raises:
+        ValueError: n is no multiple of R.
+    """
+    if replicates < 2 or values.shape[-1] % replicates:
+        raise ValueError(f"{values.shape[-1]} values cannot be shared out over {replicates} replicates")
+    means = values.reshape(*values.shape[:-1], -1, replicates).mean(-2)
+    middle, spread = means.mean(-1), means.std(-1, ddof=1)
+    half = special.stdtrit(replicates - 1, 0.5 * (1.0 + confidence)) * spread / math.sqrt(replicates)
+    return np.stack([middle - half, middle + half], axis=-1)
+
+
+def describe_probability(failed: np.ndarray, method: Method = FIXED, confidence: float = CONFIDENCE) -> str:
+    """One line for people. No failure in n is told by its upper bound, never as 0.
+
+    Args:
+        failed: Whether each draw failed, shape (n,).
+        method: How its interval is made.
+        confidence: Coverage of the interval.
+    """
+    failures, draws = int(np.count_nonzero(failed)), failed.size
+    low, high = method.interval(failed, confidence)
+    level = f"{100 * confidence:g} % {method.name}"
     if failures == 0:
         return f"no failure in {draws} draws: failure probability <= {high:.3g} ({level})"
     found = f"{failures / draws:.3g} in [{low:.3g}, {high:.3g}]"

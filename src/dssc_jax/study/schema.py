@@ -128,7 +128,9 @@ class StudyTable(BaseModel):
     description: str = ""
     seed: int = Field(default=0, ge=0, lt=2**32)
     draws: int = Field(default=1, ge=1, le=10**8)
-    sampling: Literal["random"] = "random"
+    sampling: Literal["random", "sobol", "lhs"] = "random"
+    replicates: int = Field(default=8, ge=8, le=1024)
+    correlation: dict[str, Finite] = {}
     loop: LoopTable
     plant: dict[str, Any]
     controller: dict[str, Any]
@@ -149,4 +151,25 @@ class StudyTable(BaseModel):
         lanes = self.draws * math.prod(len(values) for values in self.sweep.values())
         if lanes > MOST_LANES:
             raise ValueError(f"draws times sweep points must be <= {MOST_LANES:.0e}, got {lanes:.3g}")
+        return self
+
+    @model_validator(mode="after")
+    def _design(self) -> "StudyTable":
+        if self.sampling == "random":
+            if "replicates" in self.model_fields_set:
+                raise ValueError("replicates belong to sampling = 'sobol' or 'lhs'; random draws have none")
+            return self
+        share, rest = divmod(self.draws, self.replicates)
+        if self.sampling == "lhs" and (rest or share < 2):
+            nearest = self.replicates * max(2, round(self.draws / self.replicates))
+            raise ValueError(
+                f"with sampling = 'lhs' draws must be a multiple of replicates = {self.replicates}, at least two a "
+                f"replicate, got {self.draws}; the nearest is {nearest}"
+            )
+        if self.sampling == "sobol" and (rest or share < 2 or share & (share - 1)):
+            nearest = self.replicates * 2 ** max(1, round(math.log2(self.draws / self.replicates)))
+            raise ValueError(
+                f"with sampling = 'sobol' draws must be replicates times a power of two, {self.replicates} * 2^m with "
+                f"m >= 1, got {self.draws}; the nearest is {nearest}"
+            )
         return self

@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 
 from dssc_jax.errors import ConfigError
 from dssc_jax.loop import Loop, LoopParams
 from dssc_jax.metrics import Measure
 from dssc_jax.requirements import Requirement
 from dssc_jax.study.build import build
+from dssc_jax.study.correlation import matrix, paired, require_correlation
 from dssc_jax.study.laws import Law
 from dssc_jax.study.schema import StudyTable
 from dssc_jax.study.tables import read_toml, set_dotted
@@ -68,7 +70,10 @@ class Study:
         """
         try:
             content = copy.deepcopy(dict(table))
-            return cls(content, source, *build(content))
+            study = cls(content, source, *build(content))
+            uncertain = [name for name, leaf in study.leaves().items() if isinstance(leaf, Law)]
+            require_correlation(study.config.correlation, uncertain, study.axes)
+            return study
         except ConfigError as error:
             raise error.within(source) from None
 
@@ -104,6 +109,16 @@ class Study:
     def laws(self) -> dict[str, Law]:
         """The law of each uncertain number that is not swept; a swept value replaces the law."""
         return {name: leaf for name, leaf in self.leaves().items() if isinstance(leaf, Law) and name not in self.axes}
+
+    @property
+    def correlated(self) -> tuple[str, ...]:
+        """The uncertain numbers that are not independent of all others."""
+        return paired(self.config.correlation)
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """Correlation matrix of the normal variables behind :attr:`correlated`."""
+        return matrix(self.config.correlation, self.correlated)
 
     @property
     def hash(self) -> str:

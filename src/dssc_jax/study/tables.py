@@ -35,11 +35,12 @@ def set_dotted(table: dict[str, Any], name: str, value: Any) -> None:
     Raises:
         ConfigError: the name passes through a number, or beyond a list's end.
     """
-    if name.startswith("sweep."):  # names of axes are dotted themselves
-        axes = table.setdefault("sweep", {})
-        if not isinstance(axes, dict):
-            raise ConfigError("sweep", f"must be a table, got {axes!r}")
-        axes[name.removeprefix("sweep.")] = value
+    first, _, rest = name.partition(".")
+    if first in ("sweep", "correlation") and rest:  # the names in these tables are dotted themselves
+        inner = table.setdefault(first, {})
+        if not isinstance(inner, dict):
+            raise ConfigError(first, f"must be a table, got {inner!r}")
+        inner[rest] = value
         return
     *parents, last = name.split(".")
     here: Any = table

@@ -1,0 +1,16 @@
+"""What the scripts share that write a part of a page by hand otherwise."""
+
+from pathlib import Path
+
+from dssc_jax.console import machine
+
+PAGE = Path(__file__).parents[1] / "docs" / "statistics.md"
+
+
+def put(part: str, text: str) -> None:
+    """Replace what stands on the page between ``<!-- part -->`` and ``<!-- end of part -->``, with machine and date."""
+    page = PAGE.read_text()
+    start, end = f"<!-- {part} -->\n", f"<!-- end of {part} -->"
+    before, rest = page.split(start)
+    after = rest.split(end)[1]
+    PAGE.write_text(f"{before}{start}\n{text}\n\nMachine: {machine()}.\n\n{end}{after}")

@@ -1,0 +1,140 @@
+"""Commands of statistics: plan, sensitivity, rare."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from dssc_jax.cli.shared import (
+    DONE,
+    DrawsOption,
+    JsonOption,
+    LocalOption,
+    OutOption,
+    SeedOption,
+    SetOption,
+    StudyArgument,
+    app,
+    default_out,
+    load_study,
+)
+from dssc_jax.errors import ConfigError
+
+ConfidenceOption = Annotated[float, typer.Option("--confidence", metavar="C", help="Confidence of every statement.")]
+
+
+@app.command()
+def plan(
+    error: Annotated[
+        float, typer.Option("--error", metavar="E", help="Accuracy of a probability, or share beyond a limit.")
+    ] = 0.05,
+    confidence: ConfidenceOption = 0.95,
+    probability: Annotated[
+        float | None, typer.Option("--probability", metavar="P", help="Failure probability that you expect.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> int:
+    """How many draws does my question need?
+
+    Answers for a failure probability (Chernoff, Clopper-Pearson), for the worst case and for no failure at all, and for
+    tolerance limits (Wilks).
+    """
+    from dssc_jax.console import show_table
+    from dssc_jax.statistics import plan as answers
+
+    try:
+        found = answers(error, confidence, probability)
+    except ValueError as wrong:
+        raise ConfigError("plan", str(wrong)) from None
+    if as_json:
+        about = {"error": error, "confidence": confidence, "probability": probability}
+        print(json.dumps({**about, "answers": [answer._asdict() for answer in found]}))
+    else:
+        rows = [(answer.question, str(answer.draws), answer.statement) for answer in found]
+        show_table(("question", "draws", "what one may say then"), rows)
+    return DONE
+
+
+@app.command()
+def sensitivity(
+    study: StudyArgument,
+    settings: SetOption = None,
+    draws: DrawsOption = None,
+    seed: SeedOption = None,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+    allow_local: LocalOption = False,
+) -> int:
+    """Which uncertain numbers matter, for each metric and for failure?
+
+    First-order and total Sobol indices with bootstrap intervals. The draws, rounded down to a power of two, are the
+    rows of a sample that is simulated once for each uncertain number and twice more. The study's [sweep] is left aside.
+    """
+    from dssc_jax import plotting
+    from dssc_jax.console import progress_bar, show_sensitivity
+    from dssc_jax.global_sensitivity import sensitivity as indices
+
+    found = load_study(study, settings, draws, seed, allow_local).without_sweep()
+    with progress_bar(found, quiet=as_json) as advance:
+        result = indices(found, progress=advance)
+    altered = bool(settings or draws is not None or seed is not None)
+    folder = out or default_out(found, "sensitivity", altered)
+    content = keep(folder, "sensitivity.json", result.to_dict(), found)
+    figures = plotting.save_figure(plotting.sensitivity(result), folder / "figures", "sensitivity")
+    if as_json:
+        print(json.dumps(content, allow_nan=False))
+    else:
+        show_sensitivity(result, [folder / "sensitivity.json", *figures])
+    return DONE
+
+
+@app.command()
+def rare(
+    study: StudyArgument,
+    particles: Annotated[int, typer.Option("--particles", metavar="N", help="Particles of each repeat.")] = 200,
+    killed: Annotated[
+        int | None, typer.Option("--killed", metavar="K", help="Particles killed at each level [N/2].")
+    ] = None,
+    moves: Annotated[int, typer.Option("--moves", metavar="M", help="Steps of a clone at each level.")] = 5,
+    repeats: Annotated[int, typer.Option("--repeats", metavar="R", help="Independent repeats, at least 10.")] = 20,
+    settings: SetOption = None,
+    seed: SeedOption = None,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+    allow_local: LocalOption = False,
+) -> int:
+    """A failure probability too small for plain draws.
+
+    Adaptive multilevel splitting on the smallest requirement margin: failures are approached level by level. The
+    interval comes from independent repeats. The study's [sweep] and its number of draws are left aside.
+    """
+    from dssc_jax.console import counter, show_rare
+    from dssc_jax.rare_events import Splitting
+    from dssc_jax.rare_events import rare as estimate
+
+    found = load_study(study, settings, None, seed, allow_local).without_sweep()
+    how = Splitting(particles, particles // 2 if killed is None else killed, moves, repeats)
+    with counter(found, quiet=as_json) as advance:
+        result = estimate(found, how, progress=advance)
+    folder = out or default_out(found, "rare", True)
+    content = keep(folder, "rare.json", result.to_dict(), found)
+    if as_json:
+        print(json.dumps(content, allow_nan=False))
+    else:
+        show_rare(content, [folder / "rare.json"])
+    return DONE
+
+
+def keep(folder: Path, name: str, content: dict[str, Any], study: Any) -> dict[str, Any]:
+    """Write an answer with the study that it answers for; one of another study is never overwritten.
+
+    Raises:
+        ConfigError: the folder holds something else.
+    """
+    from dssc_jax.console import jsonable
+    from dssc_jax.store import write_answer
+
+    plain = {**jsonable(content), "result": str(folder)}
+    write_answer(folder / name, plain, study)
+    return plain

@@ -1,0 +1,101 @@
+"""Correlated uncertain numbers: ``[correlation]`` gives rank correlations, a Gaussian copula carries them.
+
+Each number keeps its own law. The table's numbers are Spearman's rank correlations; a pair of normal variables with
+rank correlation r has the linear correlation 2 sin(pi r/6). Numbers of no pair stay independent.
+"""
+
+import math
+from collections.abc import Collection, Mapping
+
+import numpy as np
+
+from dssc_jax.errors import ConfigError, meant
+
+SMALLEST = 1e-8  # least eigenvalue of the correlation matrix
+
+
+def gaussian(rank: float) -> float:
+    """Linear correlation of two normal variables whose rank correlation is ``rank``.
+
+    Reference:
+        K. Pearson, On Further Methods of Determining Correlation (1907).
+    """
+    return 2.0 * math.sin(math.pi * rank / 6.0)
+
+
+def split_pair(pair: str) -> tuple[str, str]:
+    """The two names of ``"plant.k_p, plant.a_p"``.
+
+    Raises:
+        ConfigError: they are not two.
+    """
+    names = [name.strip() for name in pair.split(",")]
+    if len(names) != 2 or not all(names) or names[0] == names[1]:
+        raise ConfigError(f'correlation."{pair}"', 'must name two different numbers, e.g. "plant.k_p, plant.a_p" = 0.5')
+    return names[0], names[1]
+
+
+def paired(table: Mapping[str, float]) -> tuple[str, ...]:
+    """Names that stand in some pair, in the table's order."""
+    return tuple(dict.fromkeys(name for pair in table for name in split_pair(pair)))
+
+
+def require_correlation(table: Mapping[str, float], laws: Collection[str], swept: Collection[str]) -> None:
+    """Require that ``[correlation]`` can be.
+
+    Args:
+        table: Rank correlations by pair.
+        laws: Names of the numbers that have a law in the study file.
+        swept: Names of the axes.
+
+    Raises:
+        ConfigError: a pair is none, names something else, is given twice, or the numbers fit no law.
+    """
+    seen: set[frozenset[str]] = set()
+    for pair, rank in table.items():
+        place, both = f'correlation."{pair}"', split_pair(pair)
+        for name in both:
+            if name in swept:
+                raise ConfigError(place, f"'{name}' is swept, and a swept number has no law; take the pair out")
+            if name not in laws:
+                raise ConfigError(place, f"'{name}' is no uncertain number of this study; {meant(name, laws)}")
+        if frozenset(both) in seen:
+            raise ConfigError(place, "this pair is given twice")
+        seen.add(frozenset(both))
+        if not -1.0 < rank < 1.0:
+            raise ConfigError(place, f"a rank correlation must lie in (-1, 1), got {rank:g}")
+    if table:
+        require_positive_definite(table, paired(table))
+
+
+def matrix(table: Mapping[str, float], names: tuple[str, ...]) -> np.ndarray:
+    """Correlation matrix of the normal variables behind ``names``."""
+    found = np.eye(len(names))
+    for pair, rank in table.items():
+        i, j = (names.index(name) for name in split_pair(pair))
+        found[i, j] = found[j, i] = gaussian(rank)
+    return found
+
+
+def require_positive_definite(table: Mapping[str, float], names: tuple[str, ...]) -> None:
+    """Require that numbers with these correlations exist.
+
+    Raises:
+        ConfigError: they do not; it names the pair with the largest share in the smallest eigenvalue.
+    """
+    found = matrix(table, names)
+    values, vectors = np.linalg.eigh(found)
+    if values[0] > SMALLEST:
+        return
+    blame = found * np.outer(vectors[:, 0], vectors[:, 0])
+
+    def share(pair: str) -> float:
+        a, b = split_pair(pair)
+        return float(blame[names.index(a), names.index(b)])
+
+    worst = min(table, key=share)
+    raise ConfigError(
+        f'correlation."{worst}"',
+        f"{table[worst]:g} cannot stand beside the other pairs: the correlation matrix is not positive definite "
+        f"(smallest eigenvalue {values[0]:.2g})",
+    )
