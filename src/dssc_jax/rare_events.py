@@ -54,9 +54,11 @@ class Splitting:
 
     def __post_init__(self) -> None:
         if self.particles < 10 or not 0 < self.killed < self.particles:
-            raise ConfigError("rare", f"needs particles >= 10 and 0 < killed < particles, got {self}")
+            found = f"{self.particles} and {self.killed}"
+            raise ConfigError("rare", f"needs particles >= 10 and 0 < killed < particles, got {found}")
         if self.repeats < 10 or self.moves < 1 or not 0.0 < self.smallest < 1.0:
-            raise ConfigError("rare", f"needs repeats >= 10, moves >= 1 and smallest in (0, 1), got {self}")
+            found = f"{self.repeats}, {self.moves} and {self.smallest}"
+            raise ConfigError("rare", f"needs repeats >= 10, moves >= 1 and smallest in (0, 1), got {found}")
 
 
 @dataclass

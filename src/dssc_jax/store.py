@@ -30,16 +30,11 @@ def write_json(path: Path, content: Any) -> None:
     os.replace(partial, path)
 
 
-def write_answer(path: Path, content: dict[str, Any], study: Study) -> None:
-    """Write an analysis that has no dataset, with the study that it is of.
-
-    Args:
-        path: A JSON file; its folder is made when absent.
-        content: The answer.
-        study: What it answers for.
+def require_place(path: Path, study: Study) -> None:
+    """Require that an answer of the study may be written.
 
     Raises:
-        ConfigError: the file holds something else, or the folder is a file.
+        ConfigError: the file holds something else, or its folder is a file.
     """
     if path.parent.exists() and not path.parent.is_dir():
         raise ConfigError(str(path.parent), "is a file, not a results folder; nothing was written")
@@ -50,6 +45,16 @@ def write_answer(path: Path, content: dict[str, Any], study: Study) -> None:
             same = False
         if not same:
             raise ConfigError(str(path), "holds the answer to another study; choose another --out, nothing was written")
+
+
+def write_answer(path: Path, content: dict[str, Any], study: Study) -> None:
+    """Write an analysis that has no dataset, with the study that it is of.
+
+    Args:
+        path: A JSON file that :func:`require_place` has passed; its folder is made when absent.
+        content: The answer.
+        study: What it answers for.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     write_json(path, {**content, "hash": study.hash, "source": study.source, "inputs": study.table})
 

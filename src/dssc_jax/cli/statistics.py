@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -20,6 +20,9 @@ from dssc_jax.cli.shared import (
     load_study,
 )
 from dssc_jax.errors import ConfigError
+
+if TYPE_CHECKING:
+    from dssc_jax.study import Study
 
 ConfidenceOption = Annotated[float, typer.Option("--confidence", metavar="C", help="Confidence of every statement.")]
 
@@ -76,16 +79,17 @@ def sensitivity(
     from dssc_jax.global_sensitivity import sensitivity as indices
 
     found = load_study(study, settings, draws, seed, allow_local).without_sweep()
-    with progress_bar(found, quiet=as_json) as advance:
-        result = indices(found, progress=advance)
     altered = bool(settings or draws is not None or seed is not None)
     folder = out or default_out(found, "sensitivity", altered)
-    content = keep(folder, "sensitivity.json", result.to_dict(), found)
+    path = place(folder, "sensitivity.json", found)
+    with progress_bar(found, quiet=as_json) as advance:
+        result = indices(found, progress=advance)
+    content = keep(path, result.to_dict(), found)
     figures = plotting.save_figure(plotting.sensitivity(result), folder / "figures", "sensitivity")
     if as_json:
         print(json.dumps(content, allow_nan=False))
     else:
-        show_sensitivity(result, [folder / "sensitivity.json", *figures])
+        show_sensitivity(result, [path, *figures])
     return DONE
 
 
@@ -115,26 +119,34 @@ def rare(
 
     found = load_study(study, settings, None, seed, allow_local).without_sweep()
     how = Splitting(particles, particles // 2 if killed is None else killed, moves, repeats)
+    path = place(out or default_out(found, "rare", bool(settings or seed is not None)), "rare.json", found)
     with counter(found, quiet=as_json) as advance:
         result = estimate(found, how, progress=advance)
-    folder = out or default_out(found, "rare", True)
-    content = keep(folder, "rare.json", result.to_dict(), found)
+    content = keep(path, result.to_dict(), found)
     if as_json:
         print(json.dumps(content, allow_nan=False))
     else:
-        show_rare(content, [folder / "rare.json"])
+        show_rare(content, [path])
     return DONE
 
 
-def keep(folder: Path, name: str, content: dict[str, Any], study: Any) -> dict[str, Any]:
-    """Write an answer with the study that it answers for; one of another study is never overwritten.
+def place(folder: Path, name: str, study: "Study") -> Path:
+    """Where an answer goes; checked before anything is simulated.
 
     Raises:
-        ConfigError: the folder holds something else.
+        ConfigError: something else is there.
     """
+    from dssc_jax.store import require_place
+
+    require_place(folder / name, study)
+    return folder / name
+
+
+def keep(path: Path, content: dict[str, Any], study: "Study") -> dict[str, Any]:
+    """Write an answer with the study that it answers for."""
     from dssc_jax.console import jsonable
     from dssc_jax.store import write_answer
 
-    plain = {**jsonable(content), "result": str(folder)}
-    write_answer(folder / name, plain, study)
+    plain = {**jsonable(content), "result": str(path.parent)}
+    write_answer(path, plain, study)
     return plain
