@@ -56,7 +56,7 @@ def outcome(about: Subject) -> Section:
     head = ("how a draw ended", "draws", "probability", f"{LEVEL} interval")
     note = [
         f"Intervals are exact (Clopper-Pearson), each at {LEVEL} on its own. A way that no draw in {draws:,} ended is ",
-        "told by its upper bound. Certified by Table 1: ",
+        "told by its upper bound; one that fails in several ways counts under the first. Certified by Table 1: ",
         h.strong[CERTIFIED[point["certified"]]],
         ".",
     ]
