@@ -145,6 +145,16 @@ def test_the_certified_region_is_drawn_and_told(swept):
     assert "certified by Table 1</text>" in page
 
 
+def test_certificates_of_points_alone_are_told(swept, monkeypatch):
+    summary = swept.summary()
+    for point in summary["points"]:
+        point["certified"] = point["controller.l0"] < 0.7
+    monkeypatch.setattr(dj.Result, "summary", lambda result: summary)
+    page = Page(html(swept, worst=0)).text
+    assert "not evaluated" not in page
+    assert "is in the table of the outcome" in page
+
+
 def test_the_study_file_in_it_gives_the_study(ran, tmp_path):
     page = html(ran, worst=0)
     listing = re.search(r"<pre[^>]*><code>(.*?)</code>", page, re.DOTALL)[1]
