@@ -11,7 +11,7 @@ from dssc_jax.report.diagram import diagram
 from dssc_jax.report.elements import Section, counted, facts, figure, folded, number, scrolled, table, with_unit
 from dssc_jax.report.subject import Subject
 from dssc_jax.requirements import Requirement
-from dssc_jax.study import Law, Study
+from dssc_jax.study import Law
 
 BINS, EACH = 36, 60  # of a density's sketch, and levels in each
 SKETCH = (132, 34)
@@ -145,8 +145,3 @@ def without_none(content: Any) -> Any:
     if isinstance(content, dict):
         return {name: without_none(value) for name, value in content.items() if value is not None}
     return [without_none(value) for value in content] if isinstance(content, list | tuple) else content
-
-
-def study_words(study: Study) -> str:
-    """The study's description, or what stands for one."""
-    return study.config.description or "A study without a description."
