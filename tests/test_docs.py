@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).parents[1]
 BLOCK = re.compile(r"```(\w+)\n(.*?)```", re.DOTALL)
@@ -60,7 +61,6 @@ def navigation(entries):
 
 def test_every_page_is_in_the_sites_contents():
     """The site is built without network by `make docs`, which is stricter: no warning."""
-    yaml = pytest.importorskip("yaml")
     site = yaml.safe_load((ROOT / "mkdocs.yml").read_text())
     named = list(navigation(site["nav"]))
     assert len(named) == len(set(named))
@@ -71,8 +71,6 @@ def test_every_page_is_in_the_sites_contents():
 
 def test_the_site_builds_without_warning(tmp_path):
     """And nothing in it is loaded from elsewhere; links of the theme to its makers are all there is."""
-    pytest.importorskip("material")
-    pytest.importorskip("mkdocstrings_handlers.python")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path)]
     environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)

@@ -108,6 +108,11 @@ def test_the_certified_stretch_is_hatched(swept):
     assert labels.count("certified by Theorem 1") == 1
 
 
+def test_more_signals_than_colours(flown):
+    with pytest.raises(ValueError, match="at most 5 signals, got 6"):
+        dj.plot.signals(flown, ["e"] * 6)
+
+
 def test_cell_edges():
     assert cell_edges(np.array([1.0, 2.0, 4.0]), False) == pytest.approx([0.5, 1.5, 3.0, 5.0])
     assert cell_edges(np.array([1.0, 10.0, 100.0]), True) == pytest.approx(10.0 ** np.array([-0.5, 0.5, 1.5, 2.5]))

@@ -1,6 +1,7 @@
 """The block diagram holds what the study holds, and nothing else."""
 
 import re
+from itertools import combinations
 
 import pytest
 
@@ -20,8 +21,7 @@ ALWAYS = {"reference", "controller", "plant"}
 def test_only_what_is_present():
     assert titles(dj.Study.from_table(CASE_2)) == ALWAYS | {"nominal control", "disturbance d"}
     assert titles(dj.Study.from_table(UNCERTAIN)) == ALWAYS | {"unmodelled", "disturbance d"}
-    measured = {"sensor": {"kind": "noisy"}, "differentiator": {"kind": "lead_filter", "tau_f": 0.01}}
-    study = dj.Study.from_table({**UNCERTAIN, **measured, "disturbance": {"kind": "none"}})
+    study = dj.Study.from_table({**UNCERTAIN, **MEASURED, "disturbance": {"kind": "none"}})
     assert titles(study) == ALWAYS | {"unmodelled", "sensor", "differentiator"}
 
 
@@ -44,12 +44,37 @@ def test_uncertain_and_swept_numbers_are_marked():
     assert "~ 3 uncertain or swept" in str(diagram(dj.Study.from_table(UNCERTAIN)))
 
 
+def blocks(drawn):
+    """Every block's left, top, right and lower edge."""
+    for found in re.findall(r'<rect class="block" x="(\d+)" y="(\d+)" width="(\d+)" height="(\d+)"', drawn):
+        x, y, width, height = map(int, found)
+        yield x, y, x + width, y + height
+
+
+LAG = {"kind": "lag", "order": 2, "mu": 0.1}
+MEASURED = {"sensor": {"kind": "noisy"}, "differentiator": {"kind": "lead_filter", "tau_f": 0.01}}
+
+
+@pytest.mark.parametrize("disturbed", [True, False])
+@pytest.mark.parametrize("lagging", [True, False])
+@pytest.mark.parametrize("nominal", [True, False])
+def test_blocks_do_not_overlap(disturbed, lagging, nominal):
+    table = {**CASE_2, **MEASURED, "controller": dict(CASE_2["controller"])}
+    table |= {} if disturbed else {"disturbance": {"kind": "none"}}
+    table |= {"unmodelled": LAG} if lagging else {}
+    if not nominal:
+        del table["controller"]["nominal"]
+    for one, other in combinations(blocks(str(diagram(dj.Study.from_table(table)))), 2):
+        beside = one[2] < other[0] or other[2] < one[0]
+        assert beside or one[3] < other[1] or other[3] < one[1]
+
+
 @pytest.mark.parametrize("name", ["mu_robustness", "paper_field_test", "uav_robustness", "residual_scaling"])
 def test_it_stays_within_its_frame(name):
     drawn = str(diagram(dj.Study.load(find(name))))
     left, top, width, height = map(float, re.search(r'viewBox="([^"]*)" width', drawn)[1].split())
-    for x, y, w, h in re.findall(r'<rect class="block" x="(\d+)" y="(\d+)" width="(\d+)" height="(\d+)"', drawn):
-        assert left <= float(x) <= float(x) + float(w) <= left + width
-        assert top <= float(y) <= float(y) + float(h) <= top + height
+    for x, y, right, lower in blocks(drawn):
+        assert left <= x < right <= left + width
+        assert top <= y < lower <= top + height
     for line in re.findall(r'<text class="line"[^>]*>([^<]*)<', drawn):
         assert len(line) <= FITS

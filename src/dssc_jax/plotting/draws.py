@@ -11,7 +11,8 @@ from dssc_jax.plotting.thinning import picked
 from dssc_jax.results import Result, measured
 from dssc_jax.statistics import CONFIDENCE, Replicated, clopper_pearson
 
-BINS, MOST_FACTORS, FEW = 8, 5, 20
+BINS, FILLED = 8, 5  # at most so many bins, each of at least so many draws
+MOST_FACTORS, FEW = 5, 20
 
 
 @styled
@@ -103,7 +104,7 @@ def factor(result: Result, name: str, ax: Axes | None = None) -> Figure:
     one_point(result)
     figure, ax = panel(ax, SMALL)
     values, failed = result.dataset[name].values, result.failed.values
-    groups = np.array_split(np.argsort(values), min(BINS, values.size))
+    groups = np.array_split(np.argsort(values), max(1, min(BINS, values.size // FILLED)))
     centres = np.array([np.median(values[group]) for group in groups])
     share = np.array([failed[group].mean() for group in groups])
     reach = None

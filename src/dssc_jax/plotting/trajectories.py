@@ -55,9 +55,12 @@ def signals(run: xr.Dataset, names: Sequence[str], ax: Axes | None = None) -> Fi
 
     Raises:
         KeyError: the trajectory has no such signal.
+        ValueError: there are more signals than colours to tell them apart.
     """
+    if len(names) > len(CYCLE):
+        raise ValueError(f"shows at most {len(CYCLE)} signals, got {len(names)}")
     figure, ax = panel(ax)
-    for name, colour in zip(names, CYCLE, strict=False):
+    for name, colour in zip(names, CYCLE[: len(names)], strict=True):
         line(ax, run, name, colour, label(run[name].attrs) or name)
     ax.set(xlabel="time [s]", ylabel=", ".join(dict.fromkeys(f"[{run[name].attrs['units']}]" for name in names)))
     ax.legend(loc="best", frameon=False)

@@ -7,15 +7,15 @@ import htpy as h
 import numpy as np
 import tomli_w
 
-from dssc_jax.report.diagram import diagram, words
-from dssc_jax.report.elements import Section, counted, facts, figure, folded, number, table, with_unit
+from dssc_jax.report.diagram import diagram
+from dssc_jax.report.elements import Section, counted, facts, figure, folded, number, scrolled, table, with_unit
 from dssc_jax.report.subject import Subject
 from dssc_jax.requirements import Requirement
-from dssc_jax.study import Law, Study
+from dssc_jax.study import Law
 
 BINS, EACH = 36, 60  # of a density's sketch, and levels in each
 SKETCH = (132, 34)
-LOG_SPAN = 8.0
+LOGARITHMIC = ("loguniform", "lognormal")
 
 
 def question(about: Subject) -> Section:
@@ -55,7 +55,7 @@ def loop(about: Subject) -> Section:
     """The block diagram."""
     study = about.result.study
     caption = "The loop that is simulated. ~ marks numbers that a law gives, ⇄ numbers that are swept."
-    return Section("loop", "The loop", [figure(diagram(study), caption), h.p(".unseen")[words(study)]])
+    return Section("loop", "The loop", figure(scrolled("Block diagram", diagram(study)), caption))
 
 
 def laws(about: Subject) -> Section | None:
@@ -69,24 +69,24 @@ def laws(about: Subject) -> Section | None:
         quantity = study.quantities[name]
         unit = "" if quantity.unit == "1" else f" [{quantity.unit}]"
         what = [h.code[name], h.span(".meaning")[f"{quantity.meaning}{unit}"]]
-        rows.append((what, str(law), sketch(law), number(middle), f"{number(low)} to {number(high)}"))
+        drawn = [sketch(law), law.kind in LOGARITHMIC and h.span(".meaning")["logarithmic axis"]]
+        rows.append((what, str(law), drawn, number(middle), f"{number(low)} to {number(high)}"))
     head = ("number", "law", "density", "median", "5 to 95 %")
     caption = "Laws of the uncertain numbers, independent"
     return Section("laws", "What is uncertain", table(caption, head, rows, words=3))
 
 
 def sketch(law: Law) -> h.Element:
-    """A small picture of a law's density, over a logarithmic axis where its values span much."""
+    """A small picture of a law's density, over a logarithmic axis where the law is one of the logarithm."""
     values = law.quantile((np.arange(BINS * EACH) + 0.5) / (BINS * EACH))
     low, high = float(values.min()), float(values.max())
-    stretched = law.support[0] > 0.0 and high > LOG_SPAN * low
-    shown = np.log(values) if stretched else values
+    shown = np.log(values) if law.kind in LOGARITHMIC else values
     counts, _ = np.histogram(shown, bins=BINS)
     width, height = SKETCH
     step = width / BINS
     tops = height - 1.0 - (height - 4.0) * counts / counts.max()
     outline = "".join(f"V{top:.1f}h{step:.2f}" for top in tops)
-    scale = ", logarithmic axis" if stretched else ""
+    scale = ", logarithmic axis" if law.kind in LOGARITHMIC else ""
     text = f"density of {law} from {number(low)} to {number(high)}{scale}"
     return h.svg(".sketch", role="img", aria_label=text, viewBox=f"0 0 {width} {height}", width=width, height=height)[
         h.title[text], h.path(d=f"M0 {height - 1}{outline}V{height - 1}z")
@@ -145,8 +145,3 @@ def without_none(content: Any) -> Any:
     if isinstance(content, dict):
         return {name: without_none(value) for name, value in content.items() if value is not None}
     return [without_none(value) for value in content] if isinstance(content, list | tuple) else content
-
-
-def study_words(study: Study) -> str:
-    """The study's description, or what stands for one."""
-    return study.config.description or "A study without a description."

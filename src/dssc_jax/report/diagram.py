@@ -1,6 +1,6 @@
 """The closed loop as a block diagram, drawn from the slots that a study fills."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import htpy as h
@@ -86,9 +86,9 @@ def notes(study: Study, slot: str) -> list[str]:
     return [kind_of(study, slot) + inner, "  ".join(uncertain) if few else f"~ {len(uncertain)} uncertain or swept"]
 
 
-def within(names: object, slot: str) -> Iterator[str]:
+def within(names: Iterable[str], slot: str) -> list[str]:
     """The dotted names that belong to a slot."""
-    return (name for name in names if name.startswith(f"{slot}."))  # type: ignore[union-attr, attr-defined]
+    return [name for name in names if name.startswith(f"{slot}.")]
 
 
 def shortened(text: str) -> str:
@@ -114,21 +114,23 @@ def diagram(study: Study) -> h.Element:
     controller = x + GAP
     drawing.block(controller, FORWARD, NAMES["controller"], notes(study, "controller"))
     x = controller + WIDTH
+    above = x - WIDTH  # where the upper row is free
     if has_nominal(study):
-        x = add(drawing, x, middle, "nominal control", [], controller, "u", "uₙ")
+        x = add(drawing, x, middle, "nominal control", [], above, "u", "uₙ")
+        above = x
     if present(study, "unmodelled"):
         drawing.arrow((x, middle), (x + GAP, middle), label="uₚ" if has_nominal(study) else "u")
         drawing.block(x + GAP, FORWARD, NAMES["unmodelled"], notes(study, "unmodelled"))
         x += GAP + WIDTH
+        above = x - WIDTH
     if present(study, "disturbance"):
-        x = add(drawing, x, middle, NAMES["disturbance"], notes(study, "disturbance"), x - WIDTH, "", "d")
+        x = add(drawing, x, middle, NAMES["disturbance"], notes(study, "disturbance"), above, "", "d")
     drawing.arrow((x, middle), (x + GAP, middle))
     plant = x + GAP
     drawing.block(plant, FORWARD, NAMES["plant"], notes(study, "plant"))
     if present(study, "wind"):
-        above = max(plant, x + RADIUS + 4)
-        drawing.block(above, ABOVE, NAMES["wind"], notes(study, "wind"))
-        drawing.arrow((above + WIDTH // 2, ABOVE + HEIGHT), (above + WIDTH // 2, FORWARD))
+        drawing.block(plant, ABOVE, NAMES["wind"], notes(study, "wind"))
+        drawing.arrow((plant + WIDTH // 2, ABOVE + HEIGHT), (plant + WIDTH // 2, FORWARD))
     end = plant + WIDTH
     drawing.arrow((end, middle), (end + GAP + MARGIN, middle))
     drawing.parts.append(h.text(".signal", x=end + GAP, y=middle - 9)["y"])

@@ -64,13 +64,12 @@ def table(caption: str, head: Sequence[h.Node], rows: Sequence[Sequence[h.Node]]
         words: How many leading columns hold words; the others hold numbers and are set to the right.
     """
     look = ["words" if i < words else None for i in range(len(head))]
-    return h.div(".scroll", role="region", tabindex="0", aria_label=caption)[
-        h.table[
-            h.caption[caption],
-            h.thead[h.tr[(h.th(scope="col", class_=c)[text] for text, c in zip(head, look, strict=True))]],
-            h.tbody[(row_of(row, look) for row in rows)],
-        ]
+    grid = h.table[
+        h.caption[caption],
+        h.thead[h.tr[(h.th(scope="col", class_=c)[text] for text, c in zip(head, look, strict=True))]],
+        h.tbody[(row_of(row, look) for row in rows)],
     ]
+    return scrolled(caption, grid)
 
 
 def row_of(row: Sequence[h.Node], look: Sequence[str | None]) -> h.Element:
@@ -84,7 +83,12 @@ def row_of(row: Sequence[h.Node], look: Sequence[str | None]) -> h.Element:
 
 def figure(picture: h.Node, caption: h.Node) -> h.Element:
     """A picture with its caption."""
-    return h.figure[h.div(".scroll", role="group", tabindex="0", aria_label="figure")[picture], h.figcaption[caption]]
+    return h.figure[picture, h.figcaption[caption]]
+
+
+def scrolled(name: str, wide: h.Node) -> h.Element:
+    """What may be wider than a screen: it scrolls by itself, by keyboard too."""
+    return h.div(".scroll", role="region", tabindex="0", aria_label=name)[wide]
 
 
 def facts(pairs: Sequence[tuple[str, h.Node]], class_: str = "facts") -> h.Element:

@@ -117,7 +117,6 @@ def sweep(about: Subject) -> Section | None:
     result = about.result
     if not result.study.axes:
         return None
-    note = f"{result.certificate}{' (hatched)' if 'certified' in result.dataset else ''}."
     shown = [name for name, values in result.study.axes.items() if len(values) > 1][:2]
     rest = [f"{name} = {values[0]:g}" for name, values in result.study.axes.items() if name not in shown]
     held = f" Held: {', '.join(rest)}." if rest else ""
@@ -126,7 +125,11 @@ def sweep(about: Subject) -> Section | None:
     low, high = number(min(shares)), number(max(shares))
     text = f"Failure probability over {over}: from {low} to {high}. All points are in the table of the outcome."
     metric = headline(result).name
-    captions = (f"Failure probability. {note}{held}", f"Median of {metric}: half of the draws are below.{held}")
+    hatched = " (hatched)." if "certified" in result.dataset else "."
+    captions = (
+        f"Failure probability. {result.certificate}{hatched}{held}",
+        f"Median of {metric}: half of the draws are below.{held}",
+    )
     pictures = (
         inline(lambda: plotting.probability(result), text, "probability"),
         inline(lambda: plotting.typical(result), f"Median of {metric} over {over}.", "typical"),
@@ -258,8 +261,8 @@ def above_one(about: Subject) -> str:
     if not names:
         return ""
     ratios = np.max([about.result.dataset[name].values for name in names], axis=0)
-    lanes = int(np.count_nonzero(ratios > 1.0))
-    return f" Here {lanes:,} of {ratios.size:,} simulated loops have one at some time."
+    ended, above = int(np.count_nonzero(np.isfinite(ratios))), int(np.count_nonzero(ratios > 1.0))
+    return f" Of {ended:,} simulated loops that ran to their end, {above:,} have one at some time."
 
 
 def verdict(about: Subject) -> tuple[str, str]:

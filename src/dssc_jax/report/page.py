@@ -46,7 +46,7 @@ def html(result: Result, worst: int = WORST) -> str:
     head = [
         h.p(".kind")["Robustness report"],
         h.h1[study.name],
-        h.p(".lead")[asked.study_words(study)],
+        study.config.description and h.p(".lead")[study.config.description],
         facts([("failure probability", [h.strong[short], h.span[long]])], "verdict"),
     ]
     body = [
