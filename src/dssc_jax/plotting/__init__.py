@@ -6,6 +6,7 @@ from dssc_jax.plotting.comparisons import comparison
 from dssc_jax.plotting.margins import margin
 from dssc_jax.plotting.populations import failures, fitted_slope, sweep
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, STYLE, write
+from dssc_jax.plotting.theory import theory
 from dssc_jax.plotting.trajectories import trajectory
 from dssc_jax.results import Result
 
@@ -23,6 +24,7 @@ __all__ = [
     "margin",
     "save_all",
     "sweep",
+    "theory",
     "trajectory",
     "write",
 ]
