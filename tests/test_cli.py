@@ -155,6 +155,52 @@ def test_report_and_index(study, capsys):
     assert "1 results, 1 that cannot be shown" in capsys.readouterr().out
 
 
+def test_margin(study, capsys):
+    arguments = ["margin", str(study), "--over", "plant.k_p=1.2:0.01", "--points", "5", "--bisections", "6"]
+    assert guarded([*arguments, "--out", "m", "--json"]) == 0
+    found = last_json(capsys)
+    assert found["parameter"] == "plant.k_p"
+    assert len(found["critical"]) == 20
+    assert sum(value is None for value in found["critical"]) == 20 * found["censored"]
+    assert {"median", "lower_tolerance", "non_monotone", "degradation", "criterion"} <= found.keys()
+    for name in ("data.zarr", "summary.json", "figures/margin.png"):
+        assert (study.parent / "m" / name).exists()
+    assert guarded([*arguments, "--out", "m"]) == 0
+    shown = capsys.readouterr().out
+    assert "95 % of all draws pass up to" in shown
+    assert "0.47 m" in shown
+
+
+def test_compare(study, capsys):
+    study.write_text(STUDY + "[compare.soft]\nk_p = 0.5\n")
+    arguments = ["compare", str(study), "--controllers", "pi,soft", "--out", "c"]
+    assert guarded([*arguments, "--tune", "2", "--json"]) == 0
+    found = last_json(capsys)
+    assert [(pair["a"], pair["b"]) for pair in found["pairs"]] == [("pi", "soft")]
+    assert {"difference", "interval", "p_value"} <= found["pairs"][0].keys()
+    assert found["tuned"]["controllers"].keys() == {"pi", "soft"}
+    assert (study.parent / "c" / "figures" / "compare.png").exists()
+    assert guarded([*arguments, "--tune", "0"]) == 0
+    assert "McNemar" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["margin", "--over", "plant.k_p"], "must be NAME=LO:HI"),
+        (["margin", "--over", "plant.k_p=1:2:3"], "must be NAME=LO:HI"),
+        (["margin", "--over", "plant.kp=1:2"], "did you mean 'plant.k_p'"),
+        (["margin", "--over", "plant.k_p=1:2", "--out", "."], "nothing was written"),
+        (["compare", "--controllers", "pi"], "needs two different names"),
+        (["compare", "--controllers", "pi,sta"], "give [compare.sta]"),
+        (["compare", "--controllers", "pi,pit"], "did you mean 'pi'"),
+    ],
+)
+def test_bad_margins_and_comparisons(study, capsys, arguments, told):
+    assert guarded([arguments[0], str(study), *arguments[1:]]) == 2
+    assert told in capsys.readouterr().err
+
+
 def test_dssc_columns(tmp_path, capsys):
     assert guarded(["simulate", "mu_robustness", "--csv", str(tmp_path / "a.csv"), "--every", "100", "--json"]) == 0
     head, *rows = (tmp_path / "a.csv").read_text().splitlines()

@@ -37,12 +37,12 @@ def study():
 
 @pytest.fixture(scope="module")
 def found(study):
-    return dj.compare(study, ["dssc", "pi", "sta"], candidates=4, tuning_draws=8)
+    return dj.compare(study, ["dssc", "sta"], candidates=4, tuning_draws=8)
 
 
 def test_every_controller_runs_alone_as_in_company(study, found):
-    alone = dj.run(study.override({"controller": found.given.tables["pi"]})).dataset
-    together = found.given.dataset.sel(controller="pi")
+    alone = dj.run(study.override({"controller": found.given.tables["sta"]})).dataset
+    together = found.given.dataset.sel(controller="sta")
     for variable in ("error_rms", "command_tv", "outcome", "plant.k_p", "disturbance.value"):
         assert np.array_equal(alone[variable].values, together[variable].values), variable
 
@@ -60,7 +60,7 @@ def test_noise_is_common(study):
 
 def test_pairs(found):
     pairs = found.summary()["pairs"]
-    assert [(pair["a"], pair["b"]) for pair in pairs] == [("dssc", "pi"), ("dssc", "sta"), ("pi", "sta")]
+    assert [(pair["a"], pair["b"]) for pair in pairs] == [("dssc", "sta")]
     failed = found.given.dataset["failed"]
     for pair in pairs:
         expected = compare_failures(*(failed.sel(controller=pair[side]).values for side in "ab"))
@@ -81,13 +81,13 @@ def test_the_given_tables_survive_tuning(study, found):
 def test_tuning_gives_every_controller_the_same(study, found):
     assert found.budget == Tuning(candidates=4, draws=8, seed=10)
     assert found.budget.text in found.summary()["tuned"]["budget"]
-    for name, gains in (("dssc", ("kappa1", "kappa2")), ("pi", ("k_p", "k_i")), ("sta", ("kappa1", "kappa2"))):
+    for name, gains in (("dssc", ("kappa1", "kappa2")), ("sta", ("kappa1", "kappa2"))):
         given, best = found.given.tables[name], found.tuned.tables[name]
         given, best = (table.get("functions", table) for table in (given, best))
         for gain in gains:
             assert given[gain] / 10 * (1 - 1e-9) <= best[gain] <= given[gain] * 10 * (1 + 1e-9)
     names = found.dataset["controller"].values.tolist()
-    assert names == ["dssc", "pi", "sta", "dssc_tuned", "pi_tuned", "sta_tuned"]
+    assert names == ["dssc", "sta", "dssc_tuned", "sta_tuned"]
 
 
 def test_the_best_candidate_is_the_best_by_hand(study):

@@ -16,7 +16,6 @@ from dssc_jax.cli.shared import (
     SetOption,
     StudyArgument,
     app,
-    assignment,
     default_out,
     load_study,
 )
@@ -28,8 +27,8 @@ if TYPE_CHECKING:
 
 def parse_bounds(text: str) -> tuple[str, tuple[float, float]]:
     """Name and bounds of ``NAME=LO:HI``."""
-    name, value = assignment(text, "--over")
     try:
+        name, value = text.split("=")
         start, end = map(float, value.split(":"))
     except ValueError:
         raise ConfigError("--over", f"must be NAME=LO:HI, got '{text}'") from None

@@ -147,14 +147,14 @@ def points(study: Study, extents: Mapping[str, tuple[float, float]], budget: Tun
     """The candidates: the study's own gains first, the rest spread evenly in the logarithm."""
     sobol = qmc.Sobol(len(extents), rng=np.random.default_rng(budget.seed))
     unit = sobol.random(max(1, 1 << (budget.candidates - 1).bit_length()))[: budget.candidates]
-    low, high = np.log(np.array(list(extents.values()))).T
-    columns = np.exp(low + unit * (high - low)).T
+    low, high = np.array(list(extents.values())).T[:, :, None]
+    columns = np.exp(np.log(low) + unit.T * np.log(high / low))
     leaves = study.leaves()
     for column, name in zip(columns, extents, strict=True):
         own = leaves.get(name)
         if isinstance(own, float):
             column[0] = own
-    return dict(zip(extents, np.clip(columns, *np.exp([low, high])[:, :, None]), strict=True))
+    return dict(zip(extents, np.clip(columns, low, high), strict=True))
 
 
 def with_gains(table: dict[str, Any], gains: Mapping[str, float]) -> dict[str, Any]:

@@ -51,7 +51,8 @@ def margin(
     Example:
         >>> import dssc_jax as dj
         >>> study = dj.Study.load("studies/mu_robustness.toml").override({"draws": 8, "loop.duration": 45.0})
-        >>> found = dj.margin(study, over="unmodelled.mu", bounds=(0.02, 2.0), log=True, points=5, bisections=4)
+        >>> swift = study.override({"controller.functions.tau_av": 0.003})
+        >>> found = dj.margin(swift, over="unmodelled.mu", bounds=(0.02, 2.0), log=True, points=5, bisections=4)
         >>> found.summary()["censored"]
         0.0
     """

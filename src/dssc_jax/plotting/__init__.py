@@ -14,6 +14,7 @@ from dssc_jax.plotting.indices import sensitivity
 from dssc_jax.plotting.margins import margin
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, STYLE, write
 from dssc_jax.plotting.sweeps import fitted_slope, probability, sweep, typical
+from dssc_jax.plotting.theory import theory
 from dssc_jax.plotting.trajectories import signals, trajectory
 from dssc_jax.results import Result
 
@@ -37,6 +38,7 @@ __all__ = [
     "sensitivity",
     "signals",
     "sweep",
+    "theory",
     "trajectory",
     "typical",
     "write",

@@ -4,6 +4,7 @@ A local margin is about deviations that stay small; a simulated margin is about 
 questions and are never mixed: each result says by what criterion it was found.
 """
 
+from dssc_jax.theory.chattering import chattering
 from dssc_jax.theory.describing import LimitCycle, limit_cycle
 from dssc_jax.theory.linearised import Linearised, at_rest, open_loop, synthesised_gains
 from dssc_jax.theory.local import Time, local_margin, spectrum
@@ -13,6 +14,7 @@ __all__ = [
     "Linearised",
     "Time",
     "at_rest",
+    "chattering",
     "limit_cycle",
     "local_margin",
     "open_loop",
