@@ -19,6 +19,7 @@ import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
 from dssc_jax.loop import simulate, start
+from dssc_jax.metrics import starts
 from dssc_jax.sampling import draw, draw_key
 from dssc_jax.study import Study
 from dssc_jax.types import Scalar
@@ -178,7 +179,7 @@ def best_tile(study: Study) -> int:
     """Lanes whose state fits the cache, a power of two: 1024 for one degree of freedom, 256 for the UAV."""
     key = jax.random.key(0)
     state = jax.eval_shape(lambda: start(study.loop, study.params(medians(study)), key))
-    scalars = len(jax.tree.leaves(state)) + len(study.measures)
+    scalars = len(jax.tree.leaves((state, starts(study.measures))))
     fitting = CACHE / (scalars * study.config.loop.precision / 8)
     return int(np.clip(2 ** math.floor(math.log2(fitting)), NARROWEST, WIDEST))
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.integrators import INTEGRATORS, Integrator
-from dssc_jax.metrics import Instant, Measure, Sample, update_all, values
+from dssc_jax.metrics import Instant, Measure, Sample, starts, update_all, values
 from dssc_jax.numerics import stream, wrap_angle
 from dssc_jax.requirements import Requirement, judge
 from dssc_jax.tracking import tracking_error
@@ -309,7 +309,7 @@ class Progress(NamedTuple):
 
     k: Scalar
     state: LoopState
-    accumulators: tuple[Scalar, ...]
+    accumulators: tuple[Any, ...]
     outcome: Scalar
     steps: Scalar
 
@@ -356,8 +356,8 @@ def simulate(
         at, recorded = sample(at)
         return jax.lax.while_loop(lambda at: at.k < last, lambda at: sample(at)[0], at), recorded
 
-    count, zero = jnp.zeros((), dtype=jnp.int32), jnp.zeros((), dtype=jnp.result_type(float))
-    at = Progress(count, start(loop, params, key), (zero,) * len(measures), count, count)
+    count = jnp.zeros((), dtype=jnp.int32)
+    at = Progress(count, start(loop, params, key), as_arrays(starts(measures)), count, count)
     if every is None:
         end, recorded = jax.lax.scan(lambda at, _: (sample(at)[0], None), at, length=loop.steps)
     elif every == 1:

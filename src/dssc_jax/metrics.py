@@ -7,8 +7,10 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from dssc_jax.numerics import root_abs
@@ -76,14 +78,16 @@ class Metric(NamedTuple):
         value: ``(accumulator, window, span) -> value``.
         needs: Fields of the controller's (the vehicle's) info without which the metric does not exist.
         scope: Whether it is of a channel or of the vehicle.
+        start: The accumulator before the first sample: a number, or a ``NamedTuple`` of numbers.
     """
 
     unit: str
     meaning: str
-    update: Callable[[Scalar, Any, Window], Scalar]
-    value: Callable[[Scalar, Window, Span], Scalar]
+    update: Callable[[Any, Any, Window], Any]
+    value: Callable[[Any, Window, Span], Scalar]
     needs: tuple[str, ...] = ()
     scope: Scope = Scope.CHANNEL
+    start: Any = 0.0
 
 
 def peak(of: Callable[[Any], Scalar]) -> Callable[[Scalar, Any, Window], Scalar]:
@@ -111,6 +115,28 @@ def root_mean(acc: Scalar, window: Window, span: Span) -> Scalar:
     return root_abs(acc / span.inside)
 
 
+class Stretch(NamedTuple):
+    """Samples in the uninterrupted stretch that lasts, and in the longest one so far."""
+
+    lasting: Scalar = 0.0
+    longest: Scalar = 0.0
+
+
+def stretch(of: Callable[[Any], Scalar]) -> Callable[[Stretch, Any, Window], Stretch]:
+    """Longest run of samples at which the flag (1 or 0) holds."""
+
+    def update(acc: Stretch, sample: Any, window: Window) -> Stretch:
+        lasting = (acc.lasting + 1.0) * of(sample)
+        return Stretch(lasting, jnp.maximum(acc.longest, lasting))
+
+    return update
+
+
+def longest(acc: Stretch, window: Window, span: Span) -> Scalar:
+    """Time that the longest stretch takes."""
+    return acc.longest * span.sample_time
+
+
 def last_outside(acc: Scalar, sample: Sample, window: Window) -> Scalar:
     """Number of samples up to the last one with |e| > band; a count is exact in float32 up to 16 million."""
     return jnp.where(jnp.abs(sample.e) > window.band, jnp.asarray(sample.k + 1, jnp.result_type(float)), acc)
@@ -136,6 +162,11 @@ def sampling_ratio(sample: Sample) -> Scalar:
 def position_error(instant: Instant) -> Scalar:
     """Distance from the desired position; the first three channels are x, y, z."""
     return root_abs(sum(jnp.square(sample.e) for sample in instant.channels[:3]))
+
+
+def rotor_limited(instant: Instant) -> Scalar:
+    """1 where a rotor is at its limit, else 0."""
+    return as_float(instant.plant.rotor_limited, instant.plant.tilt)
 
 
 def as_float(flag: Scalar, like: Scalar) -> Scalar:
@@ -184,10 +215,19 @@ METRICS: dict[str, Metric] = {
     "rotor_limited": Metric(
         "1",
         "share of time with a rotor at its limit",
-        total(lambda i: as_float(i.plant.rotor_limited, i.plant.tilt)),
+        total(rotor_limited),
         mean,
         FLYING,
         Scope.VEHICLE,
+    ),
+    "rotor_limited_longest": Metric(
+        "s",
+        "longest uninterrupted time with a rotor at its limit",
+        stretch(rotor_limited),
+        longest,
+        FLYING,
+        Scope.VEHICLE,
+        Stretch(),
     ),
     "lift_bounded": Metric(
         "1",
@@ -245,13 +285,18 @@ def first_sample(window: Window, sample_time: float) -> int:
     return max(0, math.ceil(window.after / sample_time - 1e-9))
 
 
+def starts(measures: tuple[Measure, ...]) -> tuple[Any, ...]:
+    """Every accumulator before the first sample."""
+    return tuple(measure.metric.start for measure in measures)
+
+
 def update_all(measures: tuple[Measure, ...], accumulators: tuple[Any, ...], instant: Instant, k: Scalar, t_s: float):
     """Every accumulator after sample k."""
     updated = []
     for measure, acc in zip(measures, accumulators, strict=True):
         new = measure.metric.update(acc, measure.of(instant), measure.window)
         start = first_sample(measure.window, t_s)
-        updated.append(new if start == 0 else jnp.where(k >= start, new, acc))
+        updated.append(new if start == 0 else jax.tree.map(partial(jnp.where, k >= start), new, acc))
     return tuple(updated)
 
 
