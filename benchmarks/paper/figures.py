@@ -109,7 +109,8 @@ def draw_monte_carlo(values: Columns, dssc: Flights, other: Flights) -> Figure:
         panel.set_xlabel(r"$\kappa_m$ [s (m/s)$^{-1/2}$]; dashed: $\kappa_1/\kappa_2$ and Case 1's")
     for panel in ax[:, 0]:
         panel.set_ylabel("oscillation, DSSC over clipped STA")
-    figure.colorbar(dots, ax=ax, label="rotors' time constant [ms]", ticks=[5, 10, 20, 50], format="%g")
+    bar = figure.colorbar(dots, ax=ax, label="rotors' time constant [ms]", ticks=[5, 10, 20, 40], format="%g")
+    bar.minorticks_off()
     return figure
 
 
