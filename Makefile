@@ -23,7 +23,7 @@ measure: .venv/run  ## regenerate docs/measurements.md and the figures of the do
 	$(BIN)/python benchmarks/measure.py
 
 paper: .venv/run  ## regenerate docs/paper.md: the article's figures and a table of its claims
-	$(BIN)/python benchmarks/paper.py
+	$(BIN)/python -m benchmarks.paper
 
 conservatism: .venv/run  ## regenerate docs/conservatism.md: certified against simulated
 	$(BIN)/python benchmarks/conservatism.py

@@ -1,10 +1,17 @@
 """Streaming metrics against the same numbers from the stored trajectory."""
 
+from pathlib import Path
+from typing import NamedTuple
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.metrics import METRICS, Scope, Window, first_sample
+from dssc_jax.metrics import METRICS, Instant, Measure, Scope, Window, first_sample, starts, update_all, values
+from dssc_jax.types import Outcome
+
+STUDIES = Path(__file__).parents[1] / "studies"
 
 
 def test_streaming_equals_stored(case_2):
@@ -55,3 +62,43 @@ def test_settled_from_the_start_is_zero():
 def test_window_starts_at_the_first_sample_not_before(after, dt, k):
     """0.3/0.1 is 2.9999999999999996 in floating point."""
     assert first_sample(Window(after), dt) == k
+
+
+class Seen(NamedTuple):
+    rotor_limited: bool
+    tilt: float = 0.0
+
+
+@pytest.mark.parametrize(
+    ("flags", "after", "longest"),
+    [
+        ("000000", 0.0, 0),
+        ("111111", 0.0, 6),
+        ("011011101", 0.0, 3),
+        ("110100", 0.0, 2),
+        ("11110110", 0.2, 2),
+        ("11110110", 0.3, 2),
+        ("11111010", 0.3, 2),
+    ],
+)
+def test_longest_uninterrupted_stretch(flags, after, longest):
+    """A window that opens within a stretch counts from there."""
+    measures = (Measure("limited", "rotor_limited_longest", Window(after), None),)
+    accumulators = starts(measures)
+    for k, flag in enumerate(flags):
+        instant = Instant(0.1 * k, 0.1, (), Seen(flag == "1"))
+        accumulators = update_all(measures, accumulators, instant, jnp.asarray(k), 0.1)
+    assert float(values(measures, accumulators, len(flags), 0.1)["limited"]) == pytest.approx(0.1 * longest)
+
+
+def test_a_rotor_at_its_limit_for_too_long_is_an_outcome():
+    """A vehicle that sinks at 6 m/s, whose rotors lift little more than its weight."""
+    weak = {"plant.velocity": [0.0, 0.0, -6.0], "plant.vehicle.max_thrust": {"uniform": [28.0, 36.0]}}
+    bound = {"requirement": [{"metric": "rotor_limited_longest", "max": 0.5}]}
+    study = dj.Study.load(STUDIES / "paper_case1.toml").override({"draws": 8, "loop.duration": 2.0, **weak, **bound})
+    found = dj.run(study).dataset
+    longest, code = found["rotor_limited_longest"].values, found["outcome"].values
+    assert 0 < np.count_nonzero(longest > 0.5) < 8
+    np.testing.assert_array_equal(code == Outcome.REQUIREMENT, longest > 0.5)
+    np.testing.assert_array_equal(code == Outcome.OK, longest <= 0.5)
+    np.testing.assert_array_equal(longest == 0.0, found["rotor_limited"].values == 0.0)

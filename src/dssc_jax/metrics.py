@@ -115,6 +115,28 @@ def root_mean(acc: Scalar, window: Window, span: Span) -> Scalar:
     return root_abs(acc / span.inside)
 
 
+class Stretch(NamedTuple):
+    """Samples in the uninterrupted stretch that lasts, and in the longest one so far."""
+
+    lasting: Scalar = 0.0
+    longest: Scalar = 0.0
+
+
+def stretch(of: Callable[[Any], Scalar]) -> Callable[[Stretch, Any, Window], Stretch]:
+    """Longest run of samples at which the flag (1 or 0) holds."""
+
+    def update(acc: Stretch, sample: Any, window: Window) -> Stretch:
+        lasting = (acc.lasting + 1.0) * of(sample)
+        return Stretch(lasting, jnp.maximum(acc.longest, lasting))
+
+    return update
+
+
+def longest(acc: Stretch, window: Window, span: Span) -> Scalar:
+    """Time that the longest stretch takes."""
+    return acc.longest * span.sample_time
+
+
 def last_outside(acc: Scalar, sample: Sample, window: Window) -> Scalar:
     """Number of samples up to the last one with |e| > band; a count is exact in float32 up to 16 million."""
     return jnp.where(jnp.abs(sample.e) > window.band, jnp.asarray(sample.k + 1, jnp.result_type(float)), acc)
@@ -140,6 +162,11 @@ def sampling_ratio(sample: Sample) -> Scalar:
 def position_error(instant: Instant) -> Scalar:
     """Distance from the desired position; the first three channels are x, y, z."""
     return root_abs(sum(jnp.square(sample.e) for sample in instant.channels[:3]))
+
+
+def rotor_limited(instant: Instant) -> Scalar:
+    """1 where a rotor is at its limit, else 0."""
+    return as_float(instant.plant.rotor_limited, instant.plant.tilt)
 
 
 def as_float(flag: Scalar, like: Scalar) -> Scalar:
@@ -188,10 +215,19 @@ METRICS: dict[str, Metric] = {
     "rotor_limited": Metric(
         "1",
         "share of time with a rotor at its limit",
-        total(lambda i: as_float(i.plant.rotor_limited, i.plant.tilt)),
+        total(rotor_limited),
         mean,
         FLYING,
         Scope.VEHICLE,
+    ),
+    "rotor_limited_longest": Metric(
+        "s",
+        "longest uninterrupted time with a rotor at its limit",
+        stretch(rotor_limited),
+        longest,
+        FLYING,
+        Scope.VEHICLE,
+        Stretch(),
     ),
     "lift_bounded": Metric(
         "1",
