@@ -37,6 +37,11 @@ def missing_flags() -> tuple[str, ...]:
     return tuple(flag for flag in wanted_flags() if flag.partition("=")[0] not in present)
 
 
+def code_generation() -> list[str]:
+    """The flags in force that change generated code, sorted; the number of host devices does not."""
+    return sorted(f for f in os.environ.get("XLA_FLAGS", "").split() if not f.startswith(DEVICE_COUNT))
+
+
 def backend_started() -> bool:
     """Whether JAX has started a backend in this process, after which flags have no effect."""
     bridge = sys.modules.get("jax._src.xla_bridge")

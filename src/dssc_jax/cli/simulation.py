@@ -160,8 +160,10 @@ def finish(study: "Study", out: Path, resume: bool, as_json: bool) -> int:
 def draw_figures(result: "Result", out: Path) -> list[Path]:
     """The figures of a results folder."""
     from dssc_jax import plotting
+    from dssc_jax.chunks import told
 
-    return plotting.save_all(result, out / "figures")
+    with told(out):
+        return plotting.save_all(result, out / "figures")
 
 
 def tell_trajectory(found: Any, csv: Path | None, figure: Path | None, as_json: bool) -> int:

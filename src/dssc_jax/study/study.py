@@ -21,6 +21,11 @@ from dssc_jax.study.tables import read_toml, set_dotted
 from dssc_jax.types import Quantity, Scalar
 
 
+def hash_of(table: Mapping[str, Any]) -> str:
+    """Hash of a study's table."""
+    return hashlib.sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()
+
+
 @dataclass(frozen=True)
 class Study:
     """A validated study.
@@ -108,7 +113,7 @@ class Study:
     @property
     def hash(self) -> str:
         """Hash of everything that decides the result."""
-        return hashlib.sha256(json.dumps(self.table, sort_keys=True).encode()).hexdigest()
+        return hash_of(self.table)
 
     def leaves(self) -> dict[str, float | Law]:
         """Every number of the loop by dotted name."""
