@@ -15,20 +15,24 @@ if TYPE_CHECKING:
     from dssc_jax import plotting as plot
     from dssc_jax.api import replay, run, simulate
     from dssc_jax.errors import ConfigError
+    from dssc_jax.exports import export
     from dssc_jax.results import Result, load
     from dssc_jax.study import Study
+    from dssc_jax.verification import verify
 
 __version__ = "0.1.0"
-__all__ = ["ConfigError", "Result", "Study", "design", "load", "plot", "replay", "run", "simulate"]
+__all__ = ["ConfigError", "Result", "Study", "design", "export", "load", "plot", "replay", "run", "simulate", "verify"]
 
 _HOME = {
     "ConfigError": "dssc_jax.errors",
     "Study": "dssc_jax.study",
     "Result": "dssc_jax.results",
+    "export": "dssc_jax.exports",
     "load": "dssc_jax.results",
     "replay": "dssc_jax.api",
     "run": "dssc_jax.api",
     "simulate": "dssc_jax.api",
+    "verify": "dssc_jax.verification",
 }
 _MODULES = {"design": "dssc_jax.design", "plot": "dssc_jax.plotting"}
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from dssc_jax.design import Certificate, Parameters
     from dssc_jax.results import Result
     from dssc_jax.study import Study
+    from dssc_jax.verification import Verification
 
 WIDEST_ROWS = 40
 
@@ -142,6 +143,24 @@ def show_draw(attributes: Mapping[str, Any], files: list[Path]) -> None:
     skipped = {"study", "draw", "outcome", "outcome_meaning"}
     rows = [(name, f"{value:.6g}") for name, value in attributes.items() if name not in skipped]
     show_table(("number", "value"), rows)
+    show_files(files)
+
+
+def show_verification(found: "Verification") -> None:
+    """How a result compares with its lanes computed again."""
+    console = output()
+    console.print(f"{found.identical} of {found.lanes} lanes bit-identical (--seed {found.seed} picks the same ones)")
+    if found.worst is not None:
+        rows = [
+            (name, f"{value:.17g}" if isinstance(value, float) else str(value)) for name, value in found.worst.items()
+        ]
+        show_table(("largest deviation", f"{found.deviation:.3g}"), rows)
+        verdict = "within rounding" if found.verified else "[red]more than rounding[/red]"
+        console.print(f"the deviation is {verdict}; computed otherwise: {escape('; '.join(found.otherwise) or 'no')}")
+
+
+def show_files(files: Sequence[Path]) -> None:
+    """The files that were written."""
     for path in files:
         output().print(f"wrote {path}", soft_wrap=True, markup=False)
 

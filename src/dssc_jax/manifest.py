@@ -126,12 +126,8 @@ def require_same_study(folder: Path, manifest: dict[str, Any], study: Study, res
     )
 
 
-def require_same_machinery(folder: Path, old: dict[str, Any], new: dict[str, Any]) -> None:
-    """Require that what computes the rest of a run is what computed its beginning.
-
-    Raises:
-        ConfigError: another version, device or compiler setting, which may round differently.
-    """
+def machinery_differences(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
+    """Where two manifests differ in what decides a result's last digits: versions, device, compiler settings."""
     there, here = (
         {
             "versions": {name: manifest["versions"].get(name) for name in COMPUTING},
@@ -140,7 +136,16 @@ def require_same_machinery(folder: Path, old: dict[str, Any], new: dict[str, Any
         }
         for manifest in (old, new)
     )
-    found = differences(there, here)
+    return differences(there, here)
+
+
+def require_same_machinery(folder: Path, old: dict[str, Any], new: dict[str, Any]) -> None:
+    """Require that what computes the rest of a run is what computed its beginning.
+
+    Raises:
+        ConfigError: another version, device or compiler setting, which may round differently.
+    """
+    found = machinery_differences(old, new)
     if found:
         raise ConfigError(
             str(folder),

@@ -10,7 +10,12 @@ import typer
 from dssc_jax.cli.shared import BAD_INPUT, DONE, INTERRUPTED, app
 from dssc_jax.errors import ConfigError
 
-for module in ("simulation", "designs", "about"):  # each registers its commands; help lists them in this order
+for module in (
+    "simulation",
+    "stored",
+    "designs",
+    "about",
+):  # each registers its commands; help lists them in this order
     importlib.import_module(f"dssc_jax.cli.{module}")
 
 LONGEST = 1000  # characters of a message

@@ -10,6 +10,7 @@ import typer
 from dssc_jax.errors import ConfigError
 
 if TYPE_CHECKING:
+    from dssc_jax.results import Result
     from dssc_jax.study import Study
 
 DONE, FAILS, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -111,6 +112,17 @@ def load_study(name: str, settings: list[str] | None, draws: int | None, seed: i
         changes[key] = parse_value(value)
     changes |= {key: value for key, value in (("draws", draws), ("seed", seed)) if value is not None}
     return study.override(changes) if changes else study
+
+
+def load_result(folder: Path, local: bool) -> "Result":
+    """A stored result; ``local`` as in :func:`load_study`, of the study file that it was made from."""
+    from dssc_jax.manifest import read_manifest
+    from dssc_jax.results import load
+
+    if local:
+        source = Path(str(read_manifest(folder).get("source", "")))
+        sys.path.insert(0, str(source.resolve().parent))
+    return load(folder)
 
 
 def default_out(study: "Study", command: str, altered: bool) -> Path:

@@ -26,6 +26,7 @@ from dssc_jax.cli.shared import (
     assignment,
     attempt,
     default_out,
+    load_result,
     load_study,
     parse_overs,
 )
@@ -120,6 +121,7 @@ def replay(
     figure: FigureOption = None,
     every: EveryOption = 1,
     as_json: JsonOption = False,
+    allow_local: LocalOption = False,
 ) -> int:
     """Simulate one draw of a result again.
 
@@ -128,7 +130,6 @@ def replay(
     In a sweep, --at picks the point (the nearest one); without it, the point where the draw's margin is smallest.
     """
     from dssc_jax import api
-    from dssc_jax.results import load
 
     point = {}
     for text in at or []:
@@ -139,7 +140,9 @@ def replay(
             point[name] = math.nan
         if not math.isfinite(point[name]):
             raise ConfigError("--at", f"must be NAME=NUMBER, got '{text}'")
-    return tell_trajectory(api.replay(load(result), draw, point=point or None, every=every), csv, figure, as_json)
+    return tell_trajectory(
+        api.replay(load_result(result, allow_local), draw, point=point or None, every=every), csv, figure, as_json
+    )
 
 
 def finish(study: "Study", out: Path, resume: bool, as_json: bool) -> int:
