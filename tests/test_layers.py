@@ -22,7 +22,7 @@ LAYERS = [
     {"dataset", "lock", "manifest"},
     {"chunks"},
     {"store"},
-    {"results"},
+    {"results", "cluster"},
     {"plotting", "api", "verification", "exports"},
     {"console"},
     {"cli"},

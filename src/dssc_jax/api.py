@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import jax
 import numpy as np
 import xarray as xr
 
+from dssc_jax.cluster import connected
 from dssc_jax.dataset import in_memory, outcome_codes
 from dssc_jax.engine import Engine, Layout, computing, drawn, execute, lanes_in
 from dssc_jax.errors import ConfigError, meant
@@ -86,6 +88,9 @@ def run(
     block: int | None = None,
     tile: int | None = None,
     devices: int | None = None,
+    cluster: str | None = None,
+    tell: Callable[[str], None] = print,
+    local: str | None = None,
 ) -> Result:
     """Simulate every draw of a study at every point of its sweep.
 
@@ -98,27 +103,43 @@ def run(
         block: Lanes of a block at most; None: the engine's choice. Results do not depend on it, nor on the rest.
         tile: Lanes of a tile.
         devices: Number of devices to use.
+        cluster: ``tcp://host:port`` of a dask scheduler or ``local:N``; every worker must see ``out``. Devices and
+            tiles are then the workers' own choice.
+        tell: Told in words of a cluster's workers that are lost and that join.
+        local: Folder where a cluster's workers, too, look for the study's ``module:object`` names.
 
     Raises:
-        ConfigError: ``out`` holds something else, is being written, or cannot be written.
+        ConfigError: ``out`` holds something else, is being written, or cannot be written; or the cluster is lost.
     """
     layout = Layout.of(study, block) if block else Layout.of(study)
-    manifest = about_run(study, layout, computing())
     if out is None:
+        if cluster:
+            raise ConfigError("out", "is needed on a cluster: a folder that every worker sees")
+        manifest = about_run(study, layout, computing())
         return in_one_piece(study, manifest, Engine(study, layout.lanes, tile, devices), progress)
-    folder = Path(out)
-    with Store(folder, study, manifest, resume) as target:
+    with ExitStack() as stack:
+        workers = stack.enter_context(connected(cluster, tell)) if cluster else None
+        manifest = about_run(study, layout, workers.machinery() if workers else computing())
+        target = stack.enter_context(Store(Path(out), study, manifest, resume))
         if not target.finished:
-            began = time.perf_counter()
-            engine = Engine(study, target.layout.lanes, tile, devices)
             told = Told(progress, target.layout, target.pending)
-            for box, results, values in execute(engine, target.pending):
-                target.chunks.write(box, results, values)
-                told(lanes_in(box))
-            target.complete({"times": engine.times(began)})
-        result = load(folder)
+            about = workers.fill(study, target, told, local) if workers else fill(study, target, told, tile, devices)
+            target.complete(about)
+        result = load(out)
         target.summarise(result.summary())
     return result
+
+
+def fill(
+    study: Study, target: Store, told: Callable[[int], None], tile: int | None, devices: int | None
+) -> dict[str, Any]:
+    """Compute what a folder lacks, in this process; what the manifest says of it."""
+    began = time.perf_counter()
+    engine = Engine(study, target.layout.lanes, tile, devices)
+    for box, results, values in execute(engine, target.pending):
+        target.chunks.write(box, results, values)
+        told(lanes_in(box))
+    return {"times": engine.times(began)}
 
 
 class Told:

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,10 +34,21 @@ def output() -> Console:
     return Console(width=None if sys.stdout.isatty() else 140, highlight=False)
 
 
+@cache
+def errors() -> Console:
+    """Standard error, shared by the bar and by what is told meanwhile."""
+    return Console(stderr=True, highlight=False)
+
+
+def tell(text: str) -> None:
+    """Something a person should know while a run goes on."""
+    errors().print(text, markup=False)
+
+
 @contextmanager
 def progress_bar(study: "Study", quiet: bool) -> Iterator[Callable[[int, int], None]]:
     """A bar with the time left, on stderr; ``quiet`` shows it only where stderr is a terminal."""
-    console = Console(stderr=True)
+    console = errors()
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -88,6 +100,9 @@ def show_result(result: "Result", figures: list[Path]) -> None:
         f"{times['seconds']:.1f} s, of which {times['compile_seconds']:.1f} s compiling; "
         f"{times['rate'] / 1e6:.0f} million draw samples a second"
     )
+    if "cluster" in result.manifest:
+        cluster = result.manifest["cluster"]
+        console.print(f"{cluster['workers']} workers, {len(cluster['lost'])} lost on the way", highlight=False)
     places = f"result  {result.path}\nfigures {', '.join(str(path) for path in figures)}"
     console.print(places, soft_wrap=True, markup=False)
 

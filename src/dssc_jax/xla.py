@@ -25,10 +25,19 @@ class LateSettingsWarning(UserWarning):
     """The XLA backend had started before this package could set its compiler flags."""
 
 
+def usable_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def wanted_flags() -> tuple[str, ...]:
     """The flags of this package, one host device for each usable core."""
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return (*CODE_GENERATION, f"{DEVICE_COUNT}={usable}")
+    return (*CODE_GENERATION, f"{DEVICE_COUNT}={usable_cores()}")
+
+
+def flags_for(devices: int) -> str:
+    """``XLA_FLAGS`` of a process like this one, with another number of host devices."""
+    return " ".join([*code_generation(), f"{DEVICE_COUNT}={devices}"])
 
 
 def missing_flags() -> tuple[str, ...]:

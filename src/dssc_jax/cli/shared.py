@@ -1,5 +1,6 @@
 """What commands share: the application, their options, and how a study is loaded and a result is told."""
 
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -42,6 +43,10 @@ DrawsOption = Annotated[int | None, typer.Option("--draws", metavar="N", help="N
 SeedOption = Annotated[int | None, typer.Option("--seed", metavar="S", help="Seed of the draws.")]
 OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Results folder [results/NAME-COMMAND].")]
 ResumeOption = Annotated[bool, typer.Option("--resume", help="Keep what an interrupted run of this study finished.")]
+ClusterOption = Annotated[
+    str | None,
+    typer.Option("--cluster", metavar="ADDRESS", help="Workers: tcp://HOST:PORT of a dask scheduler, or local:N."),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
 LocalOption = Annotated[
     bool, typer.Option("--allow-local", help="Let `module:object` names in the study import from its own folder.")
@@ -97,8 +102,17 @@ def parse_overs(texts: list[str]) -> dict[str, dict[str, list[Any]]]:
     return axes
 
 
-def load_study(name: str, settings: list[str] | None, draws: int | None, seed: int | None, local: bool) -> "Study":
+def load_study(
+    name: str,
+    settings: list[str] | None,
+    draws: int | None,
+    seed: int | None,
+    local: bool,
+    cluster: str | None = None,
+) -> "Study":
     """The study as the options change it."""
+    if cluster:  # validation starts JAX: leave a GPU's memory to the worker that computes on it
+        os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     from dssc_jax.study import Study
     from dssc_jax.study.library import find
 

@@ -9,6 +9,7 @@ import typer
 
 from dssc_jax.cli.shared import (
     DONE,
+    ClusterOption,
     CsvOption,
     DrawsOption,
     EveryOption,
@@ -47,6 +48,7 @@ def run(
     seed: SeedOption = None,
     out: OutOption = None,
     resume: ResumeOption = False,
+    cluster: ClusterOption = None,
     as_json: JsonOption = False,
     allow_local: LocalOption = False,
 ) -> int:
@@ -57,9 +59,9 @@ def run(
     Prints the failure probability with its exact (Clopper-Pearson) interval, and writes a results folder. Draws that
     fail are outcomes: the exit code is 0.
     """
-    found = load_study(study, settings, draws, seed, allow_local).without_sweep()
+    found = load_study(study, settings, draws, seed, allow_local, cluster).without_sweep()
     altered = bool(settings or draws is not None or seed is not None)
-    return finish(found, out or default_out(found, "run", altered), resume, as_json)
+    return finish(found, out or default_out(found, "run", altered), resume, as_json, cluster, allow_local)
 
 
 @app.command()
@@ -71,6 +73,7 @@ def sweep(
     seed: SeedOption = None,
     out: OutOption = None,
     resume: ResumeOption = False,
+    cluster: ClusterOption = None,
     as_json: JsonOption = False,
     allow_local: LocalOption = False,
 ) -> int:
@@ -81,13 +84,13 @@ def sweep(
     All points see the same draws. A swept value takes the place of the law of that parameter. Running the same study
     into the same folder again starts over, unless --resume is given; another study's folder is never touched.
     """
-    found = load_study(study, settings, draws, seed, allow_local)
+    found = load_study(study, settings, draws, seed, allow_local, cluster)
     if over:
         found = found.override({"sweep": parse_overs(over)})
     if not found.axes:
         raise ConfigError(found.source, "has no [sweep]; add one, or --over NAME=LO:HI:COUNT")
     altered = bool(over or settings or draws is not None or seed is not None)
-    return finish(found, out or default_out(found, "sweep", altered), resume, as_json)
+    return finish(found, out or default_out(found, "sweep", altered), resume, as_json, cluster, allow_local)
 
 
 @app.command()
@@ -145,13 +148,16 @@ def replay(
     )
 
 
-def finish(study: "Study", out: Path, resume: bool, as_json: bool) -> int:
+def finish(
+    study: "Study", out: Path, resume: bool, as_json: bool, cluster: str | None = None, local: bool = False
+) -> int:
     """Run, draw the figures, tell the result."""
     from dssc_jax import api
-    from dssc_jax.console import progress_bar, show_result
+    from dssc_jax.console import progress_bar, show_result, tell
 
+    folder = str(Path(study.source).resolve().parent) if local else None
     with progress_bar(study, quiet=as_json) as advance:
-        result = api.run(study, out, resume=resume, progress=advance)
+        result = api.run(study, out, resume=resume, progress=advance, cluster=cluster, tell=tell, local=folder)
     figures = draw_figures(result, out)
     if as_json:
         print(json.dumps(result.summary()))
