@@ -128,6 +128,17 @@ def test_more_draws_keep_what_exists(study, tmp_path, block):
     assert dj.run(more, folder, resume=True).manifest == grown.manifest
 
 
+def test_a_run_without_a_sweep_grows(study, tmp_path):
+    """Drawn numbers and results have the same dimension there."""
+    single = study.without_sweep()
+    first = dj.run(single, tmp_path / "single")
+    same(first, dj.run(single))
+    told = []
+    more = single.override({"draws": 40})
+    same(dj.run(more, tmp_path / "single", resume=True, progress=lambda done, _: told.append(done)), dj.run(more))
+    assert told == [24, 40]
+
+
 def test_a_run_killed_while_growing(study, copied, monkeypatch):
     more = study.override({"draws": 40})
     with monkeypatch.context() as patch:

@@ -63,7 +63,7 @@ class Chunks:
     def __init__(self, folder: Path, study: Study, layout: Layout, mode: str = "r") -> None:
         self.folder, self.layout = folder, layout
         self.arrays = checked_arrays(folder, study, layout, mode)
-        self.drawn = [name for name, variable in variables(study).items() if variable.dims == ("draw",)]
+        self.drawn = list(study.laws)
 
     def write(self, block: Block, results: Arrays, drawn: Arrays) -> None:
         """Write a block; ``outcome`` last."""
@@ -80,6 +80,9 @@ class Chunks:
 
         Returns:
             The blocks, and the files of chunks that are damaged.
+
+        Raises:
+            ConfigError: a folder stands where a chunk should be.
         """
         blocks: list[Block] = []
         damaged: list[Path] = []
@@ -91,6 +94,9 @@ class Chunks:
 
     def _missing(self, block: Block, damaged: list[Path]) -> Block | None:
         files = {name: self._file(name, block) for name in self.arrays}
+        for file in files.values():
+            if file.is_dir():
+                raise ConfigError(str(file), "is damaged: a folder stands in the place of a chunk; take it away")
         if not all(file.is_file() for file in files.values()):
             return block
         values = {}
@@ -244,13 +250,16 @@ def reshape(folder: Path, study: Study, layout: Layout) -> None:
             array.resize(shape)
     group = open_group(folder, mode="r+")
     for name, values in coordinate_values(study).items():
-        array = group.get(name)
-        if (
-            not isinstance(array, zarr.Array)
-            or array.shape != values.shape
-            or not np.array_equal(np.asarray(array), values)
-        ):
+        if not np.array_equal(stored_coordinate(group, name), values):
             create(group, name, coordinates(study)[name], values.shape, values.shape, overwrite=True)[...] = values
+
+
+def stored_coordinate(group: zarr.Group, name: str) -> np.ndarray:
+    """A coordinate as it stands in the store; empty where it cannot be read, since it can be written again."""
+    try:
+        return np.asarray(group[name])
+    except Exception:  # zarr and its codecs raise errors of many kinds
+        return np.empty(0)
 
 
 def one_line(error: BaseException) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 from dssc_jax.engine import Layout
 from dssc_jax.errors import ConfigError
 from dssc_jax.study import Study, hash_of
+from dssc_jax.study.tables import require_shallow
 
 SCHEMA = 1
 DATA, MANIFEST, SUMMARY, PARTIAL = "data.zarr", "manifest.json", "summary.json", ".partial"
@@ -59,6 +60,10 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     for name in TABLES:
         if not isinstance(manifest.get(name), dict):
             raise ConfigError(str(path), f"is damaged: {name} is not a table")
+    try:
+        require_shallow(manifest["study"])
+    except ConfigError as error:
+        raise error.within(str(path)) from None
     if manifest.get("hash") != hash_of(manifest["study"]):
         raise ConfigError(str(path), "is damaged: the study is not the one that its hash was taken of")
     return manifest

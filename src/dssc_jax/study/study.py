@@ -17,7 +17,7 @@ from dssc_jax.requirements import Requirement
 from dssc_jax.study.build import build
 from dssc_jax.study.laws import Law
 from dssc_jax.study.schema import StudyTable
-from dssc_jax.study.tables import read_toml, set_dotted
+from dssc_jax.study.tables import read_toml, require_shallow, set_dotted
 from dssc_jax.types import Quantity, Scalar
 
 
@@ -72,6 +72,7 @@ class Study:
             ConfigError: as :meth:`load`.
         """
         try:
+            require_shallow(table)
             content = copy.deepcopy(dict(table))
             return cls(content, source, *build(content))
         except ConfigError as error:
