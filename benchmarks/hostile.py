@@ -1,8 +1,8 @@
 """Regenerate docs/hostile.md: study files and results folders as accident and malice make them.
 
-Every bad study file must end in exit 2 with one line, in under 2 s of processor time, and nothing written. A file that is still valid
-is not simulated. A damaged folder is replayed, verified, exported and resumed: exit 2 with one line and nothing
-changed, or, where the harm does not matter or was mended, the very same result.
+Every bad study file must end in exit 2 with one line, in under 2 s of processor time, and nothing written. A file that
+is still valid is not simulated. A damaged folder is replayed, verified, exported and resumed: exit 2 with one line and
+nothing changed, or, where the harm does not matter or was mended, the very same result.
 """
 
 import argparse

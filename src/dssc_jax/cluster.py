@@ -28,6 +28,7 @@ from dssc_jax.manifest import listed, machinery_differences
 from dssc_jax.store import Store
 from dssc_jax.study import Study
 
+GO_ON = "what was finished is kept, --resume goes on from there"
 LOCAL = "local:"
 OPTION = "--cluster"
 CONNECT = 30.0  # s for the scheduler to answer
@@ -193,9 +194,6 @@ class Cluster:
         self._seen = now if present else self._seen
         if now > self._seen + PATIENCE:
             raise ConfigError(OPTION, f"no worker for {PATIENCE:g} s; {GO_ON}")
-
-
-GO_ON = "what was finished is kept, --resume goes on from there"
 
 
 def ranges(blocks: list[Block], workers: int) -> list[list[Block]]:
