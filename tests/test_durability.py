@@ -128,6 +128,14 @@ def test_more_draws_keep_what_exists(study, tmp_path, block):
     assert dj.run(more, folder, resume=True).manifest == grown.manifest
 
 
+def test_points_that_depend_on_their_number_are_not_extended(study, copied, monkeypatch):
+    monkeypatch.setattr("dssc_jax.manifest.EXTENSIBLE", ())
+    with pytest.raises(
+        ConfigError, match="holds 24 draws of 'random' sampling, which depend on their number: 30 of them"
+    ):
+        dj.run(study.override({"draws": 30}), copied, resume=True)
+
+
 def test_a_run_without_a_sweep_grows(study, tmp_path):
     """Drawn numbers and results have the same dimension there."""
     single = study.without_sweep()

@@ -1,5 +1,6 @@
 """A share of what benchmarks/hostile.py tries, and the cases that were mended."""
 
+import subprocess
 import sys
 
 import pytest
@@ -10,13 +11,13 @@ from dssc_jax.errors import ConfigError
 from dssc_jax.study import Study
 from dssc_jax.study.tables import DEEPEST, LARGEST, read_toml
 from tests.conftest import UNCERTAIN
-from tests.mutations import STUDY_KINDS
+from tests.mutations import STUDY_KINDS, document
 
 
 def test_mutated_study_files():
-    tally = hostile.study_files(14 * len(STUDY_KINDS), seed=11)
+    tally = hostile.study_files(6 * len(STUDY_KINDS), seed=11)
     assert tally.wrong == []
-    assert sum(count for (_, end), count in tally.ends.items() if end == "refused") > 40
+    assert sum(count for (_, end), count in tally.ends.items() if end == "refused") > 25
 
 
 def test_damaged_folders():
@@ -29,8 +30,8 @@ def test_damaged_folders():
     ("content", "message"),
     [
         (b"#" * (LARGEST + 1), "is larger than a study can be"),
-        (b"a" + b".a" * 300_000 + b" = 1", f"has a dotted name of more than {DEEPEST} parts"),
-        (b"[" + b"a . " * 300_000 + b"a]", f"has a dotted name of more than {DEEPEST} parts"),
+        (b"a" + b".a" * 200_000 + b" = 1", f"has a dotted name of more than {DEEPEST} parts"),
+        (b"[" + b"a . " * 200_000 + b"a]", f"has a dotted name of more than {DEEPEST} parts"),
         (b"a = " + b"[" * 500_000, "is nested too deeply"),
         (b"a = " + b"[" * 60 + b"]" * 60, "is nested too deeply"),
         ("name = 'é'".encode("latin-1"), "is not UTF-8 text: invalid continuation byte at byte 8"),
@@ -74,9 +75,7 @@ def own(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry])
     monkeypatch.delitem(sys.modules, "beside", raising=False)
     (tmp_path / "beside.py").write_text(MODULE)
-    from tests.mutations import document
-
-    table = {**UNCERTAIN, "plant": {"kind": "beside:PLANT"}, "sweep": {}, "draws": 2, "loop": UNCERTAIN["loop"]}
+    table = {**UNCERTAIN, "plant": {"kind": "beside:PLANT"}, "sweep": {}, "draws": 2}
     (tmp_path / "own.toml").write_bytes(document(table))
     return tmp_path
 
@@ -91,8 +90,6 @@ def test_a_study_imports_from_its_folder_only_when_allowed(own, capsys):
 
 def test_the_current_folder_is_no_installed_module(own):
     """``python -m`` puts it first on the path."""
-    import subprocess
-
     done = subprocess.run([sys.executable, "-m", "dssc_jax.cli", "run", "own.toml"], capture_output=True, text=True)
     assert done.returncode == 2
     assert "cannot import 'beside:PLANT'" in done.stderr
