@@ -12,8 +12,8 @@ import pytest
 from dssc_jax.cli import guarded
 from dssc_jax.cli.shared import parse_over, parse_value
 
-COMMANDS = ["run", "sweep", "simulate", "replay", "margin", "compare", "plan", "sensitivity", "rare", "report"]
-COMMANDS += ["check", "design", "studies", "info"]
+COMMANDS = ["run", "sweep", "simulate", "replay", "margin", "compare", "plan", "sensitivity", "rare"]
+COMMANDS += ["verify", "export", "report", "check", "design", "studies", "info"]
 STUDY = """
 name = "small"
 seed = 3
@@ -286,8 +286,12 @@ def test_interrupt_is_130(study, monkeypatch, capsys):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("dssc_jax.api.run", interrupted)
-    assert guarded(["run", str(study)]) == 130
-    assert "--resume" in capsys.readouterr().err
+    assert guarded(["run", str(study), "--set", "controller.k_p={ uniform = [1, 2] }"]) == 130
+    wanted = f"go on with: dssc-jax run {study} --set 'controller.k_p={{ uniform = [1, 2] }}' --resume\n"
+    assert capsys.readouterr().err.endswith(wanted)
+    monkeypatch.setattr("dssc_jax.api.simulate", interrupted)
+    assert guarded(["simulate", str(study)]) == 130
+    assert capsys.readouterr().err == "interrupted\n"  # nothing to go on from
 
 
 def test_a_signal_keeps_what_is_finished(study, capsys):

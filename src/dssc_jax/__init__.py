@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from dssc_jax.api import replay, run, simulate
     from dssc_jax.comparison import Comparison, compare
     from dssc_jax.errors import ConfigError
+    from dssc_jax.exports import export
     from dssc_jax.global_sensitivity import sensitivity
     from dssc_jax.margins import Margins, margin
     from dssc_jax.rare_events import Splitting, rare
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from dssc_jax.statistics import AcceptReject, UntilWidth, plan
     from dssc_jax.stopping import run_until
     from dssc_jax.study import Study
+    from dssc_jax.verification import verify
 
 __version__ = "0.1.0"
 __all__ = [
@@ -36,6 +38,7 @@ __all__ = [
     "UntilWidth",
     "compare",
     "design",
+    "export",
     "load",
     "margin",
     "plan",
@@ -48,12 +51,14 @@ __all__ = [
     "sensitivity",
     "simulate",
     "theory",
+    "verify",
 ]
 
 _HOME = {
     "ConfigError": "dssc_jax.errors",
     "Study": "dssc_jax.study",
     "Result": "dssc_jax.results",
+    "export": "dssc_jax.exports",
     "load": "dssc_jax.results",
     "Comparison": "dssc_jax.comparison",
     "compare": "dssc_jax.comparison",
@@ -63,6 +68,7 @@ _HOME = {
     "run": "dssc_jax.api",
     "simulate": "dssc_jax.api",
     "run_until": "dssc_jax.stopping",
+    "verify": "dssc_jax.verification",
     "UntilWidth": "dssc_jax.statistics",
     "AcceptReject": "dssc_jax.statistics",
     "plan": "dssc_jax.statistics",

@@ -1,12 +1,13 @@
-"""The folder of an analysis that is no run of a study's grid: its dataset, its summary, and the study."""
+"""What an analysis that is no run of a study's grid leaves: a folder with a dataset, or an answer in one file."""
 
+import json
 from pathlib import Path
 from typing import Any
 
 import xarray as xr
 
 from dssc_jax.errors import ConfigError
-from dssc_jax.store import DATA, SUMMARY, write_json
+from dssc_jax.manifest import DATA, SUMMARY, write_json
 from dssc_jax.study import Study
 
 
@@ -39,3 +40,32 @@ def save(folder: Path, kind: str, study: Study, dataset: xr.Dataset, summary: di
     dataset.to_zarr(folder / DATA, mode="w", consolidated=False)
     write_json(folder / SUMMARY, summary)
     return folder
+
+
+def require_place(path: Path, study: Study) -> None:
+    """Require that an answer of the study may be written.
+
+    Raises:
+        ConfigError: the file holds something else, or its folder is a file.
+    """
+    if path.parent.exists() and not path.parent.is_dir():
+        raise ConfigError(str(path.parent), "is a file, not a results folder; nothing was written")
+    if path.exists():
+        try:
+            same = json.loads(path.read_text(encoding="utf-8"))["hash"] == study.hash
+        except (ValueError, KeyError, TypeError):
+            same = False
+        if not same:
+            raise ConfigError(str(path), "holds the answer to another study; choose another --out, nothing was written")
+
+
+def write_answer(path: Path, content: dict[str, Any], study: Study) -> None:
+    """Write an analysis that has no dataset, with the study that it is of.
+
+    Args:
+        path: A JSON file that :func:`require_place` has passed; its folder is made when absent.
+        content: The answer.
+        study: What it answers for.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_json(path, {**content, "hash": study.hash, "source": study.source, "inputs": study.table})

@@ -1,10 +1,10 @@
 """What the command line and notebooks call: run a study, look at one draw, replay one of a result."""
 
-import platform
+import math
 import time
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +12,16 @@ import jax
 import numpy as np
 import xarray as xr
 
-from dssc_jax import store
-from dssc_jax.dataset import in_memory, outcome_codes
-from dssc_jax.engine import Engine, Layout, drawn, execute
+from dssc_jax.cluster import connected
+from dssc_jax.dataset import in_memory, outcome_codes, put
+from dssc_jax.engine import Engine, Layout, computing, drawn, execute, lanes_in
 from dssc_jax.errors import ConfigError, meant
 from dssc_jax.loop import Recorded, Run
 from dssc_jax.loop import simulate as run_loop
+from dssc_jax.manifest import SCHEMA
 from dssc_jax.results import Result, load
 from dssc_jax.sampling import draw_key
+from dssc_jax.store import Store
 from dssc_jax.study import Study
 from dssc_jax.study.correlation import gaussian
 
@@ -27,7 +29,6 @@ Progress = Callable[[int, int], None]
 """Called with the lanes done and the lanes in all."""
 
 MOST_KEPT = 5_000_000  # samples of a trajectory
-VERSIONS = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy", "xarray", "zarr")
 UNITS = {
     "y": ("m", "output y"),
     "y_dot": ("m/s", "output's derivative y'"),
@@ -56,11 +57,10 @@ UNITS = {
 }
 
 
-def about_run(study: Study, layout: Layout) -> dict[str, Any]:
+def about_run(study: Study, layout: Layout, machinery: Mapping[str, Any]) -> dict[str, Any]:
     """The manifest before the run: what, with which versions, on which machine."""
-    device = jax.devices()[0]
     return {
-        "schema": store.SCHEMA,
+        "schema": SCHEMA,
         "study": study.table,
         "source": study.source,
         "hash": study.hash,
@@ -73,8 +73,7 @@ def about_run(study: Study, layout: Layout) -> dict[str, Any]:
             "draws": study.config.draws,
             "samples": study.loop.steps,
         },
-        "versions": {"python": platform.python_version(), **{name: version(name) for name in VERSIONS}},
-        "device": {"kind": device.device_kind, "platform": device.platform, "count": len(jax.devices())},
+        **machinery,
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "complete": False,
         "times": {},
@@ -100,71 +99,90 @@ def run(
     block: int | None = None,
     tile: int | None = None,
     devices: int | None = None,
+    cluster: str | None = None,
+    tell: Callable[[str], None] = print,
+    local: str | None = None,
 ) -> Result:
     """Simulate every draw of a study at every point of its sweep.
 
     Args:
         study: The study; one with a ``[sweep]`` is swept, see :meth:`Study.without_sweep`.
         out: Results folder to fill as the run goes on; None keeps the result in memory.
-        resume: Keep what an earlier, interrupted run of the same study left in ``out``.
+        resume: Keep what an earlier run of the same study left in ``out``, and compute what is missing; the study
+            may ask for more draws than it did then.
         progress: Told of the lanes done after each block.
         block: Lanes of a block at most; None: the engine's choice. Results do not depend on it, nor on the rest.
         tile: Lanes of a tile.
         devices: Number of devices to use.
+        cluster: ``tcp://host:port`` of a dask scheduler or ``local:N``; every worker must see ``out``. Devices and
+            tiles are then the workers' own choice.
+        tell: Told in words of a cluster's workers that are lost and that join.
+        local: Folder where a cluster's workers, too, look for the study's ``module:object`` names.
 
     Raises:
-        ConfigError: ``out`` holds something else.
+        ConfigError: ``out`` holds something else, is being written, or cannot be written; or the cluster is lost.
     """
     layout = Layout.of(study, block) if block else Layout.of(study)
-    folder = Path(out) if out is not None else None
-    manifest = about_run(study, layout)
-    sink = store.Store(folder, study, layout, manifest, resume) if folder else None
-    layout = sink.layout if sink else layout
-    dataset = in_memory(study) if sink is None else None
-    began = time.perf_counter()
-    pending = sink.pending() if sink else layout.blocks()
-    engine = Engine(study, layout.lanes, tile, devices)
-    total = int(np.prod(layout.shape))
-    done = total - sum(int(np.prod([part.stop - part.start for part in box])) for box in pending)
-    if progress:
-        progress(done, total)
-    for box, results, values in execute(engine, pending):
-        if sink:
-            sink.write(box, results, values)
-        else:
-            fill(dataset, box, results, values)
-        done += next(iter(results.values())).size
-        if progress:
-            progress(done, total)
-    manifest["complete"] = True
-    manifest["times"] = times(engine, began)
-    if folder is None:
-        assert dataset is not None
-        return Result(study, dataset, manifest)
-    store.write_json(folder / store.MANIFEST, manifest | {"layout": layout.to_dict()})
-    result = load(folder)
-    store.write_json(folder / store.SUMMARY, result.summary())
+    if out is None:
+        if cluster:
+            raise ConfigError("out", "is needed on a cluster: a folder that every worker sees")
+        manifest = about_run(study, layout, computing())
+        return in_one_piece(study, manifest, Engine(study, layout.lanes, tile, devices), progress)
+    with ExitStack() as stack:
+        workers = stack.enter_context(connected(cluster, tell)) if cluster else None
+        manifest = about_run(study, layout, workers.machinery() if workers else computing())
+        target = stack.enter_context(Store(Path(out), study, manifest, resume))
+        if not target.finished:
+            told = Told(progress, target.layout, target.pending)
+            about = workers.fill(study, target, told, local) if workers else fill(study, target, told, tile, devices)
+            target.complete(about)
+        result = load(out)
+        target.summarise(result.summary())
     return result
 
 
-def times(engine: Engine, began: float) -> dict[str, float]:
-    """What a run cost, for its manifest."""
-    return {
-        "seconds": time.perf_counter() - began,
-        "compile_seconds": engine.clock.compile_seconds,
-        "run_seconds": engine.clock.run_seconds,
-        "rate": engine.rate,
-        "traces": engine.clock.traces,
-    }
+def fill(
+    study: Study, target: Store, told: Callable[[int], None], tile: int | None, devices: int | None
+) -> dict[str, Any]:
+    """Compute what a folder lacks, in this process; what the manifest says of it."""
+    began = time.perf_counter()
+    engine = Engine(study, target.layout.lanes, tile, devices)
+    for box, results, values in execute(engine, target.pending):
+        target.chunks.write(box, results, values)
+        told(lanes_in(box))
+    return {"times": engine.times(began)}
 
 
-def fill(dataset: xr.Dataset | None, box: tuple[slice, ...], results: dict, values: dict) -> None:
-    """Put a block into a dataset in memory."""
-    assert dataset is not None
-    for name, array in results.items():
-        dataset[name].values[box] = array
-    for name, column in values.items():
-        dataset[name].values[box[-1]] = column
+class Told:
+    """Lanes done so far, told to whoever shows progress.
+
+    Args:
+        progress: Who.
+        layout: All lanes.
+        pending: Those that are not done at the beginning.
+    """
+
+    def __init__(self, progress: Progress | None, layout: Layout, pending: list[tuple[slice, ...]]) -> None:
+        self.progress, self.total = progress, math.prod(layout.shape)
+        self.done = self.total - sum(map(lanes_in, pending))
+        self(0)
+
+    def __call__(self, lanes: int) -> None:
+        """So many more are done."""
+        self.done += lanes
+        if self.progress:
+            self.progress(self.done, self.total)
+
+
+def in_one_piece(study: Study, manifest: dict[str, Any], engine: Engine, progress: Progress | None) -> Result:
+    """A run that is kept in memory."""
+    began = time.perf_counter()
+    layout = Layout.from_dict(manifest["layout"])
+    dataset, told = in_memory(study), Told(progress, layout, layout.blocks())
+    for box, results, values in execute(engine, layout.blocks()):
+        put(dataset, box, results, values)
+        told(lanes_in(box))
+    return Result(study, dataset, manifest | {"complete": True, "times": engine.times(began)})
 
 
 def lane_values(study: Study, draw: int, point: Mapping[str, float]) -> dict[str, float]:

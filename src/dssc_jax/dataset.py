@@ -75,6 +75,12 @@ def coordinate_values(study: Study) -> dict[str, np.ndarray]:
     return {**{k: np.asarray(v) for k, v in study.axes.items()}, "draw": np.arange(study.config.draws)}
 
 
+def dataset_attributes(study: Study) -> dict[str, str]:
+    """The dataset's own attributes, after the CF conventions."""
+    described = {"comment": study.config.description} if study.config.description else {}
+    return {"Conventions": "CF-1.11", "title": study.name, "source": "dssc_jax", **described}
+
+
 def in_memory(study: Study) -> xr.Dataset:
     """A dataset of the study's shape, not computed yet."""
     coords = coordinate_values(study)
@@ -88,5 +94,15 @@ def in_memory(study: Study) -> xr.Dataset:
     return xr.Dataset(
         blank,
         coords={name: ((name,), values, dict(about[name].attributes)) for name, values in coords.items()},
-        attrs={"title": study.name, "source": "dssc_jax"},
+        attrs=dataset_attributes(study),
     )
+
+
+def put(
+    dataset: xr.Dataset, box: tuple[slice, ...], results: Mapping[str, np.ndarray], drawn: Mapping[str, np.ndarray]
+) -> None:
+    """Put a block of the grid, and the drawn values of its range of draws, into a dataset of :func:`in_memory`."""
+    for name, array in results.items():
+        dataset[name].values[box] = array
+    for name, column in drawn.items():
+        dataset[name].values[box[-1]] = column

@@ -8,9 +8,11 @@ any of these sizes.
 
 import itertools
 import math
+import platform
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from typing import Any
 
 import jax
@@ -18,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
+from dssc_jax import xla
 from dssc_jax.loop import simulate, start
 from dssc_jax.metrics import starts
 from dssc_jax.sampling import draw, draw_key
@@ -29,6 +32,7 @@ WIDEST, NARROWEST = 1024, 128  # lanes of a tile; beyond them measurements show 
 VECTOR = 8  # lanes in a 512-bit vector of float64: every tile is a multiple of it
 BLOCK = 16384  # lanes
 PROBES = 16  # draws that are simulated twice to find in-loop noise
+VERSIONS = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy", "xarray", "zarr")
 
 Arrays = dict[str, np.ndarray]
 
@@ -47,12 +51,16 @@ class Layout:
 
     @classmethod
     def of(cls, study: Study, lanes: int = BLOCK) -> "Layout":
-        """Blocks of at most ``lanes`` lanes: whole trailing dimensions, and a part of the next."""
+        """Blocks of at most ``lanes`` lanes: whole trailing dimensions, and a part of the next.
+
+        Where one block holds the whole grid, it leaves room for more draws.
+        """
         shape = (*(len(values) for values in study.axes.values()), study.config.draws)
         block, room = [], lanes
         for size in reversed(shape):
             block.append(max(1, min(size, room)))
             room //= block[-1] if block[-1] == size else room + 1
+        block[0] *= max(1, room)
         return cls(shape, tuple(reversed(block)))
 
     @classmethod
@@ -66,8 +74,8 @@ class Layout:
 
     @property
     def lanes(self) -> int:
-        """Lanes of a whole block."""
-        return math.prod(self.block)
+        """Lanes of the largest block."""
+        return math.prod(map(min, self.shape, self.block))
 
     def blocks(self) -> list[tuple[slice, ...]]:
         """Every block as a slice of the grid, in C order."""
@@ -175,6 +183,16 @@ class Engine:
         """Draws times samples a second, without compilation."""
         return self.clock.lanes * self.study.loop.steps / self.clock.run_seconds if self.clock.run_seconds else 0.0
 
+    def times(self, began: float) -> dict[str, float]:
+        """What a manifest says of the time spent since ``began`` of ``time.perf_counter``."""
+        return {
+            "seconds": time.perf_counter() - began,
+            "compile_seconds": self.clock.compile_seconds,
+            "run_seconds": self.clock.run_seconds,
+            "rate": self.rate,
+            "traces": self.clock.traces,
+        }
+
 
 def best_tile(study: Study) -> int:
     """Lanes whose state fits the cache, a power of two: 1024 for one degree of freedom, 256 for the UAV."""
@@ -207,6 +225,21 @@ def lanes_of(study: Study, block: tuple[slice, ...], values: Arrays) -> tuple[Ar
         flat[name] = np.broadcast_to(column, shape).reshape(-1)
     indices = np.broadcast_to(np.arange(draws.start, draws.stop), shape).reshape(-1)
     return flat, indices
+
+
+def lanes_in(block: tuple[slice, ...]) -> int:
+    """Number of lanes of a block."""
+    return math.prod(part.stop - part.start for part in block)
+
+
+def computing() -> dict[str, Any]:
+    """What a result's last digits depend on beside the study: versions, device, compiler settings."""
+    device = jax.devices()[0]
+    return {
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in VERSIONS}},
+        "device": {"kind": device.device_kind, "platform": device.platform, "count": len(jax.devices())},
+        "compiler": xla.code_generation(),
+    }
 
 
 def execute(engine: Engine, blocks: list[tuple[slice, ...]]) -> Iterator[tuple[tuple[slice, ...], Arrays, Arrays]]:

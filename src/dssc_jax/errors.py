@@ -16,6 +16,9 @@ class ConfigError(ValueError):
         self.where, self.rule = where, rule
         super().__init__(f"{where}: {rule}" if where else rule)
 
+    def __reduce__(self) -> tuple[type, tuple[str, str]]:  # it travels between a cluster's processes
+        return ConfigError, (self.where, self.rule)
+
     def within(self, place: str) -> "ConfigError":
         """The same error with ``place`` (a file, usually) in front of its path."""
         return ConfigError(f"{place}: {self.where}" if self.where else place, self.rule)

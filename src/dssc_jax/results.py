@@ -145,13 +145,14 @@ class Result:
         """
         path = Path(folder)
         layout = Layout.of(self.study)
-        target = store.Store(path, self.study, layout, self.manifest | {"layout": layout.to_dict()})
-        for block in target.layout.blocks():
-            drawn = {name: self.dataset[name].values[block[-1]] for name in self.study.laws}
-            grid = {name: self.dataset[name].values[block] for name in variables(self.study) if name not in drawn}
-            target.write(block, grid, drawn)
-        self.path = path
-        store.write_json(path / store.SUMMARY, self.summary())
+        with store.Store(path, self.study, self.manifest | {"layout": layout.to_dict(), "complete": False}) as target:
+            for block in layout.blocks():
+                drawn = {name: self.dataset[name].values[block[-1]] for name in self.study.laws}
+                grid = {name: self.dataset[name].values[block] for name in variables(self.study) if name not in drawn}
+                target.chunks.write(block, grid, drawn)
+            target.complete({})
+            self.path = path
+            target.summarise(self.summary())
         return path
 
 

@@ -7,11 +7,11 @@ from typing import Any, TypeAlias
 import jax
 import numpy as np
 
-from dssc_jax import store
-from dssc_jax.api import Progress, about_run, fill, times
-from dssc_jax.dataset import in_memory
-from dssc_jax.engine import Arrays, Engine, Layout, best_tile, drawn, execute
+from dssc_jax.api import Progress, about_run
+from dssc_jax.dataset import in_memory, put
+from dssc_jax.engine import Arrays, Engine, Layout, best_tile, computing, drawn, execute
 from dssc_jax.errors import ConfigError
+from dssc_jax.manifest import read_manifest
 from dssc_jax.results import Result
 from dssc_jax.statistics import AcceptReject, UntilWidth, looks
 from dssc_jax.statistics.sequential import FIRST
@@ -76,10 +76,10 @@ def run_until(
     final = study.override({"draws": draws})
     dataset = in_memory(final)
     joined = {name: np.concatenate([part[name] for part in found])[:draws] for name in found[0]}
-    fill(dataset, (slice(0, draws),), joined, drawn(final, slice(0, draws)))
-    manifest = about_run(final, Layout.of(final)) | {
+    put(dataset, (slice(0, draws),), joined, drawn(final, slice(0, draws)))
+    manifest = about_run(final, Layout.of(final), computing()) | {
         "complete": True,
-        "times": times(engine, began),
+        "times": engine.times(began),
         "stopping": {
             "data_driven": True,
             "rule": rule.text,
@@ -118,7 +118,7 @@ def require_same_rule(folder: Path, study: Study, rule: Rule, most: int) -> None
     """
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return
-    manifest: dict[str, Any] = store.read_manifest(folder) if folder.is_dir() else {"study": {}}
+    manifest: dict[str, Any] = read_manifest(folder) if folder.is_dir() else {"study": {}}
     stopping = manifest.get("stopping") or {}
     same_rule = (stopping.get("rule"), stopping.get("most")) == (rule.text, most)
     if not same_rule or manifest["study"] | {"draws": most} != study.table:

@@ -25,16 +25,30 @@ class LateSettingsWarning(UserWarning):
     """The XLA backend had started before this package could set its compiler flags."""
 
 
+def usable_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def wanted_flags() -> tuple[str, ...]:
     """The flags of this package, one host device for each usable core."""
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return (*CODE_GENERATION, f"{DEVICE_COUNT}={usable}")
+    return (*CODE_GENERATION, f"{DEVICE_COUNT}={usable_cores()}")
+
+
+def flags_for(devices: int) -> str:
+    """``XLA_FLAGS`` of a process like this one, with another number of host devices."""
+    return " ".join([*code_generation(), f"{DEVICE_COUNT}={devices}"])
 
 
 def missing_flags() -> tuple[str, ...]:
     """Those of :func:`wanted_flags` whose name does not stand in ``XLA_FLAGS`` yet; a user's own value wins."""
     present = {flag.partition("=")[0] for flag in os.environ.get("XLA_FLAGS", "").split()}
     return tuple(flag for flag in wanted_flags() if flag.partition("=")[0] not in present)
+
+
+def code_generation() -> list[str]:
+    """The flags in force that change generated code, sorted; the number of host devices does not."""
+    return sorted(f for f in os.environ.get("XLA_FLAGS", "").split() if not f.startswith(DEVICE_COUNT))
 
 
 def backend_started() -> bool:

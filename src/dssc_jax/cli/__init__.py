@@ -1,28 +1,43 @@
 """The command line. Heavy imports wait until a command needs them, so that help is instant."""
 
 import importlib
+import shlex
 import sys
 import warnings
+
+import typer
 
 from dssc_jax.cli.shared import BAD_INPUT, DONE, INTERRUPTED, app
 from dssc_jax.errors import ConfigError
 
-MODULES = ("simulation", "robustness", "statistics", "reports", "designs", "about")
+MODULES = ("simulation", "robustness", "statistics", "stored", "reports", "designs", "about")
 """Each registers its commands; help lists them in this order."""
 
 for module in MODULES:
     importlib.import_module(f"dssc_jax.cli.{module}")
 
+LONGEST = 1000  # characters of a message
+
 
 def say(text: str) -> None:
     """For people: one line on stderr, so that stdout stays for results; control characters are not passed on."""
     line = " ".join(text.split())
+    line = line if len(line) <= LONGEST else f"{line[:LONGEST]} ..."
     print("".join(c if c.isprintable() else "?" for c in line), file=sys.stderr)
 
 
 def main() -> None:
     """Entry point: one line for bad input, no traceback."""
     sys.exit(guarded(sys.argv[1:]))
+
+
+def how_to_go_on(arguments: list[str]) -> str:
+    """The end of the message of an interruption: the command line that goes on, where there is one."""
+    command = getattr(typer.main.get_command(app), "commands", {}).get(arguments[0] if arguments else "")
+    if command is None or not any(option.name == "resume" for option in command.params):
+        return ""
+    resumed = arguments if "--resume" in arguments else [*arguments, "--resume"]
+    return f"; what was finished is kept, go on with: {shlex.join(['dssc-jax', *resumed])}"
 
 
 def guarded(arguments: list[str]) -> int:
@@ -48,5 +63,5 @@ def guarded(arguments: list[str]) -> int:
         say(f"error: {usage()}")
         return BAD_INPUT
     if code == INTERRUPTED:  # typer turns the signal into this code itself
-        say("interrupted; what was finished is kept, --resume goes on from there")
+        say(f"interrupted{how_to_go_on(arguments)}")
     return code if isinstance(code, int) else DONE

@@ -1,5 +1,6 @@
 """What commands share: the application, their options, and how a study is loaded and a result is told."""
 
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +11,7 @@ import typer
 from dssc_jax.errors import ConfigError
 
 if TYPE_CHECKING:
+    from dssc_jax.results import Result
     from dssc_jax.study import Study
 
 DONE, FAILS, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -41,6 +43,10 @@ DrawsOption = Annotated[int | None, typer.Option("--draws", metavar="N", help="N
 SeedOption = Annotated[int | None, typer.Option("--seed", metavar="S", help="Seed of the draws.")]
 OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Results folder [results/NAME-COMMAND].")]
 ResumeOption = Annotated[bool, typer.Option("--resume", help="Keep what an interrupted run of this study finished.")]
+ClusterOption = Annotated[
+    str | None,
+    typer.Option("--cluster", metavar="ADDRESS", help="Workers: tcp://HOST:PORT of a dask scheduler, or local:N."),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
 LocalOption = Annotated[
     bool, typer.Option("--allow-local", help="Let `module:object` names in the study import from its own folder.")
@@ -96,8 +102,17 @@ def parse_overs(texts: list[str]) -> dict[str, dict[str, list[Any]]]:
     return axes
 
 
-def load_study(name: str, settings: list[str] | None, draws: int | None, seed: int | None, local: bool) -> "Study":
+def load_study(
+    name: str,
+    settings: list[str] | None,
+    draws: int | None,
+    seed: int | None,
+    local: bool,
+    cluster: str | None = None,
+) -> "Study":
     """The study as the options change it."""
+    if cluster:  # validation starts JAX: leave a GPU's memory to the worker that computes on it
+        os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     from dssc_jax.study import Study
     from dssc_jax.study.library import find
 
@@ -111,6 +126,17 @@ def load_study(name: str, settings: list[str] | None, draws: int | None, seed: i
         changes[key] = parse_value(value)
     changes |= {key: value for key, value in (("draws", draws), ("seed", seed)) if value is not None}
     return study.override(changes) if changes else study
+
+
+def load_result(folder: Path, local: bool) -> "Result":
+    """A stored result; ``local`` as in :func:`load_study`, of the study file that it was made from."""
+    from dssc_jax.manifest import read_manifest
+    from dssc_jax.results import load
+
+    if local:
+        source = Path(str(read_manifest(folder).get("source", "")))
+        sys.path.insert(0, str(source.resolve().parent))
+    return load(folder)
 
 
 def default_out(study: "Study", command: str, altered: bool) -> Path:

@@ -10,6 +10,7 @@ import typer
 from dssc_jax.cli.shared import (
     DONE,
     FAILS,
+    ClusterOption,
     CsvOption,
     DrawsOption,
     EveryOption,
@@ -27,6 +28,7 @@ from dssc_jax.cli.shared import (
     assignment,
     attempt,
     default_out,
+    load_result,
     load_study,
     parse_overs,
 )
@@ -58,6 +60,7 @@ def run(
     max_draws: Annotated[
         int | None, typer.Option("--max-draws", metavar="N", help="Stop undecided at so many draws [100000].")
     ] = None,
+    cluster: ClusterOption = None,
     as_json: JsonOption = False,
     allow_local: LocalOption = False,
 ) -> int:
@@ -71,13 +74,13 @@ def run(
     rule is met (narrow enough, or accepted).
     """
     rule = stopping_rule(until_width, accept, reject)
-    found = load_study(study, settings, draws, seed, allow_local).without_sweep()
+    found = load_study(study, settings, draws, seed, allow_local, cluster).without_sweep()
     if rule is not None:
-        require_unset("a data-driven stop", draws=draws, resume=resume or None)
+        require_unset("a data-driven stop", draws=draws, resume=resume or None, cluster=cluster)
         return finish_sequential(found, rule, max_draws, out, as_json)
     require_unset("a fixed number of draws", max_draws=max_draws)
     altered = bool(settings or draws is not None or seed is not None)
-    return finish(found, out or default_out(found, "run", altered), resume, as_json)
+    return finish(found, out or default_out(found, "run", altered), resume, as_json, cluster, allow_local)
 
 
 @app.command()
@@ -89,6 +92,7 @@ def sweep(
     seed: SeedOption = None,
     out: OutOption = None,
     resume: ResumeOption = False,
+    cluster: ClusterOption = None,
     as_json: JsonOption = False,
     allow_local: LocalOption = False,
 ) -> int:
@@ -99,13 +103,13 @@ def sweep(
     All points see the same draws. A swept value takes the place of the law of that parameter. Running the same study
     into the same folder again starts over, unless --resume is given; another study's folder is never touched.
     """
-    found = load_study(study, settings, draws, seed, allow_local)
+    found = load_study(study, settings, draws, seed, allow_local, cluster)
     if over:
         found = found.override({"sweep": parse_overs(over)})
     if not found.axes:
         raise ConfigError(found.source, "has no [sweep]; add one, or --over NAME=LO:HI:COUNT")
     altered = bool(over or settings or draws is not None or seed is not None)
-    return finish(found, out or default_out(found, "sweep", altered), resume, as_json)
+    return finish(found, out or default_out(found, "sweep", altered), resume, as_json, cluster, allow_local)
 
 
 @app.command()
@@ -139,6 +143,7 @@ def replay(
     figure: FigureOption = None,
     every: EveryOption = 1,
     as_json: JsonOption = False,
+    allow_local: LocalOption = False,
 ) -> int:
     """Simulate one draw of a result again.
 
@@ -147,7 +152,6 @@ def replay(
     In a sweep, --at picks the point (the nearest one); without it, the point where the draw's margin is smallest.
     """
     from dssc_jax import api
-    from dssc_jax.results import load
 
     point = {}
     for text in at or []:
@@ -158,7 +162,9 @@ def replay(
             point[name] = math.nan
         if not math.isfinite(point[name]):
             raise ConfigError("--at", f"must be NAME=NUMBER, got '{text}'")
-    return tell_trajectory(api.replay(load(result), draw, point=point or None, every=every), csv, figure, as_json)
+    return tell_trajectory(
+        api.replay(load_result(result, allow_local), draw, point=point or None, every=every), csv, figure, as_json
+    )
 
 
 def stopping_rule(width: float | None, accept: float | None, reject: float | None) -> "Rule | None":
@@ -205,13 +211,16 @@ def finish_sequential(study: "Study", rule: "Rule", most: int | None, out: Path 
     return DONE if result.manifest["stopping"]["verdict"] in ("narrow", "accepted") else FAILS
 
 
-def finish(study: "Study", out: Path, resume: bool, as_json: bool) -> int:
+def finish(
+    study: "Study", out: Path, resume: bool, as_json: bool, cluster: str | None = None, local: bool = False
+) -> int:
     """Run, draw the figures, tell the result."""
     from dssc_jax import api
-    from dssc_jax.console import progress_bar, show_result
+    from dssc_jax.console import progress_bar, show_result, tell
 
+    folder = str(Path(study.source).resolve().parent) if local else None
     with progress_bar(study, quiet=as_json) as advance:
-        result = api.run(study, out, resume=resume, progress=advance)
+        result = api.run(study, out, resume=resume, progress=advance, cluster=cluster, tell=tell, local=folder)
     figures = draw_figures(result, out)
     if as_json:
         print(json.dumps(result.summary()))
@@ -223,8 +232,10 @@ def finish(study: "Study", out: Path, resume: bool, as_json: bool) -> int:
 def draw_figures(result: "Result", out: Path) -> list[Path]:
     """The figures of a results folder."""
     from dssc_jax import plotting
+    from dssc_jax.chunks import told
 
-    return plotting.save_all(result, out / "figures")
+    with told(out):
+        return plotting.save_all(result, out / "figures")
 
 
 def tell_trajectory(found: Any, csv: Path | None, figure: Path | None, as_json: bool) -> int:

@@ -136,7 +136,7 @@ def place(folder: Path, name: str, study: "Study") -> Path:
     Raises:
         ConfigError: something else is there.
     """
-    from dssc_jax.store import require_place
+    from dssc_jax.analysis import require_place
 
     require_place(folder / name, study)
     return folder / name
@@ -144,8 +144,8 @@ def place(folder: Path, name: str, study: "Study") -> Path:
 
 def keep(path: Path, content: dict[str, Any], study: "Study") -> dict[str, Any]:
     """Write an answer with the study that it answers for."""
+    from dssc_jax.analysis import write_answer
     from dssc_jax.console import jsonable
-    from dssc_jax.store import write_answer
 
     plain = {**jsonable(content), "result": str(path.parent)}
     write_answer(path, plain, study)

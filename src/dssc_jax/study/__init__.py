@@ -1,7 +1,7 @@
 """Study files: from TOML to a validated closed loop with its laws, axes and requirements."""
 
 from dssc_jax.study.laws import Law
-from dssc_jax.study.study import Study
+from dssc_jax.study.study import Study, hash_of
 from dssc_jax.study.tables import read_toml
 
-__all__ = ["Law", "Study", "read_toml"]
+__all__ = ["Law", "Study", "hash_of", "read_toml"]

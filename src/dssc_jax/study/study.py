@@ -19,8 +19,13 @@ from dssc_jax.study.build import build
 from dssc_jax.study.correlation import matrix, paired, require_correlation
 from dssc_jax.study.laws import Law
 from dssc_jax.study.schema import StudyTable
-from dssc_jax.study.tables import read_toml, set_dotted
+from dssc_jax.study.tables import read_toml, require_shallow, set_dotted
 from dssc_jax.types import Quantity, Scalar
+
+
+def hash_of(table: Mapping[str, Any]) -> str:
+    """Hash of a study's table."""
+    return hashlib.sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -69,6 +74,7 @@ class Study:
             ConfigError: as :meth:`load`.
         """
         try:
+            require_shallow(table)
             content = copy.deepcopy(dict(table))
             study = cls(content, source, *build(content))
             uncertain = [name for name, leaf in study.leaves().items() if isinstance(leaf, Law)]
@@ -123,7 +129,7 @@ class Study:
     @property
     def hash(self) -> str:
         """Hash of everything that decides the result."""
-        return hashlib.sha256(json.dumps(self.table, sort_keys=True).encode()).hexdigest()
+        return hash_of(self.table)
 
     def leaves(self) -> dict[str, float | Law]:
         """Every number of the loop by dotted name."""

@@ -1,27 +1,66 @@
 """Study files as plain tables: reading, overriding by dotted name, laying one over another."""
 
+import re
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from dssc_jax.errors import ConfigError
 from dssc_jax.study.laws import is_law
 
+LARGEST = 2**20  # bytes of a study file
+DEEPEST = 32  # tables within tables, and names in a dotted name
+NAMES = rf"(?:[^\s.=,\[\]{{}}]++[ \t]*+\.[ \t]*+){{{DEEPEST}}}"
+LONG_NAME = re.compile(rf"^[ \t\[]*+{NAMES}|[{{,][ \t]*+{NAMES}", re.MULTILINE)
+"""Found before parsing: the parser's time grows with the square of a dotted name's length."""
+
 
 def read_toml(path: str | Path) -> dict[str, Any]:
     """The content of a TOML file.
 
     Raises:
-        ConfigError: it cannot be read, or is not TOML.
+        ConfigError: it cannot be read, is too large, or is not TOML.
     """
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        with Path(path).open("rb") as file:
+            content = file.read(LARGEST + 1)
+        if len(content) > LARGEST:
+            raise ConfigError(str(path), f"is larger than a study can be ({LARGEST} bytes)")
+        text = content.decode("utf-8")
+        if LONG_NAME.search(text):
+            raise ConfigError(str(path), f"has a dotted name of more than {DEEPEST} parts")
+        table = tomllib.loads(text.replace("\r\n", "\n"))
     except OSError as error:
         raise ConfigError(str(path), f"cannot be read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
         raise ConfigError(str(path), f"is not UTF-8 text: {error.reason} at byte {error.start}") from error
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError, so are integers too long
-        raise ConfigError(str(path), f"is not valid TOML: {str(error) or 'nested too deeply'}") from error
+    except RecursionError:
+        raise ConfigError(str(path), f"is nested too deeply, at most {DEEPEST} levels are taken") from None
+    except ConfigError:
+        raise
+    except ValueError as error:  # TOMLDecodeError is one, so are integers too long
+        raise ConfigError(str(path), f"is not valid TOML: {error}") from error
+    return table
+
+
+def require_shallow(table: Mapping[str, Any]) -> None:
+    """Require that tables and lists do not nest without end.
+
+    Raises:
+        ConfigError: they do.
+    """
+    level: list[Any] = [table]
+    for _ in range(DEEPEST):
+        level = [
+            inner
+            for value in level
+            if isinstance(value, Mapping | list | tuple)
+            for inner in (value.values() if isinstance(value, Mapping) else value)
+        ]
+        if not level:
+            return
+    raise ConfigError("", f"is nested too deeply, at most {DEEPEST} levels are taken")
 
 
 def is_index(part: str) -> bool:

@@ -1,0 +1,186 @@
+"""Regenerate docs/hostile.md: study files and results folders as accident and malice make them.
+
+Every bad study file must end in exit 2 with one line, in under 2 s of processor time, and nothing written. A file that
+is still valid is not simulated. A damaged folder is replayed, verified, exported and resumed: exit 2 with one line and
+nothing changed, or, where the harm does not matter or was mended, the very same result.
+"""
+
+import argparse
+import contextlib
+import io
+import shutil
+import sys
+import tempfile
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from random import Random
+from unittest import mock
+
+import dssc_jax as dj  # isort: skip  (sets compiler flags before anything starts JAX)
+import xarray as xr
+
+from dssc_jax.cli import guarded, simulation
+from dssc_jax.console import machine
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+from tests.mutations import STUDY_KINDS, damage  # noqa: E402
+from tests.test_durability import SMALL  # noqa: E402
+
+SLOW = 2.0  # s of processor time, which other work on the machine does not stretch
+
+
+@dataclass
+class Tally:
+    """What happened so far."""
+
+    ends: Counter = field(default_factory=Counter)
+    slowest: float = 0.0
+    wrong: list[str] = field(default_factory=list)
+
+
+def attempt(arguments: list[str]) -> tuple[int | str, str, float]:
+    """Exit code, or the exception that got through; what was said; processor time [s]."""
+    said, printed = io.StringIO(), io.StringIO()
+    began = time.process_time()
+    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(printed):
+        try:
+            code: int | str = guarded(arguments)
+        except BaseException as error:  # a traceback is what this looks for
+            code = f"{type(error).__name__}: {error}"[:200]
+    return code, said.getvalue(), time.process_time() - began
+
+
+def mistake(code: int | str, said: str, seconds: float) -> str | None:
+    """What is wrong with an end by bad input, if anything."""
+    if code != 2:
+        return f"ended with {code}"
+    if len(said.strip().splitlines()) != 1 or len(said) > 1200:
+        return f"said {len(said.strip().splitlines())} lines, {len(said)} characters"
+    return f"took {seconds:.1f} s" if seconds > SLOW else None
+
+
+def study_files(count: int, seed: int) -> Tally:
+    """Mutated study files, as ``run`` meets them; valid ones stop where the simulation would begin."""
+    tally = Tally()
+    random = Random(seed)
+    unsimulated = mock.patch.object(simulation, "finish", return_value=0)
+    with unsimulated, tempfile.TemporaryDirectory() as place:
+        path, out = Path(place) / "study.toml", Path(place) / "out"
+        for number in range(count):
+            kind = STUDY_KINDS[number % len(STUDY_KINDS)]
+            content = kind(random)
+            path.write_bytes(content)
+            code, said, seconds = attempt(["sweep" if number % 2 else "run", str(path), "--out", str(out)])
+            tally.slowest = max(tally.slowest, seconds)
+            wrong = (f"took {seconds:.1f} s" if seconds > SLOW else None) if code == 0 else mistake(code, said, seconds)
+            tally.ends[kind.__name__, "valid" if code == 0 else "refused"] += 1
+            if wrong or out.exists() or path.read_bytes() != content:
+                tally.wrong.append(f"{kind.__name__} {number}: {wrong or 'wrote'}; {content[:300]!r}; {said[:200]}")
+    return tally
+
+
+def state(folder: Path) -> dict[str, tuple[int, int]]:
+    """Size and time of every file."""
+    files = {file: file.stat() for file in folder.rglob("*") if not file.name.startswith(".")}
+    return {str(file): (about.st_size, about.st_mtime_ns) for file, about in files.items() if not file.is_dir()}
+
+
+def folders(count: int, seed: int) -> Tally:
+    """Damaged results folders, as every command meets them."""
+    tally = Tally()
+    random = Random(seed)
+    study = dj.Study.from_table(SMALL)
+    with tempfile.TemporaryDirectory() as place:
+        whole = dj.run(study, Path(place) / "whole", block=24)
+        for number in range(count):
+            folder = Path(place) / f"harmed{number}"
+            shutil.copytree(whole.path, folder)
+            what = damage(random, folder)
+            before = state(folder)
+            commands = {
+                "replay": ["replay", str(folder), "--draw", "1", "--json"],
+                "verify": ["verify", str(folder), "--json", "--draws", "144"],
+                "export": ["export", str(folder), "--to", "csv", "--out", str(Path(place) / "a.csv")],
+            }
+            for name, arguments in commands.items():
+                code, said, seconds = attempt(arguments)
+                wrong = mistake(code, said, seconds) if code != 0 else None
+                tally.ends[name, "refused" if code == 2 else "the same result" if code == 0 else "wrong"] += 1
+                tally.slowest = max(tally.slowest, seconds if code == 2 else 0.0)
+                if wrong or state(folder) != before:
+                    tally.wrong.append(f"{name} {number}, {what}: {wrong or 'changed the folder'}; {said[:200]}")
+            resume(study, whole, folder, what, before, tally)
+            shutil.rmtree(folder)
+    return tally
+
+
+def resume(study: dj.Study, whole: dj.Result, folder: Path, what: str, before: dict, tally: Tally) -> None:
+    """Going on in a damaged folder mends it, or leaves it alone."""
+    began = time.process_time()
+    try:
+        again = dj.run(study, folder, resume=True)
+        xr.testing.assert_identical(again.dataset, whole.dataset)
+        tally.ends["--resume", "the same result"] += 1
+    except dj.ConfigError as error:
+        tally.ends["--resume", "refused"] += 1
+        tally.slowest = max(tally.slowest, time.process_time() - began)
+        if "\n" in str(error) or state(folder) != before:
+            tally.wrong.append(f"--resume, {what}: changed the folder; {error}")
+    except Exception as error:
+        tally.ends["--resume", "wrong"] += 1
+        tally.wrong.append(f"--resume, {what}: {type(error).__name__}: {error}")
+
+
+def rows(tally: Tally) -> list[str]:
+    """A Markdown table."""
+    ends = sorted({end for _, end in tally.ends})
+    lines = [f"| | {' | '.join(ends)} |", "|---|" + "---|" * len(ends)]
+    for kind in dict.fromkeys(kind for kind, _ in tally.ends):
+        lines.append(f"| {kind} | {' | '.join(str(tally.ends[kind, end]) for end in ends)} |")
+    return [
+        *lines,
+        "",
+        f"Slowest refusal or validation: {tally.slowest:.2f} s of processor time. Wrong: {len(tally.wrong)}.",
+    ]
+
+
+def main() -> int:
+    options = argparse.ArgumentParser()
+    options.add_argument("--studies", type=int, default=500)
+    options.add_argument("--folders", type=int, default=100)
+    options.add_argument("--seed", type=int, default=1)
+    options.add_argument("--page", type=Path, default=ROOT / "docs" / "hostile.md")
+    chosen = options.parse_args()
+    harmed = folders(chosen.folders, chosen.seed)
+    mutated = study_files(chosen.studies, chosen.seed)
+    for wrong in (*mutated.wrong, *harmed.wrong):
+        print(wrong)
+    lines = [
+        "# Hostile input",
+        "",
+        f"Regenerated by `python benchmarks/hostile.py`. Machine: {machine()}.",
+        "",
+        f"## {chosen.studies} mutated study files",
+        "",
+        "A mutation that leaves the file valid is not simulated. Every other must end in exit 2 with one line, in "
+        f"under {SLOW:g} s of processor time, and nothing written.",
+        "",
+        *rows(mutated),
+        "",
+        f"## {chosen.folders} damaged results folders",
+        "",
+        "Each is replayed, verified, exported and resumed. It must be refused with one line and stay as it is, or give "
+        "the very same result, where the harm does not matter or `--resume` has mended it.",
+        "",
+        *rows(harmed),
+    ]
+    chosen.page.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return 1 if mutated.wrong or harmed.wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,60 @@
+"""Commands on a results folder: verify, export."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dssc_jax.cli.shared import DONE, FAILS, JsonOption, LocalOption, app, load_result
+
+ResultArgument = Annotated[Path, typer.Argument(metavar="RESULT", help="A results folder.")]
+
+
+@app.command()
+def verify(
+    result: ResultArgument,
+    draws: Annotated[int, typer.Option("--draws", metavar="K", help="How many lanes to compute again.")] = 16,
+    seed: Annotated[int | None, typer.Option("--seed", metavar="S", help="Picks them [anew each time].")] = None,
+    as_json: JsonOption = False,
+    allow_local: LocalOption = False,
+) -> int:
+    """Compute a random handful of a result's lanes again.
+
+    They must be bit-identical on the same machine; elsewhere the largest relative deviation is told. Exit 1 where it
+    is more than rounding.
+    """
+    from dssc_jax.console import jsonable, show_verification
+    from dssc_jax.verification import verify as verify_result
+
+    found = verify_result(load_result(result, allow_local), draws, seed)
+    if as_json:
+        print(json.dumps(jsonable({"result": str(result), **found.to_dict()}), allow_nan=False))
+    else:
+        show_verification(found)
+    return DONE if found.verified else FAILS
+
+
+@app.command()
+def export(
+    result: ResultArgument,
+    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help="csv, parquet or netcdf.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="The file [draws.csv, ... in RESULT].")
+    ] = None,
+    as_json: JsonOption = False,
+    allow_local: LocalOption = False,
+) -> int:
+    """Write a result for other programs, with units and meanings.
+
+    csv and parquet: a table with one row a draw and sweep point. netcdf: the dataset, with CF attributes.
+    """
+    from dssc_jax.console import show_files
+    from dssc_jax.exports import export as export_result
+
+    written = export_result(load_result(result, allow_local), to, out)
+    if as_json:
+        print(json.dumps({"result": str(result), "files": list(map(str, written))}))
+    else:
+        show_files(written)
+    return DONE

@@ -1,0 +1,36 @@
+"""What a person sees in the terminal."""
+
+from dssc_jax.console.analyses import show_comparison, show_margins, show_rare, show_sensitivity
+from dssc_jax.console.environment import environment, machine, show_environment
+from dssc_jax.console.results import show_draw, show_result, show_verification
+from dssc_jax.console.terminal import (
+    counter,
+    jsonable,
+    output,
+    progress_bar,
+    show_files,
+    show_page,
+    show_table,
+    tell,
+)
+
+__all__ = [
+    "counter",
+    "environment",
+    "jsonable",
+    "machine",
+    "output",
+    "progress_bar",
+    "show_comparison",
+    "show_draw",
+    "show_environment",
+    "show_files",
+    "show_margins",
+    "show_page",
+    "show_rare",
+    "show_result",
+    "show_sensitivity",
+    "show_table",
+    "show_verification",
+    "tell",
+]

@@ -1,0 +1,132 @@
+"""Analyses as a person sees them: margins, comparisons, sensitivity, rare events."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.markup import escape
+
+from dssc_jax.console.terminal import output, show_table
+from dssc_jax.global_sensitivity import FAILURE
+from dssc_jax.results import headline_measure
+
+if TYPE_CHECKING:
+    from dssc_jax.global_sensitivity import Sensitivity
+
+
+def show_margins(summary: Mapping[str, Any], files: list[Path]) -> None:
+    """A distribution of margins by the numbers one can defend."""
+    console = output()
+    start, end = summary["bounds"]
+    required = escape("; ".join(summary["criterion"]))
+    console.print(f"[bold]{escape(summary['study'])}[/bold]  required: {required}")
+
+    def told(value: float | None, before: str) -> str:
+        if value is None:
+            return before
+        return f"{value:.6g} {summary['unit']}" + (" or beyond" if value == end else "")
+
+    few = "none: it lies before the start, or 59 draws are needed"
+    rows = [
+        ("draws", str(summary["draws"])),
+        ("walk", f"{start:g} to {end:g} {summary['unit']}"),
+        ("median critical value", told(summary["median"], "before the start")),
+        ("95 % of all draws pass up to (confidence 95 %, Wilks)", told(summary["lower_tolerance"], few)),
+        ("fail at the start already", f"{100 * summary['fail_at_start']:.3g} %"),
+        ("pass the whole way", f"{100 * summary['pass_to_end']:.3g} %"),
+        ("pass again beyond a failure", f"{100 * summary['non_monotone']:.3g} %"),
+        ("seconds", f"{summary['seconds']:.1f}, of which {summary['compile_seconds']:.1f} compiling"),
+    ]
+    show_table((summary["parameter"], ""), rows)
+    for path in files:
+        console.print(f"wrote {path}", soft_wrap=True, markup=False)
+
+
+def show_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
+    """Controllers one by one and in pairs, with the gains that correspond and with tuned ones."""
+    console = output()
+    required = "; ".join(summary["requirements"]) or "that the draw stays finite"
+    console.print(f"[bold]{escape(summary['study'])}[/bold]  required: {escape(required)}")
+    for contest, gains in ((summary, "given or corresponding gains"), (summary["tuned"], "tuned gains")):
+        if contest is None:
+            continue
+        metric = headline_metric(contest)
+        rows = []
+        for name, own in contest["controllers"].items():
+            low, high = own["interval"]
+            share = f"{own['probability']:.4g}" if own["failures"] else f"<= {high:.3g}"
+            middle = f"{own['median'][metric]:.4g}" if metric else ""
+            rows.append((name, f"{own['failures']}/{summary['draws']}", share, f"[{low:.3g}, {high:.3g}]", middle))
+        show_table((gains, "failures", "probability", "95 % interval", f"median {metric or ''}"), rows)
+        rows = []
+        for pair in contest["pairs"]:
+            low, high = pair["interval"]
+            difference = f"{pair['difference']:+.4g} in [{low:+.3g}, {high:+.3g}]"
+            rows.append((f"{pair['a']} - {pair['b']}", difference, f"{pair['p_value']:.3g}"))
+        show_table(("failure probability, paired", "difference, 95 % interval", "p-value (exact McNemar)"), rows)
+    if summary["tuned"]:
+        console.print(f"tuning: {escape(summary['tuned']['budget'])}", soft_wrap=True)
+    for path in files:
+        console.print(f"wrote {path}", soft_wrap=True, markup=False)
+
+
+def headline_metric(contest: Mapping[str, Any]) -> str | None:
+    """The last metric of a contest, which a requirement added, if there is any."""
+    metrics = list(next(iter(contest["controllers"].values()))["median"])
+    return metrics[-1] if metrics else None
+
+
+def show_sensitivity(result: "Sensitivity", files: list[Path]) -> None:
+    """Indices of failure and of the study's headline metric; the file has those of all."""
+    console = output()
+    console.print(
+        f"[bold]{escape(result.study.name)}[/bold]  Sobol indices, {result.simulations} simulations on {result.rows} "
+        f"rows; {100 * result.confidence:g} % bootstrap intervals"
+    )
+    for name in dict.fromkeys((FAILURE, headline_measure(result.study).name)):
+        found = result.outputs[name]
+        if found is None:
+            why = f"has no value on {result.missing[name]} draws" if result.missing[name] else "does not vary"
+            console.print(f"{name}: {why}, hence no indices", markup=False)
+            continue
+        rows = [
+            (factor, interval_text(*first), interval_text(*total))
+            for factor, first, total in zip(result.factors, found.first, found.total, strict=True)
+        ]
+        show_table((name, "first order: alone", "total: with all interactions"), rows)
+    for path in files:
+        console.print(f"wrote {path}", soft_wrap=True, markup=False)
+
+
+def interval_text(value: float, low: float, high: float) -> str:
+    """An index with its interval; one that could be 0 says so."""
+    return f"{value:.3f} [{low:.3f}, {high:.3f}]{'  consistent with 0' if low <= 0.0 else ''}"
+
+
+def show_rare(found: Mapping[str, Any], files: list[Path]) -> None:
+    """The probability of a rare failure, what it cost, and where failures are."""
+    console = output()
+    low, high = found["interval"]
+    level = f"{100 * found['confidence']:g} % {found['interval_method']}"
+    console.print(f"[bold]{escape(found['study'])}[/bold]  required: {escape('; '.join(found['requirements']))}")
+    if found["probability"] == 0.0:
+        console.print("no repeat reached a failure; this method then says nothing of its probability", markup=False)
+    else:
+        console.print(
+            f"failure probability {found['probability']:.3g} in [{low:.3g}, {high:.3g}] ({level})", markup=False
+        )
+        console.print(
+            f"coefficient of variation {found['variation']:.2g} by {found['simulations']:,} simulations; plain draws "
+            f"would take {found['plain_draws'] or np.inf:,.0f}",
+            markup=False,
+        )
+        rows = [
+            (name, f"{about['median']:.4g}", *(f"{value:.4g}" for value in about["failing"]))
+            for name, about in found["where"].items()
+        ]
+        show_table(("number", "median", "failing: 5 %", "median", "95 %"), rows)
+    if found["in_loop_noise"]:
+        console.print("in-loop noise: half of the moves redraw it; a failure that only rare noise causes costs more")
+    for path in files:
+        console.print(f"wrote {path}", soft_wrap=True, markup=False)

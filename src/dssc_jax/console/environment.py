@@ -1,0 +1,66 @@
+"""The machine, the versions and every kind of model."""
+
+import os
+import platform
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from dssc_jax.console.terminal import output, show_table
+
+
+def machine() -> str:
+    """Processor, versions and date, to stand beside a measured number."""
+    import jax
+
+    model = platform.processor() or platform.machine()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        names = [line.partition(":")[2].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
+        model = f"{len(names)} cores of {names[0]}" if names else model
+    return f"{model}, Python {platform.python_version()}, JAX {jax.__version__}, {datetime.now(UTC):%Y-%m-%d}"
+
+
+def environment() -> dict[str, Any]:
+    """Versions, devices, flags and registries."""
+    import jax
+
+    from dssc_jax import xla
+    from dssc_jax.study.build import REGISTRIES
+    from dssc_jax.study.components import field_specs
+
+    kinds = {}
+    for slot, registry in REGISTRIES.items():
+        kinds[slot] = {}
+        for kind, entry in registry.items():
+            member = next(iter(entry.members.values()))
+            options = {entry.option: [key.value for key in entry.members]} if entry.option else {}
+            kinds[slot][kind] = {
+                "summary": entry.summary,
+                "fields": list(field_specs(getattr(member, "params", member))),
+                "options": options,
+            }
+    packages = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy", "xarray", "zarr", "optax")
+    return {
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in packages}},
+        "devices": [str(device) for device in jax.devices()],
+        "xla_flags": os.environ.get("XLA_FLAGS", ""),
+        "xla_settings": "off" if os.environ.get(xla.SWITCH, "").lower() in xla.OFF else "on",
+        "kinds": kinds,
+    }
+
+
+def show_environment(found: dict[str, Any]) -> None:
+    """The environment, for people."""
+    console = output()
+    console.print("  ".join(f"{name} {number}" for name, number in found["versions"].items()))
+    console.print(
+        f"devices    {', '.join(found['devices'])}\nXLA flags  {found['xla_flags'] or 'none'}", soft_wrap=True
+    )
+    for slot, kinds in found["kinds"].items():
+        rows = []
+        for kind, about in kinds.items():
+            options = "; ".join(f"{name}: {' | '.join(map(str, values))}" for name, values in about["options"].items())
+            rows.append((kind, about["summary"], ", ".join(about["fields"]), options))
+        show_table((f"[{slot}]", "what", "fields", "options"), rows)

@@ -1,0 +1,108 @@
+"""What every command prints with: tables, progress, plain data as JSON has it."""
+
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from dssc_jax.study import Study
+
+
+def output() -> Console:
+    """Standard output, never wrapped into unreadable columns where it is a pipe."""
+    return Console(width=None if sys.stdout.isatty() else 140, highlight=False)
+
+
+@cache
+def errors() -> Console:
+    """Standard error, shared by the bar and by what is told meanwhile."""
+    return Console(stderr=True, highlight=False)
+
+
+def tell(text: str) -> None:
+    """Something a person should know while a run goes on."""
+    errors().print(text, markup=False)
+
+
+@contextmanager
+def progress_bar(study: "Study", quiet: bool) -> Iterator[Callable[[int, int], None]]:
+    """A bar with the time left, on stderr; ``quiet`` shows it only where stderr is a terminal."""
+    console = errors()
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    bar = Progress(*columns, console=console, disable=quiet and not console.is_terminal)
+    task = bar.add_task(f"{study.name} (compiling)", total=None)
+
+    def advance(done: int, total: int) -> None:
+        bar.start()  # not before the first call: bad input is told without a bar
+        text = study.name if done else f"{study.name} (compiling)"
+        bar.update(task, completed=done, total=total, description=text)
+
+    try:
+        yield advance
+    finally:
+        if bar.live.is_started:
+            bar.stop()
+
+
+@contextmanager
+def counter(study: "Study", quiet: bool) -> Iterator[Callable[[int], None]]:
+    """The simulations done so far, on stderr, for work whose end nobody knows."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), TextColumn("{task.completed:,.0f} simulations"), TimeElapsedColumn())
+    bar = Progress(*columns, console=console, disable=quiet and not console.is_terminal)
+    task = bar.add_task(study.name, total=None)
+
+    def advance(done: int) -> None:
+        bar.start()
+        bar.update(task, completed=done)
+
+    try:
+        yield advance
+    finally:
+        if bar.live.is_started:
+            bar.stop()
+
+
+def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | None = None) -> None:
+    """A plain table."""
+    table = Table(*map(escape, head), title=title, title_justify="left", box=None, header_style="bold", pad_edge=False)
+    for row in rows:
+        table.add_row(*map(escape, row))
+    output().print(table)
+
+
+def show_files(files: Sequence[Path]) -> None:
+    """The files that were written."""
+    for path in files:
+        output().print(f"wrote {path}", soft_wrap=True, markup=False)
+
+
+def show_page(page: Path, note: str) -> None:
+    """A page that was written."""
+    output().print(f"wrote {page} ({note})", soft_wrap=True, markup=False)
+
+
+def jsonable(content: Any) -> Any:
+    """Plain data as JSON has it: NaN and infinity become null."""
+    if isinstance(content, Mapping):
+        return {name: jsonable(value) for name, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [jsonable(value) for value in content]
+    value = content.item() if isinstance(content, np.generic) else content
+    return None if isinstance(value, float) and not np.isfinite(value) else value

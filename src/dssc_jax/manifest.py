@@ -1,0 +1,161 @@
+"""What manifest.json says of a run: read with care, compared with the run that wants to go on from it."""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from dssc_jax.engine import Layout
+from dssc_jax.errors import ConfigError
+from dssc_jax.study import Study, hash_of
+from dssc_jax.study.tables import require_shallow
+
+SCHEMA = 1
+DATA, MANIFEST, SUMMARY, PARTIAL = "data.zarr", "manifest.json", "summary.json", ".partial"
+TABLES = ("study", "layout", "versions", "device")
+COMPUTING = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy")
+"""Packages whose version may change a result in its last digits."""
+
+EXTENSIBLE = ("random", "sobol")
+"""Kinds of sampling whose draw i does not depend on the number of draws."""
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Replace a JSON file in one move, so that neither a reader nor a power cut leaves half of it."""
+    partial = path.with_suffix(PARTIAL)
+    try:
+        with partial.open("w", encoding="utf-8") as file:
+            file.write(json.dumps(content, indent=2) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(partial, path)
+    except OSError:
+        partial.unlink(missing_ok=True)
+        raise
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """The manifest of a results folder.
+
+    Raises:
+        ConfigError: there is none, it is damaged, or it is of another schema version.
+    """
+    path = folder / MANIFEST
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(
+            str(folder), f"is not a results folder: {MANIFEST} cannot be read ({error.strerror})"
+        ) from error
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(str(path), f"is damaged, not valid JSON: {error}") from error
+    if not isinstance(manifest, dict) or "schema" not in manifest:
+        raise ConfigError(str(path), "is damaged: it has no schema version")
+    if manifest["schema"] != SCHEMA:
+        raise ConfigError(
+            str(path),
+            f"has schema version {manifest['schema']!r}, this program reads {SCHEMA}; "
+            "use the dssc_jax that wrote it, or run its study again into another --out",
+        )
+    for name in TABLES:
+        if not isinstance(manifest.get(name), dict):
+            raise ConfigError(str(path), f"is damaged: {name} is not a table")
+    try:
+        require_shallow(manifest["study"])
+    except ConfigError as error:
+        raise error.within(str(path)) from None
+    if manifest.get("hash") != hash_of(manifest["study"]):
+        raise ConfigError(str(path), "is damaged: the study is not the one that its hash was taken of")
+    return manifest
+
+
+def stored_layout(folder: Path, study: Study, manifest: dict[str, Any]) -> Layout:
+    """The layout that a manifest tells, checked against its study.
+
+    Raises:
+        ConfigError: they do not fit.
+    """
+    shape, block = (manifest["layout"].get(name) for name in ("shape", "block"))
+    sizes = [value for part in (shape, block) if isinstance(part, list) for value in part]
+    whole = all(isinstance(value, int) and not isinstance(value, bool) and value > 0 for value in sizes)
+    if not whole or shape != list(Layout.of(study).shape) or not isinstance(block, list) or len(block) != len(shape):
+        raise ConfigError(str(folder / MANIFEST), f"is damaged: the layout {manifest['layout']} does not fit the study")
+    return Layout.from_dict(manifest["layout"])
+
+
+def differences(old: Any, new: Any, path: str = "") -> list[str]:
+    """Where two tables differ, a line each."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        found = []
+        for name in sorted(old.keys() | new.keys()):
+            found += differences(old.get(name), new.get(name), f"{path}.{name}" if path else name)
+        return found
+    return [] if old == new else [f"{path}: {old!r} there, {new!r} here"]
+
+
+def listed(found: list[str], most: int = 3) -> str:
+    """The first differences in one line."""
+    return "; ".join(found[:most]) + (f"; and {len(found) - most} more" if len(found) > most else "")
+
+
+def require_same_study(folder: Path, manifest: dict[str, Any], study: Study, resume: bool) -> bool:
+    """Require that a folder's study is this one; a resumed run may ask for more draws.
+
+    Returns:
+        Whether it does.
+
+    Raises:
+        ConfigError: another study, with the differences; or draws that cannot be added.
+    """
+    old, new = manifest["study"], study.table
+    if resume and manifest.get("stopping"):
+        raise ConfigError(str(folder), "ended where its draws decided; that cannot be resumed, start over")
+    if manifest["hash"] == study.hash:
+        return False
+    found = differences(old, new)
+    draws, wanted = old.get("draws", 1), study.config.draws
+    if [line.partition(":")[0] for line in found] == ["draws"] and isinstance(draws, int) and wanted > draws:
+        if study.config.sampling not in EXTENSIBLE:
+            raise ConfigError(
+                str(folder),
+                f"holds {draws} draws of '{study.config.sampling}' sampling, which depend on their number: "
+                f"{wanted} of them are another set; choose another --out, nothing was written",
+            )
+        if resume:
+            return True
+        raise ConfigError(
+            str(folder),
+            f"holds {draws} draws of this study; add {wanted - draws} with --resume, or choose another --out, "
+            "nothing was written",
+        )
+    raise ConfigError(
+        str(folder), f"holds results of another study ({listed(found)}); choose another --out, nothing was written"
+    )
+
+
+def machinery_differences(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
+    """Where two manifests differ in what decides a result's last digits: versions, device, compiler settings."""
+    there, here = (
+        {
+            "versions": {name: manifest["versions"].get(name) for name in COMPUTING},
+            "device": manifest["device"].get("kind"),
+            "compiler": manifest.get("compiler"),
+        }
+        for manifest in (old, new)
+    )
+    return differences(there, here)
+
+
+def require_same_machinery(folder: Path, old: dict[str, Any], new: dict[str, Any]) -> None:
+    """Require that what computes the rest of a run is what computed its beginning.
+
+    Raises:
+        ConfigError: another version, device or compiler setting, which may round differently.
+    """
+    found = machinery_differences(old, new)
+    if found:
+        raise ConfigError(
+            str(folder),
+            f"was begun otherwise ({listed(found)}), and its rest would not be bit-identical; go on as it was begun, "
+            "or start over without --resume, nothing was written",
+        )
