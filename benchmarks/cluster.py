@@ -17,6 +17,7 @@ import numpy as np
 from dssc_jax.api import about_run
 from dssc_jax.cluster import connected
 from dssc_jax.console import machine
+from dssc_jax.dataset import variables
 from dssc_jax.engine import BLOCK, Engine, Layout, computing, execute
 from dssc_jax.store import Store
 from dssc_jax.study.library import find
@@ -55,6 +56,7 @@ def blocks(study: dj.Study, folder: Path) -> dict[str, float]:
         "bytes": size,
         "files": len(files) / len(layout.blocks()),
         "rate": engine.rate,
+        "loaded": sum(np.dtype(variable.dtype).itemsize for variable in variables(study).values()),
     }
 
 
@@ -72,6 +74,7 @@ def plan(found: dict[str, float], task: float) -> list[str]:
     """10^9 draws on machines like this one."""
     number = int(np.ceil(DRAWS / BLOCK))
     simulate, beside = number * found["simulate"], number * (found["write"] + task / TASK_BLOCKS)
+    loaded = f"{DRAWS / 10 * found['loaded'] / 1e9:.0f} GB; fewer `[metrics] names` take less"
     rows = [
         ("blocks of 16,384 draws", f"{number:,}"),
         ("tasks of 16 blocks", f"{-(-number // TASK_BLOCKS):,}"),
@@ -80,6 +83,7 @@ def plan(found: dict[str, float], task: float) -> list[str]:
         ("the scheduler's part", f"{number / TASK_BLOCKS * task:.0f} s in all"),
         ("checking every chunk on `--resume`", f"{number * found['check'] / 60:.0f} min"),
         ("on disk", f"{number * found['bytes'] / 1e9:.0f} GB in {number * found['files'] / 1e6:.1f} million files"),
+        ("memory to load one of ten folders", loaded),
         ("10 machines", f"{(simulate + beside) / 10 / 3600:.1f} h"),
         ("100 machines", f"{(simulate + beside) / 100 / 3600:.2f} h"),
     ]

@@ -13,7 +13,7 @@ import time
 from asyncio import CancelledError
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError as FutureCancelled
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -35,7 +35,6 @@ CONNECT = 30.0  # s for the scheduler to answer
 PATIENCE = 600.0  # s without a worker before giving up: a queue may take its time
 POLL = 1.0  # s between looks at who is there
 TASKS, MOST_BLOCKS = 8, 16  # tasks a worker at least, blocks a task at most
-LOST = (CancelledError, FutureCancelled, OSError, TimeoutError)
 
 
 @dataclass(frozen=True)
@@ -180,7 +179,7 @@ class Cluster:
                     yield future.result()
         except distributed.KilledWorker as error:
             raise ConfigError(OPTION, f"{error.last_worker.address} and others died of one task; {GO_ON}") from error
-        except LOST as error:
+        except (CancelledError, FutureCancelled, TimeoutError, distributed.comm.CommClosedError) as error:
             raise ConfigError(OPTION, f"the scheduler at {self.address} was lost; {GO_ON}") from error
 
     def _look(self) -> None:
@@ -233,18 +232,15 @@ def connected(address: str, tell: Callable[[str], None]) -> Iterator[Cluster]:
         distributed = importlib.import_module("distributed")
     except ImportError:
         raise ConfigError(OPTION, "needs dask.distributed: pip install 'dssc_jax[cluster]'") from None
-    place = local_cluster(count) if count else None
-    try:
+    with ExitStack() as stack:  # what dask logs of a loss is told in one line instead
+        stack.enter_context(distributed.utils.silence_logging_cmgr(logging.CRITICAL))
+        place = stack.enter_context(local_cluster(count)) if count else address
         try:
-            client = distributed.Client(place or address, timeout=CONNECT)
+            client = stack.enter_context(distributed.Client(place, timeout=CONNECT))
             client.wait_for_workers(count or 1, timeout=PATIENCE)
         except (OSError, TimeoutError, ValueError) as error:
             raise ConfigError(OPTION, f"no scheduler with workers answers at {address}: {error}") from error
-        with client:
-            yield Cluster(client, address, tell)
-    finally:
-        if place is not None:
-            place.close()
+        yield Cluster(client, address, tell)
 
 
 def parsed(address: str) -> int:

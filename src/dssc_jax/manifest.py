@@ -137,8 +137,8 @@ def machinery_differences(old: dict[str, Any], new: dict[str, Any]) -> list[str]
     """Where two manifests differ in what decides a result's last digits: versions, device, compiler settings."""
     there, here = (
         {
-            "versions": {name: manifest["versions"].get(name) for name in COMPUTING},
-            "device": manifest["device"].get("kind"),
+            "versions": {name: manifest.get("versions", {}).get(name) for name in COMPUTING},
+            "device": manifest.get("device", {}).get("kind"),
             "compiler": manifest.get("compiler"),
         }
         for manifest in (old, new)
