@@ -16,19 +16,24 @@ if TYPE_CHECKING:
     from dssc_jax.api import replay, run, simulate
     from dssc_jax.comparison import Comparison, compare
     from dssc_jax.errors import ConfigError
+    from dssc_jax.falsification import Falsified, falsify
     from dssc_jax.margins import Margins, margin
     from dssc_jax.results import Result, load
     from dssc_jax.study import Study
+    from dssc_jax.tuning import Tuned, tune
 
 __version__ = "0.1.0"
 __all__ = [
     "Comparison",
     "ConfigError",
+    "Falsified",
     "Margins",
     "Result",
     "Study",
+    "Tuned",
     "compare",
     "design",
+    "falsify",
     "load",
     "margin",
     "plot",
@@ -36,6 +41,7 @@ __all__ = [
     "run",
     "simulate",
     "theory",
+    "tune",
 ]
 
 _HOME = {
@@ -47,6 +53,10 @@ _HOME = {
     "compare": "dssc_jax.comparison",
     "Margins": "dssc_jax.margins",
     "margin": "dssc_jax.margins",
+    "Falsified": "dssc_jax.falsification",
+    "falsify": "dssc_jax.falsification",
+    "Tuned": "dssc_jax.tuning",
+    "tune": "dssc_jax.tuning",
     "replay": "dssc_jax.api",
     "run": "dssc_jax.api",
     "simulate": "dssc_jax.api",
