@@ -10,6 +10,7 @@ from dssc_jax.errors import ConfigError
 for module in (
     "simulation",
     "robustness",
+    "tuning",
     "designs",
     "about",
 ):  # each registers its commands; help lists them in this order

@@ -7,6 +7,7 @@ from dssc_jax.plotting.margins import margin
 from dssc_jax.plotting.populations import failures, fitted_slope, sweep
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, STYLE, write
 from dssc_jax.plotting.trajectories import trajectory
+from dssc_jax.plotting.tuning import tuning
 from dssc_jax.results import Result
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "save_all",
     "sweep",
     "trajectory",
+    "tuning",
     "write",
 ]
 

@@ -1,8 +1,11 @@
 """Study files as plain tables: reading, overriding by dotted name, laying one over another."""
 
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+import tomli_w
 
 from dssc_jax.errors import ConfigError
 from dssc_jax.study.laws import is_law
@@ -22,6 +25,11 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         raise ConfigError(str(path), f"is not UTF-8 text: {error.reason} at byte {error.start}") from error
     except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError, so are integers too long
         raise ConfigError(str(path), f"is not valid TOML: {str(error) or 'nested too deeply'}") from error
+
+
+def to_toml(table: Mapping[str, Any]) -> str:
+    """A study's table as the text of a study file."""
+    return tomli_w.dumps(dict(table))
 
 
 def is_index(part: str) -> bool:

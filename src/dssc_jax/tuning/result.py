@@ -40,6 +40,12 @@ class Tuned:
     costs: dict[str, np.ndarray]
     facts: dict[str, Any] = field(default_factory=dict)
 
+    @property
+    def met(self) -> bool:
+        """Whether limits and requirements hold on the validation draws, and the last hunt found no failure."""
+        hunts = self.facts["counterexamples"]
+        return self.facts["feasible"] and not (hunts and hunts[-1]["margin"] < 0.0)
+
     def summary(self) -> dict[str, Any]:
         """The tuning in plain numbers, for JSON; NaN and infinity still to be replaced."""
         table = self.plan.table
