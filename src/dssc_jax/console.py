@@ -227,7 +227,9 @@ def show_tuning(summary: Mapping[str, Any], files: list[Path]) -> None:
     show_table((f"on {verdict['draws']} fresh draws", "start", "result", "limit"), rows)
     console.print(f"reduction {verdict['reduction']:.1%} in [{low:.1%}, {high:.1%}] (95 %, bootstrap over draws)")
     middle, low, high = verdict["difference"]
-    console.print(f"cost draw by draw, result less start: median {middle:+.4g} in [{low:+.4g}, {high:+.4g}] (95 %, exact)")
+    console.print(
+        f"cost draw by draw, result less start: median {middle:+.4g} in [{low:+.4g}, {high:+.4g}] (95 %, exact)"
+    )
     if summary["gradients"]:
         console.print(f"gradients: {summary['gradients']['text']}")
     if summary["certified_points"] is not None:
@@ -235,7 +237,9 @@ def show_tuning(summary: Mapping[str, Any], files: list[Path]) -> None:
     for number, hunt in enumerate(summary["counterexamples"], start=1):
         console.print(f"hunt {number}: worst margin {hunt['margin']:.4g} in {hunt['simulations']} simulations")
     if not summary["feasible"]:
-        console.print(f"no point met every limit on the validation draws; the nearest misses by {summary['violation']:.2%}")
+        console.print(
+            f"no point met every limit on the validation draws; the nearest misses by {summary['violation']:.2%}"
+        )
     console.print(f"{summary['method']}, {summary['stopped']}; {summary['seconds']:.1f} s")
     for path in files:
         console.print(f"wrote {path}", soft_wrap=True, markup=False)
@@ -249,7 +253,9 @@ def show_falsification(summary: Mapping[str, Any], files: list[Path]) -> None:
     show_table(("worst draw", ""), [(name, f"{value:.6g}") for name, value in summary["witness"].items()])
     margin = "ended early" if summary["margin"] == -np.inf else f"margin {summary['margin']:.4g} of the bound"
     spent = f"{summary['simulations']} simulations, {summary['seconds']:.1f} s"
-    found = f"fails; the first failure came after {summary['first_failure']}" if summary["failed"] else "passes; the worst"
+    found = (
+        f"fails; the first failure came after {summary['first_failure']}" if summary["failed"] else "passes; the worst"
+    )
     console.print(f"it {found} of {spent}: {margin}")
     for path in files:
         console.print(f"wrote {path}", soft_wrap=True, markup=False)

@@ -48,8 +48,8 @@ class Probe:
             indices: Draw of each lane, shape (n,).
             values: Every law's and every probed number's value, each of shape (n,).
         """
-        parts = [slice(begin, begin + self.lanes) for begin in range(0, len(indices), self.lanes)]
-        started = [self.engine({name: column[part] for name, column in values.items()}, indices[part]) for part in parts]
+        names, parts = self.engine.names, [slice(a, a + self.lanes) for a in range(0, len(indices), self.lanes)]
+        started = [self.engine({name: values[name][part] for name in names}, indices[part]) for part in parts]
         found = [finish() for finish in started]
         return {name: np.concatenate([arrays[name] for arrays in found]) for name in found[0]}
 
@@ -71,9 +71,7 @@ def differentiated(names: Sequence[str]) -> Callable[[Study], Lane]:
                 return {name: value for name, value in found.items() if name not in codes}, found
 
             slopes, found = jax.jacfwd(smooth, has_aux=True)({name: values[name] for name in names})
-            return found | {
-                derivative(of, name): slope for of, row in slopes.items() for name, slope in row.items()
-            }
+            return found | {derivative(of, name): slope for of, row in slopes.items() for name, slope in row.items()}
 
         return lane
 

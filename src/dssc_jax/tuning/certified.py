@@ -42,14 +42,14 @@ class Theorem:
     ends: certification.Ends = field(init=False)
 
     def __post_init__(self) -> None:
+        nominal = getattr(self.study.template.controller[0], "nominal", None)
+        if nominal is not None and nominal.predictor_term:
+            rule = "the bound of u_n then holds 1/tau_m, hence the parameters that follow from it; set it to false"
+            raise ConfigError("controller.nominal.predictor_term", f"cannot be certified while tuning: {rule}")
         try:
             self.parameters, bounds = certification.design_of(self.study)
         except certification.Silent as silence:
             raise ConfigError("tune.certified", f"Theorem 1 does not speak of this loop: {silence}") from None
-        nominal = self.study.template.controller[0].nominal
-        if nominal is not None and nominal.predictor_term:
-            rule = "the bound of u_n then holds 1/tau_m, hence the parameters that follow from it; set it to false"
-            raise ConfigError("controller.nominal.predictor_term", f"cannot be certified while tuning: {rule}")
         try:
             bounds.prepare()
         except ConfigError as error:

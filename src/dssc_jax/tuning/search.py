@@ -14,10 +14,13 @@ from dssc_jax.probing import Probe
 from dssc_jax.tuning.plan import EVOLUTION
 from dssc_jax.tuning.problem import Point, Problem
 
-PENALTY = 10.0  # of the augmented Lagrangian, for objective and excess relative to their scales
+PENALTY = 20.0  # of the augmented Lagrangian, for objective and excess relative to their scales
+HEADROOM = 0.002  # by which the search keeps within limits, relative
 UPDATE = 5  # steps between two looks at the validation draws, after which multipliers move
 LAST = 0.01  # share of the learning rate that the cosine schedule ends with
-HALVINGS = 30
+HALVINGS = 8
+CLIFF = 0.5  # a step may not worsen the objective by more, relative to the start's: beyond lies a loop that chatters
+SWERVE = 0.05  # a step may not exceed a limit by more than before, relative to it
 POPULATION = 8  # members a coordinate
 REACH = 6.0  # |z| at the ends of the evolution's box: 0.25 % of the interval's logarithm is left out
 
@@ -33,7 +36,7 @@ class Search:
         best: The best point on the validation draws.
         history: A row for each look: step, objective and violation on training and validation draws, tuned numbers.
         stopped: Why it ended.
-        shortened: Halvings of steps that led out of the certified set, or to draws that ended early.
+        shortened: Halvings of steps that led where no point may be.
     """
 
     best: Point
@@ -81,7 +84,7 @@ class Multipliers:
     def pushes(self, point: Point) -> dict[str, float]:
         """max(0, lambda + c g) of each limit: its share in the gradient, and its next multiplier."""
         return {
-            name: max(0.0, self.values.get(name, 0.0) + PENALTY * (excess + self.gaps.get(name, 0.0)))
+            name: max(0.0, self.values.get(name, 0.0) + PENALTY * (excess + HEADROOM + self.gaps.get(name, 0.0)))
             for name, excess in point.merit.excess.items()
         }
 
@@ -103,7 +106,8 @@ class Multipliers:
 def descend(problem: Problem, first: tuple[Point, Point], report: Report) -> Search:
     """Descent by gradients of single batches; the best point is chosen on the validation draws.
 
-    A step after which the point is not certified, or a draw of the batch ends early, is halved.
+    A step after which the point is not certified, a draw of the batch ends early, or objective or violation have leapt
+    up, is halved.
 
     Args:
         problem: The problem, begun.
@@ -125,7 +129,7 @@ def descend(problem: Problem, first: tuple[Point, Point], report: Report) -> Sea
         with jax.enable_x64(True):
             change, state = optimiser.update(multipliers.gradient(here), state, here.z)
         batch = rng.choice(problem.train, table.batch, replace=False) if table.batch else problem.train
-        here, halvings = reach(problem, here.z, np.asarray(change), batch)
+        here, halvings = reach(problem, here, np.asarray(change), batch, CLIFF * multipliers.scale)
         found.shortened += halvings
         if step % UPDATE == 0 or step == table.steps:
             validation = problem.at(here.z, problem.validation)
@@ -139,15 +143,16 @@ def descend(problem: Problem, first: tuple[Point, Point], report: Report) -> Sea
     return found
 
 
-def reach(problem: Problem, z: np.ndarray, change: np.ndarray, batch: np.ndarray) -> tuple[Point, int]:
-    """The point after a step, which is halved until the point may be visited; then z itself."""
+def reach(problem: Problem, here: Point, change: np.ndarray, batch: np.ndarray, leap: float) -> tuple[Point, int]:
+    """The point after a step, which is halved until the point may be visited; then the same point again."""
+    highest, farthest = here.merit.objective + leap, here.merit.violation + SWERVE
     for halvings in range(HALVINGS):
-        after = z + change * 0.5**halvings
+        after = here.z + change * 0.5**halvings
         if problem.allowed(after):
             point = problem.at(after, batch)
-            if not point.merit.ended:
+            if point.merit.objective <= highest and point.merit.violation <= farthest:
                 return point, halvings
-    return problem.at(z, batch), HALVINGS
+    return problem.at(here.z, batch), HALVINGS
 
 
 def evolve(problem: Problem, first: tuple[Point, Point], report: Report) -> Search:

@@ -51,6 +51,7 @@ def tune(
     said = report or (lambda done, total, text: None)
     problem, added, hunts = Problem(plan), {}, []
     found, gradients = solve(problem, said)
+    certified = problem.certified
     while robust:
         worst = falsify(tuned_study(plan, found.best.z), budget=budget, seed=len(hunts))
         hunts.append({"margin": worst.margin, "simulations": worst.simulations, "witness": worst.witness})
@@ -59,6 +60,7 @@ def tune(
         added = joined(added, worst.witness)
         problem = Problem(plan, added)
         found, gradients = solve(problem, said)
+        certified += problem.certified
     mirror = plan.mirror
     numbers = [{n: float(v[0]) for n, v in mirror.numbers(z[None]).items()} for z in (mirror.origin, found.best.z)]
     verdict, costs = judge(plan, problem.goal, *numbers)
@@ -68,7 +70,7 @@ def tune(
         "feasible": found.best.merit.violation == 0.0,
         "violation": found.best.merit.violation,
         "shortened": found.shortened,
-        "certified_points": problem.certified if plan.theorem else None,
+        "certified_points": certified if plan.theorem else None,
         "counterexamples": hunts,
         "seconds": time.perf_counter() - began,
     }
