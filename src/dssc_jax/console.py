@@ -223,7 +223,8 @@ def show_tuning(summary: Mapping[str, Any], files: list[Path]) -> None:
     rows = [(f"objective ({name})", f"{before:.5g}", f"{after:.5g}", "")]
     for metric, (bound, first, second) in verdict["limits"].items():
         rows.append((f"mean {metric}", f"{first:.5g}", f"{second:.5g}", f"<= {bound:.5g}"))
-    rows.append(("failed draws", *map(str, verdict["failures"]), ""))
+    first, second = verdict["failures"]
+    rows.append(("failed draws", str(first), str(second), ""))
     show_table((f"on {verdict['draws']} fresh draws", "start", "result", "limit"), rows)
     console.print(f"reduction {verdict['reduction']:.1%} in [{low:.1%}, {high:.1%}] (95 %, bootstrap over draws)")
     middle, low, high = verdict["difference"]

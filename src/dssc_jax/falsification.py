@@ -276,6 +276,7 @@ class Hunt:
     def evolve(self) -> None:
         """Differential evolution that begins with the worst points so far."""
         count = members(self.budget, self.size)
+        first: Any = self.ranked()[0][:count]
         generations = (self.budget - self.spent) // count - 1
         if generations < 1:
             return
@@ -285,7 +286,7 @@ class Hunt:
             return np.clip(margins, -1e100, 1e100)
 
         differential_evolution(
-            cost, [(EDGE, 1.0 - EDGE)] * self.size, init=self.ranked()[0][:count], rng=self.rng, tol=0.0,
+            cost, [(EDGE, 1.0 - EDGE)] * self.size, init=first, rng=self.rng, tol=0.0,
             maxiter=generations, polish=False, vectorized=True, updating="deferred",
             callback=lambda x, convergence: self.worst == -np.inf,
         )  # fmt: skip
