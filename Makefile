@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 
-.PHONY: study test lint types check measure paper conservatism clean
+.PHONY: study test lint types check measure paper conservatism pareto clean
 
 study: .venv/run  ## install, and run the main job: how much unmodelled lag does a DSSC loop survive?
 	$(BIN)/dssc-jax sweep studies/mu_robustness.toml
@@ -27,6 +27,9 @@ paper: .venv/run  ## regenerate docs/paper.md: the article's figures and a table
 
 conservatism: .venv/run  ## regenerate docs/conservatism.md: certified against simulated
 	$(BIN)/python benchmarks/conservatism.py
+
+pareto: .venv/test  ## regenerate docs/tuning.md: gains tuned, failures hunted, controllers on the same budget
+	$(BIN)/python benchmarks/pareto.py
 
 .venv/run: pyproject.toml
 	$(PYTHON) -m venv .venv

@@ -1,6 +1,7 @@
 """The hunt finds what random draws would not, and its witness is a draw like any other."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,33 +9,13 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.falsification import Programs, hunt
 
-PLANTED = {
-    "name": "planted",
-    "seed": 1,
-    "draws": 1,
-    "loop": {"duration": 4.0, "sample_time": 0.02},
-    "plant": {
-        "kind": "normal_form",
-        "k_p": {"uniform": [0.8, 1.2]},
-        "a_p": {"uniform": [0.8, 1.2]},
-        "initial": [{"uniform": [-1.0, 1.0]}, {"uniform": [-1.0, 1.0]}],
-    },
-    "controller": {
-        "kind": "dssc",
-        "l0": 1.0,
-        "rho": 6.0,
-        "functions": {"kind": "approx_sta_2", "kappa1": 4.0, "kappa2": 4.0, "delta": 0.5, "tau_av": 0.05},
-    },
-    "disturbance": {"kind": "step", "value": {"uniform": [-0.5, 0.5]}, "at": 1.0},
-    "metrics": {"names": ["error_max"]},
-    "requirement": [{"metric": "error_max", "after": 1.5, "max": 0.8}],
-}
-"""Fails with probability 1e-5, in two corners of the box: 42 of 4 million draws (docs/tuning.md)."""
+STUDIES = Path(__file__).parents[1] / "studies"
 
 
 @pytest.fixture(scope="module")
 def study():
-    return dj.Study.from_table(PLANTED)
+    """Fails with a probability of about 1e-5: docs/tuning.md."""
+    return dj.Study.load(STUDIES / "falsify_corner.toml")
 
 
 def test_a_planted_failure(study):
@@ -43,7 +24,7 @@ def test_a_planted_failure(study):
     found = [hunt(programs, 1000, seed, lambda done, total, text: None) for seed in range(10)]
     assert all(each.simulations <= 1000 for each in found)
     assert sum(each.margin < 0.0 for each in found) >= 9
-    rare = dj.run(study.override({"draws": 20_000})).summary()["points"][0]
+    rare = dj.run(study).summary()["points"][0]
     assert rare["interval"][1] < 3e-4
 
 
