@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 
-.PHONY: study test lint types check measure paper conservatism docs clean
+.PHONY: study test lint types check measure paper conservatism pareto docs clean
 
 study: .venv/run  ## install, and run the main job: how much unmodelled lag does a DSSC loop survive?
 	$(BIN)/dssc-jax sweep studies/mu_robustness.toml
@@ -30,6 +30,9 @@ conservatism: .venv/run  ## regenerate docs/conservatism.md: certified against s
 
 docs: .venv/docs  ## build the documentation site into site/; a warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
+
+pareto: .venv/test  ## regenerate docs/tuning.md: gains tuned, failures hunted, controllers on the same budget
+	$(BIN)/python benchmarks/pareto.py
 
 .venv/run: pyproject.toml
 	$(PYTHON) -m venv .venv

@@ -86,6 +86,15 @@ def test_where_the_theorem_does_not_speak(changes, reason):
     assert dj.run(dj.Study.from_table(table(**changes))).summary()["points"][0]["certified"] is None
 
 
+def test_bounds_of_a_spline_are_kept_by_every_spline():
+    """Knots at the ends of their laws, in any order of signs."""
+    knots = [{"uniform": [-0.2, 0.1]}, {"uniform": [0.0, 0.3]}, 0.1]
+    spline = {"kind": "spline", "knots": knots, "interval": 0.5}
+    _, bounds = design_of(dj.Study.from_table(table(disturbance=spline)))
+    assert bounds.alpha_d == 0.3
+    assert bounds.alpha_d3 == pytest.approx((0.2 + 0.3) / 0.5)
+
+
 def test_an_unbounded_law_is_not_certified():
     study = dj.Study.from_table(table(plant={"kind": "normal_form", "a_p": {"normal": [0.0, 0.1]}}))
     assert mark(study).certified.item() is False

@@ -3,8 +3,9 @@ import jax.numpy as jnp
 import mpmath
 import numpy as np
 import pytest
+from scipy.interpolate import BSpline
 
-from dssc_jax.numerics import over_log_defect, root_abs
+from dssc_jax.numerics import cubic_spline, over_log_defect, root_abs
 
 
 def test_root_abs_is_exact_and_has_finite_gradients():
@@ -32,3 +33,19 @@ def test_over_log_defect_gradient_is_finite_and_continuous_at_the_switch():
     assert np.all(np.isfinite(slope))
     assert float(slope[0]) == pytest.approx(4.0 / 3.0)
     assert float(slope[2]) == pytest.approx(float(slope[3]), rel=1e-9)
+
+
+def test_cubic_spline_is_scipys_and_bounded():
+    """Value and slope of the B-spline, whose bounds falsification relies on."""
+    coefficients = np.random.default_rng(0).uniform(-1.0, 1.0, 7)
+    x = np.linspace(-3.0, 9.0, 601)
+    exact = BSpline(np.arange(-2, 9), coefficients, 3, extrapolate=False)
+    inside = (x > -2.0 + 3.0) & (x < 8.0 - 3.0)  # where scipy's basis is complete
+    found = np.asarray(cubic_spline(list(coefficients), x))
+    np.testing.assert_allclose(found[inside], exact(x[inside]), rtol=0, atol=1e-14)
+    assert np.all(np.abs(found) <= np.max(np.abs(coefficients)))
+    assert np.all(found[(x <= -2.0) | (x >= 8.0)] == 0.0)
+    slopes = jax.vmap(jax.grad(lambda at: cubic_spline(list(coefficients), at)))(jnp.asarray(x))
+    steps = np.diff([0.0, *coefficients, 0.0])
+    assert steps.min() <= float(slopes.min())
+    assert float(slopes.max()) <= steps.max()

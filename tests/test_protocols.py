@@ -162,6 +162,8 @@ def test_reference_derivatives(registry, table):
         ({"kind": "step", "value": 0.8, "at": 1.0}, 0.8),
         ({"kind": "step", "value": 0.8, "at": 3.0075}, 0.8 * 0.25),
         ({"kind": "step", "value": 0.8, "at": 5.0}, 0.0),
+        ({"kind": "spline", "knots": [0.6, -0.3], "interval": 1.5, "at": 1.51}, 4 * -0.3 / 6 + 0.6 / 6),
+        ({"kind": "spline", "knots": [0.6], "interval": 0.5}, 0.0),
     ],
 )
 def test_disturbance_values(table, expected):

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from dssc_jax.comparison import Comparison, compare
     from dssc_jax.errors import ConfigError
     from dssc_jax.exports import export
+    from dssc_jax.falsification import Falsified, falsify
     from dssc_jax.global_sensitivity import sensitivity
     from dssc_jax.margins import Margins, margin
     from dssc_jax.rare_events import Splitting, rare
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from dssc_jax.statistics import AcceptReject, UntilWidth, plan
     from dssc_jax.stopping import run_until
     from dssc_jax.study import Study
+    from dssc_jax.tuning import Tuned, tune
     from dssc_jax.verification import verify
 
 __version__ = "0.1.0"
@@ -31,14 +33,17 @@ __all__ = [
     "AcceptReject",
     "Comparison",
     "ConfigError",
+    "Falsified",
     "Margins",
     "Result",
     "Splitting",
     "Study",
+    "Tuned",
     "UntilWidth",
     "compare",
     "design",
     "export",
+    "falsify",
     "load",
     "margin",
     "plan",
@@ -51,6 +56,7 @@ __all__ = [
     "sensitivity",
     "simulate",
     "theory",
+    "tune",
     "verify",
 ]
 
@@ -64,6 +70,10 @@ _HOME = {
     "compare": "dssc_jax.comparison",
     "Margins": "dssc_jax.margins",
     "margin": "dssc_jax.margins",
+    "Falsified": "dssc_jax.falsification",
+    "falsify": "dssc_jax.falsification",
+    "Tuned": "dssc_jax.tuning",
+    "tune": "dssc_jax.tuning",
     "replay": "dssc_jax.api",
     "run": "dssc_jax.api",
     "simulate": "dssc_jax.api",

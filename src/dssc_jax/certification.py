@@ -156,6 +156,11 @@ def disturbance_bounds(ends: Ends) -> dict[str, Any]:
     if isinstance(low, disturbances.SineParams):
         amplitude = ends.largest("amplitude")
         return {"alpha_d": amplitude, "alpha_d3": swing(amplitude, low.period, 1)}
+    if isinstance(low, disturbances.SplineParams):
+        pairs = zip(low.knots, ends.high.knots, strict=True)
+        knots = [0.0, *(np.maximum(np.abs(a), np.abs(b)) for a, b in pairs), 0.0]
+        steepest = np.max(np.add(knots[1:], knots[:-1]), axis=0) / low.interval  # of any knots that large
+        return {"alpha_d": np.max(knots, axis=0), "alpha_d3": steepest}
     if isinstance(low, disturbances.PartitionParams):
         names = ("k_d1", "k_d2", "k_d3", "k_d4", "k_d5", "alpha_d2", "alpha_d3")
         return {name: getattr(ends.high, name) for name in names}

@@ -35,6 +35,19 @@ PROBES = 16  # draws that are simulated twice to find in-loop noise
 VERSIONS = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy", "xarray", "zarr")
 
 Arrays = dict[str, np.ndarray]
+Lane = Callable[[dict[str, jax.Array], jax.Array], dict[str, Scalar]]
+"""(each of the lane's own numbers, draw index) -> what is computed of the lane."""
+
+
+def simulated(study: Study) -> Lane:
+    """A lane's metrics, margins, outcome and the time at which it ended early."""
+
+    def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
+        key = draw_key(study.config.seed, index)
+        run, _ = simulate(study.loop, study.params(values), key, study.measures, study.requirements)
+        return {**run.metrics, **run.margins, "outcome": run.outcome, "failed_at": run.failed_at}
+
+    return lane
 
 
 @dataclass(frozen=True)
@@ -105,6 +118,7 @@ class Engine:
         lanes: Lanes of a batch; smaller ones are padded.
         tile: Lanes of a tile; None: chosen by the batch.
         devices: Devices to share tiles over; None: all.
+        program: What is computed of each lane.
     """
 
     study: Study
@@ -112,6 +126,7 @@ class Engine:
     tile: int | None = None
     devices: int | None = None
     clock: Clock = field(default_factory=Clock)
+    program: Callable[[Study], Lane] = simulated
 
     def __post_init__(self) -> None:
         usable = jax.devices()[: self.devices]
@@ -161,13 +176,11 @@ class Engine:
 
     def _compile(self, values: dict[str, np.ndarray], index: np.ndarray):
         began = time.perf_counter()
-        study = self.study
+        lane = self.program(self.study)
 
-        def one(lane: dict[str, jax.Array], i: jax.Array) -> dict[str, Scalar]:
+        def one(values: dict[str, jax.Array], i: jax.Array) -> dict[str, Scalar]:
             self.clock.traces += 1
-            key = draw_key(study.config.seed, i)
-            run, _ = simulate(study.loop, study.params(lane), key, study.measures, study.requirements)
-            return {**run.metrics, **run.margins, "outcome": run.outcome, "failed_at": run.failed_at}
+            return lane(values, i)
 
         def share(lanes: dict[str, jax.Array], i: jax.Array) -> dict[str, Scalar]:
             return jax.lax.map(lambda tile: jax.vmap(one)(*tile), (lanes, i))

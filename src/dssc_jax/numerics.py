@@ -102,3 +102,20 @@ def dot(left: Sequence[Scalar], right: Sequence[Scalar]) -> Scalar:
     for a, b in zip(left, right, strict=True):
         total = total + a * b
     return total
+
+
+def cubic_spline(coefficients: Sequence[Scalar], x: Scalar) -> Scalar:
+    """The sum of c_i B(x - i) with the cubic B-spline B of support (-2, 2) and knots at the whole numbers.
+
+    It lies between the smallest and the largest of (0, c_0, c_1, ..., 0), and its slope between the least and the
+    greatest difference of two that follow each other.
+
+    Reference:
+        C. de Boor, A Practical Guide to Splines, revised ed. (2001), chapters IX to XI.
+    """
+    total: Scalar = 0.0
+    for i, coefficient in enumerate(coefficients):
+        distance = jnp.abs(x - i)
+        outer, inner = jnp.maximum(2.0 - distance, 0.0), jnp.maximum(1.0 - distance, 0.0)
+        total = total + coefficient * (outer * outer * outer - 4.0 * inner * inner * inner) / 6.0
+    return total

@@ -1,13 +1,14 @@
 """Draws of a study at any values of chosen numbers, by one compiled program: what searches over a number stand on."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import jax
 import numpy as np
 
-from dssc_jax.engine import BLOCK, Arrays, Engine, drawn
+from dssc_jax.engine import BLOCK, Arrays, Engine, Lane, drawn, simulated
 from dssc_jax.study import Study
-from dssc_jax.types import Outcome
+from dssc_jax.types import Outcome, Scalar
 
 
 @dataclass
@@ -19,6 +20,7 @@ class Probe:
         extents: Lowest and highest value of each number to come, checked like the ends of a sweep; a value takes the
             place of the number's law.
         lanes: Lanes of a batch at most.
+        program: What is computed of each lane.
 
     Raises:
         ConfigError: a name is no number of the loop, or an end is not admissible.
@@ -27,12 +29,13 @@ class Probe:
     study: Study
     extents: Mapping[str, tuple[float, float]]
     lanes: int = BLOCK
+    program: Callable[[Study], Lane] = simulated
     swept: Study = field(init=False)
 
     def __post_init__(self) -> None:
         axes = {name: sorted(set(extent)) for name, extent in self.extents.items()}
         self.swept = self.study.override({"sweep": axes})
-        self.engine = Engine(self.swept, self.lanes)
+        self.engine = Engine(self.swept, self.lanes, program=self.program)
 
     def drawn(self, draws: slice) -> Arrays:
         """Values of the laws that are left, for a range of draws."""
@@ -42,10 +45,42 @@ class Probe:
         """Metrics, margins and outcome of each lane.
 
         Args:
-            indices: Draw of each lane, shape (n,), n <= lanes.
+            indices: Draw of each lane, shape (n,).
             values: Every law's and every probed number's value, each of shape (n,).
         """
-        return self.engine(values, indices)()
+        names, parts = self.engine.names, [slice(a, a + self.lanes) for a in range(0, len(indices), self.lanes)]
+        started = [self.engine({name: values[name][part] for name in names}, indices[part]) for part in parts]
+        found = [finish() for finish in started]
+        return {name: np.concatenate([arrays[name] for arrays in found]) for name in found[0]}
+
+
+def differentiated(names: Sequence[str]) -> Callable[[Study], Lane]:
+    """The program that also computes the derivative of every metric and margin with respect to some of the numbers.
+
+    Forward mode: a tangent for each number rides along, so memory does not grow with the duration. The derivatives
+    are further results, see :func:`derivative`.
+    """
+
+    def program(study: Study) -> Lane:
+        plain = simulated(study)
+        codes = ("outcome", "failed_at")
+
+        def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
+            def smooth(moved: dict[str, jax.Array]) -> tuple[dict[str, Scalar], dict[str, Scalar]]:
+                found = plain({**values, **moved}, index)
+                return {name: value for name, value in found.items() if name not in codes}, found
+
+            slopes, found = jax.jacfwd(smooth, has_aux=True)({name: values[name] for name in names})
+            return found | {derivative(of, name): slope for of, row in slopes.items() for name, slope in row.items()}
+
+        return lane
+
+    return program
+
+
+def derivative(of: str, name: str) -> str:
+    """The result that holds the derivative of a metric or margin with respect to a number."""
+    return f"{of}|{name}"
 
 
 def worst_margin(study: Study, results: Arrays) -> np.ndarray:

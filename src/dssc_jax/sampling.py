@@ -35,10 +35,15 @@ def _uniform(seed: int, streams: tuple[int, ...], indices: jax.Array) -> jax.Arr
     return jax.vmap(point)(indices)
 
 
+def uniform(seed: int, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
+    """Independent points of the half-open unit cube, shape (n, streams)."""
+    with jax.enable_x64(True):
+        return np.asarray(_uniform(seed, streams, jnp.asarray(indices, dtype=jnp.uint32)))
+
+
 def random_points(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
     """Independent points."""
-    with jax.enable_x64(True):
-        return np.asarray(_uniform(study.config.seed, streams, jnp.asarray(indices, dtype=jnp.uint32)))
+    return uniform(study.config.seed, streams, indices)
 
 
 def generator(*words: int) -> np.random.Generator:

@@ -27,6 +27,7 @@ TABLES = {
     "constant": {"x": 8.0, "y": -8.0, "z": 8.0, "at": 20.0},
     "piecewise": {"times": [1.0, 2.0, 3.5], "x": [1.0, -2.0, 0.0], "y": [0.0, 4.0, 5.0], "z": [0.5, 0.0, -0.5]},
     "gust": {"x": 3.0, "y": -1.0, "z": 0.5, "at": 2.0, "duration": 4.0, "mean_x": 1.0},
+    "spline": {"interval": 2.0, "x": [3.0, -1.0, 2.0], "z": [0.5], "at": 1.0},
     "dryden": {"speed": 8.0, "altitude": 3.0, "airspeed": 15.0, "direction": 0.7},
 }
 
@@ -115,6 +116,9 @@ def test_contract(kind):
         ({"kind": "gust", **TABLES["gust"]}, 3.0, (1 + 1.5, -0.5, 0.25)),
         ({"kind": "gust", **TABLES["gust"]}, 4.0, (1 + 3, -1, 0.5)),
         ({"kind": "gust", **TABLES["gust"]}, 6.5, (1, 0, 0)),
+        ({"kind": "spline", **TABLES["spline"]}, 1.0, ((4 * 3 - 1) / 6, 0, 4 * 0.5 / 6)),
+        ({"kind": "spline", **TABLES["spline"]}, 3.0, ((3 - 4 + 2) / 6, 0, 0.5 / 6)),
+        ({"kind": "spline", **TABLES["spline"]}, 9.0, (0, 0, 0)),
     ],
 )
 def test_values(table, t, expected):

@@ -10,7 +10,7 @@ import typer
 from dssc_jax.cli.shared import BAD_INPUT, DONE, INTERRUPTED, app
 from dssc_jax.errors import ConfigError
 
-MODULES = ("simulation", "robustness", "statistics", "stored", "reports", "designs", "about")
+MODULES = ("simulation", "robustness", "tuning", "statistics", "stored", "reports", "designs", "about")
 """Each registers its commands; help lists them in this order."""
 
 for module in MODULES:

@@ -3,6 +3,7 @@
 from dssc_jax.console.analyses import show_comparison, show_margins, show_rare, show_sensitivity
 from dssc_jax.console.environment import environment, machine, show_environment
 from dssc_jax.console.results import show_draw, show_result, show_verification
+from dssc_jax.console.searches import show_falsification, show_tuning
 from dssc_jax.console.terminal import (
     counter,
     jsonable,
@@ -24,6 +25,7 @@ __all__ = [
     "show_comparison",
     "show_draw",
     "show_environment",
+    "show_falsification",
     "show_files",
     "show_margins",
     "show_page",
@@ -31,6 +33,7 @@ __all__ = [
     "show_result",
     "show_sensitivity",
     "show_table",
+    "show_tuning",
     "show_verification",
     "tell",
 ]

@@ -34,8 +34,12 @@ def tell(text: str) -> None:
 
 
 @contextmanager
-def progress_bar(study: "Study", quiet: bool) -> Iterator[Callable[[int, int], None]]:
-    """A bar with the time left, on stderr; ``quiet`` shows it only where stderr is a terminal."""
+def progress_bar(study: "Study", quiet: bool) -> Iterator[Callable[..., None]]:
+    """A bar with the time left, on stderr; ``quiet`` shows it only where stderr is a terminal.
+
+    Yields:
+        Takes what is done, what is to do, and a line on what was found so far, if any.
+    """
     console = errors()
     columns = (
         TextColumn("{task.description}"),
@@ -48,9 +52,9 @@ def progress_bar(study: "Study", quiet: bool) -> Iterator[Callable[[int, int], N
     bar = Progress(*columns, console=console, disable=quiet and not console.is_terminal)
     task = bar.add_task(f"{study.name} (compiling)", total=None)
 
-    def advance(done: int, total: int) -> None:
+    def advance(done: int, total: int, found: str = "") -> None:
         bar.start()  # not before the first call: bad input is told without a bar
-        text = study.name if done else f"{study.name} (compiling)"
+        text = f"{study.name} {found}".strip() if done else f"{study.name} (compiling)"
         bar.update(task, completed=done, total=total, description=text)
 
     try:

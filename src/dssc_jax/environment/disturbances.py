@@ -6,6 +6,8 @@ from typing import Annotated, Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from dssc_jax.errors import ConfigError
+from dssc_jax.numerics import cubic_spline
 from dssc_jax.types import Disturbance, Measurement, Quantity, Scalar
 
 VALUE = Quantity("m/s", "value of d")
@@ -34,6 +36,18 @@ class SineParams(NamedTuple):
     amplitude: Annotated[Scalar, Quantity("m/s", "amplitude")]
     period: Annotated[Scalar, Quantity("s", "period", above=0.0)]
     phase: Annotated[Scalar, Quantity("rad", "phase")] = 0.0
+
+
+class SplineParams(NamedTuple):
+    """A cubic spline with knots ``interval`` apart, the first at ``at``: any signal of bounded amplitude and slope.
+
+    d = sum of knots[i] B((t - at)/interval - i) with the cubic B-spline B: |d| is at most the largest |knot|, and |d'|
+    the largest step from one to the next, over the interval. It begins and ends at 0, two intervals outside.
+    """
+
+    knots: Annotated[tuple[Scalar, ...], Quantity("m/s", "coefficient of the spline at a knot")]
+    interval: Annotated[Scalar, Quantity("s", "time between two knots", above=0.0)]
+    at: Annotated[Scalar, Quantity("s", "time of the first knot")] = 0.0
 
 
 class NoiseParams(NamedTuple):
@@ -88,6 +102,22 @@ def sine_value(params: SineParams, state: Any, measurement: Measurement, sigma: 
     return params.amplitude * jnp.sin(2.0 * math.pi / params.period * t + params.phase)
 
 
+def some_knots(params: SplineParams) -> SplineParams:
+    """Check that there are knots.
+
+    Raises:
+        ConfigError: there are none.
+    """
+    if not params.knots:
+        raise ConfigError("knots", "needs at least one knot, got none")
+    return params
+
+
+def spline_value(params: SplineParams, state: Any, measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
+    """The spline at t."""
+    return cubic_spline(params.knots, (t - params.at) / params.interval)
+
+
 def noise_init(params: NoiseParams, key: jax.Array) -> Scalar:
     """A draw from the stationary law, so that there is no initial transient."""
     return params.std * jax.random.normal(key, dtype=jnp.result_type(float))
@@ -115,5 +145,6 @@ NONE = Disturbance(NoParams, stateless, unchanged, lambda params, state, measure
 CONSTANT = Disturbance(ConstantParams, stateless, unchanged, lambda params, state, measurement, sigma, t: params.value)
 STEP = Disturbance(StepParams, lambda params, key: 0.0, step_mean, held)
 SINE = Disturbance(SineParams, stateless, unchanged, sine_value)
+SPLINE = Disturbance(SplineParams, stateless, unchanged, spline_value, some_knots)
 FILTERED_NOISE = Disturbance(NoiseParams, noise_init, noise_step, held)
 PARTITION = Disturbance(PartitionParams, stateless, unchanged, partition_value)

@@ -1,4 +1,4 @@
-"""Wind velocity in the inertial frame, z up: constant, piecewise, a gust, Dryden turbulence on a mean wind.
+"""Wind velocity in the inertial frame, z up: constant, piecewise, a gust, splines, Dryden turbulence on a mean wind.
 
 What jumps or is random is held over a sample, a jump within one as its mean; the gust is evaluated at every stage.
 
@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.errors import ConfigError
+from dssc_jax.numerics import cubic_spline
 from dssc_jax.types import Quantity, Registry, Scalar, Wind, extent, single
 from dssc_jax.vectors import Vec3
 
@@ -66,6 +67,20 @@ class GustParams(NamedTuple):
     mean_x: Annotated[Scalar, Quantity("m/s", "mean wind along x")] = 0.0
     mean_y: Annotated[Scalar, Quantity("m/s", "mean wind along y")] = 0.0
     mean_z: Annotated[Scalar, Quantity("m/s", "mean wind along z, up")] = 0.0
+
+
+class SplineParams(NamedTuple):
+    """Cubic splines with knots ``interval`` apart, the first at ``at``: any wind of bounded speed and acceleration.
+
+    Each component is at most its largest |knot|, and its rate the largest step from one knot to the next, over the
+    interval. The wind begins and ends at 0, two intervals outside.
+    """
+
+    interval: Annotated[Scalar, Quantity("s", "time between two knots", above=0.0)]
+    x: Annotated[tuple[Scalar, ...], X] = ()
+    y: Annotated[tuple[Scalar, ...], Y] = ()
+    z: Annotated[tuple[Scalar, ...], Z] = ()
+    at: Annotated[Scalar, Quantity("s", "time of the first knot")] = 0.0
 
 
 class DrydenParams(NamedTuple):
@@ -180,6 +195,23 @@ def gust_value(params: GustParams, state: Any, t: Scalar) -> Vec3:
     return Vec3(params.mean_x, params.mean_y, params.mean_z) + Vec3(params.x, params.y, params.z) * swell
 
 
+def some_knots(params: SplineParams) -> SplineParams:
+    """Check that there are knots.
+
+    Raises:
+        ConfigError: no component has any.
+    """
+    if not (params.x or params.y or params.z):
+        raise ConfigError("x", "needs at least one knot in x, y or z, got none")
+    return params
+
+
+def spline_value(params: SplineParams, state: Any, t: Scalar) -> Vec3:
+    """The splines at t; a component without knots is 0."""
+    place = (t - params.at) / params.interval
+    return Vec3(*(cubic_spline(knots, place) for knots in (params.x, params.y, params.z)))
+
+
 def dryden_law(params: DrydenParams) -> DrydenLaw:
     """The low-altitude model at the parameters' height, whose formulas take it in feet.
 
@@ -279,6 +311,7 @@ NONE = Wind(NoParams, stateless, unchanged, lambda params, state, t: Vec3(0.0, 0
 CONSTANT = Wind(ConstantParams, calm, constant_step, held)
 PIECEWISE = Wind(PiecewiseParams, calm, piecewise_step, held, check_table)
 GUST = Wind(GustParams, stateless, unchanged, gust_value)
+SPLINE = Wind(SplineParams, stateless, unchanged, spline_value, some_knots)
 DRYDEN = Wind(DrydenParams, dryden_init, dryden_step, dryden_value)
 
 WINDS: Registry = {
@@ -286,5 +319,6 @@ WINDS: Registry = {
     "constant": single(CONSTANT, "a constant velocity from a given time on"),
     "piecewise": single(PIECEWISE, "a table of velocities with jumps"),
     "gust": single(GUST, "a 1-cosine gust on a constant mean"),
+    "spline": single(SPLINE, "cubic splines of given knots: any wind of bounded speed and acceleration"),
     "dryden": single(DRYDEN, "mean wind and Dryden turbulence of MIL-F-8785C at low altitude, exactly sampled"),
 }

@@ -16,6 +16,7 @@ from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, STYLE
 from dssc_jax.plotting.sweeps import fitted_slope, probability, sweep, typical
 from dssc_jax.plotting.theory import theory
 from dssc_jax.plotting.trajectories import signals, trajectory
+from dssc_jax.plotting.tuning import tuning
 from dssc_jax.results import Result
 
 __all__ = [
@@ -40,6 +41,7 @@ __all__ = [
     "sweep",
     "theory",
     "trajectory",
+    "tuning",
     "typical",
     "write",
 ]

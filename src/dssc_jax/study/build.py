@@ -17,7 +17,7 @@ from dssc_jax.requirements import Requirement
 from dssc_jax.study.components import Component, as_table, explain, parse_component, parse_number
 from dssc_jax.study.laws import Law
 from dssc_jax.study.measuring import kinds_of, measured
-from dssc_jax.study.schema import LoopTable, MetricsTable, PlotTable, RequirementTable, StudyTable
+from dssc_jax.study.schema import LoopTable, MetricsTable, PlotTable, RequirementTable, StudyTable, TuneTable
 from dssc_jax.study.tables import has_dotted, merged, set_dotted
 from dssc_jax.types import Quantity, single
 from dssc_jax.uav import UAV
@@ -40,6 +40,7 @@ FIXED_TABLES: dict[str, type[BaseModel]] = {
     "metrics": MetricsTable,
     "requirement": RequirementTable,
     "plot": PlotTable,
+    "tune": TuneTable,
 }
 
 

@@ -120,6 +120,57 @@ def parse_axis(value: Any) -> tuple[float, ...]:
     return tuple(float(item) for item in np.linspace(low, high, count))
 
 
+def parse_range(value: Any) -> tuple[float, float]:
+    """The interval ``[low, high]`` of a positive number.
+
+    Raises:
+        ValueError: the rule that is broken, and the value found.
+    """
+    if not isinstance(value, list | tuple) or len(value) != 2 or not all(is_number(end) for end in value):
+        raise ValueError(f"must be [low, high], got {value!r}")
+    if not 0.0 < value[0] < value[1]:
+        raise ValueError(f"holds no number: [low, high] needs 0 < low < high, got {value!r}")
+    return float(value[0]), float(value[1])
+
+
+def parse_free(value: Any) -> tuple[float, float] | float:
+    """A free parameter's interval, or the positive number at which it stays."""
+    if isinstance(value, list | tuple):
+        return parse_range(value)
+    if not is_number(value) or not value > 0:
+        raise ValueError(f"must be a number > 0, or [low, high] to vary it, got {value!r}")
+    return float(value)
+
+
+def parse_limit(value: Any) -> float | str:
+    """A bound > 0, or the word ``start``."""
+    if value != "start" and (not is_number(value) or not value > 0):
+        raise ValueError(f"must be a number > 0, or 'start' for what the start has, got {value!r}")
+    return value if value == "start" else float(value)
+
+
+class TuneTable(BaseModel):
+    """``[tune]``: which numbers are chosen, for what, within which limits, and how they are sought."""
+
+    model_config = STRICT
+    parameters: dict[str, Annotated[tuple[float, float], BeforeValidator(parse_range)]] = {}
+    certified: bool = False
+    free: dict[str, Annotated[tuple[float, float] | float, BeforeValidator(parse_free)]] = {}
+    objective: dict[str, Finite]
+    aggregate: Literal["mean", "cvar", "worst"] = "cvar"
+    level: Finite = Field(default=0.95, gt=0.0, lt=1.0)
+    limits: dict[str, Annotated[float | str, BeforeValidator(parse_limit)]] = {}
+    optimiser: str = "adam"
+    learning_rate: Finite = Field(default=0.1, gt=0.0)
+    schedule: Literal["cosine", "constant"] = "cosine"
+    steps: int = Field(default=100, ge=1, le=100_000)
+    draws: int = Field(default=128, ge=2, le=10**6)
+    batch: int | None = Field(default=None, ge=2)
+    validation: int = Field(default=128, ge=2, le=10**6)
+    patience: int = Field(default=8, ge=1)
+    seed: int | None = Field(default=None, ge=0, lt=2**32)
+
+
 class StudyTable(BaseModel):
     """The whole file. Tables of models stay as they are here; the registries know their fields."""
 
@@ -143,6 +194,7 @@ class StudyTable(BaseModel):
     compare: dict[str, dict[str, Any]] = {}
     metrics: MetricsTable = MetricsTable()
     requirement: list[RequirementTable] = []
+    tune: TuneTable | None = None
     sweep: dict[str, Annotated[tuple[float, ...], BeforeValidator(parse_axis)]] = {}
     plot: PlotTable = PlotTable()
 

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import tomli_w
+
 from dssc_jax.errors import ConfigError
 from dssc_jax.study.laws import is_law
 
@@ -61,6 +63,11 @@ def require_shallow(table: Mapping[str, Any]) -> None:
         if not level:
             return
     raise ConfigError("", f"is nested too deeply, at most {DEEPEST} levels are taken")
+
+
+def to_toml(table: Mapping[str, Any]) -> str:
+    """A study's table as the text of a study file."""
+    return tomli_w.dumps(dict(table))
 
 
 def is_index(part: str) -> bool:

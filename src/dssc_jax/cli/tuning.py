@@ -1,0 +1,114 @@
+"""Commands that search: tune, falsify."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dssc_jax.cli.robustness import write_figures
+from dssc_jax.cli.shared import (
+    DONE,
+    FAILS,
+    DrawsOption,
+    JsonOption,
+    LocalOption,
+    OutOption,
+    SeedOption,
+    SetOption,
+    StudyArgument,
+    app,
+    attempt,
+    default_out,
+    load_study,
+)
+
+BudgetOption = Annotated[
+    int, typer.Option("--budget", metavar="N", help="Simulations of a hunt; one with derivatives counts for several.")
+]
+
+
+@app.command()
+def tune(
+    study: StudyArgument,
+    robust: Annotated[
+        bool, typer.Option("--robust", help="Hunt the result's worst case, add it to the draws, tune again.")
+    ] = False,
+    rounds: Annotated[int, typer.Option("--rounds", metavar="N", help="Rounds of --robust at most.")] = 5,
+    budget: BudgetOption = 1000,
+    settings: SetOption = None,
+    draws: DrawsOption = None,
+    seed: SeedOption = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="The tuned study [results/NAME-tune/tuned.toml].")
+    ] = None,
+    as_json: JsonOption = False,
+    allow_local: LocalOption = False,
+) -> int:
+    """Tune what the study's [tune] names, by gradient.
+
+    Training draws are descended on, validation draws choose, and the study's own draws, on which nothing was tuned,
+    decide: exit 1 where a limit or requirement is not met on the validation draws, or a hunt still finds a failure.
+    """
+    from dssc_jax import plotting
+    from dssc_jax.analysis import require_free
+    from dssc_jax.console import jsonable, progress_bar, show_tuning
+    from dssc_jax.study.tables import to_toml
+    from dssc_jax.tuning import tune as search
+
+    loaded = load_study(study, settings, draws, seed, allow_local)
+    folder = default_out(loaded, "tune", bool(settings or draws is not None or seed is not None))
+    require_free(folder, "tune")
+    with progress_bar(loaded, quiet=as_json) as advance:
+        found = search(loaded, robust=robust, rounds=rounds, budget=budget, report=advance)
+    found.save(folder)
+    figures = write_figures(plotting.tuning(found), folder, "tune")
+    file = out or folder / "tuned.toml"
+    attempt(file, lambda: file.write_text(to_toml(found.study.table), encoding="utf-8"))
+    summary = found.summary() | {"result": str(folder), "tuned_study": str(file)}
+    if as_json:
+        print(json.dumps(jsonable(summary), allow_nan=False))
+    else:
+        show_tuning(summary, [file, folder, *figures])
+    return DONE if found.met else FAILS
+
+
+@app.command()
+def falsify(
+    study: StudyArgument,
+    budget: BudgetOption = 1000,
+    search_seed: Annotated[int, typer.Option("--search-seed", metavar="S", min=0, help="Seed of the search.")] = 0,
+    settings: SetOption = None,
+    seed: SeedOption = None,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+    allow_local: LocalOption = False,
+) -> int:
+    """Hunt the worst draw within the support of the laws.
+
+    Exit 1 where one fails. The witness is written as a study (witness.toml, for `simulate`) and as a result of that one
+    draw (the folder witness, for `replay`).
+    """
+    from dssc_jax.analysis import require_free
+    from dssc_jax.api import run
+    from dssc_jax.console import jsonable, progress_bar, show_falsification
+    from dssc_jax.falsification import falsify as hunt
+    from dssc_jax.study.tables import to_toml
+
+    loaded = load_study(study, settings, None, seed, allow_local)
+    folder = out or default_out(loaded, "falsify", bool(settings or seed is not None))
+    require_free(folder, "falsify")
+    with progress_bar(loaded, quiet=as_json) as advance:
+        found = hunt(loaded, budget=budget, seed=search_seed, report=advance)
+    found.save(folder)
+    file, witness = folder / "witness.toml", folder / "witness"
+    file.write_text(to_toml(found.witness_study.table), encoding="utf-8")
+    shutil.rmtree(witness, ignore_errors=True)
+    run(found.witness_study, witness)
+    summary = found.summary() | {"result": str(folder), "witness_study": str(file), "replay": str(witness)}
+    if as_json:
+        print(json.dumps(jsonable(summary), allow_nan=False))
+    else:
+        show_falsification(summary, [folder, file, witness])
+    return FAILS if found.margin < 0.0 else DONE

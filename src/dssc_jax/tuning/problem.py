@@ -1,0 +1,108 @@
+"""A tuning as a function of the mirror's coordinates: values, gradients, and whether a point may be visited."""
+
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.engine import BLOCK, Arrays
+from dssc_jax.probing import Probe, differentiated
+from dssc_jax.tuning.objective import Goal, Merit
+from dssc_jax.tuning.plan import Plan
+
+
+class Point(NamedTuple):
+    """A point with what a batch says of it: objective, excesses, and their gradients in the mirror's coordinates."""
+
+    z: np.ndarray
+    merit: Merit
+    gradient: np.ndarray
+    slopes: dict[str, np.ndarray]
+
+
+@dataclass
+class Problem:
+    """The plan's objective on the draws that train and validate it, one compiled program.
+
+    Draws are counted on: the first ``draws`` train, the next ``validation`` validate. They and their noise are the same
+    at every point.
+
+    Args:
+        plan: The plan.
+        added: Counterexamples: values of the laws' numbers, each of shape (n,).
+    """
+
+    plan: Plan
+    added: Arrays = field(default_factory=dict)
+    certified: int = field(default=0, init=False)
+
+    def __post_init__(self) -> None:
+        trial, mirror, table = self.plan.trial(), self.plan.mirror, self.plan.table
+        start = {name: float(value[0]) for name, value in mirror.numbers(mirror.origin[None]).items()}
+        self.names = list(start)
+        lanes = min(BLOCK, max(table.draws, table.validation) + len(self.extra))
+        self.probe = Probe(trial, {name: (v, v) for name, v in start.items()}, lanes, differentiated(self.names))
+        self.laws = self.probe.drawn(slice(0, trial.config.draws))
+        self.train = np.arange(table.draws)
+        self.validation = np.arange(table.draws, trial.config.draws)
+        self.goal = Goal(table.objective, table.aggregate, table.level, {}, self.probe.swept.requirements)
+
+    @property
+    def extra(self) -> np.ndarray:
+        """Draw indices of the counterexamples: all have the noise of draw 0, as they were found."""
+        return np.zeros(len(next(iter(self.added.values()), [])), dtype=int)
+
+    def begin(self) -> tuple[Point, Point]:
+        """The start on the training and the validation draws; what it has there is what limits may refer to."""
+        origin, everything = self.plan.mirror.origin, np.concatenate([self.train, self.validation])
+        results = self.results(origin[None], everything)
+        self.before = {name: results[name][: len(everything)] for name in self.plan.table.limits}
+        return self.at(origin, self.train), self.at(origin, self.validation)
+
+    def goal_on(self, draws: np.ndarray) -> Goal:
+        """The goal on some of the draws: a limit set by the start is what the start has on the same ones."""
+        given = self.plan.table.limits.items()
+        limits = {n: float(np.mean(self.before[n][draws])) if bound == "start" else float(bound) for n, bound in given}
+        return replace(self.goal, limits=limits)
+
+    def results(self, z: np.ndarray, draws: np.ndarray, probe: Probe | None = None) -> Arrays:
+        """Results of every draw, then of the counterexamples, at each point.
+
+        Args:
+            z: Points, shape (m, n).
+            draws: Indices of the draws, shape (d,).
+            probe: Another program than the one with derivatives.
+
+        Returns:
+            Each of shape (m (d + added),), point by point.
+        """
+        indices = np.concatenate([draws, self.extra])
+        lanes = {
+            name: np.tile(np.concatenate([column[draws], self.added.get(name, [])]), len(z))
+            for name, column in self.laws.items()
+        }
+        numbers = self.plan.mirror.numbers(z)
+        lanes |= {name: np.repeat(column, len(indices)) for name, column in numbers.items()}
+        return (probe or self.probe)(np.tile(indices, len(z)), lanes)
+
+    def at(self, z: np.ndarray, draws: np.ndarray) -> Point:
+        """One point on some of the draws."""
+        merit = self.goal_on(draws).merit(self.results(z[None], draws), self.names, len(self.extra))
+        if merit.ended:
+            return Point(z, merit, np.full(len(z), np.nan), {})
+        chain = {name: column[0] for name, column in self.plan.mirror.slopes(z[None]).items()}
+
+        def along(slopes: dict[str, float]) -> np.ndarray:
+            return np.sum([slope * chain[name] for name, slope in slopes.items()], axis=0)
+
+        return Point(z, merit, along(merit.gradient), {name: along(row) for name, row in merit.slopes.items()})
+
+    def allowed(self, z: np.ndarray) -> bool:
+        """Whether the point passes the strict check of Theorem 1, where it has to."""
+        if self.plan.theorem is None:
+            return True
+        tuned = {name: float(value) for name, value in self.plan.mirror.tuned(z).items()}
+        numbers = {name: float(column[0]) for name, column in self.plan.mirror.numbers(z[None]).items()}
+        holds = self.plan.theorem.certificate(tuned, numbers).certified
+        self.certified += holds
+        return holds

@@ -1,0 +1,71 @@
+"""Small loops to tune."""
+
+SMALL = {
+    "name": "small",
+    "seed": 5,
+    "draws": 48,
+    "loop": {"duration": 3.0, "sample_time": 0.02},
+    "plant": {"kind": "normal_form", "k_p": {"uniform": [0.8, 1.2]}, "initial": [0.5, 0.0]},
+    "controller": {
+        "kind": "dssc",
+        "l0": 1.0,
+        "rho": 3.0,
+        "functions": {"kind": "approx_sta_2", "kappa1": 1.0, "kappa2": 1.0, "delta": 0.5, "tau_av": 0.05},
+    },
+    "disturbance": {"kind": "step", "value": {"uniform": [-0.5, 0.5]}, "at": 1.5},
+    "metrics": {"names": ["error_rms", "command_tv"]},
+    "tune": {
+        "parameters": {"controller.l0": [0.3, 4.0], "controller.functions.kappa1": [0.2, 8.0]},
+        "objective": {"error_rms": 1.0},
+        "limits": {"command_tv": 0.45},
+        "draws": 32,
+        "validation": 32,
+        "steps": 15,
+    },
+}
+CERTIFIED = {
+    "name": "certified",
+    "seed": 3,
+    "draws": 8,
+    "loop": {"duration": 4.0, "sample_time": 0.01},
+    "plant": {
+        "kind": "normal_form",
+        "k_p": {"uniform": [0.9, 1.1]},
+        "a_p": {"uniform": [0.8, 1.2]},
+        "initial": [0.3, 0.0],
+    },
+    "reference": {"kind": "sine", "amplitude": 0.5, "period": 8.0},
+    "controller": {
+        "kind": "dssc",
+        "l0": 1.0,
+        "rho": 50.0,
+        "predictor_start": "matched",
+        "nominal": {"a": 1.0, "k": 1.0, "predictor_term": False},
+        "functions": {
+            "kind": "vgsta",
+            "k_o": 10.0,
+            **dict.fromkeys(("phi_a", "phi_b", "kappa_a", "kappa_b", "kappa_c", "kappa_d", "gamma"), 1.0),
+            "epsilon": 0.5,
+            "delta": 0.5,
+        },
+    },
+    "metrics": {"names": ["error_rms", "sampling_ratio"]},
+    "tune": {
+        "certified": True,
+        "objective": {"error_rms": 1.0},
+        "limits": {"sampling_ratio": 0.9},
+        "draws": 8,
+        "validation": 8,
+        "steps": 10,
+        "learning_rate": 0.3,
+        "free": {
+            "l0": [0.3, 3.0],
+            "phi_a": [0.01, 1.0],
+            "eps": [0.1, 2.0],
+            "delta": [0.1, 2.0],
+            "eps_1": [0.1, 20.0],
+            "eps_2": 0.1,
+            "eps_3": [0.1, 20.0],
+        },
+    },
+}

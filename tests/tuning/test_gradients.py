@@ -1,0 +1,82 @@
+"""Forward-mode derivatives through the whole loop: against central differences, and finite where roots have cusps."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import dssc_jax as dj
+from dssc_jax.controllers import CONTROLLERS
+from dssc_jax.engine import Engine, drawn
+from dssc_jax.probing import derivative, differentiated
+from dssc_jax.study.components import parse_component
+from dssc_jax.tuning.gradients import check_gradients, compared
+from dssc_jax.tuning.plan import Plan
+from dssc_jax.tuning.problem import Problem
+from dssc_jax.types import Measurement, ReferencePoint
+from tests.test_protocols import FUNCTIONS
+from tests.tuning.cases import SMALL
+
+
+def test_a_thousand_random_points():
+    """Done-when: 95 % of 1,000 random points, away from kinks, to 1e-4 relative."""
+    found = check_gradients(Problem(Plan.of(dj.Study.from_table(SMALL))), 1000)
+    assert found.points == 1000
+    assert found.compared == 1000 * 2 * 2  # metrics, coordinates
+    assert found.agreeing > 0.95
+    assert found.useful > 0.8
+    assert found.finite
+
+
+def test_wrong_derivatives_and_kinks_are_told_apart():
+    x = np.linspace(-1.0, 1.0, 2001)  # one of them is 0
+    slope = np.sign(x)
+    smooth = compared(slope, np.abs(x), slope, slope, 2001, 0)
+    assert (smooth.kinks, smooth.agreeing) == (0.0, 1.0)
+    wrong = compared(1.001 * slope, np.abs(x), slope, slope, 2001, 0)
+    assert wrong.agreeing == pytest.approx(1 / 2001)
+    kink = compared(slope, np.abs(x), np.where(x == 0.0, 1.0, slope), np.where(x == 0.0, -1.0, slope), 2001, 0)
+    assert kink.kinks == pytest.approx(1 / 2001)
+    assert kink.agreeing == 1.0
+    assert not compared(np.array([np.nan]), np.ones(1), np.ones(1), np.ones(1), 1, 0).finite
+
+
+@pytest.mark.parametrize("kind", FUNCTIONS)
+def test_no_nan_at_the_origin(kind):
+    """sigma = 0, e = 0, sigma_hat = 0 and u_av = 0, where |.|^(1/2), |.| and the clip have their corners."""
+    table = {"kind": "dssc", "l0": 0.5, "rho": 2.0}
+    part = parse_component({**table, "functions": {"kind": kind, **FUNCTIONS[kind]}}, CONTROLLERS, "controller")
+    reference = ReferencePoint(0.0, 0.0, 0.0)
+
+    def two_samples(gains, y, y_dot):
+        state = part.model.init(gains, Measurement(y, y_dot), reference)
+        for _ in range(2):
+            state, command, info = part.model.step(gains, state, Measurement(y, y_dot), reference, 0.01)
+        return state, command, info
+
+    gains = jax.tree.map(jnp.asarray, part.params)
+    slopes = jax.jit(jax.jacfwd(two_samples, argnums=(0, 1, 2)))(gains, jnp.zeros(()), jnp.zeros(()))
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slopes))
+
+
+def test_no_nan_in_a_loop_at_rest():
+    """Nothing moves: every metric is 0, and so is every derivative."""
+    axes = {"controller.l0": [1.0], "controller.functions.kappa1": [1.0]}
+    rest = {"plant.initial": [0.0, 0.0], "disturbance.value": 0.0, "sweep": axes}
+    study = dj.Study.from_table(SMALL).override(rest)
+    engine = Engine(study, 8, program=differentiated(list(study.axes)))
+    lanes = drawn(study, slice(0, 8)) | {name: np.ones(8) for name in study.axes}
+    results = engine(lanes, np.arange(8))()
+    for metric in ("error_rms", "command_tv"):
+        assert np.all(results[metric] == 0.0)
+        for name in study.axes:
+            assert np.all(results[derivative(metric, name)] == 0.0)
+
+
+def test_the_derivatives_change_nothing_else():
+    study = dj.Study.from_table(SMALL).override({"sweep": {"controller.l0": [1.0]}})
+    lanes = drawn(study, slice(0, 8)) | {"controller.l0": np.ones(8)}
+    with_them = Engine(study, 8, program=differentiated(["controller.l0"]))(lanes, np.arange(8))()
+    plain = Engine(study, 8)(lanes, np.arange(8))()
+    for name, values in plain.items():
+        assert np.allclose(with_them[name], values, rtol=1e-10, atol=0.0, equal_nan=True), name

@@ -1,0 +1,171 @@
+"""A whole tuning: the verdict is what anyone can run again, limits hold, every iterate is certified."""
+
+import numpy as np
+import pytest
+
+import dssc_jax as dj
+from dssc_jax.certification import mark
+from dssc_jax.tuning.objective import weights
+from dssc_jax.tuning.plan import Plan
+from dssc_jax.tuning.problem import Problem
+from tests.tuning.cases import CERTIFIED, SMALL
+
+
+@pytest.fixture(scope="module")
+def study():
+    return dj.Study.from_table(SMALL)
+
+
+@pytest.fixture(scope="module")
+def tuned(study):
+    return dj.tune(study)
+
+
+def cvar(study):
+    costs = dj.run(study).dataset["error_rms"].values
+    return weights(costs, "cvar", 0.95) @ costs
+
+
+def test_the_verdict_is_that_of_two_runs(study, tuned):
+    """Start and result on the study's own draws, by `run` of both studies."""
+    found = tuned.verdict
+    assert found.draws == 48
+    assert found.objective == pytest.approx((cvar(study), cvar(tuned.study)), rel=1e-9)
+    assert found.reduction > 0.05
+    assert found.reduction_interval[0] < found.reduction < found.reduction_interval[1]
+    assert found.difference[2] < 0.0
+
+
+def test_limits_hold_where_the_choice_was_made(tuned):
+    assert tuned.facts["feasible"]
+    best = min((r for r in tuned.history if r["validation_violation"] == 0.0), key=lambda r: r["validation"])
+    assert tuned.values == pytest.approx({name: best[name] for name in tuned.values}, rel=1e-12)
+    assert tuned.met
+
+
+def test_what_trains_validates_and_decides_is_disjoint(study):
+    problem = Problem(Plan.of(study))
+    own = np.array(list(dj.run(study).dataset["plant.k_p"].values))
+    train, validation = (problem.laws["plant.k_p"][part] for part in (problem.train, problem.validation))
+    assert not set(own) & set(train)
+    assert not set(own) & set(validation)
+    assert not set(train) & set(validation)
+
+
+def test_mini_batches(study):
+    changes = {"tune.batch": 8, "tune.schedule": "constant", "tune.optimiser": "nadam", "tune.limits": {}}
+    found = dj.tune(study.override({"tune.steps": 5, **changes}))
+    assert found.verdict.reduction > 0.0
+
+
+def test_certified_iterates(monkeypatch):
+    """Every point that is simulated in the search has passed the strict check."""
+    visited, checked = [], []
+    at, allowed = Problem.at, Problem.allowed
+    monkeypatch.setattr(Problem, "at", lambda self, z, draws: visited.append(z.tobytes()) or at(self, z, draws))
+    monkeypatch.setattr(Problem, "allowed", lambda self, z: allowed(self, z) and not checked.append(z.tobytes()))
+    found = dj.tune(dj.Study.from_table(CERTIFIED))
+    origin = found.plan.mirror.origin.tobytes()
+    assert len(checked) >= 10
+    assert set(visited) <= {origin, *checked}
+    assert mark(found.study).certified
+    assert found.verdict.objective[1] < found.verdict.objective[0]
+
+
+def test_evolution_where_it_is_asked_for(study):
+    found = dj.tune(study.override({"tune.optimiser": "differential_evolution", "tune.steps": 5}))
+    assert found.gradients is None
+    assert found.facts["method"] == "differential_evolution"
+    assert found.verdict.reduction > 0.0
+
+
+def test_evolution_where_derivatives_are_useless(study, monkeypatch):
+    """A metric that counts is piecewise constant: its derivatives are 0 and differences jump; here they are spoilt."""
+    from dssc_jax.tuning import gradients
+
+    monkeypatch.setattr(gradients, "AGREEMENT", -1.0)
+    monkeypatch.setattr(gradients, "NOISE", 0.0)
+    found = dj.tune(study.override({"tune.steps": 5}))
+    assert found.gradients.useful == 0.0
+    assert found.facts["method"] == "differential_evolution"
+
+
+def test_counterexamples(study):
+    """Eight draws do not show the worst corner: the hunt does, and the next round meets the requirement there."""
+    effort = {"tune.objective": {"command_tv": 1.0}, "tune.aggregate": "mean", "tune.limits": {}}
+    few = {"tune.draws": 8, "tune.validation": 8, "tune.steps": 20, "tune.learning_rate": 0.2}
+    hard = study.override({"requirement": [{"metric": "error_max", "after": 2.5, "max": 0.25}], **effort, **few})
+    found = dj.tune(hard, robust=True, rounds=4, budget=64)
+    margins = [hunt["margin"] for hunt in found.facts["counterexamples"]]
+    assert margins[0] < 0.0 <= margins[-1]
+    assert found.met
+    interval = dj.run(found.study.override({"draws": 2000})).summary()["points"][0]["interval"]
+    assert interval[1] < 0.01
+
+
+@pytest.mark.parametrize(
+    ("change", "rule"),
+    [
+        ({"tune.parameters": {"controller.l1": [1.0, 2.0]}}, "unknown parameter; did you mean 'controller.l0'"),
+        ({"tune.parameters": {"controller.kind": [1.0, 2.0]}}, "'dssc', which has no derivative"),
+        ({"tune.parameters": {"controller.discretisation": [1.0, 2.0]}}, "no number that may be moved"),
+        ({"tune.parameters": {"loop.substeps": [1.0, 2.0]}}, "no number that may be moved"),
+        ({"tune.parameters": {"controller.functions.k_o": [1.0, 2.0]}}, "give one of k_o and tau_av"),
+        ({"tune.parameters": {"plant.k_p": [0.5, 2.0]}}, "is uncertain: uniform"),
+        ({"tune.parameters": {"controller.l0": [2.0, 3.0]}}, "the start is infeasible: the study has 1"),
+        ({"tune.parameters": {"controller.l0": [2.0, 1.0]}}, "0 < low < high"),
+        ({"tune.parameters": {}}, "names nothing to tune"),
+        ({"tune.objective": {"error": 1.0}}, "no metric of this study"),
+        ({"tune.objective": {"error_rms": 0.0}}, "a weight other than 0"),
+        ({"tune.limits": {"command": 1.0}}, "did you mean 'command_tv'"),
+        ({"tune.limits": {"command_tv": 0.0}}, "must be a number > 0, or 'start'"),
+        ({"tune.optimiser": "adma"}, "did you mean 'adam'"),
+        ({"tune.seed": 5}, "must not be the study's own"),
+        ({"tune.batch": 64}, "must be <= draws = 32"),
+        ({"tune.certified": True}, "is fixed by the certified design"),
+        ({"tune.certified": True, "tune.parameters": {}}, "free.l0: is required and missing"),
+        ({"tune.free": {"eps": 1.0}}, "belongs to certified = true"),
+        ({"tune.stpes": 3}, "did you mean 'steps'"),
+        (
+            {"requirement": [{"metric": "error_rms", "max": 1.0}, {"metric": "error_rms", "min": 2.0}]},
+            "nothing can satisfy both",
+        ),
+        ({"unmodelled": {"kind": "delay", "samples": 1.0}, "tune.parameters": {"unmodelled.memory": [1, 30]}}, "fixed"),
+    ],
+)
+def test_bad_input_is_said_before_compiling(study, change, rule, monkeypatch):
+    from dssc_jax.engine import Engine
+
+    monkeypatch.setattr(Engine, "_compile", lambda self, *a: pytest.fail("compiled"))
+    with pytest.raises(dj.ConfigError, match=rule):
+        dj.tune(study.override(change))
+
+
+@pytest.mark.parametrize(
+    ("change", "rule"),
+    [
+        ({"controller.nominal.predictor_term": True}, "cannot be certified while tuning"),
+        ({"tune.parameters": {"controller.functions.gamma": [0.5, 2.0]}}, "is fixed by the certified design"),
+        ({"disturbance": {"kind": "filtered_noise", "std": 0.1, "correlation_time": 1.0}}, "no known bound"),
+        ({"tune.free.eps_9": 1.0}, "did you mean 'eps"),
+        ({"tune.free": dict.fromkeys(CERTIFIED["tune"]["free"], 1.0)}, "varies nothing"),
+    ],
+)
+def test_bad_input_of_certified_tuning(change, rule):
+    with pytest.raises(dj.ConfigError, match=rule):
+        dj.tune(dj.Study.from_table(CERTIFIED).override(change))
+
+
+def test_a_study_without_a_tuning(study):
+    table = {name: value for name, value in SMALL.items() if name != "tune"}
+    with pytest.raises(dj.ConfigError, match="tune: is required and missing"):
+        dj.tune(dj.Study.from_table(table))
+    with pytest.raises(dj.ConfigError, match="nothing is required"):
+        dj.tune(study, robust=True)
+
+
+def test_a_start_whose_draws_end_early(study):
+    """Found by the first batch: an integrator of unstable plant and reversed gain overflows."""
+    broken = study.override({"plant.a_p": -400.0, "loop.duration": 4.0, "disturbance.at": 1.0})
+    with pytest.raises(dj.ConfigError, match="the start is infeasible: 32 training draws end early"):
+        dj.tune(broken)
