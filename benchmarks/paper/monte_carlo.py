@@ -18,7 +18,7 @@ from benchmarks.paper.loops import AXES, RHO, TAU_AV, comparison, sta, wide
 from benchmarks.paper.signals import SETTLED, SMOOTH, moving_average
 from dssc_jax.loop import simulate
 from dssc_jax.numerics import stream
-from dssc_jax.sampling import EDGE, draw_key, uniform
+from dssc_jax.sampling import draw_key, inside, uniform
 from dssc_jax.statistics import clopper_pearson
 from dssc_jax.study.laws import parse_law
 
@@ -64,7 +64,7 @@ class Flights(NamedTuple):
 
 def drawn(count: int = DRAWS) -> Columns:
     """Values of every law, one a draw."""
-    points = np.clip(uniform(SEED, tuple(map(stream, LAWS)), np.arange(count)), EDGE, 1.0 - EDGE)
+    points = inside(uniform(SEED, tuple(map(stream, LAWS)), np.arange(count)))
     return {name: parse_law(table).quantile(points[:, i]) for i, (name, table) in enumerate(LAWS.items())}
 
 
