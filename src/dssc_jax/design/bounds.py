@@ -3,6 +3,7 @@
 Formulas here and in the rest of the package take numbers, arrays or traced values alike.
 """
 
+from functools import cache
 from typing import Annotated, Any, NamedTuple, get_type_hints
 
 from dssc_jax.design.arrays import Number
@@ -23,16 +24,36 @@ def positive(unit: str, meaning: str) -> Quantity:
     return Quantity(unit, meaning, above=0.0, law=False)
 
 
+@cache
+def quantities(kind: type) -> dict[str, Quantity]:
+    """The quantity of each number of a parameter type."""
+    marks = {
+        name: next((mark for mark in getattr(hint, "__metadata__", ()) if isinstance(mark, Quantity)), None)
+        for name, hint in get_type_hints(kind, include_extras=True).items()
+    }
+    return {name: mark for name, mark in marks.items() if mark is not None}
+
+
+def in_range(numbers: Any) -> Number:
+    """Whether every number lies within its quantity's interval and below :data:`MOST`; for arrays, one by one."""
+    holds: Number = True
+    for name, quantity in quantities(type(numbers)).items():
+        value = getattr(numbers, name)
+        holds = holds & (abs(value) < MOST)
+        if quantity.above is not None:
+            holds = holds & (value > quantity.above)
+        if quantity.at_least is not None:
+            holds = holds & (value >= quantity.at_least)
+    return holds
+
+
 def require_plain(numbers: Any) -> None:
     """Require that every number is a plain one within its quantity's interval.
 
     Raises:
         ConfigError: with the field, the rule and the value.
     """
-    for name, hint in get_type_hints(type(numbers), include_extras=True).items():
-        quantity = next((mark for mark in getattr(hint, "__metadata__", ()) if isinstance(mark, Quantity)), None)
-        if quantity is None:
-            continue
+    for name, quantity in quantities(type(numbers)).items():
         value = getattr(numbers, name)
         for item in value if isinstance(value, tuple) else (value,):
             if isinstance(item, bool) or not isinstance(item, int | float) or not abs(item) < MOST:

@@ -3,10 +3,10 @@
 from typing import Any, NamedTuple
 
 from dssc_jax.design.arrays import Number
-from dssc_jax.design.bounds import Bounds, Constants, derive, require_plain
+from dssc_jax.design.bounds import Bounds, Constants, derive, in_range, require_plain
 from dssc_jax.design.lyapunov import attack_q, eigenvalues_of_p, functions_are_positive, q_is_positive
 from dssc_jax.design.practice import Practice, practice
-from dssc_jax.design.small_gain import Guarantee, SmallGain, guarantee, small_gain
+from dssc_jax.design.small_gain import NOTHING, Guarantee, SmallGain, guarantee, small_gain, small_gain_holds
 from dssc_jax.design.table1 import Inequality, Parameters, State, inequalities
 
 
@@ -35,8 +35,9 @@ class Certificate(NamedTuple):
         lyapunov: P, Q - 2 eps I and the functions.
         small_gain: The least phi_b in three readings.
         phi_b: The design's own.
-        guarantee: Decay rate and residual sets.
+        guarantee: Decay rate and residual sets; infinite, and a rate of 0, where Q or the small gain is not proved.
         practice: Sampling period and modulation that the design needs.
+        interconnected: Whether the small-gain condition holds, as derived.
     """
 
     inequalities: tuple[Inequality, ...]
@@ -46,6 +47,7 @@ class Certificate(NamedTuple):
     phi_b: float
     guarantee: Guarantee
     practice: Practice
+    interconnected: bool
 
     @property
     def table(self) -> bool:
@@ -55,7 +57,7 @@ class Certificate(NamedTuple):
     @property
     def certified(self) -> bool:
         """Whether Theorem 1 holds: Table 1 strictly, and phi_b above the derived small-gain bound."""
-        return self.table and self.phi_b > self.small_gain.derived
+        return self.table and self.interconnected
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON, NaN and infinity still to be replaced."""
@@ -103,10 +105,12 @@ def check(parameters: Parameters, bounds: Bounds) -> Certificate:
     require_plain(parameters)
     bounds = bounds.prepare()
     p = parameters
+    proved, holds = bool(q_is_positive(p, bounds)), bool(small_gain_holds(p, bounds))
+    promised = guarantee(p, bounds) if proved and holds else NOTHING
     lyapunov = Lyapunov(
         p_smallest=float(eigenvalues_of_p(bounds.k_min, p.eps, p.gamma).low),
         q_smallest=attack_q(p, bounds),
-        q_proved=bool(q_is_positive(p, bounds)),
+        q_proved=proved,
         functions_proved=bool(functions_are_positive(p)),
     )
     return Certificate(
@@ -115,8 +119,9 @@ def check(parameters: Parameters, bounds: Bounds) -> Certificate:
         lyapunov=lyapunov,
         small_gain=plain(small_gain(p, bounds)),
         phi_b=p.phi_b,
-        guarantee=plain(guarantee(p, bounds)),
-        practice=plain(practice(p, bounds)),
+        guarantee=plain(promised),
+        practice=plain(practice(p, bounds, promised)),
+        interconnected=holds,
     )
 
 
@@ -133,10 +138,10 @@ def certified(parameters: Parameters, bounds: Bounds) -> Number:
         bounds: Likewise; the zero dynamics are plain numbers.
 
     Returns:
-        True or False for each design; False where a number is out of its range.
+        True or False for each design; False where a number is out of its range. JAX's arrays must be float64.
     """
     p = parameters
-    holds = p.phi_b > small_gain(p, bounds).derived
+    holds = in_range(p) & in_range(bounds) & (bounds.k_min <= bounds.k_max) & small_gain_holds(p, bounds)
     for row in inequalities(p, bounds):
         holds = holds & row.satisfied
     return holds

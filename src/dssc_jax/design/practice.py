@@ -37,14 +37,15 @@ class Practice(NamedTuple):
     drift: Number
 
 
-def practice(p: Parameters, bounds: Bounds) -> Practice:
+def practice(p: Parameters, bounds: Bounds, promised: Guarantee | None = None) -> Practice:
     """Sampling periods by the sampling limit of the synthesised law, and what a constant rho has to dominate.
 
     Args:
         p: The parameters.
         bounds: What is known.
+        promised: The guarantee, where it is known already.
     """
-    reached = finite(guarantee(p, bounds))
+    reached = finite(guarantee(p, bounds) if promised is None else promised)
     inside = proportional_gain(p, reached.sigma, reached.e)
     return Practice(
         sample_time(bounds.k_max, proportional_gain(p, 0.0, 0.0), predictor_pole(p)),

@@ -16,7 +16,9 @@ from typing import NamedTuple
 from dssc_jax.design.arrays import Number, greater, namespace
 from dssc_jax.design.bounds import Bounds, Constants, derive
 from dssc_jax.design.lyapunov import Spread, eigenvalues_of_p, norm_of_pb
-from dssc_jax.design.table1 import Parameters
+from dssc_jax.design.table1 import ROUNDING, ULPS, Parameters
+
+RESOLVED = 1e-9  # smallest ratio of eigenvalues of P_eta that float64 resolves to a few digits
 
 
 class ErrorDynamics(NamedTuple):
@@ -36,7 +38,8 @@ class ErrorDynamics(NamedTuple):
 def error_dynamics(bounds: Bounds, l0: Number) -> ErrorDynamics:
     """P_eta for A_xeta = [[A_eta, -l0 B_eta], [0, -l0]], B_sigma = [B_eta; 1], B_m = [B_eta; 0].
 
-    For a plant of order two it is 1/l0.
+    For a plant of order two it is 1/l0. Where it is too ill-conditioned for its smaller eigenvalue to be known, that is
+    NaN, and nothing is certified.
     """
     if bounds.zero_dynamics is None:
         return ErrorDynamics(Spread(1.0 / l0, 1.0 / l0), 1.0 / l0, 0.0 * l0)
@@ -50,9 +53,10 @@ def error_dynamics(bounds: Bounds, l0: Number) -> ErrorDynamics:
     matrix = xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
     p = lyapunov(matrix)
     eigenvalues = xp.linalg.eigvalsh(p)
+    low, high = eigenvalues[..., 0], eigenvalues[..., -1]
     column = p[..., :, m - 1]
     return ErrorDynamics(
-        Spread(eigenvalues[..., 0], eigenvalues[..., -1]),
+        Spread(xp.where(low > RESOLVED * high, low, xp.nan), high),
         ((column + p[..., :, m]) ** 2).sum(axis=-1) ** 0.5,
         (column**2).sum(axis=-1) ** 0.5,
     )
@@ -108,6 +112,14 @@ def small_gain(p: Parameters, bounds: Bounds) -> SmallGain:
     return SmallGain(derived, 2.0 * derived, printed**0.5)
 
 
+def small_gain_holds(p: Parameters, bounds: Bounds) -> Number:
+    """Whether phi_b exceeds the derived bound by more than its rounding, that of P's determinant included."""
+    bound = small_gain(p, bounds).derived
+    determinant = p.gamma * bounds.k_min - 4.0 * p.eps**2
+    cancelled = ULPS * (p.gamma * bounds.k_min + 4.0 * p.eps**2) / abs(determinant)
+    return p.phi_b > bound * (1.0 + ROUNDING + cancelled)
+
+
 class Gains(NamedTuple):
     """Coefficients of the comparison system (61), (62) at one k_p."""
 
@@ -157,6 +169,10 @@ class Guarantee(NamedTuple):
     zeta: Number
     x_eta: Number
     order: Number
+
+
+NOTHING = Guarantee(0.0, float("inf"), float("inf"), float("inf"), float("inf"), float("inf"))
+"""What is guaranteed where the theorem does not apply."""
 
 
 def guarantee(p: Parameters, bounds: Bounds) -> Guarantee:

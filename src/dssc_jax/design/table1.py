@@ -130,7 +130,8 @@ def inequalities(p: Parameters, bounds: Bounds) -> tuple[Inequality, ...]:
     k_p, k_max = bounds.k_min, bounds.k_max
     at = (k_p, p.eps, p.gamma)
     table = "Table 1"
-    value, error = f(*at), ROUNDING + f_rounding(*at)
+    value = f(*at)
+    error = ROUNDING + f_rounding(*at)
     lyapunov, drift = kappa_c_bound(*at), kappa_d_bound(*at)
 
     def disturbed(name: str, left: Number, first: Number, second: Number) -> Inequality:
@@ -139,7 +140,14 @@ def inequalities(p: Parameters, bounds: Bounds) -> tuple[Inequality, ...]:
 
     near_one = abs(value - 1.0)
     return (
-        Inequality("f", f"{table}: 4 eps k_p (gamma k_p - 4 eps^2) > 1", value, 1.0, 1.0, error),
+        Inequality(
+            "f",
+            f"{table}: 4 eps k_p (gamma k_p - 4 eps^2) > 1",
+            value,
+            1.0,
+            1.0,
+            ROUNDING + f_rounding(*at) / greater(abs(value), 1.0),
+        ),
         Inequality("phi_b", f"{table}: phi_b > l0/eps", p.phi_b, p.l0 / p.eps, p.l0 / p.eps),
         Inequality(
             "kappa_c (Lyapunov)",
