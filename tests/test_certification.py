@@ -1,5 +1,7 @@
 """What the theorem says of a study: bounds from its laws, a mark for each point of its sweep."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -93,6 +95,34 @@ def test_bounds_of_a_spline_are_kept_by_every_spline():
     _, bounds = design_of(dj.Study.from_table(table(disturbance=spline)))
     assert bounds.alpha_d == 0.3
     assert bounds.alpha_d3 == pytest.approx((0.2 + 0.3) / 0.5)
+
+
+def test_an_uncertain_nominal_control_counts_at_its_worst():
+    """The mark of a law is that of both its ends together."""
+    own = table()["controller"]
+
+    def marked(a):
+        nominal = {"a": a, "k": 1.0, "predictor_term": False}
+        return mark(dj.Study.from_table(table(controller=own | {"nominal": nominal}))).certified.item()
+
+    assert marked(0.5)
+    assert not marked(1000.0)
+    assert not marked({"uniform": [0.5, 1000.0]})
+    assert marked({"uniform": [0.45, 0.55]})
+
+
+def test_a_users_own_plant_is_not_taken_for_the_class():
+    from dssc_jax.plants.normal_form import NORMAL_FORM
+
+    study = dj.Study.from_table(table())
+    other = replace(study, loop=replace(study.loop, plant=NORMAL_FORM._replace(project=lambda params, state: state)))
+    assert "class (5)-(8)" in mark(other).reason
+
+
+@pytest.mark.parametrize("amplitude", [{"normal": [0.0, 0.1]}, {"lognormal": [-3.0, 0.1]}])
+def test_an_unbounded_disturbance_is_not_certified(amplitude):
+    study = dj.Study.from_table(table(disturbance={"kind": "sine", "amplitude": amplitude, "period": 6.0}))
+    assert mark(study).certified.item() is False
 
 
 def test_an_unbounded_law_is_not_certified():

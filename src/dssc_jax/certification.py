@@ -11,16 +11,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dssc_jax.controllers.dssc import DsscGains
+from dssc_jax.controllers.dssc import DSSC
 from dssc_jax.controllers.gain_functions import Vgsta
-from dssc_jax.controllers.nominal import NominalGains
 from dssc_jax.design import Bounds, Parameters, certified
 from dssc_jax.design.practice import predictor_pole
 from dssc_jax.environment import disturbances, references
-from dssc_jax.plants.normal_form import NormalFormParams
+from dssc_jax.loop import Loop
+from dssc_jax.plants.normal_form import NORMAL_FORM
 from dssc_jax.study import Study
 from dssc_jax.study.laws import Law
-from dssc_jax.types import Reference
+from dssc_jax.types import Disturbance, Reference
 
 
 class Silent(Exception):
@@ -73,16 +73,17 @@ def design_of(study: Study) -> tuple[Parameters, Bounds]:
         Silent: the plant is not (5)-(8), the functions are not those of Table 1, or something has no bound.
     """
     ends = ends_of(study)
-    if not isinstance(ends.low.plant, NormalFormParams):
+    if study.loop.plant is not NORMAL_FORM:
         raise Silent("the plant is not of the class (5)-(8)")
     gains = ends.low.controller[0]
-    if not isinstance(gains, DsscGains) or not isinstance(gains.functions, Vgsta):
+    own_model = study.loop.controller[0] not in DSSC.members.values()
+    if own_model or not isinstance(gains.functions, Vgsta):
         raise Silent("Theorem 1 is about DSSC with the functions of Table 1 (kind = 'vgsta')")
     if any(isinstance(leaf, Law) for name, leaf in study.leaves().items() if is_gain(name) and name not in study.axes):
         raise Silent("the controller's own numbers are uncertain")
     own = gains.functions._asdict() | {"eps": gains.functions.epsilon, "l0": gains.l0}
     parameters = Parameters(**{name: own[name] for name in Parameters._fields})
-    return parameters, bounds_of(study.loop.reference, ends, parameters)
+    return parameters, bounds_of(study.loop, ends, parameters)
 
 
 def is_gain(name: str) -> bool:
@@ -101,21 +102,21 @@ def ends_of(study: Study) -> Ends:
     return Ends(low, high)
 
 
-def bounds_of(model: Reference, ends: Ends, p: Parameters) -> Bounds:
+def bounds_of(loop: Loop, ends: Ends, p: Parameters) -> Bounds:
     """The bounds (A0)-(A4) of a loop of the class (5)-(8)."""
     plant = ends.low.plant
     dynamics = plant.zero_dynamics
     if dynamics is not None and not is_fixed(ends.part("plant").part("zero_dynamics")):
-        raise Silent("the zero dynamics are uncertain")
-    reference = reference_bounds(model, ends.part("reference"))
+        raise Silent("the zero dynamics are uncertain, or swept")
+    reference = reference_bounds(loop.reference, ends.part("reference"))
     return Bounds(
         k_min=plant.k_p,
         k_max=ends.high.plant.k_p,
         a_max=ends.part("plant").largest("a_p"),
         zero_dynamics=dynamics,
         **reference,
-        **disturbance_bounds(ends.part("disturbance", 0)),
-        **nominal_bounds(ends.low.controller[0].nominal, p, reference),
+        **disturbance_bounds(loop.disturbance[0], ends.part("disturbance", 0)),
+        **nominal_bounds(ends.part("controller", 0).part("nominal"), p, reference),
     )
 
 
@@ -135,10 +136,11 @@ def reference_bounds(model: Reference, ends: Ends) -> dict[str, Any]:
     for axis, member in references.MISSION_ENTRY.members.items():
         if model is member:
             ends = Ends(references.MISSION[axis], references.MISSION[axis])
+            model = references.SINE
     low = ends.low
-    if isinstance(low, references.ZeroParams):
+    if model is references.ZERO:
         return {}
-    if not isinstance(low, references.SineParams):
+    if model is not references.SINE:
         raise Silent("the reference's third derivative has no known bound")
     amplitude = ends.largest("amplitude")
     names = ("y_m_dot", "y_m_ddot", "y_m_dddot")
@@ -146,39 +148,40 @@ def reference_bounds(model: Reference, ends: Ends) -> dict[str, Any]:
     return {"y_m": amplitude + ends.largest("offset"), **swings}
 
 
-def disturbance_bounds(ends: Ends) -> dict[str, Any]:
+def disturbance_bounds(model: Disturbance, ends: Ends) -> dict[str, Any]:
     """The constants of (A0.b)-(A3). A step is constant but for its instant, after which the theorem starts anew."""
     low = ends.low
-    if isinstance(low, disturbances.NoParams):
+    if model is disturbances.NONE:
         return {}
-    if isinstance(low, disturbances.ConstantParams | disturbances.StepParams):
+    if model in (disturbances.CONSTANT, disturbances.STEP):
         return {"alpha_d": ends.largest("value")}
-    if isinstance(low, disturbances.SineParams):
+    if model is disturbances.SINE:
         amplitude = ends.largest("amplitude")
         return {"alpha_d": amplitude, "alpha_d3": swing(amplitude, low.period, 1)}
-    if isinstance(low, disturbances.SplineParams):
+    if model is disturbances.SPLINE:
         pairs = zip(low.knots, ends.high.knots, strict=True)
         knots = [0.0, *(np.maximum(np.abs(a), np.abs(b)) for a, b in pairs), 0.0]
         steepest = np.max(np.add(knots[1:], knots[:-1]), axis=0) / low.interval  # of any knots that large
         return {"alpha_d": np.max(knots, axis=0), "alpha_d3": steepest}
-    if isinstance(low, disturbances.PartitionParams):
+    if model is disturbances.PARTITION:
         names = ("k_d1", "k_d2", "k_d3", "k_d4", "k_d5", "alpha_d2", "alpha_d3")
         return {name: getattr(ends.high, name) for name in names}
     raise Silent("the disturbance's derivative has no known bound")
 
 
-def nominal_bounds(nominal: NominalGains | None, p: Parameters, reference: dict[str, Any]) -> dict[str, Any]:
-    """The constants of (A4) of the nominal control (37), with 1/tau_m at its largest."""
-    if nominal is None:
+def nominal_bounds(ends: Ends, p: Parameters, reference: dict[str, Any]) -> dict[str, Any]:
+    """The constants of (A4) of the nominal control (37), with 1/tau_m at its largest; each is worst at an end."""
+    if ends.low is None:
         return {}
     speed, acceleration, jerk = (reference.get(name, 0.0) for name in ("y_m_dot", "y_m_ddot", "y_m_dddot"))
-    pole = predictor_pole(p) if nominal.predictor_term else 0.0
-    damping = abs(nominal.a)
-    c_e = abs((nominal.a - p.l0) * p.l0 / nominal.k)
+    pole = predictor_pole(p) if ends.low.predictor_term else 0.0
+    k, damping = ends.low.k, ends.largest("a")
+    offset = np.maximum(abs(ends.low.a - p.l0), abs(ends.high.a - p.l0))
+    c_e = offset * p.l0 / k
     return {
-        "c_sigma": (abs(p.l0 - nominal.a) + pole) / nominal.k,
+        "c_sigma": (offset + pole) / k,
         "c_e1": c_e,
         "c_e2": c_e,
-        "c_m": (damping * speed + acceleration) / nominal.k,
-        "u_m_dot": (damping * acceleration + jerk) / nominal.k,
+        "c_m": (damping * speed + acceleration) / k,
+        "u_m_dot": (damping * acceleration + jerk) / k,
     }
