@@ -57,7 +57,8 @@ def weights(costs: np.ndarray, aggregate: str, level: float) -> np.ndarray:
     if aggregate == "mean":
         return np.full(count, 1.0 / count)
     if aggregate == "worst":
-        return softmax(costs / max(SHARPNESS * float(np.std(costs)), np.finfo(float).tiny))
+        spread = max(SHARPNESS * float(np.std(costs)), np.finfo(float).eps * float(np.max(np.abs(costs))))
+        return softmax(costs / (spread if spread > np.finfo(float).tiny else 1.0))
     room = (1.0 - level) * count
     ranks = np.empty(count)
     ranks[np.argsort(-costs, kind="stable")] = np.arange(count)

@@ -20,8 +20,9 @@ UPDATE = 5  # steps between two looks at the validation draws, after which multi
 LAST = 0.01  # share of the learning rate that the cosine schedule ends with
 HALVINGS = 8
 CLIFF = 0.5  # a step may not worsen the objective by more, relative to the start's: beyond lies a loop that chatters
-SWERVE = 0.05  # a step may not exceed a limit by more than before, relative to it
+SWERVE = 0.05  # a step may not exceed a limit by more, relative to it, unless the point before did
 POPULATION = 8  # members a coordinate
+UNFIT = 1e6  # cost of a member that is not certified, or whose draws end early
 REACH = 6.0  # |z| at the ends of the evolution's box: 0.25 % of the interval's logarithm is left out
 
 Report = Callable[[int, int, str], None]
@@ -145,7 +146,7 @@ def descend(problem: Problem, first: tuple[Point, Point], report: Report) -> Sea
 
 def reach(problem: Problem, here: Point, change: np.ndarray, batch: np.ndarray, leap: float) -> tuple[Point, int]:
     """The point after a step, which is halved until the point may be visited; then the same point again."""
-    highest, farthest = here.merit.objective + leap, here.merit.violation + SWERVE
+    highest, farthest = here.merit.objective + leap, max(here.merit.violation, SWERVE)
     for halvings in range(HALVINGS):
         after = here.z + change * 0.5**halvings
         if problem.allowed(after):
@@ -177,13 +178,14 @@ def evolve(problem: Problem, first: tuple[Point, Point], report: Report) -> Sear
         for i in range(len(z)):
             own = {name: array[i * lanes : (i + 1) * lanes] for name, array in results.items()}
             merit = goal.merit(own, (), len(problem.extra))
-            values[i] = np.inf if merit.ended else merit.objective / scale + PENALTY * merit.violation
-        return np.where(np.isfinite(values), values, 1e6)
+            fit = not merit.ended and problem.allowed(z[i])
+            values[i] = merit.objective / scale + PENALTY * merit.violation if fit else UNFIT
+        return values
 
     def told(z: np.ndarray, convergence: float) -> bool:
         nonlocal done
         done += 1
-        if done % UPDATE == 0 and problem.allowed(z):
+        if done % UPDATE == 0:
             found.look(problem, done, problem.at(z, problem.train), problem.at(z, problem.validation))
         report(min(done, table.steps), table.steps, found.text())
         return False
@@ -194,7 +196,7 @@ def evolve(problem: Problem, first: tuple[Point, Point], report: Report) -> Sear
         cost, box, x0=np.clip(first[0].z, -REACH, REACH), rng=plan.seed, popsize=POPULATION, maxiter=table.steps,
         polish=False, vectorized=True, updating="deferred", callback=told,
     )  # fmt: skip
-    if problem.allowed(ended.x):
+    if done % UPDATE:
         found.look(problem, done, problem.at(ended.x, problem.train), problem.at(ended.x, problem.validation))
     return found
 
