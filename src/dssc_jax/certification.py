@@ -14,6 +14,7 @@ import numpy as np
 from dssc_jax.controllers.dssc import DSSC
 from dssc_jax.controllers.gain_functions import Vgsta
 from dssc_jax.design import Bounds, Parameters, certified
+from dssc_jax.design.arrays import greater
 from dssc_jax.design.practice import predictor_pole
 from dssc_jax.environment import disturbances, references
 from dssc_jax.loop import Loop
@@ -176,7 +177,7 @@ def nominal_bounds(ends: Ends, p: Parameters, reference: dict[str, Any]) -> dict
     speed, acceleration, jerk = (reference.get(name, 0.0) for name in ("y_m_dot", "y_m_ddot", "y_m_dddot"))
     pole = predictor_pole(p) if ends.low.predictor_term else 0.0
     k, damping = ends.low.k, ends.largest("a")
-    offset = np.maximum(abs(ends.low.a - p.l0), abs(ends.high.a - p.l0))
+    offset = greater(abs(ends.low.a - p.l0), abs(ends.high.a - p.l0))
     c_e = offset * p.l0 / k
     return {
         "c_sigma": (offset + pole) / k,

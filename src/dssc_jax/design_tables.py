@@ -117,10 +117,9 @@ def limits_table(limits: Limits) -> Table:
 
 def show(found: DesignFile, certificate: Certificate, limits: Limits | None) -> None:
     """Print a design."""
-    verdict = (
-        "[green]certified[/green]" if certificate.certified else f"[red]not certified[/red]: {reasons(certificate)}"
-    )
-    output().print(f"[bold]{escape(found.name)}[/bold]: {verdict}")
+    shown = "".join(character if character.isprintable() else "?" for character in found.name)
+    verdict = "[green]certified[/green]" if certificate.certified else "[red]not certified[/red]: "
+    output().print(f"[bold]{escape(shown)}[/bold]: {verdict}{escape(reasons(certificate))}")
     for table in [*tables(found, certificate), *([limits_table(limits)] if limits else [])]:
         show_table(table.head, table.rows, title=table.title)
     if found.goal is not None or found.free is not None:
@@ -131,13 +130,14 @@ def show(found: DesignFile, certificate: Certificate, limits: Limits | None) -> 
 def reasons(certificate: Certificate) -> str:
     """What stands in the way of the certificate."""
     failing = [f"{i.name} {i.state.value.replace('_', ' ')}" for i in certificate.inequalities if not i.satisfied]
-    if not certificate.phi_b > certificate.small_gain.derived:
-        failing.append(f"small gain needs phi_b > {number(certificate.small_gain.derived)}")
+    if not certificate.interconnected:
+        bound = certificate.small_gain.derived
+        failing.append(f"small gain needs phi_b > {number(bound)}" if bound == bound else "small gain needs P > 0")
     return "; ".join(failing)
 
 
-SPECIAL = {"\\": r"\textbackslash{}", "^": r"\^{}"}
-SPECIAL |= {character: f"\\{character}" for character in "_%&#"}
+SPECIAL = {"\\": r"\textbackslash{}", "^": r"\^{}", "~": r"\~{}"}
+SPECIAL |= {character: f"\\{character}" for character in "_%&#${}"}
 SPECIAL |= {character: f"${character}$" for character in "<>|"}
 
 

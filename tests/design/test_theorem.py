@@ -102,6 +102,32 @@ def test_the_printed_bounds_accept_an_indefinite_q():
     assert not certificate.table
 
 
+def test_nothing_is_promised_where_q_is_not_proved():
+    """E4's design with a large phi_b and its kappa_c at the printed bound: the small gain holds, Q is indefinite."""
+    bounds = Bounds(k_min=1.0, k_max=1.0, a_max=1.0, k_d3=1000.0, alpha_d3=0.1)
+    free = Free(l0=1.0, phi_a=0.1, eps=1.0, delta=0.5, eps_1=0.5, eps_2=1.0, eps_3=30.0)
+    p = synthesise(bounds, free, Recipe.PRINTED)
+    certificate = check(p._replace(kappa_c=1.01 * p.kappa_c, kappa_d=1.01 * p.kappa_d), bounds)
+    assert certificate.interconnected
+    assert certificate.lyapunov.q_smallest < 0.0
+    assert certificate.guarantee.e == np.inf
+    assert np.isnan(certificate.practice.sample_time)
+
+
+@pytest.mark.parametrize("change", [{"phi_a": -5.0}, {"delta": np.nan}, {"phi_b": np.inf}, {"kappa_a": 0.0}])
+def test_numbers_out_of_range_are_not_certified(change):
+    p = synthesise(BOUNDS, FREE)
+    assert certified(p, BOUNDS)
+    assert not certified(p._replace(**change), BOUNDS)
+    assert not certified(p, BOUNDS._replace(alpha_d3=np.inf))
+    assert not certified(p, BOUNDS._replace(k_d3=-1.0))
+
+
+def test_an_ill_conditioned_p_eta_is_not_certified():
+    bounds = Bounds(1.0, 1.2, 1.0, alpha_d3=0.1, zero_dynamics=ZeroDynamics((1e-10, 1e-16), (1.0, 1.0)))
+    assert not check(synthesise(BOUNDS, FREE), bounds).certified
+
+
 def test_the_articles_recipe_keeps_q_positive():
     """(E2) although it reaches two inequalities with equality only."""
     certificate = check(synthesise(BOUNDS, FREE, Recipe.PRINTED), BOUNDS)

@@ -55,8 +55,9 @@ def test_what_is_written_reads_back():
         "modulation": MODULATION,
     }
     found = parse_design(table, "d")
-    again = parse_design(tomllib.loads(to_toml(found)), "other")
-    assert again._replace(free=found.free) == found
+    for name in ("d", 'a "quoted" C:\\name', "two\nlines\x7f"):
+        again = parse_design(tomllib.loads(to_toml(found._replace(name=name))), "other")
+        assert again._replace(free=found.free) == found._replace(name=name)
 
 
 @pytest.mark.parametrize(
@@ -89,6 +90,8 @@ def test_what_is_written_reads_back():
         ),
         ({"bounds": BOUNDS, "goal": {"residual": -1.0}}, "goal.residual: "),
         ({"bounds": BOUNDS, "goal": {"vary": {"l0": [2.0, 1.0]}}}, "goal.vary.l0: must be [low, high]"),
+        ({"bounds": BOUNDS, "free": FREE, "goal": {"residual": 1e-9}}, "goal: no design in the ranges has residual <="),
+        ({"bounds": BOUNDS, "goal": {}, "recipe": "printed"}, "recipe: has no meaning where"),
         ({"bounds": BOUNDS, "free": FREE, "goal": {"vary": {"l0": [0.1, 1.0]}}}, "goal.vary.l0: is fixed by [free]"),
         (
             {"bounds": BOUNDS, "goal": {"criterion": "gain", "residual": 1e-12}},

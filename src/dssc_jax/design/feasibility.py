@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import differential_evolution
 
-from dssc_jax.design.bounds import Bounds
+from dssc_jax.design.bounds import MOST, Bounds
 from dssc_jax.design.certificate import certified
 from dssc_jax.design.practice import practice
 from dssc_jax.design.small_gain import guarantee
@@ -17,6 +17,7 @@ from dssc_jax.errors import ConfigError, meant
 
 REACH = 1e6  # factors beyond it count as no limit
 HALVINGS = 60
+WORST = 1e9  # cost of a candidate that cannot be computed
 DISTURBANCES = ("k_d1", "k_d2", "k_d3", "k_d4", "k_d5", "alpha_d2", "alpha_d3")
 
 
@@ -123,7 +124,7 @@ def optimise(
 ) -> Free:
     """The free parameters of Table 1 that serve a goal best, by differential evolution on their logarithms.
 
-    Every candidate is a design of the strict recipe, hence certified.
+    Every candidate is a design of the strict recipe.
 
     Args:
         bounds: What is known.
@@ -145,25 +146,31 @@ def optimise(
     for name, (low, high) in ranges.items():
         if name not in Free._fields:
             raise ConfigError(f"vary.{name}", f"unknown name; {meant(name, Free._fields)}")
-        if not 0.0 < low < high < float("inf"):
-            raise ConfigError(f"vary.{name}", f"must be [low, high] with 0 < low < high, got [{low:g}, {high:g}]")
+        if not 1.0 / MOST < low < high < MOST:
+            raise ConfigError(
+                f"vary.{name}", f"must be [low, high] with 0 < low < high < 1e30, got [{low:g}, {high:g}]"
+            )
 
     def candidate(logarithms: np.ndarray) -> Free:
         return free._replace(**dict(zip(ranges, np.exp(logarithms), strict=True)))
 
     def cost(logarithms: np.ndarray) -> np.ndarray:
-        p = design(bounds, candidate(logarithms))
-        excess = shortfall(p, bounds, goal)
-        value = np.log(np.clip(OBJECTIVES[goal.criterion](p, bounds), 1e-300, 1e300))
-        return np.where(excess > 0.0, 1e4 + excess, value)
+        with np.errstate(all="ignore"):  # what overflows is no candidate
+            p = design(bounds, candidate(logarithms))
+            excess = shortfall(p, bounds, goal)
+            value = np.log(np.clip(OBJECTIVES[goal.criterion](p, bounds), 1e-300, 1e300))
+            return np.nan_to_num(np.where(excess > 0.0, 1e4 + excess, value), nan=WORST)
 
-    box = [(float(np.log(low)), float(np.log(high))) for low, high in ranges.values()]
-    found = differential_evolution(
-        cost, box, rng=seed, popsize=20, tol=1e-8, maxiter=400, polish=False, vectorized=True, updating="deferred"
-    )
-    best = Free(*map(float, candidate(found.x)))
-    short = float(shortfall(synthesise(bounds, best), bounds, goal))
-    if short > 0.0:
+    best = free
+    if ranges:
+        box = [(float(np.log(low)), float(np.log(high))) for low, high in ranges.values()]
+        found = differential_evolution(
+            cost, box, rng=seed, popsize=20, tol=1e-8, maxiter=400, polish=False, vectorized=True, updating="deferred"
+        )
+        if found.fun >= WORST:
+            raise ConfigError("bounds", "no design in the ranges can be computed; the bounds are too far apart")
+        best = Free(*map(float, candidate(found.x)))
+    if not float(shortfall(synthesise(bounds, best), bounds, goal)) <= 0.0:
         raise ConfigError("goal", infeasible(bounds, best, goal))
     return best
 

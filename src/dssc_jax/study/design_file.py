@@ -1,5 +1,6 @@
 """Design files: ``[bounds]``, and ``[parameters]`` to check, or ``[free]`` and ``[goal]`` from which they follow."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -106,6 +107,8 @@ def parse_design(table: dict[str, Any], name: str, complete: bool = True) -> Des
     if "goal" not in table and (complete or named):
         free, goal = plain(table, Free, "free"), None
     else:
+        if "recipe" in table:
+            raise ConfigError("recipe", "has no meaning where the free parameters are sought; designs are strict then")
         free, goal = sought(table, bounds)
     return DesignFile(name, bounds, synthesise(bounds, free, Recipe(recipe)), free, goal, modulation)
 
@@ -126,8 +129,6 @@ def sought(table: dict[str, Any], bounds: Bounds) -> tuple[Free, Goal]:
     start = plain({"free": SILENT._asdict() | given}, Free, "free")
     ranges = {key: box for key, box in RANGES.items() if key not in given} | wanted.vary
     goal = Goal(Criterion(criterion), wanted.residual or float("inf"), wanted.sample_time)
-    if not ranges:
-        return start, goal
     try:
         return optimise(bounds, start, goal, ranges), goal
     except ConfigError as error:
@@ -158,7 +159,8 @@ def plain(table: dict[str, Any], kind: type, path: str) -> Any:
 def to_toml(found: DesignFile) -> str:
     """A design file with the parameters as numbers, and the table of a study that flies them."""
     bounds = {name: value for name, value in found.bounds._asdict().items() if name != "zero_dynamics" and value != 0.0}
-    lines = [f'name = "{found.name}"', "", "[bounds]", *(f"{name} = {value!r}" for name, value in bounds.items())]
+    quoted = json.dumps(found.name, ensure_ascii=False).replace("\x7f", "\\u007f")
+    lines = [f"name = {quoted}", "", "[bounds]", *(f"{name} = {value!r}" for name, value in bounds.items())]
     if found.bounds.zero_dynamics is not None:
         a, c = (list(part) for part in found.bounds.zero_dynamics)
         lines.append(f"zero_dynamics = {{ a = {a}, c = {c} }}")

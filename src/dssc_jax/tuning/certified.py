@@ -64,7 +64,7 @@ class Theorem:
     def bounds(self, free: Free) -> Bounds:
         """The bounds of the loop, of which those of the nominal control depend on l0."""
         at = self.parameters._replace(l0=free.l0)
-        return certification.bounds_of(self.study.loop.reference, self.ends, at)
+        return certification.bounds_of(self.study.loop, self.ends, at)
 
     def expand(self, tuned: Mapping[str, Any]) -> dict[str, Any]:
         """The loop's numbers: the certified design, and what is tuned beside it."""
