@@ -15,7 +15,7 @@ from dssc_jax.tuning.plan import EVOLUTION
 from dssc_jax.tuning.problem import Point, Problem
 
 PENALTY = 20.0  # of the augmented Lagrangian, for objective and excess relative to their scales
-HEADROOM = 0.002  # by which the search keeps within limits, relative
+HEADROOM = 0.01  # by which the search keeps within limits, relative
 UPDATE = 5  # steps between two looks at the validation draws, after which multipliers move
 LAST = 0.01  # share of the learning rate that the cosine schedule ends with
 HALVINGS = 8
