@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from pathlib import Path
 
 import pytest
 
@@ -79,13 +80,15 @@ def test_names_are_text_and_links_are_quoted(results):
 
 
 def test_bytes_that_are_no_text(results):
-    """A folder's name that is no UTF-8, and a name in a manifest that is half a character."""
-    manifest = results / "good" / "manifest.json"
-    manifest.write_text(manifest.read_text().replace('"uncertain"', '"\\ud800"'))
+    """A folder's name that is no UTF-8; half a character in a manifest is damage, and no crash."""
     os.rename(results / "good", os.fsencode(results) + b"/\xff")
     page, (row,) = write_index(results)
     assert row.trouble == ""
     assert b'href="%FF/report.html"' in page.read_bytes()
+    manifest = Path(os.fsdecode(os.fsencode(results) + b"/\xff")) / "manifest.json"
+    manifest.write_text(manifest.read_text().replace('"uncertain"', '"\\ud800"'))
+    _, (row,) = write_index(results)
+    assert "is damaged" in row.trouble
 
 
 def test_one_report_that_fails_does_not_take_the_index_with_it(results, monkeypatch):
