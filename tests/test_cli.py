@@ -324,6 +324,14 @@ def test_one_trajectory_is_no_chore():
     assert seconds < 8.0
 
 
+@pytest.mark.parametrize("command", [["margin", "--over", "plant.k_p=1.2:0.1"], ["compare", "--controllers", "pi,smc"]])
+def test_designs_of_draws_are_refused(study, capsys, command):
+    smc = "[compare.smc]\nkind = 'smc'\nl0 = 1.0\ngain = 1.0\n"
+    study.write_text(STUDY.replace("draws = 20", "draws = 16\nsampling = 'sobol'") + smc)
+    assert guarded([command[0], str(study), *command[1:]]) == 2
+    assert "needs independent draws" in capsys.readouterr().err
+
+
 def test_plan(capsys):
     assert guarded(["plan", "--error", "0.01", "--confidence", "0.99", "--probability", "0.02", "--json"]) == 0
     draws = {answer["question"]: answer["draws"] for answer in last_json(capsys)["answers"]}

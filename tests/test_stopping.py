@@ -101,5 +101,5 @@ def test_a_latin_hypercube_is_not_extended(plain, tmp_path):
     result = dj.run(study, tmp_path / "r")
     assert "Latin hypercube" in result.method.name
     assert "no interval" in dj.plot.failures(result).axes[1].get_ylabel()
-    with pytest.raises(ConfigError, match="draws of .lhs. sampling, which depend on their number"):
+    with pytest.raises(ConfigError, match="depend on their number"):
         dj.run(study.override({"draws": 64}), tmp_path / "r", resume=True)

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from dssc_jax.engine import BLOCK, Arrays, Engine, Lane, drawn, simulated
+from dssc_jax.errors import ConfigError
 from dssc_jax.study import Study
 from dssc_jax.types import Outcome, Scalar
 
@@ -81,6 +82,17 @@ def differentiated(names: Sequence[str]) -> Callable[[Study], Lane]:
 def derivative(of: str, name: str) -> str:
     """The result that holds the derivative of a metric or margin with respect to a number."""
     return f"{of}|{name}"
+
+
+def require_independent(study: Study, purpose: str) -> None:
+    """Require independent draws, for statements that order statistics and exact tests make of them.
+
+    Raises:
+        ConfigError: the study's draws are points of a design.
+    """
+    kind = study.config.sampling
+    if kind != "random":
+        raise ConfigError(study.source, f"{purpose} needs independent draws: sampling = 'random', got '{kind}'")
 
 
 def worst_margin(study: Study, results: Arrays) -> np.ndarray:

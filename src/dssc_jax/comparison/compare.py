@@ -14,6 +14,7 @@ from dssc_jax.analysis import save
 from dssc_jax.comparison.rivals import Table, controller_table
 from dssc_jax.comparison.tuning import Tuning, tuned, with_gains
 from dssc_jax.errors import ConfigError
+from dssc_jax.probing import require_independent
 from dssc_jax.results import upper_quantiles
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson, compare_failures, compare_metrics
 from dssc_jax.study import Study
@@ -188,6 +189,7 @@ def compare(
     names = list(controllers)
     if len(set(names)) < max(2, len(names)):
         raise ConfigError("controllers", f"needs two different names or more, got {', '.join(names) or 'none'}")
+    require_independent(study, "a comparison")
     tables = {name: controller_table(study, name) for name in names}
     studies = {name: with_controller(study, name, table) for name, table in tables.items()}
     steps = itertools.count(1)

@@ -10,7 +10,7 @@ from dssc_jax.engine import BLOCK, Arrays, Clock, Engine, Layout, execute
 from dssc_jax.errors import ConfigError
 from dssc_jax.margins.result import Margins
 from dssc_jax.margins.search import BISECTIONS, POINTS, Critical, Walk, search
-from dssc_jax.probing import Probe, worst_margin
+from dssc_jax.probing import Probe, require_independent, worst_margin
 from dssc_jax.study import Study
 
 CLOCK = "loop.sample_time"
@@ -46,7 +46,7 @@ def margin(
         progress: Told of the lanes done.
 
     Raises:
-        ConfigError: the number, or a bound, is not admissible.
+        ConfigError: the number, or a bound, is not admissible, or the draws are not independent.
 
     Example:
         >>> import dssc_jax as dj
@@ -56,6 +56,7 @@ def margin(
         >>> found.summary()["censored"]
         0.0
     """
+    require_independent(study, "a margin")
     study, began, clock = study.without_sweep(), time.perf_counter(), Clock()
     parted = study.config.loop.duration if over == CLOCK else None
     walk = Walk(*checked(over, bounds, log, points, bisections), log, points, parted)
