@@ -229,7 +229,9 @@ def test_studies_and_info(capsys):
     found = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert "square_root" not in found["kinds"]["controller"]
     assert "dssc" in found["kinds"]["controller"]
+    assert found["metrics"]["chattering_index"]["unit"] == "1"
     assert guarded(["info"]) == 0
+    assert "share of the robust command above 1 Hz" in capsys.readouterr().out
 
 
 BAD = {

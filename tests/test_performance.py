@@ -1,13 +1,19 @@
 """Measures on request, against the same numbers from the stored trajectory; and a user's own."""
 
+import re
 import sys
+from pathlib import Path
+from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.metrics import METRICS
+from dssc_jax.dataset import variables
+from dssc_jax.metrics import METRICS, Instant, Measure, Scope, Window, starts, update_all, values
 from dssc_jax.performance import PERFORMANCE
+from dssc_jax.types import angular_unit
 
 OWN = """
 import jax.numpy as jnp
@@ -49,7 +55,7 @@ def test_streaming_equals_stored(case_2):
         "chattering_index": fast / (fast + len(u) * np.var(slow)),
         "growth_rate": np.polyfit(t, np.log(np.abs(sigma)), 1)[0],
     }
-    assert set(expected) == set(PERFORMANCE)
+    assert set(expected) == {name for name, metric in PERFORMANCE.items() if metric.scope is Scope.CHANNEL}
     assert expected["overshoot"] > 0.0
     for name, value in expected.items():
         assert run.attrs[name] == pytest.approx(value, rel=1e-8), name
@@ -63,7 +69,43 @@ def test_a_constant_command_does_not_chatter(case_2):
         "metrics": {"names": list(PERFORMANCE)},
     }
     attrs = dj.simulate(case_2.override(still)).attrs
-    assert {attrs[name] for name in PERFORMANCE if name != "growth_rate"} == {0.0}
+    assert {attrs[name] for name in PERFORMANCE if name in attrs and name != "growth_rate"} == {0.0}
+
+
+class Attitude(NamedTuple):
+    phi: float
+    theta: float
+
+
+def test_peak_attitude_is_that_of_the_window():
+    measures = tuple(Measure(name, name, Window(0.2), None, PERFORMANCE[name]) for name in ("roll_max", "pitch_max"))
+    accumulators = starts(measures)
+    for k, (phi, theta) in enumerate([(0.9, -0.9), (0.8, 0.7), (-0.3, 0.1), (0.2, -0.4)]):
+        instant = Instant(0.1 * k, 0.1, (), Attitude(phi, theta))
+        accumulators = update_all(measures, accumulators, instant, jnp.asarray(k), 0.1)
+    found = values(measures, accumulators, 4, 0.1)
+    assert {name: float(value) for name, value in found.items()} == {"roll_max": 0.3, "pitch_max": 0.4}
+
+
+def test_metrics_of_an_angle_are_in_radians():
+    """Whatever says a metric's unit: results, requirements, reports."""
+    named = {"metrics.names": ["error_rms", "iae", "itae", "command_energy", "tilt_max", "chattering_index"]}
+    uav = dj.Study.load(Path(__file__).parents[1] / "studies" / "paper_case1.toml")
+    study = uav.override({**named, "requirement": [{"metric": "error_max_psi", "max": 0.1}]})
+    units = {name: about.attributes["units"] for name, about in variables(study).items() if name != "outcome"}
+    of_length = {"error_rms": "m", "iae": "m s", "itae": "m s^2", "command_energy": "m^2/s"}
+    for kind, unit in of_length.items():
+        assert (units[f"{kind}_x"], units[f"{kind}_psi"]) == (unit, "rad" + unit.removeprefix("m"))
+    assert units["chattering_index_psi"] == "1"
+    assert units["tilt_max"] == units["error_max_psi"] == units["margin_error_max_psi"] == "rad"
+    assert study.requirements[0].text == "error_max_psi <= 0.1 rad"
+
+
+@pytest.mark.parametrize(
+    ("unit", "angular"), [("m", "rad"), ("m/s", "rad/s"), ("m^2/s", "rad^2/s"), ("1", "1"), ("mm", "mm"), ("1/m", "1/m")]
+)
+def test_angular_unit(unit, angular):
+    assert angular_unit(unit) == angular
 
 
 def test_chattering_is_the_share_above_the_cutoff():
@@ -114,3 +156,10 @@ def test_bad_names(case_2, own, name, rule):
     for changes in ({"metrics": {"names": [name]}}, {"requirement": [{"metric": name, "max": 1.0}]}):
         with pytest.raises(dj.ConfigError, match=rule):
             case_2.override(changes)
+
+
+def test_the_page_has_every_metric_with_its_unit():
+    page = (Path(__file__).parents[1] / "docs" / "metrics.md").read_text()
+    rows = re.findall(r"^\| `(\w+)` \|.*\| (\S.*) \|$", page, re.MULTILINE)
+    assert dict(rows) == {name: metric.unit for name, metric in (METRICS | PERFORMANCE).items()}
+    assert [name for name, _ in rows] == [*METRICS, *PERFORMANCE]

@@ -16,7 +16,7 @@ from dssc_jax.cluster import connected
 from dssc_jax.dataset import in_memory, outcome_codes, put
 from dssc_jax.engine import Engine, Layout, computing, drawn, execute, lanes_in
 from dssc_jax.errors import ConfigError, meant
-from dssc_jax.loop import Recorded, Run
+from dssc_jax.loop import Loop, Recorded, Run
 from dssc_jax.loop import simulate as run_loop
 from dssc_jax.manifest import SCHEMA
 from dssc_jax.results import Result, load
@@ -24,6 +24,7 @@ from dssc_jax.sampling import draw_key
 from dssc_jax.store import Store
 from dssc_jax.study import Study
 from dssc_jax.study.correlation import gaussian
+from dssc_jax.types import angular_unit
 
 Progress = Callable[[int, int], None]
 """Called with the lanes done and the lanes in all."""
@@ -269,7 +270,7 @@ def as_trajectory(study: Study, draw: int, values: Mapping[str, float], ended: R
     if not np.isnan(failed_at):  # what follows is the frozen state, which nobody flew
         gone = recorded.instant.t >= failed_at
         columns = {name: np.where(gone, np.nan, column) for name, column in columns.items()}
-    described = {name: describe(name, study.loop.channels) for name in columns}
+    described = {name: describe(name, study.loop) for name in columns}
     code = int(ended.outcome)
     return xr.Dataset(
         {name: (("t",), column, described[name]) for name, column in columns.items()},
@@ -307,14 +308,14 @@ def trajectory_columns(study: Study, recorded: Recorded) -> dict[str, np.ndarray
     return columns | {name: values.astype(float) for name, values in seen.items()}
 
 
-def describe(name: str, channels: tuple[str, ...]) -> dict[str, str]:
-    """Attributes of a trajectory's column; a user's own info field has none. Angles of a channel are in rad."""
+def describe(name: str, loop: Loop) -> dict[str, str]:
+    """Attributes of a trajectory's column; a user's own info field has none."""
     channel, _, rest = name.partition("_")
-    if channel not in channels or not channel:
+    if channel not in loop.channels or not channel:
         unit, meaning = UNITS.get(name, ("", name))
         return {"units": unit, "long_name": meaning}
     unit, meaning = UNITS.get(rest, ("", rest))
-    unit = unit.replace("m", "rad") if channel == "psi" else unit
+    unit = angular_unit(unit) if channel in loop.plant.angles else unit
     return {"units": unit, "long_name": f"{channel}: {meaning}"}
 
 

@@ -46,11 +46,10 @@ def variables(study: Study) -> dict[str, Variable]:
         about = {"units": quantity.unit, "long_name": quantity.meaning, "law": str(law)}
         found[name] = Variable(("draw",), "float64", about)
     for measure in study.measures:
-        metric = measure.metric
         window = f", t >= {measure.window.after:g} s" if measure.window.after > 0 else ""
-        found[measure.name] = Variable(grid, real, {"units": metric.unit, "long_name": metric.meaning + window})
+        found[measure.name] = Variable(grid, real, {"units": measure.unit, "long_name": measure.metric.meaning + window})
     for requirement in study.requirements:
-        about = {"units": requirement.measure.metric.unit, "long_name": f"signed margin of {requirement.text}"}
+        about = {"units": requirement.measure.unit, "long_name": f"signed margin of {requirement.text}"}
         found[requirement.name] = Variable(grid, real, about)
     about = {"units": "s", "long_name": "time of the first non-finite step (NaN: none)"}
     found["failed_at"] = Variable(grid, real, about)

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.numerics import root_abs
-from dssc_jax.types import Info, Scalar
+from dssc_jax.types import Info, Scalar, angular_unit
 
 
 class Sample(NamedTuple):
@@ -246,7 +246,8 @@ BRIEF = ("error_rms", "error_max", "command_tv", "command_max", "outside_sliding
 class Measure:
     """One metric of one channel (None: of the vehicle) over one window, under the name it has in results.
 
-    ``own`` is the streaming form of a kind that is not in :data:`METRICS`.
+    ``own`` is the streaming form of a kind that is not in :data:`METRICS`; ``angular`` tells that the channel's output
+    is an angle.
     """
 
     name: str
@@ -254,11 +255,17 @@ class Measure:
     window: Window
     channel: int | None = 0
     own: Metric | None = None
+    angular: bool = False
 
     @property
     def metric(self) -> Metric:
         """The streaming form."""
         return self.own or METRICS[self.kind]
+
+    @property
+    def unit(self) -> str:
+        """SI unit of the value."""
+        return angular_unit(self.metric.unit) if self.angular else self.metric.unit
 
     def of(self, instant: Instant) -> Any:
         """What the metric is updated with."""

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from dssc_jax.metrics import Metric, Sample, Span, Window, total
+from dssc_jax.metrics import Metric, Sample, Scope, Span, Window, itself, peak, total
 from dssc_jax.numerics import sign
 from dssc_jax.types import Scalar
 
@@ -95,5 +95,7 @@ PERFORMANCE: dict[str, Metric] = {
     "steady_state_error": Metric("m", "|mean of e| over the window", total(lambda s: s.e), magnitude_of_mean),
     "command_energy": Metric("m^2/s", "integral of the robust command's square", total(lambda s: s.u * s.u), integral),
     "chattering_index": Metric("1", "share of the robust command above 1 Hz", bands, fast_share, start=Bands()),
+    "roll_max": Metric("rad", "largest |roll|", peak(lambda i: i.plant.phi), itself, ("phi",), Scope.VEHICLE),
+    "pitch_max": Metric("rad", "largest |pitch|", peak(lambda i: i.plant.theta), itself, ("theta",), Scope.VEHICLE),
     "growth_rate": Metric("1/s", "rate at which |sigma| grows, fitted over the window", trend, slope, start=Trend()),
 }

@@ -29,7 +29,7 @@ class Requirement:
     @property
     def text(self) -> str:
         """The requirement as one reads it."""
-        window, unit = self.measure.window, self.measure.metric.unit
+        window, unit = self.measure.window, self.measure.unit
         side = f"<= {self.maximum:g}" if self.maximum is not None else f">= {self.minimum:g}"
         after = f" after {window.after:g} s" if window.after > 0 else ""
         return f"{self.measure.kind}{self.of_channel}{after} {side} {unit}".removesuffix(" 1")

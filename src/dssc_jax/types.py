@@ -5,6 +5,7 @@ of its parameters. It is chosen before tracing; its parameters may be traced. Ev
 annotated with a :class:`Quantity`, from which study files are validated.
 """
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
@@ -179,6 +180,11 @@ class Plant(NamedTuple):
     project: Callable[[Params, State], State] = as_it_is
     monitor: Callable[[Params, State, PlantInput], Info] = nothing_seen
     broken: Callable[[Params, State], Any] = never
+
+
+def angular_unit(unit: str) -> str:
+    """A channel's unit where its output is an angle: rad in place of a leading metre."""
+    return re.sub(r"^m\b", "rad", unit)
 
 
 class Preset(NamedTuple):

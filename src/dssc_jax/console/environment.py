@@ -29,6 +29,7 @@ def environment() -> dict[str, Any]:
     from dssc_jax import xla
     from dssc_jax.study.build import REGISTRIES
     from dssc_jax.study.components import field_specs
+    from dssc_jax.study.measuring import KNOWN
 
     kinds = {}
     for slot, registry in REGISTRIES.items():
@@ -48,6 +49,10 @@ def environment() -> dict[str, Any]:
         "xla_flags": os.environ.get("XLA_FLAGS", ""),
         "xla_settings": "off" if os.environ.get(xla.SWITCH, "").lower() in xla.OFF else "on",
         "kinds": kinds,
+        "metrics": {
+            name: {"unit": metric.unit, "meaning": metric.meaning, "of": metric.scope.value}
+            for name, metric in KNOWN.items()
+        },
     }
 
 
@@ -64,3 +69,5 @@ def show_environment(found: dict[str, Any]) -> None:
             options = "; ".join(f"{name}: {' | '.join(map(str, values))}" for name, values in about["options"].items())
             rows.append((kind, about["summary"], ", ".join(about["fields"]), options))
         show_table((f"[{slot}]", "what", "fields", "options"), rows)
+    rows = [(name, about["meaning"], about["unit"], about["of"]) for name, about in found["metrics"].items()]
+    show_table(("metric", "what", "unit", "of each"), rows)

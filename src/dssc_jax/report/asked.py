@@ -47,7 +47,7 @@ def sentence(requirement: Requirement) -> h.Node:
     side = "at most" if requirement.maximum is not None else "at least"
     window = f" from {after:g} s on" if after > 0 else ""
     channel = f" ({requirement.of_channel.removeprefix('_')})" if requirement.of_channel else ""
-    bound = with_unit(requirement.bound, metric.unit)
+    bound = with_unit(requirement.bound, requirement.measure.unit)
     return [f"{metric.meaning}{channel}{window}: {side} ", h.strong[bound]]
 
 

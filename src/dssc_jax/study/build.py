@@ -109,7 +109,7 @@ def build(table: dict[str, Any]) -> Parts:
     quantities = {short.get(name, name): q for part in everything for name, q in part.quantities.items()}
     known = kinds_of(config)
     names = available(*info_fields(loop, template), known)
-    measures, requirements = measured(config, names, known, several)
+    measures, requirements = measured(config, names, known, plant.model)
     parts_found = Parts(config, loop, template, quantities, short, measures, requirements)
     check_axes(parts_found)
     prepare_box(table, parts_found)

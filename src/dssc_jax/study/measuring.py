@@ -8,6 +8,7 @@ from dssc_jax.performance import PERFORMANCE
 from dssc_jax.requirements import Requirement
 from dssc_jax.study.components import imported
 from dssc_jax.study.schema import StudyTable
+from dssc_jax.types import Plant
 
 KNOWN = METRICS | PERFORMANCE
 
@@ -38,7 +39,7 @@ def short(name: str) -> str:
 
 
 def measured(
-    config: StudyTable, names: dict[str, tuple[str, int | None]], known: Mapping[str, Metric], several: bool
+    config: StudyTable, names: dict[str, tuple[str, int | None]], known: Mapping[str, Metric], plant: Plant
 ) -> tuple[tuple[Measure, ...], tuple[Requirement, ...]]:
     """The metrics over the study's window, and one more for each requirement with its own.
 
@@ -46,15 +47,19 @@ def measured(
         config: The study's tables.
         names: Metrics that the loop can have: name -> kind and channel.
         known: Every kind there is.
-        several: Whether the plant has several channels.
+        plant: Whose channels are measured.
 
     Raises:
         ConfigError: a metric is unknown or not to be had here, or a window holds no sample.
     """
 
+    channels = plant.channels or ("",)
+    several = len(channels) > 1
+
     def measure(name: str, of: str, window: Window) -> Measure:
         kind, channel = names[of]
-        return Measure(name, kind, window, channel, None if kind in METRICS else known[kind])
+        angular = channel is not None and channels[channel] in plant.angles
+        return Measure(name, kind, window, channel, None if kind in METRICS else known[kind], angular)
 
     base = Window(config.metrics.after, config.metrics.settling_band)
     require_samples(config, base, "metrics.after")
