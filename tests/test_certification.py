@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.certification import design_of, mark
+from dssc_jax.certification import design_of, mark, reach
 from dssc_jax.design import Bounds, Free, synthesise
 
 BOUNDS = Bounds(0.9, 1.1, 1.0, alpha_d3=0.1 * np.pi / 3, alpha_d=0.1)
@@ -128,3 +128,67 @@ def test_an_unbounded_disturbance_is_not_certified(amplitude):
 def test_an_unbounded_law_is_not_certified():
     study = dj.Study.from_table(table(plant={"kind": "normal_form", "a_p": {"normal": [0.0, 0.1]}}))
     assert mark(study).certified.item() is False
+
+
+LAG = {"kind": "lag", "order": 2, "mu": 0.01}
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("plant.k_p", (1.0, 0.2)), ("controller.functions.phi_b", (30.0, 1.0)), ("controller.l0", (0.5, 3.0))],
+)
+def test_the_certificate_reaches_as_far_as_the_marks_do(name, values):
+    """Beside the value where it ends the theorem's own marks differ."""
+    study = dj.Study.from_table(table(unmodelled=LAG))
+    grid = np.linspace(*values, 9)
+    found = reach(study, name, grid)
+    assert found.value is not None
+    assert min(values) < found.value < max(values)
+    beyond = found.value + (values[1] - values[0]) / 8 / 128**2
+    ends = sorted([found.value, beyond])
+    marks = mark(study.override({"sweep": {name: ends}})).certified.tolist()
+    assert marks == [end == found.value for end in ends]
+    assert f"as far as {name}" in found.text
+
+
+def test_a_walk_that_is_certified_as_a_whole_or_not_at_all():
+    study = dj.Study.from_table(table())
+    assert reach(study, "plant.k_p", np.linspace(0.9, 1.1, 5)).value == 1.1
+    nowhere = reach(study, "plant.k_p", np.linspace(0.5, 0.1, 5))
+    assert nowhere.value is None
+    assert "does not certify the loop at plant.k_p = 0.5" in nowhere.text
+
+
+def test_of_unmodelled_dynamics_the_theorem_knows_their_absence_only():
+    study = dj.Study.from_table(table(unmodelled=LAG))
+    assert reach(study, "unmodelled.mu", np.geomspace(1e-6, 1.0, 5)) == (
+        0.0,
+        "Theorem 1 certifies the loop without unmodelled dynamics, and is silent of any unmodelled.mu > 0",
+    )
+    weak = study.override({"controller.functions.phi_b": 2.0})
+    assert reach(weak, "unmodelled.mu", np.array([0.01, 1.0])).value is None
+    assert "not even without" in reach(weak, "unmodelled.mu", np.array([0.01, 1.0])).text
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("loop.sample_time", "continuous time"),
+        ("sensor.position_std", "as they are"),
+        ("controller.rho", "for granted"),
+    ],
+)
+def test_numbers_of_which_the_theorem_says_nothing(name, why):
+    found = reach(dj.Study.from_table(table()), name, np.array([0.1, 1.0]))
+    assert found.value is None
+    assert "silent" in found.text
+    assert why in found.text
+
+
+def test_other_controllers_have_no_certificate():
+    study = dj.Study.from_table(table(controller={"kind": "pi", "l0": 0.5, "k_p": 1.0, "k_i": 1.0}, unmodelled=LAG))
+    for name in ("plant.k_p", "unmodelled.mu"):
+        assert reach(study, name, np.array([1.0, 2.0])) == (
+            None,
+            "Theorem 1 is silent: the controller is not DSSC with the functions of Table 1 (kind = 'vgsta')",
+        )

@@ -12,7 +12,7 @@ import pytest
 from dssc_jax.cli import guarded
 from dssc_jax.cli.shared import parse_over, parse_value
 
-COMMANDS = ["run", "sweep", "simulate", "replay", "margin", "compare", "plan", "sensitivity", "rare"]
+COMMANDS = ["run", "sweep", "simulate", "replay", "margin", "theory", "compare", "plan", "sensitivity", "rare"]
 COMMANDS += ["verify", "export", "report", "check", "design", "studies", "info"]
 STUDY = """
 name = "small"
@@ -169,6 +169,21 @@ def test_margin(study, capsys):
     shown = capsys.readouterr().out
     assert "95 % of all draws pass up to" in shown
     assert "0.47 m" in shown
+    assert "Theorem 1 is silent: the controller is not DSSC" in shown
+
+
+def test_theory(study, capsys):
+    arguments = ["theory", str(study), "--over", "plant.k_p=1.2:0.01", "--points", "4", "--bisections", "3"]
+    assert guarded([*arguments, "--draws", "8", "--out", "t", "--json"]) == 0
+    found = last_json(capsys)
+    assert {"certificate", "performance", "local", "oscillations", "silent"} <= found.keys()
+    assert found["certificate"]["certified"] is None
+    for name in ("theory.json", "figures/theory.png", "figures/theory.svg"):
+        assert (study.parent / "t" / name).exists()
+    assert guarded([*arguments, "--draws", "8", "--out", "t"]) == 0
+    shown = capsys.readouterr().out
+    assert "simulated" in shown
+    assert "Theorem 1 is silent" in shown
 
 
 def test_compare(study, capsys):
@@ -191,6 +206,8 @@ def test_compare(study, capsys):
         (["margin", "--over", "plant.k_p=1:2:3"], "must be NAME=LO:HI"),
         (["margin", "--over", "plant.kp=1:2"], "did you mean 'plant.k_p'"),
         (["margin", "--over", "plant.k_p=1:2", "--out", "."], "nothing was written"),
+        (["theory", "--over", "plant.kp=1:2"], "did you mean 'plant.k_p'"),
+        (["theory", "--over", "plant.k_p"], "must be NAME=LO:HI"),
         (["compare", "--controllers", "pi"], "needs two different names"),
         (["compare", "--controllers", "pi,sta"], "give [compare.sta]"),
         (["compare", "--controllers", "pi,pit"], "did you mean 'pi'"),

@@ -27,7 +27,7 @@ LAYERS = [
     {"plotting", "api", "margins", "verification", "exports"},
     {"theory", "falsification"},
     {"comparison", "report", "tuning"},
-    {"stopping"},
+    {"stopping", "loading"},
     {"console"},
     {"design_tables"},
     {"cli"},

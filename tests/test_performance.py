@@ -102,7 +102,8 @@ def test_metrics_of_an_angle_are_in_radians():
 
 
 @pytest.mark.parametrize(
-    ("unit", "angular"), [("m", "rad"), ("m/s", "rad/s"), ("m^2/s", "rad^2/s"), ("1", "1"), ("mm", "mm"), ("1/m", "1/m")]
+    ("unit", "angular"),
+    [("m", "rad"), ("m/s", "rad/s"), ("m^2/s", "rad^2/s"), ("mm", "mm"), ("1/m", "1/m")],
 )
 def test_angular_unit(unit, angular):
     assert angular_unit(unit) == angular

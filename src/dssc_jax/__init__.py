@@ -19,9 +19,10 @@ if TYPE_CHECKING:
     from dssc_jax.exports import export
     from dssc_jax.falsification import Falsified, falsify
     from dssc_jax.global_sensitivity import sensitivity
+    from dssc_jax.loading import load
     from dssc_jax.margins import Margins, margin
     from dssc_jax.rare_events import Splitting, rare
-    from dssc_jax.results import Result, load
+    from dssc_jax.results import Result
     from dssc_jax.statistics import AcceptReject, UntilWidth, plan
     from dssc_jax.stopping import run_until
     from dssc_jax.study import Study
@@ -65,7 +66,7 @@ _HOME = {
     "Study": "dssc_jax.study",
     "Result": "dssc_jax.results",
     "export": "dssc_jax.exports",
-    "load": "dssc_jax.results",
+    "load": "dssc_jax.loading",
     "Comparison": "dssc_jax.comparison",
     "compare": "dssc_jax.comparison",
     "Margins": "dssc_jax.margins",

@@ -1,14 +1,34 @@
 """What an analysis that is no run of a study's grid leaves: a folder with a dataset, or an answer in one file."""
 
+import hashlib
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 import xarray as xr
 
 from dssc_jax.errors import ConfigError
 from dssc_jax.manifest import DATA, SUMMARY, write_json
-from dssc_jax.study import Study
+from dssc_jax.study import Study, hash_of
+from dssc_jax.study.tables import require_shallow
+
+NEEDED = {"study": dict, "hash": str, "source": str, "how": dict, "sums": dict}
+"""What the file of an analysis says beside its dataset, and of which type."""
+
+
+class Stored(NamedTuple):
+    """An analysis as it was read.
+
+    Args:
+        study: What was analysed.
+        dataset: Every draw.
+        how: What else :func:`save` was given.
+    """
+
+    study: Study
+    dataset: xr.Dataset
+    how: dict[str, Any]
 
 
 def require_free(folder: Path, kind: str) -> None:
@@ -21,25 +41,78 @@ def require_free(folder: Path, kind: str) -> None:
         raise ConfigError(str(folder), f"holds something other than a {kind} analysis; nothing was written")
 
 
-def save(folder: Path, kind: str, study: Study, dataset: xr.Dataset, summary: dict[str, Any]) -> Path:
+def save(
+    folder: Path,
+    kind: str,
+    study: Study,
+    dataset: xr.Dataset,
+    summary: dict[str, Any],
+    how: dict[str, Any] | None = None,
+) -> Path:
     """Write the folder of an analysis; one of the same kind is written anew.
 
     Args:
         folder: Made when absent.
-        kind: Which analysis: ``margin``, ``compare``.
+        kind: Which analysis, e.g. ``margin``.
         study: What was analysed.
         dataset: Every draw.
         summary: What they say together.
+        how: What else its reader needs.
 
     Raises:
         ConfigError: the folder holds something else.
     """
     require_free(folder, kind)
     folder.mkdir(parents=True, exist_ok=True)
-    write_json(folder / f"{kind}.json", {"study": study.table, "hash": study.hash, "source": study.source})
+    about = {"study": study.table, "hash": study.hash, "source": study.source, "how": how or {}}
+    about["sums"] = sums_of(dataset)
+    write_json(folder / f"{kind}.json", about)
     dataset.to_zarr(folder / DATA, mode="w", consolidated=False)
     write_json(folder / SUMMARY, summary)
     return folder
+
+
+def sums_of(dataset: xr.Dataset) -> dict[str, str]:
+    """A check sum of each variable and coordinate, its dimensions included."""
+    found = {}
+    for name, variable in dataset.variables.items():
+        head = f"{variable.dims} {variable.shape} {variable.dtype.str}".encode()
+        found[str(name)] = hashlib.sha256(head + np.ascontiguousarray(variable.values).tobytes()).hexdigest()
+    return found
+
+
+def read(folder: Path, kind: str) -> Stored:
+    """Read what :func:`save` wrote.
+
+    Raises:
+        ConfigError: it is not there, it is damaged, or somebody has altered it.
+    """
+    path = folder / f"{kind}.json"
+    try:
+        about = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        rule = f"holds no {kind} analysis: {path.name} cannot be read ({error.strerror})"
+        raise ConfigError(str(folder), rule) from error
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(str(path), f"is damaged, not valid JSON: {error}") from error
+    about = about if isinstance(about, dict) else {}
+    lacking = [name for name, of in NEEDED.items() if not isinstance(about.get(name), of)]
+    if lacking:
+        raise ConfigError(str(path), f"is damaged, or of another version: it has no {', '.join(lacking)}")
+    try:
+        require_shallow(about["study"])
+    except ConfigError as error:
+        raise error.within(str(path)) from None
+    if hash_of(about["study"]) != about["hash"]:
+        raise ConfigError(str(path), "is damaged: the study in it is not the one that its hash is of")
+    try:
+        dataset = xr.open_zarr(folder / DATA, consolidated=False, chunks=None).load()
+        whole = sums_of(dataset) == about["sums"]
+    except Exception as error:  # zarr, its codecs and xarray raise errors of many kinds
+        raise ConfigError(str(folder / DATA), f"cannot be read: {' '.join(str(error).split())}") from error
+    if not whole:
+        raise ConfigError(str(folder / DATA), "is damaged: it does not hold what was written; run the analysis again")
+    return Stored(Study.from_table(about["study"], about["source"]), dataset, about["how"])
 
 
 def require_place(path: Path, study: Study) -> None:

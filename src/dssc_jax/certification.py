@@ -23,6 +23,15 @@ from dssc_jax.study import Study
 from dssc_jax.study.laws import Law
 from dssc_jax.types import Disturbance, Reference
 
+OUTSIDE = {
+    "loop": "it is of continuous time",
+    "sensor": "it takes y and y' as they are",
+    "differentiator": "it takes y' as it is",
+    "controller.rho": "it takes sliding for granted",
+}
+"""Numbers of which the theorem says nothing, and why."""
+REFINEMENTS, REFINED = 2, 129  # of the walk's cell in which the certificate is lost: 1/16384 of it
+
 
 class Silent(Exception):
     """The theorem does not speak of this loop; the message says why."""
@@ -38,6 +47,18 @@ class Mark(NamedTuple):
 
     certified: np.ndarray | None
     reason: str
+
+
+class Reach(NamedTuple):
+    """How far the theorem certifies a loop as one of its numbers is walked.
+
+    Args:
+        value: The last value that is certified, for all draws at once; None where none is.
+        text: What the theorem says of the number, in words.
+    """
+
+    value: float | None
+    text: str
 
 
 class Ends(NamedTuple):
@@ -67,6 +88,59 @@ def mark(study: Study) -> Mark:
     return Mark(np.broadcast_to(np.asarray(found, dtype=bool), shape).copy(), "")
 
 
+def reach(study: Study, name: str, values: np.ndarray) -> Reach:
+    """How far Theorem 1 certifies a study as one number takes the place of its law, or of its own value.
+
+    Of unmodelled dynamics the theorem knows their absence only: a lag mu s W(mu s) u (Section V-A2) depends on u', and
+    therefore is no disturbance of the class (A0)-(A3), however small mu.
+
+    Args:
+        study: The study; its own sweep is left aside.
+        name: Dotted name of the number.
+        values: Where it is walked, from its safe end, shape (n,).
+    """
+    part = name.partition(".")[0]
+    if part == "unmodelled":
+        whole, reason = mark(study.override({"sweep": {}}))
+        if whole is None:
+            return Reach(None, f"Theorem 1 is silent: {reason}")
+        if not whole:
+            return Reach(None, "Theorem 1 does not certify the loop, not even without unmodelled dynamics")
+        return Reach(0.0, f"Theorem 1 certifies the loop without unmodelled dynamics, and is silent of any {name} > 0")
+    if part in OUTSIDE or name in OUTSIDE:
+        return Reach(None, f"Theorem 1 is silent of {name}: {OUTSIDE.get(name) or OUTSIDE[part]}")
+    return certified_up_to(study, name, np.asarray(values, float))
+
+
+def certified_up_to(study: Study, name: str, values: np.ndarray) -> Reach:
+    """:func:`reach` of a number that the theorem speaks of."""
+    holds, reason = marks_along(study, name, values)
+    if holds is None:
+        return Reach(None, f"Theorem 1 is silent: {reason}")
+    if not holds[0]:
+        return Reach(None, f"Theorem 1 does not certify the loop at {name} = {values[0]:g}")
+    if holds.all():
+        text = f"Theorem 1 certifies the whole walk, without lag and sampling, to {name} = {values[-1]:g}"
+        return Reach(float(values[-1]), text)
+    first = int(np.argmin(holds))
+    low, high = values[first - 1], values[first]
+    for _ in range(REFINEMENTS):
+        finer = np.linspace(low, high, REFINED)
+        holds, _ = marks_along(study, name, finer)
+        assert holds is not None  # it spoke of both ends
+        first = max(1, int(np.argmin(holds)))
+        low, high = finer[first - 1], finer[first]
+    return Reach(float(low), f"Theorem 1 certifies the loop, without lag and sampling, as far as {name} = {low:.6g}")
+
+
+def marks_along(study: Study, name: str, values: np.ndarray) -> Mark:
+    """Marks of a study at values of one number, in their order."""
+    found, reason = mark(study.override({"sweep": {name: sorted(values.tolist())}}))
+    if found is not None and values[0] > values[-1]:
+        found = found[::-1]
+    return Mark(found, reason)
+
+
 def design_of(study: Study) -> tuple[Parameters, Bounds]:
     """The parameters of Table 1 and the bounds of a study's loop, over its sweep.
 
@@ -79,7 +153,7 @@ def design_of(study: Study) -> tuple[Parameters, Bounds]:
     gains = ends.low.controller[0]
     own_model = study.loop.controller[0] not in DSSC.members.values()
     if own_model or not isinstance(gains.functions, Vgsta):
-        raise Silent("Theorem 1 is about DSSC with the functions of Table 1 (kind = 'vgsta')")
+        raise Silent("the controller is not DSSC with the functions of Table 1 (kind = 'vgsta')")
     if any(isinstance(leaf, Law) for name, leaf in study.leaves().items() if is_gain(name) and name not in study.axes):
         raise Silent("the controller's own numbers are uncertain")
     own = gains.functions._asdict() | {"eps": gains.functions.epsilon, "l0": gains.l0}

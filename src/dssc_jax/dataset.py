@@ -47,7 +47,8 @@ def variables(study: Study) -> dict[str, Variable]:
         found[name] = Variable(("draw",), "float64", about)
     for measure in study.measures:
         window = f", t >= {measure.window.after:g} s" if measure.window.after > 0 else ""
-        found[measure.name] = Variable(grid, real, {"units": measure.unit, "long_name": measure.metric.meaning + window})
+        about = {"units": measure.unit, "long_name": measure.metric.meaning + window}
+        found[measure.name] = Variable(grid, real, about)
     for requirement in study.requirements:
         about = {"units": requirement.measure.unit, "long_name": f"signed margin of {requirement.text}"}
         found[requirement.name] = Variable(grid, real, about)

@@ -12,6 +12,7 @@ from dssc_jax.study.tables import require_shallow
 
 SCHEMA = 1
 DATA, MANIFEST, SUMMARY, PARTIAL = "data.zarr", "manifest.json", "summary.json", ".partial"
+ANALYSES = ("margin", "compare")
 TABLES = ("study", "layout", "versions", "device")
 COMPUTING = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy")
 """Packages whose version may change a result in its last digits."""
@@ -44,8 +45,10 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     try:
         manifest = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
+        others = [kind for kind in ANALYSES if (folder / f"{kind}.json").exists()]
+        told = f"; it holds what `{others[0]}` wrote, which dj.load reads" if others else ""
         raise ConfigError(
-            str(folder), f"is not a results folder: {MANIFEST} cannot be read ({error.strerror})"
+            str(folder), f"is not a results folder: {MANIFEST} cannot be read ({error.strerror}){told}"
         ) from error
     except (ValueError, RecursionError) as error:
         raise ConfigError(str(path), f"is damaged, not valid JSON: {error}") from error

@@ -114,9 +114,24 @@ def test_stated_ranges(study):
         tuned(study, Tuning(4, 4, 1), {"l0": [2.0, 0.5]})
 
 
-def test_save(found, tmp_path):
+def test_a_saved_comparison_is_the_same_again(found, tmp_path):
     found.save(tmp_path / "c")
     assert json.loads((tmp_path / "c" / "summary.json").read_text())["pairs"][0]["a"] == "dssc"
+    back = dj.load(tmp_path / "c")
+    assert isinstance(back, dj.Comparison)
+    assert back.summary() == found.summary()
+    assert back.given.dataset.identical(found.given.dataset)
+    assert back.tuned.dataset.identical(found.tuned.dataset)
+    assert (back.budget, back.study.hash) == (found.budget, found.study.hash)
+
+
+def test_a_damaged_comparison_is_told(found, tmp_path):
+    found.save(tmp_path)
+    about = json.loads((tmp_path / "compare.json").read_text())
+    about["how"]["given"]["variables"].append("nothing")
+    (tmp_path / "compare.json").write_text(json.dumps(about))
+    with pytest.raises(dj.ConfigError, match="damaged, or of another version"):
+        dj.load(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,13 @@
 """Margins by simulation: draw by draw against runs at the values around the critical one."""
 
+import json
+import shutil
+
 import numpy as np
 import pytest
 
 import dssc_jax as dj
+from dssc_jax import results
 from dssc_jax.engine import Engine
 from dssc_jax.margins import Censoring, Margins, Walk
 from dssc_jax.margins.search import Critical
@@ -163,14 +167,65 @@ def test_bad_input(study, over, bounds, options, rule):
         dj.margin(study, over=over, bounds=bounds, **options)
 
 
-def test_save(study, over_mu, tmp_path):
-    import xarray as xr
-
+def test_saved_margins_are_the_same_again(over_mu, tmp_path):
     over_mu.save(tmp_path / "m")
     over_mu.save(tmp_path / "m")
-    back = xr.open_zarr(tmp_path / "m" / "data.zarr", consolidated=False, chunks=None)
-    assert np.array_equal(back["critical"].values, over_mu.dataset["critical"].values)
+    back = dj.load(tmp_path / "m")
+    assert isinstance(back, Margins)
+    assert back.dataset.identical(over_mu.dataset)
+    assert back.summary() == over_mu.summary()
+    assert (back.walk, back.criterion, back.study.hash) == (over_mu.walk, over_mu.criterion, over_mu.study.hash)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "file").touch()
     with pytest.raises(dj.ConfigError, match="something other than a margin analysis"):
         over_mu.save(tmp_path / "other")
+
+
+def changed(text, change):
+    """A JSON text after a change of its content."""
+    content = json.loads(text)
+    change(content)
+    return json.dumps(content)
+
+
+@pytest.mark.parametrize(
+    ("change", "rule"),
+    [
+        (lambda text: text[: len(text) // 2], "not valid JSON"),
+        (lambda text: "[]", "has no study, hash"),
+        (lambda text: changed(text, lambda all: all["study"].update(seed=5)), "not the one that its hash is of"),
+        (lambda text: changed(text, lambda all: all["how"].pop("walk")), "damaged, or of another version: KeyError"),
+        (lambda text: changed(text, lambda all: all["how"]["walk"].update(stop=1.0)), "another version: TypeError"),
+    ],
+)
+def test_a_damaged_description_is_told(over_mu, tmp_path, change, rule):
+    over_mu.save(tmp_path)
+    path = tmp_path / "margin.json"
+    path.write_text(change(path.read_text()))
+    with pytest.raises(dj.ConfigError, match=rule):
+        dj.load(tmp_path)
+
+
+def test_a_damaged_dataset_is_told(over_mu, tmp_path):
+    """A chunk that is gone would read as NaN: as draws that are censored."""
+    over_mu.save(tmp_path)
+    chunks = sorted(path for path in (tmp_path / "data.zarr" / "critical").rglob("*") if path.name != "zarr.json")
+    next(chunk for chunk in chunks if chunk.is_file()).unlink()
+    with pytest.raises(dj.ConfigError, match="does not hold what was written"):
+        dj.load(tmp_path)
+    shutil.rmtree(tmp_path / "data.zarr")
+    with pytest.raises(dj.ConfigError, match="cannot be read"):
+        Margins.load(tmp_path)
+
+
+def test_what_is_no_analysis_is_told(over_mu, tmp_path):
+    with pytest.raises(dj.ConfigError, match=r"no manifest.json or margin.json or compare.json"):
+        dj.load(tmp_path / "nowhere")
+    (tmp_path / "rare.json").write_text("{}")
+    with pytest.raises(dj.ConfigError, match=r"plain JSON: rare.json"):
+        dj.load(tmp_path)
+    over_mu.save(tmp_path / "m")
+    with pytest.raises(dj.ConfigError, match="it holds what `margin` wrote"):
+        results.load(tmp_path / "m")
+    with pytest.raises(dj.ConfigError, match="holds no compare analysis"):
+        dj.Comparison.load(tmp_path / "m")

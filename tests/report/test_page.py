@@ -123,7 +123,7 @@ def test_it_tells_what_the_summary_tells(run_page, ran):
     assert f"{point['failures']} of {point['draws']} draws fail" in run_page.text
     low, high = point["interval"]
     assert f"{low:.3g} to {high:.3g}" in run_page.text
-    assert "not certified: Theorem 1 is about DSSC with the functions of Table 1" in run_page.text
+    assert "not certified: the controller is not DSSC with the functions of Table 1" in run_page.text
     for name in (*ran.study.laws, *(measure.name for measure in ran.study.measures)):
         assert name in run_page.text
     assert ran.study.hash in run_page.text
@@ -133,7 +133,7 @@ def test_it_tells_what_the_summary_tells(run_page, ran):
 def test_the_sweep_shows_every_point(sweep_page, swept):
     """Six points in the folded table, and why none of them is certified."""
     assert "All 6 points" in sweep_page.text
-    assert sweep_page.text.count("not certified: Theorem 1 is about DSSC") == 1
+    assert sweep_page.text.count("not certified: the controller is not DSSC") == 1
 
 
 def test_the_certified_region_is_drawn_and_told(swept):

@@ -1,7 +1,6 @@
-"""Commands on how robust a loop is: margin, compare."""
+"""Commands on how robust a loop is: margin, theory, compare."""
 
 import json
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -22,7 +21,15 @@ from dssc_jax.cli.shared import (
 from dssc_jax.errors import ConfigError
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from dssc_jax.study import Study
+
+WalkOption = Annotated[
+    str, typer.Option("--over", metavar="NAME=LO:HI", help="The number to walk, from its safe end to the other.")
+]
+LogOption = Annotated[bool, typer.Option("--log", help="Walk evenly in the logarithm.")]
+PointsOption = Annotated[int, typer.Option("--points", metavar="N", help="Values of the bracketing grid.")]
+BisectionsOption = Annotated[int, typer.Option("--bisections", metavar="N", help="Halvings of a grid's cell.")]
+SWITCHING = ("sta", "smc")
 
 
 def parse_bounds(text: str) -> tuple[str, tuple[float, float]]:
@@ -38,12 +45,10 @@ def parse_bounds(text: str) -> tuple[str, tuple[float, float]]:
 @app.command()
 def margin(
     study: StudyArgument,
-    over: Annotated[
-        str, typer.Option("--over", metavar="NAME=LO:HI", help="The number to walk, from its safe end to the other.")
-    ],
-    log: Annotated[bool, typer.Option("--log", help="Walk evenly in the logarithm.")] = False,
-    points: Annotated[int, typer.Option("--points", metavar="N", help="Values of the bracketing grid.")] = 17,
-    bisections: Annotated[int, typer.Option("--bisections", metavar="N", help="Halvings of a grid's cell.")] = 14,
+    over: WalkOption,
+    log: LogOption = False,
+    points: PointsOption = 17,
+    bisections: BisectionsOption = 14,
     settings: SetOption = None,
     draws: DrawsOption = None,
     seed: SeedOption = None,
@@ -71,13 +76,76 @@ def margin(
     found.save(folder)
     from dssc_jax import plotting
 
-    figures = write_figures(plotting.margin(found), folder, "margin")
+    figures = plotting.save_figure(plotting.margin(found), folder / "figures", "margin")
     summary = found.summary() | {"result": str(folder)}
     if as_json:
         print(json.dumps(summary, allow_nan=False))
     else:
         show_margins(summary, [folder, *figures])
     return DONE
+
+
+@app.command()
+def theory(
+    study: StudyArgument,
+    over: WalkOption,
+    log: LogOption = False,
+    points: PointsOption = 17,
+    bisections: BisectionsOption = 14,
+    settings: SetOption = None,
+    draws: DrawsOption = None,
+    seed: SeedOption = None,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+    allow_local: LocalOption = False,
+) -> int:
+    """Say what theory and simulation have to say of one number, side by side.
+
+    Theorem 1 where it speaks, the linearised loop's local margin, describing functions (over unmodelled.mu), and the
+    simulated margin. They answer different questions; where one is silent, the answer says why.
+    """
+    from dssc_jax import plotting
+    from dssc_jax.cli.statistics import keep, place
+    from dssc_jax.console import progress_bar, show_theory
+    from dssc_jax.theory import beside
+
+    name, bounds = parse_bounds(over)
+    loaded = load_study(study, settings, draws, seed, allow_local)
+    folder = out or default_out(loaded, f"theory-{name}", bool(settings or draws is not None or seed is not None))
+    path = place(folder, "theory.json", loaded)
+    rivals = switching_rivals(loaded)
+    with progress_bar(loaded, quiet=as_json) as advance:
+        found = beside(
+            loaded,
+            over=name,
+            bounds=bounds,
+            log=log,
+            points=points,
+            bisections=bisections,
+            rivals=rivals,
+            progress=advance,
+        )
+    content = keep(path, found.summary(), loaded)
+    figure = plotting.theory(found.margins, found.oscillations, found.edge)
+    figures = plotting.save_figure(figure, folder / "figures", "theory")
+    if as_json:
+        print(json.dumps(content, allow_nan=False))
+    else:
+        show_theory(content, [path, *figures])
+    return DONE
+
+
+def switching_rivals(study: "Study") -> dict[str, "Study"]:
+    """The study under the laws that have a describing function, where their gains follow from it."""
+    from dssc_jax.comparison import controller_table, with_controller
+
+    found = {}
+    for name in SWITCHING:
+        try:
+            found[name] = with_controller(study, name, controller_table(study, name))
+        except ConfigError:
+            continue
+    return found
 
 
 @app.command()
@@ -117,18 +185,10 @@ def compare(
     with progress_bar(loaded, quiet=as_json) as advance:
         found = contest(loaded, names, candidates=usual if tune is None else tune, progress=advance)
     found.save(folder)
-    figures = write_figures(plotting.comparison(found), folder, "compare")
+    figures = plotting.save_figure(plotting.comparison(found), folder / "figures", "compare")
     summary = found.summary() | {"result": str(folder)}
     if as_json:
         print(json.dumps(jsonable(summary), allow_nan=False))
     else:
         show_comparison(summary, [folder, *figures])
     return DONE
-
-
-def write_figures(figure: "Figure", folder: Path, name: str) -> list[Path]:
-    """A figure as PNG and SVG in the results folder."""
-    from dssc_jax import plotting
-
-    (folder / "figures").mkdir(exist_ok=True)
-    return [plotting.write(figure, folder / "figures" / f"{name}.{suffix}") for suffix in ("png", "svg")]

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from dssc_jax.cli.robustness import write_figures
 from dssc_jax.cli.shared import (
     DONE,
     FAILS,
@@ -63,7 +62,7 @@ def tune(
     with progress_bar(loaded, quiet=as_json) as advance:
         found = search(loaded, robust=robust, rounds=rounds, budget=budget, report=advance)
     found.save(folder)
-    figures = write_figures(plotting.tuning(found), folder, "tune")
+    figures = plotting.save_figure(plotting.tuning(found), folder / "figures", "tune")
     file = out or folder / "tuned.toml"
     attempt(file, lambda: file.write_text(to_toml(found.study.table), encoding="utf-8"))
     summary = found.summary() | {"result": str(folder), "tuned_study": str(file)}

@@ -1,7 +1,7 @@
 """Controllers compared on common draws and common noise: with gains that correspond, and tuned on equal budgets."""
 
-from dssc_jax.comparison.compare import Comparison, Contest, compare
+from dssc_jax.comparison.compare import Comparison, Contest, compare, with_controller
 from dssc_jax.comparison.rivals import controller_table
 from dssc_jax.comparison.tuning import Tuning, tuned
 
-__all__ = ["Comparison", "Contest", "Tuning", "compare", "controller_table", "tuned"]
+__all__ = ["Comparison", "Contest", "Tuning", "compare", "controller_table", "tuned", "with_controller"]

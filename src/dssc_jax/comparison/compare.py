@@ -3,14 +3,14 @@
 import itertools
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import xarray as xr
 
 from dssc_jax import api
-from dssc_jax.analysis import save
+from dssc_jax.analysis import read, save
 from dssc_jax.comparison.rivals import Table, controller_table
 from dssc_jax.comparison.tuning import Tuning, tuned, with_gains
 from dssc_jax.errors import ConfigError
@@ -49,6 +49,17 @@ class Contest:
         dataset = xr.concat(parts, dim=axis, join="exact").assign(found[0][drawn])
         dataset["failed"] = (dataset["outcome"] != Outcome.OK).assign_attrs(long_name="the draw failed")
         return cls(tables, dataset)
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """What the dataset alone does not tell, for JSON."""
+        return {"tables": self.tables, "variables": [str(name) for name in self.dataset]}
+
+    @classmethod
+    def stored(cls, content: dict[str, Any], dataset: xr.Dataset) -> "Contest":
+        """A contest from :attr:`content` and its controllers' part of the dataset."""
+        named = dataset.assign_coords(controller=list(content["tables"]))
+        return cls(content["tables"], named[content["variables"]])
 
     @property
     def metrics(self) -> list[str]:
@@ -143,7 +154,31 @@ class Comparison:
             list(range(len(names))),
             {"flag_meanings": " ".join(names)},
         )  # Zarr's strings are unstable
-        return save(Path(folder), "compare", self.study, self.dataset.assign_coords(controller=codes), self.summary())
+        how = {
+            "given": self.given.content,
+            "tuned": self.tuned.content if self.tuned else None,
+            "budget": asdict(self.budget) if self.budget else None,
+            "seconds": self.seconds,
+        }
+        coded = self.dataset.assign_coords(controller=codes)
+        return save(Path(folder), "compare", self.study, coded, self.summary(), how)
+
+    @classmethod
+    def load(cls, folder: str | Path) -> "Comparison":
+        """Read what :meth:`save`, or the command ``compare``, wrote.
+
+        Raises:
+            ConfigError: it is no comparison, or it is damaged.
+        """
+        study, dataset, how = read(Path(folder), "compare")
+        try:
+            count = len(how["given"]["tables"])
+            given = Contest.stored(how["given"], dataset.isel(controller=slice(count)))
+            better = how["tuned"] and Contest.stored(how["tuned"], dataset.isel(controller=slice(count, None)))
+            budget = how["budget"] and Tuning(**how["budget"])
+            return cls(study, given, better, budget, how["seconds"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise ConfigError(str(folder), f"compare.json is damaged, or of another version: {error!r}") from error
 
 
 def with_controller(study: Study, name: str, table: Table) -> Study:

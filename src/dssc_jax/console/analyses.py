@@ -39,8 +39,45 @@ def show_margins(summary: Mapping[str, Any], files: list[Path]) -> None:
         ("seconds", f"{summary['seconds']:.1f}, of which {summary['compile_seconds']:.1f} compiling"),
     ]
     show_table((summary["parameter"], ""), rows)
+    console.print(summary["certificate"], markup=False, soft_wrap=True)
     for path in files:
         console.print(f"wrote {path}", soft_wrap=True, markup=False)
+
+
+def show_theory(found: Mapping[str, Any], files: list[Path]) -> None:
+    """The answers of theory and of simulation, a row each, with the question that each one answers."""
+    console = output()
+    start, end = found["bounds"]
+    console.print(f"[bold]{escape(found['study'])}[/bold]  {found['draws']} draws, {escape(found['parameter'])}")
+
+    def value(number: float | None) -> str:
+        if number is None:
+            return "before the start"
+        return f"{number:.4g}{' or beyond' if number == end else ''}"
+
+    rows = []
+    for name, answer in {**found["local"], "simulated": found["performance"]}.items():
+        middle, lower = value(answer["median"]), value(answer["lower_tolerance"])
+        rows.append((name, middle, lower, "; ".join(answer["criterion"])))
+    head = ("margin", f"median [{found['unit']}]", "95 % of draws, confidence 95 %", "criterion")
+    show_table(head, rows, f"walk from {start:g} to {end:g}")
+    rows = [
+        (name, f"{of['mu'][k]:.3g}", f"{of['amplitude'][k]:.3g}", number_or_none(of["predicted"][k]))
+        for name, of in found["oscillations"].items()
+        for k in (0, len(of["mu"]) // 2, -1)
+    ]
+    if rows:
+        show_table(("oscillation", "mu [s]", "amplitude of sigma [m/s]", "by describing function"), rows)
+    console.print(found["certificate"]["text"], markup=False, soft_wrap=True)
+    for name, why in found["silent"].items():
+        console.print(f"{name}: {why}", markup=False, soft_wrap=True)
+    for path in files:
+        console.print(f"wrote {path}", soft_wrap=True, markup=False)
+
+
+def number_or_none(value: float | None) -> str:
+    """A number, or that there is none."""
+    return "none" if value is None else f"{value:.3g}"
 
 
 def show_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from dssc_jax.analysis import save
+from dssc_jax.analysis import read, save
+from dssc_jax.certification import Reach, reach
+from dssc_jax.errors import ConfigError
 from dssc_jax.margins.search import Censoring, Critical, Walk
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson
 from dssc_jax.statistics.order import binomial_quantile
@@ -31,6 +33,7 @@ class Margins:
             and ``draw``: ``margin``, that of the worst requirement relative to its bound.
         criterion: What a draw must keep in order to pass, in words.
         times: Seconds in all, and compiling.
+        certificate: How far Theorem 1 certifies the loop on the same walk, for all draws at once.
     """
 
     study: Study
@@ -39,6 +42,10 @@ class Margins:
     dataset: xr.Dataset
     criterion: tuple[str, ...]
     times: dict[str, float] = field(default_factory=dict)
+    certificate: Reach = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.certificate = reach(self.study, self.parameter, self.walk.grid)
 
     @classmethod
     def of(
@@ -131,6 +138,8 @@ class Margins:
             "fail_at_start": float(np.mean(censoring == Censoring.BEFORE)),
             "pass_to_end": float(np.mean(censoring == Censoring.BEYOND)),
             "non_monotone": float(data["non_monotone"].mean()),
+            "certified": self.certificate.value,
+            "certificate": self.certificate.text,
             "degradation": {
                 "band": curve.attrs["band"],
                 **{name: curve[name].values.tolist() for name in ("value", "probability", "lower", "upper")},
@@ -144,4 +153,19 @@ class Margins:
         Raises:
             ConfigError: the folder holds something else.
         """
-        return save(Path(folder), "margin", self.study, self.dataset, self.summary())
+        walk = {name: getattr(self.walk, name) for name in ("start", "end", "log", "points", "parted")}
+        how = {"parameter": self.parameter, "walk": walk, "criterion": list(self.criterion), "times": self.times}
+        return save(Path(folder), "margin", self.study, self.dataset, self.summary(), how)
+
+    @classmethod
+    def load(cls, folder: str | Path) -> "Margins":
+        """Read what :meth:`save`, or the command ``margin``, wrote.
+
+        Raises:
+            ConfigError: it is no margin analysis, or it is damaged.
+        """
+        study, dataset, how = read(Path(folder), "margin")
+        try:
+            return cls(study, how["parameter"], Walk(**how["walk"]), dataset, tuple(how["criterion"]), how["times"])
+        except (KeyError, TypeError) as error:
+            raise ConfigError(str(folder), f"margin.json is damaged, or of another version: {error!r}") from error

@@ -1,5 +1,6 @@
 """Figures of margins: the distribution of critical values, and failure along the walk."""
 
+import textwrap
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -7,15 +8,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from dssc_jax.plotting.style import BLUE, GREY, ORANGE, RED, SLIDE, named, styled, title
+from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, named, styled, title
 
 if TYPE_CHECKING:
-    from dssc_jax.margins import Margins
+    from dssc_jax.certification import Reach
+    from dssc_jax.margins import Margins, Walk
 
 
 @styled
 def margin(found: "Margins") -> Figure:
     """Critical values of all draws, with their lower tolerance limit, and the degradation curve with its band.
+
+    Below stands what Theorem 1 says of the same walk.
 
     Args:
         found: What :func:`dssc_jax.margin` returned.
@@ -34,6 +38,8 @@ def margin(found: "Margins") -> Figure:
         if found.walk.log:
             ax.set_xscale("log")
         ax.set_xlim(found.walk.start, found.walk.end)
+    certificate(left, found.certificate, found.walk)
+    left.legend(frameon=False, loc="best")
     right.legend(frameon=False)
     title(figure, f"{found.study.config.description or found.study.name}: {'; '.join(found.criterion)}")
     return figure
@@ -59,4 +65,18 @@ def distribution(ax: Axes, found: "Margins") -> None:
         ax.set_ylabel("share of draws at or above")
     ax.set_ylim(-0.03, 1.03)
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
-    ax.legend(frameon=False, loc="best")
+
+
+def certificate(ax: Axes, reach: "Reach", walk: "Walk") -> None:
+    """Where the certificate ends, or an arrow towards it where the axis does not reach it; below, it speaks."""
+    figure = ax.get_figure(root=True)
+    assert figure is not None
+    figure.supxlabel(textwrap.fill(reach.text, 105), fontsize=12, color=GREEN, parse_math=False)
+    if reach.value is None:
+        return
+    text = f"certified as far as {reach.value:.3g}"
+    if min(walk.start, walk.end) <= reach.value <= max(walk.start, walk.end):
+        ax.axvline(reach.value, color=GREEN, linestyle="-.", label=text)
+    else:
+        place = {"transform": ax.transAxes, "clip_on": False, "linestyle": "", "markersize": 10}
+        ax.plot([0.0], [0.02], marker="<", color=GREEN, label=text, **place)

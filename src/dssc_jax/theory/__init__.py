@@ -4,16 +4,19 @@ A local margin is about deviations that stay small; a simulated margin is about 
 questions and are never mixed: each result says by what criterion it was found.
 """
 
+from dssc_jax.theory.beside import Beside, beside
 from dssc_jax.theory.chattering import chattering
 from dssc_jax.theory.describing import LimitCycle, limit_cycle
 from dssc_jax.theory.linearised import Linearised, at_rest, open_loop, synthesised_gains
 from dssc_jax.theory.local import Time, local_margin, spectrum
 
 __all__ = [
+    "Beside",
     "LimitCycle",
     "Linearised",
     "Time",
     "at_rest",
+    "beside",
     "chattering",
     "limit_cycle",
     "local_margin",

@@ -58,5 +58,5 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
             "frequency": ((MU,), frequency, {"units": "rad/s", "long_name": "frequency by describing function"}),
         },
         coords={MU: ((MU,), np.asarray(values, float), {"units": "s", "long_name": "time constant mu"})},
-        attrs={"controller": kind_of(study, "controller")},
+        attrs={"controller": kind_of(study, "controller"), "push": push},
     )

@@ -95,6 +95,8 @@ def local_margin(
     if kind == Time.CONTINUOUS and kind_of(rest, "controller") not in SMOOTH:
         raise ConfigError(f"{study.source}: controller.kind", f"(22) is known for {', '.join(SMOOTH)} only")
     walk = Walk(*checked(over, bounds, log, points, bisections), log, points)
+    if over in study.quantities and over not in rest.quantities:
+        raise ConfigError(over, "plays no part near the origin: reference and disturbance are left aside there")
     swept = rest.override({"sweep": {over: sorted(bounds)}})
     draws = study.config.draws
     laws = drawn(swept, slice(0, draws))
