@@ -102,7 +102,10 @@ class Bounds(NamedTuple):
         if self.k_min > self.k_max:
             raise ConfigError("k_min", f"must be <= k_max = {self.k_max:g}, got {self.k_min:g}")
         if self.zero_dynamics is not None:
-            require_plain(self.zero_dynamics)
+            try:
+                require_plain(self.zero_dynamics)
+            except ConfigError as error:
+                raise error.within_path("zero_dynamics") from None
             require_hurwitz(self.zero_dynamics)
         return self
 

@@ -48,15 +48,20 @@ def synthesise(bounds: Bounds, free: Free, recipe: Recipe = Recipe.STRICT) -> Pa
         recipe: See :class:`Recipe`.
 
     Raises:
-        ConfigError: the bounds contradict themselves, or a free parameter is not positive.
+        ConfigError: the bounds contradict themselves, a free parameter is not positive, or both together make a
+            parameter too large or too small to compute with.
     """
     bounds = bounds.prepare()
     try:
         require_plain(free)
     except ConfigError as error:
         raise error.within_path("free") from None
-    found = design(bounds, free, Recipe(recipe))
-    return Parameters(*map(float, found))
+    found = Parameters(*map(float, design(bounds, free, Recipe(recipe))))
+    try:
+        require_plain(found)
+    except ConfigError as error:
+        raise ConfigError("free", f"makes with these bounds {error.where}, which {error.rule}") from None
+    return found
 
 
 def design(bounds: Bounds, free: Free, recipe: Recipe = Recipe.STRICT) -> Parameters:

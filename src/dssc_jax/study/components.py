@@ -55,7 +55,8 @@ def parse_number(value: Any, quantity: Quantity) -> float | Law:
         parsed = float(value)
         low = high = parsed
     else:
-        raise ValueError(f"must be a finite number ({quantity.meaning} [{quantity.unit}]) or a law, got {value!r}")
+        law = " or a law" if quantity.law else ""
+        raise ValueError(f"must be a finite number ({quantity.meaning} [{quantity.unit}]){law}, got {value!r}")
     broken = quantity.violated_by(low, high)
     if broken:
         found = f"{value!r}" if low == high else f"{parsed}, whose support is [{low:g}, {high:g}]"

@@ -8,6 +8,7 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 
 from dssc_jax.design import Bounds, Free, Modulation, Parameters, Recipe, derive, synthesise
+from dssc_jax.design.bounds import require_plain
 from dssc_jax.design.feasibility import RANGES, Criterion, Goal, optimise
 from dssc_jax.errors import ConfigError, meant
 from dssc_jax.study.components import Component, as_table, explain, parse_params
@@ -132,7 +133,7 @@ def sought(table: dict[str, Any], bounds: Bounds) -> tuple[Free, Goal]:
     try:
         return optimise(bounds, start, goal, ranges), goal
     except ConfigError as error:
-        raise (error.within_path("goal") if error.where != "goal" else error) from None
+        raise (error.within_path("goal") if error.where.startswith("vary") else error) from None
 
 
 def default_criterion(bounds: Bounds) -> str:
@@ -150,10 +151,12 @@ def located(path: str, prepare: Callable[[], Any]) -> Any:
 
 
 def plain(table: dict[str, Any], kind: type, path: str) -> Any:
-    """A table of plain numbers as an instance of its parameter type."""
+    """A table of plain numbers, none too large or too small to compute with, as an instance of its parameter type."""
     if path not in table:
         raise ConfigError(path, "is required and missing")
-    return parse_params(as_table(table[path], path), kind, path, Component(path, kind, None))
+    found = parse_params(as_table(table[path], path), kind, path, Component(path, kind, None))
+    located(path, lambda: require_plain(found))
+    return found
 
 
 def to_toml(found: DesignFile) -> str:
