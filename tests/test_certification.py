@@ -111,6 +111,14 @@ def test_an_uncertain_nominal_control_counts_at_its_worst():
     assert marked({"uniform": [0.45, 0.55]})
 
 
+def test_a_design_without_kappa_a_is_not_certified():
+    """The bound of 1/tau_m in the nominal control divides by it."""
+    own = table()["controller"]
+    functions = own["functions"] | {"kappa_a": 0.0}
+    study = dj.Study.from_table(table(controller=own | {"functions": functions, "nominal": {"a": 1.0, "k": 1.0}}))
+    assert mark(study).certified.item() is False
+
+
 def test_a_users_own_plant_is_not_taken_for_the_class():
     from dssc_jax.plants.normal_form import NORMAL_FORM
 

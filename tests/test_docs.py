@@ -1,5 +1,7 @@
 """The documentation's examples run as printed; its links lead somewhere."""
 
+import doctest
+import importlib
 import os
 import re
 import subprocess
@@ -13,6 +15,12 @@ ROOT = Path(__file__).parents[1]
 BLOCK = re.compile(r"```(\w+)\n(.*?)```", re.DOTALL)
 EVERY = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]
 PAGES = sorted(str(page.relative_to(ROOT)) for page in EVERY if BLOCK.search(page.read_text()))
+SOURCE = ROOT / "src"
+WITH_EXAMPLES = sorted(
+    ".".join(file.relative_to(SOURCE).with_suffix("").parts)
+    for file in SOURCE.rglob("*.py")
+    if re.search(r"^ +>>> ", file.read_text(), re.MULTILINE)
+)
 LANGUAGES = {"sh", "python", "toml"}
 
 
@@ -38,6 +46,14 @@ def test_examples_run(page, tmp_path):
         assert done.returncode == 0, done.stdout + done.stderr
         ran += 1
     assert ran >= 1
+
+
+@pytest.mark.parametrize("module", WITH_EXAMPLES)
+def test_examples_of_docstrings(module, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    found = doctest.testmod(importlib.import_module(module))
+    assert found.attempted > 0
+    assert found.failed == 0
 
 
 def test_make_targets_of_the_readme_exist():

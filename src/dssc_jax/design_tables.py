@@ -106,7 +106,7 @@ def limits_table(limits: Limits) -> Table:
     """How far each bound can go alone."""
     meanings = {
         "phi_b": "least phi_b",
-        "disturbance": "largest factor on k_d1 ... k_d5",
+        "disturbance": "largest factor on k_d1 ... k_d5, alpha_d2, alpha_d3",
         "k_min": "least k_min",
         "k_max": "largest k_max",
         "a_max": "largest a_max",
@@ -120,8 +120,12 @@ def show(found: DesignFile, certificate: Certificate, limits: Limits | None) -> 
     shown = "".join(character if character.isprintable() else "?" for character in found.name)
     verdict = "[green]certified[/green]" if certificate.certified else "[red]not certified[/red]: "
     output().print(f"[bold]{escape(shown)}[/bold]: {verdict}{escape(reasons(certificate))}")
+    if certificate.certified:
+        output().print("In continuous time, without unmodelled dynamics, and with a rho that keeps sliding.")
     for table in [*tables(found, certificate), *([limits_table(limits)] if limits else [])]:
         show_table(table.head, table.rows, title=table.title)
+    for edge in found.edges:
+        output().print(f"{edge}; a wider range in [goal.vary] may do better", markup=False)
     if found.goal is not None or found.free is not None:
         output().print("In a study:", markup=False)
         output().print(functions_toml(found.parameters), markup=False, highlight=False)

@@ -18,6 +18,9 @@ from dssc_jax.study import Study
 from dssc_jax.types import Outcome
 
 QUANTILES = (0.05, 0.5, 0.95)
+GIVEN = "with a rho that keeps sliding"
+"""What a certificate presumes beside the loop that it names."""
+
 DESIGNS = {"sobol": "scrambled Sobol", "lhs": "Latin hypercube"}
 
 
@@ -32,7 +35,8 @@ class Result:
         manifest: Study, versions, device, counts and times.
         path: The results folder, once there is one.
         silence: Why the dataset has no coordinate ``certified``, which tells for each point of the sweep whether
-            Theorem 1 holds for the loop without unmodelled dynamics, sensors and sampling; empty where it has one.
+            Theorem 1 holds for the loop without unmodelled dynamics, sensors and sampling, and with a rho that keeps
+            sliding; empty where it has one.
     """
 
     study: Study
@@ -54,8 +58,8 @@ class Result:
             return f"not certified: {self.silence}"
         found = self.dataset["certified"].values
         if not found.ndim:
-            return "certified by Theorem 1" if found else "not certified by Theorem 1"
-        return f"Theorem 1 certifies {np.count_nonzero(found)} of {found.size} points"
+            return f"certified by Theorem 1, {GIVEN}" if found else "not certified by Theorem 1"
+        return f"Theorem 1 certifies {np.count_nonzero(found)} of {found.size} points, {GIVEN}"
 
     @property
     def failed(self) -> xr.DataArray:

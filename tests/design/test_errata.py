@@ -12,6 +12,7 @@ from dssc_jax.design.lyapunov import eigenvalues_of_p
 from dssc_jax.design.small_gain import comparison_gains, error_dynamics
 from dssc_jax.design.table1 import f, kappa_c_bound
 from dssc_jax.uav.vehicle import GRAVITY, QUADROTOR
+from dssc_jax.zero_dynamics import companion
 from tests.design.cases import BOUNDS, FREE
 
 PAGE = Path(__file__).parents[2] / "docs" / "errata.md"
@@ -241,10 +242,13 @@ def test_e18_the_limits_at_zero():
 
 
 def test_e19_greater_than_one_may_tend_to_one():
-    """1 + 1/x exceeds 1 and tends to 1: no contradiction."""
+    """1 + 1/x exceeds 1 and tends to 1: no contradiction. The solution of x' = x^2 is defined up to its escape, t_M."""
     x = sp.Symbol("x", positive=True)
     assert (1 / x).is_positive
     assert sp.limit(1 + 1 / x, x, sp.oo) == 1
+    solution = 1 / (1 - t)
+    assert zero(sp.diff(solution, t) - solution**2)
+    assert sp.limit(solution, t, 1, "-") == sp.oo
 
 
 def test_e20_the_lost_dots():
@@ -302,9 +306,28 @@ def test_e25_a_weaker_kappa_a():
     assert not certificate.table
 
 
+def test_e26_beta_1_depends_on_sigma():
+    """Its slope at sigma = 0 with u_d = -c sigma and d_1 = k sigma, which (A1) allows; and beta_1 = 0 there."""
+    sigma, c, k = sp.symbols("sigma c k", real=True)
+    beta_1 = -k_p * c * sigma + (l0 - a_p) * sigma + k_p * k * sigma
+    assert not zero(sp.diff(beta_1, sigma))
+    assert zero(beta_1.subs(sigma, 0))
+
+
+def test_e27_kappa_eta():
+    """|C_eta A_eta eta| exceeds |C_eta| |eta|, hence needs a factor; |A_eta| is one for any A_eta."""
+    rng = np.random.default_rng(27)
+    a = companion((10.0, 1.0))
+    c, eta = np.array([0.0, 1.0]), np.array([1.0, 0.0])
+    assert abs(c @ a @ eta) > np.linalg.norm(c) * np.linalg.norm(eta)
+    for _ in range(100):
+        a, c = companion(tuple(10 ** rng.uniform(-1, 1, 3))), rng.normal(size=3)
+        assert np.linalg.norm(c @ a) <= np.linalg.norm(a, 2) * np.linalg.norm(c) * (1 + 1e-12)
+
+
 def test_every_entry_of_the_page_has_its_proof():
     """And every proof its entry; E8, E9, E16 and E17 are shown elsewhere, as the page says."""
     entries = set(re.findall(r"^\| E(\d+) ", PAGE.read_text(), flags=re.MULTILINE))
-    assert entries == {str(number) for number in range(1, 26)}
+    assert entries == {str(number) for number in range(1, 28)}
     here = {str(int(number)) for number in re.findall(r"def test_e(\d+)_", Path(__file__).read_text())}
     assert entries - here == {"8", "9", "16", "17"}

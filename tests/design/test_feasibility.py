@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dssc_jax.design import Bounds, Free, certified, check, guarantee, small_gain, synthesise
-from dssc_jax.design.feasibility import DISTURBANCES, RANGES, Criterion, Goal, limits, optimise, scaled
+from dssc_jax.design.feasibility import DISTURBANCES, RANGES, Criterion, Goal, edges, limits, optimise, scaled
 from dssc_jax.design.practice import practice
 from dssc_jax.errors import ConfigError
 
@@ -76,6 +76,15 @@ def score(p, criterion):
 def test_an_infeasible_goal_says_how_near_it_comes():
     with pytest.raises(ConfigError, match=r"goal: no design in the ranges has residual <= 1e-09 m and sample_time"):
         optimise(BOUNDS, FREE, Goal(Criterion.GAIN, residual=1e-9, sample_time=1e-2))
+
+
+def test_a_parameter_at_the_end_of_its_range_is_told():
+    """The smallest residual wants l0 as large as it may be, whatever that is."""
+    ranges = {"l0": (0.1, 2.0), "eps_3": (1.0, 20.0)}
+    best = optimise(BOUNDS, FREE, Goal(Criterion.RESIDUAL), ranges)
+    assert [text.split(" = ")[0] for text in edges(best, ranges)] == ["l0", "eps_3"]
+    assert edges(best._replace(l0=0.5), ranges)[0].startswith("eps_3 = 20 is the upper end")
+    assert edges(best._replace(l0=0.1, eps_3=5.0), ranges)[0].startswith("l0 = 0.1 is the lower end")
 
 
 @pytest.mark.parametrize(

@@ -57,24 +57,36 @@ def test_a_design_at_the_nominal_gain_fails_below_it():
 
 
 @pytest.mark.parametrize(
-    ("field", "factor", "names"),
+    ("row", "changes"),
     [
-        ("kappa_d", 0.99, {"kappa_d"}),
-        ("phi_b", 0.99, {"phi_b"}),
-        ("kappa_c", 0.99, {"kappa_c (Lyapunov)"}),
-        ("kappa_a", 0.99, {"kappa_a (kappa_b/l0)"}),
+        ("phi_b", {}),
+        ("kappa_c (Lyapunov)", {}),
+        ("kappa_c (disturbance)", {"k_d3": 1e3}),
+        ("kappa_b", {}),
+        ("kappa_a (disturbance)", {"c_isigma": 1e3}),
+        ("kappa_a (kappa_b/l0)", {}),
+        ("kappa_d", {}),
     ],
 )
-def test_one_per_cent_below_names_that_inequality(field, factor, names):
-    """The parameter put 1 % below its bound, the others re-synthesised for the changed value where they need it."""
-    bounds = BOUNDS._replace(y_m=0.0, y_m_dot=0.0)
+def test_one_per_cent_below_names_that_inequality(row, changes):
+    """And no other: the parameter put 1 % below the row's bound, under bounds that make this the row that decides."""
+    bounds = BOUNDS._replace(y_m=0.0, y_m_dot=0.0, **changes)
     p = synthesise(bounds, FREE._replace(eps_1=0.05))
-    bound = max(i.bound for i in check(p, bounds).inequalities if i.name.split(" ")[0] == field)
-    p = p._replace(**{field: factor * bound})
-    if field == "phi_b":  # the other inequalities divide by it
+    bound = next(i.bound for i in check(p, bounds).inequalities if i.name == row)
+    p = p._replace(**{row.split(" ")[0]: 0.99 * bound})
+    if row == "phi_b":  # the other inequalities divide by it
         p = p._replace(kappa_a=1e3, kappa_b=1.0, kappa_c=1e4)
     failing = {i.name for i in check(p, bounds).inequalities if i.state is not State.SATISFIED}
-    assert failing == names
+    assert failing == {row}
+
+
+def test_f_one_per_cent_below_takes_the_bound_of_kappa_c_along():
+    """f = 0.99: that bound divides by f - 1 and has no meaning left; no other row fails."""
+    p = synthesise(BOUNDS, FREE)
+    k_p, eps = BOUNDS.k_min, p.eps
+    p = p._replace(gamma=(0.99 / (4.0 * eps * k_p) + 4.0 * eps**2) / k_p, kappa_d=1e3)
+    failing = {name: state for name, state in states(check(p, BOUNDS)).items() if state is not State.SATISFIED}
+    assert failing == {"f": State.VIOLATED, "kappa_c (Lyapunov)": State.NOT_EVALUABLE}
 
 
 def test_the_factor_two_eps():

@@ -99,6 +99,16 @@ def test_what_is_written_reads_back():
         ),
         ({"bounds": BOUNDS, "free": FREE, "modulation": {"k_o": 0.0, "delta_rho": 1.0}}, "modulation.k_o: "),
         ({"bounds": BOUNDS, "free": FREE, "extra": 1}, "extra: unknown name"),
+        (
+            {"bounds": BOUNDS | {"k_min": 1e-20}, "free": FREE},
+            "free: makes with these bounds gamma, which must be a plain",
+        ),
+        ({"bounds": BOUNDS, "free": FREE | {"l0": 1e31}}, "free.l0: must be a plain number below 1e+30, got 1e+31"),
+        ({"bounds": BOUNDS, "free": FREE | {"l0": "x"}}, "(error pole l_0 [1/s]), got 'x'"),
+        (
+            {"bounds": BOUNDS | {"zero_dynamics": {"a": [1e-40], "c": [1.0]}}, "free": FREE},
+            "bounds.zero_dynamics.a: must be 0 or at least 1e-30",
+        ),
     ],
 )
 def test_bad_files(table, message):
@@ -116,8 +126,11 @@ def test_the_commands(tmp_path, capsys):
     told = json.loads(capsys.readouterr().out)
     assert told["certified"]
     assert {"name", "equation", "slack", "state", "printed_slack"} <= told["inequalities"][0].keys()
+    assert told["edges"] == ["l0 = 5 is the upper end of what was sought, 0.05 to 5"]
+    assert guarded(["check", str(out), "--json", "--latex"]) == 2
+    assert "--latex: cannot stand with --json" in capsys.readouterr().err
     assert guarded(["check", str(out)]) == 0
-    assert "certified" in capsys.readouterr().out
+    assert "with a rho that keeps sliding" in capsys.readouterr().out
     assert guarded(["check", str(out), "--latex"]) == 0
     assert capsys.readouterr().out.count("\\begin{tabular}") == 5
     text = out.read_text()

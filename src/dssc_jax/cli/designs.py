@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dssc_jax.cli.shared import DONE, FAILS, JsonOption, app, attempt
+from dssc_jax.errors import ConfigError
 
 if TYPE_CHECKING:
     from dssc_jax.study.design_file import DesignFile
@@ -29,6 +30,7 @@ def check(
     """
     from dssc_jax.study.design_file import load_design
 
+    require_one_form(as_json, as_latex)
     return tell_design(load_design(design), as_json, as_latex)
 
 
@@ -46,10 +48,21 @@ def design(
     """
     from dssc_jax.study.design_file import load_design, to_toml
 
+    require_one_form(as_json, as_latex)
     found = load_design(bounds, complete=False)
     if out is not None:
         attempt(out, lambda: out.write_text(to_toml(found), encoding="utf-8"))
     return tell_design(found, as_json, as_latex)
+
+
+def require_one_form(as_json: bool, as_latex: bool) -> None:
+    """Require that stdout is asked for in one form at most.
+
+    Raises:
+        ConfigError: otherwise.
+    """
+    if as_json and as_latex:
+        raise ConfigError("--latex", "cannot stand with --json: both are all that stdout holds")
 
 
 def tell_design(found: "DesignFile", as_json: bool, as_latex: bool) -> int:
@@ -67,6 +80,7 @@ def tell_design(found: "DesignFile", as_json: bool, as_latex: bool) -> int:
             "parameters": found.parameters._asdict(),
             "free": found.free and found.free._asdict(),
             "goal": found.goal and found.goal._asdict(),
+            "edges": found.edges,
             **certificate.to_dict(),
             "limits": reach and reach._asdict(),
             "modulation": found.modulation

@@ -135,6 +135,10 @@ def derive(bounds: Bounds, l0: Number) -> Constants:
     Args:
         bounds: The bounds.
         l0: Error pole [1/s].
+
+    Example:
+        >>> derive(Bounds(k_min=0.9, k_max=1.1, a_max=1.0, k_d4=0.1), l0=0.5).k_sigma
+        0.86
     """
     b, k_max = bounds, bounds.k_max
     c_eta_a_eta, c_eta_b_eta = coupling(b.zero_dynamics)

@@ -17,6 +17,7 @@ from dssc_jax.errors import ConfigError, meant
 
 REACH = 1e6  # factors beyond it count as no limit
 HALVINGS = 60
+AT_EDGE = 1e-3  # share of a range's logarithmic length that counts as its end
 WORST = 1e9  # cost of a candidate that cannot be computed
 DISTURBANCES = ("k_d1", "k_d2", "k_d3", "k_d4", "k_d5", "alpha_d2", "alpha_d3")
 
@@ -40,7 +41,15 @@ class Limits(NamedTuple):
 
 
 def limits(p: Parameters, bounds: Bounds) -> Limits:
-    """The limits of a certified design, each with everything else as it is; NaN for one that is not certified."""
+    """The limits of a certified design, each with everything else as it is; NaN for one that is not certified.
+
+    Example:
+        >>> from dssc_jax.design import synthesise
+        >>> bounds = Bounds(k_min=0.9, k_max=1.1, a_max=1.0, alpha_d3=0.1)
+        >>> found = synthesise(bounds, Free(l0=0.5, phi_a=0.1, eps=0.3, delta=0.5, eps_1=2.0, eps_2=0.1, eps_3=6.0))
+        >>> round(limits(found, bounds).k_min, 3)
+        0.896
+    """
 
     def along(change: Callable[[float], tuple[Parameters, Bounds]], far: float) -> float:
         return last_true(lambda factor: bool(certified(*change(factor))), far)
@@ -139,6 +148,14 @@ def optimise(
     Raises:
         ConfigError: a range is not one, or no design in the ranges meets the goal: says how near the nearest comes.
 
+    Example:
+        >>> bounds = Bounds(k_min=0.9, k_max=1.1, a_max=1.0, alpha_d3=0.1)
+        >>> start = Free(l0=0.5, phi_a=0.1, eps=0.3, delta=0.5, eps_1=2.0, eps_2=0.1, eps_3=6.0)
+        >>> goal, ranges = Goal(Criterion.GAIN, residual=0.1), {"eps_1": (0.1, 10.0), "eps_3": (1.0, 20.0)}
+        >>> found = optimise(bounds, start, goal, ranges)
+        >>> float(guarantee(synthesise(bounds, found), bounds).e) <= 0.1
+        True
+
     Reference:
         R. Storn, K. Price, "Differential evolution", J. Global Optimization 11 (1997) 341-359.
     """
@@ -173,6 +190,17 @@ def optimise(
     if not float(shortfall(synthesise(bounds, best), bounds, goal)) <= 0.0:
         raise ConfigError("goal", infeasible(bounds, best, goal))
     return best
+
+
+def edges(free: Free, ranges: Mapping[str, tuple[float, float]] = RANGES) -> tuple[str, ...]:
+    """Which parameters lie at an end of their range, in words: within :data:`AT_EDGE` of its logarithmic length."""
+    found = []
+    for name, (low, high) in ranges.items():
+        share = float(np.log(getattr(free, name) / low) / np.log(high / low))
+        if min(share, 1.0 - share) < AT_EDGE:
+            end = "lower" if share < 0.5 else "upper"
+            found.append(f"{name} = {getattr(free, name):.4g} is the {end} end of what was sought, {low:g} to {high:g}")
+    return tuple(found)
 
 
 def shortfall(p: Parameters, bounds: Bounds, goal: Goal) -> np.ndarray:

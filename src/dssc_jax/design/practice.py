@@ -6,7 +6,7 @@ where the loop lives in the end, in the guaranteed residual set; a start far awa
 
 from typing import Annotated, NamedTuple
 
-from dssc_jax.design.arrays import Number, namespace
+from dssc_jax.design.arrays import Number, namespace, ratio_where
 from dssc_jax.design.bounds import Bounds, derive, known, positive
 from dssc_jax.design.lyapunov import kappa_1
 from dssc_jax.design.small_gain import Guarantee, guarantee
@@ -74,10 +74,10 @@ def predictor_pole(p: Parameters) -> Number:
     """Bound of 1/tau_m of (29) over all (sigma, e).
 
     Its part of d kappa_1/d e is at most kappa_b/kappa_a, that of kappa_2 at most the largest phi_1/sigma times the
-    largest kappa_2/kappa_1.
+    largest kappa_2/kappa_1. NaN where kappa_a = 0: then nothing bounds it.
     """
     largest_share = 2.0 * p.eps + p.gamma / (p.kappa_c**2 + p.kappa_d)
-    return p.kappa_b / p.kappa_a + (p.phi_a / p.delta + p.phi_b) * largest_share
+    return ratio_where(p.kappa_a > 0.0, p.kappa_b, p.kappa_a) + (p.phi_a / p.delta + p.phi_b) * largest_share
 
 
 def sample_time(k_p: Number, gain: Number, pole: Number) -> Number:

@@ -182,6 +182,13 @@ def guarantee(p: Parameters, bounds: Bounds) -> Guarantee:
         p: The parameters; Table 1 must hold for the numbers to mean anything.
         bounds: What is known. The reference needs a bounded third derivative and u_m a bounded first one, neither
             of which the article assumes.
+
+    Example:
+        >>> from dssc_jax.design.synthesis import Free, synthesise
+        >>> bounds = Bounds(k_min=0.9, k_max=1.1, a_max=1.0, alpha_d3=0.1)
+        >>> found = synthesise(bounds, Free(l0=0.5, phi_a=0.1, eps=0.3, delta=0.5, eps_1=2.0, eps_2=0.1, eps_3=6.0))
+        >>> round(float(guarantee(found, bounds).e), 4)
+        0.0844
     """
     c, eta = derive(bounds, p.l0), error_dynamics(bounds, p.l0)
     low, high = (guarantee_at(p, bounds, c, eta, k_p) for k_p in (bounds.k_min, bounds.k_max))

@@ -50,6 +50,12 @@ def synthesise(bounds: Bounds, free: Free, recipe: Recipe = Recipe.STRICT) -> Pa
     Raises:
         ConfigError: the bounds contradict themselves, a free parameter is not positive, or both together make a
             parameter too large or too small to compute with.
+
+    Example:
+        >>> bounds = Bounds(k_min=0.9, k_max=1.1, a_max=1.0, alpha_d3=0.1)
+        >>> found = synthesise(bounds, Free(l0=0.5, phi_a=0.1, eps=0.3, delta=0.5, eps_1=2.0, eps_2=0.1, eps_3=6.0))
+        >>> round(found.phi_b, 4), round(found.gamma, 4)
+        (7.6667, 3.4864)
     """
     bounds = bounds.prepare()
     try:

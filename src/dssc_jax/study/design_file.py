@@ -9,7 +9,7 @@ from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 
 from dssc_jax.design import Bounds, Free, Modulation, Parameters, Recipe, derive, synthesise
 from dssc_jax.design.bounds import require_plain
-from dssc_jax.design.feasibility import RANGES, Criterion, Goal, optimise
+from dssc_jax.design.feasibility import RANGES, Criterion, Goal, edges, optimise
 from dssc_jax.errors import ConfigError, meant
 from dssc_jax.study.components import Component, as_table, explain, parse_params
 from dssc_jax.study.schema import STRICT, finite
@@ -42,6 +42,7 @@ class DesignFile(NamedTuple):
         free: The free parameters that they were synthesised from, if they were.
         goal: What the free parameters were optimised for, if they were.
         modulation: How the loop is meant to reach sliding, if it is said.
+        edges: What was optimised and ended at an end of its range, in words.
     """
 
     name: str
@@ -50,6 +51,7 @@ class DesignFile(NamedTuple):
     free: Free | None = None
     goal: Goal | None = None
     modulation: Modulation | None = None
+    edges: tuple[str, ...] = ()
 
 
 class GoalTable(BaseModel):
@@ -106,16 +108,19 @@ def parse_design(table: dict[str, Any], name: str, complete: bool = True) -> Des
         raise ConfigError("recipe", f"must be strict or printed, got {recipe!r}")
     named = as_table(table.get("free", {}), "free").keys() >= REQUIRED
     if "goal" not in table and (complete or named):
-        free, goal = plain(table, Free, "free"), None
+        free, goal, at_edges = plain(table, Free, "free"), None, ()
     else:
         if "recipe" in table:
             raise ConfigError("recipe", "has no meaning where the free parameters are sought; designs are strict then")
-        free, goal = sought(table, bounds)
-    return DesignFile(name, bounds, synthesise(bounds, free, Recipe(recipe)), free, goal, modulation)
+        free, goal, at_edges = sought(table, bounds)
+    return DesignFile(name, bounds, synthesise(bounds, free, Recipe(recipe)), free, goal, modulation, at_edges)
 
 
-def sought(table: dict[str, Any], bounds: Bounds) -> tuple[Free, Goal]:
-    """The free parameters that serve the goal: those that ``[free]`` gives are kept, the others varied."""
+def sought(table: dict[str, Any], bounds: Bounds) -> tuple[Free, Goal, tuple[str, ...]]:
+    """The free parameters that serve the goal, and which of them ended at an end of their range.
+
+    Those that ``[free]`` gives are kept, the others varied.
+    """
     try:
         wanted = GoalTable.model_validate(as_table(table.get("goal", {}), "goal"))
     except ValidationError as error:
@@ -131,9 +136,10 @@ def sought(table: dict[str, Any], bounds: Bounds) -> tuple[Free, Goal]:
     ranges = {key: box for key, box in RANGES.items() if key not in given} | wanted.vary
     goal = Goal(Criterion(criterion), wanted.residual or float("inf"), wanted.sample_time)
     try:
-        return optimise(bounds, start, goal, ranges), goal
+        best = optimise(bounds, start, goal, ranges)
     except ConfigError as error:
         raise (error.within_path("goal") if error.where.startswith("vary") else error) from None
+    return best, goal, edges(best, ranges)
 
 
 def default_criterion(bounds: Bounds) -> str:
