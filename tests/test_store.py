@@ -92,14 +92,26 @@ def test_a_folder_that_is_no_result_is_refused(study, tmp_path):
         dj.run(study, tmp_path / "thesis.tex")
 
 
+def altered(folder, **changes):
+    """The manifest with some of its fields replaced."""
+    path = folder / "manifest.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+
+
 DAMAGE = {
     "no manifest": lambda f: (f / "manifest.json").unlink(),
     "truncated manifest": lambda f: (f / "manifest.json").write_text((f / "manifest.json").read_text()[:100]),
     "empty manifest": lambda f: (f / "manifest.json").write_text("{}"),
     "manifest of another kind": lambda f: (f / "manifest.json").write_text("[1]"),
-    "another schema": lambda f: (f / "manifest.json").write_text(
-        (f / "manifest.json").read_text().replace('"schema": 1', '"schema": 9')
+    "another schema": lambda f: altered(f, schema=9),
+    "times that are no table": lambda f: altered(f, times=3),
+    "times that are no numbers": lambda f: altered(f, times={"rate": "x"}),
+    "times missing": lambda f: altered(f, times={}),
+    "a stop that is no table": lambda f: altered(f, stopping=[1]),
+    "a stop at no look": lambda f: altered(
+        f, stopping={"rule": "r", "most": 1, "verdict": "v", "look": 0, "looks": []}
     ),
+    "a cluster without workers": lambda f: altered(f, cluster={}),
     "no data": lambda f: shutil.rmtree(f / "data.zarr"),
     "no array": lambda f: shutil.rmtree(f / "data.zarr" / "error_rms"),
     "truncated metadata": lambda f: (f / "data.zarr" / "error_rms" / "zarr.json").write_text('{"zarr'),

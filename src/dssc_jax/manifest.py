@@ -8,12 +8,18 @@ from typing import Any
 from dssc_jax.engine import Layout
 from dssc_jax.errors import ConfigError
 from dssc_jax.study import Study, hash_of
+from dssc_jax.study.laws import is_number
 from dssc_jax.study.tables import require_shallow
 
 SCHEMA = 1
 DATA, MANIFEST, SUMMARY, PARTIAL = "data.zarr", "manifest.json", "summary.json", ".partial"
 ANALYSES = ("margin", "compare")
-TABLES = ("study", "layout", "versions", "device")
+TABLES = ("study", "layout", "versions", "device", "times")
+TIMES = ("seconds", "compile_seconds", "rate")
+"""What every finished run tells of its time."""
+
+STOPPED = ("rule", "most", "verdict", "look", "looks")
+CLUSTER = ("workers", "lost")
 COMPUTING = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy")
 """Packages whose version may change a result in its last digits."""
 
@@ -63,6 +69,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     for name in TABLES:
         if not isinstance(manifest.get(name), dict):
             raise ConfigError(str(path), f"is damaged: {name} is not a table")
+    require_sound(path, manifest)
     try:
         require_shallow(manifest["study"])
     except ConfigError as error:
@@ -70,6 +77,34 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     if manifest.get("hash") != hash_of(manifest["study"]):
         raise ConfigError(str(path), "is damaged: the study is not the one that its hash was taken of")
     return manifest
+
+
+def require_sound(path: Path, manifest: dict[str, Any]) -> None:
+    """Require what a summary takes from a manifest beside its study: numbers where it computes, tables where it reads.
+
+    Raises:
+        ConfigError: the field, and what it must be.
+    """
+    for name, value in manifest["times"].items():
+        if not is_number(value):
+            raise ConfigError(str(path), f"is damaged: times.{name} must be a number, got {value!r}")
+    require_fields(path, "times", manifest["times"], TIMES if manifest.get("complete") else ())
+    for name, fields in (("stopping", STOPPED), ("cluster", CLUSTER)):
+        if manifest.get(name) is not None:
+            require_fields(path, name, manifest[name], fields)
+    look = (manifest.get("stopping") or {}).get("look", 1)
+    if not isinstance(look, int) or look < 1:
+        raise ConfigError(str(path), f"is damaged: stopping.look must be a whole number >= 1, got {look!r}")
+
+
+def require_fields(path: Path, name: str, table: Any, fields: tuple[str, ...]) -> None:
+    """Require a table with these fields.
+
+    Raises:
+        ConfigError: it is none, or lacks one.
+    """
+    if not isinstance(table, dict) or not table.keys() >= set(fields):
+        raise ConfigError(str(path), f"is damaged: {name} must be a table with {', '.join(fields)}, got {table!r}")
 
 
 def stored_layout(folder: Path, study: Study, manifest: dict[str, Any]) -> Layout:

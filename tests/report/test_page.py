@@ -140,7 +140,7 @@ def test_the_certified_region_is_drawn_and_told(swept):
     grid = swept.dataset["outcome"].isel(draw=0, drop=True)
     told = swept.dataset.assign(certified=grid["controller.l0"] + 0 * grid < 0.7)
     page = html(dj.Result(swept.study, told, swept.manifest), worst=0)
-    assert "Theorem 1 certifies 3 of 6 points (hatched)" in page
+    assert "Theorem 1 certifies 3 of 6 points, with a rho that keeps sliding (hatched)" in page
     assert "certified by Theorem 1</text>" in page
 
 
