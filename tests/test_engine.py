@@ -36,19 +36,21 @@ def test_the_study_is_not_trivial(whole):
     assert whole.dataset.sizes == {"controller.functions.tau_av": 3, "controller.l0": 2, "draw": 24}
 
 
-@pytest.mark.parametrize("block", [1, 7, 24, 50, 1000])
+@pytest.mark.parametrize("block", [1, 7, 24, 1000])
 def test_any_chunk_size(whole, block):
-    same(whole, dj.run(whole.study, block=block))
+    found = dj.run(whole.study, block=block)
+    same(whole, found)
+    assert found.manifest["times"]["traces"] == 1  # one compile
 
 
-@pytest.mark.parametrize("tile", [1, 8, 16, 64, 1024])
+@pytest.mark.parametrize("tile", [1, 16, 1024])
 def test_any_tile_size(whole, tile):
     same(whole, dj.run(whole.study, tile=tile))
 
 
 def test_any_number_of_devices(whole):
+    """Two of them made the whole."""
     same(whole, dj.run(whole.study, devices=1))
-    same(whole, dj.run(whole.study, devices=2))
 
 
 def test_more_draws_keep_the_first_ones(whole):
@@ -86,7 +88,6 @@ def test_replay_is_bit_identical(whole):
 
 def test_one_compile_for_the_whole_sweep(whole):
     assert whole.manifest["times"]["traces"] == 1
-    assert dj.run(whole.study, block=7).manifest["times"]["traces"] == 1
 
 
 @pytest.mark.parametrize("shape", [{}, {"draws": 1}, {"draws": 1000, "sweep": {}}])
@@ -117,14 +118,12 @@ def test_memory_does_not_grow_with_the_duration(uncertain):
 
 
 def test_single_precision_is_close_and_keeps_its_type(uncertain):
-    double = dj.run(uncertain)
-    single = dj.run(uncertain.override({"loop.precision": 32}))
+    """Without noise, which is drawn in the working precision, hence another one."""
+    quiet = {"disturbance": {"kind": "none"}}
+    double, single = dj.run(uncertain.override(quiet)), dj.run(uncertain.override({**quiet, "loop.precision": 32}))
     assert single.dataset["error_rms"].dtype == np.float32
     assert single.dataset["plant.k_p"].dtype == np.float64
     np.testing.assert_array_equal(single.dataset["plant.k_p"], double.dataset["plant.k_p"])
-    # the noise is drawn in the working precision, hence other noise: compare without
-    quiet = {"disturbance": {"kind": "none"}}
-    double, single = dj.run(uncertain.override(quiet)), dj.run(uncertain.override({**quiet, "loop.precision": 32}))
     np.testing.assert_allclose(single.dataset["error_rms"], double.dataset["error_rms"], rtol=SINGLE)
 
 
@@ -160,7 +159,8 @@ def test_flagged_and_unflagged_compilers_agree(case_2, uncertain):
 MEMORY = """
 import dssc_jax as dj
 from dssc_jax.study.library import find
-study = dj.Study.load(find("mu_robustness")).without_sweep().override({"draws": 100_000})
+shorter = {"draws": 100_000, "loop.duration": 6.0, "requirement": [{"metric": "error_rms", "max": 20.0}]}
+study = dj.Study.load(find("mu_robustness")).without_sweep().override(shorter)
 result = dj.run(study)
 peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))  # ru_maxrss is inherited on exec
 print(int(peak.split()[1]) / 1e6, result.manifest["times"]["seconds"])
@@ -168,7 +168,8 @@ print(int(peak.split()[1]) / 1e6, result.manifest["times"]["seconds"])
 
 
 def test_hundred_thousand_draws_fit_in_two_gigabytes():
+    """Draws of 6 s: memory does not grow with the duration, see above."""
     out = subprocess.run([sys.executable, "-c", MEMORY], capture_output=True, text=True, check=True)
     gigabytes, seconds = map(float, out.stdout.split())
-    print(f"\n100,000 draws of 60 s: peak {gigabytes:.2f} GB, {seconds:.1f} s")
+    print(f"\n100,000 draws of 6 s: peak {gigabytes:.2f} GB, {seconds:.1f} s")
     assert gigabytes < 2.0

@@ -9,32 +9,43 @@ import xarray as xr
 
 import dssc_jax as dj
 from dssc_jax.errors import ConfigError
+from tests.conftest import UNCERTAIN
 
 
 def same(left, right):
     xr.testing.assert_identical(left.dataset, right.dataset)
 
 
-@pytest.fixture
-def study(uncertain):
-    return uncertain.override({"loop.duration": 3.0})
+@pytest.fixture(scope="module")
+def study():
+    return dj.Study.from_table(UNCERTAIN).override({"loop.duration": 3.0})
+
+
+@pytest.fixture(scope="module")
+def once(study, tmp_path_factory):
+    """The folder that every test gets a copy of."""
+    return dj.run(study, tmp_path_factory.mktemp("results") / "once", block=24).path
 
 
 @pytest.fixture
-def stored(study, tmp_path):
-    return dj.run(study, tmp_path / "result", block=24)
+def stored(once, tmp_path):
+    return dj.load(shutil.copytree(once, tmp_path / "result"))
 
 
-def test_folder_and_memory_agree(study, stored):
-    same(stored, dj.run(study))
-    same(dj.load(stored.path), stored)
+@pytest.fixture(scope="module")
+def kept(study):
+    """The same run, kept in memory."""
+    return dj.run(study)
 
 
-def test_save_of_a_result_in_memory(study, tmp_path):
-    result = dj.run(study)
-    folder = result.save(tmp_path / "saved")
-    same(dj.load(folder), result)
-    assert json.loads((folder / "summary.json").read_text())["points"] == result.summary()["points"]
+def test_folder_and_memory_agree(kept, stored):
+    same(stored, kept)
+
+
+def test_save_of_a_result_in_memory(kept, tmp_path):
+    folder = kept.save(tmp_path / "saved")
+    same(dj.load(folder), kept)
+    assert json.loads((folder / "summary.json").read_text())["points"] == kept.summary()["points"]
 
 
 def test_manifest_and_attributes(stored):
