@@ -7,8 +7,8 @@ BIN := .venv/bin
 study: .venv/run  ## install, and run the main job: how much unmodelled lag does a DSSC loop survive?
 	$(BIN)/dssc-jax sweep studies/mu_robustness.toml
 
-test: .venv/test  ## install, and run the tests
-	$(BIN)/python -m pytest
+test: .venv/test  ## install, and run the tests, in two processes: most of the time is compilation, on one core each
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 lint: .venv/test
 	$(BIN)/ruff check .
