@@ -132,7 +132,9 @@ def joined(values_: tuple[Any, ...]) -> Any:
     return values_[0] if len(values_) == 1 else values_
 
 
-def measured(loop: Loop, params: LoopParams, plant: State, references: tuple[ReferencePoint, ...]):
+def measured(
+    loop: Loop, params: LoopParams, plant: State, references: tuple[ReferencePoint, ...]
+) -> tuple[Measurement, ...]:
     """The plant's measurements; an angle is shifted by whole turns to lie within pi of its reference."""
     found = each(loop.plant.measure(params.plant, plant))
     return tuple(

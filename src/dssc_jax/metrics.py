@@ -304,7 +304,9 @@ def starts(measures: tuple[Measure, ...]) -> tuple[Any, ...]:
     return tuple(measure.metric.start for measure in measures)
 
 
-def update_all(measures: tuple[Measure, ...], accumulators: tuple[Any, ...], instant: Instant, k: Scalar, t_s: float):
+def update_all(
+    measures: tuple[Measure, ...], accumulators: tuple[Any, ...], instant: Instant, k: Scalar, t_s: float
+) -> tuple[Any, ...]:
     """Every accumulator after sample k."""
     updated = []
     for measure, acc in zip(measures, accumulators, strict=True):

@@ -91,6 +91,11 @@ def wrap_angle(angle: Scalar) -> Scalar:
     return angle - 2.0 * math.pi * jnp.ceil((angle - math.pi) / (2.0 * math.pi))
 
 
+def begun(at: Scalar, t: Scalar, dt: Scalar) -> Scalar:
+    """Share of the sample [t, t + dt) that comes after ``at``: what begins within it is held as its mean."""
+    return jnp.clip((t + dt - at) / dt, 0.0, 1.0)
+
+
 def stream(name: str) -> int:
     """The number of a named factor's own random stream: adding a factor does not move the others."""
     return zlib.crc32(name.encode())

@@ -142,6 +142,16 @@ def never(params: Params, state: State) -> bool:
     return False
 
 
+def stateless(params: Params, key: jax.Array) -> tuple[()]:
+    """The start of what has no state."""
+    return ()
+
+
+def unchanged(params: Params, state: State, key: jax.Array, t: Scalar, dt: Scalar) -> State:
+    """The step of what holds nothing over a sample."""
+    return state
+
+
 def unsampled(params: Params, state: State, command: Scalar, dt: Scalar) -> State:
     """The state of what does not heed sample instants."""
     return state

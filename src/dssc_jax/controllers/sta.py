@@ -9,7 +9,8 @@ References:
     R. Seeber, B. Andritsch, proper implicit discretisation of the super-twisting controller, Automatica (2025).
 """
 
-from typing import Annotated, NamedTuple
+from collections.abc import Callable
+from typing import Annotated, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 
@@ -54,6 +55,10 @@ def root_of(excess: Scalar, slope: Scalar) -> Scalar:
     return jnp.where(positive, 2.0 * inside / (slope + jnp.sqrt(slope * slope + 4.0 * inside)), 0.0)
 
 
+Update: TypeAlias = Callable[[Scalar, Scalar, Scalar, Scalar, Scalar], tuple[Scalar, Scalar]]
+"""(x, v, k_1, k_2, T_s) -> w and v+ after the sample."""
+
+
 def explicit_update(x: Scalar, v: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> tuple[Scalar, Scalar]:
     """Forward Euler: (w, v+)."""
     return -k1 * root_abs(x) * sign(x) + v, v - h * k2 * sign(x)
@@ -81,7 +86,7 @@ def init(gains: StaGains, measurement: Measurement, reference: ReferencePoint) -
     return IntegralState(0.0)
 
 
-def sta(update) -> Controller:
+def sta(update: Update) -> Controller:
     """The STA with the given sampled form."""
 
     def step(

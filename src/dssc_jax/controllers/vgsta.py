@@ -8,7 +8,8 @@ as DSSC does. With s = |x+|^(1/2) backward Euler is then a quadratic in s; for c
 delta = 0 it is the implicit STA.
 """
 
-from typing import Annotated, NamedTuple
+from collections.abc import Callable
+from typing import Annotated, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 
@@ -53,6 +54,10 @@ def shape_at(gains: VgstaGains, sigma: Scalar) -> Shape:
     return Shape(gains.phi_a * r / rd, gains.phi_a * r * (rd + gains.delta) / (rd * rd), gains.phi_b)
 
 
+Update: TypeAlias = Callable[[Scalar, Scalar, Shape, VariableGains, Scalar, Scalar], tuple[Scalar, Scalar]]
+"""(x, v, factors of phi_1, gains, k_n, T_s) -> w and v+ after the sample."""
+
+
 def explicit_update(
     x: Scalar, v: Scalar, shape: Shape, at: VariableGains, k_n: Scalar, h: Scalar
 ) -> tuple[Scalar, Scalar]:
@@ -86,7 +91,7 @@ def init(gains: VgstaGains, measurement: Measurement, reference: ReferencePoint)
     return IntegralState(0.0)
 
 
-def vgsta(update) -> Controller:
+def vgsta(update: Update) -> Controller:
     """The VGSTA with the given sampled form."""
 
     def step(

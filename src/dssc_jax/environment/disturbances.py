@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.errors import ConfigError
-from dssc_jax.numerics import cubic_spline
-from dssc_jax.types import Disturbance, Measurement, Quantity, Scalar
+from dssc_jax.numerics import begun, cubic_spline
+from dssc_jax.types import Disturbance, Measurement, Quantity, Scalar, stateless, unchanged
 
 VALUE = Quantity("m/s", "value of d")
 
@@ -77,16 +77,6 @@ class PartitionParams(NamedTuple):
     period: Annotated[Scalar, Quantity("s", "period of the time-varying parts", above=0.0)] = 10.0
 
 
-def stateless(params: Any, key: jax.Array) -> tuple[()]:
-    """No state."""
-    return ()
-
-
-def unchanged(params: Any, state: Any, key: jax.Array, t: Scalar, dt: Scalar) -> Any:
-    """Nothing is held over a sample."""
-    return state
-
-
 def held(params: Any, state: Scalar, measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
     """The value held over the sample."""
     return state
@@ -94,7 +84,7 @@ def held(params: Any, state: Scalar, measurement: Measurement, sigma: Scalar, t:
 
 def step_mean(params: StepParams, state: Scalar, key: jax.Array, t: Scalar, dt: Scalar) -> Scalar:
     """Mean of the step over [t, t + dt): the impulse of a jump within a sample is right, its instant to O(T_s)."""
-    return params.value * jnp.clip((t + dt - params.at) / dt, 0.0, 1.0)
+    return params.value * begun(params.at, t, dt)
 
 
 def sine_value(params: SineParams, state: Any, measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:

@@ -16,8 +16,8 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.errors import ConfigError
-from dssc_jax.numerics import cubic_spline
-from dssc_jax.types import Quantity, Registry, Scalar, Wind, extent, single
+from dssc_jax.numerics import begun, cubic_spline
+from dssc_jax.types import Quantity, Registry, Scalar, Wind, extent, single, stateless, unchanged
 from dssc_jax.vectors import Vec3
 
 FOOT = 0.3048
@@ -127,21 +127,6 @@ class DrydenState(NamedTuple):
     v: Transverse
     w: Transverse
     on: Scalar
-
-
-def begun(at: Scalar, t: Scalar, dt: Scalar) -> Scalar:
-    """Share of the sample [t, t + dt) that comes after ``at``."""
-    return jnp.clip((t + dt - at) / dt, 0.0, 1.0)
-
-
-def stateless(params: Any, key: jax.Array) -> tuple[()]:
-    """No state."""
-    return ()
-
-
-def unchanged(params: Any, state: Any, key: jax.Array, t: Scalar, dt: Scalar) -> Any:
-    """Nothing is held over a sample."""
-    return state
 
 
 def calm(params: Any, key: jax.Array) -> Vec3:
