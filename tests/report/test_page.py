@@ -11,6 +11,7 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.report import elements, html, write
+from dssc_jax.report.asked import dependence
 from dssc_jax.report.page import SECTIONS, STYLE
 from dssc_jax.report.subject import Subject, worst_draws
 from dssc_jax.report.vector import COLOURS, inline
@@ -173,6 +174,15 @@ def test_a_sweep_is_looked_at_where_half_fail(swept):
     share = swept.failed.mean("draw")
     assert abs(float(share.isel(about.index)) - 0.5) == float(abs(share - 0.5).min())
     assert about.close.failed.dims == ("draw",)
+
+
+def test_correlated_numbers_are_not_told_as_independent(ran):
+    """The page is of the same draws; only what it says of their laws is looked at."""
+    assert dependence(ran.study) == "independent"
+    correlated = ran.study.override({"correlation": {"plant.k_p, plant.a_p": -0.5}})
+    page = html(dj.Result(correlated, ran.dataset, ran.manifest), worst=0)
+    wanted = "with rank correlations (plant.k_p, plant.a_p: \N{MINUS SIGN}0.5), otherwise independent"
+    assert f"Laws of the uncertain numbers, {wanted}" in page
 
 
 def test_without_requirements_and_laws():

@@ -11,7 +11,7 @@ from dssc_jax.report.diagram import diagram
 from dssc_jax.report.elements import Section, counted, facts, figure, folded, number, scrolled, table, with_unit
 from dssc_jax.report.subject import Subject
 from dssc_jax.requirements import Requirement
-from dssc_jax.study import Law
+from dssc_jax.study import Law, Study
 
 BINS, EACH = 36, 60  # of a density's sketch, and levels in each
 SKETCH = (132, 34)
@@ -72,8 +72,14 @@ def laws(about: Subject) -> Section | None:
         drawn = [sketch(law), law.kind in LOGARITHMIC and h.span(".meaning")["logarithmic axis"]]
         rows.append((what, str(law), drawn, number(middle), f"{number(low)} to {number(high)}"))
     head = ("number", "law", "density", "median", "5 to 95 %")
-    caption = "Laws of the uncertain numbers, independent"
+    caption = f"Laws of the uncertain numbers, {dependence(study)}"
     return Section("laws", "What is uncertain", table(caption, head, rows, words=3))
+
+
+def dependence(study: Study) -> str:
+    """Which uncertain numbers depend on each other, as the end of a phrase."""
+    pairs = [f"{pair}: {number(rank)}" for pair, rank in study.config.correlation.items()]
+    return f"with rank correlations ({'; '.join(pairs)}), otherwise independent" if pairs else "independent"
 
 
 def sketch(law: Law) -> h.Element:
