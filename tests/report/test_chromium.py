@@ -12,7 +12,7 @@ from dssc_jax.report import write
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 pytestmark = pytest.mark.skipif(
     BROWSER is None,
-    reason="no Chromium on the path; a browser is no Python package that the project could ask for, .ci/run installs it",
+    reason="no Chromium on the path; a browser is no Python package to ask for, .ci/run installs it",
 )
 
 
