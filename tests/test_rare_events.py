@@ -6,7 +6,9 @@ from scipy import stats
 
 import dssc_jax as dj
 from dssc_jax.engine import Engine, evaluate
-from dssc_jax.rare_events import split, worst_margin
+from dssc_jax.rare_events import split
+from dssc_jax.requirements import worst_margin
+from dssc_jax.types import Outcome
 from tests.test_stopping import TABLE
 
 FOUR_BRANCH = 2.222795066e-3
@@ -91,10 +93,12 @@ def test_a_study_agrees_with_plain_draws():
 
 def test_a_draw_without_a_margin_is_the_worst():
     study = dj.Study.from_table(TABLE)
-    name = study.requirements[0].name
-    np.testing.assert_array_equal(
-        worst_margin(study.requirements, {name: np.array([0.45, np.nan, -np.inf])}), [0.5, -np.inf, -np.inf]
-    )
+    results = {
+        study.requirements[0].name: np.array([0.45, np.nan, -np.inf]),
+        "outcome": np.array([Outcome.OK, Outcome.REQUIREMENT, Outcome.NON_FINITE]),
+    }
+    np.testing.assert_array_equal(worst_margin(study.requirements, results), [0.5, -np.inf, -np.inf])
+    np.testing.assert_array_equal(worst_margin((), results), [np.inf, np.inf, -np.inf])
 
 
 @pytest.mark.parametrize(

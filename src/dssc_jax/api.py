@@ -374,7 +374,7 @@ def hardest(result: Result, draw: int) -> dict[str, int]:
     axes = list(result.study.axes)
     if not axes or not result.study.requirements:
         return dict.fromkeys(axes, 0)
-    margins = [result.dataset[r.name].isel(draw=draw).values / (abs(r.bound) or 1.0) for r in result.study.requirements]
+    margins = [result.dataset[r.name].isel(draw=draw).values / r.scale for r in result.study.requirements]
     margin = np.min(margins, axis=0)
     return dict(zip(axes, map(int, np.unravel_index(np.argmin(margin), margin.shape)), strict=True))
 

@@ -261,14 +261,13 @@ class Hunt:
     def slopes(self, points: np.ndarray, results: Arrays) -> np.ndarray:
         """Derivatives of the worst margin with respect to the coordinates, shape (n, laws); 0 where there is none."""
         requirements = self.programs.study.requirements
-        scales = [abs(r.bound) or 1.0 for r in requirements]
-        margins = np.array([results[r.name] / scale for r, scale in zip(requirements, scales, strict=True)])
+        margins = np.array([results[r.name] / r.scale for r in requirements])
         binding = np.argmin(np.where(np.isnan(margins), -np.inf, margins), axis=0)
         columns = []
         for i, (name, law) in enumerate(self.laws.items()):
             ends = np.clip(points[:, i] + EDGE * np.array([[-0.5], [0.5]]), 0.5 * EDGE, 1.0 - 0.5 * EDGE)
             rate = (law.quantile(ends[1]) - law.quantile(ends[0])) / (ends[1] - ends[0])
-            rows = [results[derivative(r.name, name)] / scale for r, scale in zip(requirements, scales, strict=True)]
+            rows = [results[derivative(r.name, name)] / r.scale for r in requirements]
             columns.append(np.take_along_axis(np.array(rows), binding[None], 0)[0] * rate)
         found = np.stack(columns, axis=1)
         return np.where(np.isfinite(found), found, 0.0)

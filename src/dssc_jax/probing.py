@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 import jax
 import numpy as np
 
-from dssc_jax.engine import BLOCK, Arrays, Engine, Lane, drawn, simulated
+from dssc_jax import requirements
+from dssc_jax.engine import BLOCK, Arrays, Engine, Lane, drawn, evaluate, simulated
 from dssc_jax.errors import ConfigError
 from dssc_jax.study import Study
-from dssc_jax.types import Outcome, Scalar
+from dssc_jax.types import Scalar
 
 
 @dataclass
@@ -49,10 +50,7 @@ class Probe:
             indices: Draw of each lane, shape (n,).
             values: Every law's and every probed number's value, each of shape (n,).
         """
-        names, parts = self.engine.names, [slice(a, a + self.lanes) for a in range(0, len(indices), self.lanes)]
-        started = [self.engine({name: values[name][part] for name in names}, indices[part]) for part in parts]
-        found = [finish() for finish in started]
-        return {name: np.concatenate([arrays[name] for arrays in found]) for name in found[0]}
+        return evaluate(self.engine, {name: values[name] for name in self.engine.names}, indices)
 
 
 def differentiated(names: Sequence[str]) -> Callable[[Study], Lane]:
@@ -96,13 +94,5 @@ def require_independent(study: Study, purpose: str) -> None:
 
 
 def worst_margin(study: Study, results: Arrays) -> np.ndarray:
-    """Smallest margin of all requirements, each relative to its bound: negative where a draw fails.
-
-    A draw that ended early, or whose metric is no number, has -inf; without requirements every other one has +inf.
-    """
-    ended = (results["outcome"] != Outcome.OK) & (results["outcome"] < Outcome.REQUIREMENT)
-    worst = np.where(ended, -np.inf, np.inf)
-    for requirement in study.requirements:
-        margin = results[requirement.name] / (abs(requirement.bound) or 1.0)
-        worst = np.minimum(worst, np.where(np.isnan(margin), -np.inf, margin))
-    return worst
+    """:func:`dssc_jax.requirements.worst_margin` of a study."""
+    return requirements.worst_margin(study.requirements, results)

@@ -17,7 +17,7 @@ from scipy import special
 
 from dssc_jax.engine import Arrays, Engine, evaluate, is_noisy
 from dssc_jax.errors import ConfigError
-from dssc_jax.requirements import Requirement
+from dssc_jax.requirements import worst_margin
 from dssc_jax.sampling import generator, inside, values_at
 from dssc_jax.statistics import CONFIDENCE, replicate_interval
 from dssc_jax.study import Study
@@ -249,12 +249,6 @@ def move(moving: list[tuple[Repeat, float, np.ndarray]], counter: Counter) -> No
         repeat.margins[clones[accepted]] = found[accepted]
         weight = len(clones) / len(repeat.margins)
         repeat.step = float(np.clip(repeat.step * np.exp(weight * (accepted.mean() - ACCEPTED)), LEAST_STEP, 1.0))
-
-
-def worst_margin(requirements: tuple[Requirement, ...], results: Arrays) -> np.ndarray:
-    """The smallest margin over the requirements, each relative to its bound; -inf where the draw ended early."""
-    scaled = [results[r.name] / (abs(r.bound) or 1.0) for r in requirements]
-    return np.min(np.where(np.isnan(scaled), -np.inf, scaled), axis=0)
 
 
 @dataclass(frozen=True)

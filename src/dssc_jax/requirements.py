@@ -1,8 +1,10 @@
 """What is required of a run: signed margins, and the outcome code that follows."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import jax.numpy as jnp
+import numpy as np
 
 from dssc_jax.metrics import Measure
 from dssc_jax.types import Outcome, Scalar
@@ -25,6 +27,11 @@ class Requirement:
     def bound(self) -> float:
         """The bound, whichever it is."""
         return self.maximum if self.maximum is not None else self.minimum  # type: ignore[return-value]
+
+    @property
+    def scale(self) -> float:
+        """What margins are taken relative to where requirements are compared: |bound|, or 1 where that is 0."""
+        return abs(self.bound) or 1.0
 
     @property
     def text(self) -> str:
@@ -66,3 +73,23 @@ def judge(
         outcome = jnp.where(failed, Outcome.REQUIREMENT + index, outcome)
         margins[requirement.name] = jnp.where(alive, margin, -jnp.inf)
     return jnp.where(alive, outcome, ended).astype(jnp.int32), margins
+
+
+def worst_margin(requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Smallest margin of all requirements, each relative to its bound: negative where a draw fails.
+
+    A draw that ended early, or whose metric is no number, has -inf; without requirements every other one has +inf.
+
+    Args:
+        requirements: The requirements.
+        results: Margins by name and ``outcome``, of any one shape.
+
+    Returns:
+        That shape.
+    """
+    ended = (results["outcome"] != Outcome.OK) & (results["outcome"] < Outcome.REQUIREMENT)
+    worst = np.where(ended, -np.inf, np.inf)
+    for requirement in requirements:
+        margin = results[requirement.name] / requirement.scale
+        worst = np.minimum(worst, np.where(np.isnan(margin), -np.inf, margin))
+    return worst

@@ -1,6 +1,5 @@
 """What a report is about: a result, the point of it that is looked at closely, and its worst draws."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -75,9 +74,9 @@ def worst_draws(close: Result, count: int) -> list[int]:
 
     Without requirements, by the largest value of the headline metric.
     """
-    required: Mapping[str, float] = {r.name: abs(r.bound) or 1.0 for r in close.study.requirements}
+    required = close.study.requirements
     if required:
-        margin = np.min([close.dataset[name].values / bound for name, bound in required.items()], axis=0)
+        margin = np.min([close.dataset[r.name].values / r.scale for r in required], axis=0)
     else:
         value = close.dataset[headline(close).name].values
         margin = -np.where(np.isnan(value), np.inf, value)

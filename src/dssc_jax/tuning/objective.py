@@ -98,7 +98,7 @@ class Goal:
 
     def excess(self, results: Arrays) -> np.ndarray:
         """By how much each draw misses its worst requirement, relative to the bound; 0 where it meets all."""
-        missed = [-results[r.name] / (abs(r.bound) or 1.0) for r in self.requirements]
+        missed = [-results[r.name] / r.scale for r in self.requirements]
         return np.maximum(np.max(missed, axis=0), 0.0)
 
     def merit(self, results: Arrays, numbers: Sequence[str], added: int = 0) -> Merit:
@@ -138,11 +138,11 @@ class Goal:
 
     def _missed(self, results: Arrays, numbers: Sequence[str]) -> tuple[float, dict[str, float]]:
         """Mean over the draws of what the worst requirement is missed by, and its derivatives."""
-        missed = np.array([-results[r.name] / (abs(r.bound) or 1.0) for r in self.requirements])
+        missed = np.array([-results[r.name] / r.scale for r in self.requirements])
         worst = np.argmax(missed, axis=0)
         counts = np.max(missed, axis=0) > 0.0
         slopes = {}
         for of in numbers:
-            rows = np.array([-results[derivative(r.name, of)] / (abs(r.bound) or 1.0) for r in self.requirements])
+            rows = np.array([-results[derivative(r.name, of)] / r.scale for r in self.requirements])
             slopes[of] = float(np.mean(np.where(counts, np.take_along_axis(rows, worst[None], 0)[0], 0.0)))
         return float(np.mean(self.excess(results))), slopes
