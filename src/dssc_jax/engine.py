@@ -21,6 +21,7 @@ import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
 from dssc_jax import xla
+from dssc_jax.fusion import shared_once
 from dssc_jax.loop import simulate, start
 from dssc_jax.metrics import starts
 from dssc_jax.sampling import draw, draw_key
@@ -182,8 +183,12 @@ class Engine:
             self.clock.traces += 1
             return lane(values, i)
 
+        batch = jax.vmap(one)
+        if xla.compiles_loops_whole():
+            batch = shared_once(batch)
+
         def share(lanes: dict[str, jax.Array], i: jax.Array) -> dict[str, Scalar]:
-            return jax.lax.map(lambda tile: jax.vmap(one)(*tile), (lanes, i))
+            return jax.lax.map(lambda tile: batch(*tile), (lanes, i))
 
         spec = PartitionSpec("device")
         sharded = jax.shard_map(share, mesh=self._mesh, in_specs=spec, out_specs=spec, check_vma=False)

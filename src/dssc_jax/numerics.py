@@ -57,33 +57,37 @@ def polynomial(coefficients: Sequence[float], x: Scalar) -> Scalar:
     return value
 
 
-def atan(x: Scalar) -> Scalar:
-    """The arctangent in a form that vectorises, within 2 ulp.
+def arc(opposite: Scalar, adjacent: Scalar) -> Scalar:
+    """The angle in [0, pi/4] of a right triangle, 0 <= opposite <= adjacent and adjacent > 0, with one division less.
 
-    XLA:CPU calls a scalar routine for its own. Reduction and rational approximation are those of S. L. Moshier's
-    Cephes library (atan.c, 1984-2000): atan x = pi/2 - atan 1/x beyond tan(3 pi/8), pi/4 + atan((x - 1)/(x + 1))
-    beyond 0.66.
+    Reduction beyond 0.66, by pi/4 + atan((x - 1)/(x + 1)), and the rational approximation are those of S. L. Moshier's
+    Cephes library (atan.c, 1984-2000); the ratio itself is never formed.
     """
-    magnitude = jnp.abs(x)
-    large, middle = magnitude > 2.41421356237309504880, magnitude > 0.66
-    top = jnp.where(large, -1.0, jnp.where(middle, magnitude - 1.0, magnitude))
-    bottom = jnp.where(large, magnitude, jnp.where(middle, magnitude + 1.0, 1.0))
-    offset = jnp.where(large, 0.5 * math.pi, jnp.where(middle, 0.25 * math.pi, 0.0))
-    reduced = top / bottom
+    middle = opposite > 0.66 * adjacent
+    reduced = jnp.where(middle, opposite - adjacent, opposite) / jnp.where(middle, opposite + adjacent, adjacent)
     z = reduced * reduced
-    value = offset + (reduced + reduced * z * polynomial(ATAN_P, z) / polynomial(ATAN_Q, z))
-    return jnp.where(x < 0.0, -value, value)
+    value = reduced + reduced * z * polynomial(ATAN_P, z) / polynomial(ATAN_Q, z)
+    return jnp.where(middle, 0.25 * math.pi + value, value)
+
+
+def atan(x: Scalar) -> Scalar:
+    """The arctangent in a form that vectorises, within 2 ulp: XLA:CPU calls a scalar routine for its own."""
+    magnitude = jnp.abs(x)
+    steep = magnitude > 1.0
+    angle = arc(jnp.where(steep, 1.0, magnitude), jnp.where(steep, magnitude, 1.0))
+    angle = jnp.where(steep, 0.5 * math.pi - angle, angle)
+    return jnp.where(x < 0.0, -angle, angle)
 
 
 def atan2(y: Scalar, x: Scalar) -> Scalar:
-    """The angle of (x, y) in (-pi, pi], by :func:`atan`; 0 at the origin."""
-    steep = jnp.abs(y) > jnp.abs(x)
-    bottom = jnp.where(steep, y, x)
-    ratio = jnp.where(steep, x, y) / jnp.where(bottom == 0.0, 1.0, bottom)
-    angle = atan(ratio)
-    turned = jnp.where(y < 0.0, -0.5 * math.pi, 0.5 * math.pi) - angle
-    flat = angle + jnp.where(x < 0.0, jnp.where(y < 0.0, -math.pi, math.pi), 0.0)
-    return jnp.where(steep, turned, flat)
+    """The angle of (x, y) in (-pi, pi], like :func:`atan`; 0 at the origin."""
+    across, along = jnp.abs(y), jnp.abs(x)
+    steep = across > along
+    longer = jnp.where(steep, across, along)
+    angle = arc(jnp.where(steep, along, across), jnp.where(longer == 0.0, 1.0, longer))
+    angle = jnp.where(steep, 0.5 * math.pi - angle, angle)
+    angle = jnp.where(x < 0.0, math.pi - angle, angle)
+    return jnp.where(y < 0.0, -angle, angle)
 
 
 def wrap_angle(angle: Scalar) -> Scalar:

@@ -30,7 +30,7 @@ class Vec3(NamedTuple):
     __rmul__ = __mul__  # type: ignore[assignment]
 
     def __truediv__(self, divisor: Scalar) -> "Vec3":
-        return Vec3(self.x / divisor, self.y / divisor, self.z / divisor)
+        return self * (1.0 / divisor)
 
     def __neg__(self) -> "Vec3":
         return Vec3(-self.x, -self.y, -self.z)
@@ -53,7 +53,7 @@ class Vec3(NamedTuple):
 
     def over(self, by: "Vec3") -> "Vec3":
         """Componentwise quotient: the inverse of a diagonal matrix applied."""
-        return Vec3(self.x / by.x, self.y / by.y, self.z / by.z)
+        return self.scale(Vec3(1.0 / by.x, 1.0 / by.y, 1.0 / by.z))
 
     def norm(self) -> Scalar:
         """Length, with gradient 0 at the zero vector."""

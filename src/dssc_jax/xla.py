@@ -1,9 +1,10 @@
 """CPU compiler settings, put into the environment before the XLA backend starts.
 
-Without multi-output fusion XLA:CPU computes a shared subexpression again in the kernel of each output that
-uses it; with it, and with 512-bit vectors where the processor has them, a closed-loop step costs several
-times less. One host device a core lets the engine shard a batch. XLA reads the flags once, when its backend
-starts: they cannot be given later nor for one function alone.
+XLA:CPU runs a loop as a sequence of small kernels, each looked up, checked and called by an interpreter; a closed-loop
+step has hundreds. A loop whose body touches few bytes it compiles as a whole into one kernel instead. The limit is
+1 kB; here it is raised to what a tile of draws needs. With that, 512-bit vectors where the processor has them, and
+:mod:`dssc_jax.fusion`, a step costs several times less. One host device a core lets the engine shard a batch. XLA reads
+the flags once, when its backend starts: they cannot be given later nor for one function alone.
 
 Setting the environment variable ``DSSC_JAX_XLA=off`` leaves the environment untouched.
 """
@@ -14,8 +15,10 @@ import warnings
 
 SWITCH = "DSSC_JAX_XLA"
 OFF = ("off", "0", "false")
+WHOLE_LOOPS = "xla_cpu_small_while_loop_byte_threshold"
+LOOP_BYTES = 4 * 2**20  # a tile of 64 UAV draws touches about half a megabyte in a step
 CODE_GENERATION = (
-    "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion",
+    f"--xla_backend_extra_options={WHOLE_LOOPS}={LOOP_BYTES}",
     "--xla_cpu_prefer_vector_width=512",
 )
 DEVICE_COUNT = "--xla_force_host_platform_device_count"
@@ -49,6 +52,11 @@ def missing_flags() -> tuple[str, ...]:
 def code_generation() -> list[str]:
     """The flags in force that change generated code, sorted; the number of host devices does not."""
     return sorted(f for f in os.environ.get("XLA_FLAGS", "").split() if not f.startswith(DEVICE_COUNT))
+
+
+def compiles_loops_whole() -> bool:
+    """Whether a loop over tiles becomes one kernel: on a CPU, with this package's flags in force."""
+    return WHOLE_LOOPS in os.environ.get("XLA_FLAGS", "")
 
 
 def backend_started() -> bool:

@@ -18,7 +18,7 @@ from typing import Annotated, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dssc_jax.numerics import atan, atan2
+from dssc_jax.numerics import atan2
 from dssc_jax.types import Quantity, Scalar
 from dssc_jax.uav.vehicle import GRAVITY
 from dssc_jax.vectors import Mat3, Vec3
@@ -75,7 +75,7 @@ class Euler(NamedTuple):
 
 
 class Trig(NamedTuple):
-    """Cosines and sines of the Euler angles, read off the rotation matrix."""
+    """Cosines and sines of the Euler angles, read off the rotation matrix; ``secant`` is 1/cos theta."""
 
     cphi: Scalar
     sphi: Scalar
@@ -83,6 +83,16 @@ class Trig(NamedTuple):
     stheta: Scalar
     cpsi: Scalar
     spsi: Scalar
+    secant: Scalar
+
+
+class Lean(NamedTuple):
+    """Opposite and adjacent sides of the wanted pitch (forward, up) and roll (left, slant) [m/s^2]."""
+
+    forward: Scalar
+    up: Scalar
+    left: Scalar
+    slant: Scalar
 
 
 class Demand(NamedTuple):
@@ -96,10 +106,16 @@ class Demand(NamedTuple):
 
 def trig_of(rotation: Mat3) -> Trig:
     """Sines and cosines without inverse functions; cos theta >= 0, floored at 1e-6 at the singularity."""
-    stheta = -rotation.c.x
-    ctheta = jnp.sqrt(jnp.maximum(rotation.c.y**2 + rotation.c.z**2, 1e-12))
+    square = jnp.maximum(rotation.c.y**2 + rotation.c.z**2, 1e-12)
+    secant = 1.0 / jnp.sqrt(square)
     return Trig(
-        rotation.c.z / ctheta, rotation.c.y / ctheta, ctheta, stheta, rotation.a.x / ctheta, rotation.b.x / ctheta
+        cphi=rotation.c.z * secant,
+        sphi=rotation.c.y * secant,
+        ctheta=square * secant,
+        stheta=-rotation.c.x,
+        cpsi=rotation.a.x * secant,
+        spsi=rotation.b.x * secant,
+        secant=secant,
     )
 
 
@@ -116,17 +132,32 @@ def euler_of(rotation: Mat3) -> Euler:
 def euler_rates(at: Trig, rate: Vec3) -> Euler:
     """Euler' = W^-1 Omega."""
     turn = at.sphi * rate.y + at.cphi * rate.z
-    psi = turn / at.ctheta
+    psi = turn * at.secant
     return Euler(rate.x + at.stheta * psi, at.cphi * rate.y - at.sphi * rate.z, psi)
 
 
-def wanted_tilt(acceleration: Vec3, psi: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
-    """(phi_d, theta_d) [rad] for a wanted acceleration whose z part holds g already, at (cos psi, sin psi)."""
-    cpsi, spsi = psi
-    forward = (acceleration.x * cpsi + acceleration.y * spsi) / acceleration.z
-    left = (acceleration.x * spsi - acceleration.y * cpsi) / acceleration.z
-    # cos(atan t) = 1/sqrt(1 + t^2)
-    return atan(left / jnp.sqrt(1.0 + forward * forward)), atan(forward)
+def lean(acceleration: Vec3, heading: tuple[Scalar, Scalar]) -> Lean:
+    """Sides of phi_d and theta_d for a wanted acceleration whose z part holds g already, at (cos psi, sin psi)."""
+    cpsi, spsi = heading
+    forward = acceleration.x * cpsi + acceleration.y * spsi
+    left = acceleration.x * spsi - acceleration.y * cpsi
+    # tan phi_d = (left/a_z) cos theta_d, and cos theta_d = a_z/(a_z^2 + forward^2)^(1/2)
+    return Lean(forward, acceleration.z, left, jnp.sqrt(acceleration.z**2 + forward**2))
+
+
+def wanted_tilt(acceleration: Vec3, heading: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
+    """(phi_d, theta_d) [rad]."""
+    sides = lean(acceleration, heading)
+    return atan2(sides.left, sides.slant), atan2(sides.forward, sides.up)
+
+
+def tilt_error(acceleration: Vec3, at: Trig) -> tuple[Scalar, Scalar]:
+    """(phi_d - phi, theta_d - theta) [rad], each one angle of a turned triangle; upright: a flip has ended the draw."""
+    forward, up, left, slant = lean(acceleration, (at.cpsi, at.spsi))
+    return (
+        atan2(left * at.cphi - slant * at.sphi, slant * at.cphi + left * at.sphi),
+        atan2(forward * at.ctheta - up * at.stheta, up * at.ctheta + forward * at.stheta),
+    )
 
 
 def moment_for(inertia: Vec3, at: Trig, rate: Vec3, turning: Euler, wanted: Euler) -> Vec3:
@@ -180,22 +211,20 @@ def demand(
     wanted = wanted._replace(z=jnp.where(bounded, LEAST_LIFT, lift))
     by_norm = gains.thrust is ThrustRule.NORM
     thrust = mass * (wanted.norm() if by_norm else wanted.z / (at.cphi * at.ctheta))
-    heading = (at.cpsi, at.spsi)
     if gains.attitude is AttitudeReference.RATE_FEED_FORWARD:
         body_z = Vec3(rotation.a.z, rotation.b.z, rotation.c.z)
         acceleration = body_z * (thrust / mass) - Vec3(0.0, 0.0, GRAVITY)
         slope = error * gains.kp_velocity - acceleration * gains.kd_velocity
         slope = slope._replace(z=jnp.where(bounded, 0.0, slope.z))
         turned = (-at.spsi * turning.psi, at.cpsi * turning.psi)
-        (phi_d, theta_d), (phi_d_dot, theta_d_dot) = jax.jvp(wanted_tilt, (wanted, heading), (slope, turned))
+        _, (phi_d_dot, theta_d_dot) = jax.jvp(wanted_tilt, (wanted, (at.cpsi, at.spsi)), (slope, turned))
     else:
-        phi_d, theta_d = wanted_tilt(wanted, heading)
         phi_d_dot, theta_d_dot = 0.0, 0.0
-    phi, theta = atan(at.sphi / at.cphi), atan(at.stheta / at.ctheta)  # upright: a flip has ended the draw
+    phi_error, theta_error = tilt_error(wanted, at)
     yaw_error = yaw_command - turning.psi
     accelerate = Euler(
-        gains.kp_attitude * (phi_d - phi) + gains.kd_attitude * (phi_d_dot - turning.phi),
-        gains.kp_attitude * (theta_d - theta) + gains.kd_attitude * (theta_d_dot - turning.theta),
+        gains.kp_attitude * phi_error + gains.kd_attitude * (phi_d_dot - turning.phi),
+        gains.kp_attitude * theta_error + gains.kd_attitude * (theta_d_dot - turning.theta),
         gains.kd_yaw * yaw_error + gains.kp_yaw * integrals.yaw,
     )
     moment = moment_for(inertia, at, rate, turning, accelerate)

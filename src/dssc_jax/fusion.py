@@ -1,0 +1,153 @@
+"""Shared values of a batched step are computed once, which XLA:CPU alone does not do.
+
+XLA:CPU fuses a chain of elementwise operations into one kernel for each of its results, and computes what several
+results share again in every kernel. Here such a value gets a buffer of its own as soon as computing it again would cost
+more than reading it. The border is a call that the compiler may not inline: what crosses it is a buffer, and within a
+loop that is compiled as a whole (see :mod:`dssc_jax.xla`) the call itself costs nothing.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any
+
+import jax
+from jax.experimental.xla_metadata import set_xla_metadata
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var, jaxpr_as_fun
+
+WORTH = 4  # operations beyond which a shared value is kept: writing and reading it costs about two
+CALLS = ("jit", "closed_call", "custom_jvp_call", "custom_vjp_call")
+BODIES = ("jaxpr", "body_jaxpr")  # of a scan, of a while loop
+LOOPS = ("scan", "while", "cond")
+FREE = {"broadcast_in_dim", "reshape", "squeeze", "convert_element_type", "copy"}
+REPEATED = {
+    *("add", "sub", "mul", "neg", "abs", "sign", "square", "integer_pow", "floor", "ceil", "round", "is_finite"),
+    *("max", "min", "clamp", "select_n", "lt", "le", "gt", "ge", "eq", "ne", "and", "or", "not"),
+}
+"""Operations that XLA repeats rather than keep their result; the others, division and roots among them, it keeps."""
+
+
+def shared_once(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The same function, whose shared values are kept; of arrays with one batch axis, without side effects."""
+
+    def once(*args: Any) -> Any:
+        program, shape = jax.make_jaxpr(function, return_shape=True)(*args)
+        found = jaxpr_as_fun(rewritten(program))(*jax.tree.leaves(args))
+        return jax.tree.unflatten(jax.tree.structure(shape), found)
+
+    return once
+
+
+def rewritten(program: ClosedJaxpr) -> ClosedJaxpr:
+    """The same program: calls inlined, equal expressions merged, shared values kept; so in the bodies of its loops."""
+    inputs = program.in_avals
+    flat = jax.make_jaxpr(lambda *args: Merged().run(program, args))(*inputs)
+    return jax.make_jaxpr(lambda *args: keeping(flat, args))(*inputs)
+
+
+@jax.jit
+def itself(value: jax.Array) -> jax.Array:
+    """The value."""
+    return value
+
+
+def kept(value: jax.Array) -> jax.Array:
+    """The value, in a buffer of its own."""
+    with set_xla_metadata(inlineable="false"):
+        return itself(value)
+
+
+class Scope:
+    """Values of a program's variables while it is evaluated."""
+
+    def __init__(self, program: ClosedJaxpr, args: Sequence[Any]) -> None:
+        jaxpr = program.jaxpr
+        self.values: dict[Var, Any] = dict(zip(jaxpr.constvars, program.consts, strict=True))
+        self.values.update(zip(jaxpr.invars, args, strict=True))
+
+    def read(self, atoms: Sequence[Var | Literal]) -> list[Any]:
+        """Values of variables and literals."""
+        return [atom.val if isinstance(atom, Literal) else self.values[atom] for atom in atoms]
+
+    def write(self, variables: Sequence[Var], values: Sequence[Any]) -> None:
+        """Set what an equation defines."""
+        self.values.update(zip(variables, values, strict=True))
+
+
+class Merged:
+    """Evaluation with calls inlined; an expression that stands twice is evaluated once."""
+
+    def __init__(self) -> None:
+        self.known: dict[Hashable, list[Any]] = {}
+
+    def run(self, program: ClosedJaxpr, args: Sequence[Any]) -> list[Any]:
+        """Results of the program."""
+        scope = Scope(program, args)
+        for eqn in program.jaxpr.eqns:
+            operands = scope.read(eqn.invars)
+            inner = eqn.params.get("jaxpr", eqn.params.get("call_jaxpr"))
+            called = eqn.primitive.name in CALLS and isinstance(inner, ClosedJaxpr)
+            scope.write(eqn.outvars, self.run(inner, operands) if called else self.results(eqn, operands))
+        return scope.read(program.jaxpr.outvars)
+
+    def results(self, eqn: JaxprEqn, operands: list[Any]) -> list[Any]:
+        """What one equation defines."""
+        if eqn.primitive.name in LOOPS or eqn.effects:
+            params = {
+                name: rewritten(value) if name in BODIES and isinstance(value, ClosedJaxpr) else value
+                for name, value in eqn.params.items()
+            }
+            return bound(eqn, operands, params)
+        key = (eqn.primitive, str(eqn.params), *map(identity, operands))
+        if key not in self.known:
+            self.known[key] = bound(eqn, operands, eqn.params)
+        return self.known[key]
+
+
+def identity(operand: Any) -> Hashable:
+    """Equal for equal operands: traced ones by object, numbers by type and value."""
+    if isinstance(operand, jax.core.Tracer):
+        return id(operand)
+    return str(jax.typeof(operand)), str(operand)
+
+
+def bound(eqn: JaxprEqn, operands: Sequence[Any], params: dict[str, Any]) -> list[Any]:
+    """Results of an equation's primitive."""
+    found = eqn.primitive.bind(*operands, **params)
+    return list(found) if eqn.primitive.multiple_results else [found]
+
+
+def needed(jaxpr: Jaxpr) -> list[JaxprEqn]:
+    """The equations that a result depends on."""
+    wanted = {atom for atom in jaxpr.outvars if isinstance(atom, Var)}
+    found = []
+    for eqn in reversed(jaxpr.eqns):
+        if eqn.effects or not wanted.isdisjoint(eqn.outvars):
+            wanted.update(variables(eqn))
+            found.append(eqn)
+    return found[::-1]
+
+
+def variables(eqn: JaxprEqn) -> set[Var]:
+    """Variables that an equation reads."""
+    return {atom for atom in eqn.invars if isinstance(atom, Var)}
+
+
+def keeping(program: ClosedJaxpr, args: Sequence[Any]) -> list[Any]:
+    """Results of a program without calls, its shared values kept where that is cheaper than computing them again."""
+    scope, equations = Scope(program, args), needed(program.jaxpr)
+    uses = Counter(variable for eqn in equations for variable in variables(eqn))
+    uses.update(atom for atom in program.jaxpr.outvars if isinstance(atom, Var))
+    again: dict[Var, int] = Counter()  # operations to compute a variable from what is in buffers
+    for eqn in equations:
+        results = bound(eqn, scope.read(eqn.invars), eqn.params)
+        cost = sum(again[variable] for variable in variables(eqn))
+        for i, variable in enumerate(eqn.outvars):
+            shared = uses[variable] > 1
+            if eqn.primitive.name in REPEATED:
+                again[variable] = cost + 1
+                if shared and cost + 1 >= WORTH and results[i].size > 1:
+                    results[i], again[variable] = kept(results[i]), 0
+            else:
+                again[variable] = cost if eqn.primitive.name in FREE else 0 if shared else cost + 1
+        scope.write(eqn.outvars, results)
+    return scope.read(program.jaxpr.outvars)
