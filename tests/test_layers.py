@@ -9,7 +9,7 @@ import dssc_jax
 
 ROOT = Path(dssc_jax.__file__).parent
 LAYERS = [
-    {"xla", "errors"},
+    {"xla", "errors", "fusion"},
     {"types"},
     {"tracking", "numerics", "vectors", "zero_dynamics", "integrators"},
     {"plants", "uav", "environment", "controllers", "unmodelled", "design"},

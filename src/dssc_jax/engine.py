@@ -10,7 +10,7 @@ import itertools
 import math
 import platform
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from typing import Any
@@ -22,14 +22,14 @@ from jax.sharding import Mesh, PartitionSpec
 
 from dssc_jax import xla
 from dssc_jax.fusion import shared_once
-from dssc_jax.loop import simulate, start
-from dssc_jax.metrics import starts
+from dssc_jax.loop import simulate
 from dssc_jax.sampling import draw, draw_key
 from dssc_jax.study import Study
 from dssc_jax.types import Scalar
 
-CACHE = 256 * 1024  # bytes of state in a tile: a share of the second-level cache that leaves room for temporaries
-WIDEST, NARROWEST = 1024, 128  # lanes of a tile; beyond them measurements show no gain
+LANES = 64  # of a tile that one kernel advances: its state and temporaries stay in the second-level cache
+LANES_OF_KERNELS = 512  # of a tile that many kernels advance, so that calling them costs little
+TILE = "tile"  # name of the axis over the lanes of a tile
 VECTOR = 8  # lanes in a 512-bit vector of float64: every tile is a multiple of it
 BLOCK = 16384  # lanes
 PROBES = 16  # draws that are simulated twice to find in-loop noise
@@ -40,12 +40,18 @@ Lane = Callable[[dict[str, jax.Array], jax.Array], dict[str, Scalar]]
 """(each of the lane's own numbers, draw index) -> what is computed of the lane."""
 
 
-def simulated(study: Study) -> Lane:
-    """A lane's metrics, margins, outcome and the time at which it ended early."""
+def simulated(study: Study, together: str | None = TILE) -> Lane:
+    """A lane's metrics, margins, outcome and the time at which it ended early.
+
+    Args:
+        study: What to simulate.
+        together: See :func:`dssc_jax.loop.simulate`; None where derivatives are taken.
+    """
 
     def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
         key = draw_key(study.config.seed, index)
-        run, _ = simulate(study.loop, study.params(values), key, study.measures, study.requirements)
+        loop, params = study.loop, study.params(values)
+        run, _ = simulate(loop, params, key, study.measures, study.requirements, together=together)
         return {**run.metrics, **run.margins, "outcome": run.outcome, "failed_at": run.failed_at}
 
     return lane
@@ -132,7 +138,7 @@ class Engine:
     def __post_init__(self) -> None:
         usable = jax.devices()[: self.devices]
         share = -(-self.lanes // len(usable))
-        widest = max(VECTOR, min(self.tile or best_tile(self.study), share))
+        widest = max(VECTOR, min(self.tile or (best_tile() if on_cpu(usable) else share), share))
         self._tile = -(-widest // VECTOR) * VECTOR
         tiles = -(-self.lanes // self._tile)
         self._tiles = -(-tiles // len(usable)) * len(usable)
@@ -183,8 +189,8 @@ class Engine:
             self.clock.traces += 1
             return lane(values, i)
 
-        batch = jax.vmap(one)
-        if xla.compiles_loops_whole():
+        batch = jax.vmap(one, axis_name=TILE)
+        if xla.compiles_loops_whole() and on_cpu(self._mesh.devices):
             batch = shared_once(batch)
 
         def share(lanes: dict[str, jax.Array], i: jax.Array) -> dict[str, Scalar]:
@@ -212,13 +218,14 @@ class Engine:
         }
 
 
-def best_tile(study: Study) -> int:
-    """Lanes whose state fits the cache, a power of two: 1024 for one degree of freedom, 256 for the UAV."""
-    key = jax.random.key(0)
-    state = jax.eval_shape(lambda: start(study.loop, study.params(medians(study)), key))
-    scalars = len(jax.tree.leaves((state, starts(study.measures))))
-    fitting = CACHE / (scalars * study.config.loop.precision / 8)
-    return int(np.clip(2 ** math.floor(math.log2(fitting)), NARROWEST, WIDEST))
+def on_cpu(devices: Iterable[Any]) -> bool:
+    """Whether the devices are cores of a CPU."""
+    return all(device.platform == "cpu" for device in devices)
+
+
+def best_tile() -> int:
+    """Lanes of a tile on a CPU, as measured; the loop with one degree of freedom and the UAV want the same."""
+    return LANES if xla.compiles_loops_whole() else LANES_OF_KERNELS
 
 
 def medians(study: Study) -> dict[str, float]:

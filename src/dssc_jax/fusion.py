@@ -11,6 +11,7 @@ from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
 import jax
+from jax.core import Tracer
 from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var, jaxpr_as_fun
 
@@ -105,7 +106,7 @@ class Merged:
 
 def identity(operand: Any) -> Hashable:
     """Equal for equal operands: traced ones by object, numbers by type and value."""
-    if isinstance(operand, jax.core.Tracer):
+    if isinstance(operand, Tracer):
         return id(operand)
     return str(jax.typeof(operand)), str(operand)
 

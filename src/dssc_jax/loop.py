@@ -1,5 +1,6 @@
 """The closed loop of one draw: sample and hold, substeps, streaming metrics, and the freeze of a diverged draw."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -28,6 +29,8 @@ from dssc_jax.types import (
     Unmodelled,
     Wind,
 )
+
+BETWEEN_LOOKS = 64  # samples between two looks at whether any draw still flies
 
 
 class LoopParams(NamedTuple):
@@ -324,6 +327,7 @@ def simulate(
     measures: tuple[Measure, ...] = (),
     requirements: tuple[Requirement, ...] = (),
     every: int | None = None,
+    together: str | None = None,
 ) -> tuple[Run, Recorded | None]:
     """One draw from start to end.
 
@@ -337,6 +341,8 @@ def simulate(
         measures: What to measure.
         requirements: Bounds of some of the measures.
         every: Record one sample of so many; None: none, so that memory does not grow with the duration.
+        together: Name of the mapped axis of the draws that are simulated together: time stops when all of them have
+            ended. None: time runs to its end, as derivatives need it.
 
     Returns:
         The outcome, and the trajectory with leaves of shape (ceil(steps/every),), if any.
@@ -361,7 +367,9 @@ def simulate(
 
     count = jnp.zeros((), dtype=jnp.int32)
     at = Progress(count, start(loop, params, key), as_arrays(starts(measures)), count, count)
-    if every is None:
+    if every is None and together is not None:
+        end, recorded = until_all_ended(lambda at: sample(at)[0], at, loop.steps, together), None
+    elif every is None:
         end, recorded = jax.lax.scan(lambda at, _: (sample(at)[0], None), at, length=loop.steps)
     elif every == 1:
         end, recorded = jax.lax.scan(sample, at, length=loop.steps)
@@ -377,3 +385,17 @@ def simulate(
         failed_at=jnp.where(alive, jnp.nan, (end.steps + 1) * loop.sample_time),
     )
     return run, recorded
+
+
+def until_all_ended(sample: Callable[[Progress], Progress], at: Progress, steps: int, together: str) -> Progress:
+    """Sample after sample, until the last one or until no draw of the mapped axis flies any more."""
+
+    def flying(at: Progress) -> Scalar:
+        return jax.lax.pmax(jnp.where(at.outcome == Outcome.OK, 1, 0), together)
+
+    def block(carry: tuple[Progress, Scalar]) -> tuple[Progress, Scalar]:
+        last = jnp.minimum(carry[0].k + BETWEEN_LOOKS, steps)
+        at = jax.lax.while_loop(lambda at: at.k < last, sample, carry[0])
+        return at, flying(at)
+
+    return jax.lax.while_loop(lambda carry: (carry[0].k < steps) & (carry[1] > 0), block, (at, flying(at)))[0]

@@ -61,7 +61,7 @@ def differentiated(names: Sequence[str]) -> Callable[[Study], Lane]:
     """
 
     def program(study: Study) -> Lane:
-        plain = simulated(study)
+        plain = simulated(study, together=None)
         codes = ("outcome", "failed_at")
 
         def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:

@@ -4,12 +4,11 @@ import time
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import jax
 import numpy as np
 
 from dssc_jax.api import Progress, about_run
 from dssc_jax.dataset import in_memory, put
-from dssc_jax.engine import Arrays, Engine, Layout, best_tile, computing, drawn, execute
+from dssc_jax.engine import Arrays, Engine, Layout, computing, drawn, execute
 from dssc_jax.errors import ConfigError
 from dssc_jax.manifest import read_manifest
 from dssc_jax.results import Result
@@ -21,6 +20,7 @@ from dssc_jax.types import Outcome
 Rule: TypeAlias = UntilWidth | AcceptReject
 
 MOST = 100_000  # draws, unless told otherwise
+BATCH = 1024  # draws computed at once
 UNDECIDED = "undecided"
 
 
@@ -55,7 +55,7 @@ def run_until(
     if out is not None:
         require_same_rule(Path(out), whole, rule, most)
     began = time.perf_counter()
-    engine = Engine(whole, min(most, best_tile(whole) * len(jax.devices())))
+    engine = Engine(whole, min(most, BATCH))
     batches = execute(engine, [(slice(a, min(a + engine.lanes, most)),) for a in range(0, most, engine.lanes)])
     found: list[Arrays] = []
     failed = np.empty(0, dtype=bool)

@@ -113,7 +113,7 @@ def test_euler_angles_and_their_rates_equal_scipy(angles):
     matrix = quaternion_of(at).matrix()
     gap = np.abs(np.array(euler_of(matrix)) - np.array(angles)).max()
     phi, theta, psi = angles
-    wanted = Trig(np.cos(phi), np.sin(phi), np.cos(theta), np.sin(theta), np.cos(psi), np.sin(psi))
+    wanted = Trig(np.cos(phi), np.sin(phi), np.cos(theta), np.sin(theta), np.cos(psi), np.sin(psi), 1.0 / np.cos(theta))
     gap_t = np.abs(np.array(trig_of(matrix)) - np.array(wanted)).max()
 
     def angles_after(time):
