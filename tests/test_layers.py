@@ -11,7 +11,7 @@ ROOT = Path(dssc_jax.__file__).parent
 LAYERS = [
     {"xla", "errors", "fusion"},
     {"types"},
-    {"tracking", "numerics", "vectors", "zero_dynamics", "integrators"},
+    {"tracking", "numerics", "vectors", "zero_dynamics", "integrators", "marching"},
     {"plants", "uav", "environment", "controllers", "unmodelled", "design"},
     {"metrics"},
     {"performance", "requirements"},
@@ -46,6 +46,7 @@ EDGE = {
     "design_tables",
     "cli",
     "study",
+    "xla",  # reads the processor's name, by which compiled programs are kept
 }
 EDGE |= {"__init__"}
 FILES = sorted(ROOT.rglob("*.py"))

@@ -6,7 +6,8 @@ import sys
 
 import numpy as np
 
-CLEAN = {k: v for k, v in os.environ.items() if k not in ("XLA_FLAGS", "DSSC_JAX_XLA")}
+UNSET = ("XLA_FLAGS", "DSSC_JAX_XLA", "DSSC_JAX_CACHE", "JAX_COMPILATION_CACHE_DIR")
+CLEAN = {k: v for k, v in os.environ.items() if k not in UNSET}
 
 
 def python(code, **environment):
@@ -61,6 +62,30 @@ print(entry.count(" while("), entry.count("xla_cpu_small_call"))
 """
     assert python(code).stdout.split() == ["0", "1"]
     assert python(code, DSSC_JAX_XLA="off").stdout.split() == ["1", "0"]
+
+
+COMPILE = """
+import dssc_jax, jax, jax.numpy as jnp, os
+from pathlib import Path
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+jax.jit(lambda x: jnp.sin(x) + 1.0)(1.0)
+kept = os.environ.get("JAX_COMPILATION_CACHE_DIR", "")
+print(kept, len(list(Path(kept).glob("jit__lambda*"))) > 0 if kept else False)
+"""
+
+
+def test_compiled_programs_are_kept_where_the_user_caches(tmp_path):
+    folder, kept = python(COMPILE, XDG_CACHE_HOME=str(tmp_path)).stdout.split()
+    assert folder.startswith(str(tmp_path / "dssc_jax"))
+    assert kept == "True"
+
+
+def test_a_users_own_cache_wins_and_none_is_kept_on_request(tmp_path):
+    own = str(tmp_path / "own")
+    assert python(COMPILE, JAX_COMPILATION_CACHE_DIR=own).stdout.split() == [own, "True"]
+    off = python(COMPILE, XDG_CACHE_HOME=str(tmp_path / "unused"), DSSC_JAX_CACHE="off")
+    assert off.stdout.split() == ["False"]
+    assert not (tmp_path / "unused").exists()
 
 
 AGREE = """

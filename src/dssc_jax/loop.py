@@ -1,6 +1,5 @@
 """The closed loop of one draw: sample and hold, substeps, streaming metrics, and the freeze of a diverged draw."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -8,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.integrators import INTEGRATORS, Integrator
+from dssc_jax.marching import until_all_ended
 from dssc_jax.metrics import Instant, Measure, Sample, starts, update_all, values
 from dssc_jax.numerics import stream, wrap_angle
 from dssc_jax.requirements import Requirement, judge
@@ -29,8 +29,6 @@ from dssc_jax.types import (
     Unmodelled,
     Wind,
 )
-
-BETWEEN_LOOKS = 64  # samples between two looks at whether any draw still flies
 
 
 class LoopParams(NamedTuple):
@@ -360,6 +358,9 @@ def simulate(
         )
         return Progress(at.k + 1, state, accumulators, outcome, at.steps + alive), recorded
 
+    def flying(at: Progress) -> Scalar:
+        return at.outcome == Outcome.OK
+
     def block(at: Progress, _: None) -> tuple[Progress, Recorded]:
         last = jnp.minimum(at.k + (every or 1), loop.steps)
         at, recorded = sample(at)
@@ -368,7 +369,7 @@ def simulate(
     count = jnp.zeros((), dtype=jnp.int32)
     at = Progress(count, start(loop, params, key), as_arrays(starts(measures)), count, count)
     if every is None and together is not None:
-        end, recorded = until_all_ended(lambda at: sample(at)[0], at, loop.steps, together), None
+        end, recorded = until_all_ended(lambda at: sample(at)[0], flying, at, loop.steps, together), None
     elif every is None:
         end, recorded = jax.lax.scan(lambda at, _: (sample(at)[0], None), at, length=loop.steps)
     elif every == 1:
@@ -385,17 +386,3 @@ def simulate(
         failed_at=jnp.where(alive, jnp.nan, (end.steps + 1) * loop.sample_time),
     )
     return run, recorded
-
-
-def until_all_ended(sample: Callable[[Progress], Progress], at: Progress, steps: int, together: str) -> Progress:
-    """Sample after sample, until the last one or until no draw of the mapped axis flies any more."""
-
-    def flying(at: Progress) -> Scalar:
-        return jax.lax.pmax(jnp.where(at.outcome == Outcome.OK, 1, 0), together)
-
-    def block(carry: tuple[Progress, Scalar]) -> tuple[Progress, Scalar]:
-        last = jnp.minimum(carry[0].k + BETWEEN_LOOKS, steps)
-        at = jax.lax.while_loop(lambda at: at.k < last, sample, carry[0])
-        return at, flying(at)
-
-    return jax.lax.while_loop(lambda carry: (carry[0].k < steps) & (carry[1] > 0), block, (at, flying(at)))[0]

@@ -6,13 +6,24 @@ step has hundreds. A loop whose body touches few bytes it compiles as a whole in
 :mod:`dssc_jax.fusion`, a step costs several times less. One host device a core lets the engine shard a batch. XLA reads
 the flags once, when its backend starts: they cannot be given later nor for one function alone.
 
-Setting the environment variable ``DSSC_JAX_XLA=off`` leaves the environment untouched.
+Compiled programs are kept in the user's cache directory, so that the second process that needs one only reads it.
+
+Setting the environment variable ``DSSC_JAX_XLA=off`` leaves the compiler alone, ``DSSC_JAX_CACHE=off`` keeps nothing.
 """
 
 import os
+import platform
 import sys
 import warnings
+import zlib
+from pathlib import Path
 
+CACHE_SWITCH = "DSSC_JAX_CACHE"
+CACHE_DIRECTORY = "JAX_COMPILATION_CACHE_DIR"
+CACHE_RULES = {
+    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.3",
+    "JAX_COMPILATION_CACHE_MAX_SIZE": str(2**28),  # bytes; the least recently used go first
+}
 SWITCH = "DSSC_JAX_XLA"
 OFF = ("off", "0", "false")
 WHOLE_LOOPS = "xla_cpu_small_while_loop_byte_threshold"
@@ -65,12 +76,44 @@ def backend_started() -> bool:
     return bridge is not None and bool(getattr(bridge, "_backends", None))
 
 
+def processor() -> str:
+    """A name for what this processor can do: a program compiled for another one must not be read back."""
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as lines:
+            known = [line for line in lines.read(2**14).splitlines() if line.startswith(("model name", "flags"))][:2]
+    except OSError:
+        known = [platform.processor()]
+    return f"{platform.machine()}-{zlib.crc32(''.join(known).encode()):08x}"
+
+
+def cache_directory() -> Path | None:
+    """Where compiled programs are kept; None where the user's cache directory cannot be written."""
+    try:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    except RuntimeError:  # no home
+        return None
+    existing = next(folder for folder in (home, *home.parents, Path.cwd()) if folder.exists())
+    return home / "dssc_jax" / processor() if os.access(existing, os.W_OK) else None
+
+
+def configure_cache() -> None:
+    """Have JAX keep compiled programs, unless the user has a cache of their own or wants none."""
+    if CACHE_DIRECTORY in os.environ or os.environ.get(CACHE_SWITCH, "").lower() in OFF:
+        return
+    directory = cache_directory()
+    if directory is not None:
+        os.environ[CACHE_DIRECTORY] = str(directory)
+        for name, value in CACHE_RULES.items():
+            os.environ.setdefault(name, value)
+
+
 def configure() -> None:
-    """Add the missing flags to ``XLA_FLAGS``; called once, when the package is imported.
+    """Set the cache, and add the missing flags to ``XLA_FLAGS``; called once, when the package is imported.
 
     Warns:
         LateSettingsWarning: when the backend runs already, without these flags.
     """
+    configure_cache()
     if os.environ.get(SWITCH, "").lower() in OFF:
         return
     missing = missing_flags()

@@ -1,0 +1,37 @@
+"""Ways through time other than a plain scan; the carry has the index ``k`` of the next sample."""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+
+from dssc_jax.types import Scalar
+
+BETWEEN_LOOKS = 64  # samples between two looks at whether any draw still flies
+
+C = TypeVar("C")
+
+
+def until_all_ended(sample: Callable[[C], C], flying: Callable[[C], Scalar], at: C, steps: int, together: str) -> C:
+    """Sample after sample, until ``steps`` are done or no draw of the mapped axis ``together`` flies any more.
+
+    The look is common to all draws of the axis, so that time and what depends on it alone stay scalars.
+    """
+
+    def any_flies(at: C) -> Scalar:
+        return jax.lax.pmax(jnp.where(flying(at), 1, 0), together)
+
+    def block(carry: tuple[C, Scalar]) -> tuple[C, Scalar]:
+        last = jnp.minimum(carry[0].k + BETWEEN_LOOKS, steps)  # type: ignore[attr-defined]
+
+        def before(at: Any) -> Scalar:
+            return at.k < last
+
+        after = jax.lax.while_loop(before, sample, carry[0])
+        return after, any_flies(after)
+
+    def goes_on(carry: tuple[C, Scalar]) -> Scalar:
+        return (carry[0].k < steps) & (carry[1] > 0)  # type: ignore[attr-defined]
+
+    return jax.lax.while_loop(goes_on, block, (at, any_flies(at)))[0]
