@@ -10,19 +10,12 @@ import dssc_jax as dj
 from dssc_jax.comparison import Tuning, tuned
 from dssc_jax.comparison.tuning import points, ranges
 from dssc_jax.statistics import compare_failures
+from tests.loops import LAGGED
 
-TABLE = {
+TABLE = LAGGED | {
     "name": "duel",
     "seed": 9,
     "draws": 60,
-    "loop": {"duration": 6.0, "sample_time": 0.02},
-    "plant": {"kind": "normal_form", "k_p": {"uniform": [0.7, 1.3]}, "initial": [0.5, 0.0]},
-    "controller": {
-        "kind": "dssc",
-        "l0": 1.0,
-        "rho": 6.0,
-        "functions": {"kind": "approx_sta_2", "kappa1": 4.0, "kappa2": 4.0, "delta": 0.5, "tau_av": 0.05},
-    },
     "unmodelled": {"kind": "lag", "order": 2, "mu": {"uniform": [0.02, 0.4]}},
     "disturbance": {"kind": "step", "value": {"uniform": [-0.6, 0.6]}, "at": 3.0},
     "metrics": {"names": ["error_rms", "command_tv"]},

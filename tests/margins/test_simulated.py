@@ -12,21 +12,13 @@ from dssc_jax.engine import Engine
 from dssc_jax.margins import Censoring, Margins, Walk
 from dssc_jax.margins.search import Critical
 from dssc_jax.statistics import clopper_pearson
+from tests.loops import LAGGED
 
-LOOP = {
+LOOP = LAGGED | {
     "name": "margins",
     "seed": 4,
     "draws": 40,
-    "loop": {"duration": 6.0, "sample_time": 0.02},
-    "plant": {"kind": "normal_form", "k_p": {"uniform": [0.7, 1.3]}, "initial": [0.5, 0.0]},
-    "controller": {
-        "kind": "dssc",
-        "l0": 1.0,
-        "rho": 6.0,
-        "functions": {"kind": "approx_sta_2", "kappa1": 4.0, "kappa2": 4.0, "delta": 0.5, "tau_av": 0.05},
-    },
     "unmodelled": {"kind": "lag", "order": 2, "mu": {"uniform": [0.01, 0.02]}},
-    "disturbance": {"kind": "step", "value": 0.3, "at": 3.0},
     "requirement": [{"metric": "error_max", "after": 2.0, "max": 0.2}],
 }
 
