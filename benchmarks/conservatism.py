@@ -25,8 +25,9 @@ from dssc_jax.engine import Engine
 DOCS = Path(__file__).parents[1] / "docs"
 DESIGNS, PLANTS, REACHES = 1000, 8, 200
 DURATION, AFTER, SAMPLE_TIME = 40.0, 25.0, 1e-3  # s
-HALVINGS = 10
-FAR = 1000.0
+HALVINGS, FINE = 10, 40  # of a reach that is simulated, and of a certified one
+FAR = 1000.0  # factor up to which plants are simulated
+FURTHEST = 1e6  # up to which certificates are looked for
 ANY = {"uniform": [0.0, 1.0]}  # makes a number a lane's own; the values come from here
 POSITIVE = {"uniform": [1e-9, 1.0]}
 FUNCTIONS = ("phi_a", "phi_b", "kappa_a", "kappa_b", "kappa_c", "kappa_d", "epsilon", "gamma", "delta")
@@ -168,11 +169,11 @@ class Loops:
         }
 
 
-def reach(survives: Callable[[np.ndarray], np.ndarray], count: int, far: float) -> np.ndarray:
+def reach(survives: Callable[[np.ndarray], np.ndarray], count: int, far: float, halvings: int = HALVINGS) -> np.ndarray:
     """The factor between 1 and ``far`` up to which each design survives, by bisection of its logarithm, all at once."""
     inside, outside = np.zeros(count), np.full(count, np.log(far))
     inside = np.where(survives(np.exp(outside)), outside, inside)
-    for _ in range(HALVINGS):
+    for _ in range(halvings):
         middle = 0.5 * (inside + outside)
         good = survives(np.exp(middle))
         inside, outside = np.where(good, middle, inside), np.where(good, outside, middle)
@@ -201,15 +202,15 @@ def reaches(case: Case, plants: Plants) -> dict[str, Reach]:
 
     return {
         "disturbance": Reach(
-            reach(lambda x: certified(p, scaled(bounds, x)), count, FAR),
+            reach(lambda x: certified(p, scaled(bounds, x)), count, FURTHEST, FINE),
             reach(lambda x: within(scaled(bounds, x), plants.k_p), count, FAR),
         ),
         "k_p down": Reach(
-            reach(lambda x: certified(p, bounds._replace(k_min=bounds.k_min * x)), count, 1.0 / FAR),
+            reach(lambda x: certified(p, bounds._replace(k_min=bounds.k_min * x)), count, 1.0 / FURTHEST, FINE),
             reach(gain, count, 1.0 / FAR),
         ),
         "k_p up": Reach(
-            reach(lambda x: certified(p, bounds._replace(k_max=bounds.k_max * x)), count, FAR),
+            reach(lambda x: certified(p, bounds._replace(k_max=bounds.k_max * x)), count, FURTHEST, FINE),
             reach(gain, count, FAR),
         ),
     }
@@ -227,6 +228,17 @@ def quantiles(values: np.ndarray) -> str:
     return ", ".join(f"{value:.3g}" for value in np.quantile(values, (0.0, 0.5, 1.0)))
 
 
+def median_ratio(pair: Reach) -> str:
+    """Median of simulated over certified; a bound of it where it hangs on reaches that were cut."""
+    ratio = pair.simulated / pair.certified
+    cut_above, cut_below = pair.simulated >= 0.999 * FAR, pair.simulated <= 1.001 / FAR
+    unknown = np.where(cut_above, np.inf, np.where(cut_below, 0.0, ratio))
+    middle = np.median(ratio)
+    if np.median(unknown) == middle:
+        return f"{middle:.3g}"
+    return f"at {'least' if np.median(unknown) > middle else 'most'} {middle:.3g}"
+
+
 def draw(promised: Guarantee, found: dict[str, np.ndarray], reached: dict[str, Reach]) -> None:
     """Certified against simulated residuals, and reaches."""
     with rc_context(plotting.STYLE):
@@ -239,7 +251,7 @@ def draw(promised: Guarantee, found: dict[str, np.ndarray], reached: dict[str, R
         left.set(xlabel="certified bound of $|e|$ [m]", ylabel="largest simulated $|e|$ [m]")
         for (name, pair), colour in zip(reached.items(), (plotting.ORANGE, plotting.GREEN, plotting.RED), strict=True):
             right.loglog(*pair, ".", color=colour, markersize=5, label=name)
-        right.loglog([1 / FAR, FAR], [1 / FAR, FAR], color=plotting.GREY, linewidth=1.0)
+        right.loglog([1 / FAR, FAR], [1 / FAR, FAR], color=plotting.GREY, linewidth=1.0, label="certified = simulated")
         right.set(xlabel="certified up to this factor", ylabel="simulated up to this factor")
         for ax in (left, right):
             ax.legend(frameon=False)
@@ -258,7 +270,7 @@ def main() -> None:
     reached = reaches(taken(case, some), jax.tree.map(lambda part: part[some], plants))
     draw(promised, found, reached)
     sampled = found["ratio"] < 1.0
-    exceeded = int(np.sum((found["e"] > promised.e) | (found["sigma"] > promised.sigma)))
+    exceeded = int(np.sum(sampled & ((found["e"] > promised.e) | (found["sigma"] > promised.sigma))))
     lines = [
         "# How conservative the theorem is",
         "",
@@ -267,8 +279,8 @@ def main() -> None:
         f"{DESIGNS} random designs of order two, strict by Table 1 and the small gain, each flown with {PLANTS} "
         "plants: both ends of k_p and a_p, disturbances that attain the bounds (A1)-(A3) at several periods, a sine as "
         f"reference; {DURATION:g} s at T_s = {1e3 * SAMPLE_TIME:g} ms, worst values after {AFTER:g} s. Taken are "
-        "designs whose proposed sampling period is longer, and whose guaranteed decay leaves less than e^-10 of the "
-        f"start by then. The sampling ratio stayed below 1 in {int(sampled.sum())} of {DESIGNS}; in {exceeded} of all "
+        "designs whose proposed sampling period is longer and whose guaranteed decay leaves less than e^-10 of the "
+        f"start by then. The sampling ratio stayed below 1 in {int(sampled.sum())} of {DESIGNS}; in {exceeded} of them "
         "a simulated residual exceeded the certified one.",
         "",
         "| number | smallest, median, largest over designs |",
@@ -279,14 +291,16 @@ def main() -> None:
         f"| certified over simulated, abs(sigma) | {quantiles(promised.sigma / found['sigma'])} |",
         "",
         f"How far {REACHES} of the designs go before the certificate ends, and before a simulated plant leaves the "
-        f"certified residual set or the sampling limit; factors are cut at {FAR:g} and 1/{FAR:g}.",
+        "residual set that is certified at factor 1, or the sampling limit; a certificate further out promises a larger "
+        f"set. Simulated factors are cut at {FAR:g} and 1/{FAR:g}: where the median hangs on cut ones it is told as a "
+        "bound.",
         "",
         "| what grows | certified up to | simulated up to | simulated over certified, median |",
         "|---|---|---|---|",
     ]
     for name, pair in reached.items():
-        ratio = np.median(pair.simulated / pair.certified)
-        lines.append(f"| {MEANINGS[name]} | {quantiles(pair.certified)} | {quantiles(pair.simulated)} | {ratio:.3g} |")
+        row = (MEANINGS[name], quantiles(pair.certified), quantiles(pair.simulated), median_ratio(pair))
+        lines.append(f"| {' | '.join(row)} |")
     lines += ["", "![certified against simulated](figures/conservatism.png)", ""]
     (DOCS / "conservatism.md").write_text("\n".join(lines), encoding="utf-8")
 

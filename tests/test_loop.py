@@ -74,6 +74,13 @@ def test_order_against_an_independent_solver(exact, integrator, steps, order, ba
     assert np.all(np.abs(orders - order) < band)
 
 
+def test_substeps_traced_once_are_those_traced_one_by_one(monkeypatch):
+    monkeypatch.setattr("dssc_jax.loop.UNROLLED", 4)
+    one_by_one = end_state("rk4", 4)
+    monkeypatch.setattr("dssc_jax.loop.UNROLLED", 0)
+    assert end_state("rk4", 4) == pytest.approx(one_by_one, rel=1e-14)
+
+
 def test_semi_implicit_euler_does_not_gain_energy():
     """On an undamped oscillator, over 10,000 steps."""
 

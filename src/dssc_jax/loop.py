@@ -30,6 +30,8 @@ from dssc_jax.types import (
     Wind,
 )
 
+UNROLLED = 2  # substeps at most that are traced one by one
+
 
 class LoopParams(NamedTuple):
     """Parameters of every part of the loop; any number may be traced.
@@ -179,11 +181,11 @@ def hold(
 ) -> tuple[State, tuple[State, ...]]:
     """Advance plant and unmodelled dynamics over one sample with the commands held.
 
-    The unmodelled dynamics are known at the start, middle and end of a substep, as the integrator asks.
+    The unmodelled dynamics are known at the start, middle and end of a substep, as the integrator asks. Few substeps
+    are traced one by one; of many only one is, since compilation takes as long as what is traced.
     """
     h = loop.sample_time / loop.substeps
     integrate = INTEGRATORS[loop.integrator]
-    plant, lags = state.plant, tuple(channel.unmodelled for channel in state.channels)
 
     def lagged(states: tuple[State, ...]) -> tuple[State, ...]:
         parts = zip(loop.unmodelled, params.unmodelled, states, commands, strict=True)
@@ -193,19 +195,25 @@ def hold(
         parts = zip(loop.unmodelled, params.unmodelled, states, commands, strict=True)
         return tuple(model.output(p, z, u) for model, p, z, u in parts)
 
-    for index in range(loop.substeps):
+    def substep(index: Scalar, at: tuple[State, tuple[State, ...]]) -> tuple[State, tuple[State, ...]]:
+        plant, lags = at
         middle = lagged(lags)
         end = lagged(middle)
         stages = [(t + (index + fraction) * h, reaching(z)) for fraction, z in ((0.0, lags), (0.5, middle), (1.0, end))]
 
-        def derivative(plant: State, half_steps: int, stages: list = stages) -> State:
+        def derivative(plant: State, half_steps: int) -> State:
             now, arriving = stages[half_steps]
             drive = driven(loop, params, state, plant, arriving, now)
             return loop.plant.derivative(params.plant, plant, drive, now)
 
-        plant = loop.plant.project(params.plant, integrate(derivative, plant, h, loop.plant.velocities))
-        lags = end
-    return plant, lags
+        return loop.plant.project(params.plant, integrate(derivative, plant, h, loop.plant.velocities)), end
+
+    at = state.plant, tuple(channel.unmodelled for channel in state.channels)
+    if loop.substeps > UNROLLED:
+        return jax.lax.fori_loop(0, loop.substeps, lambda index, at: as_arrays(substep(index, at)), as_arrays(at))
+    for index in range(loop.substeps):
+        at = substep(index, at)
+    return at
 
 
 def driven(

@@ -1,6 +1,9 @@
 """Commands that tell what there is: studies, info."""
 
 import json
+from typing import Annotated
+
+import typer
 
 from dssc_jax.cli.shared import DONE, JsonOption, app
 from dssc_jax.errors import ConfigError
@@ -28,13 +31,26 @@ def studies(as_json: JsonOption = False) -> int:
 
 
 @app.command()
-def info(as_json: JsonOption = False) -> int:
-    """Show versions, devices and every kind of model.
+def info(
+    kind: Annotated[
+        str | None, typer.Argument(metavar="[KIND]", help="A kind of model, or of a part, to be told of alone.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Show versions, devices and every kind of model; or one kind's fields.
 
-    Each kind with its fields and options, and the compiler flags in force.
+    Each kind with its fields and options, and the compiler flags in force. Of one KIND: unit, meaning, admissible
+    values and default of each field.
     """
     from dssc_jax.console import environment, show_environment
 
+    if kind is not None:
+        from dssc_jax.console.kinds import show_kind
+
+        if as_json:
+            raise ConfigError("--json", "tells of all kinds at once; leave KIND out")
+        show_kind(kind)
+        return DONE
     found = environment()
     if as_json:
         print(json.dumps(found))

@@ -27,28 +27,16 @@ def environment() -> dict[str, Any]:
     import jax
 
     from dssc_jax import xla
-    from dssc_jax.study.build import REGISTRIES
-    from dssc_jax.study.components import field_specs
+    from dssc_jax.console.kinds import kinds
     from dssc_jax.study.measuring import KNOWN
 
-    kinds = {}
-    for slot, registry in REGISTRIES.items():
-        kinds[slot] = {}
-        for kind, entry in registry.items():
-            member = next(iter(entry.members.values()))
-            options = {entry.option: [key.value for key in entry.members]} if entry.option else {}
-            kinds[slot][kind] = {
-                "summary": entry.summary,
-                "fields": list(field_specs(getattr(member, "params", member))),
-                "options": options,
-            }
     packages = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy", "xarray", "zarr", "optax")
     return {
         "versions": {"python": platform.python_version(), **{name: version(name) for name in packages}},
         "devices": [str(device) for device in jax.devices()],
         "xla_flags": os.environ.get("XLA_FLAGS", ""),
         "xla_settings": "off" if os.environ.get(xla.SWITCH, "").lower() in xla.OFF else "on",
-        "kinds": kinds,
+        "kinds": kinds(),
         "metrics": {
             name: {"unit": metric.unit, "meaning": metric.meaning, "of": metric.scope.value}
             for name, metric in KNOWN.items()
@@ -58,16 +46,19 @@ def environment() -> dict[str, Any]:
 
 def show_environment(found: dict[str, Any]) -> None:
     """The environment, for people."""
+    from dssc_jax.console.kinds import HEADS
+
     console = output()
     console.print("  ".join(f"{name} {number}" for name, number in found["versions"].items()))
     console.print(
         f"devices    {', '.join(found['devices'])}\nXLA flags  {found['xla_flags'] or 'none'}", soft_wrap=True
     )
-    for slot, kinds in found["kinds"].items():
+    for slot, its_kinds in found["kinds"].items():
         rows = []
-        for kind, about in kinds.items():
+        for kind, about in its_kinds.items():
             options = "; ".join(f"{name}: {' | '.join(map(str, values))}" for name, values in about["options"].items())
             rows.append((kind, about["summary"], ", ".join(about["fields"]), options))
-        show_table((f"[{slot}]", "what", "fields", "options"), rows)
+        show_table((f"[{HEADS.get(slot, slot)}]", "what", "fields", "options"), rows)
     rows = [(name, about["meaning"], about["unit"], about["of"]) for name, about in found["metrics"].items()]
     show_table(("metric", "what", "unit", "of each"), rows)
+    console.print("`dssc-jax info KIND` tells unit, meaning, range and default of a kind's fields", markup=False)

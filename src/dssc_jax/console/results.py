@@ -112,6 +112,8 @@ def show_draw(attributes: Mapping[str, Any], files: list[Path]) -> None:
     ended = str(attributes["outcome_meaning"]).replace("_", " ")
     output().print(f"[bold]{escape(str(attributes['study']))}[/bold] draw {attributes['draw']}: {ended}")
     skipped = {"study", "draw", "outcome", "outcome_meaning"}
+    if attributes["failed_at"] != attributes["failed_at"]:  # NaN: it did not
+        skipped.add("failed_at")
     rows = [(name, f"{value:.6g}") for name, value in attributes.items() if name not in skipped]
     show_table(("number", "value"), rows)
     show_files(files)

@@ -1,0 +1,144 @@
+"""Every kind of model and of part, and what each of its fields is: from the registries and the parameter types."""
+
+from collections.abc import Iterator
+from enum import Enum
+from typing import Any
+
+from dssc_jax.console.terminal import output, show_table
+from dssc_jax.errors import ConfigError, meant
+from dssc_jax.study.build import REGISTRIES
+from dssc_jax.study.components import FieldSpec, field_specs
+from dssc_jax.types import Entry, Quantity, Registry, Slot
+
+TRAJECTORY = "trajectory"
+HEADS = {TRAJECTORY: "reference, of a plant of several channels"}
+REQUIRED = "required"
+
+
+def registries() -> dict[str, Registry]:
+    """Every registry by the table that its kinds stand in; parts of models behind the models."""
+    found = dict(REGISTRIES)
+    for slot, registry in REGISTRIES.items():
+        for entry in registry.values():
+            found |= parts(params_of(entry), slot)
+    return found
+
+
+def parts(params: type, place: str) -> dict[str, Registry]:
+    """Registries of the slots in a parameter type."""
+    found = {}
+    for name, spec in field_specs(params).items():
+        if isinstance(spec.mark, Slot):
+            found[f"{place}.{name}"] = spec.mark.registry
+            for entry in spec.mark.registry.values():
+                found |= parts(params_of(entry), f"{place}.{name}")
+        elif spec.nested:
+            found |= parts(spec.core, f"{place}.{name}")
+    return found
+
+
+def member_of(entry: Entry) -> Any:
+    """A model of an entry; what its options change is not its parameters."""
+    return next(iter(entry.members.values()))
+
+
+def params_of(entry: Entry) -> Any:
+    """The parameter type of an entry."""
+    member = member_of(entry)
+    return getattr(member, "params", member)
+
+
+def kinds() -> dict[str, dict[str, Any]]:
+    """Summary, fields and options of every kind, by the table that it stands in."""
+    found: dict[str, dict[str, Any]] = {}
+    for slot, registry in registries().items():
+        found[slot] = {
+            kind: {
+                "summary": entry.summary,
+                "fields": list(field_specs(params_of(entry))),
+                "options": options_of(entry),
+                "about": {row[0]: dict(zip(COLUMNS[1:], row[1:], strict=True)) for row in rows_of(entry)},
+            }
+            for kind, entry in registry.items()
+        }
+    return found
+
+
+def options_of(entry: Entry) -> dict[str, list[Any]]:
+    """Values of an entry's option, by its name."""
+    return {entry.option: [key.value for key in entry.members]} if entry.option else {}
+
+
+COLUMNS = ("field", "unit", "meaning", "admissible", "default")
+
+
+def rows_of(entry: Entry) -> list[tuple[str, str, str, str, str]]:
+    """Every field of a kind, nested ones by dotted name, with the columns :data:`COLUMNS`."""
+    params, preset = params_of(entry), getattr(member_of(entry), "defaults", None)
+    rows = list(fields(params, "", preset))
+    for name, values in options_of(entry).items():
+        rows.append((name, "", "option", " | ".join(map(str, values)), text_of(entry.default)))
+    return rows
+
+
+def fields(params: type, prefix: str, preset: Any) -> Iterator[tuple[str, str, str, str, str]]:
+    """Rows of a parameter type; ``preset`` is an instance whose values are the defaults."""
+    defaults = getattr(params, "_field_defaults", {}) if preset is None else preset._asdict()
+    for name, spec in field_specs(params).items():
+        if spec.derived:
+            continue
+        default = defaults.get(name, REQUIRED)
+        if isinstance(spec.mark, Slot):
+            meaning = f"which part; a number alone is '{spec.mark.number}'" if spec.mark.number else "which part"
+            yield f"{prefix}{name}.kind", "", meaning, " | ".join(spec.mark.registry), spec.mark.default or REQUIRED
+        elif spec.nested:
+            inner = None if default in (None, REQUIRED) else default
+            if default is None:
+                yield f"{prefix}{name}", "", "a table; absent: none of it", "", "absent"
+            yield from fields(spec.core, f"{prefix}{name}.", inner)
+        else:
+            yield f"{prefix}{name}", *about(spec), text_of(default)
+
+
+def about(spec: FieldSpec) -> tuple[str, str, str]:
+    """Unit, meaning and admissible values of a field."""
+    if isinstance(spec.mark, Quantity):
+        meaning = f"{spec.mark.meaning} (a list)" if spec.many else spec.mark.meaning
+        limits = [
+            *([f"> {spec.mark.above:g}"] if spec.mark.above is not None else []),
+            *([f">= {spec.mark.at_least:g}"] if spec.mark.at_least is not None else []),
+            *([f"< {spec.mark.below:g}"] if spec.mark.below is not None else []),
+            *([f"<= {spec.mark.at_most:g}"] if spec.mark.at_most is not None else []),
+            *([] if spec.mark.law else ["no law"]),
+        ]
+        return spec.mark.unit, meaning, ", ".join(limits)
+    if isinstance(spec.core, type) and issubclass(spec.core, Enum):
+        return "", "option", " | ".join(member.value for member in spec.core)
+    return "", "option", "true | false"
+
+
+def text_of(default: Any) -> str:
+    """A default as one would write it."""
+    if isinstance(default, Enum):
+        return str(default.value)
+    if isinstance(default, tuple):
+        return f"[{', '.join(map(text_of, default))}]"
+    if isinstance(default, bool):
+        return str(default).lower()
+    return "absent" if default is None else f"{default:g}" if isinstance(default, int | float) else str(default)
+
+
+def show_kind(name: str) -> None:
+    """What a kind's fields are, wherever a kind of that name stands.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    every = registries()
+    found = {slot: registry[name] for slot, registry in every.items() if name in registry}
+    if not found:
+        valid = {kind for registry in every.values() for kind in registry}
+        raise ConfigError(name, f"is no kind; {meant(name, valid)}")
+    for slot, entry in found.items():
+        output().print(f'[{HEADS.get(slot, slot)}] kind = "{name}": {entry.summary}', markup=False)
+        show_table(COLUMNS, rows_of(entry))

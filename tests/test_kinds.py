@@ -1,0 +1,54 @@
+"""What `info` tells of every kind: complete, and as the study file takes it."""
+
+import json
+
+import pytest
+
+from dssc_jax.cli import guarded
+from dssc_jax.console.kinds import HEADS, kinds, registries, rows_of
+from dssc_jax.study.components import field_specs
+
+EVERY = [(slot, kind) for slot, registry in registries().items() for kind in registry]
+
+
+@pytest.mark.parametrize(("slot", "kind"), EVERY, ids=[f"{slot}-{kind}" for slot, kind in EVERY])
+def test_every_field_is_told(slot, kind):
+    entry = registries()[slot][kind]
+    rows = rows_of(entry)
+    member = next(iter(entry.members.values()))
+    specs = field_specs(getattr(member, "params", member))
+    assert {row[0].split(".")[0] for row in rows} - {entry.option} == {n for n, s in specs.items() if not s.derived}
+    assert all(meaning for _, _, meaning, _, _ in rows)
+    assert kinds()[slot][kind]["about"].keys() == {row[0] for row in rows}
+
+
+def test_parts_of_models_are_kinds_too():
+    assert {"controller.functions", "controller.rho", "plant.vehicle"} <= registries().keys()
+    assert HEADS.keys() <= registries().keys()
+
+
+def test_a_kind_alone(capsys):
+    """Unit, range and default stand where the study file would be refused otherwise; both sines are told of."""
+    assert guarded(["info", "sine"]) == 0
+    shown = capsys.readouterr().out
+    assert '[reference] kind = "sine"' in shown
+    assert '[disturbance] kind = "sine"' in shown
+    row = next(line.split() for line in shown.splitlines() if line.startswith("period"))
+    assert row == ["period", "s", "period", ">", "0", "required"]
+    assert guarded(["info", "dssc"]) == 0
+    shown = capsys.readouterr().out
+    assert "a number alone is 'constant'" in shown
+    assert "nominal.predictor_term" in shown
+
+
+def test_what_info_refuses(capsys):
+    assert guarded(["info", "sqare_root"]) == 2
+    assert "sqare_root: is no kind; did you mean 'square_root'?" in capsys.readouterr().err
+    assert guarded(["info", "sine", "--json"]) == 2
+    assert "leave KIND out" in capsys.readouterr().err
+
+
+def test_the_json_of_all(capsys):
+    assert guarded(["info", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["kinds"]["controller"]["dssc"]["about"]["l0"]["admissible"] == "> 0"
