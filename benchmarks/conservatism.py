@@ -292,8 +292,8 @@ def main() -> None:
         "",
         f"How far {REACHES} of the designs go before the certificate ends, and before a simulated plant leaves the "
         "residual set that is certified at factor 1, or the sampling limit; a certificate further out promises a "
-        f"larger set. Simulated factors are cut at {FAR:g} and 1/{FAR:g}: where the median hangs on cut ones it is told "
-        "as a bound.",
+        f"larger set. Simulated factors are cut at {FAR:g} and 1/{FAR:g}: where the median hangs on cut ones it is "
+        "told as a bound.",
         "",
         "| what grows | certified up to | simulated up to | simulated over certified, median |",
         "|---|---|---|---|",
