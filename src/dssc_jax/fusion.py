@@ -15,7 +15,7 @@ from jax.core import Tracer
 from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var, jaxpr_as_fun
 
-WORTH = 4  # operations beyond which a shared value is kept: writing and reading it costs about two
+WORTH = 3  # operations beyond which a shared value is kept: writing and reading it costs about two
 CALLS = ("jit", "closed_call", "custom_jvp_call", "custom_vjp_call")
 BODIES = ("jaxpr", "body_jaxpr")  # of a scan, of a while loop
 LOOPS = ("scan", "while", "cond")
@@ -136,19 +136,51 @@ def variables(eqn: JaxprEqn) -> set[Var]:
 def keeping(program: ClosedJaxpr, args: Sequence[Any]) -> list[Any]:
     """Results of a program without calls, its shared values kept where that is cheaper than computing them again."""
     scope, equations = Scope(program, args), needed(program.jaxpr)
-    uses = Counter(variable for eqn in equations for variable in variables(eqn))
-    uses.update(atom for atom in program.jaxpr.outvars if isinstance(atom, Var))
-    again: dict[Var, int] = Counter()  # operations to compute a variable from what is in buffers
+    keep = worth_keeping(equations, {atom for atom in program.jaxpr.outvars if isinstance(atom, Var)})
     for eqn in equations:
         results = bound(eqn, scope.read(eqn.invars), eqn.params)
-        cost = sum(again[variable] for variable in variables(eqn))
-        for i, variable in enumerate(eqn.outvars):
-            shared = uses[variable] > 1
-            if eqn.primitive.name in REPEATED:
-                again[variable] = cost + 1
-                if shared and cost + 1 >= WORTH and results[i].size > 1:
-                    results[i], again[variable] = kept(results[i]), 0
-            else:
-                again[variable] = cost if eqn.primitive.name in FREE else 0 if shared else cost + 1
-        scope.write(eqn.outvars, results)
+        pairs = zip(eqn.outvars, results, strict=True)
+        scope.write(eqn.outvars, [kept(value) if variable in keep else value for variable, value in pairs])
     return scope.read(program.jaxpr.outvars)
+
+
+def worth_keeping(equations: Sequence[JaxprEqn], results: set[Var]) -> set[Var]:
+    """Variables that several kernels read and that cost too much to compute in each of them.
+
+    A kernel is named by the value that it stores. Backwards, a variable belongs to the kernels of its readers; what
+    only one kernel reads is computed within it. Forwards, operations are counted from the last stored values.
+    """
+    again = repeated_work(equations, results)
+    kernels: dict[Var, set[Var]] = {variable: {variable} for variable in results}
+    keep = set()
+    for eqn in reversed(equations):
+        readers: set[Var] = set()
+        for variable in eqn.outvars:
+            own = kernels.get(variable, set())
+            repeated, shared = eqn.primitive.name in REPEATED, len(own) > 1
+            if repeated and shared and again[variable] >= WORTH and size(variable) > 1:
+                keep.add(variable)
+            stored = variable in keep or variable in results or (shared and not repeated)
+            readers |= {variable} if stored and eqn.primitive.name not in FREE else own
+        for variable in variables(eqn):
+            kernels.setdefault(variable, set()).update(readers)
+    return keep
+
+
+def repeated_work(equations: Sequence[JaxprEqn], results: set[Var]) -> dict[Var, int]:
+    """Operations to compute each variable from the values that several others read."""
+    uses = Counter(results) + Counter(variable for eqn in equations for variable in variables(eqn))
+    again: dict[Var, int] = {}
+    left: dict[Var, int] = Counter()
+    for eqn in equations:
+        cost = sum(left[variable] for variable in variables(eqn)) + (eqn.primitive.name not in FREE)
+        for variable in eqn.outvars:
+            again[variable] = cost
+            stored = uses[variable] > 1 and (cost >= WORTH or eqn.primitive.name not in REPEATED | FREE)
+            left[variable] = 0 if stored else cost
+    return again
+
+
+def size(variable: Var) -> int:
+    """Numbers in a variable's array."""
+    return getattr(variable.aval, "size", 1)

@@ -361,10 +361,11 @@ def simulate(
         ended = jnp.where(recorded.finite, ended, Outcome.NON_FINITE)
         outcome = jnp.where(at.outcome == Outcome.OK, ended, at.outcome).astype(jnp.int32)
         alive = outcome == Outcome.OK
-        state, accumulators = jax.tree.map(
-            lambda new, old: jnp.where(alive, new, old), (after, updated), (at.state, at.accumulators)
-        )
-        return Progress(at.k + 1, state, accumulators, outcome, at.steps + alive), recorded
+        if together is None:  # frozen; where nothing but outcome and metrics is wanted, nobody sees what follows
+            after, updated = jax.tree.map(
+                lambda new, old: jnp.where(alive, new, old), (after, updated), (at.state, at.accumulators)
+            )
+        return Progress(at.k + 1, after, updated, outcome, at.steps + alive), recorded
 
     def flying(at: Progress) -> Scalar:
         return at.outcome == Outcome.OK

@@ -106,10 +106,15 @@ def stream(name: str) -> int:
 
 
 def dot(left: Sequence[Scalar], right: Sequence[Scalar]) -> Scalar:
-    """Sum of products of two short tuples, spelled out: scalars in a step compile to scalar arithmetic."""
+    """Sum of products of two short tuples, spelled out: scalars in a step compile to scalar arithmetic.
+
+    Where a plain number on the left is 0 or 1 known before tracing, its product is left out or is the other factor.
+    """
     total: Scalar = 0.0
     for a, b in zip(left, right, strict=True):
-        total = total + a * b
+        if isinstance(a, float) and a == 0.0:
+            continue
+        total = total + (b if isinstance(a, float) and a == 1.0 else a * b)
     return total
 
 

@@ -6,6 +6,7 @@ speeds matter: sum w_i, sum w_i p_i and sum w_i p_i p_i^T, w_i = |thetadot_i|.
 
 from typing import NamedTuple
 
+from dssc_jax.numerics import dot
 from dssc_jax.types import Scalar
 from dssc_jax.uav.vehicle import Vehicle
 from dssc_jax.vectors import Mat3, Vec3
@@ -30,13 +31,15 @@ def drag(vehicle: Vehicle, rotation: Mat3, rate: Vec3, air_velocity: Vec3, speed
     """
     in_body = rotation.transpose @ air_velocity
     structure = in_body.scale(Vec3(*vehicle.structure_drag)) * (-air_velocity.norm())
-    s, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for w, (x, y) in zip(speeds, vehicle.rotor_positions(), strict=True):
-        s, sx, sy = s + w, sx + w * x, sy + w * y
-        sxx, sxy, syy = sxx + w * x * x, sxy + w * x * y, syy + w * y * y
-    first = Vec3(sx, sy, 0.0)
+    x, y = vehicle.directions()
+    ones = (1.0,) * vehicle.rotors
+    first = Vec3(dot(x, speeds), dot(y, speeds), 0.0) * vehicle.arm
+    square = vehicle.arm * vehicle.arm
+    sxx, sxy, syy = (
+        square * dot([a * b for a, b in zip(*pair, strict=True)], speeds) for pair in ((x, x), (x, y), (y, y))
+    )
     k = vehicle.propeller_drag
-    propellers = (in_body * s + rate.cross(first)) * (-k)
+    propellers = (in_body * dot(ones, speeds) + rate.cross(first)) * (-k)
     # sum w_i p_i x (Omega x p_i) = sum w_i (|p_i|^2 Omega - (p_i . Omega) p_i)
     spin = Vec3(syy * rate.x - sxy * rate.y, sxx * rate.y - sxy * rate.x, (sxx + syy) * rate.z)
     return Drag(rotation @ (structure + propellers), (first.cross(in_body) + spin) * (-k))

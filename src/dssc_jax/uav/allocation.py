@@ -6,9 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.errors import ConfigError
+from dssc_jax.numerics import dot
 from dssc_jax.types import Scalar, nominal
 from dssc_jax.uav.vehicle import Vehicle
 from dssc_jax.vectors import Vec3
+
+ROUNDING = 1e-12  # relative to the largest entry of a column
 
 
 class Thrusts(NamedTuple):
@@ -21,7 +24,7 @@ class Thrusts(NamedTuple):
 def geometry(vehicle: Vehicle) -> np.ndarray:
     """The matrix from thrusts to (f, M_x, M_y, M_z), (4, n_r), nominal: laws at their medians."""
     plain = vehicle._replace(arm=nominal(vehicle.arm), torque_coefficient=nominal(vehicle.torque_coefficient))
-    x, y = np.array(plain.rotor_positions(), dtype=float).T
+    x, y = plain.arm * np.array(plain.directions(), dtype=float)
     return np.stack([np.ones(vehicle.rotors), y, -x, np.asarray(plain.spins) * plain.torque_coefficient])
 
 
@@ -38,12 +41,14 @@ def pseudo_inverse(vehicle: Vehicle) -> tuple[tuple[float, ...], ...]:
         raise ConfigError(
             "spins", f"rotor_angles and spins must span thrust and three moments (yaw included), got rank {rank} of 4"
         )
-    return tuple(tuple(float(value) for value in row) for row in np.linalg.pinv(matrix))
+    inverse = np.linalg.pinv(matrix)
+    inverse[np.abs(inverse) < ROUNDING * np.abs(inverse).max(axis=0)] = 0.0
+    return tuple(tuple(float(value) for value in row) for row in inverse)
 
 
 def allocate(inverse: tuple[tuple[float, ...], ...], thrust: Scalar, moment: Vec3, limit: Scalar) -> Thrusts:
     """Thrusts for the wanted net thrust [N] and moment [N m], each limited to [0, limit]."""
-    wanted = [row[0] * thrust + row[1] * moment.x + row[2] * moment.y + row[3] * moment.z for row in inverse]
+    wanted = [dot(row, (thrust, *moment)) for row in inverse]
     each = tuple(jnp.clip(f, 0.0, limit) for f in wanted)
     limited = jnp.zeros((), dtype=bool)
     for f in wanted:
@@ -53,7 +58,7 @@ def allocate(inverse: tuple[tuple[float, ...], ...], thrust: Scalar, moment: Vec
 
 def net(vehicle: Vehicle, thrusts: tuple[Scalar, ...]) -> tuple[Scalar, Vec3]:
     """f = sum f_i and M = sum p_bi x (f_i e3) + e3 sum s_i c_tau f_i."""
-    total, mx, my, mz = 0.0, 0.0, 0.0, 0.0
-    for f, (x, y), spin in zip(thrusts, vehicle.rotor_positions(), vehicle.spins, strict=True):
-        total, mx, my, mz = total + f, mx + y * f, my - x * f, mz + spin * f
-    return total, Vec3(mx, my, vehicle.torque_coefficient * mz)
+    x, y = vehicle.directions()
+    ones = (1.0,) * vehicle.rotors
+    turning = Vec3(dot(y, thrusts), -dot(x, thrusts), 0.0) * vehicle.arm
+    return dot(ones, thrusts), turning._replace(z=vehicle.torque_coefficient * dot(vehicle.spins, thrusts))

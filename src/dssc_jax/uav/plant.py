@@ -6,7 +6,7 @@ from typing import Annotated, Any, NamedTuple
 import jax.numpy as jnp
 
 from dssc_jax.errors import ConfigError
-from dssc_jax.numerics import atan2, root_abs
+from dssc_jax.numerics import atan2, dot, root_abs
 from dssc_jax.types import Measurement, Plant, PlantInput, Preset, Quantity, Registry, Scalar, Slot, nominal, single
 from dssc_jax.uav.aerodynamics import drag
 from dssc_jax.uav.allocation import Thrusts, allocate, net, pseudo_inverse
@@ -131,11 +131,11 @@ def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar)
     else:
         speeds = state.speeds
         accelerations = tuple((c - w) / vehicle.motor_lag for c, w in zip(commanded, speeds, strict=True))
-        spin_up = -sum(s * a for s, a in zip(vehicle.spins, accelerations, strict=True))
+        spin_up = -dot(vehicle.spins, accelerations)
     thrust, moment = net(vehicle, tuple(vehicle.thrust_coefficient * w * w for w in speeds))
     rotation = state.attitude.matrix()
     air = drag(vehicle, rotation, state.rate, state.velocity - drive.wind, speeds)
-    spin = -sum(s * w for s, w in zip(vehicle.spins, speeds, strict=True))
+    spin = -dot(vehicle.spins, speeds)
     torque = moment + air.torque + gyroscopic_torque(state.rate, vehicle.rotor_inertia_z, spin, spin_up)
     body = BodyState(state.position, state.velocity, state.attitude, state.rate)
     slope = body_derivative(body, vehicle.mass, vehicle.inertia, thrust, air.force, torque, rotation)

@@ -8,6 +8,7 @@ from dssc_jax.types import Quantity, Scalar, extent
 from dssc_jax.vectors import Vec3
 
 GRAVITY = 9.81  # m/s^2
+ROUNDING = 1e-15  # cos(pi/2) is 6e-17
 
 
 class Vehicle(NamedTuple):
@@ -48,9 +49,10 @@ class Vehicle(NamedTuple):
         """f_max; 2 M g/n_r unless the vehicle says otherwise (assumed) [N]."""
         return 2.0 * self.mass * GRAVITY / self.rotors if self.max_thrust is None else self.max_thrust
 
-    def rotor_positions(self) -> tuple[tuple[Scalar, Scalar], ...]:
-        """(x, y) of each rotor in the body frame [m]."""
-        return tuple((self.arm * math.cos(angle), self.arm * math.sin(angle)) for angle in self.rotor_angles)
+    def directions(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """x and y of every rotor for an arm of length 1; what is 0 but for rounding is 0."""
+        x, y = ([f(angle) for angle in self.rotor_angles] for f in (math.cos, math.sin))
+        return tuple(0.0 if abs(v) < ROUNDING else v for v in x), tuple(0.0 if abs(v) < ROUNDING else v for v in y)
 
 
 def ring(rotors: int) -> tuple[float, ...]:
