@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from dssc_jax.numerics import cubic_spline, over_log_defect, root_abs
+from dssc_jax.numerics import atan, atan2, cubic_spline, dot, over_log_defect, root_abs
 
 
 def test_root_abs_is_exact_and_has_finite_gradients():
@@ -49,3 +49,33 @@ def test_cubic_spline_is_scipys_and_bounded():
     steps = np.diff([0.0, *coefficients, 0.0])
     assert steps.min() <= float(slopes.min())
     assert float(slopes.max()) <= steps.max()
+
+
+@pytest.mark.parametrize("bits", [64, 32])
+def test_arctangents_are_within_two_ulp(bits):
+    """Against extended precision, over the whole range; measured 1.6 (float64) and 1.8 (float32)."""
+    rng, real = np.random.default_rng(3), np.dtype(f"float{bits}")
+    wide = 10.0 ** rng.uniform(-8.0, 8.0, 100_000) * rng.choice([-1.0, 1.0], 100_000)
+    x = np.concatenate([rng.uniform(-3.0, 3.0, 300_000), wide]).astype(real)
+    angle = rng.uniform(-np.pi, np.pi, 300_000)
+    y, z = np.sin(angle).astype(real), np.cos(angle).astype(real)
+    with jax.enable_x64(bits == 64):
+        pairs = [(jax.jit(atan)(x), np.arctan(x.astype(np.longdouble)))]
+        pairs += [(jax.jit(atan2)(y, z), np.arctan2(y.astype(np.longdouble), z.astype(np.longdouble)))]
+        for found, exact in pairs:
+            spacing = np.spacing(np.abs(exact).astype(real)).astype(np.longdouble)
+            assert np.max(np.abs(np.asarray(found).astype(np.longdouble) - exact) / spacing) < 2.0
+
+
+def test_arctangents_at_the_corners():
+    for y, x in [(0.0, 0.0), (0.0, 1.0), (0.0, -1.0), (1.0, 0.0), (-1.0, 0.0), (1.0, 1.0), (-1.0, -1.0), (2.0, -3.0)]:
+        assert float(atan2(y, x)) == pytest.approx(np.arctan2(y, x), abs=1e-7)
+    assert np.isnan(atan2(jnp.nan, 1.0))
+    assert np.isnan(atan2(1.0, jnp.nan))
+    assert np.all(np.isfinite(jax.vmap(jax.grad(lambda y: atan2(y, 0.0)))(jnp.asarray([0.0, 1e-30, 1.0]))))
+
+
+def test_dot_leaves_out_what_is_zero():
+    """A plain 0 on the left is no operation, so that an infinite factor does not become NaN; a traced one is."""
+    assert float(dot((0.0, 1.0, 2.0), (jnp.inf, 3.0, 4.0))) == 11.0
+    assert np.isnan(dot((jnp.zeros(()), 1.0), (jnp.inf, 3.0)))

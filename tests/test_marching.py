@@ -1,0 +1,45 @@
+"""Time that stops when every draw has ended."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dssc_jax.marching import BETWEEN_LOOKS, until_all_ended
+
+STEPS = 1000
+
+
+class Counting(NamedTuple):
+    """A draw that flies for so many samples, and counts those that were computed."""
+
+    k: jax.Array
+    end: jax.Array
+    computed: jax.Array
+
+
+def counted(ends, steps=STEPS):
+    def sample(at):
+        return Counting(at.k + 1, at.end, at.computed + 1)
+
+    def one(end):
+        zero = jnp.zeros((), jnp.int32)
+        return until_all_ended(sample, lambda at: at.k < at.end, Counting(zero, end, zero), steps, "tile").computed
+
+    return np.asarray(jax.jit(jax.vmap(one, axis_name="tile"))(jnp.asarray(ends)))
+
+
+@pytest.mark.parametrize(
+    ("ends", "computed"),
+    [
+        ([STEPS, 3], STEPS),  # one flies on: all are computed to the end
+        ([10, 3], BETWEEN_LOOKS),
+        ([BETWEEN_LOOKS + 1, 0], 2 * BETWEEN_LOOKS),
+        ([0, 0], 0),
+        ([STEPS + 7, STEPS + 7], STEPS),  # never beyond the last sample
+    ],
+)
+def test_a_tile_stops_at_the_first_look_without_a_flying_draw(ends, computed):
+    assert counted(ends).tolist() == [computed, computed]
