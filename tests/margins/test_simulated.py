@@ -12,6 +12,7 @@ from dssc_jax.engine import Engine
 from dssc_jax.margins import Censoring, Margins, Walk
 from dssc_jax.margins.search import Critical
 from dssc_jax.statistics import clopper_pearson
+from dssc_jax.study.laws import parse_law
 from tests.loops import LAGGED
 
 LOOP = LAGGED | {
@@ -101,6 +102,42 @@ def test_sample_time(study):
     assert np.array_equal(verdicts, found.dataset["margin"].values >= 0)
     assert 0 < np.sum(verdicts) < np.size(verdicts)
     assert set(found.dataset["critical"].dropna("draw").values) <= set(grid)
+
+
+def test_spread_is_a_run_under_wider_laws(study):
+    """Uniform laws, so many times as wide about the same middle: nested sets with the same draws."""
+    few = study.override({"draws": 30, "disturbance.value": {"uniform": [0.1, 0.5]}})
+    found = dj.margin(few, over="spread", bounds=(0.5, 3.0), points=6, bisections=6)
+    curve = found.degradation()
+    assert 0.0 < curve["probability"].values[-1] < 1.0
+    for index in (1, 5):
+        share = float(curve["value"][index])
+        half = {"plant.k_p": (1.0, 0.3), "unmodelled.mu": (0.015, 0.005), "disturbance.value": (0.3, 0.2)}
+        wider = {name: {"uniform": [at - share * by, at + share * by]} for name, (at, by) in half.items()}
+        failed = dj.run(few.override(wider)).failed.values
+        assert np.array_equal(failed, found.dataset["margin"].values[index] < 0.0), share
+    assert found.dataset["critical"].attrs["units"] == "1"
+
+
+def test_spread_is_of_the_logarithm_where_the_law_is():
+    law = parse_law({"loguniform": [0.01, 1.0]})
+    assert law.spread(np.array([0.01, 0.1, 1.0]), 0.5) == pytest.approx([10**-1.5, 0.1, 10**-0.5])
+    assert parse_law({"choice": [1.0, 5.0]}).spread(np.array([1.0, 5.0]), 3.0).tolist() == [1.0, 5.0]
+    assert parse_law({"normal": [2.0, 1.0]}).spread(np.array([1.0, 4.0]), 2.0).tolist() == [0.0, 6.0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "bounds", "rule"),
+    [
+        ({}, (1.0, 4.0), r"spread: plant.k_p must be > 0, got \[-.* at spread = 4"),
+        ({"plant.k_p": 1.0, "unmodelled.mu": 0.01}, (0.0, 1.0), "nothing is uncertain"),
+        ({"plant.k_p": {"choice": [0.9, 1.1]}, "unmodelled.mu": 0.01}, (0.0, 1.0), "nothing is uncertain"),
+        ({}, (-1.0, 1.0), "must be >= 0"),
+    ],
+)
+def test_bad_spread(study, changes, bounds, rule):
+    with pytest.raises(dj.ConfigError, match=rule):
+        dj.margin(study.override(changes), over="spread", bounds=bounds)
 
 
 def test_no_requirement_means_staying_finite(study):

@@ -11,13 +11,18 @@ import xarray as xr
 from dssc_jax.analysis import read, save
 from dssc_jax.certification import Reach, reach
 from dssc_jax.errors import ConfigError
-from dssc_jax.margins.search import Censoring, Critical, Walk
+from dssc_jax.margins.search import CLOCK, Censoring, Critical, Walk
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson
 from dssc_jax.statistics.order import binomial_quantile
 from dssc_jax.study import Study
+from dssc_jax.study.laws import SPREAD
 from dssc_jax.types import Quantity
 
-SAMPLE_TIME = Quantity("s", "sample time T_s", above=0.0)
+UNNAMED = {
+    CLOCK: Quantity("s", "sample time T_s", above=0.0),
+    SPREAD: Quantity("1", "spread of all laws about their medians", at_least=0.0),
+}
+"""What can be walked beside the loop's own numbers."""
 CONTENT = 0.95  # share of draws that the lower tolerance limit speaks of
 
 
@@ -59,7 +64,7 @@ class Margins:
         criterion: tuple[str, ...],
     ) -> "Margins":
         """The margins that a search found, with the drawn numbers beside them."""
-        quantity = study.quantities.get(parameter, SAMPLE_TIME)
+        quantity = study.quantities.get(parameter) or UNNAMED[parameter]
         about = {"units": quantity.unit, "long_name": quantity.meaning}
         codes = {"flag_values": [code.value for code in Censoring], "flag_meanings": "before found beyond"}
         columns = {

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 POINTS, BISECTIONS = 17, 14
+CLOCK = "loop.sample_time"
 
 MarginOf = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """(indices of some of the draws, a value for each) -> signed margins, negative where the draw fails."""

@@ -6,14 +6,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dssc_jax.engine import BLOCK, Arrays, Clock, Engine, Layout, execute
+from dssc_jax.engine import BLOCK, Arrays, Clock, Engine, Layout, drawn, execute
 from dssc_jax.errors import ConfigError
 from dssc_jax.margins.result import Margins
-from dssc_jax.margins.search import BISECTIONS, POINTS, Critical, Walk, search
+from dssc_jax.margins.search import BISECTIONS, CLOCK, POINTS, Critical, Walk, search
 from dssc_jax.probing import Probe, require_independent, worst_margin
 from dssc_jax.study import Study
+from dssc_jax.study.laws import CASES, SPREAD
 
-CLOCK = "loop.sample_time"
 MOST_POINTS, MOST_BISECTIONS = 1000, 52
 
 Progress = Callable[[int, int], None]
@@ -32,13 +32,16 @@ def margin(
 ) -> Margins:
     """The critical value of one number of the loop for every draw of a study.
 
-    The number takes the place of its law; everything else is drawn. Where no requirement is set, a draw fails by
-    becoming non-finite.
+    The number takes the place of its law; everything else is drawn. ``spread`` in its place widens all laws together:
+    every drawn number moves to so many times its distance from the median, in the logarithm where the law is one of a
+    logarithm; the critical values then are margins of the uncertainty as a whole, and the degradation curve is the
+    failure probability over nested laws with the same draws. Where no requirement is set, a draw fails by becoming
+    non-finite.
 
     Args:
         study: The study; its own sweep is left aside.
-        over: Dotted name of the number, e.g. ``unmodelled.mu``. ``loop.sample_time`` is fixed before tracing: its grid
-            is taken to whole numbers of samples, with a program each and no bisection.
+        over: Dotted name of the number, e.g. ``unmodelled.mu``, or ``spread``. ``loop.sample_time`` is fixed before
+            tracing: its grid is taken to whole numbers of samples, with a program each and no bisection.
         bounds: The safe end, where draws are expected to pass, then the other end, which may be the lower one.
         log: Walk evenly in the logarithm.
         points: Values of the bracketing grid. A draw that fails and passes again between two of them is not noticed.
@@ -87,12 +90,40 @@ def checked(over: str, bounds: tuple[float, float], log: bool, points: int, bise
     return float(start), float(end)
 
 
+def placed(study: Study, over: str) -> Callable[[Arrays, np.ndarray], Arrays]:
+    """What makes every lane's numbers of the drawn ones and the values of the walk: in place of a law, or as spread."""
+    if over != SPREAD:
+        return lambda drawn, values: {**drawn, over: values}
+    return lambda drawn, values: {name: study.laws[name].spread(column, values) for name, column in drawn.items()}
+
+
+def require_spread(study: Study, bounds: tuple[float, float]) -> None:
+    """Require that the laws can be widened as far as that.
+
+    Raises:
+        ConfigError: there is none, or a draw leaves a number's range.
+    """
+    if not any(law.kind not in CASES for law in study.laws.values()):
+        raise ConfigError(SPREAD, "nothing is uncertain that could be widened; give at least one number a law")
+    if min(bounds) < 0.0:
+        raise ConfigError(SPREAD, f"must be >= 0, got {bounds[0]:g} and {bounds[1]:g}")
+    for name, column in drawn(study, slice(0, study.config.draws)).items():
+        widest = study.laws[name].spread(column, max(bounds))
+        low, high = float(widest.min()), float(widest.max())
+        broken = study.quantities[name].violated_by(low, high)
+        if broken:
+            raise ConfigError(SPREAD, f"{name} {broken}, got [{low:g}, {high:g}] at {SPREAD} = {max(bounds):g}")
+
+
 def over_number(
     study: Study, over: str, walk: Walk, bisections: int, clock: Clock, progress: Progress
 ) -> tuple[Critical, Arrays]:
     """Critical values of a number that is traced, and the drawn ones: one program, a block of draws after another."""
-    draws, evaluations = study.config.draws, walk.points + bisections
-    probe = Probe(study, {over: (walk.start, walk.end)}, min(draws, BLOCK))
+    if over == SPREAD:
+        require_spread(study, (walk.start, walk.end))
+    draws, evaluations, place = study.config.draws, walk.points + bisections, placed(study, over)
+    extents = {} if over == SPREAD else {over: (walk.start, walk.end)}
+    probe = Probe(study, extents, min(draws, BLOCK))
     probe.engine.clock = clock
     found, columns = [], []
     for begin in range(0, draws, probe.lanes):
@@ -101,7 +132,7 @@ def over_number(
 
         def margin_of(which: np.ndarray, values: np.ndarray, indices=indices, laws=laws) -> np.ndarray:
             chosen = {name: column[which] for name, column in laws.items()}
-            worst = worst_margin(probe.swept, probe(indices[which], {**chosen, over: values}))
+            worst = worst_margin(probe.swept, probe(indices[which], place(chosen, values)))
             progress(clock.lanes, evaluations * draws)
             return worst
 

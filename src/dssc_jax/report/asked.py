@@ -12,10 +12,10 @@ from dssc_jax.report.elements import Section, counted, facts, figure, folded, nu
 from dssc_jax.report.subject import Subject
 from dssc_jax.requirements import Requirement
 from dssc_jax.study import Law, Study
+from dssc_jax.study.laws import LOGARITHMIC
 
 BINS, EACH = 36, 60  # of a density's sketch, and levels in each
 SKETCH = (132, 34)
-LOGARITHMIC = ("loguniform", "lognormal")
 
 
 def question(about: Subject) -> Section:

@@ -132,6 +132,12 @@ LAWS: dict[str, LawKind] = {
 }
 
 
+LOGARITHMIC = ("loguniform", "lognormal")
+CASES = ("choice",)
+SPREAD = "spread"
+"""Name under which all laws together are widened, in place of a number's dotted name."""
+
+
 @dataclass(frozen=True)
 class Law:
     """A law that stands for a number.
@@ -157,6 +163,17 @@ class Law:
     def median(self) -> float:
         """The value at level 1/2."""
         return float(self.quantile(np.asarray(0.5)))
+
+    def spread(self, values: np.ndarray, share: np.ndarray | float) -> np.ndarray:
+        """Values moved to ``share`` times their distance from the median; cases to choose from stay as they are.
+
+        The distance is that of the logarithms where the law is one of a logarithm.
+        """
+        if self.kind in CASES:
+            return np.asarray(values)
+        if self.kind in LOGARITHMIC:
+            return self.median * np.power(np.asarray(values) / self.median, share)
+        return self.median + share * (np.asarray(values) - self.median)
 
     def __str__(self) -> str:
         return f"{self.kind}({', '.join(f'{value:g}' for value in self.arguments)})"

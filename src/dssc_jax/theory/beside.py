@@ -29,7 +29,7 @@ class Beside:
         performance: Simulated, against the study's requirements; its certificate is what Theorem 1 says.
         local: Of the loop linearised at the origin, sampled and in continuous time.
         oscillations: Simulated over a lag's time constant, and by describing function, by controller.
-        edge: Local critical value of the loop whose laws stand at their medians; None where there is none.
+        edge: Local critical value of a lag's mu, laws at their medians; None where there is none.
         silent: Why something of the above is not there.
         seconds: What it took.
     """
@@ -115,7 +115,7 @@ def beside(
             local[kind] = local_margin(study, **walk, kind=kind)
         except ConfigError as error:
             silent[kind.value] = error.rule
-    if Time.SAMPLED in local:
+    if Time.SAMPLED in local and over == MU:
         middle = study.override({**{name: law.median for name, law in study.laws.items()}, "draws": 1})
         edge = local_margin(middle, **walk).dataset["critical"].values[0]
     found = {}

@@ -12,8 +12,9 @@ from dssc_jax.engine import Arrays, drawn
 from dssc_jax.errors import ConfigError
 from dssc_jax.margins import Margins, Walk, search
 from dssc_jax.margins.search import BISECTIONS, POINTS
-from dssc_jax.margins.simulated import checked
+from dssc_jax.margins.simulated import checked, placed, require_spread
 from dssc_jax.study import Study
+from dssc_jax.study.laws import SPREAD
 from dssc_jax.theory.linearised import SMOOTH, at_rest, continuous_matrix, kind_of, require_smooth, sampled_matrix
 
 
@@ -97,13 +98,15 @@ def local_margin(
     walk = Walk(*checked(over, bounds, log, points, bisections), log, points)
     if over in study.quantities and over not in rest.quantities:
         raise ConfigError(over, "plays no part near the origin: reference and disturbance are left aside there")
-    swept = rest.override({"sweep": {over: sorted(bounds)}})
-    draws = study.config.draws
+    if over == SPREAD:
+        require_spread(study, bounds)
+    swept = rest.override({"sweep": {over: sorted(bounds)} if over != SPREAD else {}})
+    draws, place = study.config.draws, placed(rest, over)
     laws = drawn(swept, slice(0, draws))
     eigenvalues_of = spectrum(swept, kind)
 
     def decay(which: np.ndarray, values: np.ndarray) -> np.ndarray:
-        eigenvalues = eigenvalues_of({name: column[which] for name, column in laws.items()} | {over: values})
+        eigenvalues = eigenvalues_of(place({name: column[which] for name, column in laws.items()}, values))
         if kind == Time.CONTINUOUS:
             return -np.max(np.real(eigenvalues), axis=-1)
         return -np.log(np.max(np.abs(eigenvalues), axis=-1)) / swept.loop.sample_time
