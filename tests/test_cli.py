@@ -172,6 +172,20 @@ def test_margin(study, capsys):
     assert "Theorem 1 is silent: the controller is not DSSC" in shown
 
 
+def test_margins_of_several_controllers(study, capsys):
+    study.write_text(STUDY + "[compare.soft]\nk_p = 0.5\n")
+    arguments = ["margin", str(study), "--over", "plant.k_p=1.2:0.01", "--points", "3", "--bisections", "2"]
+    assert guarded([*arguments, "--controllers", "pi,soft", "--out", "m", "--json"]) == 0
+    found = last_json(capsys)
+    assert set(found["controllers"]) == {"pi", "soft"}
+    assert (found["pairs"][0]["a"], found["pairs"][0]["b"]) == ("pi", "soft")
+    assert (study.parent / "m" / "figures" / "margin.png").exists()
+    assert guarded([*arguments, "--controllers", "pi,soft", "--out", "m"]) == 0
+    assert "share of draws that go further" in capsys.readouterr().out
+    assert guarded([*arguments, "--controllers", "pi"]) == 2
+    assert "two different names" in capsys.readouterr().err
+
+
 def test_theory(study, capsys):
     arguments = ["theory", str(study), "--over", "plant.k_p=1.2:0.01", "--points", "4", "--bisections", "3"]
     assert guarded([*arguments, "--draws", "8", "--out", "t", "--json"]) == 0

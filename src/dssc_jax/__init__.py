@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from dssc_jax import design, report, theory
     from dssc_jax import plotting as plot
     from dssc_jax.api import replay, run, simulate
-    from dssc_jax.comparison import Comparison, compare
+    from dssc_jax.comparison import Comparison, compare, compare_margins
     from dssc_jax.errors import ConfigError
     from dssc_jax.exports import export
     from dssc_jax.falsification import Falsified, falsify
@@ -42,6 +42,7 @@ __all__ = [
     "Tuned",
     "UntilWidth",
     "compare",
+    "compare_margins",
     "design",
     "export",
     "falsify",
@@ -69,6 +70,7 @@ _HOME = {
     "load": "dssc_jax.loading",
     "Comparison": "dssc_jax.comparison",
     "compare": "dssc_jax.comparison",
+    "compare_margins": "dssc_jax.comparison",
     "Margins": "dssc_jax.margins",
     "margin": "dssc_jax.margins",
     "Falsified": "dssc_jax.falsification",

@@ -1,7 +1,9 @@
 """Commands on how robust a loop is: margin, theory, compare."""
 
 import json
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -21,6 +23,7 @@ from dssc_jax.cli.shared import (
 from dssc_jax.errors import ConfigError
 
 if TYPE_CHECKING:
+    from dssc_jax.comparison import MarginContest
     from dssc_jax.study import Study
 
 WalkOption = Annotated[
@@ -49,6 +52,9 @@ def margin(
     log: LogOption = False,
     points: PointsOption = 17,
     bisections: BisectionsOption = 14,
+    controllers: Annotated[
+        str | None, typer.Option("--controllers", metavar="A,B,..", help="Of each of these, on the same draws.")
+    ] = None,
     settings: SetOption = None,
     draws: DrawsOption = None,
     seed: SeedOption = None,
@@ -58,31 +64,56 @@ def margin(
 ) -> int:
     """Find every draw's critical value of one number.
 
-    The walk starts at LO, where draws are expected to pass; HI may be the lower end.
+    The walk starts at LO, where draws are expected to pass; HI may be the lower end. `spread` in the place of a name
+    widens all laws together.
 
     Prints the median, the value up to which 95 % of all draws pass with 95 % confidence (Wilks), the share of draws
-    without a critical value between the bounds, and the share that passes again beyond a failure.
+    without a critical value between the bounds, the share that passes again beyond a failure, and what Theorem 1 says.
     """
+    from dssc_jax import plotting
     from dssc_jax.analysis import require_free
-    from dssc_jax.console import progress_bar, show_margins
+    from dssc_jax.console import jsonable, progress_bar, show_margin_contest, show_margins
     from dssc_jax.margins import margin as find
 
     name, bounds = parse_bounds(over)
+    walk = {"over": name, "bounds": bounds, "log": log, "points": points, "bisections": bisections}
     loaded = load_study(study, settings, draws, seed, allow_local)
-    folder = out or default_out(loaded, f"margin-{name}", bool(settings or draws is not None or seed is not None))
-    require_free(folder, "margin")
+    command = f"margin-{name}" if controllers is None else f"margins-{name}"
+    folder = out or default_out(loaded, command, bool(settings or draws is not None or seed is not None))
     with progress_bar(loaded, quiet=as_json) as advance:
-        found = find(loaded, over=name, bounds=bounds, log=log, points=points, bisections=bisections, progress=advance)
+        if controllers is None:
+            require_free(folder, "margin")
+            found = find(loaded, **walk, progress=advance)
+            figure, show = plotting.margin(found), show_margins
+        else:
+            found = compare_margins_of(loaded, controllers, folder, walk, advance)
+            figure, show = plotting.theory(found.margins), show_margin_contest
     found.save(folder)
-    from dssc_jax import plotting
-
-    figures = plotting.save_figure(plotting.margin(found), folder / "figures", "margin")
+    figures = plotting.save_figure(figure, folder / "figures", "margin")
     summary = found.summary() | {"result": str(folder)}
     if as_json:
-        print(json.dumps(summary, allow_nan=False))
+        print(json.dumps(jsonable(summary), allow_nan=False))
     else:
-        show_margins(summary, [folder, *figures])
+        show(summary, [folder, *figures])
     return DONE
+
+
+def compare_margins_of(
+    study: "Study", controllers: str, folder: Path, walk: dict[str, Any], progress: Callable[..., None]
+) -> "MarginContest":
+    """Margins of several controllers; their folder is checked before anything is simulated."""
+    from dssc_jax.analysis import require_free
+    from dssc_jax.comparison import compare_margins
+
+    names = split_names(controllers)
+    for name in names:
+        require_free(folder / name, "margin")
+    return compare_margins(study, names, **walk, progress=progress)
+
+
+def split_names(text: str) -> list[str]:
+    """The names of ``A,B,..``."""
+    return [name.strip() for name in text.split(",")]
 
 
 @app.command()
@@ -180,7 +211,7 @@ def compare(
     loaded = load_study(study, settings, draws, seed, allow_local)
     folder = out or default_out(loaded, "compare", bool(settings or draws is not None or seed is not None))
     require_free(folder, "compare")
-    names = [name.strip() for name in controllers.split(",")]
+    names = split_names(controllers)
     usual = CANDIDATES if len(loaded.loop.channels) == 1 else 0
     with progress_bar(loaded, quiet=as_json) as advance:
         found = contest(loaded, names, candidates=usual if tune is None else tune, progress=advance)

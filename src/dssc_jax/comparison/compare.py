@@ -193,6 +193,18 @@ def with_controller(study: Study, name: str, table: Table) -> Study:
         raise ConfigError(f"compare.{name}", str(error)) from None
 
 
+def require_names(controllers: Sequence[str]) -> list[str]:
+    """Require two controllers or more.
+
+    Raises:
+        ConfigError: there are fewer, or one is named twice.
+    """
+    names = list(controllers)
+    if len(set(names)) < max(2, len(names)):
+        raise ConfigError("controllers", f"needs two different names or more, got {', '.join(names) or 'none'}")
+    return names
+
+
 def compare(
     study: Study,
     controllers: Sequence[str],
@@ -221,9 +233,7 @@ def compare(
         [('dssc', 'sta')]
     """
     began = time.perf_counter()
-    names = list(controllers)
-    if len(set(names)) < max(2, len(names)):
-        raise ConfigError("controllers", f"needs two different names or more, got {', '.join(names) or 'none'}")
+    names = require_names(controllers)
     require_independent(study, "a comparison")
     tables = {name: controller_table(study, name) for name in names}
     studies = {name: with_controller(study, name, table) for name, table in tables.items()}

@@ -1,6 +1,13 @@
 """What a person sees in the terminal."""
 
-from dssc_jax.console.analyses import show_comparison, show_margins, show_rare, show_sensitivity, show_theory
+from dssc_jax.console.analyses import (
+    show_comparison,
+    show_margin_contest,
+    show_margins,
+    show_rare,
+    show_sensitivity,
+    show_theory,
+)
 from dssc_jax.console.environment import environment, machine, show_environment
 from dssc_jax.console.results import show_draw, show_result, show_verification
 from dssc_jax.console.searches import show_falsification, show_tuning
@@ -27,6 +34,7 @@ __all__ = [
     "show_environment",
     "show_falsification",
     "show_files",
+    "show_margin_contest",
     "show_margins",
     "show_page",
     "show_rare",

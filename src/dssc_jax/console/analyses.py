@@ -44,6 +44,51 @@ def show_margins(summary: Mapping[str, Any], files: list[Path]) -> None:
         console.print(f"wrote {path}", soft_wrap=True, markup=False)
 
 
+def show_margin_contest(summary: Mapping[str, Any], files: list[Path]) -> None:
+    """Margins of several controllers, and of each pair who goes further."""
+    console = output()
+    required = escape("; ".join(summary["criterion"]))
+    console.print(f"[bold]{escape(summary['study'])}[/bold]  {summary['draws']} draws; required: {required}")
+    start, end = summary["bounds"]
+
+    def told(value: float | None) -> str:
+        return "before the start" if value is None else f"{value:.4g}{' or beyond' if value == end else ''}"
+
+    rows = [
+        (
+            name,
+            told(own["median"]),
+            told(own["lower_tolerance"]),
+            *(f"{100 * own[share]:.3g} %" for share in ("fail_at_start", "pass_to_end", "non_monotone")),
+            f"{own['seconds']:.1f}",
+        )
+        for name, own in summary["controllers"].items()
+    ]
+    head = (
+        "controller",
+        "median",
+        "95 % of draws pass up to",
+        "fail at start",
+        "pass to end",
+        "not monotone",
+        "seconds",
+    )
+    show_table(head, rows, f"{summary['parameter']} [{summary['unit']}] from {start:g} to {end:g}")
+    rows = []
+    for pair in summary["pairs"]:
+        low, high = pair["interval"]
+        difference = f"{pair['difference']:+.4g} in [{low:+.3g}, {high:+.3g}]"
+        rows.append((f"{pair['a']} - {pair['b']}", difference, f"{pair['p_value']:.3g}"))
+    show_table(("share of draws that go further", "difference, 95 % interval", "p-value (exact, paired)"), rows)
+    texts = {own["certificate"] for own in summary["controllers"].values()}
+    for text in sorted(texts):
+        names = [name for name, own in summary["controllers"].items() if own["certificate"] == text]
+        console.print(f"{', '.join(names)}: {text}", markup=False, soft_wrap=True)
+    console.print(f"{summary['seconds']:.1f} s in all")
+    for path in files:
+        console.print(f"wrote {path}", soft_wrap=True, markup=False)
+
+
 def show_theory(found: Mapping[str, Any], files: list[Path]) -> None:
     """The answers of theory and of simulation, a row each, with the question that each one answers."""
     console = output()

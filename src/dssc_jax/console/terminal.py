@@ -85,7 +85,8 @@ def counter(study: "Study", quiet: bool) -> Iterator[Callable[[int], None]]:
 
 def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | None = None) -> None:
     """A plain table."""
-    table = Table(*map(escape, head), title=title, title_justify="left", box=None, header_style="bold", pad_edge=False)
+    told = None if title is None else escape(title)
+    table = Table(*map(escape, head), title=told, title_justify="left", box=None, header_style="bold", pad_edge=False)
     for row in rows:
         table.add_row(*map(escape, row))
     output().print(table)

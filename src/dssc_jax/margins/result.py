@@ -83,15 +83,20 @@ class Margins:
         data["margin"] = (("value", "draw"), found.margin, {"units": "1", "long_name": "signed margin"})
         return cls(study, parameter, walk, data, criterion, dict(times))
 
-    def at_rank(self, rank: int) -> float | None:
-        """The rank-th critical value from the safe end; the walk's end where it lies beyond, None before its start."""
+    @property
+    def reached(self) -> np.ndarray:
+        """How far each draw goes, as a number that grows on the way; infinite where it is censored. Shape (n,)."""
         critical, censoring = self.dataset["critical"].values, self.dataset["censoring"].values
         direction = 1.0 if self.walk.end > self.walk.start else -1.0
         outside = np.where(censoring == Censoring.BEYOND, np.inf, -np.inf)
-        found = np.sort(np.where(censoring == Censoring.FOUND, direction * critical, outside))[rank - 1]
+        return np.where(censoring == Censoring.FOUND, direction * critical, outside)
+
+    def at_rank(self, rank: int) -> float | None:
+        """The rank-th critical value from the safe end; the walk's end where it lies beyond, None before its start."""
+        found = np.sort(self.reached)[rank - 1]
         if np.isposinf(found):
             return self.walk.end
-        return None if np.isneginf(found) else float(direction * found)
+        return None if np.isneginf(found) else float(found if self.walk.end > self.walk.start else -found)
 
     def lower_tolerance(self, content: float = CONTENT, confidence: float = CONFIDENCE) -> float | None:
         """The value up to which a share ``content`` of all draws passes, with confidence (Wilks).

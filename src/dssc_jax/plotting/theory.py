@@ -1,6 +1,7 @@
 """Theory beside simulation: local and performance margins, and chattering predicted and simulated."""
 
 from collections.abc import Mapping
+from itertools import cycle
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,12 +11,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from dssc_jax.plotting.margins import certificate
-from dssc_jax.plotting.style import BLUE, GREY, ORANGE, PANEL, RED, SLIDE, VIOLET, styled
+from dssc_jax.plotting.style import BLUE, GREY, ORANGE, PANEL, RED, SKY, SLIDE, VIOLET, styled
 
 if TYPE_CHECKING:
     from dssc_jax.margins import Margins
 
-COLOURS = (BLUE, RED, ORANGE, VIOLET)
+COLOURS = (BLUE, RED, ORANGE, VIOLET, SKY, "black")
 NOTHING = 1e-2  # of the push [1/s]: a deviation that dies away is not drawn
 
 
@@ -38,7 +39,7 @@ def theory(
     size = (SLIDE[0] if oscillations else PANEL[0] + 1.4, SLIDE[1] + 0.9)
     figure = Figure(figsize=size, layout="constrained")
     left, *others = np.atleast_1d(figure.subplots(1, 2 if oscillations else 1))
-    for colour, (name, found) in zip(COLOURS, margins.items(), strict=False):
+    for colour, (name, found) in zip(cycle(COLOURS), margins.items(), strict=False):
         cumulative(left, found, name, colour)
     first = next(iter(margins.values()))
     left.set(xscale="log" if first.walk.log else "linear", ylim=(-0.03, 1.03))
@@ -57,7 +58,7 @@ def theory(
 
 def beyond(ax: Axes, oscillations: Mapping[str, xr.Dataset], local: float | None) -> None:
     """Amplitudes over the lag's time constant, simulated and predicted."""
-    for colour, (name, found) in zip(COLOURS, oscillations.items(), strict=False):
+    for colour, (name, found) in zip(cycle(COLOURS), oscillations.items(), strict=False):
         mu = found["unmodelled.mu"].values
         amplitude = np.where(found["amplitude"] > NOTHING * found.attrs["push"], found["amplitude"], np.nan)
         ax.loglog(mu, amplitude, "o", color=colour, label=f"{name}, simulated")
