@@ -77,8 +77,8 @@ What a `margin` command has left in its folder is had again by `dj.load`, checke
 
 ## Theory beside simulation
 
-`dssc-jax theory STUDY --over NAME=LO:HI` asks four questions of one number at once, and says why where one of them has no
-answer:
+`dssc-jax theory STUDY --over NAME=LO:HI` asks four questions of one number at once, and says why where one of them has
+no answer:
 
 | | speaks of | silent |
 |---|---|---|
@@ -100,9 +100,9 @@ and sampling* is certified for all draws at once.
 
 ![theory and simulation](figures/theory.png)
 
-*Left: shares of draws whose critical mu lies at or below. Right: what is left of a push of 1 mm/s. DSSC is quiet up to
-its local margin of {own:.4f} s and oscillates beyond it; STA and relay, with the gains that correspond, chatter at every
-mu, as their describing functions predict.*
+*Left: shares of draws whose critical mu lies at or below. Right: what is left of a push of 1 mm. DSSC is quiet up to
+its local margin of {own:.4f} s and oscillates beyond it; STA and relay, with the gains that correspond, chatter at
+every mu, as their describing functions predict.*
 
 ![the same over the input gain](figures/theory_gain.png)
 
@@ -140,7 +140,8 @@ Lag of order 2, mu from 2 to 20 ms, mu max(a_p, l_0) <= 0.02, T_s = 0.1 ms <= mu
 {table}
 
 Here DSSC goes less far than PI and SSC, which have its gains at the origin: {why}. The STA chatters under any lag, and
-command_tv forbids that. DSSC's local margin on the same draws: median {median:.3f} s, 95 % of all draws up to {lower:.3f} s.
+command_tv forbids that. DSSC's local margin on the same draws: median {median:.3f} s, 95 % of all draws up to
+{lower:.3f} s.
 """
 
 
@@ -242,7 +243,7 @@ def chattering() -> list[str]:
 
 
 def certified() -> tuple[dict[str, Beside], list[str]]:
-    """The certified loop over three numbers: the theorem, eigenvalues and simulation; over mu rivals' oscillations too."""
+    """The certified loop over three numbers: the theorem, eigenvalues and simulation; over mu oscillations too."""
     study, found, rows = dj.Study.load(CERTIFIED), {}, []
     rivals = {name: with_controller(study, name, controller_table(study, name)) for name in ("sta", "smc")}
     for name, walk in WALKS.items():
