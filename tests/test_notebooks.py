@@ -1,7 +1,5 @@
 """Every notebook runs from top to bottom, and each of its figures appears."""
 
-import asyncio
-import warnings
 from pathlib import Path
 
 import nbformat
@@ -17,32 +15,6 @@ def pictures(book):
     return [sum("image/png" in output.get("data", {}) for output in cell.outputs) for cell in cells]
 
 
-async def executed(path, room):
-    """The notebook after a run from top to bottom, and the error that ended it, if one did."""
-    book = nbformat.read(path, as_version=4)
-    client = NotebookClient(book, timeout=120, kernel_name="python3", resources={"metadata": {"path": path.parent}})
-    async with room:
-        try:
-            await client.async_execute()
-        except Exception as error:  # told by the notebook's own test
-            return book, error
-    return book, None
-
-
-async def all_executed():
-    """Two at a time: much of their time goes into compilation, which knows one core only."""
-    room = asyncio.Semaphore(2)
-    return await asyncio.gather(*(executed(path, room) for path in NOTEBOOKS))
-
-
-@pytest.fixture(scope="module")
-def runs():
-    """Every notebook's run."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("default")  # of the notebook machinery, not of this package
-        return dict(zip(NOTEBOOKS, asyncio.run(all_executed()), strict=True))
-
-
 def test_there_are_notebooks():
     assert [path.stem[3:] for path in NOTEBOOKS] == [
         "first_loop",
@@ -55,12 +27,12 @@ def test_there_are_notebooks():
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-@pytest.mark.filterwarnings("default")
-def test_notebook_runs_and_leaves_its_pictures(path, runs):
-    stored = pictures(nbformat.read(path, as_version=4))
+@pytest.mark.filterwarnings("default")  # of the notebook machinery, not of this package
+def test_notebook_runs_and_leaves_its_pictures(path):
+    book = nbformat.read(path, as_version=4)
+    stored = pictures(book)
     assert sum(stored) >= 1
-    book, error = runs[path]
-    assert error is None
+    NotebookClient(book, timeout=120, kernel_name="python3", resources={"metadata": {"path": path.parent}}).execute()
     assert pictures(book) == stored
     text = "".join(output.get("text", "") for cell in book.cells for output in cell.get("outputs", []))
     assert "Warning" not in text
