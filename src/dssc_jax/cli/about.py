@@ -5,12 +5,13 @@ from typing import Annotated
 
 import typer
 
-from dssc_jax.cli.shared import DONE, JsonOption, app
+from dssc_jax.cli import options as opt
+from dssc_jax.cli.shared import DONE, app
 from dssc_jax.errors import ConfigError
 
 
 @app.command()
-def studies(as_json: JsonOption = False) -> int:
+def studies(as_json: opt.Json = False) -> int:
     """List the studies that can be run by name."""
     from dssc_jax.console import show_table
     from dssc_jax.study import read_toml
@@ -35,7 +36,7 @@ def info(
     kind: Annotated[
         str | None, typer.Argument(metavar="[KIND]", help="A kind of model, or of a part, to be told of alone.")
     ] = None,
-    as_json: JsonOption = False,
+    as_json: opt.Json = False,
 ) -> int:
     """Show versions, devices and every kind of model; or one kind's fields.
 

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dssc_jax.cli.shared import DONE, FAILS, JsonOption, app, attempt
+from dssc_jax.cli import options as opt
+from dssc_jax.cli.shared import DONE, FAILS, app, attempt
 from dssc_jax.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ def check(
     design: Annotated[
         Path, typer.Argument(metavar="DESIGN", help="A design file: [bounds] with [parameters], [free] or [goal].")
     ],
-    as_json: JsonOption = False,
+    as_json: opt.Json = False,
     as_latex: LatexOption = False,
 ) -> int:
     """Check a design against Theorem 1: exit 1 where it is not certified.
@@ -38,7 +39,7 @@ def check(
 def design(
     bounds: Annotated[Path, typer.Argument(metavar="BOUNDS", help="A file with [bounds]; [free], [goal] as wanted.")],
     out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write the design file.")] = None,
-    as_json: JsonOption = False,
+    as_json: opt.Json = False,
     as_latex: LatexOption = False,
 ) -> int:
     """Find gains with a certificate from bounds.

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from dssc_jax.cli.shared import DONE, JsonOption, app, attempt
+from dssc_jax.cli import options as opt
+from dssc_jax.cli.shared import DONE, app, attempt
 from dssc_jax.errors import ConfigError
 
 
@@ -19,7 +20,7 @@ def report(
     index: Annotated[
         Path | None, typer.Option("--index", metavar="DIR", help="Write DIR/index.html over the results in DIR.")
     ] = None,
-    as_json: JsonOption = False,
+    as_json: opt.Json = False,
 ) -> int:
     """Write a result as one HTML page.
 

@@ -7,19 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dssc_jax.cli.shared import (
-    DONE,
-    DrawsOption,
-    JsonOption,
-    LocalOption,
-    OutOption,
-    SeedOption,
-    SetOption,
-    StudyArgument,
-    app,
-    default_out,
-    load_study,
-)
+from dssc_jax.cli import options as opt
+from dssc_jax.cli.shared import DONE, app, default_out, load_study
 from dssc_jax.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -47,7 +36,7 @@ def parse_bounds(text: str) -> tuple[str, tuple[float, float]]:
 
 @app.command()
 def margin(
-    study: StudyArgument,
+    study: opt.Study,
     over: WalkOption,
     log: LogOption = False,
     points: PointsOption = 17,
@@ -55,12 +44,12 @@ def margin(
     controllers: Annotated[
         str | None, typer.Option("--controllers", metavar="A,B,..", help="Of each of these, on the same draws.")
     ] = None,
-    settings: SetOption = None,
-    draws: DrawsOption = None,
-    seed: SeedOption = None,
-    out: OutOption = None,
-    as_json: JsonOption = False,
-    allow_local: LocalOption = False,
+    settings: opt.Set = None,
+    draws: opt.Draws = None,
+    seed: opt.Seed = None,
+    out: opt.Out = None,
+    as_json: opt.Json = False,
+    allow_local: opt.Local = False,
 ) -> int:
     """Find every draw's critical value of one number.
 
@@ -79,7 +68,7 @@ def margin(
     walk = {"over": name, "bounds": bounds, "log": log, "points": points, "bisections": bisections}
     loaded = load_study(study, settings, draws, seed, allow_local)
     command = f"margin-{name}" if controllers is None else f"margins-{name}"
-    folder = out or default_out(loaded, command, bool(settings or draws is not None or seed is not None))
+    folder = out or default_out(loaded, command, settings, draws, seed)
     with progress_bar(loaded, quiet=as_json) as advance:
         if controllers is None:
             require_free(folder, "margin")
@@ -118,17 +107,17 @@ def split_names(text: str) -> list[str]:
 
 @app.command()
 def theory(
-    study: StudyArgument,
+    study: opt.Study,
     over: WalkOption,
     log: LogOption = False,
     points: PointsOption = 17,
     bisections: BisectionsOption = 14,
-    settings: SetOption = None,
-    draws: DrawsOption = None,
-    seed: SeedOption = None,
-    out: OutOption = None,
-    as_json: JsonOption = False,
-    allow_local: LocalOption = False,
+    settings: opt.Set = None,
+    draws: opt.Draws = None,
+    seed: opt.Seed = None,
+    out: opt.Out = None,
+    as_json: opt.Json = False,
+    allow_local: opt.Local = False,
 ) -> int:
     """Say what theory and simulation have to say of one number, side by side.
 
@@ -142,7 +131,7 @@ def theory(
 
     name, bounds = parse_bounds(over)
     loaded = load_study(study, settings, draws, seed, allow_local)
-    folder = out or default_out(loaded, f"theory-{name}", bool(settings or draws is not None or seed is not None))
+    folder = out or default_out(loaded, f"theory-{name}", settings, draws, seed)
     path = place(folder, "theory.json", loaded)
     rivals = switching_rivals(loaded)
     with progress_bar(loaded, quiet=as_json) as advance:
@@ -181,19 +170,19 @@ def switching_rivals(study: "Study") -> dict[str, "Study"]:
 
 @app.command()
 def compare(
-    study: StudyArgument,
+    study: opt.Study,
     controllers: Annotated[
         str, typer.Option("--controllers", metavar="A,B,..", help="Kinds, or names of the study's [compare.NAME].")
     ],
     tune: Annotated[
         int | None, typer.Option("--tune", metavar="N", help="Candidates tried for each controller; 0: none [64].")
     ] = None,
-    settings: SetOption = None,
-    draws: DrawsOption = None,
-    seed: SeedOption = None,
-    out: OutOption = None,
-    as_json: JsonOption = False,
-    allow_local: LocalOption = False,
+    settings: opt.Set = None,
+    draws: opt.Draws = None,
+    seed: opt.Seed = None,
+    out: opt.Out = None,
+    as_json: opt.Json = False,
+    allow_local: opt.Local = False,
 ) -> int:
     """Compare controllers on the same draws and noise.
 
@@ -209,7 +198,7 @@ def compare(
     from dssc_jax.console import jsonable, progress_bar, show_comparison
 
     loaded = load_study(study, settings, draws, seed, allow_local)
-    folder = out or default_out(loaded, "compare", bool(settings or draws is not None or seed is not None))
+    folder = out or default_out(loaded, "compare", settings, draws, seed)
     require_free(folder, "compare")
     names = split_names(controllers)
     usual = CANDIDATES if len(loaded.loop.channels) == 1 else 0

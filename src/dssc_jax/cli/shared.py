@@ -1,10 +1,10 @@
-"""What commands share: the application, their options, and how a study is loaded and a result is told."""
+"""What commands share: the application, how a study is loaded, and where its results go."""
 
 import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -25,38 +25,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-
-StudyArgument = Annotated[str, typer.Argument(metavar="STUDY", help="A study file, or the name of one of `studies`.")]
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="NAME=VALUE", help="Override a value by dotted name; may be repeated."),
-]
-OverOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--over",
-        metavar="NAME=LO:HI:COUNT[:log]",
-        help="Sweep this parameter instead of the study's own axes; may be repeated.",
-    ),
-]
-DrawsOption = Annotated[int | None, typer.Option("--draws", metavar="N", help="Number of draws.")]
-SeedOption = Annotated[int | None, typer.Option("--seed", metavar="S", help="Seed of the draws.")]
-OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Results folder [results/NAME-COMMAND].")]
-ResumeOption = Annotated[bool, typer.Option("--resume", help="Keep what an interrupted run of this study finished.")]
-ClusterOption = Annotated[
-    str | None,
-    typer.Option("--cluster", metavar="ADDRESS", help="Workers: tcp://HOST:PORT of a dask scheduler, or local:N."),
-]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
-LocalOption = Annotated[
-    bool, typer.Option("--allow-local", help="Let `module:object` names in the study import from its own folder.")
-]
-PointOption = Annotated[
-    list[str] | None, typer.Option("--at", metavar="NAME=VALUE", help="Point of the sweep; may be repeated.")
-]
-CsvOption = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write the trajectory as CSV.")]
-FigureOption = Annotated[Path | None, typer.Option("--figure", metavar="FILE", help="Write a figure (PNG, SVG, PDF).")]
-EveryOption = Annotated[int, typer.Option("--every", metavar="K", min=1, help="Keep every K-th sample.")]
 
 
 def assignment(text: str, option: str) -> tuple[str, str]:
@@ -139,8 +107,9 @@ def load_result(folder: Path, local: bool) -> "Result":
     return load(folder)
 
 
-def default_out(study: "Study", command: str, altered: bool) -> Path:
-    """results/NAME-COMMAND, with the study's hash where options have altered it."""
+def default_out(study: "Study", command: str, *options: Any) -> Path:
+    """results/NAME-COMMAND, with the study's hash where an option is given that alters what is asked."""
+    altered = any(option not in (None, []) for option in options)
     return Path("results") / f"{study.name}-{command}{'-' + study.hash[:8] if altered else ''}"
 
 

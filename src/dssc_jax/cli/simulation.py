@@ -7,31 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dssc_jax.cli.shared import (
-    DONE,
-    FAILS,
-    ClusterOption,
-    CsvOption,
-    DrawsOption,
-    EveryOption,
-    FigureOption,
-    JsonOption,
-    LocalOption,
-    OutOption,
-    OverOption,
-    PointOption,
-    ResumeOption,
-    SeedOption,
-    SetOption,
-    StudyArgument,
-    app,
-    assignment,
-    attempt,
-    default_out,
-    load_result,
-    load_study,
-    parse_overs,
-)
+from dssc_jax.cli import options as opt
+from dssc_jax.cli.shared import DONE, FAILS, app, assignment, attempt, default_out, load_result, load_study, parse_overs
 from dssc_jax.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -44,12 +21,12 @@ FIGURES = (".png", ".svg", ".pdf")
 
 @app.command()
 def run(
-    study: StudyArgument,
-    settings: SetOption = None,
-    draws: DrawsOption = None,
-    seed: SeedOption = None,
-    out: OutOption = None,
-    resume: ResumeOption = False,
+    study: opt.Study,
+    settings: opt.Set = None,
+    draws: opt.Draws = None,
+    seed: opt.Seed = None,
+    out: opt.Out = None,
+    resume: opt.Resume = False,
     until_width: Annotated[
         float | None, typer.Option("--until-width", metavar="W", help="Draw until the interval is no wider than W.")
     ] = None,
@@ -60,9 +37,9 @@ def run(
     max_draws: Annotated[
         int | None, typer.Option("--max-draws", metavar="N", help="Stop undecided at so many draws [100000].")
     ] = None,
-    cluster: ClusterOption = None,
-    as_json: JsonOption = False,
-    allow_local: LocalOption = False,
+    cluster: opt.Cluster = None,
+    as_json: opt.Json = False,
+    allow_local: opt.Local = False,
 ) -> int:
     """Simulate every draw at the study's own values.
 
@@ -79,22 +56,21 @@ def run(
         require_unset("a data-driven stop", draws=draws, resume=resume or None, cluster=cluster)
         return finish_sequential(found, rule, max_draws, out, as_json)
     require_unset("a fixed number of draws", max_draws=max_draws)
-    altered = bool(settings or draws is not None or seed is not None)
-    return finish(found, out or default_out(found, "run", altered), resume, as_json, cluster, allow_local)
+    return finish(found, out or default_out(found, "run", settings, draws, seed), resume, as_json, cluster, allow_local)
 
 
 @app.command()
 def sweep(
-    study: StudyArgument,
-    over: OverOption = None,
-    settings: SetOption = None,
-    draws: DrawsOption = None,
-    seed: SeedOption = None,
-    out: OutOption = None,
-    resume: ResumeOption = False,
-    cluster: ClusterOption = None,
-    as_json: JsonOption = False,
-    allow_local: LocalOption = False,
+    study: opt.Study,
+    over: opt.Over = None,
+    settings: opt.Set = None,
+    draws: opt.Draws = None,
+    seed: opt.Seed = None,
+    out: opt.Out = None,
+    resume: opt.Resume = False,
+    cluster: opt.Cluster = None,
+    as_json: opt.Json = False,
+    allow_local: opt.Local = False,
 ) -> int:
     """Simulate every draw at every point of a sweep.
 
@@ -108,21 +84,22 @@ def sweep(
         found = found.override({"sweep": parse_overs(over)})
     if not found.axes:
         raise ConfigError(found.source, "has no [sweep]; add one, or --over NAME=LO:HI:COUNT")
-    altered = bool(over or settings or draws is not None or seed is not None)
-    return finish(found, out or default_out(found, "sweep", altered), resume, as_json, cluster, allow_local)
+    return finish(
+        found, out or default_out(found, "sweep", over, settings, draws, seed), resume, as_json, cluster, allow_local
+    )
 
 
 @app.command()
 def simulate(
-    study: StudyArgument,
+    study: opt.Study,
     draw: Annotated[int, typer.Option("--draw", metavar="I", help="Index of the draw.")] = 0,
-    csv: CsvOption = None,
-    figure: FigureOption = None,
-    every: EveryOption = 1,
-    settings: SetOption = None,
-    seed: SeedOption = None,
-    as_json: JsonOption = False,
-    allow_local: LocalOption = False,
+    csv: opt.Csv = None,
+    figure: opt.Figure = None,
+    every: opt.Every = 1,
+    settings: opt.Set = None,
+    seed: opt.Seed = None,
+    as_json: opt.Json = False,
+    allow_local: opt.Local = False,
 ) -> int:
     """Simulate one draw and keep its trajectory.
 
@@ -138,12 +115,12 @@ def simulate(
 def replay(
     result: Annotated[Path, typer.Argument(metavar="RESULT", help="A results folder.")],
     draw: Annotated[int, typer.Option("--draw", metavar="I", help="Index of the draw.")],
-    at: PointOption = None,
-    csv: CsvOption = None,
-    figure: FigureOption = None,
-    every: EveryOption = 1,
-    as_json: JsonOption = False,
-    allow_local: LocalOption = False,
+    at: opt.Point = None,
+    csv: opt.Csv = None,
+    figure: opt.Figure = None,
+    every: opt.Every = 1,
+    as_json: opt.Json = False,
+    allow_local: opt.Local = False,
 ) -> int:
     """Simulate one draw of a result again.
 
@@ -200,7 +177,7 @@ def finish_sequential(study: "Study", rule: "Rule", most: int | None, out: Path 
     from dssc_jax.stopping import MOST, run_until
 
     most = MOST if most is None else most
-    out = out or default_out(study.override({"draws": most}), f"run-{rule.slug}", True)
+    out = out or default_out(study.override({"draws": most}), f"run-{rule.slug}", most)
     with progress_bar(study, quiet=as_json) as advance:
         result = run_until(study, rule, out, most=most, progress=advance)
     figures = draw_figures(result, out)

@@ -6,19 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dssc_jax.cli.shared import (
-    DONE,
-    DrawsOption,
-    JsonOption,
-    LocalOption,
-    OutOption,
-    SeedOption,
-    SetOption,
-    StudyArgument,
-    app,
-    default_out,
-    load_study,
-)
+from dssc_jax.cli import options as opt
+from dssc_jax.cli.shared import DONE, app, default_out, load_study
 from dssc_jax.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -36,7 +25,7 @@ def plan(
     probability: Annotated[
         float | None, typer.Option("--probability", metavar="P", help="Failure probability that you expect.")
     ] = None,
-    as_json: JsonOption = False,
+    as_json: opt.Json = False,
 ) -> int:
     """How many draws does my question need?
 
@@ -61,13 +50,13 @@ def plan(
 
 @app.command()
 def sensitivity(
-    study: StudyArgument,
-    settings: SetOption = None,
-    draws: DrawsOption = None,
-    seed: SeedOption = None,
-    out: OutOption = None,
-    as_json: JsonOption = False,
-    allow_local: LocalOption = False,
+    study: opt.Study,
+    settings: opt.Set = None,
+    draws: opt.Draws = None,
+    seed: opt.Seed = None,
+    out: opt.Out = None,
+    as_json: opt.Json = False,
+    allow_local: opt.Local = False,
 ) -> int:
     """Which uncertain numbers matter, for each metric and for failure?
 
@@ -79,8 +68,7 @@ def sensitivity(
     from dssc_jax.global_sensitivity import sensitivity as indices
 
     found = load_study(study, settings, draws, seed, allow_local).without_sweep()
-    altered = bool(settings or draws is not None or seed is not None)
-    folder = out or default_out(found, "sensitivity", altered)
+    folder = out or default_out(found, "sensitivity", settings, draws, seed)
     path = place(folder, "sensitivity.json", found)
     with progress_bar(found, quiet=as_json) as advance:
         result = indices(found, progress=advance)
@@ -95,18 +83,18 @@ def sensitivity(
 
 @app.command()
 def rare(
-    study: StudyArgument,
+    study: opt.Study,
     particles: Annotated[int, typer.Option("--particles", metavar="N", help="Particles of each repeat.")] = 200,
     killed: Annotated[
         int | None, typer.Option("--killed", metavar="K", help="Particles killed at each level [N/2].")
     ] = None,
     moves: Annotated[int, typer.Option("--moves", metavar="M", help="Steps of a clone at each level.")] = 5,
     repeats: Annotated[int, typer.Option("--repeats", metavar="R", help="Independent repeats, at least 10.")] = 20,
-    settings: SetOption = None,
-    seed: SeedOption = None,
-    out: OutOption = None,
-    as_json: JsonOption = False,
-    allow_local: LocalOption = False,
+    settings: opt.Set = None,
+    seed: opt.Seed = None,
+    out: opt.Out = None,
+    as_json: opt.Json = False,
+    allow_local: opt.Local = False,
 ) -> int:
     """A failure probability too small for plain draws.
 
@@ -119,7 +107,7 @@ def rare(
 
     found = load_study(study, settings, None, seed, allow_local).without_sweep()
     how = Splitting(particles, particles // 2 if killed is None else killed, moves, repeats)
-    path = place(out or default_out(found, "rare", bool(settings or seed is not None)), "rare.json", found)
+    path = place(out or default_out(found, "rare", settings, seed), "rare.json", found)
     with counter(found, quiet=as_json) as advance:
         result = estimate(found, how, progress=advance)
     content = keep(path, result.to_dict(), found)

@@ -6,18 +6,17 @@ from typing import Annotated
 
 import typer
 
-from dssc_jax.cli.shared import DONE, FAILS, JsonOption, LocalOption, app, load_result
-
-ResultArgument = Annotated[Path, typer.Argument(metavar="RESULT", help="A results folder.")]
+from dssc_jax.cli import options as opt
+from dssc_jax.cli.shared import DONE, FAILS, app, load_result
 
 
 @app.command()
 def verify(
-    result: ResultArgument,
+    result: opt.Result,
     draws: Annotated[int, typer.Option("--draws", metavar="K", help="How many lanes to compute again.")] = 16,
     seed: Annotated[int | None, typer.Option("--seed", metavar="S", help="Picks them [anew each time].")] = None,
-    as_json: JsonOption = False,
-    allow_local: LocalOption = False,
+    as_json: opt.Json = False,
+    allow_local: opt.Local = False,
 ) -> int:
     """Compute a random handful of a result's lanes again.
 
@@ -37,13 +36,13 @@ def verify(
 
 @app.command()
 def export(
-    result: ResultArgument,
+    result: opt.Result,
     to: Annotated[str, typer.Option("--to", metavar="FORMAT", help="csv, parquet or netcdf.")],
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="The file [draws.csv, ... in RESULT].")
     ] = None,
-    as_json: JsonOption = False,
-    allow_local: LocalOption = False,
+    as_json: opt.Json = False,
+    allow_local: opt.Local = False,
 ) -> int:
     """Write a result for other programs, with units and meanings.
 

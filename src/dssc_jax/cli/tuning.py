@@ -7,21 +7,8 @@ from typing import Annotated
 
 import typer
 
-from dssc_jax.cli.shared import (
-    DONE,
-    FAILS,
-    DrawsOption,
-    JsonOption,
-    LocalOption,
-    OutOption,
-    SeedOption,
-    SetOption,
-    StudyArgument,
-    app,
-    attempt,
-    default_out,
-    load_study,
-)
+from dssc_jax.cli import options as opt
+from dssc_jax.cli.shared import DONE, FAILS, app, attempt, default_out, load_study
 
 BudgetOption = Annotated[
     int, typer.Option("--budget", metavar="N", help="Simulations of a hunt; one with derivatives counts for several.")
@@ -30,20 +17,20 @@ BudgetOption = Annotated[
 
 @app.command()
 def tune(
-    study: StudyArgument,
+    study: opt.Study,
     robust: Annotated[
         bool, typer.Option("--robust", help="Hunt the result's worst case, add it to the draws, tune again.")
     ] = False,
     rounds: Annotated[int, typer.Option("--rounds", metavar="N", help="Rounds of --robust at most.")] = 5,
     budget: BudgetOption = 1000,
-    settings: SetOption = None,
-    draws: DrawsOption = None,
-    seed: SeedOption = None,
+    settings: opt.Set = None,
+    draws: opt.Draws = None,
+    seed: opt.Seed = None,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="The tuned study [results/NAME-tune/tuned.toml].")
     ] = None,
-    as_json: JsonOption = False,
-    allow_local: LocalOption = False,
+    as_json: opt.Json = False,
+    allow_local: opt.Local = False,
 ) -> int:
     """Tune what the study's [tune] names, by gradient.
 
@@ -57,7 +44,7 @@ def tune(
     from dssc_jax.tuning import tune as search
 
     loaded = load_study(study, settings, draws, seed, allow_local)
-    folder = default_out(loaded, "tune", bool(settings or draws is not None or seed is not None))
+    folder = default_out(loaded, "tune", settings, draws, seed)
     require_free(folder, "tune")
     with progress_bar(loaded, quiet=as_json) as advance:
         found = search(loaded, robust=robust, rounds=rounds, budget=budget, report=advance)
@@ -75,14 +62,14 @@ def tune(
 
 @app.command()
 def falsify(
-    study: StudyArgument,
+    study: opt.Study,
     budget: BudgetOption = 1000,
     search_seed: Annotated[int, typer.Option("--search-seed", metavar="S", min=0, help="Seed of the search.")] = 0,
-    settings: SetOption = None,
-    seed: SeedOption = None,
-    out: OutOption = None,
-    as_json: JsonOption = False,
-    allow_local: LocalOption = False,
+    settings: opt.Set = None,
+    seed: opt.Seed = None,
+    out: opt.Out = None,
+    as_json: opt.Json = False,
+    allow_local: opt.Local = False,
 ) -> int:
     """Hunt the worst draw within the support of the laws.
 
@@ -96,7 +83,7 @@ def falsify(
     from dssc_jax.study.tables import to_toml
 
     loaded = load_study(study, settings, None, seed, allow_local)
-    folder = out or default_out(loaded, "falsify", bool(settings or seed is not None))
+    folder = out or default_out(loaded, "falsify", settings, seed)
     require_free(folder, "falsify")
     with progress_bar(loaded, quiet=as_json) as advance:
         found = hunt(loaded, budget=budget, seed=search_seed, report=advance)
