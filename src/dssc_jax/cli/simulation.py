@@ -113,7 +113,7 @@ def simulate(
 
 @app.command()
 def replay(
-    result: Annotated[Path, typer.Argument(metavar="RESULT", help="A results folder.")],
+    result: opt.Result,
     draw: Annotated[int, typer.Option("--draw", metavar="I", help="Index of the draw.")],
     at: opt.Point = None,
     csv: opt.Csv = None,
