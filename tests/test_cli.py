@@ -1,6 +1,7 @@
 """The command line as a person or a program meets it."""
 
 import json
+import re
 import resource
 import signal
 import subprocess
@@ -167,9 +168,17 @@ def test_margin(study, capsys):
         assert (study.parent / "m" / name).exists()
     assert guarded([*arguments, "--out", "m"]) == 0
     shown = capsys.readouterr().out
-    assert "95 % of all draws pass up to" in shown
+    assert "none of 20 draws, 59 are needed" in shown
     assert "0.47 m" in shown
     assert "Theorem 1 is silent: the controller is not DSSC" in shown
+
+
+def test_a_walk_the_wrong_way_round_is_noticed(study, capsys):
+    arguments = ["margin", str(study), "--over", "plant.k_p=0.01:1.2", "--points", "4", "--bisections", "2"]
+    assert guarded([*arguments, "--draws", "59", "--set", "requirement.0.max=0.6", "--out", "m"]) == 0
+    shown = capsys.readouterr().out
+    assert "is 0.01 the safe end of the walk?" in shown
+    assert re.search(r"Wilks\) +before the start", shown)
 
 
 def test_margins_of_several_controllers(study, capsys):

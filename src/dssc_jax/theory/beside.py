@@ -71,8 +71,9 @@ class Beside:
 
 def told(found: Margins) -> dict[str, Any]:
     """What one can defend of a distribution of margins."""
-    names = ("criterion", "median", "lower_tolerance", "fail_at_start", "pass_to_end", "non_monotone")
-    return {name: found.summary()[name] for name in names}
+    summary = found.summary()
+    names = ("criterion", "median", "lower_tolerance", "content", "confidence")
+    return {name: summary[name] for name in (*names, "fail_at_start", "pass_to_end", "non_monotone")}
 
 
 def beside(
