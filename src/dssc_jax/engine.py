@@ -10,7 +10,7 @@ import itertools
 import math
 import platform
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from typing import Any
@@ -138,8 +138,8 @@ class Engine:
     def __post_init__(self) -> None:
         usable = jax.devices()[: self.devices]
         share = -(-self.lanes // len(usable))
-        widest = max(VECTOR, min(self.tile or (best_tile() if on_cpu(usable) else share), share))
-        self._tile = -(-widest // VECTOR) * VECTOR
+        wanted = min(self.tile, share) if self.tile else best_tile(usable, share)
+        self._tile = -(-wanted // VECTOR) * VECTOR
         tiles = -(-self.lanes // self._tile)
         self._tiles = -(-tiles // len(usable)) * len(usable)
         self._mesh = Mesh(np.array(usable), ("device",))
@@ -223,9 +223,18 @@ def on_cpu(devices: Iterable[Any]) -> bool:
     return all(device.platform == "cpu" for device in devices)
 
 
-def best_tile() -> int:
-    """Lanes of a tile on a CPU, as measured; the loop with one degree of freedom and the UAV want the same."""
-    return LANES if xla.compiles_loops_whole() else LANES_OF_KERNELS
+def best_tile(devices: Sequence[Any], share: int) -> int:
+    """Lanes of a tile, as measured; the loop with one degree of freedom and the UAV want the same.
+
+    Never fewer where a tile is one kernel: the compiler unrolls shorter loops, which costs it long and the kernel more.
+
+    Args:
+        devices: Devices in use.
+        share: Lanes of one device.
+    """
+    if not on_cpu(devices):
+        return share
+    return LANES if xla.compiles_loops_whole() else min(share, LANES_OF_KERNELS)
 
 
 def medians(study: Study) -> dict[str, float]:
