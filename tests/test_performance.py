@@ -41,7 +41,7 @@ def test_streaming_equals_stored(case_2):
     study = case_2.override({"metrics": {"after": 10.0, "names": ["error_rms", *PERFORMANCE]}})
     run = dj.simulate(study)
     inside = run["t"].values >= 10.0 - 1e-9
-    e, u, sigma, t = (run[name].values[inside] for name in ("e", "u", "sigma", "t"))
+    e, u, whole, sigma, t = (run[name].values[inside] for name in ("e", "u", "u_total", "sigma", "t"))
     slow = [u[0]]
     for value in u[1:]:
         slow.append(slow[-1] + (1.0 - np.exp(-2.0 * np.pi * 0.005)) * (value - slow[-1]))
@@ -53,6 +53,7 @@ def test_streaming_equals_stored(case_2):
         "steady_state_error": abs(e.mean()),
         "command_energy": 0.005 * (u**2).sum(),
         "chattering_index": fast / (fast + len(u) * np.var(slow)),
+        "total_command_tv": np.abs(np.diff(whole)).sum(),
         "growth_rate": np.polyfit(t, np.log(np.abs(sigma)), 1)[0],
     }
     assert set(expected) == {name for name, metric in PERFORMANCE.items() if metric.scope is Scope.CHANNEL}

@@ -65,6 +65,20 @@ def fast_share(acc: Bands, window: Window, span: Span) -> Scalar:
     return jnp.where(whole > 0.0, acc.fast / jnp.where(whole > 0.0, whole, 1.0), 0.0)
 
 
+class Path(NamedTuple):
+    """Samples so far, the last whole command, and the way that it has gone [m/s]."""
+
+    samples: Scalar = 0.0
+    last: Scalar = 0.0
+    length: Scalar = 0.0
+
+
+def path(acc: Path, sample: Sample, window: Window) -> Path:
+    """Add the step to this sample's u + u_n; the window's first one has none."""
+    step = jnp.where(acc.samples == 0.0, 0.0, jnp.abs(sample.u_total - acc.last))
+    return Path(acc.samples + 1.0, sample.u_total, acc.length + step)
+
+
 class Trend(NamedTuple):
     """Sums of ln |sigma| and of k ln |sigma|."""
 
@@ -95,6 +109,7 @@ PERFORMANCE: dict[str, Metric] = {
     "steady_state_error": Metric("m", "|mean of e| over the window", total(lambda s: s.e), magnitude_of_mean),
     "command_energy": Metric("m^2/s", "integral of the robust command's square", total(lambda s: s.u * s.u), integral),
     "chattering_index": Metric("1", "share of the robust command above 1 Hz", bands, fast_share, start=Bands()),
+    "total_command_tv": Metric("m/s", "total variation of u + u_n", path, lambda acc, *_: acc.length, start=Path()),
     "roll_max": Metric("rad", "largest |roll|", peak(lambda i: i.plant.phi), itself, ("phi",), Scope.VEHICLE),
     "pitch_max": Metric("rad", "largest |pitch|", peak(lambda i: i.plant.theta), itself, ("theta",), Scope.VEHICLE),
     "growth_rate": Metric("1/s", "rate at which |sigma| grows, fitted over the window", trend, slope, start=Trend()),
