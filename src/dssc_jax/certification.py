@@ -184,6 +184,8 @@ def design_of(study: Study) -> tuple[Parameters, Bounds]:
     own_model = study.loop.controller[0] not in DSSC.members.values()
     if own_model or not isinstance(gains.functions, Vgsta):
         raise Silent("the controller is not DSSC with the functions of Table 1 (kind = 'vgsta')")
+    if gains.sign_width is not None:
+        raise Silent("the sign is smoothed (sign_width), so that nothing slides on sigma_tilde = 0")
     if any(isinstance(leaf, Law) for name, leaf in study.leaves().items() if is_gain(name) and name not in study.axes):
         raise Silent("the controller's own numbers are uncertain")
     own = gains.functions._asdict() | {"eps": gains.functions.epsilon, "l0": gains.l0}

@@ -6,7 +6,7 @@ import pytest
 from scipy.linalg import expm
 
 import dssc_jax as dj
-from dssc_jax.controllers.dssc import DSSC, DsscGains, DsscState
+from dssc_jax.controllers.dssc import DSSC, DsscGains, DsscState, smoothed_rest, smoothed_sign
 from dssc_jax.controllers.gain_functions import (
     GAIN_FUNCTIONS,
     ApproximateSta1,
@@ -109,6 +109,41 @@ def test_saturated_step():
     assert float(info.sliding_margin) < 0
     assert float(info.sigma_tilde) == pytest.approx(5.0 + c * 0.1 - c * 0.5, rel=ROUNDING)
     assert float(after.u_av) == pytest.approx((0.1 + (dt / 0.1) * 0.5) / (1 + dt / 0.1), rel=ROUNDING)
+
+
+@pytest.mark.parametrize("width", [1e-9, 1e-3, 0.3, 10.0])
+def test_the_smoothed_sign_is_solved_exactly(width):
+    """u_0 = rho x/(|x| + width) at x = sigma_tilde+ of the sample, saturated or not."""
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        gains = DsscGains(1.0, Constant(10.0, 0.1, 2.0), ConstantModulation(0.5), sign_width=width)
+        state = DsscState(*rng.normal(size=2), 0.0, ())
+        _, _, info = scheme_step(gains, state, float(rng.normal() * 10 ** rng.uniform(-3, 1)), 0.0, 0.01)
+        x = float(info.sigma_tilde)
+        assert float(info.u_0) == pytest.approx(0.5 * x / (abs(x) + width), rel=1e-6, abs=1e-9)
+
+
+def test_a_vanishing_width_is_the_clip():
+    """Exactly with width 0, and with finite derivatives there; nearly with a small one."""
+    rng = np.random.default_rng(4)
+    for _ in range(100):
+        state = DsscState(*rng.normal(size=2), 0.0, ())
+        sigma = float(rng.normal() * 10 ** rng.uniform(-3, 1))
+        commands = []
+        for width in (None, 0.0, 1e-10):
+            gains = DsscGains(1.0, Constant(10.0, 0.1, 2.0), ConstantModulation(0.5), sign_width=width)
+            commands.append(float(scheme_step(gains, state, sigma, 0.0, 0.01)[1].robust))
+        assert commands[1] == pytest.approx(commands[0], rel=1e-13)
+        assert commands[2] == pytest.approx(commands[0], rel=1e-4)
+    for free, width in ((0.0, 0.0), (0.05, 0.0), (-0.05, 0.0), (0.0, 0.1), (1.0, 0.0)):
+        slopes = jax.grad(smoothed_rest, argnums=(0, 1, 2))(free, 0.1, 0.5, width)  # a corner is at 0.05
+        assert np.isfinite(slopes).all()
+    assert np.isfinite(jax.grad(smoothed_sign)(0.0, 0.0))
+
+
+def test_the_smoothed_explicit_sign():
+    assert [float(smoothed_sign(x, 0.0)) for x in (-2.0, 0.0, 3.0)] == [-1.0, 0.0, 1.0]
+    assert float(smoothed_sign(0.3, 0.1)) == pytest.approx(0.75)
 
 
 def pure_integrator(k_o, tau_av, tau_m, dt, duration, rho=1e6, start="matched", initial=(0.0, 1e-3)):

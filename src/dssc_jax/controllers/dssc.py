@@ -25,6 +25,7 @@ from dssc_jax.types import (
     Discretisation,
     Entry,
     Measurement,
+    Quantity,
     ReferencePoint,
     Scalar,
     Slot,
@@ -41,13 +42,17 @@ class PredictorStart(StrEnum):
 
 
 class DsscGains(NamedTuple):
-    """Gains of DSSC: the state-dependent functions, the modulation and the nominal control."""
+    """Gains of DSSC: the state-dependent functions, the modulation and the nominal control.
+
+    ``sign_width`` makes x/(|x| + w) of sgn(x), for derivatives without corners; absent, or 0: the sign itself.
+    """
 
     l0: Annotated[Scalar, L0]
     functions: Annotated[State, Slot(GAIN_FUNCTIONS)]
     rho: Annotated[State, Slot(MODULATIONS, number="constant")]
     nominal: NominalGains | None = None
     predictor_start: PredictorStart = PredictorStart.ZERO
+    sign_width: Annotated[Scalar | None, Quantity("m/s", "width of the smoothed sign", at_least=0.0)] = None
 
 
 class DsscState(NamedTuple):
@@ -87,11 +92,27 @@ class Sampled(NamedTuple):
     u_eq: Scalar
 
 
-Update: TypeAlias = Callable[[Scalar, DsscState, Scalar, StateFunctions, Scalar], Sampled]
-"""(sigma, state, rho, functions, T_s) -> filter and predictor after the sample."""
+Update: TypeAlias = Callable[[Scalar, DsscState, Scalar, StateFunctions, Scalar, Scalar | None], Sampled]
+"""(sigma, state, rho, functions, T_s, width of the sign) -> filter and predictor after the sample."""
 
 
-def implicit_update(sigma: Scalar, state: DsscState, rho: Scalar, at: StateFunctions, dt: Scalar) -> Sampled:
+def smoothed_rest(free: Scalar, c: Scalar, rho: Scalar, width: Scalar) -> Scalar:
+    """What is left of ``free`` after u_0: the x with x + c rho x/(|x| + width) = free, in closed form.
+
+    Smooth where width > 0; with width 0 it is what the clip leaves, free - clip(free, -c rho, c rho).
+    """
+    size = jnp.abs(free)
+    b = width + c * rho - size
+    square = b * b + 4.0 * width * size
+    root = jnp.sqrt(jnp.where(square > 0.0, square, 1.0)) * (square > 0.0)  # its slope at 0 is infinite
+    inside = b > 0.0
+    within = free * 2.0 * width / jnp.where(inside, b + root, 1.0)  # the larger root of a quadratic, without difference
+    return jnp.where(inside, within, jnp.sign(free) * 0.5 * (root - b))
+
+
+def implicit_update(
+    sigma: Scalar, state: DsscState, rho: Scalar, at: StateFunctions, dt: Scalar, width: Scalar | None
+) -> Sampled:
     """Backward Euler of (15)-(18), solved exactly; the ratios stay finite where tau_av or tau_m vanish.
 
     The change u_0 - u_av is clipped, not u_0: in sliding nothing of the size of u_av is then subtracted.
@@ -101,7 +122,10 @@ def implicit_update(sigma: Scalar, state: DsscState, rho: Scalar, at: StateFunct
     decay = at.tau_m / (at.tau_m + dt)  # 1/(1+b)
     c = dt * at.k_o * keep * decay
     wanted = (sigma - decay * sigma_hat) / c  # u_eq - u_av
-    change = jnp.clip(wanted, -rho - u_av, rho - u_av)
+    if width is None:
+        change = jnp.clip(wanted, -rho - u_av, rho - u_av)
+    else:
+        change = wanted - smoothed_rest(c * (wanted + u_av), c, rho, width) / c
     return Sampled(
         u_0=u_av + change,
         u_av=u_av + dt / (at.tau_av + dt) * change,
@@ -110,13 +134,23 @@ def implicit_update(sigma: Scalar, state: DsscState, rho: Scalar, at: StateFunct
     )
 
 
-def explicit_update(sigma: Scalar, state: DsscState, rho: Scalar, at: StateFunctions, dt: Scalar) -> Sampled:
+def explicit_update(
+    sigma: Scalar, state: DsscState, rho: Scalar, at: StateFunctions, dt: Scalar, width: Scalar | None
+) -> Sampled:
     """Forward Euler of (15)-(18) with sgn 0 = 0: the naive form, kept for comparison."""
-    u_0 = rho * sign(sigma - state.sigma_hat)
+    u_0 = rho * smoothed_sign(sigma - state.sigma_hat, width)
     change = u_0 - state.u_av
     u_eq = ((sigma - state.sigma) / dt + sigma / at.tau_m) / at.k_o + state.u_av
     sigma_hat = state.sigma_hat + dt * (at.k_o * change - state.sigma_hat / at.tau_m)
     return Sampled(u_0, state.u_av + dt / at.tau_av * change, sigma_hat, u_eq)
+
+
+def smoothed_sign(x: Scalar, width: Scalar | None) -> Scalar:
+    """x/(|x| + width); without a width, or with 0, the sign with sgn 0 = 0."""
+    if width is None:
+        return sign(x)
+    size = jnp.abs(x) + width
+    return x / jnp.where(size > 0.0, size, 1.0)
 
 
 def init(gains: DsscGains, measurement: Measurement, reference: ReferencePoint) -> DsscState:
@@ -147,7 +181,7 @@ def dssc(update: Update) -> Controller:
             l0=gains.l0,
         )
         modulation, rho = gains.rho.at(state.modulation, signals, dt)
-        after = update(error.sigma, state, rho, at, dt)
+        after = update(error.sigma, state, rho, at, dt, gains.sign_width)
         info = DsscInfo(
             sigma_tilde=error.sigma - after.sigma_hat,
             sigma_hat=after.sigma_hat,
