@@ -40,18 +40,20 @@ Lane = Callable[[dict[str, jax.Array], jax.Array], dict[str, Scalar]]
 """(each of the lane's own numbers, draw index) -> what is computed of the lane."""
 
 
-def simulated(study: Study, together: str | None = TILE) -> Lane:
+def simulated(study: Study, together: str | None = TILE, segment: int | None = None) -> Lane:
     """A lane's metrics, margins, outcome and the time at which it ended early.
 
     Args:
         study: What to simulate.
         together: See :func:`dssc_jax.loop.simulate`; None where derivatives are taken.
+        segment: See :func:`dssc_jax.marching.in_stretches`.
     """
 
     def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
         key = draw_key(study.config.seed, index)
         loop, params = study.loop, study.params(values)
-        run, _ = simulate(loop, params, key, study.measures, study.requirements, together=together)
+        asked = study.measures, study.requirements
+        run, _ = simulate(loop, params, key, *asked, together=together, segment=segment)
         return {**run.metrics, **run.margins, "outcome": run.outcome, "failed_at": run.failed_at}
 
     return lane

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.integrators import INTEGRATORS, Integrator
-from dssc_jax.marching import until_all_ended
+from dssc_jax.marching import in_stretches, until_all_ended
 from dssc_jax.metrics import Instant, Measure, Sample, starts, update_all, values
 from dssc_jax.numerics import stream, wrap_angle
 from dssc_jax.requirements import Requirement, judge
@@ -334,6 +334,7 @@ def simulate(
     requirements: tuple[Requirement, ...] = (),
     every: int | None = None,
     together: str | None = None,
+    segment: int | None = None,
 ) -> tuple[Run, Recorded | None]:
     """One draw from start to end.
 
@@ -349,6 +350,7 @@ def simulate(
         every: Record one sample of so many; None: none, so that memory does not grow with the duration.
         together: Name of the mapped axis of the draws that are simulated together: time stops when all of them have
             ended. None: time runs to its end, as derivatives need it.
+        segment: See :func:`dssc_jax.marching.in_stretches`.
 
     Returns:
         The outcome, and the trajectory with leaves of shape (ceil(steps/every),), if any.
@@ -380,7 +382,7 @@ def simulate(
     if every is None and together is not None:
         end, recorded = until_all_ended(lambda at: sample(at)[0], flying, at, loop.steps, together), None
     elif every is None:
-        end, recorded = jax.lax.scan(lambda at, _: (sample(at)[0], None), at, length=loop.steps)
+        end, recorded = in_stretches(lambda at: sample(at)[0], at, loop.steps, segment), None
     elif every == 1:
         end, recorded = jax.lax.scan(sample, at, length=loop.steps)
     else:

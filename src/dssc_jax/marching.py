@@ -35,3 +35,24 @@ def until_all_ended(sample: Callable[[C], C], flying: Callable[[C], Scalar], at:
         return (carry[0].k < steps) & (carry[1] > 0)  # type: ignore[attr-defined]
 
     return jax.lax.while_loop(goes_on, block, (at, any_flies(at)))[0]
+
+
+def in_stretches(sample: Callable[[C], C], at: C, steps: int, segment: int | None = None) -> C:
+    """Sample after sample to the end, so that derivatives can follow.
+
+    Args:
+        sample: One sample.
+        at: The carry at the start.
+        steps: Samples in all.
+        segment: Samples of a stretch. Reverse mode keeps the carry at the start of each, and computes what is within
+            again when it comes to it. None: it keeps every carry.
+    """
+
+    def ahead(at: C, count: int) -> C:
+        return jax.lax.scan(lambda at, _: (sample(at), None), at, length=count)[0]
+
+    if segment is None:
+        return ahead(at, steps)
+    stretch = jax.checkpoint(lambda at: ahead(at, segment))
+    at = jax.lax.scan(lambda at, _: (stretch(at), None), at, length=steps // segment)[0]
+    return ahead(at, steps % segment)

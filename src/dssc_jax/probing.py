@@ -1,5 +1,6 @@
 """Draws of a study at any values of chosen numbers, by one compiled program: what searches over a number stand on."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -53,15 +54,24 @@ class Probe:
         return evaluate(self.engine, {name: values[name] for name in self.engine.names}, indices)
 
 
-def differentiated(names: Sequence[str]) -> Callable[[Study], Lane]:
+def differentiated(names: Sequence[str], reverse: bool = False) -> Callable[[Study], Lane]:
     """The program that also computes the derivative of every metric and margin with respect to some of the numbers.
 
-    Forward mode: a tangent for each number rides along, so memory does not grow with the duration. The derivatives
-    are further results, see :func:`derivative`.
+    The derivatives are further results, see :func:`derivative`. Forward mode: a tangent for each number rides along, so
+    memory does not grow with the duration. Reverse mode: a pass back for each metric and margin, whatever the count of
+    numbers; the state is kept at some sqrt(steps) samples, and what is between is computed again.
+
+    Args:
+        names: The numbers.
+        reverse: Reverse mode.
+
+    Reference:
+        A. Griewank, A. Walther, "Algorithm 799: revolve", ACM TOMS 26 (2000) 19-45: checkpoints.
     """
+    jacobian = jax.jacrev if reverse else jax.jacfwd
 
     def program(study: Study) -> Lane:
-        plain = simulated(study, together=None)
+        plain = simulated(study, together=None, segment=math.isqrt(study.loop.steps) if reverse else None)
         codes = ("outcome", "failed_at")
 
         def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
@@ -69,7 +79,7 @@ def differentiated(names: Sequence[str]) -> Callable[[Study], Lane]:
                 found = plain({**values, **moved}, index)
                 return {name: value for name, value in found.items() if name not in codes}, found
 
-            slopes, found = jax.jacfwd(smooth, has_aux=True)({name: values[name] for name in names})
+            slopes, found = jacobian(smooth, has_aux=True)({name: values[name] for name in names})
             return found | {derivative(of, name): slope for of, row in slopes.items() for name, slope in row.items()}
 
         return lane
