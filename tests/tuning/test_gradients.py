@@ -7,10 +7,10 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.controllers import CONTROLLERS
-from dssc_jax.engine import Engine, drawn
+from dssc_jax.engine import Engine, drawn, simulated
 from dssc_jax.probing import derivative, differentiated
 from dssc_jax.study.components import parse_component
-from dssc_jax.tuning.gradients import check_gradients, compared
+from dssc_jax.tuning.gradients import check_gradients, compare
 from dssc_jax.tuning.plan import Plan
 from dssc_jax.tuning.problem import Problem
 from dssc_jax.types import Measurement, ReferencePoint
@@ -25,20 +25,22 @@ def test_a_thousand_random_points():
     assert found.compared == 1000 * 2 * 2  # metrics, coordinates
     assert found.agreeing > 0.95
     assert found.useful > 0.8
+    assert found.telling > 0.95
     assert found.finite
 
 
 def test_wrong_derivatives_and_kinks_are_told_apart():
     x = np.linspace(-1.0, 1.0, 2001)  # one of them is 0
     slope = np.sign(x)
-    smooth = compared(slope, np.abs(x), slope, slope, 2001, 0)
-    assert (smooth.kinks, smooth.agreeing) == (0.0, 1.0)
-    wrong = compared(1.001 * slope, np.abs(x), slope, slope, 2001, 0)
-    assert wrong.agreeing == pytest.approx(1 / 2001)
-    kink = compared(slope, np.abs(x), np.where(x == 0.0, 1.0, slope), np.where(x == 0.0, -1.0, slope), 2001, 0)
-    assert kink.kinks == pytest.approx(1 / 2001)
-    assert kink.agreeing == 1.0
-    assert not compared(np.array([np.nan]), np.ones(1), np.ones(1), np.ones(1), 1, 0).finite
+    smooth = compare(slope, np.abs(x), slope, slope)
+    assert (smooth.shares["kinks"], smooth.shares["agreeing"], smooth.worst()) == (0.0, 1.0, [])
+    wrong = compare(np.where(x > 0.9, 1.01, 1.001) * slope, np.abs(x), slope, slope)
+    assert wrong.shares["agreeing"] == pytest.approx(1 / 2001)
+    assert all(x[place] > 0.9 for place in wrong.worst())
+    kink = compare(slope, np.abs(x), np.where(x == 0.0, 1.0, slope), np.where(x == 0.0, -1.0, slope))
+    assert kink.shares["kinks"] == pytest.approx(1 / 2001)
+    assert kink.shares["agreeing"] == 1.0
+    assert not compare(np.array([np.nan]), np.ones(1), np.ones(1), np.ones(1)).shares["finite"]
 
 
 @pytest.mark.parametrize("kind", FUNCTIONS)
@@ -80,3 +82,39 @@ def test_the_derivatives_change_nothing_else():
     plain = Engine(study, 8)(lanes, np.arange(8))()
     for name, values in plain.items():
         assert np.allclose(with_them[name], values, rtol=1e-10, atol=0.0, equal_nan=True), name
+
+
+def axes(duration):
+    """The small loop with two numbers to differentiate by."""
+    numbers = {"controller.l0": [1.0], "controller.functions.kappa1": [1.0]}
+    return dj.Study.from_table(SMALL).override({"loop.duration": duration, "sweep": numbers})
+
+
+def derived(study, program):
+    """Results of eight lanes, and the bytes that the compiled program takes beside them."""
+    engine = Engine(study, 8, devices=1, program=program)
+    results = engine(drawn(study, slice(0, 8)) | {name: np.ones(8) for name in study.axes}, np.arange(8))()
+    return results, engine._run.memory_analysis().temp_size_in_bytes
+
+
+def test_reverse_mode_agrees_and_its_memory_is_bounded(monkeypatch):
+    """16 times the samples cost 4 times the memory; without checkpoints 16 times."""
+    short, long = axes(3.0), axes(48.0)
+    reverse = differentiated(list(long.axes), reverse=True)
+    forward, _ = derived(long, differentiated(list(long.axes)))
+    backward, room = derived(long, reverse)
+    for name, values in forward.items():
+        assert np.allclose(backward[name], values, rtol=1e-9, atol=1e-12, equal_nan=True), name
+    assert room < 5.0 * derived(short, reverse)[1]
+    monkeypatch.setattr("dssc_jax.probing.simulated", lambda study, together, segment: simulated(study, together))
+    assert derived(long, reverse)[1] > 20.0 * room
+
+
+@pytest.mark.parametrize(("change", "low", "high"), [({}, 0.6, 0.9), ({"tune.smoothing": 0.1}, 0.95, 1.0)])
+def test_a_width_makes_derivatives_of_a_chattering_loop_tell(change, low, high):
+    """Explicit Euler chatters: exact derivatives between two switchings say little of a step that moves them."""
+    chattering = dj.Study.from_table(SMALL).override({"controller.discretisation": "explicit", **change})
+    found = check_gradients(Problem(Plan.of(chattering)), 100)
+    assert low < found.telling <= high
+    assert found.finite
+    assert set(found.kinked["command_tv"]) == set(SMALL["tune"]["parameters"])

@@ -150,7 +150,11 @@ def parse_limit(value: Any) -> float | str:
 
 
 class TuneTable(BaseModel):
-    """``[tune]``: which numbers are chosen, for what, within which limits, and how they are sought."""
+    """``[tune]``: which numbers are chosen, for what, within which limits, and how they are sought.
+
+    ``slack`` is the relative slack that Theorem 1's inequalities must keep; ``smoothing`` [m/s] the first width of the
+    smoothed sign in the derivatives' program; ``derivatives`` says how they are computed.
+    """
 
     model_config = STRICT
     parameters: dict[str, Annotated[tuple[float, float], BeforeValidator(parse_range)]] = {}
@@ -160,7 +164,10 @@ class TuneTable(BaseModel):
     aggregate: Literal["mean", "cvar", "worst"] = "cvar"
     level: Finite = Field(default=0.95, gt=0.0, lt=1.0)
     limits: dict[str, Annotated[float | str, BeforeValidator(parse_limit)]] = {}
+    slack: Finite | None = Field(default=None, ge=0.0, le=10.0)
     optimiser: str = "adam"
+    derivatives: Literal["forward", "reverse"] = "forward"
+    smoothing: Finite | None = Field(default=None, gt=0.0)
     learning_rate: Finite = Field(default=0.1, gt=0.0)
     schedule: Literal["cosine", "constant"] = "cosine"
     steps: int = Field(default=100, ge=1, le=100_000)

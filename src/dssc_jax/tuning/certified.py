@@ -1,11 +1,15 @@
-"""Certified tuning: what is varied are Table 1's free parameters, so that every point is a certified design."""
+"""Tuning under Theorem 1: by its free parameters, so that every point is certified, or with slacks as constraints."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import jax.numpy as jnp
+
 from dssc_jax import certification
 from dssc_jax.design import Bounds, Certificate, Free, Parameters, check, design
+from dssc_jax.design.small_gain import small_gain
+from dssc_jax.design.table1 import inequalities
 from dssc_jax.errors import ConfigError, meant
 from dssc_jax.study import Study
 
@@ -20,6 +24,7 @@ def dotted(name: str) -> str:
     return f"controller.functions.{'epsilon' if name == 'eps' else name}"
 
 
+SMALL_GAIN, SLACK = "small gain", "slack of "
 NUMBERS = {dotted(name): name for name in Parameters._fields}
 """The loop's numbers that the free parameters fix."""
 
@@ -31,6 +36,7 @@ class Theorem:
     Args:
         study: The study, whose controller has the functions of Table 1.
         fixed: Values of the free parameters that are not varied.
+        asked: What asked for the theorem.
 
     Raises:
         ConfigError: the theorem does not speak of this loop, or its bounds are not to be had beforehand.
@@ -38,6 +44,7 @@ class Theorem:
 
     study: Study
     fixed: Mapping[str, float]
+    asked: str = "tune.certified"
     parameters: Parameters = field(init=False)
     ends: certification.Ends = field(init=False)
 
@@ -49,11 +56,11 @@ class Theorem:
         try:
             self.parameters, bounds = certification.design_of(self.study)
         except certification.Silent as silence:
-            raise ConfigError("tune.certified", f"Theorem 1 does not speak of this loop: {silence}") from None
+            raise ConfigError(self.asked, f"Theorem 1 does not speak of this loop: {silence}") from None
         try:
             bounds.prepare()
         except ConfigError as error:
-            raise ConfigError("tune.certified", f"the loop's bounds are no bounds: {error}") from None
+            raise ConfigError(self.asked, f"the loop's bounds are no bounds: {error}") from None
         self.ends = certification.ends_of(self.study)
 
     def free(self, tuned: Mapping[str, Any]) -> Free:
@@ -61,22 +68,44 @@ class Theorem:
         own = {name.removeprefix(PREFIX): value for name, value in tuned.items() if name.startswith(PREFIX)}
         return Free(**{**self.fixed, **own})
 
-    def bounds(self, free: Free) -> Bounds:
-        """The bounds of the loop, of which those of the nominal control depend on l0."""
-        at = self.parameters._replace(l0=free.l0)
-        return certification.bounds_of(self.study.loop, self.ends, at)
-
     def expand(self, tuned: Mapping[str, Any]) -> dict[str, Any]:
         """The loop's numbers: the certified design, and what is tuned beside it."""
         free = self.free(tuned)
-        parameters = design(self.bounds(free), free)
+        _, bounds = self.at({dotted("l0"): free.l0})  # of which those of the nominal control depend on l0
+        parameters = design(bounds, free)
         beside = {name: value for name, value in tuned.items() if not name.startswith(PREFIX)}
         return beside | {dotted(name): value for name, value in parameters._asdict().items()}
 
-    def certificate(self, tuned: Mapping[str, float], numbers: Mapping[str, float]) -> Certificate:
-        """The strict check of a design, of the numbers as they are simulated."""
-        parameters = Parameters(**{name: float(numbers[long]) for long, name in NUMBERS.items()})
-        return check(parameters, self.bounds(Free(*map(float, self.free(tuned)))))
+    def at(self, numbers: Mapping[str, Any]) -> tuple[Parameters, Bounds]:
+        """Parameters and bounds at the loop's numbers as they are simulated; those not among them are the study's."""
+        own = {name: numbers[long] for long, name in NUMBERS.items() if long in numbers}
+        parameters = self.parameters._replace(**own)
+        return parameters, certification.bounds_of(self.study.loop, self.ends, parameters)
+
+    def certificate(self, numbers: Mapping[str, float]) -> Certificate:
+        """The strict check of a design."""
+        return check(*self.at({name: float(value) for name, value in numbers.items()}))
+
+    def excess(self, numbers: Mapping[str, Any], slack: float) -> dict[str, Any]:
+        """How far each strict inequality ``value > bound`` misses ``value >= (1 + slack) bound``, relative to both.
+
+        Args:
+            numbers: The loop's numbers, traced.
+            slack: Relative.
+
+        Returns:
+            What is not positive is within; 1 where the bound has no meaning.
+        """
+        parameters, bounds = self.at(numbers)
+        rows = [(row.name, row.value, row.bound) for row in inequalities(parameters, bounds)]
+        rows.append((SMALL_GAIN, parameters.phi_b, small_gain(parameters, bounds).derived))
+        found = {}
+        for name, value, bound in rows:
+            known = jnp.isfinite(bound)
+            least = jnp.where(known, bound, 0.0)
+            missed = ((1.0 + slack) * least - value) / (jnp.abs(least) + jnp.abs(value))
+            found[SLACK + name] = jnp.where(known, missed, 1.0)
+        return found
 
 
 def split(free: Mapping[str, tuple[float, float] | float]) -> tuple[dict[str, tuple[float, float]], dict[str, float]]:

@@ -58,14 +58,15 @@ class Mirror:
     def numbers(self, z: np.ndarray) -> dict[str, np.ndarray]:
         """The loop's numbers at points of shape (m, n), each of shape (m,)."""
         with jax.enable_x64(True):
-            return {name: np.asarray(value) for name, value in _numbers(self._traced, jnp.asarray(z)).items()}
+            return {name: np.asarray(value) for name, value in _numbers(self.traced, jnp.asarray(z)).items()}
 
     def slopes(self, z: np.ndarray) -> dict[str, np.ndarray]:
         """Derivatives of the loop's numbers with respect to the coordinates at points (m, n), each (m, n)."""
         with jax.enable_x64(True):
-            return {name: np.asarray(value) for name, value in _slopes(self._traced, jnp.asarray(z)).items()}
+            return {name: np.asarray(value) for name, value in _slopes(self.traced, jnp.asarray(z)).items()}
 
-    def _traced(self, z: jax.Array) -> Numbers:
+    def traced(self, z: jax.Array) -> Numbers:
+        """The loop's numbers at one traced point of shape (n,)."""
         low, high = self.ends
         values = jnp.exp(low + (high - low) * jax.nn.sigmoid(z))
         found = self.expand({name: values[i] for i, name in enumerate(self.names)})

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from dssc_jax.controllers.dssc import DsscGains
 from dssc_jax.errors import ConfigError, meant
 from dssc_jax.metrics import Measure
 from dssc_jax.study import Law, Study
@@ -13,6 +14,10 @@ from dssc_jax.tuning.mirror import Mirror, as_they_are
 
 DESCENTS = ("adam", "adabelief", "amsgrad", "lion", "nadam", "rmsprop", "sgd")  # names in optax
 EVOLUTION = "differential_evolution"  # in scipy.optimize
+PROGRAMMING = "sqp"  # in programming.py
+OPTIMISERS = (*DESCENTS, PROGRAMMING, EVOLUTION)
+WIDTH = "controller.sign_width"
+ASSUMED = ("plant", "reference", "disturbance")  # parts of the loop whose numbers the theorem's bounds are made of
 
 
 @dataclass(frozen=True)
@@ -50,15 +55,19 @@ class Plan:
         table = study.config.tune
         if table is None:
             raise ConfigError("tune", "is required and missing: parameters and objective")
-        if table.optimiser not in (*DESCENTS, EVOLUTION):
-            known = (*DESCENTS, EVOLUTION)
-            raise ConfigError("tune.optimiser", f"unknown name '{table.optimiser}'; {meant(table.optimiser, known)}")
+        if table.optimiser not in OPTIMISERS:
+            rule = f"unknown name '{table.optimiser}'; {meant(table.optimiser, OPTIMISERS)}"
+            raise ConfigError("tune.optimiser", rule)
+        if table.batch is not None and table.optimiser == PROGRAMMING:
+            raise ConfigError("tune.batch", f"{PROGRAMMING} needs the same draws at every step; take one of {DESCENTS}")
         if table.batch is not None and table.batch > table.draws:
             raise ConfigError("tune.batch", f"must be <= draws = {table.draws}, got {table.batch}")
         seed = (study.config.seed + 1) % 2**32 if table.seed is None else table.seed
         if seed == study.config.seed:
             raise ConfigError("tune.seed", f"must not be the study's own, whose draws decide, got {seed}")
         require_metrics(study, table)
+        if table.smoothing is not None:
+            require_sign(study)
         require_room(study)
         for name in table.parameters:
             require_number(study, name, table)
@@ -69,11 +78,16 @@ class Plan:
             theorem = Theorem(study, fixed)
             starts |= {name: (low * high) ** 0.5 for name, (low, high) in free.items()}
             varied |= free
+            if table.slack is not None:
+                rule = "belongs to certified = false; a certified design meets the inequalities by construction"
+                raise ConfigError("tune.slack", rule)
         elif table.free:
             raise ConfigError("tune.free", "belongs to certified = true")
+        elif table.slack is not None:
+            theorem = Theorem(study, {}, "tune.slack")
         if not varied:
             raise ConfigError("tune.parameters", "names nothing to tune; give NAME = [low, high]")
-        mirror = Mirror(varied, starts, theorem.expand if theorem else as_they_are)
+        mirror = Mirror(varied, starts, theorem.expand if theorem and table.certified else as_they_are)
         return cls(study, table, mirror, theorem, seed)
 
     @property
@@ -91,6 +105,11 @@ class Plan:
         draws = self.table.draws + self.table.validation
         changes: dict[str, Any] = {"seed": self.seed, "draws": draws, "plot": {}}
         return self.study.override(changes | {"metrics": kept | {"names": sorted(kinds)}})
+
+    def smoothed(self) -> Study:
+        """The study as its derivatives are computed: with the sign's first width, where it is to be smoothed."""
+        width = self.table.smoothing
+        return self.trial() if width is None else self.trial().override({WIDTH: width})
 
     def _written(self, measure: Measure) -> str:
         """A metric's name as the study writes it: a user's own by its dotted name."""
@@ -131,6 +150,18 @@ def require_room(study: Study) -> None:
             raise ConfigError("requirement", rule)
 
 
+def require_sign(study: Study) -> None:
+    """Require that every channel's controller has a sign that can be smoothed, and none that is smooth already.
+
+    Raises:
+        ConfigError: one has none, or a width of its own.
+    """
+    if any(not isinstance(gains, DsscGains) for gains in study.template.controller):
+        raise ConfigError("tune.smoothing", "is the width of DSSC's and SSC's sign; this controller has none")
+    if any(name.split(".")[-1] == "sign_width" for name in study.leaves()):
+        raise ConfigError("tune.smoothing", "is the first of a falling width; take sign_width out of [controller]")
+
+
 def require_number(study: Study, name: str, table: TuneTable) -> None:
     """Require that a dotted name is a plain number of the loop that one may move.
 
@@ -140,6 +171,9 @@ def require_number(study: Study, name: str, table: TuneTable) -> None:
     place = f"tune.parameters.{name}"
     if table.certified and name in NUMBERS:
         raise ConfigError(place, "is fixed by the certified design; vary [tune.free], or set certified = false")
+    part = name.split(".")
+    if (table.certified or table.slack is not None) and (part[0] in ASSUMED or "nominal" in part):
+        raise ConfigError(place, "is what the theorem's bounds are made of, so that they would move; give it a number")
     if name not in study.leaves():
         raise ConfigError(place, unfit(study, name))
     if not study.quantities[name].law:

@@ -3,12 +3,14 @@
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.engine import BLOCK, Arrays
 from dssc_jax.probing import Probe, differentiated
 from dssc_jax.tuning.objective import Goal, Merit
-from dssc_jax.tuning.plan import Plan
+from dssc_jax.tuning.plan import WIDTH, Plan
 
 
 class Point(NamedTuple):
@@ -20,9 +22,29 @@ class Point(NamedTuple):
     slopes: dict[str, np.ndarray]
 
 
+class Slacks:
+    """Excesses of Theorem 1's inequalities at a point, and their slopes, where a slack is asked for."""
+
+    def __init__(self, plan: Plan) -> None:
+        theorem, slack = plan.theorem, plan.table.slack
+        assert theorem is not None
+        assert slack is not None
+
+        def excess(z: jax.Array) -> dict[str, jax.Array]:
+            return theorem.excess(plan.mirror.traced(z), slack)
+
+        self._both = jax.jit(lambda z: (excess(z), jax.jacfwd(excess)(z)))
+
+    def at(self, z: np.ndarray) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+        """Excesses, and their derivatives with respect to the coordinates."""
+        with jax.enable_x64(True):
+            values, slopes = self._both(jnp.asarray(z))
+        return {k: float(v) for k, v in values.items()}, {k: np.nan_to_num(np.asarray(v)) for k, v in slopes.items()}
+
+
 @dataclass
 class Problem:
-    """The plan's objective on the draws that train and validate it, one compiled program.
+    """The plan's objective on the draws that train and validate it, by two programs: with derivatives, and without.
 
     Draws are counted on: the first ``draws`` train, the next ``validation`` validate. They and their noise are the same
     at every point.
@@ -30,10 +52,12 @@ class Problem:
     Args:
         plan: The plan.
         added: Counterexamples: values of the laws' numbers, each of shape (n,).
+        width: Of the smoothed sign in the program with derivatives [m/s], where ``smoothing`` is asked for.
     """
 
     plan: Plan
     added: Arrays = field(default_factory=dict)
+    width: float | None = field(default=None, init=False)
     certified: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
@@ -41,10 +65,16 @@ class Problem:
         start = {name: float(value[0]) for name, value in mirror.numbers(mirror.origin[None]).items()}
         self.names = list(start)
         lanes = min(BLOCK, max(table.draws, table.validation) + len(self.extra))
-        self.probe = Probe(trial, {name: (v, v) for name, v in start.items()}, lanes, differentiated(self.names))
+        ends = {name: (value, value) for name, value in start.items()}
+        self.plain = Probe(trial, ends, lanes)
+        self.width = table.smoothing
+        smooth = ends if self.width is None else ends | {WIDTH: (self.width, self.width)}
+        program = differentiated(self.names, table.derivatives == "reverse")
+        self.probe = Probe(self.plan.smoothed(), smooth, lanes, program)
         self.laws = self.probe.drawn(slice(0, trial.config.draws))
         self.train = np.arange(table.draws)
         self.validation = np.arange(table.draws, trial.config.draws)
+        self.slacks = None if table.slack is None else Slacks(self.plan)
         self.goal = Goal(table.objective, table.aggregate, table.level, {}, self.probe.swept.requirements)
 
     @property
@@ -55,9 +85,9 @@ class Problem:
     def begin(self) -> tuple[Point, Point]:
         """The start on the training and the validation draws; what it has there is what limits may refer to."""
         origin, everything = self.plan.mirror.origin, np.concatenate([self.train, self.validation])
-        results = self.results(origin[None], everything)
+        results = self.results(origin[None], everything, self.plain)
         self.before = {name: results[name][: len(everything)] for name in self.plan.table.limits}
-        return self.at(origin, self.train), self.at(origin, self.validation)
+        return self.at(origin, self.train), self.seen(origin)
 
     def goal_on(self, draws: np.ndarray) -> Goal:
         """The goal on some of the draws: a limit set by the start is what the start has on the same ones."""
@@ -83,7 +113,20 @@ class Problem:
         }
         numbers = self.plan.mirror.numbers(z)
         lanes |= {name: np.repeat(column, len(indices)) for name, column in numbers.items()}
-        return (probe or self.probe)(np.tile(indices, len(z)), lanes)
+        return (probe or self.steep)(np.tile(indices, len(z)), lanes)
+
+    def steep(self, indices: np.ndarray, lanes: Arrays) -> Arrays:
+        """The program with derivatives, at the present width."""
+        width = {} if self.width is None else {WIDTH: np.full(len(indices), self.width)}
+        return self.probe(indices, lanes | width)
+
+    def seen(self, z: np.ndarray, draws: np.ndarray | None = None) -> Point:
+        """One point on the validation draws, or others: exact and without derivatives."""
+        draws = self.validation if draws is None else draws
+        merit = self.goal_on(draws).merit(self.results(z[None], draws, self.plain), (), len(self.extra))
+        if not merit.ended and self.slacks is not None:
+            merit = merit._replace(excess=merit.excess | self.slacks.at(z)[0])
+        return Point(z, merit, np.full(len(z), np.nan), {})
 
     def at(self, z: np.ndarray, draws: np.ndarray) -> Point:
         """One point on some of the draws."""
@@ -95,14 +138,17 @@ class Problem:
         def along(slopes: dict[str, float]) -> np.ndarray:
             return np.sum([slope * chain[name] for name, slope in slopes.items()], axis=0)
 
-        return Point(z, merit, along(merit.gradient), {name: along(row) for name, row in merit.slopes.items()})
+        slopes = {name: along(row) for name, row in merit.slopes.items()}
+        if self.slacks is not None:
+            excess, steep = self.slacks.at(z)
+            merit, slopes = merit._replace(excess=merit.excess | excess), slopes | steep
+        return Point(z, merit, along(merit.gradient), slopes)
 
     def allowed(self, z: np.ndarray) -> bool:
         """Whether the point passes the strict check of Theorem 1, where it has to."""
         if self.plan.theorem is None:
             return True
-        tuned = {name: float(value) for name, value in self.plan.mirror.tuned(z).items()}
         numbers = {name: float(column[0]) for name, column in self.plan.mirror.numbers(z[None]).items()}
-        holds = self.plan.theorem.certificate(tuned, numbers).certified
+        holds = self.plan.theorem.certificate(numbers).certified
         self.certified += holds
         return holds

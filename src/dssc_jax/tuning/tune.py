@@ -11,8 +11,9 @@ from dssc_jax.study import Study
 from dssc_jax.tuning.gradients import Agreement, check_gradients
 from dssc_jax.tuning.plan import EVOLUTION, Plan
 from dssc_jax.tuning.problem import Problem
+from dssc_jax.tuning.progress import Report, Search
 from dssc_jax.tuning.result import Tuned
-from dssc_jax.tuning.search import Report, Search, search
+from dssc_jax.tuning.search import search
 from dssc_jax.tuning.verdict import judge
 
 CHECKED = 16  # points of the gradient check before a descent
@@ -66,7 +67,7 @@ def tune(
     numbers = [{n: float(v[0]) for n, v in mirror.numbers(z[None]).items()} for z in (mirror.origin, found.best.z)]
     verdict, costs = judge(plan, problem.goal, *numbers)
     facts = {
-        "method": EVOLUTION if gradients is None or gradients.useful < USEFUL else plan.table.optimiser,
+        "method": EVOLUTION if gradients is None or not useful(gradients) else plan.table.optimiser,
         "stopped": found.stopped,
         "feasible": found.best.merit.violation == 0.0,
         "violation": found.best.merit.violation,
@@ -95,7 +96,12 @@ def solve(problem: Problem, report: Report) -> tuple[Search, Agreement | None]:
     gradients = None
     if problem.plan.table.optimiser != EVOLUTION:
         gradients = check_gradients(problem, CHECKED, problem.plan.seed)
-    return search(problem, first, gradients is None or gradients.useful >= USEFUL, report), gradients
+    return search(problem, first, gradients is None or useful(gradients), report), gradients
+
+
+def useful(gradients: Agreement) -> bool:
+    """Whether there is something to descend on: derivatives that hold, and not only for the smallest of steps."""
+    return min(gradients.useful, gradients.telling) >= USEFUL
 
 
 def tuned_study(plan: Plan, z: np.ndarray) -> Study:
@@ -109,15 +115,22 @@ def joined(added: Arrays, witness: dict[str, float]) -> Arrays:
 
 
 def require_certified(plan: Plan) -> None:
-    """Require that the start passes the strict check.
+    """Require that the start passes the strict check, with the slack that is asked for.
 
     Raises:
         ConfigError: it does not.
     """
     assert plan.theorem is not None
     numbers = {name: float(value[0]) for name, value in plan.mirror.numbers(plan.mirror.origin[None]).items()}
-    if not plan.theorem.certificate(plan.mirror.start, numbers).certified:
-        raise ConfigError(plan.study.source, "tune.free: the start is infeasible: its design is not certified")
+    if plan.table.slack is not None:
+        missed = {name: float(value) for name, value in plan.theorem.excess(numbers, plan.table.slack).items()}
+        worst = max(missed, key=missed.__getitem__)
+        if missed[worst] > 0.0:
+            rule = f"the start is infeasible: {worst} is below {plan.table.slack:g} by {missed[worst]:.3g} (relative)"
+            raise ConfigError(plan.study.source, f"tune.slack: {rule}")
+    if not plan.theorem.certificate(numbers).certified:
+        place = "tune.free" if plan.table.certified else "tune.slack"
+        raise ConfigError(plan.study.source, f"{place}: the start is infeasible: its design is not certified")
 
 
 def require_falsifiable(study: Study, rounds: int, budget: int) -> None:
