@@ -17,7 +17,7 @@ LAYERS = [
     {"performance", "requirements"},
     {"loop"},
     {"study"},
-    {"sampling", "certification"},
+    {"sampling", "certification", "kernels"},
     {"engine", "statistics"},
     {"global_sensitivity", "rare_events"},
     {"dataset", "lock", "manifest"},

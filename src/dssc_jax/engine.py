@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
-from dssc_jax import xla
+from dssc_jax import kernels, xla
 from dssc_jax.fusion import shared_once
 from dssc_jax.loop import simulate
 from dssc_jax.sampling import draw, draw_key
@@ -128,6 +128,7 @@ class Engine:
         tile: Lanes of a tile; None: chosen by the batch.
         devices: Devices to share tiles over; None: all.
         program: What is computed of each lane.
+        kernel: ``scan``, ``pallas`` or ``auto``; empty: as the environment says.
     """
 
     study: Study
@@ -136,8 +137,10 @@ class Engine:
     devices: int | None = None
     clock: Clock = field(default_factory=Clock)
     program: Callable[[Study], Lane] = simulated
+    kernel: str = ""
 
     def __post_init__(self) -> None:
+        self.kernel = kernels.requested(self.kernel)
         usable = jax.devices()[: self.devices]
         share = -(-self.lanes // len(usable))
         wanted = min(self.tile, share) if self.tile else best_tile(usable, share)
@@ -191,16 +194,17 @@ class Engine:
             self.clock.traces += 1
             return lane(values, i)
 
+        def compile_for(batch: kernels.Batch):
+            def share(lanes: dict[str, jax.Array], i: jax.Array) -> dict[str, Scalar]:
+                return jax.lax.map(lambda tile: batch(*tile), (lanes, i))
+
+            spec = PartitionSpec("device")
+            sharded = jax.shard_map(share, mesh=self._mesh, in_specs=spec, out_specs=spec, check_vma=False)
+            return jax.jit(sharded).lower(values, index).compile()
+
         batch = jax.vmap(one, axis_name=TILE)
-        if xla.compiles_loops_whole() and on_cpu(self._mesh.devices):
-            batch = shared_once(batch)
-
-        def share(lanes: dict[str, jax.Array], i: jax.Array) -> dict[str, Scalar]:
-            return jax.lax.map(lambda tile: batch(*tile), (lanes, i))
-
-        spec = PartitionSpec("device")
-        sharded = jax.shard_map(share, mesh=self._mesh, in_specs=spec, out_specs=spec, check_vma=False)
-        compiled = jax.jit(sharded).lower(values, index).compile()
+        whole = xla.compiles_loops_whole() and on_cpu(self._mesh.devices)
+        compiled = kernels.compiled(self.kernel, compile_for, shared_once(batch) if whole else batch, batch)
         self.clock.compile_seconds += time.perf_counter() - began
         return compiled
 
@@ -274,7 +278,7 @@ def computing() -> dict[str, Any]:
     return {
         "versions": {"python": platform.python_version(), **{name: version(name) for name in VERSIONS}},
         "device": {"kind": device.device_kind, "platform": device.platform, "count": len(jax.devices())},
-        "compiler": xla.code_generation(),
+        "compiler": [*xla.code_generation(), *kernels.asked()],
     }
 
 
