@@ -7,10 +7,10 @@ from dssc_jax.console import machine
 PAGE = Path(__file__).parents[1] / "docs" / "statistics.md"
 
 
-def put(part: str, text: str) -> None:
+def put(part: str, text: str, page: Path = PAGE) -> None:
     """Replace what stands on the page between ``<!-- part -->`` and ``<!-- end of part -->``, with machine and date."""
-    page = PAGE.read_text()
+    whole = page.read_text()
     start, end = f"<!-- {part} -->\n", f"<!-- end of {part} -->"
-    before, rest = page.split(start)
+    before, rest = whole.split(start)
     after = rest.split(end)[1]
-    PAGE.write_text(f"{before}{start}\n{text}\n\nMachine: {machine()}.\n\n{end}{after}")
+    page.write_text(f"{before}{start}\n{text}\n\nMachine: {machine()}.\n\n{end}{after}")

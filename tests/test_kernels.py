@@ -1,5 +1,11 @@
 """A lane program as one GPU kernel: the same numbers by XLA, taken by Triton's front end, refused where it must be."""
 
+import importlib
+import re
+import subprocess
+import sys
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,8 +20,9 @@ from dssc_jax.kernels import Unfit, in_registers
 from dssc_jax.study.library import find
 from dssc_jax.types import Outcome
 from tests.conftest import UNCERTAIN
-from tests.tolerances import ROUNDING
+from tests.tolerances import ROUNDING, SINGLE
 
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 LANES = 40  # not a whole number of warps
 QUIET = {"draws": LANES, "disturbance": {"kind": "none"}, "requirement": [], "sweep": {}, "loop.duration": 0.5}
 FLIGHT = {
@@ -159,3 +166,38 @@ def test_the_form_is_chosen_by_argument_or_environment(monkeypatch):
         ConfigError, match=r"kernel: must be auto, scan or pallas, got 'palas'; did you mean 'pallas'\?"
     ):
         Engine(axis(), 8, kernel="palas")
+
+
+def test_the_benchmark_says_that_there_is_no_gpu():
+    page = BENCHMARKS.parent / "docs" / "gpu.md"
+    before = page.read_text()
+    done = subprocess.run([sys.executable, BENCHMARKS / "gpu.py"], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr == "benchmarks/gpu.py: needs a GPU, and JAX finds none, only 'cpu'\n"
+    assert page.read_text() == before
+
+
+def test_the_benchmark_is_ready_to_run(monkeypatch):
+    """All of it but the machine code, on what there is: the shipped study with one degree of freedom, in float32."""
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    gpu = importlib.import_module("gpu")
+    monkeypatch.setattr(gpu, "PRECISIONS", (32,))
+    table = gpu.table({"axis": gpu.axis().override({"loop.duration": 0.25})}, (64,), 32, copied=2**16, repeats=1)
+    row = next(line for line in table.splitlines() if line.startswith("| axis | float32 | 64 |"))
+    assert min(float(cell) for cell in row.split("|")[4:8]) > 0.0
+    largest = re.search(r"axis, float32: largest difference (\S+); 0 end otherwise", table)
+    assert float(largest[1]) < SINGLE
+
+
+def test_the_benchmarks_state_is_what_a_lane_carries(monkeypatch):
+    """Position and speed of the plant, one law, and accumulators, against the loop that is compiled."""
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    gpu = importlib.import_module("gpu")
+    study = gpu.axis()
+    program = jax.make_jaxpr(gpu.lanes_of(study))(
+        {name: jnp.ones(LANES) for name in study.laws}, jnp.arange(LANES, dtype=jnp.uint32)
+    )
+    loop = next(equation for equation in program.eqns if equation.primitive.name == "while")
+    carried = [x.aval for x in loop.outvars if x.aval.shape and x.aval.dtype == jnp.float64]
+    assert gpu.state_numbers(study) == len(carried)
