@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 
-.PHONY: study test lint types check measure paper conservatism pareto docs clean
+.PHONY: study test lint types check measure bench paper conservatism pareto docs clean
 
 study: .venv/run  ## install, and run the main job: how much unmodelled lag does a DSSC loop survive?
 	$(BIN)/dssc-jax sweep studies/mu_robustness.toml
@@ -21,6 +21,9 @@ check: lint types test  ## what CI runs
 
 measure: .venv/run  ## regenerate docs/measurements.md and the figures of the documentation
 	$(BIN)/python benchmarks/measure.py
+
+bench: .venv/bench .venv/simulators/done  ## regenerate docs/performance.md: beside C, Numba, NumPy; growth; other simulators
+	$(BIN)/python -m benchmarks.speed --simulators .venv/simulators/bin/python
 
 paper: .venv/run  ## regenerate docs/paper.md: the article's figures and a table of its claims
 	$(BIN)/python -m benchmarks.paper
@@ -45,6 +48,17 @@ pareto: .venv/test  ## regenerate docs/tuning.md: gains tuned, failures hunted, 
 
 .venv/docs: .venv/run
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[docs]"
+	touch $@
+
+.venv/bench: .venv/run
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[bench]"
+	touch $@
+
+# Other people's simulators, which want their own versions of what we use; the page tells where they do not install.
+.venv/simulators/done:
+	$(PYTHON) -m venv .venv/simulators
+	for name in crazyflow rotorpy; do \
+		.venv/simulators/bin/python -m pip install --quiet --disable-pip-version-check $$name || echo "no $$name here"; done
 	touch $@
 
 clean:

@@ -1,1 +1,1 @@
-"""How fast the engine is beside C, Numba, batched NumPy and its own plain form, on the same two loops: ``make bench``."""
+"""How fast the engine is beside C, Numba, NumPy and its own plain form, on the same two loops: ``make bench``."""

@@ -1,6 +1,6 @@
 """The two loops as one writes them in plain Python: over arrays of draws with NumPy, draw by draw for Numba.
 
-The equations stand here once. They take numbers or arrays alike; ``build`` is given a decorator, Numba's or none. All
+The equations stand here once. They take numbers or arrays alike; ``build`` is told how to compile and compare them. All
 numbers that draws share are constants of the closure, in the working precision, so that Numba folds them and nothing is
 promoted to float64.
 """
@@ -13,11 +13,18 @@ import numpy as np
 
 from benchmarks.speed.workloads import OneAxis, Sine, Uav
 
-least, most = min, max
 GRAVITY = 9.81
 LEAST_LIFT = 0.1 * GRAVITY
 LEAST_UPRIGHT = math.cos(math.radians(85.0))
 ROTORS = 4
+
+
+class Dialect(NamedTuple):
+    """How the equations are said: the decorator of every function, and the lesser and the greater of two numbers."""
+
+    compiled: Callable
+    least: Callable
+    most: Callable
 
 
 class Program(NamedTuple):
@@ -60,8 +67,9 @@ def constants(values: Any, real: type) -> Any:
     return real(values)
 
 
-def controller(dt: float, real: type, compiled: Callable) -> Callable:
+def controller(dt: float, real: type, dialect: Dialect) -> Callable:
     """A DSSC channel with its metrics: ``(gains, state, sums, e, y', wanted, first) -> (state, sums, command)``."""
+    compiled, least, most = dialect
     dt, one, zero = real(dt), real(1.0), real(0.0)
 
     @compiled
@@ -84,9 +92,9 @@ def controller(dt: float, real: type, compiled: Callable) -> Callable:
     return control
 
 
-def axis(n: OneAxis, dt: float, euler: bool, real: type, compiled: Callable) -> Program:
+def axis(n: OneAxis, dt: float, euler: bool, real: type, dialect: Dialect) -> Program:
     """One degree of freedom behind a lag of order 2; drawn: k_p, a_p, mu, d."""
-    control = controller(dt, real, compiled)
+    compiled, control = dialect.compiled, controller(dt, real, dialect)
     h, half, sixth, two, zero = real(dt), real(dt / 2.0), real(dt / 6.0), real(2.0), real(0.0)
     gains, position, velocity = n.channel, n.position, n.velocity
     matched = n.matched > 0
@@ -144,9 +152,10 @@ def axis(n: OneAxis, dt: float, euler: bool, real: type, compiled: Callable) -> 
     return Program(pick, start, sample, ended, 1)
 
 
-def uav(n: Uav, dt: float, euler: bool, real: type, compiled: Callable) -> Program:
+def uav(n: Uav, dt: float, euler: bool, real: type, dialect: Dialect) -> Program:
     """The full UAV; drawn: M, I_bx, I_by, I_bz, k_T. A state is (p, v, attitude, Omega, integrals, controllers)."""
-    control = controller(dt, real, compiled)
+    compiled, least, most = dialect
+    control = controller(dt, real, dialect)
     h, half_h, third, sixth = real(dt), real(dt / 2.0), real(dt / 3.0), real(dt / 6.0)
     zero, half, one, two = real(0.0), real(0.5), real(1.0), real(2.0)
     gravity, least_lift, least_upright, tiny = real(GRAVITY), real(LEAST_LIFT), real(LEAST_UPRIGHT), real(1e-12)
@@ -203,7 +212,7 @@ def uav(n: Uav, dt: float, euler: bool, real: type, compiled: Callable) -> Progr
 
     @compiled
     def kinematics(state, u, dpsi):
-        p, v, q, w, path, turned = state
+        _, v, q, w, _, _ = state
         dq = (
             half * (-q[1] * w[0] - q[2] * w[1] - q[3] * w[2]),
             half * (q[0] * w[0] + q[2] * w[2] - q[3] * w[1]),
@@ -214,7 +223,7 @@ def uav(n: Uav, dt: float, euler: bool, real: type, compiled: Callable) -> Progr
 
     @compiled
     def demand(state, u, r, trig, rates):
-        p, v, q, w, path, turned = state
+        _, v, _, w, path, turned = state
         cphi, sphi, ct, st, cpsi, spsi = trig
         dphi, dtheta, dpsi = rates
         ax = n.kd_velocity * (u[0] - v[0]) + n.kp_velocity * path[0]
@@ -246,7 +255,7 @@ def uav(n: Uav, dt: float, euler: bool, real: type, compiled: Callable) -> Progr
     @compiled
     def dynamics(drawn, state, u, wind, r, trig, rates):
         lighter, (jx, jy, jz), (over_x, over_y, over_z), top, ratio = drawn
-        p, v, q, w, path, turned = state
+        _, v, _, w, _, _ = state
         thrust, moment = demand(state, u, r, trig, rates)
         (f1, s1), (f2, s2) = rotor(r1[0], thrust, moment, top), rotor(r2[0], thrust, moment, top)
         (f3, s3), (f4, s4) = rotor(r3[0], thrust, moment, top), rotor(r4[0], thrust, moment, top)
@@ -334,7 +343,7 @@ def uav(n: Uav, dt: float, euler: bool, real: type, compiled: Callable) -> Progr
         body, (cx, cy, cz, cpsi) = state
         p, v, q, w, path, turned = body
         r = matrix(q)
-        trig, rates = trigonometry(r, w)
+        _, rates = trigonometry(r, w)
         e = np.arctan2(r[1][0], r[0][0]) - wanted[3][0]
         e = e - turn * np.ceil((e - pi) / turn)
         cx, mx, ux = control(n.channel[0], cx, sums[0], p[0] - wanted[0][0], v[0], wanted[0], first)
@@ -362,7 +371,7 @@ def uav(n: Uav, dt: float, euler: bool, real: type, compiled: Callable) -> Progr
     return Program(pick, start, sample, ended, 4)
 
 
-def build(shared: Uav | OneAxis, dt: float, euler: bool, real: type, compiled: Callable) -> Program:
+def build(shared: Uav | OneAxis, dt: float, euler: bool, real: type, dialect: Dialect) -> Program:
     """A task's loop.
 
     Args:
@@ -370,7 +379,7 @@ def build(shared: Uav | OneAxis, dt: float, euler: bool, real: type, compiled: C
         dt: Sampling period [s].
         euler: Semi-implicit Euler, not Runge-Kutta.
         real: NumPy's type of the working precision.
-        compiled: Decorator of every function.
+        dialect: How the equations are said.
     """
     own = constants(shared, real)
-    return (uav if isinstance(shared, Uav) else axis)(own, dt, euler, real, compiled)
+    return (uav if isinstance(shared, Uav) else axis)(own, dt, euler, real, dialect)

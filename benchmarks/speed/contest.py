@@ -19,7 +19,6 @@ from dssc_jax import xla
 ROOT = Path(__file__).parents[2]
 SIZES = {"uav": (4096, 5.0), "axis": (16384, 10.0)}
 """Draws, and seconds of flight."""
-SWITCH = xla.SWITCH
 
 
 class Contender(NamedTuple):
@@ -39,8 +38,8 @@ class Contender(NamedTuple):
 
 
 OURS = Contender("dssc_jax", "engine")
-ONE_DEVICE = Contender("dssc_jax, one device", "engine", {"XLA_FLAGS": ""})
-PLAIN = Contender("jit(vmap(scan))", "scan", {SWITCH: "off"})
+ONE_DEVICE = Contender("dssc_jax, one device", "engine", {"XLA_FLAGS": f"{xla.DEVICE_COUNT}=1"})
+PLAIN = Contender("jit(vmap(scan))", "scan", {xla.SWITCH: "off"})
 C = Contender("C", "c")
 NUMBA = Contender("Numba", "numba")
 NUMPY = Contender("NumPy", "numpy", every=4)
@@ -48,8 +47,7 @@ NUMPY = Contender("NumPy", "numpy", every=4)
 
 def available() -> list[Contender]:
     """Every contender that this machine can run, ours first."""
-    one = ONE_DEVICE._replace(environment={"XLA_FLAGS": f"{xla.DEVICE_COUNT}=1"})
-    found = [OURS, one, PLAIN]
+    found = [OURS, ONE_DEVICE, PLAIN]
     found += [C] if native.compiler() else []
     found += [NUMBA] if rivals.has_numba() else []
     return [*found, NUMPY]
@@ -59,7 +57,7 @@ class Worker:
     """A contender's process."""
 
     def __init__(self, contender: Contender, case: Case, draws: int, duration: float, cache: str) -> None:
-        common = {name: value for name, value in os.environ.items() if name not in ("XLA_FLAGS", SWITCH)}
+        common = {name: value for name, value in os.environ.items() if name not in ("XLA_FLAGS", xla.SWITCH)}
         path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
         environment = {**common, "PYTHONPATH": path, "XDG_CACHE_HOME": cache, **contender.environment}
         arguments = [contender.form, case.loop, case.integrator, str(case.precision), str(draws), str(duration)]

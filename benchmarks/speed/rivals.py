@@ -6,17 +6,12 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from benchmarks.speed.by_hand import Program, build, shares, trajectory
+from benchmarks.speed.by_hand import Dialect, Program, build, shares, trajectory
 from benchmarks.speed.workloads import Found, OneAxis, Task, Uav
 
 REAL = {64: np.float64, 32: np.float32}
-FAST = {
-    "reassoc",
-    "contract",
-    "arcp",
-    "nsz",
-    "afn",
-}  # fast mathematics but for "no NaN, no infinity": a draw may diverge
+FAST = {"reassoc", "contract", "arcp", "nsz", "afn"}
+"""Fast mathematics but for 'no NaN, no infinity': a draw may diverge."""
 
 
 def inputs(task: Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -27,16 +22,13 @@ def inputs(task: Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return tuple(a.astype(real) for a in (task.draws, wanted, shares(begins, loop.steps, loop.sample_time)))
 
 
-def plain(function: Callable) -> Callable:
-    """The decorator that does nothing."""
-    return function
+BATCHED = Dialect(lambda function: function, np.minimum, np.maximum)
 
 
 def batched(task: Task) -> Callable[[], Found]:
     """NumPy over all draws at once; each call runs it."""
-    own = build(
-        task.shared, task.study.loop.sample_time, task.case.integrator == "euler", REAL[task.case.precision], plain
-    )
+    case, real = task.case, REAL[task.case.precision]
+    own = build(task.shared, task.study.loop.sample_time, case.integrator == "euler", real, BATCHED)
     draws, wanted, share = inputs(task)
     count, samples = draws.shape[1], len(share)
 
@@ -73,9 +65,8 @@ def by_numba(shared: Uav | OneAxis, dt: float, euler: bool, precision: int) -> C
     """The loop over draws, compiled at its first call."""
     import numba
 
-    own: Program = build(
-        shared, dt, euler, REAL[precision], numba.njit(fastmath=FAST, error_model="numpy", forceinline=True)
-    )
+    scalar = Dialect(numba.njit(fastmath=FAST, error_model="numpy", forceinline=True), min, max)
+    own: Program = build(shared, dt, euler, REAL[precision], scalar)
     pick, start, sample, ended_early, channels = own
 
     @numba.njit(parallel=True, fastmath=FAST, error_model="numpy")

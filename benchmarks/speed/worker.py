@@ -1,8 +1,8 @@
 """One contender in a process of its own: ``python -m benchmarks.speed.worker FORM LOOP INTEGRATOR BITS DRAWS SECONDS``.
 
 It prints a JSON object once it is ready, after a first run; then it answers each line on its standard input: ``run``
-with the seconds that a run took, ``check FILE`` by writing what it found. Processes that wait do not disturb, so that the
-contenders can take turns.
+with the seconds that a run took, ``check FILE`` by writing what it found. Processes that wait do not disturb, so that
+the contenders can take turns.
 """
 
 import json
@@ -21,7 +21,8 @@ from benchmarks.speed.workloads import Case, Found, Task, task  # noqa: E402
 
 def peak() -> float:
     """Peak resident memory of this process [GB]; ru_maxrss would be the parent's, too."""
-    line = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
+    status = Path("/proc/self/status").read_text().splitlines()
+    line = next(line for line in status if line.startswith("VmHWM"))
     return int(line.split()[1]) / 1e6
 
 
@@ -50,7 +51,7 @@ def scan(work: Task) -> tuple[Callable[[], Found], float]:
 def c(work: Task) -> tuple[Callable[[], Found], float]:
     from benchmarks.speed import native
 
-    program, options, seconds = native.fastest(work, len(os.sched_getaffinity(0)))
+    program, seconds = native.fastest(work, len(os.sched_getaffinity(0)))
     return program, seconds
 
 

@@ -145,7 +145,7 @@ def numbers(study: dj.Study) -> Uav | OneAxis:
         matched = float(params.controller[0].predictor_start == "matched")
         return OneAxis(channels[0], (sine_of(MISSION[Axis.X]),), *plant.initial, params.disturbance[0].at, matched)
     vehicle, inner, believed = plant.vehicle, plant.inner_loop, plant.believed
-    x, y = zip(*vehicle.rotor_positions(), strict=True)
+    x, y = (tuple(vehicle.arm * along for along in axis) for axis in vehicle.directions())
     return Uav(
         channel=channels,
         wanted=tuple(map(sine_of, MISSION.values())),

@@ -1,0 +1,278 @@
+"""docs/performance.md and its figures, from what was measured."""
+
+from collections.abc import Iterable
+from importlib.metadata import version
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from benchmarks.speed import native, rivals
+from benchmarks.speed.contest import (
+    NUMBA,
+    NUMPY,
+    ONE_DEVICE,
+    OURS,
+    PLAIN,
+    ROOT,
+    SIZES,
+    C,
+    Measured,
+    quartiles,
+    ratios,
+)  # fmt: skip
+from benchmarks.speed.others import Other, Start
+from benchmarks.speed.scaling import Run
+from benchmarks.speed.workloads import ALLOWED, Case
+from dssc_jax import plotting
+from dssc_jax.console import machine
+
+DOCS = ROOT / "docs"
+RATES, SCALING = "performance_rates.png", "performance_scaling.png"
+SHOWN = (C, OURS, PLAIN, NUMBA, NUMPY)
+COLOURS = dict(
+    zip(
+        [c.name for c in SHOWN],
+        (plotting.GREY, plotting.BLUE, plotting.ORANGE, plotting.GREEN, plotting.RED),
+        strict=True,
+    )
+)
+
+
+class Everything(NamedTuple):
+    """What the page is made of."""
+
+    contests: dict[Case, dict[str, Measured]]
+    curves: dict[str, list[Run]]
+    mission: Run
+    start: Start
+    others: list[Other]
+
+
+def millions(rate: float) -> str:
+    """A rate in millions, with three figures at most."""
+    return f"{rate / 1e6:.3g}"
+
+
+def spread(values: Iterable[float | None], scale: float = 1.0) -> str:
+    """Median, and the quartiles in brackets."""
+    low, middle, high = (scale * value for value in quartiles(list(values)))
+    return f"{middle:.3g} [{low:.3g}, {high:.3g}]"
+
+
+def table(header: list[str], rows: Iterable[list[str]]) -> str:
+    """A Markdown table."""
+    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header), *("| " + " | ".join(r) + " |" for r in rows)]
+    return "\n".join(lines)
+
+
+def rates_table(contests: dict[Case, dict[str, Measured]]) -> str:
+    """Millions of lane-steps a second."""
+    names = [contender.name for contender in (*SHOWN, ONE_DEVICE)]
+    rows = []
+    for case, measured in contests.items():
+        cells = [spread(measured[name].rates, 1e-6) if name in measured else "" for name in names]
+        rows.append([case.text, *cells])
+    return table(["", *names], rows)
+
+
+def ratios_table(contests: dict[Case, dict[str, Measured]]) -> str:
+    """Our rate over each other's, round by round."""
+    names = [contender.name for contender in (*SHOWN, ONE_DEVICE) if contender is not OURS]
+    rows = []
+    for case, measured in contests.items():
+        ours = measured[OURS.name]
+        rows.append([case.text, *(spread(ratios(ours, measured[name])) if name in measured else "" for name in names)])
+    return table(["ours over", *names], rows)
+
+
+def costs_table(measured: dict[str, Measured]) -> str:
+    """What a process costs."""
+    rows = [
+        [name, f"{m.compile_seconds:.1f}", f"{m.ready:.1f}", f"{m.peak:.2f}", f"{m.difference:.0e}"]
+        for name, m in measured.items()
+    ]
+    header = ["", "compile [s]", "from start to first result [s]", "peak memory [GB]", "largest difference from ours"]
+    return table(header, rows)
+
+
+def draw_rates(contests: dict[Case, dict[str, Measured]]) -> None:
+    """Bars of every case and contender."""
+    with rc_context(plotting.STYLE):
+        figure = Figure(figsize=plotting.SLIDE, layout="constrained")
+        ax = figure.subplots()
+        width = 0.8 / len(SHOWN)
+        for i, contender in enumerate(SHOWN):
+            for at, measured in enumerate(contests.values()):
+                if contender.name in measured:
+                    low, middle, high = (1e-6 * q for q in quartiles(measured[contender.name].rates))
+                    place, label = at + (i - (len(SHOWN) - 1) / 2) * width, contender.name if at == 0 else None
+                    bars = [[middle - low], [high - middle]]
+                    ax.bar(place, middle, width, color=COLOURS[contender.name], label=label, yerr=bars, capsize=2)
+        ax.set_xticks(range(len(contests)), [case.text.replace(", ", "\n") for case in contests])
+        ax.set(yscale="log", ylabel="million lane-steps a second")
+        ax.grid(visible=False, axis="x")
+        ax.legend(frameon=False, ncols=len(SHOWN), loc="lower center", bbox_to_anchor=(0.5, 1.0))
+        plotting.write(figure, DOCS / "figures" / RATES)
+
+
+def panel(ax: Axes, runs: dict[str, list[Run]], xlabel: str) -> None:
+    """Seconds over whatever is varied, with a straight line of slope one, and peak memory on the right."""
+    right = ax.twinx()
+    right.grid(visible=False)
+    for (name, curve), colour in zip(runs.items(), (plotting.BLUE, plotting.GREEN), strict=False):
+        x = np.array([run.x for run in curve])
+        ax.loglog(x, [run.seconds for run in curve], marker="o", color=colour, label=name)
+        right.semilogx(x, [run.peak for run in curve], marker="s", color=plotting.ORANGE, linestyle=":", markersize=4)
+    last = curve[-1]
+    ax.loglog(x, last.seconds * x / last.x, color=plotting.GREY, linewidth=1.0, linestyle="--", label="linear")
+    right.set(ylabel="peak memory [GB]", ylim=(0.0, 1.25 * max(r.peak for c in runs.values() for r in c)))
+    right.yaxis.label.set_color(plotting.ORANGE)
+    ax.set(xlabel=xlabel, ylabel="time [s]")
+    ax.legend(frameon=False, loc="upper left")
+
+
+def draw_scaling(curves: dict[str, list[Run]]) -> None:
+    """Time and memory over draws, duration and sweep points."""
+    with rc_context(plotting.STYLE):
+        figure = Figure(figsize=(15.0, 4.8), layout="constrained")
+        first, second, third = figure.subplots(1, 3)
+        by_devices = {name.partition(", ")[2]: runs for name, runs in curves.items() if name.startswith("draws")}
+        panel(first, by_devices, "draws of 1 s")
+        panel(second, {"16384 draws": curves["duration"]}, "duration [s]")
+        panel(third, {"1024 draws of 10 s": curves["points"]}, "sweep points")
+        plotting.write(figure, DOCS / "figures" / SCALING)
+
+
+def slope(runs: list[Run]) -> float:
+    """Exponent of the growth of time, over the half of the curve with the larger runs."""
+    part = runs[len(runs) // 2 :]
+    return float(np.polyfit(np.log([r.x for r in part]), np.log([r.seconds for r in part]), 1)[0])
+
+
+def growth_table(curves: dict[str, list[Run]]) -> str:
+    """What the figure says in numbers."""
+    rows = []
+    for name, runs in curves.items():
+        first, last = runs[0], runs[-1]
+        ends = f"{first.x:g} to {last.x:,.0f}"
+        rows.append([name, ends, f"{last.seconds:.2f}", f"{slope(runs):.2f}", f"{first.peak:.2f} to {last.peak:.2f}"])
+    return table(
+        ["over", "from, to", "time of the last [s]", "exponent of growth", "peak memory, first to last [GB]"], rows
+    )
+
+
+def size(loop: str) -> str:
+    """Draws and duration of a contest."""
+    draws, duration = SIZES[loop]
+    return f"{draws:,} draws of {duration:g} s"
+
+
+def page(found: Everything) -> str:
+    """The whole page."""
+    traces = ", ".join(str(count) for count in sorted({run.traces for run in found.curves["points"]}))
+    return f"""# Speed, measured
+
+Regenerated by `make bench`. Machine: {machine()}, {versions()}.
+
+A lane-step is one draw advanced by one sample of 5 ms with one substep. The contenders run the same loop on the same
+draws, each in a process of its own; within a case they take turns, and a ratio is taken round by round. Median and
+quartiles. All use every core, but where one device is said.
+
+* **UAV**: `benchmarks/speed/uav.toml`, {size("uav")}. Four DSSC channels, inner loops, drag, limited allocation,
+  wind; mass, inertia and thrust coefficient are uncertain. 12 metrics.
+* **1-DOF**: `benchmarks/speed/axis.toml`, {size("axis")}. DSSC behind a lag of order 2, a step of the
+  disturbance; gain, damping, lag and step are uncertain. 3 metrics.
+* **C**: `benchmarks/speed/c`, the same arithmetic by hand: vectors of draws in registers, one thread a core, the
+  study's certain numbers compiled in, the faster of two sets of compiler options. The yardstick.
+* **jit(vmap(scan))**: this package's own loop as one would first write it, without its compiler settings and tiles.
+* **Numba**: `prange` over draws, scalar code, fast mathematics. **NumPy**: all draws in one array. Both run
+  `benchmarks/speed/by_hand.py`.
+
+The trigonometric functions that replace the compiler's own, `numerics.atan` and `numerics.atan2`, are within 2 units in
+the last place in both precisions (`tests/test_numerics.py`).
+
+Millions of lane-steps a second:
+
+{rates_table(found.contests)}
+
+![rates](figures/{RATES})
+
+Our rate over the others', in one run:
+
+{ratios_table(found.contests)}
+
+What a process costs, UAV, RK4, float64. Before its first result each one imports this package to draw the same numbers.
+Metrics of all contenders agree with ours to {ALLOWED[64]:g} relative in float64 and {ALLOWED[32]:g} in float32, or the
+run fails.
+
+{costs_table(found.contests[Case("uav")])}
+
+## Growth
+
+![time and memory](figures/{SCALING})
+
+The 1-DOF loop through `dj.run`, without compilation:
+
+{growth_table(found.curves)}
+
+A sweep is compiled once, whatever its number of points: the loop was traced so many times in each: {traces}.
+
+## A mission, and a start
+
+{starts_table(found.mission, found.start)}
+
+## Others
+
+{others_table(found.others)}
+"""
+
+
+def starts_table(mission: Run, start: Start) -> str:
+    """What a user waits for."""
+    what = "10,000 draws of the UAV's mission of 80 s, RK4, float64, metrics and store, compiled before"
+    rows = [
+        [what, f"{mission.seconds:.1f} s"],
+        ["its compilation", f"{mission.compile_seconds:.1f} s"],
+        ["its peak memory", f"{mission.peak:.2f} GB"],
+        ["`dssc-jax --help`", f"{start.help:.2f} s"],
+        ["`dssc-jax sweep mu_robustness`, empty cache: to its end", f"{start.cold:.1f} s"],
+        ["the same again", f"{start.warm:.1f} s"],
+    ]
+    return table(["what", "measured"], rows)
+
+
+def others_table(others: list[Other]) -> str:
+    """What was measured of other simulators, or why not."""
+    if not others:
+        return "No other simulator was measured in this run."
+    return table(
+        ["simulator", "million steps a second", "what differs"],
+        [[f"{other.name} {other.version}", millions(other.rate), other.difference] for other in others],
+    )
+
+
+def versions() -> str:
+    """What the contenders are made of."""
+    gcc = native.version() if native.compiler() else "no C compiler"
+    numba = f"Numba {version('numba')}" if rivals.has_numba() else "no Numba"
+    return f"{gcc}, NumPy {version('numpy')}, {numba}"
+
+
+def write(found: Everything, to: Path = DOCS / "performance.md") -> None:
+    """The page and its figures."""
+    draw_rates(found.contests)
+    draw_scaling(found.curves)
+    to.write_text(page(found), encoding="utf-8")
+
+
+def brief(case: Case, measured: dict[str, Measured]) -> str:
+    """What the terminal shows of a contest."""
+    lines = [case.text]
+    for name, m in measured.items():
+        share = "" if name == OURS.name else f", ours over it {spread(ratios(measured[OURS.name], m))}"
+        lines.append(f"  {name:22s} {spread(m.rates, 1e-6)} million lane-steps a second{share}")
+    return "\n".join(lines)

@@ -1,0 +1,104 @@
+"""Rates of other simulators, for a Python that has them and not this package: ``PYTHON simulators.py``.
+
+Prints a JSON object for each one that is installed. What is nearest to our UAV's loop: one vehicle a draw, attitude
+control each step, Runge-Kutta of order 4 at 5 ms, no metrics.
+"""
+
+import json
+import os
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from importlib.util import find_spec
+from statistics import median
+
+CORES = len(os.sched_getaffinity(0))
+os.environ["XLA_FLAGS"] = f"--xla_force_host_platform_device_count={CORES}"  # crazyflow shards its worlds
+DRAWS, STEPS, RATE, ROUNDS = 4096, 100, 200, 5
+
+
+def timed(run: Callable[[], object], steps: int) -> float:
+    """Median rate of steps a second."""
+    run()
+    times = []
+    for _ in range(ROUNDS):
+        began = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - began)
+    return steps / median(times)
+
+
+def crazyflow() -> tuple[float, str]:
+    """Worlds of one drone, sharded over the cores."""
+    import jax
+    import numpy as np
+    from crazyflow.sim import Sim
+    from crazyflow.sim.sharding import world_mesh
+
+    sim = Sim(
+        n_worlds=DRAWS,
+        dynamics="first_principles",
+        control="attitude",
+        integrator="rk4",
+        freq=RATE,
+        attitude_freq=RATE,
+        force_torque_freq=RATE,
+        mesh=world_mesh(jax.devices()),
+    )
+    sim.attitude_control(np.tile(np.array([0.0, 0.0, 0.0, 0.4], dtype=np.float32), (DRAWS, 1, 1)))
+
+    def run() -> None:
+        sim.step(STEPS)
+        jax.block_until_ready(sim.data.states.pos)
+
+    return timed(run, DRAWS * STEPS), (
+        "float32; rigid body with rotor dynamics under an attitude controller; no velocity loops, wind, "
+        "outer controllers, metrics or end of a draw; sharded over the cores"
+    )
+
+
+def rotorpy() -> tuple[float, str]:
+    """A batch of vehicles in PyTorch."""
+    import torch
+    from rotorpy.vehicles.crazyflie_params import quad_params
+    from rotorpy.vehicles.multirotor import BatchedMultirotor, BatchedMultirotorParams
+
+    torch.set_num_threads(CORES)
+    device, draws, steps = torch.device("cpu"), 1024, 20
+    zero = torch.zeros(draws, 3, dtype=torch.double)
+    upright = torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=torch.double).repeat(draws, 1)
+    state = {"x": zero, "v": zero, "q": upright, "w": zero, "wind": zero}
+    state["rotor_speeds"] = torch.full((draws, 4), 1500.0, dtype=torch.double)
+    params = BatchedMultirotorParams([quad_params] * draws, draws, device)
+    vehicles = BatchedMultirotor(params, draws, state, device, "cmd_ctatt", integrator="rk4")
+    command = {"cmd_thrust": torch.full((draws,), 0.3, dtype=torch.double), "cmd_q": upright}
+
+    def run() -> None:
+        now = state
+        for _ in range(steps):
+            now = vehicles.step(now, command, 1.0 / RATE)
+
+    return timed(run, draws * steps), (
+        "float64; rigid body with rotor lag and drag under an attitude controller; no velocity loops, outer "
+        "controllers, metrics or end of a draw; PyTorch over batches of 1024"
+    )
+
+
+def main() -> None:
+    """Every simulator that is installed."""
+    for measure in (crazyflow, rotorpy):
+        name = measure.__name__
+        if not find_spec(name):
+            continue
+        try:
+            rate, difference = measure()
+            print(
+                json.dumps({"name": name, "version": version(name), "rate": rate, "difference": difference}), flush=True
+            )
+        except Exception as error:  # another project's: whatever it raises is told, not repaired
+            problem = f"did not run: {type(error).__name__}: {str(error)[:200]}"
+            print(json.dumps({"name": name, "version": version(name), "rate": 0.0, "difference": problem}), flush=True)
+
+
+if __name__ == "__main__":
+    main()
