@@ -100,9 +100,7 @@ class Worker:
         return self
 
     def __exit__(self, *error: object) -> None:
-        assert self.process.stdin is not None
-        self.process.stdin.close()
-        self.process.wait()
+        self.process.__exit__(None, None, None)
 
 
 class Measured(NamedTuple):
@@ -124,7 +122,13 @@ class Measured(NamedTuple):
 
 
 def contest(
-    case: Case, contenders: Sequence[Contender], draws: int, duration: float, rounds: int, at_once: bool = False
+    case: Case,
+    contenders: Sequence[Contender],
+    draws: int,
+    duration: float,
+    rounds: int,
+    at_once: bool = False,
+    clock: str = "seconds",
 ) -> dict[str, Measured]:
     """Let the contenders take turns.
 
@@ -135,6 +139,7 @@ def contest(
         duration: Of how many seconds.
         rounds: How often each has its turn.
         at_once: Start all processes together, which spoils their times of compilation but is sooner done.
+        clock: ``seconds`` for rates, or ``processor`` for rates of one core, which other processes disturb less.
 
     Raises:
         RuntimeError: a contender's results differ from ours by more than rounding.
@@ -152,7 +157,7 @@ def contest(
         for turn in range(rounds):
             for i, worker in enumerate(workers):
                 sits_out = turn % worker.contender.every
-                rates[i].append(None if sits_out else ready[i]["steps"] / worker.ask("run")["seconds"])
+                rates[i].append(None if sits_out else ready[i]["steps"] / worker.ask("run")[clock])
         found = [worker.found(folder) for worker in workers]
     measured = {}
     for worker, speed, first, (results, peak) in zip(workers, rates, ready, found, strict=True):

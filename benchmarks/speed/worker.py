@@ -1,8 +1,8 @@
 """One contender in a process of its own: ``python -m benchmarks.speed.worker FORM LOOP INTEGRATOR BITS DRAWS SECONDS``.
 
 It prints a JSON object once it is ready, after a first run; then it answers each line on its standard input: ``run``
-with the seconds that a run took, ``check FILE`` by writing what it found. Processes that wait do not disturb, so that
-the contenders can take turns.
+with the seconds that a run took, on the clock and of the processor, ``check FILE`` by writing what it found. Processes
+that wait do not disturb, so that the contenders can take turns.
 """
 
 import json
@@ -84,9 +84,9 @@ def main(form: str, loop: str, integrator: str, bits: str, draws: str, seconds: 
                 np.savez(target, **program()._asdict())
             say({"peak": peak()})
         else:
-            began = time.perf_counter()
+            began, used = time.perf_counter(), time.process_time()
             program()
-            say({"seconds": time.perf_counter() - began})
+            say({"seconds": time.perf_counter() - began, "processor": time.process_time() - used})
 
 
 def say(answer: dict[str, float]) -> None:
