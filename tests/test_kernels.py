@@ -156,14 +156,14 @@ def test_a_program_without_numbers_of_its_own_uses_the_index():
 
 def test_the_form_is_chosen_by_argument_or_environment(monkeypatch):
     monkeypatch.delenv(kernels.SWITCH, raising=False)
-    assert kernels.requested() == "auto"
+    assert kernels.requested() == "scan"
     assert not any(kernels.SWITCH in flag for flag in computing()["compiler"])
     monkeypatch.setenv(kernels.SWITCH, "pallas")
     assert Engine(axis(), 8).kernel == "pallas"
     assert Engine(axis(), 8, kernel="scan").kernel == "scan"
     assert f"{kernels.SWITCH}=pallas" in computing()["compiler"]
     with pytest.raises(
-        ConfigError, match=r"kernel: must be auto, scan or pallas, got 'palas'; did you mean 'pallas'\?"
+        ConfigError, match=r"kernel: must be scan, pallas or auto, got 'palas'; did you mean 'pallas'\?"
     ):
         Engine(axis(), 8, kernel="palas")
 

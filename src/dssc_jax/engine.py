@@ -128,7 +128,7 @@ class Engine:
         tile: Lanes of a tile; None: chosen by the batch.
         devices: Devices to share tiles over; None: all.
         program: What is computed of each lane.
-        kernel: ``scan``, ``pallas`` or ``auto``; empty: as the environment says.
+        kernel: ``scan``, ``pallas`` or ``auto``; empty: as the environment says, or ``scan``.
     """
 
     study: Study

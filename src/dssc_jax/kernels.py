@@ -64,14 +64,14 @@ class KernelWarning(UserWarning):
 
 
 def requested(choice: str = "") -> str:
-    """``auto``, or the form that was asked for: as an argument, or in the environment.
+    """``scan``, or what was asked for: as an argument, or in the environment.
 
     Raises:
         ConfigError: there is no such form.
     """
-    choice = choice or os.environ.get(SWITCH) or "auto"
-    if choice not in ("auto", *Form):
-        raise ConfigError("kernel", f"must be auto, scan or pallas, got '{choice}'; {meant(choice, ('auto', *Form))}")
+    choice = choice or os.environ.get(SWITCH) or Form.SCAN
+    if choice not in (*Form, "auto"):
+        raise ConfigError("kernel", f"must be scan, pallas or auto, got '{choice}'; {meant(choice, (*Form, 'auto'))}")
     return choice
 
 
