@@ -1,0 +1,154 @@
+"""The commands that analyse: margins, theory, comparisons, statistics."""
+
+import json
+import re
+
+import pytest
+
+from dssc_jax.cli import guarded
+from tests.cli.conftest import STUDY, last_json
+
+
+def test_margin(study, capsys):
+    arguments = ["margin", str(study), "--over", "plant.k_p=1.2:0.01", "--points", "5", "--bisections", "6"]
+    assert guarded([*arguments, "--out", "m", "--json"]) == 0
+    found = last_json(capsys)
+    assert found["parameter"] == "plant.k_p"
+    assert len(found["critical"]) == 20
+    assert sum(value is None for value in found["critical"]) == 20 * found["censored"]
+    assert {"median", "lower_tolerance", "non_monotone", "degradation", "criterion"} <= found.keys()
+    for name in ("data.zarr", "summary.json", "figures/margin.png"):
+        assert (study.parent / "m" / name).exists()
+    assert guarded([*arguments, "--out", "m"]) == 0
+    shown = capsys.readouterr().out
+    assert "none of 20 draws, 59 are needed" in shown
+    assert "0.47 m" in shown
+    assert "Theorem 1 is silent: the controller is not DSSC" in shown
+
+
+def test_a_walk_the_wrong_way_round_is_noticed(study, capsys):
+    arguments = ["margin", str(study), "--over", "plant.k_p=0.01:1.2", "--points", "4", "--bisections", "2"]
+    assert guarded([*arguments, "--draws", "59", "--set", "requirement.0.max=0.75", "--out", "m"]) == 0
+    shown = capsys.readouterr().out
+    assert "is 0.01 the safe end of the walk?" in shown
+    assert re.search(r"Wilks\) +before the start", shown)
+
+
+def test_margins_of_several_controllers(study, capsys):
+    study.write_text(STUDY + "[compare.soft]\nk_p = 0.5\n")
+    arguments = ["margin", str(study), "--over", "plant.k_p=1.2:0.01", "--points", "3", "--bisections", "2"]
+    assert guarded([*arguments, "--controllers", "pi,soft", "--out", "m", "--json"]) == 0
+    found = last_json(capsys)
+    assert set(found["controllers"]) == {"pi", "soft"}
+    assert (found["pairs"][0]["a"], found["pairs"][0]["b"]) == ("pi", "soft")
+    assert (study.parent / "m" / "figures" / "margin.png").exists()
+    assert guarded([*arguments, "--controllers", "pi,soft", "--out", "m"]) == 0
+    assert "share of draws that go further" in capsys.readouterr().out
+    assert guarded([*arguments, "--controllers", "pi"]) == 2
+    assert "two different names" in capsys.readouterr().err
+
+
+def test_theory(study, capsys):
+    arguments = ["theory", str(study), "--over", "plant.k_p=1.2:0.01", "--points", "4", "--bisections", "3"]
+    assert guarded([*arguments, "--draws", "8", "--out", "t", "--json"]) == 0
+    found = last_json(capsys)
+    assert {"certificate", "performance", "local", "oscillations", "silent"} <= found.keys()
+    assert found["certificate"]["certified"] is None
+    for name in ("theory.json", "figures/theory.png", "figures/theory.svg"):
+        assert (study.parent / "t" / name).exists()
+    assert guarded([*arguments, "--draws", "8", "--out", "t"]) == 0
+    shown = capsys.readouterr().out
+    assert "simulated" in shown
+    assert "Theorem 1 is silent" in shown
+
+
+def test_compare(study, capsys):
+    study.write_text(STUDY + "[compare.soft]\nk_p = 0.5\n")
+    arguments = ["compare", str(study), "--controllers", "pi,soft", "--out", "c"]
+    assert guarded([*arguments, "--tune", "2", "--json"]) == 0
+    found = last_json(capsys)
+    assert [(pair["a"], pair["b"]) for pair in found["pairs"]] == [("pi", "soft")]
+    assert {"difference", "interval", "p_value"} <= found["pairs"][0].keys()
+    assert found["tuned"]["controllers"].keys() == {"pi", "soft"}
+    assert (study.parent / "c" / "figures" / "compare.png").exists()
+    assert guarded([*arguments, "--tune", "0"]) == 0
+    assert "McNemar" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["margin", "--over", "plant.k_p"], "must be NAME=LO:HI"),
+        (["margin", "--over", "plant.k_p=1:2:3"], "must be NAME=LO:HI"),
+        (["margin", "--over", "plant.kp=1:2"], "did you mean 'plant.k_p'"),
+        (["margin", "--over", "plant.k_p=1:2", "--out", "."], "nothing was written"),
+        (["theory", "--over", "plant.kp=1:2"], "did you mean 'plant.k_p'"),
+        (["theory", "--over", "plant.k_p"], "must be NAME=LO:HI"),
+        (["compare", "--controllers", "pi"], "needs two different names"),
+        (["compare", "--controllers", "pi,sta"], "give [compare.sta]"),
+        (["compare", "--controllers", "pi,pit"], "did you mean 'pi'"),
+    ],
+)
+def test_bad_margins_and_comparisons(study, capsys, arguments, told):
+    assert guarded([arguments[0], str(study), *arguments[1:]]) == 2
+    assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", [["margin", "--over", "plant.k_p=1.2:0.1"], ["compare", "--controllers", "pi,smc"]])
+def test_designs_of_draws_are_refused(study, capsys, command):
+    smc = "[compare.smc]\nkind = 'smc'\nl0 = 1.0\ngain = 1.0\n"
+    study.write_text(STUDY.replace("draws = 20", "draws = 16\nsampling = 'sobol'") + smc)
+    assert guarded([command[0], str(study), *command[1:]]) == 2
+    assert "needs independent draws" in capsys.readouterr().err
+
+
+def test_plan(capsys):
+    assert guarded(["plan", "--error", "0.01", "--confidence", "0.99", "--probability", "0.02", "--json"]) == 0
+    draws = {answer["question"]: answer["draws"] for answer in last_json(capsys)["answers"]}
+    assert draws["failure probability, whatever it is (Chernoff)"] == 26492
+    assert guarded(["plan"]) == 0
+    assert "Wilks" in capsys.readouterr().out
+    assert guarded(["plan", "--error", "2"]) == 2
+
+
+def test_run_until(study, capsys):
+    arguments = ["run", str(study), "--max-draws", "200", "--json"]
+    assert guarded([*arguments, "--until-width", "0.3"]) == 0
+    found = last_json(capsys)
+    assert "data-driven" in found["interval_method"]
+    assert found["draws"] == found["stopping"]["looks"][-1]["draws"]
+    assert guarded([*arguments, "--accept", "0.01", "--reject", "0.02"]) == 1  # it is rejected
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--until-width", "0.1", "--accept", "0.1", "--reject", "0.2"],
+        ["--accept", "0.1"],
+        ["--accept", "0.2", "--reject", "0.1"],
+        ["--until-width", "0"],
+        ["--until-width", "0.1", "--draws", "50"],
+        ["--until-width", "0.1", "--resume"],
+        ["--max-draws", "50"],
+    ],
+)
+def test_options_that_do_not_go_together(study, options, capsys):
+    assert guarded(["run", str(study), *options]) == 2
+    assert capsys.readouterr().err.startswith("error: --")
+
+
+def test_sensitivity_and_rare(study, capsys):
+    uncertain = ["--set", "plant.a_p={ normal = [1.0, 0.1] }"]
+    assert guarded(["sensitivity", str(study), *uncertain, "--draws", "300", "--out", "s", "--json"]) == 0
+    found = last_json(capsys)
+    assert (found["rows"], found["simulations"]) == (256, 1024)
+    assert (study.parent / "s" / "figures" / "sensitivity.png").stat().st_size > 10_000
+    spent = ["--particles", "20", "--moves", "2", "--repeats", "10"]
+    assert guarded(["rare", str(study), *uncertain, *spent, "--out", "r"]) == 0
+    shown = capsys.readouterr().out
+    assert "10 independent repeats" in shown
+    stored = json.loads((study.parent / "r" / "rare.json").read_text())
+    assert stored["inputs"]["plant"]["a_p"] == {"normal": [1.0, 0.1]}
+    assert guarded(["rare", str(study), *spent, "--out", "r"]) == 2  # another study's answer is there
+    assert "another study" in capsys.readouterr().err
