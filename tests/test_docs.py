@@ -97,5 +97,5 @@ def test_the_site_builds_without_warning(tmp_path):
         assert not re.search(r"<(?:script|img|iframe)[^>]*src=\"(?:https?:)?//", text), page.name
         assert not re.search(r"<link[^>]*rel=\"(?:stylesheet|preconnect)\"[^>]*href=\"(?:https?:)?//", text), page.name
     reference = (tmp_path / "reference.html").read_text()
-    assert "dssc_jax.api.run" in reference
+    assert "dssc_jax.running.run" in reference
     assert ":meth:" not in reference

@@ -25,7 +25,7 @@ LAYERS = [
     {"chunks"},
     {"store"},
     {"results", "cluster", "analysis", "probing"},
-    {"plotting", "api", "margins", "verification", "exports"},
+    {"plotting", "running", "trajectories", "margins", "verification", "exports"},
     {"theory", "falsification"},
     {"comparison", "report", "tuning"},
     {"stopping", "loading"},

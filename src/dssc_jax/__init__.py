@@ -13,7 +13,6 @@ xla.configure()
 if TYPE_CHECKING:
     from dssc_jax import design, report, theory
     from dssc_jax import plotting as plot
-    from dssc_jax.api import replay, run, simulate
     from dssc_jax.comparison import Comparison, compare, compare_margins
     from dssc_jax.errors import ConfigError
     from dssc_jax.exports import export
@@ -23,9 +22,11 @@ if TYPE_CHECKING:
     from dssc_jax.margins import Margins, margin
     from dssc_jax.rare_events import Splitting, rare
     from dssc_jax.results import Result
+    from dssc_jax.running import run
     from dssc_jax.statistics import AcceptReject, UntilWidth, plan
     from dssc_jax.stopping import run_until
     from dssc_jax.study import Study
+    from dssc_jax.trajectories import replay, simulate
     from dssc_jax.tuning import Tuned, tune
     from dssc_jax.verification import verify
 
@@ -77,9 +78,9 @@ _HOME = {
     "falsify": "dssc_jax.falsification",
     "Tuned": "dssc_jax.tuning",
     "tune": "dssc_jax.tuning",
-    "replay": "dssc_jax.api",
-    "run": "dssc_jax.api",
-    "simulate": "dssc_jax.api",
+    "replay": "dssc_jax.trajectories",
+    "run": "dssc_jax.running",
+    "simulate": "dssc_jax.trajectories",
     "run_until": "dssc_jax.stopping",
     "verify": "dssc_jax.verification",
     "UntilWidth": "dssc_jax.statistics",

@@ -7,7 +7,6 @@ numbers are not charged with it, and it gets indices of its own.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -19,7 +18,7 @@ from dssc_jax.numerics import stream
 from dssc_jax.sampling import inside, sobol_points, values_at
 from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.study import Study
-from dssc_jax.types import Outcome
+from dssc_jax.types import Outcome, Progress
 
 NOISE = "in-loop noise"
 FAILURE = "failure"
@@ -160,9 +159,7 @@ def resampled(shares: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return np.concatenate(found)
 
 
-def sensitivity(
-    study: Study, confidence: float = CONFIDENCE, progress: Callable[[int, int], None] | None = None
-) -> Sensitivity:
+def sensitivity(study: Study, confidence: float = CONFIDENCE, progress: Progress | None = None) -> Sensitivity:
     """Sobol indices of every metric and of failure, at the study's own values.
 
     Args:

@@ -6,16 +6,16 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from dssc_jax.api import Progress, about_run
 from dssc_jax.dataset import in_memory, put
 from dssc_jax.engine import Arrays, Engine, Layout, computing, drawn, execute
 from dssc_jax.errors import ConfigError
 from dssc_jax.manifest import read_manifest
 from dssc_jax.results import Result
+from dssc_jax.running import about_run
 from dssc_jax.statistics import AcceptReject, UntilWidth, looks
 from dssc_jax.statistics.sequential import FIRST
 from dssc_jax.study import Study
-from dssc_jax.types import Outcome
+from dssc_jax.types import Outcome, Progress
 
 Rule: TypeAlias = UntilWidth | AcceptReject
 

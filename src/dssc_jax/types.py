@@ -17,6 +17,8 @@ Scalar: TypeAlias = jax.Array | float
 Params: TypeAlias = Any
 State: TypeAlias = Any
 Info: TypeAlias = Any
+Progress: TypeAlias = Callable[[int, int], None]
+"""Called with what is done so far, in lanes or steps, and with how much there is in all."""
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,13 @@ import sys
 import time
 
 import pytest
+import typer
 
 from dssc_jax.cli import guarded
-from dssc_jax.cli.shared import parse_over, parse_value
+from dssc_jax.cli.shared import app, parse_over, parse_value
 from tests.cli.conftest import last_json
 
-COMMANDS = ["run", "sweep", "simulate", "replay", "margin", "theory", "compare", "plan", "sensitivity", "rare"]
-COMMANDS += ["verify", "export", "report", "check", "design", "studies", "info"]
+COMMANDS = sorted(typer.main.get_command(app).commands)
 DESIGN = """
 [bounds]
 k_min = 0.8
@@ -205,11 +205,11 @@ def test_interrupt_is_130(study, monkeypatch, capsys):
     def interrupted(*args, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("dssc_jax.api.run", interrupted)
+    monkeypatch.setattr("dssc_jax.running.run", interrupted)
     assert guarded(["run", str(study), "--set", "controller.k_p={ uniform = [1, 2] }"]) == 130
     wanted = f"go on with: dssc-jax run {study} --set 'controller.k_p={{ uniform = [1, 2] }}' --resume\n"
     assert capsys.readouterr().err.endswith(wanted)
-    monkeypatch.setattr("dssc_jax.api.simulate", interrupted)
+    monkeypatch.setattr("dssc_jax.trajectories.simulate", interrupted)
     assert guarded(["simulate", str(study)]) == 130
     assert capsys.readouterr().err == "interrupted\n"  # nothing to go on from
 

@@ -105,10 +105,10 @@ def simulate(
 
     Values are the study's own. Tells how the draw ended; --csv and --figure keep the trajectory.
     """
-    from dssc_jax import api
+    from dssc_jax import trajectories
 
     found = load_study(study, settings, None, seed, allow_local)
-    return tell_trajectory(api.simulate(found, draw, every=every), csv, figure, as_json)
+    return tell_trajectory(trajectories.simulate(found, draw, every=every), csv, figure, as_json)
 
 
 @app.command()
@@ -128,7 +128,7 @@ def replay(
 
     In a sweep, --at picks the point (the nearest one); without it, the point where the draw's margin is smallest.
     """
-    from dssc_jax import api
+    from dssc_jax import trajectories
 
     point = {}
     for text in at or []:
@@ -139,9 +139,8 @@ def replay(
             point[name] = math.nan
         if not math.isfinite(point[name]):
             raise ConfigError("--at", f"must be NAME=NUMBER, got '{text}'")
-    return tell_trajectory(
-        api.replay(load_result(result, allow_local), draw, point=point or None, every=every), csv, figure, as_json
-    )
+    found = trajectories.replay(load_result(result, allow_local), draw, point=point or None, every=every)
+    return tell_trajectory(found, csv, figure, as_json)
 
 
 def stopping_rule(width: float | None, accept: float | None, reject: float | None) -> "Rule | None":
@@ -192,12 +191,12 @@ def finish(
     study: "Study", out: Path, resume: bool, as_json: bool, cluster: str | None = None, local: bool = False
 ) -> int:
     """Run, draw the figures, tell the result."""
-    from dssc_jax import api
+    from dssc_jax import running
     from dssc_jax.console import progress_bar, show_result, tell
 
     folder = str(Path(study.source).resolve().parent) if local else None
     with progress_bar(study, quiet=as_json) as advance:
-        result = api.run(study, out, resume=resume, progress=advance, cluster=cluster, tell=tell, local=folder)
+        result = running.run(study, out, resume=resume, progress=advance, cluster=cluster, tell=tell, local=folder)
     figures = draw_figures(result, out)
     if as_json:
         print(json.dumps(result.summary()))

@@ -77,9 +77,9 @@ def falsify(
     draw (the folder witness, for `replay`).
     """
     from dssc_jax.analysis import require_free
-    from dssc_jax.api import run
     from dssc_jax.console import jsonable, progress_bar, show_falsification
     from dssc_jax.falsification import falsify as hunt
+    from dssc_jax.running import run
     from dssc_jax.study.tables import to_toml
 
     loaded = load_study(study, settings, None, seed, allow_local)

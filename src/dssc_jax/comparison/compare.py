@@ -9,7 +9,7 @@ from typing import Any
 
 import xarray as xr
 
-from dssc_jax import api
+from dssc_jax import running
 from dssc_jax.analysis import read, save
 from dssc_jax.comparison.rivals import Table, controller_table
 from dssc_jax.comparison.tuning import Tuning, tuned, with_gains
@@ -18,9 +18,7 @@ from dssc_jax.probing import require_independent
 from dssc_jax.results import upper_quantiles
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson, compare_failures, compare_metrics
 from dssc_jax.study import Study
-from dssc_jax.types import Outcome
-
-Progress = Callable[[int, int], None]
+from dssc_jax.types import Outcome, Progress
 
 
 @dataclass
@@ -40,7 +38,7 @@ class Contest:
         """Run every controller."""
         found = []
         for name, table in tables.items():
-            found.append(api.run(with_controller(study, name, table)).dataset)
+            found.append(running.run(with_controller(study, name, table)).dataset)
             progress()
         drawn = [name for name in found[0] if all("law" in other.get(name, other["outcome"]).attrs for other in found)]
         shared = [name for name in found[0] if name not in drawn and all(name in other for other in found)]

@@ -2,7 +2,7 @@
 
 import itertools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,7 @@ from dssc_jax.margins import Margins, margin
 from dssc_jax.margins.search import BISECTIONS, POINTS
 from dssc_jax.statistics import CONFIDENCE, compare_failures
 from dssc_jax.study import Study
-
-Progress = Callable[[int, int], None]
+from dssc_jax.types import Progress
 
 
 @dataclass(frozen=True)

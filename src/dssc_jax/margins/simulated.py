@@ -13,11 +13,9 @@ from dssc_jax.margins.search import BISECTIONS, CLOCK, POINTS, Critical, Walk, s
 from dssc_jax.probing import Probe, require_independent, worst_margin
 from dssc_jax.study import Study
 from dssc_jax.study.laws import CASES, SPREAD
+from dssc_jax.types import Progress
 
 MOST_POINTS, MOST_BISECTIONS = 1000, 52
-
-Progress = Callable[[int, int], None]
-"""Called with the lanes done and the lanes in all at most."""
 
 
 def margin(

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from dssc_jax.api import deviation, recorder
 from dssc_jax.results import Result, headline
+from dssc_jax.trajectories import deviation, recorder
 
 WORST = 3  # draws that are shown over time
 

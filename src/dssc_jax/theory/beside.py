@@ -11,11 +11,11 @@ import xarray as xr
 from dssc_jax.errors import ConfigError
 from dssc_jax.margins import Margins, margin
 from dssc_jax.margins.search import BISECTIONS, POINTS
-from dssc_jax.margins.simulated import Progress
 from dssc_jax.study import Study
 from dssc_jax.theory.chattering import FINEST, MU, chattering
 from dssc_jax.theory.linearised import kind_of
 from dssc_jax.theory.local import Time, local_margin
+from dssc_jax.types import Progress
 
 VALUES, PUSH, SETTLED = 9, 1e-3, 0.75  # time constants, initial output [m], share of the duration that is left aside
 OSCILLATIONS = "oscillations"

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
-from dssc_jax import api
+from dssc_jax import running
 from dssc_jax.errors import ConfigError
 from dssc_jax.study import Study
 from dssc_jax.theory.describing import limit_cycle
@@ -46,7 +46,7 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
         "metrics": {"after": after, "names": ["sigma_max"]},
         "sweep": {MU: [float(value) for value in values]},
     }
-    found = api.run(rest.override({**middle, **changes})).dataset["sigma_max"].values[:, 0]
+    found = running.run(rest.override({**middle, **changes})).dataset["sigma_max"].values[:, 0]
     known = kind_of(study, "controller") in ("sta", "smc")
     cycles = [limit_cycle(rest, {MU: value}) if known else None for value in values]
     predicted = [(cycle.amplitude, cycle.frequency) if cycle else (np.nan, np.nan) for cycle in cycles]
