@@ -1,6 +1,7 @@
 """Imports go one way, down the list of docs/architecture.md; and the architecture's other promises."""
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -95,6 +96,14 @@ def test_imports_go_down(path):
             continue
         assert RANK[there] < RANK[here], f"{here} imports {there}"
         assert not (here in MODELS and there in MODELS), f"{here} imports its sibling {there}"
+
+
+def test_the_architecture_names_every_module():
+    """One row each; and no module that is gone."""
+    page = (CHECKOUT / "docs" / "architecture.md").read_text()
+    rows = re.findall(r"^\| `(\S+(?:\.py|/))` \| \S", page, re.MULTILINE)
+    modules = [str(path.relative_to(ROOT)).replace("__init__.py", "") for path in FILES]
+    assert sorted(rows) == sorted(name for name in modules if name)
 
 
 def test_modules_stay_short():
