@@ -8,6 +8,7 @@ from pathlib import Path
 
 import dssc_jax as dj  # isort: skip  (sets compiler flags before anything starts JAX)
 import numpy as np
+from gain_sets import CONSTANT, SQUARE_ROOT, random_gains
 
 from dssc_jax import plotting
 from dssc_jax.comparison import controller_table, with_controller
@@ -18,7 +19,7 @@ from dssc_jax.theory import Beside
 ROOT = Path(__file__).parents[1]
 STUDY, CERTIFIED, DOCS = ROOT / "studies" / "compare_mu.toml", ROOT / "studies" / "certified_margin.toml", ROOT / "docs"
 MU = "unmodelled.mu"
-DURATION, DELTA = 200.0, 0.5
+DURATION = 200.0
 WALK = {"over": MU, "bounds": (0.01, 10.0), "log": True, "points": 10, "bisections": 14}
 RIVALS = ("dssc", "ssc", "pi", "sta", "vgsta")
 PERFORMANCE = {"over": MU, "bounds": (0.01, 5.0), "log": True}
@@ -26,20 +27,6 @@ WALKS = {
     MU: {"bounds": (0.002, 0.5), "log": True},
     "plant.k_p": {"bounds": (1.0, 0.01), "log": True},
     "spread": {"bounds": (0.1, 9.0)},
-}
-CONSTANT = {
-    "kind": "constant",
-    "k_o": {"loguniform": [2.0, 10.0]},
-    "tau_av": 0.05,
-    "tau_m": {"loguniform": [0.15, 0.6]},
-}
-SQUARE_ROOT = {
-    "kind": "square_root",
-    "kappa_o": {"loguniform": [4.0, 20.0]},
-    "kappa_m": {"loguniform": [0.3, 1.2]},
-    "delta_o": DELTA,
-    "delta_m": DELTA,
-    "tau_av": 0.05,
 }
 SWITCHING = {
     "STA": {"kind": "sta", "l0": 1.0, "kappa1": 1.5, "kappa2": 2.2},
@@ -145,37 +132,6 @@ command_tv forbids that. DSSC's local margin on the same draws: median {median:.
 """
 
 
-def random_gains(order: int, functions: dict, sample_time: float = 0.01) -> dj.Study:
-    """200 random plants and gain sets; a deviation so small that its growth does not make it large."""
-    return dj.Study.from_table(
-        {
-            "name": "random-gains",
-            "seed": 5,
-            "draws": 200,
-            "loop": {"duration": DURATION, "sample_time": sample_time},
-            "plant": {
-                "kind": "normal_form",
-                "k_p": {"uniform": [0.7, 1.4]},
-                "a_p": {"uniform": [0.2, 2.0]},
-                "initial": [1e-200, 0.0],
-            },
-            "controller": {
-                "kind": "dssc",
-                "l0": {"uniform": [1.0, 3.0]},
-                "rho": 1e30,
-                "predictor_start": "matched",
-                "functions": functions,
-            },
-            "unmodelled": {"kind": "lag", "order": order, "mu": 0.1},
-            "metrics": {"names": []},
-            "requirement": [
-                {"metric": "growth_rate", "after": DURATION / 4, "max": 0.0},
-                {"metric": "sigma_max", "max": 1e-4 * DELTA**2},
-            ],
-        }
-    )
-
-
 def critical(found: Margins) -> np.ndarray:
     """Critical values, every draw having one."""
     values = found.dataset["critical"].values
@@ -188,11 +144,13 @@ def agreement() -> list[str]:
     rows = []
     for functions, label in ((CONSTANT, "constant"), (SQUARE_ROOT, "square root")):
         for order in (1, 2):
-            study = random_gains(order, functions)
+            study, finer = (
+                random_gains(order, functions, sample_time=step, duration=DURATION) for step in (0.01, 0.005)
+            )
             local = critical(dj.theory.local_margin(study, **WALK))
             gap = np.abs(critical(dj.margin(study, **WALK)) / local - 1.0)
             exact = critical(dj.theory.local_margin(study, kind="continuous", **WALK))
-            halved = critical(dj.theory.local_margin(random_gains(order, functions, 0.005), **WALK))
+            halved = critical(dj.theory.local_margin(finer, **WALK))
             ratio = (local / exact - 1.0) / (halved / exact - 1.0)
             cells = (
                 label,

@@ -5,58 +5,13 @@ import pytest
 from scipy.linalg import expm
 
 import dssc_jax as dj
+from benchmarks.gain_sets import CONSTANT, SQUARE_ROOT, random_gains
 from dssc_jax.engine import drawn
 from dssc_jax.theory import at_rest, spectrum
 
 BOUNDS = (0.02, 10.0)
-DURATION, SAMPLE_TIME = 100.0, 0.01
+SAMPLE_TIME = 0.01
 OPTIONS = {"over": "unmodelled.mu", "bounds": BOUNDS, "log": True, "points": 5, "bisections": 12}
-CONSTANT = {
-    "kind": "constant",
-    "k_o": {"loguniform": [2.0, 10.0]},
-    "tau_av": 0.05,
-    "tau_m": {"loguniform": [0.15, 0.6]},
-}
-DELTA = 0.5
-SQUARE_ROOT = {
-    "kind": "square_root",
-    "kappa_o": {"loguniform": [4.0, 20.0]},
-    "kappa_m": {"loguniform": [0.3, 1.2]},
-    "delta_o": DELTA,
-    "delta_m": DELTA,
-    "tau_av": 0.05,
-}
-
-
-def random_gains(order, functions, draws=200, sample_time=SAMPLE_TIME):
-    """Random plants and gains; a deviation so small that its growth does not make it large."""
-    return dj.Study.from_table(
-        {
-            "name": "local",
-            "seed": 5,
-            "draws": draws,
-            "loop": {"duration": DURATION, "sample_time": sample_time},
-            "plant": {
-                "kind": "normal_form",
-                "k_p": {"uniform": [0.7, 1.4]},
-                "a_p": {"uniform": [0.2, 2.0]},
-                "initial": [1e-200, 0.0],
-            },
-            "controller": {
-                "kind": "dssc",
-                "l0": {"uniform": [1.0, 3.0]},
-                "rho": 1e30,
-                "predictor_start": "matched",
-                "functions": functions,
-            },
-            "unmodelled": {"kind": "lag", "order": order, "mu": 0.1},
-            "metrics": {"names": []},
-            "requirement": [
-                {"metric": "growth_rate", "after": DURATION / 4, "max": 0.0},
-                {"metric": "sigma_max", "max": 1e-4 * DELTA**2},
-            ],
-        }
-    )
 
 
 def critical(found):
