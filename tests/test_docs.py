@@ -8,12 +8,17 @@ import subprocess
 import sys
 from pathlib import Path
 
+import nbformat
 import pytest
+import typer
 import yaml
+
+from dssc_jax.cli.shared import app
 
 ROOT = Path(__file__).parents[1]
 BLOCK = re.compile(r"```(\w+)\n(.*?)```", re.DOTALL)
 EVERY = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 PAGES = sorted(str(page.relative_to(ROOT)) for page in EVERY if BLOCK.search(page.read_text()))
 SOURCE = ROOT / "src"
 WITH_EXAMPLES = sorted(
@@ -56,16 +61,31 @@ def test_examples_of_docstrings(module, monkeypatch):
     assert found.failed == 0
 
 
-def test_make_targets_of_the_readme_exist():
-    makefile = (ROOT / "Makefile").read_text()
-    for target in re.findall(r"^make (\w+)", (ROOT / "README.md").read_text(), re.MULTILINE):
-        assert f"\n{target}:" in makefile
-
-
 def test_links_lead_somewhere():
     for page in EVERY:
         for link in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
             assert (page.parent / link).exists(), f"{page.name}: {link}"
+
+
+def told(path):
+    """A page's text, or that of a notebook's cells."""
+    if path.suffix == ".ipynb":
+        return "\n".join(cell.source for cell in nbformat.read(path, as_version=4).cells)
+    return path.read_text()
+
+
+@pytest.mark.parametrize("path", [*EVERY, *NOTEBOOKS], ids=lambda path: path.name)
+def test_what_a_page_names_exists(path):
+    """Commands with their options, make's targets, files of the repository."""
+    text = told(path)
+    commands = typer.main.get_command(app).commands
+    for name, rest in re.findall(r"\bdssc-jax ([a-z]+)([^`|#\n]*)", text):
+        options = {flag for option in commands[name].params for flag in option.opts} | {"--help"}
+        assert set(re.findall(r"--[a-z-]+", rest)) <= options, f"{name}{rest}"
+    targets = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    assert set(re.findall(r"(?:`|^ {4}|^(?=make \w+ +#))make (\w+)", text, re.MULTILINE)) <= set(targets)
+    for file in re.findall(r"\b(?:docs|studies|notebooks|tests|benchmarks)/[\w/]+\.\w+", text):
+        assert (ROOT / file).exists(), file
 
 
 def navigation(entries):
