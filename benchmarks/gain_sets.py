@@ -4,7 +4,7 @@ from typing import Any
 
 import dssc_jax as dj
 
-DELTA = 0.5  # of the square-root functions [m/s]
+DELTA = 0.5  # of the square-root functions [(m/s)^(1/2)]; sigma counts as small below 1e-4 delta^2
 CONSTANT = {
     "kind": "constant",
     "k_o": {"loguniform": [2.0, 10.0]},

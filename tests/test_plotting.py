@@ -91,8 +91,10 @@ def test_a_sweeps_points_are_not_pooled(swept):
         dj.plot.distribution(swept)
     with pytest.raises(ValueError, match=r"take Result\.at"):
         dj.plot.factor(swept, "plant.k_p")
-    with pytest.raises(KeyError):
+    with pytest.raises(dj.ConfigError, match="did you mean 'error_rms'"):
         dj.plot.typical(swept, metric="error_rmz")
+    with pytest.raises(dj.ConfigError, match=r"did you mean 'plant\.k_p'"):
+        dj.plot.factor(swept.at(dict.fromkeys(swept.study.axes, 0)), "plant.kp")
 
 
 def test_the_certified_stretch_is_hatched(swept):

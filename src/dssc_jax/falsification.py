@@ -233,6 +233,8 @@ class Hunt:
         points, _ = self.ranked()
         chosen: list[int] = []
         for index, point in enumerate(points):
+            if len(chosen) == count:
+                break
             if all(np.max(np.abs(point - points[other])) > APART for other in chosen):
                 chosen.append(index)
         rest = [index for index in range(len(points)) if index not in chosen]

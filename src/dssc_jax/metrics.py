@@ -1,6 +1,7 @@
 """What is measured of a run, in streaming form: memory does not grow with the duration.
 
-A metric is a pure ``init``, ``update`` and ``value``. It counts samples at t >= ``after`` only.
+A metric is where its accumulator starts, and two pure functions, ``update`` and ``value``. It counts samples at
+t >= ``after`` only.
 """
 
 import math

@@ -11,6 +11,7 @@ import xarray as xr
 from dssc_jax import certification, store
 from dssc_jax.dataset import outcome_codes, variables
 from dssc_jax.engine import Layout
+from dssc_jax.errors import ConfigError, meant
 from dssc_jax.metrics import Measure
 from dssc_jax.statistics import CONFIDENCE, DataDriven, FixedCount, Method, Replicated
 from dssc_jax.statistics.order import at_rank, quantile_ranks, ranked
@@ -200,11 +201,14 @@ def measured(result: Result, metric: str | None) -> Measure:
     """The measure of that name; None: the headline.
 
     Raises:
-        KeyError: the result has no such metric.
+        ConfigError: the result has no such metric.
     """
     if metric is None:
         return headline(result)
-    return {measure.name: measure for measure in result.study.measures}[metric]
+    by_name = {measure.name: measure for measure in result.study.measures}
+    if metric not in by_name:
+        raise ConfigError("metric", f"'{metric}' is none of the result's; {meant(metric, by_name)}")
+    return by_name[metric]
 
 
 def finite_or_none(value: float) -> float | None:

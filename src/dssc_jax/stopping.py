@@ -10,6 +10,7 @@ from dssc_jax.dataset import in_memory, put
 from dssc_jax.engine import Arrays, Engine, Layout, computing, drawn, execute
 from dssc_jax.errors import ConfigError
 from dssc_jax.manifest import read_manifest
+from dssc_jax.probing import require_independent
 from dssc_jax.results import Result
 from dssc_jax.running import about_run
 from dssc_jax.statistics import AcceptReject, UntilWidth, looks
@@ -105,11 +106,7 @@ def require_sequential(study: Study) -> None:
     """
     if study.axes:
         raise ConfigError(study.source, "a data-driven stop is for one point; leave [sweep] aside")
-    if study.config.sampling != "random":
-        raise ConfigError(
-            study.source,
-            "a data-driven stop needs independent draws: sampling = 'random'",
-        )
+    require_independent(study, "a data-driven stop")
 
 
 def require_same_rule(folder: Path, study: Study, rule: Rule, most: int) -> None:

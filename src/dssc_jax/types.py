@@ -124,6 +124,10 @@ def nominal(value: Any) -> float:
     return float(getattr(value, "median", value))
 
 
+class NoParams(NamedTuple):
+    """The parameters of a model that has none."""
+
+
 def nothing(params: Params) -> Params:
     """The preparation that changes nothing."""
     return params

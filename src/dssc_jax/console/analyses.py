@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.markup import escape
 
-from dssc_jax.console.terminal import output, show_table
+from dssc_jax.console.terminal import output, show_files, show_table
 from dssc_jax.global_sensitivity import FAILURE
 from dssc_jax.results import headline_measure
 
@@ -39,8 +39,7 @@ def show_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
         show_table(("failure probability, paired", "difference, 95 % interval", "p-value (exact McNemar)"), rows)
     if summary["tuned"]:
         console.print(f"tuning: {escape(summary['tuned']['budget'])}", soft_wrap=True)
-    for path in files:
-        console.print(f"wrote {path}", soft_wrap=True, markup=False)
+    show_files(files)
 
 
 def headline_metric(contest: Mapping[str, Any]) -> str | None:
@@ -67,8 +66,7 @@ def show_sensitivity(result: "Sensitivity", files: list[Path]) -> None:
             for factor, first, total in zip(result.factors, found.first, found.total, strict=True)
         ]
         show_table((name, "first order: alone", "total: with all interactions"), rows)
-    for path in files:
-        console.print(f"wrote {path}", soft_wrap=True, markup=False)
+    show_files(files)
 
 
 def interval_text(value: float, low: float, high: float) -> str:
@@ -100,5 +98,4 @@ def show_rare(found: Mapping[str, Any], files: list[Path]) -> None:
         show_table(("number", "median", "failing: 5 %", "median", "95 %"), rows)
     if found["in_loop_noise"]:
         console.print("in-loop noise: half of the moves redraw it; a failure that only rare noise causes costs more")
-    for path in files:
-        console.print(f"wrote {path}", soft_wrap=True, markup=False)
+    show_files(files)

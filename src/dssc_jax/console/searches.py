@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from rich.markup import escape
 
-from dssc_jax.console.terminal import output, show_table
+from dssc_jax.console.terminal import output, show_files, show_table
 
 
 def show_tuning(summary: Mapping[str, Any], files: list[Path]) -> None:
@@ -42,8 +42,7 @@ def show_tuning(summary: Mapping[str, Any], files: list[Path]) -> None:
             f"no point met every limit on the validation draws; the nearest misses by {summary['violation']:.2%}"
         )
     console.print(f"{summary['method']}, {summary['stopped']}; {summary['seconds']:.1f} s")
-    for path in files:
-        console.print(f"wrote {path}", soft_wrap=True, markup=False)
+    show_files(files)
 
 
 def show_falsification(summary: Mapping[str, Any], files: list[Path]) -> None:
@@ -58,5 +57,4 @@ def show_falsification(summary: Mapping[str, Any], files: list[Path]) -> None:
         f"fails; the first failure came after {summary['first_failure']}" if summary["failed"] else "passes; the worst"
     )
     console.print(f"it {found} of {spent}: {margin}")
-    for path in files:
-        console.print(f"wrote {path}", soft_wrap=True, markup=False)
+    show_files(files)

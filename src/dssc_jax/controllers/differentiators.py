@@ -20,7 +20,7 @@ import jax.numpy as jnp
 
 from dssc_jax.controllers.sta import root_of
 from dssc_jax.numerics import sign
-from dssc_jax.types import Differentiator, Measurement, Quantity, Registry, Scalar, single
+from dssc_jax.types import Differentiator, Measurement, NoParams, Quantity, Registry, Scalar, single
 
 TAU_F = Quantity("s", "time constant tau_f of the lead filter", above=0.0)
 EPSILON = Quantity("s", "time constant epsilon of the high-gain observer", above=0.0)
@@ -29,10 +29,6 @@ ALPHA_2 = Quantity("1", "alpha_2 of the high-gain observer", above=0.0)
 LIPSCHITZ = Quantity("m/s^2", "bound L of |y''|", above=0.0)
 LAMBDA_1 = Quantity("1", "lambda_1 of the robust exact differentiator", above=0.0)
 LAMBDA_0 = Quantity("1", "lambda_0 of the robust exact differentiator", above=1.0)
-
-
-class NoParams(NamedTuple):
-    """A measured velocity needs no parameters."""
 
 
 class LeadFilterParams(NamedTuple):

@@ -26,7 +26,7 @@ class Limits(NamedTuple):
     """How far single bounds can go until the certificate of a fixed design ends.
 
     Args:
-        phi_b: Least phi_b, the other parameters kept; NaN where none of them is certified.
+        phi_b: Least phi_b, the other parameters kept.
         disturbance: Largest common factor on the disturbance bounds; infinite where they do not matter.
         k_min: Least k_min [1/s].
         k_max: Largest k_max [1/s].

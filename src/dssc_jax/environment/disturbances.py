@@ -8,13 +8,9 @@ import jax.numpy as jnp
 
 from dssc_jax.errors import ConfigError
 from dssc_jax.numerics import begun, cubic_spline
-from dssc_jax.types import Disturbance, Measurement, Quantity, Scalar, stateless, unchanged
+from dssc_jax.types import Disturbance, Measurement, NoParams, Quantity, Scalar, stateless, unchanged
 
 VALUE = Quantity("m/s", "value of d")
-
-
-class NoParams(NamedTuple):
-    """No disturbance has no parameters."""
 
 
 class ConstantParams(NamedTuple):

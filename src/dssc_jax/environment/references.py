@@ -7,11 +7,7 @@ from typing import Annotated, Any, NamedTuple, TypeAlias
 import jax.numpy as jnp
 
 from dssc_jax.errors import ConfigError
-from dssc_jax.types import Entry, Quantity, Reference, ReferencePoint, Scalar
-
-
-class ZeroParams(NamedTuple):
-    """Regulation to the origin has no parameters."""
+from dssc_jax.types import Entry, NoParams, Quantity, Reference, ReferencePoint, Scalar
 
 
 class SineParams(NamedTuple):
@@ -21,10 +17,6 @@ class SineParams(NamedTuple):
     period: Annotated[Scalar, Quantity("s", "period", above=0.0)]
     phase: Annotated[Scalar, Quantity("rad", "phase")] = 0.0
     offset: Annotated[Scalar, Quantity("m", "offset")] = 0.0
-
-
-class MissionParams(NamedTuple):
-    """The mission's numbers are the article's; there is nothing to choose but the axis."""
 
 
 class Axis(StrEnum):
@@ -54,8 +46,8 @@ MISSION = {
 
 
 def mission(axis: Axis) -> Reference:
-    """One axis of the mission."""
-    return Reference(MissionParams, lambda params, t: sine_at(MISSION[axis], t))
+    """One axis of the mission, whose numbers are the article's."""
+    return Reference(NoParams, lambda params, t: sine_at(MISSION[axis], t))
 
 
 class HoverParams(NamedTuple):
@@ -100,15 +92,15 @@ def steps_at(params: StepsParams, t: Scalar) -> Flight:
     return resting(tuple(on * value for value in params.position), on * params.yaw)
 
 
-def whole_mission(params: MissionParams, t: Scalar) -> Flight:
+def whole_mission(params: NoParams, t: Scalar) -> Flight:
     """All four axes."""
     x, y, z, psi = (sine_at(axis, t) for axis in MISSION.values())
     return x, y, z, psi
 
 
-WHOLE_MISSION = Reference(MissionParams, whole_mission)
+WHOLE_MISSION = Reference(NoParams, whole_mission)
 HOVER = Reference(HoverParams, lambda params, t: resting(params.position, params.yaw), three_values)
 STEPS = Reference(StepsParams, steps_at, three_values)
-ZERO = Reference(ZeroParams, lambda params, t: ReferencePoint(0.0, 0.0, 0.0))
+ZERO = Reference(NoParams, lambda params, t: ReferencePoint(0.0, 0.0, 0.0))
 SINE = Reference(SineParams, sine_at)
 MISSION_ENTRY = Entry({axis: mission(axis) for axis in Axis}, "one axis of the article's mission", "axis", Axis.X)

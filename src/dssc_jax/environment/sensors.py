@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.errors import ConfigError
-from dssc_jax.types import Measurement, Quantity, Registry, Scalar, Sensor, single
+from dssc_jax.types import Measurement, NoParams, Quantity, Registry, Scalar, Sensor, single
 
 MOST_DELAY = 200  # samples: the state holds two scalars for each, and every scalar is copied at every sample
 
@@ -16,10 +16,6 @@ POSITION_BIAS = Quantity("m", "constant error of y")
 VELOCITY_BIAS = Quantity("m/s", "constant error of y'")
 DELAY = Quantity("1", "delay, in controller samples", at_least=0.0, at_most=float(MOST_DELAY), law=False)
 PERIOD = Quantity("1", "controller samples from one reading to the next", at_least=1.0, law=False)
-
-
-class NoParams(NamedTuple):
-    """The ideal sensor has no parameters."""
 
 
 class NoisyParams(NamedTuple):

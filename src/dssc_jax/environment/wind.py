@@ -17,7 +17,7 @@ import jax.numpy as jnp
 
 from dssc_jax.errors import ConfigError
 from dssc_jax.numerics import begun, cubic_spline
-from dssc_jax.types import Quantity, Registry, Scalar, Wind, extent, single, stateless, unchanged
+from dssc_jax.types import NoParams, Quantity, Registry, Scalar, Wind, extent, single, stateless, unchanged
 from dssc_jax.vectors import Vec3
 
 FOOT = 0.3048
@@ -32,10 +32,6 @@ X = Quantity("m/s", "wind velocity along x")
 Y = Quantity("m/s", "wind velocity along y")
 Z = Quantity("m/s", "wind velocity along z, up")
 START = Quantity("s", "time at which the wind begins", at_least=0.0)
-
-
-class NoParams(NamedTuple):
-    """No wind has no parameters."""
 
 
 class ConstantParams(NamedTuple):

@@ -5,6 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
+from dssc_jax.errors import ConfigError, meant
 from dssc_jax.metrics import Measure
 from dssc_jax.plotting.style import BLUE, DRAWABLE, RED, SLIDE, SMALL, label, panel, set_scale, styled, title
 from dssc_jax.plotting.thinning import picked
@@ -64,7 +65,7 @@ def distribution(result: Result, ax: Axes | None = None, metric: str | None = No
 
     Raises:
         ValueError: the result has several points.
-        KeyError: the result has no such metric.
+        ConfigError: the result has no such metric.
     """
     one_point(result)
     figure, ax = panel(ax)
@@ -99,9 +100,11 @@ def factor(result: Result, name: str, ax: Axes | None = None) -> Figure:
 
     Raises:
         ValueError: the result has several points.
-        KeyError: the number is not uncertain.
+        ConfigError: the number is not uncertain.
     """
     one_point(result)
+    if name not in result.study.laws:
+        raise ConfigError("name", f"'{name}' is no uncertain number of the result; {meant(name, result.study.laws)}")
     figure, ax = panel(ax, SMALL)
     values, failed = result.dataset[name].values, result.failed.values
     groups = np.array_split(np.argsort(values), max(1, min(BINS, values.size // FILLED)))

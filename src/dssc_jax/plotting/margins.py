@@ -24,7 +24,7 @@ def margin(found: "Margins") -> Figure:
     Args:
         found: What :func:`dssc_jax.margin` returned.
     """
-    figure = Figure(figsize=SLIDE, layout="constrained")
+    figure = Figure(figsize=(SLIDE[0], SLIDE[1] + 0.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     distribution(left, found)
     curve = found.degradation()
@@ -39,8 +39,8 @@ def margin(found: "Margins") -> Figure:
             ax.set_xscale("log")
         ax.set_xlim(found.walk.start, found.walk.end)
     certificate(left, found.certificate, found.walk)
-    left.legend(frameon=False, loc="best")
-    right.legend(frameon=False)
+    for ax in (left, right):  # above: inside, the lines leave no room
+        ax.legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0))
     title(figure, f"{found.study.config.description or found.study.name}: {'; '.join(found.criterion)}")
     return figure
 

@@ -100,7 +100,7 @@ def typical(result: Result, ax: Axes | None = None, metric: str | None = None) -
 
     Raises:
         ValueError: the result has no sweep.
-        KeyError: the result has no such metric.
+        ConfigError: the result has no such metric.
     """
     result = held_to_two(result)
     figure, ax = panel(ax, PANEL if len(free_axes(result)) == 1 else (PANEL[0], PANEL[1] + 0.8))

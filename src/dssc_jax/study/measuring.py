@@ -52,7 +52,6 @@ def measured(
     Raises:
         ConfigError: a metric is unknown or not to be had here, or a window holds no sample.
     """
-
     channels = plant.channels or ("",)
     several = len(channels) > 1
 

@@ -9,7 +9,7 @@ from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 
-from dssc_jax.types import Entry, Quantity, Scalar, Unmodelled
+from dssc_jax.types import Entry, NoParams, Quantity, Scalar, Unmodelled
 
 
 class Order(IntEnum):
@@ -17,10 +17,6 @@ class Order(IntEnum):
 
     ONE = 1
     TWO = 2
-
-
-class NoParams(NamedTuple):
-    """The identity has no parameters."""
 
 
 class LagParams(NamedTuple):
