@@ -71,7 +71,7 @@ def rotorpy() -> tuple[float, str]:
     state["rotor_speeds"] = torch.full((draws, 4), 1500.0, dtype=torch.double)
     params = BatchedMultirotorParams([quad_params] * draws, draws, device)
     vehicles = BatchedMultirotor(params, draws, state, device, "cmd_ctatt", integrator="rk4")
-    command = {"cmd_thrust": torch.full((draws,), 0.3, dtype=torch.double), "cmd_q": upright}
+    command = {"cmd_thrust": torch.full((draws, 1), 0.3, dtype=torch.double), "cmd_q": upright}
 
     def run() -> None:
         now = state
