@@ -41,12 +41,28 @@ def simulators(python: Path | None) -> list[Other]:
     return [Other(**json.loads(line)) for line in done.stdout.splitlines() if line.startswith("{")]
 
 
+class Sweep(NamedTuple):
+    """Seconds of a sweep as a command, start of the process included.
+
+    Args:
+        table: Until the result is told.
+        end: Until the figures are drawn, and the process has ended.
+        compiling: Of that, compiling.
+        running: Of that, running the loops.
+    """
+
+    table: float
+    end: float
+    compiling: float
+    running: float
+
+
 class Start(NamedTuple):
-    """Seconds of commands, start of the process included: help, then a study with an empty cache and a filled one."""
+    """Seconds of commands: help, then the main study with an empty cache and a filled one."""
 
     help: float
-    cold: float
-    warm: float
+    cold: Sweep
+    warm: Sweep
 
 
 def start() -> Start:
@@ -55,11 +71,20 @@ def start() -> Start:
         environment = {name: value for name, value in os.environ.items() if name not in ("XLA_FLAGS", xla.SWITCH)}
         environment["XDG_CACHE_HOME"] = folder
 
-        def seconds(*words: str) -> float:
-            began = time.perf_counter()
+        def seconds(until: str, *words: str) -> tuple[float, float]:
+            began, told = time.perf_counter(), 0.0
             command = [sys.executable, "-m", "dssc_jax.cli", *words]
-            subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, check=True)
-            return time.perf_counter() - began
+            with subprocess.Popen(command, env=environment, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+                for line in process.stdout or ():
+                    told = told or (time.perf_counter() - began if line.startswith(until) else 0.0)
+            if process.returncode:
+                raise RuntimeError(f"dssc-jax {words[0]} ended with status {process.returncode}")
+            return told, time.perf_counter() - began
 
-        sweeps = (("sweep", STUDY, "--out", str(Path(folder) / name)) for name in ("first", "second"))
-        return Start(seconds("--help"), *(seconds(*words) for words in sweeps))
+        def sweep(name: str) -> Sweep:
+            out = Path(folder) / name
+            told, end = seconds("result", "sweep", STUDY, "--out", str(out))
+            times = json.loads((out / "manifest.json").read_text())["times"]
+            return Sweep(told, end, times["compile_seconds"], times["run_seconds"])
+
+        return Start(seconds("", "--help")[1], sweep("first"), sweep("second"))

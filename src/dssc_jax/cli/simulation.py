@@ -171,47 +171,47 @@ def require_unset(purpose: str, **options: Any) -> None:
 
 
 def finish_sequential(study: "Study", rule: "Rule", most: int | None, out: Path | None, as_json: bool) -> int:
-    """Draw until the rule is content, draw the figures, tell the result."""
-    from dssc_jax.console import progress_bar, show_result
+    """Draw until the rule is content."""
+    from dssc_jax.console import progress_bar
     from dssc_jax.stopping import MOST, run_until
 
     most = MOST if most is None else most
     out = out or default_out(study.override({"draws": most}), f"run-{rule.slug}", most)
     with progress_bar(study, quiet=as_json) as advance:
         result = run_until(study, rule, out, most=most, progress=advance)
-    figures = draw_figures(result, out)
-    if as_json:
-        print(json.dumps(result.summary()))
-    else:
-        show_result(result, figures)
+    conclude(result, out, as_json)
     return DONE if result.manifest["stopping"]["verdict"] in ("narrow", "accepted") else FAILS
 
 
 def finish(
     study: "Study", out: Path, resume: bool, as_json: bool, cluster: str | None = None, local: bool = False
 ) -> int:
-    """Run, draw the figures, tell the result."""
+    """Run to the end."""
     from dssc_jax import running
-    from dssc_jax.console import progress_bar, show_result, tell
+    from dssc_jax.console import progress_bar, tell
 
     folder = str(Path(study.source).resolve().parent) if local else None
     with progress_bar(study, quiet=as_json) as advance:
         result = running.run(study, out, resume=resume, progress=advance, cluster=cluster, tell=tell, local=folder)
-    figures = draw_figures(result, out)
-    if as_json:
-        print(json.dumps(result.summary()))
-    else:
-        show_result(result, figures)
+    conclude(result, out, as_json)
     return DONE
 
 
-def draw_figures(result: "Result", out: Path) -> list[Path]:
-    """The figures of a results folder."""
-    from dssc_jax import plotting
+def conclude(result: "Result", out: Path, as_json: bool) -> None:
+    """Tell the result, then draw its figures, which people need not wait for."""
     from dssc_jax.chunks import told
+    from dssc_jax.console import show_figures, show_result
+
+    if as_json:
+        print(json.dumps(result.summary()), flush=True)
+    else:
+        show_result(result)
+    from dssc_jax import plotting
 
     with told(out):
-        return plotting.save_all(result, out / "figures")
+        figures = plotting.save_all(result, out / "figures")
+    if not as_json:
+        show_figures(figures)
 
 
 def tell_trajectory(found: Any, csv: Path | None, figure: Path | None, as_json: bool) -> int:

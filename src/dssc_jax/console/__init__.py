@@ -3,7 +3,7 @@
 from dssc_jax.console.analyses import show_comparison, show_rare, show_sensitivity
 from dssc_jax.console.environment import environment, machine, show_environment
 from dssc_jax.console.margins import show_margin_contest, show_margins, show_theory
-from dssc_jax.console.results import show_draw, show_result, show_verification
+from dssc_jax.console.results import show_draw, show_figures, show_result, show_verification
 from dssc_jax.console.searches import show_falsification, show_tuning
 from dssc_jax.console.terminal import (
     counter,
@@ -27,6 +27,7 @@ __all__ = [
     "show_draw",
     "show_environment",
     "show_falsification",
+    "show_figures",
     "show_files",
     "show_margin_contest",
     "show_margins",

@@ -19,7 +19,7 @@ WIDEST_ROWS = 40
 MARKS = {True: "yes", False: "no", None: "-"}
 
 
-def show_result(result: "Result", figures: list[Path]) -> None:
+def show_result(result: "Result") -> None:
     """Failure probabilities with their intervals, and where everything is."""
     summary = result.summary()
     console = output()
@@ -46,8 +46,12 @@ def show_result(result: "Result", figures: list[Path]) -> None:
     if "cluster" in result.manifest:
         cluster = result.manifest["cluster"]
         console.print(f"{cluster['workers']} workers, {len(cluster['lost'])} lost on the way", highlight=False)
-    places = f"result  {result.path}\nfigures {', '.join(str(path) for path in figures)}"
-    console.print(places, soft_wrap=True, markup=False)
+    console.print(f"result  {result.path}", soft_wrap=True, markup=False)
+
+
+def show_figures(figures: list[Path]) -> None:
+    """Where a result's figures are."""
+    output().print(f"figures {', '.join(str(path) for path in figures)}", soft_wrap=True, markup=False)
 
 
 def show_outcomes(point: dict[str, Any]) -> None:
