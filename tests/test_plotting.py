@@ -14,6 +14,7 @@ from dssc_jax.plotting import thinning
 from dssc_jax.plotting.style import label
 from dssc_jax.plotting.sweeps import cell_edges
 from dssc_jax.plotting.thinning import COLUMNS, picked, thinned
+from dssc_jax.results import headline_measure
 from dssc_jax.statistics import clopper_pearson
 from tests.conftest import UNCERTAIN
 
@@ -84,6 +85,13 @@ def test_the_distributions_band_is_the_exact_interval(one):
     for k in (1, draws // 2, draws):
         assert any(np.isclose(band, bound).any() for bound in clopper_pearson(k, draws))
     assert {round(v, 9) for v in clopper_pearson(1, draws)} <= {round(v, 9) for v in band}
+
+
+def test_a_study_that_measures_no_error_is_about_its_first_metric(uncertain):
+    measured = uncertain.override({"metrics.names": ["iae"], "requirement": [], "sweep": {}, "loop.duration": 1.0})
+    assert "integral of |e|" in dj.plot.failures(dj.run(measured)).axes[0].get_xlabel()
+    flight = dj.Study.load("studies/paper_case1.toml").override({"requirement": []})
+    assert headline_measure(flight).name == "position_error_rms"
 
 
 def test_a_sweeps_points_are_not_pooled(swept):

@@ -19,6 +19,7 @@ from dssc_jax.study import Study
 from dssc_jax.types import Outcome
 
 QUANTILES = (0.05, 0.5, 0.95)
+ERRORS = ("error_rms", "position_error_rms")  # of a plant of one channel, and of a vehicle
 GIVEN = "with a rho that keeps sliding"
 """What a certificate presumes beside the loop that it names."""
 
@@ -187,14 +188,17 @@ def headline(result: Result) -> Measure:
 
 
 def headline_measure(study: Study) -> Measure:
-    """The metric that a study is about: the one it names, else that of its first requirement, else the error."""
+    """The metric that a study is about: the one it names, else that of its first requirement, else the error.
+
+    A study that measures no error is about the first metric that it has.
+    """
     wanted = study.config.plot.metric
     by_name = {measure.name: measure for measure in study.measures}
     if wanted:
         return by_name[wanted]
     if study.requirements:
         return study.requirements[0].measure
-    return by_name["error_rms"]
+    return next((by_name[name] for name in ERRORS if name in by_name), study.measures[0])
 
 
 def measured(result: Result, metric: str | None) -> Measure:

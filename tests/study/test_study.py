@@ -114,6 +114,10 @@ BAD = {
         },
         "'sampling_ratio' needs k_o, tau_av, tau_m, which this loop does not have",
     ),
+    "nothing measured": (
+        {"metrics.names": [], "requirement": []},
+        "names none, and nothing is required",
+    ),
     "requirement without bound": (
         {"requirement": [{"metric": "error_rms"}]},
         "requirement.0: needs exactly one of max",

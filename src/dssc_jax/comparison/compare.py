@@ -15,7 +15,7 @@ from dssc_jax.comparison.rivals import Table, controller_table
 from dssc_jax.comparison.tuning import Tuning, tuned, with_gains
 from dssc_jax.errors import ConfigError
 from dssc_jax.probing import require_independent
-from dssc_jax.results import upper_quantiles
+from dssc_jax.results import headline_measure, upper_quantiles
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson, compare_failures, compare_metrics
 from dssc_jax.study import Study
 from dssc_jax.types import Outcome, Progress
@@ -124,6 +124,7 @@ class Comparison:
             "draws": self.study.config.draws,
             "confidence": confidence,
             "requirements": [requirement.text for requirement in self.study.requirements],
+            "headline": headline_measure(self.study).name,
             **self.given.summary(confidence),
             "tuned": tuned,
             "seconds": self.seconds,

@@ -23,14 +23,14 @@ def show_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
     for contest, gains in ((summary, "given or corresponding gains"), (summary["tuned"], "tuned gains")):
         if contest is None:
             continue
-        metric = headline_metric(contest)
+        metric = summary["headline"]
         rows = []
         for name, own in contest["controllers"].items():
             low, high = own["interval"]
             share = f"{own['probability']:.4g}" if own["failures"] else f"<= {high:.3g}"
-            middle = f"{own['median'][metric]:.4g}" if metric else ""
+            middle = f"{own['median'][metric]:.4g}" if metric in own["median"] else "none"
             rows.append((name, f"{own['failures']}/{summary['draws']}", share, f"[{low:.3g}, {high:.3g}]", middle))
-        show_table((gains, "failures", "probability", "95 % interval", f"median {metric or ''}"), rows)
+        show_table((gains, "failures", "probability", "95 % interval", f"median {metric}"), rows)
         rows = []
         for pair in contest["pairs"]:
             low, high = pair["interval"]
@@ -40,12 +40,6 @@ def show_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
     if summary["tuned"]:
         console.print(f"tuning: {escape(summary['tuned']['budget'])}", soft_wrap=True)
     show_files(files)
-
-
-def headline_metric(contest: Mapping[str, Any]) -> str | None:
-    """The last metric of a contest, which a requirement added, if there is any."""
-    metrics = list(next(iter(contest["controllers"].values()))["median"])
-    return metrics[-1] if metrics else None
 
 
 def show_sensitivity(result: "Sensitivity", files: list[Path]) -> None:

@@ -50,7 +50,7 @@ def measured(
         plant: Whose channels are measured.
 
     Raises:
-        ConfigError: a metric is unknown or not to be had here, or a window holds no sample.
+        ConfigError: a metric is unknown or not to be had here, there is none, or a window holds no sample.
     """
     channels = plant.channels or ("",)
     several = len(channels) > 1
@@ -87,6 +87,8 @@ def measured(
         if any(requirement.name == other.name for other in requirements):
             raise ConfigError(place, f"'{wanted}' is bounded on this side already; keep the stricter one")
         requirements.append(requirement)
+    if not measures:
+        raise ConfigError("metrics.names", "names none, and nothing is required: nothing would be measured; name one")
     if config.plot.metric is not None and config.plot.metric not in measures:
         raise ConfigError(
             "plot.metric", f"unknown metric '{config.plot.metric}'; {meant(config.plot.metric, measures)}"
