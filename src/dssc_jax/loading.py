@@ -33,6 +33,8 @@ def load(folder: str | Path) -> Loaded:
         ConfigError: it holds none of these, it is damaged, or its run did not finish.
     """
     path = Path(folder)
+    if not path.is_dir():
+        raise ConfigError(str(path), "is no folder")
     found = [name for name in READERS if (path / name).exists()]
     if found:
         return READERS[found[0]](path)

@@ -248,8 +248,10 @@ def test_a_damaged_dataset_is_told(over_mu, tmp_path):
 
 
 def test_what_is_no_analysis_is_told(over_mu, tmp_path):
-    with pytest.raises(dj.ConfigError, match=r"no manifest.json or margin.json or compare.json"):
+    with pytest.raises(dj.ConfigError, match="is no folder"):
         dj.load(tmp_path / "nowhere")
+    with pytest.raises(dj.ConfigError, match=r"no manifest.json or margin.json or compare.json"):
+        dj.load(tmp_path)
     (tmp_path / "rare.json").write_text("{}")
     with pytest.raises(dj.ConfigError, match=r"plain JSON: rare.json"):
         dj.load(tmp_path)

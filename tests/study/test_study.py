@@ -127,6 +127,10 @@ BAD = {
         "requirement.0.after: must be <= the time of the last sample",
     ),
     "metrics after the end": ({"metrics.after": 90.0}, "metrics.after: must be <= the time of the last sample"),
+    "number of a part that has none": (
+        {"unmodelled": {"kind": "none"}, "sweep.unmodelled.mu": [0.1]},
+        "the study's unmodelled is of the kind 'none', which has no numbers",
+    ),
     "unknown swept parameter": (
         {"sweep.plant.kp": [1.0]},
         r"sweep.plant.kp: unknown parameter; did you mean 'plant.k_p'",

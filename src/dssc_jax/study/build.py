@@ -169,7 +169,7 @@ def check_axes(parts: Parts) -> None:
         if name.startswith("loop."):
             raise ConfigError(f"sweep.{name}", "the clock is fixed before tracing; run once per value with --set")
         if name not in parts.quantities:
-            raise ConfigError(f"sweep.{name}", f"unknown parameter; {meant(name, parts.quantities)}")
+            raise ConfigError(f"sweep.{name}", f"unknown parameter; {nearest(name, parts)}")
         if not parts.quantities[name].law:
             raise ConfigError(f"sweep.{name}", "is fixed before tracing; run once per value with --set")
         for value in values:
@@ -177,6 +177,15 @@ def check_axes(parts: Parts) -> None:
                 parse_number(value, parts.quantities[name])
             except ValueError as error:
                 raise ConfigError(f"sweep.{name}", str(error)) from None
+
+
+def nearest(name: str, parts: Parts) -> str:
+    """The end of the message about an unknown number: that its part has none at all, or what was meant."""
+    slot = name.partition(".")[0]
+    table = getattr(parts.config, slot) if slot in REGISTRIES.keys() & StudyTable.model_fields.keys() else None
+    if table is not None and not any(known.startswith(f"{slot}.") for known in parts.quantities):
+        return f"the study's {slot} is of the kind '{table['kind']}', which has no numbers"
+    return meant(name, parts.quantities)
 
 
 def prepare_box(table: dict[str, Any], parts: Parts) -> None:
