@@ -18,6 +18,7 @@ LAYERS = [
     {"metrics"},
     {"performance", "requirements"},
     {"loop"},
+    {"simulation"},
     {"study"},
     {"sampling", "certification", "kernels"},
     {"engine", "statistics"},

@@ -16,9 +16,9 @@ from scipy.stats import spearmanr
 import dssc_jax as dj
 from benchmarks.paper.loops import AXES, RHO, TAU_AV, comparison, sta, wide
 from benchmarks.paper.signals import SETTLED, SMOOTH, moving_average
-from dssc_jax.loop import simulate
 from dssc_jax.numerics import stream
 from dssc_jax.sampling import draw_key, inside, uniform
+from dssc_jax.simulation import simulate
 from dssc_jax.statistics import clopper_pearson
 from dssc_jax.study.laws import parse_law
 

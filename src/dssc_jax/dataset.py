@@ -54,6 +54,12 @@ def variables(study: Study) -> dict[str, Variable]:
         found[requirement.name] = Variable(grid, real, about)
     about = {"units": "s", "long_name": "time of the first non-finite step (NaN: none)"}
     found["failed_at"] = Variable(grid, real, about)
+    if study.loop.settled:
+        about = {
+            "units": "s",
+            "long_name": "time from which on it had settled, and was not simulated (NaN: none)",
+        }
+        found["settled_at"] = Variable(grid, real, about)
     codes = outcome_codes(study)
     about = {"long_name": "outcome", "flag_values": list(codes), "flag_meanings": " ".join(codes.values())}
     found["outcome"] = Variable(grid, "int32", about)

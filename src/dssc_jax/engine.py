@@ -22,8 +22,8 @@ from jax.sharding import Mesh, PartitionSpec
 
 from dssc_jax import kernels, xla
 from dssc_jax.fusion import shared_once
-from dssc_jax.loop import simulate
 from dssc_jax.sampling import draw, draw_key
+from dssc_jax.simulation import simulate
 from dssc_jax.study import Study
 from dssc_jax.types import Scalar
 
@@ -45,7 +45,7 @@ def simulated(study: Study, together: str | None = TILE, segment: int | None = N
 
     Args:
         study: What to simulate.
-        together: See :func:`dssc_jax.loop.simulate`; None where derivatives are taken.
+        together: See :func:`dssc_jax.simulation.simulate`; None where derivatives are taken.
         segment: See :func:`dssc_jax.marching.in_stretches`.
     """
 
@@ -54,7 +54,8 @@ def simulated(study: Study, together: str | None = TILE, segment: int | None = N
         loop, params = study.loop, study.params(values)
         asked = study.measures, study.requirements
         run, _ = simulate(loop, params, key, *asked, together=together, segment=segment)
-        return {**run.metrics, **run.margins, "outcome": run.outcome, "failed_at": run.failed_at}
+        ended = {"failed_at": run.failed_at} | ({"settled_at": run.settled_at} if study.loop.settled else {})
+        return {**run.metrics, **run.margins, "outcome": run.outcome, **ended}
 
     return lane
 

@@ -1,4 +1,4 @@
-"""The closed loop of one draw: sample and hold, substeps, streaming metrics, and the freeze of a diverged draw."""
+"""The closed loop of one draw, sample by sample: measure, control, hold, substeps."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -7,10 +7,8 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.integrators import INTEGRATORS, Integrator
-from dssc_jax.marching import in_stretches, until_all_ended
-from dssc_jax.metrics import Instant, Measure, Sample, starts, update_all, values
+from dssc_jax.metrics import Instant, Sample
 from dssc_jax.numerics import stream, wrap_angle
-from dssc_jax.requirements import Requirement, judge
 from dssc_jax.tracking import tracking_error
 from dssc_jax.types import (
     Command,
@@ -18,7 +16,6 @@ from dssc_jax.types import (
     Differentiator,
     Disturbance,
     Measurement,
-    Outcome,
     Plant,
     PlantInput,
     Reference,
@@ -49,6 +46,20 @@ class LoopParams(NamedTuple):
     disturbance: tuple[Any, ...]
 
 
+class Settled(NamedTuple):
+    """When a draw is over before its time: from ``after`` on, |e| <= ``error`` in every channel for ``hold``.
+
+    Args:
+        error: Bound of |e| [m; rad for psi].
+        hold: For how long [s].
+        after: From when on [s].
+    """
+
+    error: float
+    hold: float
+    after: float
+
+
 @dataclass(frozen=True)
 class Loop:
     """What is chosen before tracing: the models in the loop's named slots, and the clock.
@@ -58,6 +69,7 @@ class Loop:
         sample_time: T_s [s].
         steps: Number of samples.
         substeps: Integrator steps between two samples.
+        settled: When a draw is over before its time; None: never.
     """
 
     plant: Plant
@@ -73,6 +85,7 @@ class Loop:
     steps: int
     substeps: int = 1
     integrator: Integrator = Integrator.RK4
+    settled: Settled | None = None
 
     def key(self, draw: jax.Array, slot: str, channel: str = "") -> jax.Array:
         """The random stream of a slot in a channel, of the draw's key."""
@@ -109,15 +122,6 @@ class Recorded(NamedTuple):
     references: tuple[ReferencePoint, ...]
     finite: Scalar
     whole: Scalar
-
-
-class Run(NamedTuple):
-    """A finished draw: metrics, margins, outcome code, and the time of the step that ended it early (NaN: none)."""
-
-    metrics: dict[str, Scalar]
-    margins: dict[str, Scalar]
-    outcome: Scalar
-    failed_at: Scalar
 
 
 def as_arrays(tree: Any) -> Any:
@@ -311,89 +315,3 @@ def step(loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Sc
     whole = jnp.logical_not(loop.plant.broken(params.plant, after.plant))
     instant = Instant(t, dt, tuple(samples), seen)
     return after, Recorded(instant, measurements, references, all_finite(after), whole)
-
-
-class Progress(NamedTuple):
-    """The scan's carry: next sample, state, accumulators, outcome so far, and for how many steps it was OK.
-
-    The sample's index is carried, not scanned over: an array of indices would grow with the duration.
-    """
-
-    k: Scalar
-    state: LoopState
-    accumulators: tuple[Any, ...]
-    outcome: Scalar
-    steps: Scalar
-
-
-def simulate(
-    loop: Loop,
-    params: LoopParams,
-    key: jax.Array,
-    measures: tuple[Measure, ...] = (),
-    requirements: tuple[Requirement, ...] = (),
-    every: int | None = None,
-    together: str | None = None,
-    segment: int | None = None,
-) -> tuple[Run, Recorded | None]:
-    """One draw from start to end.
-
-    A draw that becomes non-finite, or whose plant breaks, is frozen at that step: state and accumulators keep
-    their last values, its metrics are NaN and its margins -inf, and the batch goes on.
-
-    Args:
-        loop: The models and the clock.
-        params: Their parameters.
-        key: The draw's own random key.
-        measures: What to measure.
-        requirements: Bounds of some of the measures.
-        every: Record one sample of so many; None: none, so that memory does not grow with the duration.
-        together: Name of the mapped axis of the draws that are simulated together: time stops when all of them have
-            ended. None: time runs to its end, as derivatives need it.
-        segment: See :func:`dssc_jax.marching.in_stretches`.
-
-    Returns:
-        The outcome, and the trajectory with leaves of shape (ceil(steps/every),), if any.
-    """
-
-    def sample(at: Progress, _: None = None) -> tuple[Progress, Recorded]:
-        after, recorded = step(loop, params, key, at.state, at.k)
-        updated = update_all(measures, at.accumulators, recorded.instant, at.k, loop.sample_time)
-        ended = jnp.where(recorded.whole, Outcome.OK, Outcome.SINGULAR_ATTITUDE)
-        ended = jnp.where(recorded.finite, ended, Outcome.NON_FINITE)
-        outcome = jnp.where(at.outcome == Outcome.OK, ended, at.outcome).astype(jnp.int32)
-        alive = outcome == Outcome.OK
-        if together is None:  # frozen; where nothing but outcome and metrics is wanted, nobody sees what follows
-            after, updated = jax.tree.map(
-                lambda new, old: jnp.where(alive, new, old), (after, updated), (at.state, at.accumulators)
-            )
-        return Progress(at.k + 1, after, updated, outcome, at.steps + alive), recorded
-
-    def flying(at: Progress) -> Scalar:
-        return at.outcome == Outcome.OK
-
-    def block(at: Progress, _: None) -> tuple[Progress, Recorded]:
-        last = jnp.minimum(at.k + (every or 1), loop.steps)
-        at, recorded = sample(at)
-        return jax.lax.while_loop(lambda at: at.k < last, lambda at: sample(at)[0], at), recorded
-
-    count = jnp.zeros((), dtype=jnp.int32)
-    at = Progress(count, start(loop, params, key), as_arrays(starts(measures)), count, count)
-    if every is None and together is not None:
-        end, recorded = until_all_ended(lambda at: sample(at)[0], flying, at, loop.steps, together), None
-    elif every is None:
-        end, recorded = in_stretches(lambda at: sample(at)[0], at, loop.steps, segment), None
-    elif every == 1:
-        end, recorded = jax.lax.scan(sample, at, length=loop.steps)
-    else:
-        end, recorded = jax.lax.scan(block, at, length=-(-loop.steps // every))
-    alive = end.outcome == Outcome.OK
-    found = values(measures, end.accumulators, loop.steps, loop.sample_time)
-    outcome, margins = judge(requirements, found, end.outcome)
-    run = Run(
-        metrics={name: jnp.where(alive, value, jnp.nan) for name, value in found.items()},
-        margins=margins,
-        outcome=outcome,
-        failed_at=jnp.where(alive, jnp.nan, (end.steps + 1) * loop.sample_time),
-    )
-    return run, recorded

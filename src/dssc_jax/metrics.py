@@ -63,8 +63,8 @@ class Window:
 class Span(NamedTuple):
     """What a finished accumulator is evaluated over: samples in the run, samples in the window, and T_s [s]."""
 
-    steps: int
-    inside: int
+    steps: Scalar
+    inside: Scalar
     sample_time: float
 
 
@@ -317,7 +317,9 @@ def update_all(
     return tuple(updated)
 
 
-def values(measures: tuple[Measure, ...], accumulators: tuple[Any, ...], steps: int, t_s: float) -> dict[str, Scalar]:
+def values(
+    measures: tuple[Measure, ...], accumulators: tuple[Any, ...], steps: Scalar, t_s: float
+) -> dict[str, Scalar]:
     """Every metric at the end of a run of ``steps`` samples."""
     return {
         m.name: m.metric.value(acc, m.window, Span(steps, steps - first_sample(m.window, t_s), t_s))

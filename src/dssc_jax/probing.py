@@ -72,7 +72,7 @@ def differentiated(names: Sequence[str], reverse: bool = False) -> Callable[[Stu
 
     def program(study: Study) -> Lane:
         plain = simulated(study, together=None, segment=math.isqrt(study.loop.steps) if reverse else None)
-        codes = ("outcome", "failed_at")
+        codes = ("outcome", "failed_at", "settled_at")
 
         def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
             def smooth(moved: dict[str, jax.Array]) -> tuple[dict[str, Scalar], dict[str, Scalar]]:

@@ -10,10 +10,11 @@ import xarray as xr
 from dssc_jax.dataset import outcome_codes
 from dssc_jax.engine import Engine, drawn
 from dssc_jax.errors import ConfigError, meant
-from dssc_jax.loop import Loop, Recorded, Run
-from dssc_jax.loop import simulate as run_loop
+from dssc_jax.loop import Loop, Recorded
 from dssc_jax.results import Result
 from dssc_jax.sampling import draw_key
+from dssc_jax.simulation import Run
+from dssc_jax.simulation import simulate as run_loop
 from dssc_jax.study import Study
 from dssc_jax.types import angular_unit
 
@@ -125,11 +126,11 @@ def recorder(study: Study, every: int = 1) -> Callable[[int, Mapping[str, float]
 
 def as_trajectory(study: Study, draw: int, values: Mapping[str, float], ended: Run, recorded: Recorded) -> xr.Dataset:
     """What the loop recorded of one draw, with units, meanings and how it ended."""
-    failed_at = float(ended.failed_at)
-    columns = trajectory_columns(study, recorded)
-    if not np.isnan(failed_at):  # what follows is the frozen state, which nobody flew
-        gone = recorded.instant.t >= failed_at
-        columns = {name: np.where(gone, np.nan, column) for name, column in columns.items()}
+    gone = recorded.instant.t >= np.fmin(ended.failed_at, ended.settled_at)  # from there on it is frozen
+    columns = {
+        name: np.where(gone, np.nan, column) if gone.any() else column
+        for name, column in trajectory_columns(study, recorded).items()
+    }
     described = {name: describe(name, study.loop) for name in columns}
     code = int(ended.outcome)
     return xr.Dataset(
@@ -141,7 +142,8 @@ def as_trajectory(study: Study, draw: int, values: Mapping[str, float], ended: R
             **values,
             "outcome": code,
             "outcome_meaning": outcome_codes(study)[code],
-            "failed_at": failed_at,
+            "failed_at": float(ended.failed_at),
+            **({"settled_at": float(ended.settled_at)} if study.loop.settled else {}),
             **{name: float(value) for name, value in {**ended.metrics, **ended.margins}.items()},
         },
     )

@@ -11,8 +11,8 @@ from scipy.integrate import solve_ivp
 
 import dssc_jax as dj
 from dssc_jax.errors import ConfigError
-from dssc_jax.loop import simulate as run_loop
 from dssc_jax.sampling import draw_key
+from dssc_jax.simulation import simulate as run_loop
 from dssc_jax.trajectories import recorder
 from dssc_jax.types import Outcome
 

@@ -10,14 +10,22 @@ from dssc_jax.controllers import CONTROLLERS, DIFFERENTIATORS
 from dssc_jax.environment import DISTURBANCES, REFERENCES, SENSORS, TRAJECTORIES, WINDS
 from dssc_jax.errors import ConfigError, meant
 from dssc_jax.integrators import Integrator
-from dssc_jax.loop import Loop, LoopParams, start, step
+from dssc_jax.loop import Loop, LoopParams, Settled, start, step
 from dssc_jax.metrics import Measure, available
 from dssc_jax.plants import PLANTS
 from dssc_jax.requirements import Requirement
 from dssc_jax.study.components import Component, as_table, explain, parse_component, parse_number
 from dssc_jax.study.laws import Law
 from dssc_jax.study.measuring import kinds_of, measured
-from dssc_jax.study.schema import LoopTable, MetricsTable, PlotTable, RequirementTable, StudyTable, TuneTable
+from dssc_jax.study.schema import (
+    LoopTable,
+    MetricsTable,
+    PlotTable,
+    RequirementTable,
+    SettledTable,
+    StudyTable,
+    TuneTable,
+)
 from dssc_jax.study.tables import has_dotted, merged, set_dotted
 from dssc_jax.types import Quantity, single
 from dssc_jax.uav import UAV
@@ -37,6 +45,7 @@ REGISTRIES = {
 PER_CHANNEL = ("controller", "sensor", "differentiator", "unmodelled", "disturbance")
 FIXED_TABLES: dict[str, type[BaseModel]] = {
     "loop": LoopTable,
+    "loop.settled": SettledTable,
     "metrics": MetricsTable,
     "requirement": RequirementTable,
     "plot": PlotTable,
@@ -49,9 +58,9 @@ def validate_fixed(table: dict[str, Any]) -> StudyTable:
     try:
         return StudyTable.model_validate(table)
     except ValidationError as error:
-        location = error.errors()[0]["loc"]
-        inside = FIXED_TABLES.get(str(location[0])) if len(location) > 1 else None
-        raise explain(error, (inside or StudyTable).model_fields) from None
+        above = [str(part) for part in error.errors()[0]["loc"][:-1]]
+        inside = FIXED_TABLES.get(".".join(above)) or FIXED_TABLES.get("".join(above[:1])) or StudyTable
+        raise explain(error, inside.model_fields) from None
 
 
 class Parts(NamedTuple):
@@ -99,6 +108,7 @@ def build(table: dict[str, Any]) -> Parts:
         steps=config.loop.steps,
         substeps=config.loop.substeps,
         integrator=Integrator(config.loop.integrator),
+        settled=Settled(**config.loop.settled.model_dump()) if config.loop.settled else None,
     )
     template = LoopParams(
         **{slot: part.params for slot, part in wholes.items()},
@@ -110,10 +120,19 @@ def build(table: dict[str, Any]) -> Parts:
     known = kinds_of(config)
     names = available(*info_fields(loop, template), known)
     measures, requirements = measured(config, names, known, plant.model)
+    check_settled(loop, measures)
     parts_found = Parts(config, loop, template, quantities, short, measures, requirements)
     check_axes(parts_found)
     prepare_box(table, parts_found)
     return parts_found
+
+
+def check_settled(loop: Loop, measures: tuple[Measure, ...]) -> None:
+    """Require that every window has begun before a draw may be over."""
+    latest = max(measures, key=lambda measure: measure.window.after)
+    if loop.settled and loop.settled.after < latest.window.after:
+        rule = f"must be >= {latest.window.after:g} s, where the window of {latest.name} begins"
+        raise ConfigError("loop.settled.after", f"{rule}; got {loop.settled.after:g}")
 
 
 def parse_channels(table: dict[str, Any], slot: str, channels: tuple[str, ...]) -> list[Component]:

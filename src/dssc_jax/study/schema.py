@@ -23,6 +23,15 @@ def finite(value: Any) -> float:
 Finite = Annotated[float, BeforeValidator(finite)]
 
 
+class SettledTable(BaseModel):
+    """``[loop.settled]``: when a draw is over before its time."""
+
+    model_config = STRICT
+    error: Finite = Field(gt=0.0)
+    hold: Finite = Field(gt=0.0)
+    after: Finite = Field(default=0.0, ge=0.0)
+
+
 class LoopTable(BaseModel):
     """``[loop]``: the clock."""
 
@@ -32,6 +41,7 @@ class LoopTable(BaseModel):
     substeps: int = Field(default=1, ge=1, le=1000)
     integrator: Literal["rk4", "euler"] = Integrator.RK4.value
     precision: Literal[32, 64] = 64
+    settled: SettledTable | None = None
 
     @model_validator(mode="after")
     def _clock(self) -> "LoopTable":
@@ -43,6 +53,8 @@ class LoopTable(BaseModel):
         if abs(ratio - self.steps) > 1e-6 * ratio:
             found = f"{self.duration:g}/{self.sample_time:g}"
             raise ValueError(f"duration must be a whole number of sample times, got {found}")
+        if self.settled and self.settled.hold < self.sample_time:
+            raise ValueError(f"settled.hold must be >= sample_time = {self.sample_time:g} s, got {self.settled.hold:g}")
         return self
 
     @property

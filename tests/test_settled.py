@@ -1,0 +1,96 @@
+"""Draws that are over once they have settled: what they keep, and that nobody else sees it."""
+
+import numpy as np
+import pytest
+
+import dssc_jax as dj
+
+RULE = {"error": 0.02, "hold": 0.5, "after": 1.0}
+LOOP = {
+    "name": "settling",
+    "draws": 40,
+    "loop": {"duration": 12.0, "sample_time": 0.01},
+    "plant": {"kind": "normal_form", "k_p": {"uniform": [0.6, 1.4]}, "initial": [{"uniform": [0.5, 2.0]}, 0.0]},
+    "controller": {"kind": "pi", "l0": 1.0, "k_p": 1.5, "k_i": 0.5},
+    "metrics": {"names": ["error_rms", "error_max", "command_tv"]},
+    "requirement": [{"metric": "error_max", "after": 1.0, "max": 0.8}],
+}
+
+
+@pytest.fixture(scope="module")
+def study():
+    return dj.Study.from_table(LOOP).override({"loop.settled": RULE})
+
+
+@pytest.fixture(scope="module")
+def result(study):
+    return dj.run(study).dataset
+
+
+def by_hand(error, rule, sample_time):
+    """Samples that are flown, from the errors of a run to the end."""
+    calm = 0
+    for k, e in enumerate(error):
+        calm = calm + 1 if k >= round(rule["after"] / sample_time) and abs(e) <= rule["error"] else 0
+        if calm == round(rule["hold"] / sample_time):
+            return k + 1
+    return len(error)
+
+
+def test_a_draw_ends_when_it_has_settled_and_keeps_its_metrics(study, result):
+    """Against trajectories of the study without the rule."""
+    plain = dj.Study.from_table(LOOP)
+    for draw in range(6):
+        error = dj.simulate(plain, draw)["e"].values
+        flown = by_hand(error, RULE, 0.01)
+        assert flown < len(error)
+        assert result["settled_at"].values[draw] == pytest.approx(0.01 * flown)
+        assert result["error_rms"].values[draw] == pytest.approx(np.sqrt(np.mean(error[:flown] ** 2)), rel=1e-12)
+
+
+def test_they_end_at_different_times_and_as_successes(result):
+    ended = result["settled_at"].values
+    assert np.ptp(ended[np.isfinite(ended)]) > 1.0
+    assert np.all(np.isnan(result["failed_at"].values))
+    worst = result["error_max_after_1"].values
+    np.testing.assert_array_equal(result["outcome"].values > 0, worst > 0.8)
+    assert 0 < np.sum(worst > 0.8) < len(worst)
+
+
+@pytest.mark.parametrize("tile", [1, 8, 64])
+def test_nobody_sees_who_flies_beside_it(study, result, tile):
+    found = dj.run(study, tile=tile).dataset
+    for name in result.data_vars:
+        np.testing.assert_array_equal(found[name], result[name], err_msg=name)
+
+
+def test_a_trajectory_stops_there_and_replays(study, result):
+    trajectory = dj.simulate(study, 3)
+    settled = float(result["settled_at"][3])
+    assert trajectory.attrs["settled_at"] == pytest.approx(settled)
+    flown = np.isfinite(trajectory["e"].values)
+    assert trajectory["t"].values[flown].max() == pytest.approx(settled - 0.01)
+    assert dj.replay(dj.run(study), 3).attrs["deviation"] < 1e-9
+
+
+def test_a_rule_that_nothing_meets_changes_nothing():
+    never = dj.Study.from_table(LOOP).override({"loop.settled": {**RULE, "error": 1e-12}})
+    plain, found = dj.run(dj.Study.from_table(LOOP)).dataset, dj.run(never).dataset
+    assert np.all(np.isnan(found["settled_at"]))
+    for name in plain.data_vars:
+        np.testing.assert_allclose(found[name], plain[name], rtol=1e-13, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("rule", "error"),
+    [
+        ({**RULE, "after": 0.5}, r"loop\.settled\.after: must be >= 1 s, where the window of error_max_after_1 begins"),
+        ({**RULE, "hold": 0.001}, r"hold must be >= sample_time = 0\.01 s, got 0\.001"),
+        ({**RULE, "error": 0.0}, r"loop\.settled\.error.*greater than 0|loop\.settled\.error.*> 0"),
+        ({"error": 0.1}, r"loop\.settled\.hold"),
+        ({**RULE, "holds": 1.0}, r"loop\.settled\.holds.*did you mean 'hold'"),
+    ],
+)
+def test_bad_rules_are_told(rule, error):
+    with pytest.raises(dj.ConfigError, match=error):
+        dj.Study.from_table(LOOP).override({"loop.settled": rule})
