@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from dssc_jax.numerics import atan, atan2, cubic_spline, dot, over_log_defect, root_abs
+from dssc_jax.numerics import atan, atan2, cubic_spline, dot, over_log_defect, root_abs, standard_normals
 
 
 def test_root_abs_is_exact_and_has_finite_gradients():
@@ -79,3 +79,14 @@ def test_dot_leaves_out_what_is_zero():
     """A plain 0 on the left is no operation, so that an infinite factor does not become NaN; a traced one is."""
     assert float(dot((0.0, 1.0, 2.0), (jnp.inf, 3.0, 4.0))) == 11.0
     assert np.isnan(dot((jnp.zeros(()), 1.0), (jnp.inf, 3.0)))
+
+
+@pytest.mark.parametrize("precise", [True, False])
+def test_standard_normals_are_jaxs_own(precise):
+    """Bit by bit, for one draw and for a batch."""
+    with jax.enable_x64(precise):
+        keys = jax.random.split(jax.random.key(4), 1000)
+        found = jnp.stack(jax.jit(jax.vmap(lambda key: standard_normals(key, 5)))(keys), axis=1)
+        jaxs = jax.jit(jax.vmap(lambda key: jax.random.normal(key, (5,), dtype=jnp.result_type(float))))(keys)
+    assert found.dtype == jaxs.dtype
+    np.testing.assert_array_equal(found, jaxs)

@@ -4,7 +4,9 @@ import math
 import zlib
 from collections.abc import Sequence
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 
 from dssc_jax.types import Scalar
 
@@ -133,3 +135,24 @@ def cubic_spline(coefficients: Sequence[Scalar], x: Scalar) -> Scalar:
         outer, inner = jnp.maximum(2.0 - distance, 0.0), jnp.maximum(1.0 - distance, 0.0)
         total = total + coefficient * (outer * outer * outer - 4.0 * inner * inner * inner) / 6.0
     return total
+
+
+def standard_normals(key: jax.Array, count: int) -> tuple[Scalar, ...]:
+    """The numbers of ``jax.random.normal(key, (count,))``, one by one.
+
+    In a batch, each is an array over the lanes, which vectors of the processor run along; the array of all would be
+    run along its short last axis. A number's bits are those of the key that its index is folded into.
+    """
+    real = jnp.result_type(float)
+    lowest = np.nextafter(np.array(-1.0, real), np.array(0.0, real))
+
+    def standard_normal(i: int) -> Scalar:
+        high, low = jax.random.key_data(jax.random.fold_in(key, i))
+        if real == jnp.float64:
+            fraction = (high.astype(jnp.uint64) << 32 | low) >> 12 | np.uint64(0x3FF << 52)
+        else:
+            fraction = (high ^ low) >> 9 | np.uint32(0x7F << 23)
+        uniform = jax.lax.bitcast_convert_type(fraction, real) - 1.0  # in [0, 1)
+        return np.sqrt(2.0).astype(real) * jax.lax.erf_inv(jnp.maximum(lowest, uniform * (1.0 - lowest) + lowest))
+
+    return tuple(standard_normal(i) for i in range(count))

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.errors import ConfigError
+from dssc_jax.numerics import standard_normals
 from dssc_jax.types import Measurement, NoParams, Quantity, Registry, Scalar, Sensor, single
 
 MOST_DELAY = 200  # samples: the state holds two scalars for each, and every scalar is copied at every sample
@@ -67,7 +68,7 @@ def prepare(params: NoisyParams) -> NoisyParams:
 
 def reading(params: NoisyParams, measurement: Measurement, key: jax.Array) -> Measurement:
     """The measurement with the constant errors and fresh noise."""
-    noise = jax.random.normal(key, (2,), dtype=jnp.result_type(float))
+    noise = standard_normals(key, 2)
     return Measurement(
         measurement.y + params.position_bias + params.position_std * noise[0],
         measurement.y_dot + params.velocity_bias + params.velocity_std * noise[1],

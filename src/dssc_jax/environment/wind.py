@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.errors import ConfigError
-from dssc_jax.numerics import begun, cubic_spline
+from dssc_jax.numerics import begun, cubic_spline, standard_normals
 from dssc_jax.types import NoParams, Quantity, Registry, Scalar, Wind, extent, single, stateless, unchanged
 from dssc_jax.vectors import Vec3
 
@@ -257,7 +257,7 @@ def transverse_step(state: Transverse, h: Scalar, n1: Scalar, n2: Scalar) -> Tra
 
 def dryden_init(params: DrydenParams, key: jax.Array) -> DrydenState:
     """A draw from the stationary law, so that there is no initial transient."""
-    n = jax.random.normal(key, (5,), dtype=jnp.result_type(float))
+    n = standard_normals(key, 5)
     return DrydenState(n[0], transverse_init(n[1], n[2]), transverse_init(n[3], n[4]), 0.0)
 
 
@@ -270,7 +270,7 @@ def dryden_step(params: DrydenParams, state: DrydenState, key: jax.Array, t: Sca
     The autocorrelations are exp(-T) and exp(-T) (1 - T/2), T = V tau/L: integral scales are L_u, L_v/2 and L_w/2.
     """
     law = dryden_law(params)
-    n = jax.random.normal(key, (5,), dtype=jnp.result_type(float))
+    n = standard_normals(key, 5)
     h_uv, h_w = params.airspeed * dt / law.length_uv, params.airspeed * dt / law.length_w
     return DrydenState(
         jnp.exp(-h_uv) * state.u + jnp.sqrt(-jnp.expm1(-2.0 * h_uv)) * n[0],
