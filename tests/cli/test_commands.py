@@ -216,7 +216,7 @@ def test_interrupt_is_130(study, monkeypatch, capsys):
 
 def test_a_signal_keeps_what_is_finished(study, capsys):
     """SIGINT in the middle of a sweep of six blocks: exit 130, and --resume does not begin at zero."""
-    arguments = ["--set", "loop.duration=60.0", "--draws", "17000", "--out", "cut"]
+    arguments = ["--set", "loop.duration=400.0", "--draws", "17000", "--out", "cut"]
     process = subprocess.Popen([sys.executable, "-m", "dssc_jax.cli", "sweep", str(study), *arguments], stderr=-1)
 
     def blocks():
