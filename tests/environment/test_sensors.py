@@ -1,4 +1,4 @@
-"""Sensors: the law of the noise, constant errors, delay and hold to the sample; and the contract."""
+"""Sensors: the law of the noise, constant errors, delay and hold to the sample, the lag; and the contract."""
 
 import functools
 
@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import signal
 
-from dssc_jax.environment.sensors import IDEAL, MOST_DELAY, NOISY, SENSORS, NoisyParams
+from dssc_jax.environment.sensors import IDEAL, LAG, MOST_DELAY, NOISY, SENSORS, LagParams, NoisyParams
 from dssc_jax.errors import ConfigError
 from dssc_jax.study.components import parse_component
 from dssc_jax.study.laws import Law
@@ -17,6 +18,7 @@ from tests.contracts import assert_contract
 DT = 0.01
 TABLES = [
     {"kind": "ideal"},
+    {"kind": "lag", "mu": 0.03},
     {"kind": "noisy"},
     {"kind": "noisy", "position_std": 0.1, "velocity_std": 0.2, "position_bias": 0.3, "velocity_bias": -0.4},
     {"kind": "noisy", "position_std": 0.1, "delay_samples": 3, "period_samples": 2},
@@ -139,6 +141,56 @@ def test_gradients_are_finite():
         assert jnp.isfinite(leaf)
 
 
+def shown(mu, y, y_dot, dt=DT):
+    """What a lagged sensor delivers."""
+    return np.asarray(path(LAG, LagParams(mu), y, y_dot, jax.random.key(0), dt))
+
+
+@pytest.mark.parametrize("mu", [1e-6, 1e-3, 0.02, 5.0])
+def test_lag_is_that_of_scipy_between_samples(mu):
+    """``lsim`` is exact for an input that is linear between its points; it starts at rest at the first measurement."""
+    values = np.random.default_rng(2).normal(size=(2, 60))
+    found = shown(mu, *values)
+    for measured, delivered in zip(values, found, strict=True):
+        lag = signal.TransferFunction([1.0], [mu, 1.0])
+        known = signal.lsim(lag, measured - measured[0], DT * np.arange(60))[1] + measured[0]
+        np.testing.assert_allclose(delivered, known, atol=1e-12)
+
+
+def test_lag_by_hand_and_in_the_limits():
+    """A hand-written loop of many short midpoint steps; a small mu shows the plant as it is, a large one its start."""
+    t = DT * np.arange(30)
+    y, y_dot = np.cos(7 * t), -7 * np.sin(7 * t)
+    z, parts = y[0], 200
+    short = DT / parts / 0.05
+    for k in range(1, 30):
+        for i in range(parts):
+            z += short / (1 + short / 2) * (y[k - 1] + (i + 0.5) / parts * (y[k] - y[k - 1]) - z)
+    assert shown(0.05, y, y_dot)[0, -1] == pytest.approx(z, abs=1e-8)
+    np.testing.assert_allclose(shown(1e-9, y, y_dot), [y, y_dot], atol=1e-5)
+    np.testing.assert_allclose(shown(1e9, y, y_dot), np.outer([1.0, 0.0], np.ones(30)), atol=1e-8)
+
+
+def test_lag_does_not_depend_on_the_sampling_of_a_line():
+    """Of y = t it shows t - mu (1 - exp(-t/mu)) at every T_s."""
+    for dt in (0.005, 0.1, 1.0):
+        t = dt * np.arange(1 + round(2.0 / dt))
+        found = shown(0.3, t, np.ones_like(t), dt)
+        np.testing.assert_allclose(found[0], t - 0.3 * (1.0 - np.exp(-t / 0.3)), atol=1e-13)
+        np.testing.assert_allclose(found[1], 1.0, atol=1e-13)
+
+
+def test_gradients_of_the_lag_are_finite():
+    def seen(mu, y):
+        return path(LAG, LagParams(mu), y * jnp.arange(6.0), jnp.ones(6), jax.random.key(0)).sum()
+
+    for mu in (1e-3, 0.02, 10.0):
+        slope, by_y = jax.jit(jax.grad(seen, argnums=(0, 1)))(mu, 1.0)
+        difference = (seen(mu * (1 + 1e-5), 1.0) - seen(mu * (1 - 1e-5), 1.0)) / (2e-5 * mu)
+        assert float(slope) == pytest.approx(float(difference), rel=1e-6)
+        assert jnp.isfinite(by_y)
+
+
 def test_laws_stand_in_the_numbers():
     table = {"kind": "noisy", "position_std": {"uniform": [0.0, 0.1]}, "velocity_bias": {"normal": [0.0, 0.2]}}
     component = parse_component(table, SENSORS, "sensor")
@@ -167,6 +219,19 @@ def test_bad_input_is_told_in_one_line(changes, message):
     with pytest.raises(ConfigError, match=message.replace("?", r"\?")) as caught:
         parse_component({"kind": "noisy", **changes}, SENSORS, "sensor")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"mu": 0.0}, "sensor.mu: time constant of the sensor's lag .* must be > 0, got 0"),
+        ({}, "sensor.mu: is required and missing"),
+        ({"mu": 0.1, "position_std": 0.1}, "sensor.position_std: unknown name"),
+    ],
+)
+def test_bad_input_of_the_lag(changes, message):
+    with pytest.raises(ConfigError, match=message):
+        parse_component({"kind": "lag", **changes}, SENSORS, "sensor")
 
 
 def test_a_traced_count_is_told():

@@ -34,6 +34,19 @@ class NoisyParams(NamedTuple):
     period_samples: Annotated[Scalar, PERIOD] = 1.0
 
 
+class LagParams(NamedTuple):
+    """A sensor that follows: y and y' each through 1/(mu s + 1)."""
+
+    mu: Annotated[Scalar, Quantity("s", "time constant of the sensor's lag", above=0.0)]
+
+
+class LagState(NamedTuple):
+    """The measurement of the sample before, and what the sensor showed of it."""
+
+    true: Measurement
+    shown: Measurement
+
+
 class NoisyState(NamedTuple):
     """The last reading with its age in controller samples, and what is under way, oldest first."""
 
@@ -105,14 +118,47 @@ def noisy_step(
     return NoisyState(jnp.where(due, 1.0, state.age + 1.0), held, tuple(queue)), delivered
 
 
+def lag_init(params: LagParams, measurement: Measurement, key: jax.Array) -> LagState:
+    """The plant stood at its first measurement before."""
+    return LagState(measurement, measurement)
+
+
+def lag_step(
+    params: LagParams, state: LagState, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
+) -> tuple[LagState, Measurement]:
+    """Exact solution of mu z' = y - z over dt, for y linear between the samples: a small mu is no delay.
+
+    Args:
+        params: Time constant.
+        state: Measurement and reading of the sample before.
+        measurement: The plant's y [m] and y' [m/s] now.
+        key: Not used.
+        t: Time [s].
+        dt: Time since the sample before [s].
+
+    Returns:
+        The next state, and the measurement that the controller sees.
+    """
+    steps = dt / params.mu
+    share = -jnp.expm1(-steps)
+
+    def followed(true: Scalar, before: Scalar, shown: Scalar) -> Scalar:
+        return true - (true - before) * share / steps + (shown - before) * (1.0 - share)
+
+    seen = Measurement(*map(followed, measurement, state.true, state.shown))
+    return LagState(measurement, seen), seen
+
+
 IDEAL = Sensor(
     NoParams,
     init=lambda params, measurement, key: (),
     step=lambda params, state, measurement, key, t, dt: (state, measurement),
 )
 NOISY = Sensor(NoisyParams, noisy_init, noisy_step, prepare)
+LAG = Sensor(LagParams, lag_init, lag_step)
 
 SENSORS: Registry = {
     "ideal": single(IDEAL, "the plant's own y and y'"),
+    "lag": single(LAG, "y and y' each through 1/(mu s + 1)"),
     "noisy": single(NOISY, "white noise, constant errors, delay, and a sampling period of its own"),
 }
