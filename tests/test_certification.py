@@ -173,6 +173,11 @@ def test_of_unmodelled_dynamics_the_theorem_knows_their_absence_only():
         0.0,
         "Theorem 1 certifies the loop without unmodelled dynamics, and is silent of any unmodelled.mu > 0",
     )
+    limited = study.override({"unmodelled": {"kind": "rate_limit", "rate": 10.0}})
+    assert reach(limited, "unmodelled.rate", np.array([10.0, 0.1])) == (
+        None,
+        "Theorem 1 certifies the loop without unmodelled dynamics, and is silent of any finite unmodelled.rate",
+    )
     weak = study.override({"controller.functions.phi_b": 2.0})
     assert reach(weak, "unmodelled.mu", np.array([0.01, 1.0])).value is None
     assert "not even without" in reach(weak, "unmodelled.mu", np.array([0.01, 1.0])).text

@@ -188,6 +188,30 @@ def test_filtered_noise_has_the_stated_law_at_any_step():
         assert float(jnp.corrcoef(first, second)[0, 1]) == pytest.approx(np.exp(-dt / 0.4), abs=0.01)
 
 
+UNMODELLED_TABLES = {
+    "none": {},
+    "lag": {"order": 2, "mu": 0.03},
+    "transfer_function": {"mu": 0.03, "numerator": [1.0, -0.2, 0.5], "denominator": [1.0, 0.4, 1.0]},
+    "delay": {"samples": 1.25, "memory": 3},
+    "rate_limit": {"rate": 20.0},
+    "saturation": {"limit": 0.7},
+}
+
+
+@pytest.mark.parametrize("kind", UNMODELLED)
+def test_unmodelled(kind):
+    component = parse_component({"kind": kind, **UNMODELLED_TABLES[kind]}, UNMODELLED, "unmodelled")
+    model, params = component.model, component.params
+
+    def two_steps(first, second):
+        state = model.init(params)
+        for command in (first, second):
+            state = model.step(params, model.sample(params, state, command, 0.01), command, 0.01)
+        return state, model.output(params, state, second)
+
+    assert_contract(two_steps, model.init(params))
+
+
 @pytest.mark.parametrize("order", [1, 2])
 def test_lag_is_exact(order):
     """Against the step response of 1/(mu s + 1)^order, in steps far longer than mu too."""

@@ -31,6 +31,7 @@ OUTSIDE = {
     "controller.rho": "it takes sliding for granted",
 }
 """Numbers of which the theorem says nothing, and why."""
+LIMITS = ("unmodelled.rate", "unmodelled.limit")  # unmodelled dynamics whose absence is an infinite number
 REFINEMENTS, REFINED = 2, 33  # of the walk's cell in which the certificate is lost: 1/1024 of it
 
 
@@ -93,7 +94,7 @@ def reach(study: Study, name: str, values: np.ndarray) -> Reach:
     """How far Theorem 1 certifies a study as one number takes the place of its law, or of its own value.
 
     Of unmodelled dynamics the theorem knows their absence only: a lag mu s W(mu s) u (Section V-A2) depends on u', and
-    therefore is no disturbance of the class (A0)-(A3), however small mu.
+    therefore is no disturbance of the class (A0)-(A3), however small mu; nor is what a limit takes from the command.
 
     Args:
         study: The study; its own sweep is left aside.
@@ -107,7 +108,8 @@ def reach(study: Study, name: str, values: np.ndarray) -> Reach:
             return Reach(None, f"Theorem 1 is silent: {reason}")
         if not whole:
             return Reach(None, "Theorem 1 does not certify the loop, not even without unmodelled dynamics")
-        return Reach(0.0, f"Theorem 1 certifies the loop without unmodelled dynamics, and is silent of any {name} > 0")
+        alone = "Theorem 1 certifies the loop without unmodelled dynamics, and is silent of any"
+        return Reach(None, f"{alone} finite {name}") if name in LIMITS else Reach(0.0, f"{alone} {name} > 0")
     if part in OUTSIDE or name in OUTSIDE:
         return Reach(None, f"Theorem 1 is silent of {name}: {OUTSIDE.get(name) or OUTSIDE[part]}")
     return certified_up_to(study, name, np.asarray(values, float))

@@ -13,6 +13,7 @@ from dssc_jax.margins import Censoring, Margins, Walk
 from dssc_jax.margins.search import Critical
 from dssc_jax.statistics import clopper_pearson
 from dssc_jax.study.laws import parse_law
+from dssc_jax.unmodelled import UNMODELLED
 from tests.loops import LAGGED
 
 LOOP = LAGGED | {
@@ -85,13 +86,37 @@ def test_every_kind_of_number(study, name, bounds):
     assert np.all((inside >= min(bounds)) & (inside <= max(bounds)))
 
 
-def test_delay(study):
-    delayed = study.override({"unmodelled": {"kind": "delay", "samples": 0.0, "memory": 60}, "draws": 8})
-    found = dj.margin(delayed, over="unmodelled.samples", bounds=(0.0, 60.0), points=7, bisections=6)
+SECOND_ORDER = {"numerator": [1, -0.2], "denominator": [1, 1, 1]}
+FORMS = {
+    "lag": ({"order": 2, "mu": 0.02}, "mu", (0.02, 1.5)),
+    "transfer_function": ({"mu": 0.02, **SECOND_ORDER}, "mu", (0.02, 1.5)),
+    "delay": ({"samples": 0.0, "memory": 60}, "samples", (1.0, 60.0)),
+    "rate_limit": ({"rate": 50.0}, "rate", (50.0, 0.05)),
+    "saturation": ({"limit": 5.0}, "limit", (5.0, 0.02)),
+}
+
+
+@pytest.mark.parametrize("kind", sorted(UNMODELLED.keys() - {"none"}))
+def test_every_form_of_unmodelled_dynamics_has_a_margin(study, kind):
+    """From its harmless end: a draw passes at its critical value and fails just beyond. Theorem 1 speaks of none."""
+    table, number, bounds = FORMS[kind]
+    name = f"unmodelled.{number}"
+    formed = study.override({"unmodelled": {"kind": kind, **table}, "draws": 12})
+    found = dj.margin(formed, over=name, bounds=bounds, log=True, points=7, bisections=10)
+    assert found.summary()["censored"] == 0.0
     critical = found.dataset["critical"].values
-    assert np.all((critical > 1.0) & (critical < 60.0))
-    verdicts = passes(delayed, "unmodelled.samples", [critical[3], critical[3] + 10.0 / 2**6 + 1e-9])
-    assert verdicts[:, 3].tolist() == [True, False]
+    assert np.ptp(critical) > 1e-4
+    step = (bounds[1] / bounds[0]) ** (1.0 / 6 / 2**10)
+    assert passes(formed, name, critical[[3]])[0, 3]
+    assert not passes(formed, name, critical[[3]] * step)[0, 3]
+    assert found.certificate.value is None
+
+
+def test_the_lag_of_a_sensor_has_a_margin(study):
+    lagged = study.override({"unmodelled": {"kind": "none"}, "sensor": {"kind": "lag", "mu": 0.02}, "draws": 12})
+    found = dj.margin(lagged, over="sensor.mu", bounds=(0.02, 1.5), log=True, points=7, bisections=6)
+    assert found.summary()["censored"] == 0.0
+    assert "silent of sensor.mu" in found.certificate.text
 
 
 def test_sample_time(study):

@@ -117,6 +117,64 @@ def test_routh():
     assert found.dataset["critical"].item() == pytest.approx(low, rel=1e-9)
 
 
+@pytest.mark.parametrize("kind", ["sampled", "continuous"])
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_transfer_function_has_the_margin_of_the_same_lag(order, kind):
+    study = random_gains(order, CONSTANT, draws=20)
+    shape = {"numerator": [1], "denominator": [1, 1] if order == 1 else [1, 2, 1]}
+    same = study.override({"unmodelled": {"kind": "transfer_function", "mu": 0.1, **shape}})
+    known, found = (critical(dj.theory.local_margin(one, **OPTIONS, kind=kind)) for one in (study, same))
+    assert found == pytest.approx(known, rel=1e-9)
+
+
+def test_resonance_in_continuous_time():
+    """PI through 1/((mu s)^2 + c mu s + 1) + feedthrough b (mu s)^2: the margin from the roots of the polynomial."""
+    k, a, pole, k_p, k_i, c, b = 1.2, 0.7, 1.5, 4.0, 6.0, 0.6, 0.4
+
+    def stable(mu):
+        plant = np.polymul([1.0, 0.0, 0.0], np.polymul([1.0, a], [mu**2, c * mu, 1.0]))
+        through = k * np.polymul(np.polymul([1.0, pole], [k_p, k_i]), [b * mu**2, 0.0, 1.0])
+        return np.roots(np.polyadd(plant, through)).real.max() < 0.0
+
+    low, high = 1e-3, 1.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if stable(middle) else (low, middle)
+    study = dj.Study.from_table(
+        {
+            "name": "resonance",
+            "loop": {"duration": 1.0, "sample_time": 0.01},
+            "plant": {"kind": "normal_form", "k_p": k, "a_p": a},
+            "controller": {"kind": "pi", "l0": pole, "k_p": k_p, "k_i": k_i},
+            "unmodelled": {
+                "kind": "transfer_function",
+                "mu": 0.1,
+                "numerator": [1.0, 0.0, b],
+                "denominator": [1.0, c, 1.0],
+            },
+        }
+    )
+    options = {"over": "unmodelled.mu", "bounds": (1e-3, 1.0), "log": True, "points": 60, "bisections": 40}
+    found = dj.theory.local_margin(study, kind="continuous", **options)
+    assert found.dataset["critical"].item() == pytest.approx(low, rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("unmodelled", "kinds"),
+    [
+        ({"kind": "rate_limit", "rate": 10.0}, ["sampled"]),
+        ({"kind": "saturation", "limit": 10.0}, ["sampled", "continuous"]),
+    ],
+)
+def test_small_deviations_do_not_notice_a_limit(unmodelled, kinds):
+    """Its local margin is beyond every walk."""
+    study = random_gains(1, CONSTANT, draws=5).override({"unmodelled": unmodelled})
+    name = f"unmodelled.{'limit' if unmodelled['kind'] == 'saturation' else 'rate'}"
+    for kind in kinds:
+        found = dj.theory.local_margin(study, over=name, bounds=(10.0, 0.01), log=True, points=3, kind=kind)
+        assert found.summary()["pass_to_end"] == 1.0
+
+
 def test_delay_margin():
     """Proportional control of an integrator through n samples of delay: k_p K T_s = 2 sin(pi/(2 (2 n + 1)))."""
     study = dj.Study.from_table(
@@ -142,7 +200,16 @@ def test_delay_margin():
         ({"controller": {"kind": "sta", "l0": 1.0, "kappa1": 1.0, "kappa2": 1.0}}, {}, "sta switches at the origin"),
         ({"controller.discretisation": "explicit"}, {}, "the explicit form of dssc switches"),
         ({"sensor": {"kind": "noisy", "position_bias": 0.1}}, {}, "is not at rest"),
-        ({"unmodelled": {"kind": "delay", "samples": 1}}, {"kind": "continuous", "over": "plant.k_p"}, "lags only"),
+        (
+            {"unmodelled": {"kind": "delay", "samples": 1}},
+            {"kind": "continuous", "over": "plant.k_p"},
+            "knows .*got 'delay'",
+        ),
+        (
+            {"unmodelled": {"kind": "rate_limit", "rate": 1.0}},
+            {"kind": "continuous", "over": "plant.k_p"},
+            "knows .*got 'rate_limit'",
+        ),
         ({}, {"over": "loop.sample_time"}, "clock is fixed"),
         ({}, {"bounds": (1.0, 1.0)}, "two different finite numbers"),
     ],

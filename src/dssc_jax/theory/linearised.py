@@ -14,12 +14,13 @@ from dssc_jax.tracking import tracking_error
 from dssc_jax.types import PlantInput, ReferencePoint, Scalar
 
 SET_VALUED = ("sta", "vgsta", "smc")  # their gain at the origin is infinite
+CONTINUOUS = ("none", "lag", "transfer_function", "saturation")  # unmodelled dynamics that continuous time knows
 SMOOTH = ("dssc", "ssc", "pi")
 ORIGIN = ReferencePoint(0.0, 0.0, 0.0)
 
 
 class Linearised(NamedTuple):
-    """x' = A x + B u, sigma = C x: plant, nominal control and unmodelled lag, from the robust command to sigma."""
+    """x' = A x + B u, sigma = C x: plant, nominal control and unmodelled dynamics, from the robust command to sigma."""
 
     a: jax.Array
     b: jax.Array
@@ -61,34 +62,41 @@ def require_smooth(study: Study) -> None:
 
 
 def open_loop(study: Study, params: LoopParams) -> Linearised:
-    """Plant, nominal control and lag between the robust command and sigma, at the origin.
+    """Plant, nominal control and unmodelled dynamics between the robust command and sigma, at the origin.
+
+    The slope of the unmodelled state is that with which its exact step begins.
 
     Args:
         study: A study at rest.
         params: Its parameters for one draw.
 
     Raises:
-        ConfigError: the unmodelled dynamics are neither absent nor a lag.
+        ConfigError: the unmodelled dynamics are none that continuous time knows.
     """
-    if kind_of(study, "unmodelled") not in ("none", "lag"):
-        raise ConfigError(f"{study.source}: unmodelled.kind", "continuous time knows lags only; use the sampled loop")
+    kind = kind_of(study, "unmodelled")
+    if kind not in CONTINUOUS:
+        known = ", ".join(CONTINUOUS)
+        raise ConfigError(
+            f"{study.source}: unmodelled.kind", f"continuous time knows {known}, got '{kind}'; use the sampled loop"
+        )
     loop, gains = study.loop, params.controller[0]
+    model, dynamics = loop.unmodelled[0], params.unmodelled[0]
     rest, unravel = ravel_pytree(loop.plant.init(params.plant))
-    stages = len(loop.unmodelled[0].init(params.unmodelled[0]))
-    mu = params.unmodelled[0].mu if stages else 1.0
+    order = len(model.init(dynamics))
 
     def sigma_of(x: jax.Array) -> Scalar:
         return tracking_error(loop.plant.measure(params.plant, unravel(x)), ORIGIN, gains.l0).sigma
 
     def derivative(state: jax.Array, u: Scalar) -> jax.Array:
-        x, lag = state[: rest.size], state[rest.size :]
+        x, z = state[: rest.size], tuple(state[rest.size :])
         error = tracking_error(loop.plant.measure(params.plant, unravel(x)), ORIGIN, gains.l0)
         total = u + nominal_control(gains.nominal, gains.l0, error, ORIGIN, predictor_pole(gains))
-        chain = jnp.concatenate([jnp.atleast_1d(total), lag])  # mu z1' = u - z1, mu z2' = z1 - z2
-        rate = loop.plant.derivative(params.plant, unravel(x), PlantInput(chain[-1], 0.0), 0.0)
-        return jnp.concatenate([ravel_pytree(rate)[0], (chain[:-1] - chain[1:]) / mu])
+        _, slope = jax.jvp(lambda dt: model.step(dynamics, z, total, dt), (0.0,), (1.0,))
+        reaching = model.output(dynamics, z, total)
+        rate = loop.plant.derivative(params.plant, unravel(x), PlantInput(reaching, 0.0), 0.0)
+        return jnp.concatenate([ravel_pytree(rate)[0], jnp.array(slope)])
 
-    origin = jnp.zeros(rest.size + stages)
+    origin = jnp.zeros(rest.size + order)
     a, b = jax.jacfwd(derivative, argnums=(0, 1))(origin, 0.0)
     c = jax.grad(lambda state: sigma_of(state[: rest.size]))(origin)
     return Linearised(a, b, c)
