@@ -160,6 +160,11 @@ def test_single_precision_is_kept():
         ({"denominator": [1, 1, 1, 1]}, "unmodelled.denominator: must be Hurwitz"),
         ({"denominator": [1, 2, 0]}, "unmodelled.denominator: must be Hurwitz"),
         ({"numerator": [1e-300], "denominator": [1e-300, 1, 1e300]}, "unmodelled.denominator: must be Hurwitz"),
+        (
+            {"numerator": [1e-300, 1e300], "denominator": [1e-300, 1e-300]},
+            "unmodelled.numerator: must be in proportion",
+        ),
+        ({"denominator": of_poles(-1, -1, -1, -1, -1, -1e4)[1]}, "unmodelled.denominator: must not have poles so far"),
         ({"denominator": [1, 1e20, 1]}, "no pole slower than 1e-06 of their geometric mean"),
         ({"denominator": [1, {"uniform": [1, 2]}, 1]}, "unmodelled.denominator: must be a plain number here"),
         ({"denominator": 1.0}, "unmodelled.denominator: must be a list of numbers"),

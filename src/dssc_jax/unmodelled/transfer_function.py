@@ -26,6 +26,7 @@ from dssc_jax.zero_dynamics import companion
 MOST_ORDER = 6
 SLOWEST = 1e-6  # of the poles' geometric mean: slower decay than that is not told from none
 DEGREE = 14  # of the Taylor polynomial: |A rest| <= 1/2, and 0.5^15/15! = 2e-17
+LOSS = 1e-6  # by rounding, nearly all in high derivatives: six poles may lie a factor of 100 apart, three 1e6
 VANISHED = 1e-18  # of exp(A t): nothing is left of what the state was
 Matrix = tuple[tuple[float, ...], ...]
 NUMERATOR = Quantity("1", "numerator of G, rising powers of mu s", law=False)
@@ -76,28 +77,6 @@ def decay(denominator: Sequence[float]) -> float:
         return -float(np.max(np.linalg.eigvals(companion(tuple(coefficients[:-1]))).real))
 
 
-def prepare(params: TransferFunctionParams) -> TransferFunctionParams:
-    """Check that G is proper and stable, and that G(0) = 1.
-
-    Raises:
-        ConfigError: it is not.
-    """
-    above, below = params.numerator, params.denominator
-    if not 2 <= len(below) <= MOST_ORDER + 1:
-        raise ConfigError("denominator", f"must have 2 to {MOST_ORDER + 1} coefficients, got {len(below)}")
-    if not 1 <= len(above) <= len(below):
-        rule = f"must have 1 to {len(below)} coefficients, no more than the denominator (G must be proper)"
-        raise ConfigError("numerator", f"{rule}, got {len(above)}")
-    if above[0] != below[0] or below[0] == 0.0:
-        rule = "must begin with the denominator's first coefficient, and that not be 0, so that G(0) = 1"
-        raise ConfigError("numerator", f"{rule}, got {above[0]:g} and {below[0]:g}")
-    if not decay(below) > SLOWEST:
-        found = [float(f"{value:g}") for value in below]
-        rule = f"must be Hurwitz, and no pole slower than {SLOWEST:g} of their geometric mean"
-        raise ConfigError("denominator", f"{rule}, got {found} in rising powers")
-    return params
-
-
 def rows(matrix: np.ndarray) -> Matrix:
     """A matrix as plain numbers."""
     return tuple(map(tuple, matrix.tolist()))
@@ -123,6 +102,45 @@ def realised(numerator: tuple[float, ...], denominator: tuple[float, ...]) -> Re
 def of(params: TransferFunctionParams) -> Realisation:
     """The realisation of G."""
     return realised(params.numerator, params.denominator)
+
+
+def loss(g: Realisation) -> float:
+    """Largest error of what :func:`transition` makes of a first row, by rounding: it grows with poles far apart."""
+    a, worst = np.array(g.a), 0.0
+    for known in map(np.array, g.doublings):
+        found = [known[0]]
+        for _ in a[1:]:
+            found.append(found[-1] @ a)
+        worst = max(worst, float(np.max(np.abs(known - found))))
+    return worst
+
+
+def prepare(params: TransferFunctionParams) -> TransferFunctionParams:
+    """Check that G is proper and stable, that G(0) = 1, and that its coefficients leave digits enough.
+
+    Raises:
+        ConfigError: it is not.
+    """
+    above, below = params.numerator, params.denominator
+    if not 2 <= len(below) <= MOST_ORDER + 1:
+        raise ConfigError("denominator", f"must have 2 to {MOST_ORDER + 1} coefficients, got {len(below)}")
+    if not 1 <= len(above) <= len(below):
+        rule = f"must have 1 to {len(below)} coefficients, no more than the denominator (G must be proper)"
+        raise ConfigError("numerator", f"{rule}, got {len(above)}")
+    if above[0] != below[0] or below[0] == 0.0:
+        rule = "must begin with the denominator's first coefficient, and that not be 0, so that G(0) = 1"
+        raise ConfigError("numerator", f"{rule}, got {above[0]:g} and {below[0]:g}")
+    found, over = ([float(f"{value:g}") for value in side] for side in (below, above))
+    if not decay(below) > SLOWEST:
+        rule = f"must be Hurwitz, and no pole slower than {SLOWEST:g} of their geometric mean"
+        raise ConfigError("denominator", f"{rule}, got {found} in rising powers")
+    with np.errstate(all="ignore"):
+        g = of(params)
+    if not loss(g) < LOSS:
+        raise ConfigError("denominator", f"must not have poles so far apart at its order, got {found} in rising powers")
+    if not np.all(np.isfinite((*g.c, g.d))):
+        raise ConfigError("numerator", f"must be in proportion to the denominator, got {over}")
+    return params
 
 
 def times(row: Sequence[Scalar], matrix: Matrix) -> tuple[Scalar, ...]:
