@@ -130,6 +130,7 @@ class Engine:
         devices: Devices to share tiles over; None: all.
         program: What is computed of each lane.
         kernel: ``scan``, ``pallas`` or ``auto``; empty: as the environment says, or ``scan``.
+        extra: Numbers that the program takes of each lane beside those of the study.
     """
 
     study: Study
@@ -139,6 +140,7 @@ class Engine:
     clock: Clock = field(default_factory=Clock)
     program: Callable[[Study], Lane] = simulated
     kernel: str = ""
+    extra: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         self.kernel = kernels.requested(self.kernel)
@@ -155,7 +157,7 @@ class Engine:
     @property
     def names(self) -> list[str]:
         """Numbers that differ between lanes."""
-        return [*self.study.axes, *self.study.laws]
+        return [*self.study.axes, *self.study.laws, *self.extra]
 
     def __call__(self, values: Mapping[str, np.ndarray], indices: np.ndarray) -> Callable[[], Arrays]:
         """Start a batch; the result of the returned function is ready when it is called.

@@ -19,7 +19,7 @@ from scipy.stats import qmc
 from dssc_jax.analysis import save
 from dssc_jax.engine import BLOCK, Arrays
 from dssc_jax.errors import ConfigError
-from dssc_jax.probing import Probe, derivative, differentiated, worst_margin
+from dssc_jax.probing import Probe, SteepProbe, derivative, worst_margin
 from dssc_jax.study import Study
 
 EDGE = 1e-6  # outermost level: where the search ends in the tails of unbounded laws
@@ -137,9 +137,8 @@ class Programs(NamedTuple):
         """The programs of a study without a sweep."""
         lanes = max(spread(budget), members(budget, len(study.laws)))
         climbs = climbers(budget, len(study.laws))
-        return cls(
-            study, Probe(study, {}, min(BLOCK, lanes)), Probe(study, {}, climbs, differentiated(list(study.laws)))
-        )
+        steep = SteepProbe(study, {}, climbs, names=list(study.laws))
+        return cls(study, Probe(study, {}, min(BLOCK, lanes)), steep)
 
 
 def spread(budget: int) -> int:

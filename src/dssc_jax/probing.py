@@ -3,8 +3,11 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax import requirements
@@ -12,6 +15,9 @@ from dssc_jax.engine import BLOCK, Arrays, Engine, Lane, drawn, evaluate, simula
 from dssc_jax.errors import ConfigError
 from dssc_jax.study import Study
 from dssc_jax.types import Scalar
+
+CODES = ("outcome", "failed_at", "settled_at")  # results without a derivative
+WHICH = "which number's tangent"  # the place of a lane's number among those that a probe differentiates by
 
 
 @dataclass
@@ -23,7 +29,6 @@ class Probe:
         extents: Lowest and highest value of each number to come, checked like the ends of a sweep; a value takes the
             place of the number's law.
         lanes: Lanes of a batch at most.
-        program: What is computed of each lane.
 
     Raises:
         ConfigError: a name is no number of the loop, or an end is not admissible.
@@ -32,13 +37,16 @@ class Probe:
     study: Study
     extents: Mapping[str, tuple[float, float]]
     lanes: int = BLOCK
-    program: Callable[[Study], Lane] = simulated
     swept: Study = field(init=False)
 
     def __post_init__(self) -> None:
         axes = {name: sorted(set(extent)) for name, extent in self.extents.items()}
         self.swept = self.study.override({"sweep": axes})
-        self.engine = Engine(self.swept, self.lanes, program=self.program)
+        self.engine = self.compiled()
+
+    def compiled(self) -> Engine:
+        """The program that all batches share."""
+        return Engine(self.swept, self.lanes)
 
     def drawn(self, draws: slice) -> Arrays:
         """Values of the laws that are left, for a range of draws."""
@@ -54,12 +62,14 @@ class Probe:
         return evaluate(self.engine, {name: values[name] for name in self.engine.names}, indices)
 
 
-def differentiated(names: Sequence[str], reverse: bool = False) -> Callable[[Study], Lane]:
-    """The program that also computes the derivative of every metric and margin with respect to some of the numbers.
+@dataclass
+class SteepProbe(Probe):
+    """A probe that also computes the derivative of every metric and margin with respect to some of the numbers.
 
-    The derivatives are further results, see :func:`derivative`. Forward mode: a tangent for each number rides along, so
-    memory does not grow with the duration. Reverse mode: a pass back for each metric and margin, whatever the count of
-    numbers; the state is kept at some sqrt(steps) samples, and what is between is computed again.
+    The derivatives are further results, see :func:`derivative`. Forward mode: each lane is computed once for each
+    number, with the tangent of that one; memory does not grow with the duration. Reverse mode: a pass back for each
+    metric and margin, whatever the count of numbers; the state is kept at some sqrt(steps) samples, and what is between
+    is computed again.
 
     Args:
         names: The numbers.
@@ -68,23 +78,69 @@ def differentiated(names: Sequence[str], reverse: bool = False) -> Callable[[Stu
     Reference:
         A. Griewank, A. Walther, "Algorithm 799: revolve", ACM TOMS 26 (2000) 19-45: checkpoints.
     """
-    jacobian = jax.jacrev if reverse else jax.jacfwd
 
-    def program(study: Study) -> Lane:
-        plain = simulated(study, together=None, segment=math.isqrt(study.loop.steps) if reverse else None)
-        codes = ("outcome", "failed_at", "settled_at")
+    names: Sequence[str] = ()
+    reverse: bool = False
 
-        def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
-            def smooth(moved: dict[str, jax.Array]) -> tuple[dict[str, Scalar], dict[str, Scalar]]:
-                found = plain({**values, **moved}, index)
-                return {name: value for name, value in found.items() if name not in codes}, found
+    def compiled(self) -> Engine:
+        """The program with derivatives."""
+        if self.reverse:
+            return Engine(self.swept, self.lanes, program=partial(backward, names=self.names))
+        lanes = min(BLOCK, self.lanes * len(self.names))
+        return Engine(self.swept, lanes, program=partial(forward, names=self.names), extra=(WHICH,))
 
-            slopes, found = jacobian(smooth, has_aux=True)({name: values[name] for name in names})
-            return found | {derivative(of, name): slope for of, row in slopes.items() for name, slope in row.items()}
+    def __call__(self, indices: np.ndarray, values: Mapping[str, np.ndarray]) -> Arrays:
+        """As of a probe, and the derivatives."""
+        if self.reverse:
+            return super().__call__(indices, values)
+        count, size = len(indices), len(self.names)
+        tiled = {name: np.tile(values[name], size) for name in self.engine.names if name != WHICH}
+        found = super().__call__(np.tile(indices, size), tiled | {WHICH: np.repeat(np.arange(size), count)})
+        results = {}
+        for of, column in found.items():
+            own, end, _ = of.partition(derivative("", ""))
+            if end:
+                rows = column.reshape(size, count)
+                results |= {derivative(own, name): row for name, row in zip(self.names, rows, strict=True)}
+            else:
+                results[of] = column[:count]
+        return results
 
-        return lane
 
-    return program
+def smooth(plain: Lane, values: Mapping[str, jax.Array], index: jax.Array) -> Callable[[Any], tuple[Any, Any]]:
+    """A lane's metrics and margins as a function of some of its numbers; beside them everything that it computes."""
+
+    def moved(numbers: dict[str, jax.Array]) -> tuple[dict[str, Scalar], dict[str, Scalar]]:
+        found = plain({**values, **numbers}, index)
+        return {name: value for name, value in found.items() if name not in CODES}, found
+
+    return moved
+
+
+def forward(study: Study, names: Sequence[str]) -> Lane:
+    """The program in forward mode, along the one number whose place each lane tells."""
+    plain = simulated(study)
+
+    def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
+        own = {name: value for name, value in values.items() if name != WHICH}
+        numbers = {name: own[name] for name in names}
+        tangent = {name: jnp.where(values[WHICH] == i, 1.0, 0.0) for i, name in enumerate(names)}
+        _, slopes, found = jax.jvp(smooth(plain, own, index), (numbers,), (tangent,), has_aux=True)
+        return found | {derivative(of, ""): slope for of, slope in slopes.items()}
+
+    return lane
+
+
+def backward(study: Study, names: Sequence[str]) -> Lane:
+    """The program in reverse mode: a pass back for each metric and margin."""
+    plain = simulated(study, together=None, segment=math.isqrt(study.loop.steps))
+
+    def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
+        numbers = {name: values[name] for name in names}
+        slopes, found = jax.jacrev(smooth(plain, values, index), has_aux=True)(numbers)
+        return found | {derivative(of, name): slope for of, row in slopes.items() for name, slope in row.items()}
+
+    return lane
 
 
 def derivative(of: str, name: str) -> str:

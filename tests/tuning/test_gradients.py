@@ -7,8 +7,8 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.controllers import CONTROLLERS
-from dssc_jax.engine import Engine, drawn, simulated
-from dssc_jax.probing import derivative, differentiated
+from dssc_jax.engine import simulated
+from dssc_jax.probing import Probe, SteepProbe, derivative
 from dssc_jax.study.components import parse_component
 from dssc_jax.tuning.gradients import check_gradients, compare
 from dssc_jax.tuning.plan import Plan
@@ -61,53 +61,59 @@ def test_no_nan_at_the_origin(kind):
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slopes))
 
 
+NUMBERS = ["controller.l0", "controller.functions.kappa1"]
+ENDS = dict.fromkeys(NUMBERS, (1.0, 1.0))
+
+
+def eight(probe):
+    """Results of eight lanes."""
+    return probe(np.arange(8), probe.drawn(slice(0, 8)) | {name: np.ones(8) for name in NUMBERS})
+
+
 def test_no_nan_in_a_loop_at_rest():
     """Nothing moves: every metric is 0, and so is every derivative."""
-    axes = {"controller.l0": [1.0], "controller.functions.kappa1": [1.0]}
-    rest = {"plant.initial": [0.0, 0.0], "disturbance.value": 0.0, "sweep": axes}
-    study = dj.Study.from_table(SMALL).override(rest)
-    engine = Engine(study, 8, program=differentiated(list(study.axes)))
-    lanes = drawn(study, slice(0, 8)) | {name: np.ones(8) for name in study.axes}
-    results = engine(lanes, np.arange(8))()
+    rest = dj.Study.from_table(SMALL).override({"plant.initial": [0.0, 0.0], "disturbance.value": 0.0})
+    results = eight(SteepProbe(rest, ENDS, 8, names=NUMBERS))
     for metric in ("error_rms", "command_tv"):
         assert np.all(results[metric] == 0.0)
-        for name in study.axes:
+        for name in NUMBERS:
             assert np.all(results[derivative(metric, name)] == 0.0)
 
 
 def test_the_derivatives_change_nothing_else():
-    study = dj.Study.from_table(SMALL).override({"sweep": {"controller.l0": [1.0]}})
-    lanes = drawn(study, slice(0, 8)) | {"controller.l0": np.ones(8)}
-    with_them = Engine(study, 8, program=differentiated(["controller.l0"]))(lanes, np.arange(8))()
-    plain = Engine(study, 8)(lanes, np.arange(8))()
-    for name, values in plain.items():
+    study = dj.Study.from_table(SMALL)
+    with_them = eight(SteepProbe(study, ENDS, 8, names=NUMBERS))
+    for name, values in eight(Probe(study, ENDS, 8)).items():
         assert np.allclose(with_them[name], values, rtol=1e-10, atol=0.0, equal_nan=True), name
 
 
-def axes(duration):
-    """The small loop with two numbers to differentiate by."""
-    numbers = {"controller.l0": [1.0], "controller.functions.kappa1": [1.0]}
-    return dj.Study.from_table(SMALL).override({"loop.duration": duration, "sweep": numbers})
+def test_a_draw_that_ends_early_leaves_the_others_their_derivatives():
+    """They share a tile: half of them overflow, and time goes on for the rest."""
+    study = dj.Study.from_table(SMALL).override({"plant.a_p": {"choice": [1.0, -400.0]}, "loop.duration": 4.0})
+    results = eight(SteepProbe(study, ENDS, 8, names=NUMBERS))
+    ended = np.isfinite(results["failed_at"])
+    assert 0 < np.count_nonzero(ended) < 8
+    for name in NUMBERS:
+        slopes = results[derivative("error_rms", name)][~ended]
+        assert np.all(np.isfinite(slopes) & (slopes != 0.0))
 
 
-def derived(study, program):
+def taken(probe):
     """Results of eight lanes, and the bytes that the compiled program takes beside them."""
-    engine = Engine(study, 8, devices=1, program=program)
-    results = engine(drawn(study, slice(0, 8)) | {name: np.ones(8) for name in study.axes}, np.arange(8))()
-    return results, engine._run.memory_analysis().temp_size_in_bytes
+    return eight(probe), probe.engine._run.memory_analysis().temp_size_in_bytes
 
 
 def test_reverse_mode_agrees_and_its_memory_is_bounded(monkeypatch):
     """16 times the samples cost 4 times the memory; without checkpoints 16 times."""
-    short, long = axes(3.0), axes(48.0)
-    reverse = differentiated(list(long.axes), reverse=True)
-    forward, _ = derived(long, differentiated(list(long.axes)))
-    backward, room = derived(long, reverse)
+    short, long = (dj.Study.from_table(SMALL).override({"loop.duration": duration}) for duration in (3.0, 48.0))
+    forward = eight(SteepProbe(long, ENDS, 8, names=NUMBERS))
+    backward, room = taken(SteepProbe(long, ENDS, 8, names=NUMBERS, reverse=True))
+    assert set(backward) == set(forward)
     for name, values in forward.items():
         assert np.allclose(backward[name], values, rtol=1e-9, atol=1e-12, equal_nan=True), name
-    assert room < 5.0 * derived(short, reverse)[1]
+    assert room < 5.0 * taken(SteepProbe(short, ENDS, 8, names=NUMBERS, reverse=True))[1]
     monkeypatch.setattr("dssc_jax.probing.simulated", lambda study, together, segment: simulated(study, together))
-    assert derived(long, reverse)[1] > 20.0 * room
+    assert taken(SteepProbe(long, ENDS, 8, names=NUMBERS, reverse=True))[1] > 20.0 * room
 
 
 @pytest.mark.parametrize(("change", "low", "high"), [({}, 0.6, 0.9), ({"tune.smoothing": 0.1}, 0.95, 1.0)])

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.engine import BLOCK, Arrays
-from dssc_jax.probing import Probe, differentiated
+from dssc_jax.probing import Probe, SteepProbe
 from dssc_jax.tuning.objective import Goal, Merit
 from dssc_jax.tuning.plan import WIDTH, Plan
 
@@ -69,8 +69,8 @@ class Problem:
         self.plain = Probe(trial, ends, lanes)
         self.width = table.smoothing
         smooth = ends if self.width is None else ends | {WIDTH: (self.width, self.width)}
-        program = differentiated(self.names, table.derivatives == "reverse")
-        self.probe = Probe(self.plan.smoothed(), smooth, lanes, program)
+        reverse = table.derivatives == "reverse"
+        self.probe = SteepProbe(self.plan.smoothed(), smooth, lanes, names=self.names, reverse=reverse)
         self.laws = self.probe.drawn(slice(0, trial.config.draws))
         self.train = np.arange(table.draws)
         self.validation = np.arange(table.draws, trial.config.draws)
@@ -117,8 +117,17 @@ class Problem:
 
     def steep(self, indices: np.ndarray, lanes: Arrays) -> Arrays:
         """The program with derivatives, at the present width."""
-        width = {} if self.width is None else {WIDTH: np.full(len(indices), self.width)}
-        return self.probe(indices, lanes | width)
+        return self.probe(indices, lanes | self._width(indices))
+
+    def flat(self, indices: np.ndarray, lanes: Arrays) -> Arrays:
+        """What the program with derivatives computes, without them."""
+        if self.width is None:
+            return self.plain(indices, lanes)
+        probe = Probe(self.plan.smoothed(), self.probe.extents, self.probe.lanes)
+        return probe(indices, lanes | self._width(indices))
+
+    def _width(self, indices: np.ndarray) -> Arrays:
+        return {} if self.width is None else {WIDTH: np.full(len(indices), self.width)}
 
     def seen(self, z: np.ndarray, draws: np.ndarray | None = None) -> Point:
         """One point on the validation draws, or others: exact and without derivatives."""

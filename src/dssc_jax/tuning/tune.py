@@ -41,7 +41,7 @@ def tune(
         >>> import dssc_jax as dj
         >>> study = dj.Study.load("studies/tune_case2.toml").override({"draws": 64, "tune.steps": 3, "tune.limits": {}})
         >>> one = study.override({"tune.parameters": {"controller.functions.kappa_m": [0.5, 20.0]}})
-        >>> dj.tune(one.override({"tune.draws": 32, "tune.learning_rate": 0.5})).verdict.reduction > 0.0
+        >>> dj.tune(one.override({"tune.draws": 32})).verdict.reduction > 0.0
         True
     """
     began = time.perf_counter()
