@@ -175,6 +175,7 @@ def test_counterexamples(study):
             {"requirement": [{"metric": "error_rms", "max": 1.0}, {"metric": "error_rms", "min": 2.0}]},
             "nothing can satisfy both",
         ),
+        ({"requirement": [{"metric": "command_tv", "min": 0.5}]}, "tune.limits.command_tv: no value of command_tv is"),
         ({"unmodelled": {"kind": "delay", "samples": 1.0}, "tune.parameters": {"unmodelled.memory": [1, 30]}}, "fixed"),
     ],
 )

@@ -68,7 +68,7 @@ class Plan:
         require_metrics(study, table)
         if table.smoothing is not None:
             require_sign(study)
-        require_room(study)
+        require_room(study, table)
         for name in table.parameters:
             require_number(study, name, table)
         theorem, varied = None, dict(table.parameters)
@@ -135,19 +135,19 @@ def require_metrics(study: Study, table: TuneTable) -> None:
         raise ConfigError("tune.objective", f"needs a weight other than 0, got {table.objective}")
 
 
-def require_room(study: Study) -> None:
-    """Require that no two requirements exclude each other.
+def require_room(study: Study, table: TuneTable) -> None:
+    """Require that no two requirements, or a requirement and a limit, exclude each other.
 
     Raises:
         ConfigError: a metric is to be above a number and below a lesser one.
     """
-    lowest = {r.measure.name: r.minimum for r in study.requirements if r.minimum is not None}
-    for requirement in study.requirements:
-        least = lowest.get(requirement.measure.name)
-        if requirement.maximum is not None and least is not None and least > requirement.maximum:
-            name = requirement.measure.name
-            rule = f"no value of {name} is >= {least:g} and <= {requirement.maximum:g}: nothing can satisfy both"
-            raise ConfigError("requirement", rule)
+    required = [(r.measure.name, r.minimum, r.maximum) for r in study.requirements]
+    most = [("requirement", name, high) for name, _, high in required if high is not None]
+    most += [(f"tune.limits.{name}", name, bound) for name, bound in table.limits.items() if isinstance(bound, float)]
+    for place, name, high in most:
+        least = max((low for other, low, _ in required if other == name and low is not None), default=high)
+        if least > high:
+            raise ConfigError(place, f"no value of {name} is >= {least:g} and <= {high:g}: nothing can satisfy both")
 
 
 def require_sign(study: Study) -> None:
