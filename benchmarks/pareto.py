@@ -12,6 +12,7 @@ import dssc_jax as dj  # isort: skip  (sets compiler flags before anything start
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 
 from dssc_jax import plotting
 from dssc_jax.comparison.rivals import controller_table
@@ -30,6 +31,7 @@ GAINS = {"pi": ("k_p", "k_i"), "sta": ("kappa1", "kappa2"), "vgsta": ("kappa_d",
 FACTOR = 10.0  # ranges reach from a tenth to ten times the gain that corresponds to the article's
 LIMITS = (1.0, 1.1, 1.25, 1.5)  # of the command variation, in shares of what DSSC has at the article's gains
 LAGS = (0.005, 2.0)  # s
+TICKS = (0.1, 0.2, 0.5, 1.0, 2.0)  # of their axis
 MISSION = 40.0  # s, of the fronts: one period of the reference
 
 
@@ -187,8 +189,10 @@ def draw(fronts: dict[str, dict[str, list[Trade]]]) -> None:
             )
             axes[1].set(xlabel="lag $\\mu$ that 95 % of the draws survive [s]", ylabel="CVaR 95 % of the rms error [m]")
             axes[0].set_title(name)
+            axes[1].set_xscale("log")
+            axes[1].set_xticks(TICKS, [f"{tick:g}" for tick in TICKS])
+            axes[1].xaxis.set_minor_locator(NullLocator())
             for ax in axes:
-                ax.set_xscale("log")
                 ax.legend(frameon=False)
         figure.suptitle("Every controller tuned on the same budget, judged on fresh draws")
         plotting.write(figure, DOCS / "figures" / "pareto.png")
