@@ -253,7 +253,8 @@ def descent_lines(budget: Budget, study: dj.Study) -> list[str]:
         changes |= {"draws": budget.fresh, "tune.draws": budget.train, "tune.validation": budget.validation}
     found = dj.tune(study.override(changes))
     return [
-        f'By `optimiser = "adam"`, {steps} steps on the same draws lower it by {found.verdict.reduction:.1%} in '
+        f'`tune_case2` by `optimiser = "adam"`: {steps} steps on the same draws lower the objective by '
+        f"{found.verdict.reduction:.1%} in "
         f"{found.facts['seconds']:.0f} s.",
         "",
     ]
