@@ -13,6 +13,7 @@ from benchmarks.speed.contest import ROOT
 from dssc_jax import xla
 
 STUDY = "mu_robustness"
+IMPORTS = "import dssc_jax.study, dssc_jax.running, dssc_jax.console"
 
 
 class Other(NamedTuple):
@@ -58,9 +59,10 @@ class Sweep(NamedTuple):
 
 
 class Start(NamedTuple):
-    """Seconds of commands: help, then the main study with an empty cache and a filled one."""
+    """Seconds of commands: help, imports alone, then the main study with an empty cache and a filled one."""
 
     help: float
+    imports: float
     cold: Sweep
     warm: Sweep
 
@@ -73,18 +75,21 @@ def start() -> Start:
 
         def seconds(until: str, *words: str) -> tuple[float, float]:
             began, told = time.perf_counter(), 0.0
-            command = [sys.executable, "-m", "dssc_jax.cli", *words]
-            with subprocess.Popen(command, env=environment, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+            process = subprocess.Popen(
+                [sys.executable, *words], env=environment, cwd=ROOT, stdout=subprocess.PIPE, text=True
+            )
+            with process:
                 for line in process.stdout or ():
                     told = told or (time.perf_counter() - began if line.startswith(until) else 0.0)
             if process.returncode:
-                raise RuntimeError(f"dssc-jax {words[0]} ended with status {process.returncode}")
+                raise RuntimeError(f"{' '.join(words)} ended with status {process.returncode}")
             return told, time.perf_counter() - began
 
         def sweep(name: str) -> Sweep:
             out = Path(folder) / name
-            told, end = seconds("result", "sweep", STUDY, "--out", str(out))
+            told, end = seconds("result", "-m", "dssc_jax.cli", "sweep", STUDY, "--out", str(out))
             times = json.loads((out / "manifest.json").read_text())["times"]
             return Sweep(told, end, times["compile_seconds"], times["run_seconds"])
 
-        return Start(seconds("", "--help")[1], sweep("first"), sweep("second"))
+        told = seconds("", "-m", "dssc_jax.cli", "--help")[1]
+        return Start(told, seconds("", "-c", IMPORTS)[1], sweep("first"), sweep("second"))

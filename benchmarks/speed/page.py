@@ -239,6 +239,7 @@ def starts_table(mission: Run, start: Start) -> str:
         ["its compilation", f"{mission.compile_seconds:.1f} s"],
         ["its peak memory", f"{mission.peak:.2f} GB"],
         ["`dssc-jax --help`", f"{start.help:.2f} s"],
+        ["what a sweep imports before it begins, most of it JAX, pandas and SciPy", f"{start.imports:.1f} s"],
         *(
             [
                 f"`dssc-jax sweep mu_robustness`, {cache}",
