@@ -42,6 +42,14 @@ def test_the_witness_is_a_draw(study):
     assert found.witness_study.laws == {}
 
 
+@pytest.mark.parametrize("design", [{"sampling": "sobol", "draws": 64}, {"correlation": {"plant.k_p, plant.a_p": 0.5}}])
+def test_the_witness_of_a_designed_sample(study, design):
+    """A witness is one draw without laws: nothing of how the draws lie together may be asked of it."""
+    found = dj.falsify(study.override(design), budget=64)
+    assert found.witness_study.laws == {}
+    assert float(dj.run(found.witness_study).dataset["outcome"][0]) == (10 if found.margin < 0.0 else 0)
+
+
 def test_signals(study):
     """Knots of a disturbance as a spline are numbers like others: the hunt beats 1,000 random signals."""
     knots = {"kind": "spline", "knots": [{"uniform": [-0.5, 0.5]}] * 4, "interval": 1.0}

@@ -8,7 +8,10 @@ from benchmarks.speed.workloads import Case
 from dssc_jax import xla
 
 UNFLAGGED = OURS._replace(name="unflagged", environment={xla.SWITCH: "off"})
-needs_c = pytest.mark.skipif(native.compiler() is None, reason="the yardstick is compiled by GCC")
+needs_c = pytest.mark.skipif(
+    native.compiler() is None,
+    reason="no GCC on the path; a compiler is no Python package to ask for, .ci/run installs it",
+)
 
 
 def shares(case: Case, draws: int, duration: float, *others: Contender) -> list[float]:
@@ -17,16 +20,20 @@ def shares(case: Case, draws: int, duration: float, *others: Contender) -> list[
     return [quartiles(ratios(found[OURS.name], found[other.name]))[1] for other in others]
 
 
-@needs_c
-def test_one_axis_against_c_and_the_plain_form():
-    """Measured: 0.62 of C, 3.3 times the plain form, 2.4 times the same engine without its flags."""
-    to_c, to_plain, to_unflagged = shares(Case("axis"), 16384, 5.0, C, PLAIN, UNFLAGGED)
-    assert to_c > 0.45
+def test_one_axis_against_the_plain_form_and_itself_without_flags():
+    """Measured: 3.3 times the plain form, 2.4 times the same engine without its flags."""
+    to_plain, to_unflagged = shares(Case("axis"), 16384, 5.0, PLAIN, UNFLAGGED)
     assert to_plain > 1.8
     assert to_unflagged > 1.5
 
 
 @needs_c
+def test_one_axis_against_c():
+    """Measured: 0.62 of C."""
+    assert shares(Case("axis"), 16384, 5.0, C)[0] > 0.45
+
+
+@needs_c
 def test_the_vehicle_against_c():
-    """Measured: 0.65 of C. With a value computed in several kernels, or with several kernels a step, below 0.4."""
+    """Measured: 0.65 of C; 0.03 without the flags."""
     assert shares(Case("uav"), 1024, 2.5, C)[0] > 0.45

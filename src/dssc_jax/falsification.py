@@ -27,6 +27,7 @@ EXPLORED, CLIMBED = 0.25, 0.5  # shares of the budget; evolution gets what is le
 STARTS, CLIMB = 8, 12  # climbs at most, and steps that each is to have at least
 APART = 0.25  # least distance of two starts, in the largest coordinate
 STRIDE, LONGER, SHORTER = 0.25, 1.5, 0.3  # first step of a climb, and its factors after success and failure
+DESIGN = ("sampling", "replicates", "correlation")  # what a study says of its draws together
 MEMBERS = 4  # of the evolution, for each coordinate
 LEAST, MOST = 32, 10**7  # simulations
 
@@ -57,8 +58,9 @@ class Falsified:
 
     @property
     def witness_study(self) -> Study:
-        """The study of the witness alone, as draw 0, whose laws are the witness's numbers."""
-        return self.study.override({**self.witness, "draws": 1})
+        """The study of the witness alone, as draw 0, of numbers in place of laws: no design of draws is left."""
+        table = {name: value for name, value in self.study.table.items() if name not in DESIGN}
+        return Study.from_table({**table, "draws": 1}, self.study.source).override(self.witness)
 
     def summary(self) -> dict[str, Any]:
         """The hunt in plain numbers, for JSON; infinity still to be replaced."""

@@ -100,6 +100,7 @@ def compiled(choice: str, compile_for: Callable[[Batch], Any], scan: Batch, batc
     if choice == "auto" and jax.default_backend() == "gpu":
         try:
             return compile_for(in_registers(batch))
+        # Our own refusal, JAX's of a primitive, Triton's of a program; what else is wrong, the scan meets again.
         except (Unfit, NotImplementedError, jax.errors.JaxRuntimeError) as error:
             warnings.warn(f"slower, sample by sample: {error}", KernelWarning, stacklevel=2)
     return compile_for(scan)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.markup import escape
 
-from dssc_jax.console.terminal import output, show_files, show_table
+from dssc_jax.console.terminal import output, show_files, show_pairs, show_table
 from dssc_jax.global_sensitivity import FAILURE
 from dssc_jax.results import headline_measure
 
@@ -31,12 +31,7 @@ def show_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
             middle = f"{own['median'][metric]:.4g}" if metric in own["median"] else "none"
             rows.append((name, f"{own['failures']}/{summary['draws']}", share, f"[{low:.3g}, {high:.3g}]", middle))
         show_table((gains, "failures", "probability", "95 % interval", f"median {metric}"), rows)
-        rows = []
-        for pair in contest["pairs"]:
-            low, high = pair["interval"]
-            difference = f"{pair['difference']:+.4g} in [{low:+.3g}, {high:+.3g}]"
-            rows.append((f"{pair['a']} - {pair['b']}", difference, f"{pair['p_value']:.3g}"))
-        show_table(("failure probability, paired", "difference, 95 % interval", "p-value (exact McNemar)"), rows)
+        show_pairs(contest["pairs"], "failure probability, paired", "exact McNemar")
     if summary["tuned"]:
         console.print(f"tuning: {escape(summary['tuned']['budget'])}", soft_wrap=True)
     show_files(files)

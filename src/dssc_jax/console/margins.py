@@ -6,7 +6,7 @@ from typing import Any
 
 from rich.markup import escape
 
-from dssc_jax.console.terminal import output, show_files, show_table
+from dssc_jax.console.terminal import output, show_files, show_pairs, show_table
 from dssc_jax.statistics import wilks_draws
 
 BEFORE = "before the start"
@@ -73,12 +73,7 @@ def show_margin_contest(summary: Mapping[str, Any], files: list[Path]) -> None:
     ]
     head = ("controller", "median", "95 % of draws pass up to", *SHARES.values(), "seconds")
     show_table(head, rows, f"{summary['parameter']} [{unit}] from {start:g} to {end:g}")
-    rows = []
-    for pair in summary["pairs"]:
-        low, high = pair["interval"]
-        difference = f"{pair['difference']:+.4g} in [{low:+.3g}, {high:+.3g}]"
-        rows.append((f"{pair['a']} - {pair['b']}", difference, f"{pair['p_value']:.3g}"))
-    show_table(("share of draws that go further", "difference, 95 % interval", "p-value (exact, paired)"), rows)
+    show_pairs(summary["pairs"], "share of draws that go further", "exact, paired")
     for text in sorted({own["certificate"] for own in controllers.values()}):
         names = [name for name, own in controllers.items() if own["certificate"] == text]
         console.print(f"{', '.join(names)}: {text}", markup=False, soft_wrap=True)

@@ -92,6 +92,16 @@ def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | 
     output().print(table)
 
 
+def show_pairs(pairs: Sequence[Mapping[str, Any]], title: str, test: str) -> None:
+    """Differences of every two controllers, with their intervals and the test's p-values."""
+    rows = []
+    for pair in pairs:
+        low, high = pair["interval"]
+        difference = f"{pair['difference']:+.4g} in [{low:+.3g}, {high:+.3g}]"
+        rows.append((f"{pair['a']} - {pair['b']}", difference, f"{pair['p_value']:.3g}"))
+    show_table((title, "difference, 95 % interval", f"p-value ({test})"), rows)
+
+
 def show_files(files: Sequence[Path]) -> None:
     """The files that were written."""
     for path in files:
