@@ -162,6 +162,7 @@ def test_counterexamples(study):
         ({"tune.limits": {"command_tv": 0.0}}, "must be a number > 0, or 'start'"),
         ({"tune.optimiser": "adma"}, "did you mean 'adam'"),
         ({"tune.seed": 5}, "must not be the study's own"),
+        ({"sampling": "sobol", "draws": 64}, "a tuning's verdict needs independent draws"),
         ({"tune.batch": 64}, "must be <= draws = 32"),
         ({"tune.batch": 8, "tune.optimiser": "sqp"}, "needs the same draws at every step"),
         ({"tune.slack": 0.1}, "Theorem 1 does not speak of this loop"),

@@ -7,6 +7,7 @@ from typing import Any
 from dssc_jax.controllers.dssc import DsscGains
 from dssc_jax.errors import ConfigError, meant
 from dssc_jax.metrics import Measure
+from dssc_jax.probing import require_independent
 from dssc_jax.study import Law, Study
 from dssc_jax.study.schema import TuneTable
 from dssc_jax.tuning.certified import NUMBERS, Theorem, split
@@ -62,6 +63,7 @@ class Plan:
             raise ConfigError("tune.batch", f"{PROGRAMMING} needs the same draws at every step; take one of {DESCENTS}")
         if table.batch is not None and table.batch > table.draws:
             raise ConfigError("tune.batch", f"must be <= draws = {table.draws}, got {table.batch}")
+        require_independent(study, "a tuning's verdict")
         seed = (study.config.seed + 1) % 2**32 if table.seed is None else table.seed
         if seed == study.config.seed:
             raise ConfigError("tune.seed", f"must not be the study's own, whose draws decide, got {seed}")
