@@ -173,3 +173,14 @@ def test_decimated_trajectory_is_a_slice_of_the_full_one(case_2):
     np.testing.assert_allclose(coarse["y"], full["y"].values[::7], rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(coarse["t"], full["t"].values[::7], rtol=1e-15)
     assert coarse.attrs["error_rms"] == pytest.approx(full.attrs["error_rms"], rel=1e-12)
+
+
+@pytest.mark.parametrize("samples", [300, 301])
+def test_every_sample_counts_once_whether_their_number_is_even_or_odd(uncertain, samples):
+    """The batched loop may take two samples a turn; the trajectory takes them one by one."""
+    study = uncertain.without_sweep().override({"loop.duration": samples * 0.01, "draws": 3})
+    assert study.loop.steps == samples
+    batched, alone = dj.run(study).dataset, dj.simulate(study, 2)
+    for measure in study.measures:
+        np.testing.assert_allclose(batched[measure.name].values[2], alone.attrs[measure.name], rtol=1e-11)
+    np.testing.assert_allclose(batched["error_rms"].values[2], np.sqrt(np.mean(alone["e"].values ** 2)), rtol=1e-11)

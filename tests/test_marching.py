@@ -20,13 +20,14 @@ class Counting(NamedTuple):
     computed: jax.Array
 
 
-def counted(ends, steps=STEPS):
+def counted(ends, turn):
     def sample(at):
         return Counting(at.k + 1, at.end, at.computed + 1)
 
     def one(end):
         zero = jnp.zeros((), jnp.int32)
-        return until_all_ended(sample, lambda at: at.k < at.end, Counting(zero, end, zero), steps, "tile").computed
+        at = Counting(zero, end, zero)
+        return until_all_ended(sample, lambda at: at.k < at.end, at, STEPS, "tile", turn).computed
 
     return np.asarray(jax.jit(jax.vmap(one, axis_name="tile"))(jnp.asarray(ends)))
 
@@ -41,5 +42,6 @@ def counted(ends, steps=STEPS):
         ([STEPS + 7, STEPS + 7], STEPS),  # never beyond the last sample
     ],
 )
-def test_a_tile_stops_at_the_first_look_without_a_flying_draw(ends, computed):
-    assert counted(ends).tolist() == [computed, computed]
+@pytest.mark.parametrize("turn", [1, 2])
+def test_a_tile_stops_at_the_first_look_without_a_flying_draw(ends, computed, turn):
+    assert counted(ends, turn).tolist() == [computed, computed]

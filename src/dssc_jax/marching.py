@@ -13,11 +13,28 @@ BETWEEN_LOOKS = 64  # samples between two looks at whether any draw still flies
 C = TypeVar("C")
 
 
-def until_all_ended(sample: Callable[[C], C], flying: Callable[[C], Scalar], at: C, steps: int, together: str) -> C:
+def until_all_ended(
+    sample: Callable[[C], C], flying: Callable[[C], Scalar], at: C, steps: int, together: str, turn: int = 1
+) -> C:
     """Sample after sample, until ``steps`` are done or no draw of the mapped axis ``together`` flies any more.
 
     The look is common to all draws of the axis, so that time and what depends on it alone stay scalars.
+
+    Args:
+        sample: One sample.
+        flying: Whether a draw goes on.
+        at: The carry at the start.
+        steps: Samples in all.
+        together: The mapped axis.
+        turn: Samples of a turn of the compiled loop, of which ``steps`` and ``BETWEEN_LOOKS`` are multiples.
     """
+
+    traced_once = jax.jit(sample)
+
+    def turned(at: C) -> C:
+        for _ in range(turn):
+            at = traced_once(at)
+        return at
 
     def any_flies(at: C) -> Scalar:
         return jax.lax.pmax(jnp.where(flying(at), 1, 0), together)
@@ -28,7 +45,7 @@ def until_all_ended(sample: Callable[[C], C], flying: Callable[[C], Scalar], at:
         def before(at: Any) -> Scalar:
             return at.k < last
 
-        after = jax.lax.while_loop(before, sample, carry[0])
+        after = jax.lax.while_loop(before, turned, carry[0])
         return after, any_flies(after)
 
     def goes_on(carry: tuple[C, Scalar]) -> Scalar:
