@@ -45,6 +45,14 @@ def test_a_division_needs_no_keeping():
     assert kept(program_of(lambda x, z: (x / z + 1.0, x / z - 1.0), X, Z)) == 0
 
 
+def test_a_costly_number_that_two_kernels_broadcast_is_kept():
+    """The sine of the time, which XLA would compute in each of them."""
+    t = jnp.float32(0.7)
+    assert kept(program_of(lambda x, z, t: (x * jnp.sin(t), jnp.sin(t) + z), X, Z, t)) == 1
+    assert kept(program_of(lambda x, z, t: (x * jnp.sin(t) + z, x - z), X, Z, t)) == 0
+    assert kept(program_of(lambda x, z, t: (x * (t + 1.0), z - (t + 1.0)), X, Z, t)) == 0
+
+
 def test_equal_expressions_are_merged_across_calls_and_unused_ones_go():
     inner = jax.jit(lambda x: jnp.where(x > 0.5, jnp.sqrt(x), x))
     found = names(program_of(lambda x: (inner(x) + 1.0, inner(x) - 1.0, jnp.exp(x))[:2], X))

@@ -149,6 +149,9 @@ def worth_keeping(equations: Sequence[JaxprEqn], results: set[Var]) -> set[Var]:
 
     A kernel is named by the value that it stores. Backwards, a variable belongs to the kernels of its readers; what
     only one kernel reads is computed within it. Forwards, operations are counted from the last stored values.
+
+    Of arrays XLA itself keeps what is not :data:`REPEATED`; of single numbers, which kernels broadcast, nothing: the
+    sine of the time would be computed in each kernel that reads the reference.
     """
     again = repeated_work(equations, results)
     kernels: dict[Var, set[Var]] = {variable: {variable} for variable in results}
@@ -157,8 +160,8 @@ def worth_keeping(equations: Sequence[JaxprEqn], results: set[Var]) -> set[Var]:
         readers: set[Var] = set()
         for variable in eqn.outvars:
             own = kernels.get(variable, set())
-            repeated, shared = eqn.primitive.name in REPEATED, len(own) > 1
-            if repeated and shared and again[variable] >= WORTH and size(variable) > 1:
+            repeated, shared = eqn.primitive.name in REPEATED, len(own) > 1 and eqn.primitive.name not in FREE
+            if shared and (repeated and again[variable] >= WORTH if size(variable) > 1 else not repeated):
                 keep.add(variable)
             stored = variable in keep or variable in results or (shared and not repeated)
             readers |= {variable} if stored and eqn.primitive.name not in FREE else own
