@@ -87,6 +87,8 @@ class Result:
         quantiles are order statistics, hence for independent draws only.
         """
         times = self.manifest.get("times", {})
+        quantiles = {measure.name: self._quantiles(measure.name, confidence) for measure in self.study.measures}
+        points = np.ndindex(*map(len, self.study.axes.values()))
         return {
             "study": self.study.name,
             "draws": self.study.config.draws,
@@ -95,22 +97,24 @@ class Result:
             "interval_method": self.method.name,
             "stopping": self.manifest.get("stopping"),
             "requirements": [requirement.text for requirement in self.study.requirements],
-            "points": [self._point(index, confidence) for index in np.ndindex(*map(len, self.study.axes.values()))],
+            "points": [self._point(index, confidence, quantiles) for index in points],
             "rate": times.get("rate"),
             "compile_seconds": times.get("compile_seconds"),
             "seconds": times.get("seconds"),
             "result": str(self.path) if self.path else None,
         }
 
-    def _point(self, index: tuple[int, ...], confidence: float) -> dict[str, Any]:
+    def _point(
+        self, index: tuple[int, ...], confidence: float, quantiles: Mapping[str, Mapping[str, np.ndarray]]
+    ) -> dict[str, Any]:
         axes = self.study.axes
         point = {name: axes[name][i] for name, i in zip(axes, index, strict=True)}
         outcome = self.dataset["outcome"].values[index]
         draws, failed = int(outcome.size), outcome != Outcome.OK
         failures = int(np.count_nonzero(failed))
         metrics = {
-            measure.name: self._quantiles(self.dataset[measure.name].values[index], confidence)
-            for measure in self.study.measures
+            metric: {name: np.asarray(values[index]).tolist() for name, values in found.items()}
+            for metric, found in quantiles.items()
         }
         return {
             **point,
@@ -127,18 +131,20 @@ class Result:
         }
 
     def _certified(self, index: tuple[int, ...]) -> bool | None:
-        marks = self.dataset.get("certified")
-        return None if marks is None else bool(marks.transpose(*self.study.axes).values[index])
+        if "certified" not in self.dataset:
+            return None
+        return bool(self.dataset["certified"].transpose(*self.study.axes).values[index])
 
-    def _quantiles(self, values: np.ndarray, confidence: float) -> dict[str, Any]:
-        ordered, method = ranked(values), self.method
-        found: dict[str, Any] = {}
-        for level, value in zip(QUANTILES, upper_quantiles(values, QUANTILES), strict=True):
-            found[f"q{100 * level:g}"] = finite_or_none(value)
+    def _quantiles(self, metric: str, confidence: float) -> dict[str, np.ndarray]:
+        """A metric's quantiles at every point, None where infinite, and their intervals: a last axis of two ends."""
+        ordered, method = ranked(self.dataset[metric].values), self.method
+        found: dict[str, np.ndarray] = {}
+        for level, values in zip(QUANTILES, upper_quantiles(ordered, QUANTILES), strict=True):
+            found[f"q{100 * level:g}"] = values
             if not isinstance(method, Replicated):
-                ranks = quantile_ranks(len(ordered), level, method.level(confidence))
-                found[f"q{100 * level:g}_interval"] = [finite_or_none(at_rank(ordered, rank)) for rank in ranks]
-        return found
+                ranks = quantile_ranks(ordered.shape[-1], level, method.level(confidence))
+                found[f"q{100 * level:g}_interval"] = np.stack([at_rank(ordered, rank) for rank in ranks], axis=-1)
+        return {name: nullable(values) for name, values in found.items()}
 
     def save(self, folder: str | Path) -> Path:
         """Write the results folder.
@@ -215,6 +221,8 @@ def measured(result: Result, metric: str | None) -> Measure:
     return by_name[metric]
 
 
-def finite_or_none(value: float) -> float | None:
-    """JSON has no infinity."""
-    return float(value) if np.isfinite(value) else None
+def nullable(values: np.ndarray) -> np.ndarray:
+    """Numbers for JSON, which has no infinity: objects, None where a value is not finite."""
+    found = np.array(values, dtype=object)
+    found[~np.isfinite(values)] = None
+    return found

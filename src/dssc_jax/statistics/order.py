@@ -1,5 +1,7 @@
 """What the order statistics of independent draws say of any law: intervals of quantiles, and tolerance limits."""
 
+from functools import lru_cache
+
 import numpy as np
 from scipy import special
 
@@ -17,17 +19,18 @@ def binomial_quantile(level: float, draws: int, probability: float) -> int:
 
 
 def ranked(values: np.ndarray) -> np.ndarray:
-    """Values in rising order; a draw without a value (NaN) counts as +inf."""
+    """Values in rising order along the last axis; a draw without a value (NaN) counts as +inf."""
     return np.sort(np.where(np.isnan(values), np.inf, values))
 
 
-def at_rank(ordered: np.ndarray, rank: int) -> float:
-    """The order statistic X_(rank), counted from 1; infinite beyond the draws."""
-    if rank < 1:
-        return -np.inf
-    return float(ordered[rank - 1]) if rank <= len(ordered) else np.inf
+def at_rank(ordered: np.ndarray, rank: int) -> np.ndarray:
+    """The order statistic X_(rank) along the last axis, counted from 1; infinite beyond the draws."""
+    if 1 <= rank <= ordered.shape[-1]:
+        return ordered[..., rank - 1]
+    return np.full(ordered.shape[:-1], -np.inf if rank < 1 else np.inf)
 
 
+@lru_cache
 def quantile_ranks(draws: int, level: float, confidence: float = CONFIDENCE) -> tuple[int, int]:
     """Ranks r, s of the order statistics that enclose a quantile: P(B < r) <= a/2 and P(B >= s) <= a/2, B ~ Bin(n, p).
 
@@ -72,7 +75,7 @@ def quantile_interval(values: np.ndarray, level: float, confidence: float = CONF
     """
     low, high = quantile_ranks(len(values), level, confidence)
     ordered = ranked(values)
-    return at_rank(ordered, low), at_rank(ordered, high)
+    return float(at_rank(ordered, low)), float(at_rank(ordered, high))
 
 
 def wilks_confidence(draws: int, content: float, order: int = 1, sides: int = 1) -> float:
@@ -153,6 +156,6 @@ def tolerance_limits(
         raise ValueError(f"side must be lower, upper or both, got '{side}'")
     order = wilks_order(len(values), content, confidence, sides=2 if side == "both" else 1)
     ordered = ranked(values)
-    low = at_rank(ordered, order) if order and side != "upper" else -np.inf
-    high = at_rank(ordered, len(values) + 1 - order) if order and side != "lower" else np.inf
+    low = float(at_rank(ordered, order)) if order and side != "upper" else -np.inf
+    high = float(at_rank(ordered, len(values) + 1 - order)) if order and side != "lower" else np.inf
     return low, high
