@@ -203,7 +203,7 @@ def test_other_controllers_have_no_certificate():
     for name in ("plant.k_p", "unmodelled.mu"):
         assert reach(study, name, np.array([1.0, 2.0])) == (
             None,
-            "Theorem 1 is silent: the controller is not DSSC with the functions of Table 1 (kind = 'vgsta')",
+            "Theorem 1 is silent: the controller is not DSSC with functions.kind = 'vgsta', those of Table 1",
         )
 
 

@@ -185,7 +185,7 @@ def design_of(study: Study) -> tuple[Parameters, Bounds]:
     gains = ends.low.controller[0]
     own_model = study.loop.controller[0] not in DSSC.members.values()
     if own_model or not isinstance(gains.functions, Vgsta):
-        raise Silent("the controller is not DSSC with the functions of Table 1 (kind = 'vgsta')")
+        raise Silent("the controller is not DSSC with functions.kind = 'vgsta', those of Table 1")
     if gains.sign_width is not None:
         raise Silent("the sign is smoothed (sign_width), so that nothing slides on sigma_tilde = 0")
     if any(isinstance(leaf, Law) for name, leaf in study.leaves().items() if is_gain(name) and name not in study.axes):

@@ -30,15 +30,16 @@ def draw_key(seed: int, index: jax.Array | int) -> jax.Array:
 def _uniform(seed: int, streams: tuple[int, ...], indices: jax.Array) -> jax.Array:
     def point(index: jax.Array) -> jax.Array:
         key = draw_key(seed, index)
-        return jnp.stack([jax.random.uniform(jax.random.fold_in(key, s), dtype=jnp.float64) for s in streams])
+        return jax.vmap(lambda stream: jax.random.uniform(jax.random.fold_in(key, stream), dtype=jnp.float64))(factors)
 
+    factors = jnp.asarray(streams, dtype=jnp.uint32)
     return jax.vmap(point)(indices)
 
 
 def uniform(seed: int, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
     """Independent points of the half-open unit cube, shape (n, streams)."""
     with jax.enable_x64(True):
-        return np.asarray(_uniform(seed, streams, jnp.asarray(indices, dtype=jnp.uint32)))
+        return np.asarray(_uniform(seed, streams, np.asarray(indices, dtype=np.uint32)))
 
 
 def random_points(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:

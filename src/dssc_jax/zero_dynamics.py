@@ -3,7 +3,6 @@
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_continuous_lyapunov
 
 from dssc_jax.errors import ConfigError
 from dssc_jax.types import Quantity, Scalar, extent
@@ -73,6 +72,8 @@ def norm_observer(dynamics: ZeroDynamics) -> tuple[float, float]:
     Raises:
         ConfigError: as :func:`require_hurwitz`.
     """
+    from scipy.linalg import solve_continuous_lyapunov
+
     require_hurwitz(dynamics)
     matrix = companion(tuple(float(value) for value in dynamics.a))
     p = solve_continuous_lyapunov(matrix.T, -2.0 * np.eye(len(matrix)))

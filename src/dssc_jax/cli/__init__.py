@@ -1,5 +1,6 @@
 """The command line. Heavy imports wait until a command needs them, so that help is instant."""
 
+import gc
 import importlib
 import shlex
 import sys
@@ -17,6 +18,7 @@ for module in MODULES:
     importlib.import_module(f"dssc_jax.cli.{module}")
 
 LONGEST = 1000  # characters of a message
+YOUNG = 100_000  # objects between two searches for garbage: imports and traces make a million that stay
 
 
 def say(text: str) -> None:
@@ -28,7 +30,10 @@ def say(text: str) -> None:
 
 def main() -> None:
     """Entry point: one line for bad input, no traceback."""
-    sys.exit(guarded(sys.argv[1:]))
+    gc.set_threshold(YOUNG)
+    code = guarded(sys.argv[1:])
+    gc.freeze()  # what is left goes with the process: to look through it once more would take half a second
+    sys.exit(code)
 
 
 def how_to_go_on(arguments: list[str]) -> str:

@@ -16,7 +16,6 @@ from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.linalg import expm
 
 from dssc_jax.errors import ConfigError
 from dssc_jax.numerics import dot
@@ -85,6 +84,8 @@ def rows(matrix: np.ndarray) -> Matrix:
 @cache
 def realised(numerator: tuple[float, ...], denominator: tuple[float, ...]) -> Realisation:
     """G as matrices, with the exponentials that its step needs."""
+    from scipy.linalg import expm
+
     unit, poles = scaled(denominator)
     zeros = np.zeros(len(poles))
     zeros[: len(numerator)] = np.asarray(numerator) / denominator[0] / unit ** np.arange(len(numerator))
