@@ -246,7 +246,7 @@ def starts_table(mission: Run, start: Start) -> str:
                 f"{sweep.table:.1f} s to its table, {sweep.end:.1f} s to its end, "
                 f"of which {sweep.compiling:.1f} s compiling and {sweep.running:.1f} s running 73,728 loops of 60 s",
             ]
-            for cache, sweep in (("empty cache", start.cold), ("the same again", start.warm))
+            for cache, sweep in (("empty cache", start.cold), ("again, median of 5", start.warm))
         ),
     ]
     return table(["what", "measured"], rows)

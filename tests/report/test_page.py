@@ -124,7 +124,7 @@ def test_it_tells_what_the_summary_tells(run_page, ran):
     assert f"{point['failures']} of {point['draws']} draws fail" in run_page.text
     low, high = point["interval"]
     assert f"{low:.3g} to {high:.3g}" in run_page.text
-    assert "not certified: the controller is not DSSC with the functions of Table 1" in run_page.text
+    assert "not certified: the controller is not DSSC with functions.kind = 'vgsta', those of Table 1" in run_page.text
     for name in (*ran.study.laws, *(measure.name for measure in ran.study.measures)):
         assert name in run_page.text
     assert ran.study.hash in run_page.text
