@@ -57,7 +57,7 @@ pareto: .venv/test  ## regenerate docs/tuning.md: gains tuned, failures hunted, 
 # Other people's simulators, which want their own versions of what we use; the page tells where they do not install.
 .venv/simulators/done:
 	$(PYTHON) -m venv .venv/simulators
-	for name in crazyflow rotorpy; do \
+	for name in crazyflow "rotorpy torch"; do \
 		.venv/simulators/bin/python -m pip install --quiet --disable-pip-version-check $$name || echo "no $$name here"; done
 	touch $@
 

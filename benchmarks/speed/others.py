@@ -1,7 +1,6 @@
 """What other simulators do: ``simulators.py`` under a Python that has them, and how long commands take."""
 
 import json
-import os
 import subprocess
 import sys
 import time
@@ -9,8 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
-from benchmarks.speed.contest import ROOT
-from dssc_jax import xla
+from benchmarks.speed.contest import ROOT, environment
 
 STUDY = "mu_robustness"
 IMPORTS = "import dssc_jax.study, dssc_jax.running, dssc_jax.console"
@@ -71,14 +69,11 @@ class Start(NamedTuple):
 def start() -> Start:
     """Time the commands, the cache in a folder of its own."""
     with TemporaryDirectory() as folder:
-        environment = {name: value for name, value in os.environ.items() if name not in ("XLA_FLAGS", xla.SWITCH)}
-        environment["XDG_CACHE_HOME"] = folder
+        own = environment({"XDG_CACHE_HOME": folder})
 
         def seconds(until: str, *words: str) -> tuple[float, float]:
             began, told = time.perf_counter(), 0.0
-            process = subprocess.Popen(
-                [sys.executable, *words], env=environment, cwd=ROOT, stdout=subprocess.PIPE, text=True
-            )
+            process = subprocess.Popen([sys.executable, *words], env=own, cwd=ROOT, stdout=subprocess.PIPE, text=True)
             with process:
                 for line in process.stdout or ():
                     told = told or (time.perf_counter() - began if line.startswith(until) else 0.0)

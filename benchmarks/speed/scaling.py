@@ -5,7 +5,6 @@ included, and prints a JSON object.
 """
 
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -14,7 +13,7 @@ from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
-from benchmarks.speed.contest import ROOT
+from benchmarks.speed.contest import environment
 from benchmarks.speed.worker import peak
 from benchmarks.speed.workloads import Case, study_of
 from dssc_jax import xla
@@ -50,13 +49,10 @@ def one(
     x: float, loop: str, draws: int, duration: float, points: int = 1, devices: int | None = None, keep: bool = False
 ):
     """A run in a process of its own."""
-    environment = {name: value for name, value in os.environ.items() if name not in ("XLA_FLAGS", xla.SWITCH)}
-    environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
-    if devices:
-        environment["XLA_FLAGS"] = f"{xla.DEVICE_COUNT}={devices}"
+    limited = {"XLA_FLAGS": f"{xla.DEVICE_COUNT}={devices}"} if devices else {}
     arguments = [loop, str(draws), str(duration), str(points), *(["keep"] if keep else [])]
     command = [sys.executable, "-m", "benchmarks.speed.scaling", *arguments]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    done = subprocess.run(command, env=environment(limited), capture_output=True, text=True, check=True)
     return Run(x, **json.loads(done.stdout.splitlines()[-1]))
 
 
