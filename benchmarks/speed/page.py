@@ -205,8 +205,8 @@ Our rate over the others', in one run:
 
 {ratios_table(found.contests)}
 
-The plain form repeats in each kernel what several kernels of a step share, the more so the more stages the step has: with
-Euler's one stage it is nearer. One device takes as many draws as two do.
+The plain form repeats in each kernel what several kernels of a step share, the more so the more stages the step has:
+with Euler's one stage it is nearer. One device takes as many draws as two do.
 
 What a process costs, UAV, RK4, float64. Before its first result each one imports this package to draw the same numbers.
 Metrics of all contenders agree with ours to {ALLOWED[64]:g} relative in float64 and {ALLOWED[32]:g} in float32, or the
