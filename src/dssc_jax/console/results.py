@@ -1,5 +1,6 @@
 """Results as a person sees them: a run, a sweep, one draw, a verification."""
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,27 +17,24 @@ if TYPE_CHECKING:
     from dssc_jax.verification import Verification
 
 WIDEST_ROWS = 40
+STAYS_FINITE = "that the draw stays finite"
 MARKS = {True: "yes", False: "no", None: "-"}
 
 
 def show_result(result: "Result") -> None:
     """Failure probabilities with their intervals, and where everything is."""
-    summary = result.summary()
     console = output()
-    required = "; ".join(summary["requirements"]) or "that the draw stays finite"
-    console.print(f"[bold]{escape(result.study.name)}[/bold]  required: {escape(required)}")
-    axes = list(result.study.axes)
-    points = summary["points"]
+    axes, required = result.study.axes, "; ".join(rule.text for rule in result.study.requirements)
+    console.print(f"[bold]{escape(result.study.name)}[/bold]  required: {escape(required or STAYS_FINITE)}")
     if not axes:
         console.print(describe_probability(result.failed.values, result.method), markup=False)
-        if summary["stopping"]:
-            stopping = summary["stopping"]
+        if stopping := result.manifest.get("stopping"):
             console.print(f"the draws decided their number, {stopping['rule']}: {stopping['verdict']}", markup=False)
-        show_outcomes(points[0])
-    elif len(axes) == 2 and len(points) > WIDEST_ROWS:
-        show_grid(result, axes)
+        show_outcomes(result.summary()["points"][0])
+    elif len(axes) == 2 and math.prod(map(len, axes.values())) > WIDEST_ROWS:
+        show_grid(result, list(axes))
     else:
-        show_points(axes, points, headline(result).name)
+        show_points(list(axes), result.summary()["points"], headline(result).name)
     console.print(result.certificate, markup=False)
     times = result.manifest["times"]
     console.print(
