@@ -89,6 +89,15 @@ def ratios_table(contests: dict[Case, dict[str, Measured]]) -> str:
     return table(["ours over", *names], rows)
 
 
+def plain_shares(contests: dict[Case, dict[str, Measured]]) -> str:
+    """How near the plain form of the UAV comes to C."""
+    cases = [contests[Case("uav", method)] for method in ("rk4", "euler")]
+    if any(C.name not in measured for measured in cases):
+        return ""
+    many, one = (np.median(ratios(measured[PLAIN.name], measured[C.name])) for measured in cases)
+    return f" (the UAV's, in float64, to C: {many:.2g} of it with RK4, {one:.2g} with Euler)"
+
+
 def costs_table(measured: dict[str, Measured]) -> str:
     """What a process costs."""
     rows = [
@@ -206,7 +215,7 @@ Our rate over the others', in one run:
 {ratios_table(found.contests)}
 
 The plain form repeats in each kernel what several kernels of a step share, the more so the more stages the step has:
-with Euler's one stage it is nearer. One device takes as many draws as two do.
+with Euler's one stage it is nearer{plain_shares(found.contests)}. One device takes as many draws as two do.
 
 What a process costs, UAV, RK4, float64. Before its first result each one imports this package to draw the same numbers.
 Metrics of all contenders agree with ours to {ALLOWED[64]:g} relative in float64 and {ALLOWED[32]:g} in float32, or the
