@@ -139,9 +139,7 @@ def front(vehicle: Vehicle, kind: str, budget: Budget, reference: np.ndarray) ->
         table: dict[str, Any] = {
             "parameters": ranges,
             "objective": {vehicle.error: 1.0},
-            "limits": {
-                f"total_command_tv{axis}": share * own for axis, own in zip(vehicle.axes, reference, strict=True)
-            },
+            "limits": limits,
             "optimiser": "sqp",
             "steps": min(budget.steps, vehicle.steps),
             "draws": budget.train,

@@ -161,7 +161,8 @@ def worth_keeping(equations: Sequence[JaxprEqn], results: set[Var]) -> set[Var]:
         for variable in eqn.outvars:
             own = kernels.get(variable, set())
             repeated, shared = eqn.primitive.name in REPEATED, len(own) > 1 and eqn.primitive.name not in FREE
-            if shared and (repeated and again[variable] >= WORTH if size(variable) > 1 else not repeated):
+            worth = (repeated and again[variable] >= WORTH) if size(variable) > 1 else not repeated
+            if shared and worth:
                 keep.add(variable)
             stored = variable in keep or variable in results or (shared and not repeated)
             readers |= {variable} if stored and eqn.primitive.name not in FREE else own

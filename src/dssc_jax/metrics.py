@@ -157,7 +157,8 @@ def sampling_ratio(sample: Sample) -> Scalar:
     """
     info = sample.info
     proportional = sample.k_p * sample.dt / (info.k_o * info.tau_av)
-    return 0.5 * proportional * (1.0 + 0.5 * sample.dt * (1.0 / info.tau_m))
+    rate = 1.0 / info.tau_m  # the nominal control divides so, too: one division serves both
+    return 0.5 * proportional * (1.0 + 0.5 * sample.dt * rate)
 
 
 def position_error(instant: Instant) -> Scalar:
