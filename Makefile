@@ -1,65 +1,73 @@
 # Everything runs in .venv, which the first command makes. Needs Python 3.11 or later, git and make.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
-BIN := .venv/bin
+VENV := .venv
+BIN := $(VENV)/bin
+QUICK := $(addprefix tests/,engine/test_batching.py backend closed_loop/test_settled.py test_protocols.py cli/test_commands.py)
 
-.PHONY: study test lint types check measure bench paper conservatism pareto docs clean
+.PHONY: study test quick lint types check measure bench paper conservatism pages pareto docs clean
 
-study: .venv/run  ## install, and run the main job: how much unmodelled lag does a DSSC loop survive?
+study: $(VENV)/run  ## install, and run the main job: how much unmodelled lag does a DSSC loop survive?
 	$(BIN)/dssc-jax sweep studies/mu_robustness.toml
 
-test: .venv/test  ## install, and run the tests, in two processes: most of the time is compilation, on one core each
+test: $(VENV)/test  ## install, and run the tests, in two processes: most of the time is compilation, on one core each
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 
-lint: .venv/test
+quick: $(VENV)/test  ## the tests that tell whether another Python or JAX will do: make quick VENV=.venv-next PYTHON=python3.13
+	$(BIN)/python -m pytest -n 2 --dist worksteal $(QUICK)
+
+lint: $(VENV)/test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-types: .venv/test
+types: $(VENV)/test
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
 check: lint types test  ## what CI runs
 
-measure: .venv/run  ## regenerate docs/measurements.md and the figures of the documentation
+measure: $(VENV)/run  ## regenerate docs/measurements.md and the figures of the documentation
 	$(BIN)/python benchmarks/measure.py
 
-bench: .venv/bench .venv/simulators/done  ## regenerate docs/performance.md: beside C, Numba, NumPy; growth; other simulators
-	$(BIN)/python -m benchmarks.speed --simulators .venv/simulators/bin/python
+bench: $(VENV)/bench $(VENV)/simulators/done  ## regenerate docs/performance.md: beside C, Numba, NumPy; growth; other simulators
+	$(BIN)/python -m benchmarks.speed --simulators $(VENV)/simulators/bin/python
 
-paper: .venv/run  ## regenerate docs/paper.md: the article's figures and a table of its claims
+paper: $(VENV)/run  ## regenerate docs/paper.md: the article's figures and a table of its claims
 	$(BIN)/python -m benchmarks.paper
 
-conservatism: .venv/run  ## regenerate docs/conservatism.md: certified against simulated
+conservatism: $(VENV)/run  ## regenerate docs/conservatism.md: certified against simulated
 	$(BIN)/python benchmarks/conservatism.py
 
-docs: .venv/docs  ## build the documentation site into site/; a warning is an error
+docs: $(VENV)/docs  ## build the documentation site into site/; a warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
 
-pareto: .venv/test  ## regenerate docs/tuning.md: gains tuned, failures hunted, controllers on the same budget
+pages: $(VENV)/run  ## regenerate docs/study-file.md and docs/commands.md
+	$(BIN)/python -m benchmarks.pages
+
+pareto: $(VENV)/test  ## regenerate docs/tuning.md: gains tuned, failures hunted, controllers on the same budget
 	$(BIN)/python benchmarks/pareto.py
 
-.venv/run: pyproject.toml
-	$(PYTHON) -m venv .venv
+$(VENV)/run: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	touch $@
 
-.venv/test: .venv/run
+$(VENV)/test: $(VENV)/run
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[test]"
 	touch $@
 
-.venv/docs: .venv/run
+$(VENV)/docs: $(VENV)/run
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[docs]"
 	touch $@
 
-.venv/bench: .venv/run
+$(VENV)/bench: $(VENV)/run
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[bench]"
 	touch $@
 
 # Other people's simulators, which want their own versions of what we use; the page tells where they do not install.
-.venv/simulators/done:
-	$(PYTHON) -m venv .venv/simulators
+$(VENV)/simulators/done:
+	$(PYTHON) -m venv $(VENV)/simulators
 	for name in crazyflow "rotorpy torch"; do \
-		.venv/simulators/bin/python -m pip install --quiet --disable-pip-version-check $$name || echo "no $$name here"; done
+		$(VENV)/simulators/bin/python -m pip install --quiet --disable-pip-version-check $$name || echo "no $$name here"; done
 	touch $@
 
 clean:
-	rm -rf .venv build dist site .pytest_cache .ruff_cache
+	rm -rf $(VENV) build dist site .pytest_cache .ruff_cache

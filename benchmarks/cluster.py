@@ -14,12 +14,12 @@ from statistics import median
 import dssc_jax as dj  # isort: skip  (sets compiler flags before anything starts JAX)
 import numpy as np
 
-from dssc_jax.cluster import connected
 from dssc_jax.console import machine
-from dssc_jax.dataset import variables
-from dssc_jax.engine import BLOCK, Engine, Layout, computing, execute
-from dssc_jax.running import about_run
-from dssc_jax.store import Store
+from dssc_jax.engine.batching import BLOCK, Engine, Layout, computing, execute
+from dssc_jax.results.schema import variables
+from dssc_jax.results.store import Store
+from dssc_jax.runs.cluster import connected
+from dssc_jax.runs.run import about_run
 from dssc_jax.study.library import find
 
 PAGE = Path(__file__).parents[1] / "docs" / "cluster.md"

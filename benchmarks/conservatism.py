@@ -20,7 +20,7 @@ from dssc_jax.console import machine
 from dssc_jax.design import Bounds, Free, Guarantee, Parameters, certified, design, guarantee
 from dssc_jax.design.feasibility import scaled
 from dssc_jax.design.practice import practice
-from dssc_jax.engine import Engine
+from dssc_jax.engine.batching import Engine
 
 DOCS = Path(__file__).parents[1] / "docs"
 DESIGNS, PLANTS, REACHES = 1000, 8, 200

@@ -57,13 +57,9 @@ def command(study: Path, out: Path, *options: str) -> list[str]:
     return [sys.executable, "-m", "dssc_jax.cli", "sweep", str(study), "--out", str(out), "--json", *options]
 
 
-def outcomes(folder: Path) -> list[Path]:
-    """The chunks that say which blocks are done."""
-    return [
-        file
-        for file in (folder / "data.zarr" / "outcome" / "c").rglob("*")
-        if file.suffix != ".partial" and file.is_file()
-    ]
+def marks(folder: Path) -> list[Path]:
+    """The files that say which blocks are done."""
+    return [*(folder / "digests").glob("*.json")]
 
 
 def stage(folder: Path) -> str:
@@ -73,7 +69,7 @@ def stage(folder: Path) -> str:
     try:
         dj.load(folder)
     except dj.ConfigError:
-        return "while blocks were written" if outcomes(folder) else "before the first block"
+        return "while blocks were written" if marks(folder) else "before the first block"
     return "after the last block"
 
 
@@ -90,12 +86,12 @@ def killed(rounds: int, seed: int, place: Path) -> tuple[int, Counter, int]:
     subprocess.run(command(study, place / "whole"), check=True, capture_output=True)
     seconds = time.perf_counter() - began
     whole = dj.load(place / "whole")
-    written = [file.stat().st_mtime for file in outcomes(place / "whole")]
+    written = [file.stat().st_mtime for file in marks(place / "whole")]
     random, good, stages = Random(seed), 0, Counter()
     for number in range(rounds):
         folder = place / f"killed{number}"
         process = subprocess.Popen(command(study, folder), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        while number % 2 and not outcomes(folder) and process.poll() is None:
+        while number % 2 and not marks(folder) and process.poll() is None:
             time.sleep(0.001)
         time.sleep(random.uniform(0.0, max(written) - min(written) if number % 2 else seconds))
         process.send_signal(signal.SIGKILL)

@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
@@ -27,11 +28,11 @@ import numpy as np
 from jax.interpreters import mlir
 from page import put
 
-from dssc_jax.engine import TILE, Engine, drawn, medians, simulated
-from dssc_jax.fusion import shared_once
-from dssc_jax.kernels import LANES, WARPS, Form, in_registers
-from dssc_jax.loop import start
-from dssc_jax.metrics import starts
+from dssc_jax.backend.fusion import shared_once
+from dssc_jax.backend.kernels import LANES, WARPS, Form, in_registers
+from dssc_jax.closed_loop.metrics import starts
+from dssc_jax.closed_loop.sample import initial_state
+from dssc_jax.engine.batching import TILE, Engine, drawn, medians, simulated
 from dssc_jax.study.library import find
 
 PAGE = Path(__file__).parents[1] / "docs" / "gpu.md"
@@ -69,7 +70,7 @@ def lanes_of(study: dj.Study) -> Any:
 
 def state_numbers(study: dj.Study) -> int:
     """How many numbers a lane carries from sample to sample."""
-    state = jax.eval_shape(lambda key: start(study.loop, study.params(medians(study)), key), jax.random.key(0))
+    state = jax.eval_shape(lambda key: initial_state(study.loop, study.params(medians(study)), key), jax.random.key(0))
     return len(jax.tree.leaves((state, starts(study.measures))))
 
 
@@ -164,15 +165,24 @@ def table(cases: dict[str, dj.Study], widths: tuple[int, ...], compared: int, co
     return "\n".join([*lines, "", text, "", *compare])
 
 
+def lowered(study: dj.Study) -> Any:
+    """The kernel of a study, lowered for CUDA without a device; from 0.11 on JAX has to be told which one is meant."""
+    with suppress(ImportError):
+        from jax._src.pallas.triton.gpu_info import GpuInfo, registry
+
+        name, number = f"{ARCHITECTURE / 10:.1f}", ARCHITECTURE
+        registry["cpu"] = lambda: GpuInfo(gpu_version=None, arch_name=name, compute_capability=number)
+    with jax.enable_x64(study.config.loop.precision == 64):
+        numbers = {name: jnp.zeros(LANES) for name in study.laws}
+        run = jax.jit(in_registers(lanes_of(study), interpret=False))
+        return run.trace(numbers, jnp.arange(LANES, dtype=jnp.uint32)).lower(lowering_platforms=("cuda",))
+
+
 def triton_module(study: dj.Study) -> str:
     """The kernel of a study as Triton's intermediate text, lowered for CUDA without a device."""
     from jaxlib.mlir import ir
     from jaxlib.triton import dialect
 
-    with jax.enable_x64(study.config.loop.precision == 64):
-        numbers = {name: jnp.zeros(LANES) for name in study.laws}
-        run = jax.jit(in_registers(lanes_of(study), interpret=False))
-        lowered = run.trace(numbers, jnp.arange(LANES, dtype=jnp.uint32)).lower(lowering_platforms=("cuda",))
     found: list[bytes] = []
 
     def visit(operation: Any) -> Any:
@@ -180,7 +190,7 @@ def triton_module(study: dj.Study) -> str:
             found.append(operation.attributes["mhlo.backend_config"]["ir"].value_bytes)
         return ir.WalkResult.ADVANCE
 
-    module: Any = lowered.compiler_ir()
+    module: Any = lowered(study).compiler_ir()
     module.operation.walk(visit)
     with mlir.make_ir_context() as context:
         dialect.register_dialect(context)

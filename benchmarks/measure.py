@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from dssc_jax import plotting
 from dssc_jax.console import machine
-from dssc_jax.engine import Engine, Layout, execute
+from dssc_jax.engine.batching import Engine, Layout, execute
 from dssc_jax.study.library import find
 
 DOCS = Path(__file__).parents[1] / "docs"

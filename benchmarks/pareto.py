@@ -15,14 +15,14 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from dssc_jax import plotting
-from dssc_jax.comparison.rivals import controller_table
-from dssc_jax.comparison.tuning import STATE_DEPENDENT
+from dssc_jax.analyses.comparison.rivals import controller_table
+from dssc_jax.analyses.comparison.tuning import STATE_DEPENDENT
+from dssc_jax.analyses.falsification import Programs, hunt
+from dssc_jax.analyses.tuning.gradients import check_gradients
+from dssc_jax.analyses.tuning.plan import Plan
+from dssc_jax.analyses.tuning.problem import Problem
 from dssc_jax.console import machine
-from dssc_jax.falsification import Programs, hunt
 from dssc_jax.statistics import clopper_pearson
-from dssc_jax.tuning.gradients import check_gradients
-from dssc_jax.tuning.plan import Plan
-from dssc_jax.tuning.problem import Problem
 
 ROOT = Path(__file__).parents[1]
 DOCS, STUDIES = ROOT / "docs", ROOT / "studies"

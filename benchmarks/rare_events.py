@@ -45,17 +45,17 @@ def main() -> int:
     found = dj.rare(study)
     seconds = time.perf_counter() - began
     low, high = found.estimate.interval()
-    cheaper = found.estimate.plain_draws / found.estimate.simulations
+    spent = found.estimate.simulations + found.estimate.plain.draws
+    cheaper = found.estimate.plain_draws / spent
     same_precision = plain_seconds / DRAWS * found.estimate.plain_draws
     rows = [
         "| | plain draws | `rare` |",
         "|---|---|---|",
-        f"| simulations | {DRAWS:,} | {found.estimate.simulations:,} |",
+        f"| simulations, with the plain draws of `rare` | {DRAWS:,} | {spent:,} |",
         f"| failure probability | {point['probability']:.3g} | {found.estimate.probability:.3g} |",
         f"| 95 % interval | [{point['interval'][0]:.3g}, {point['interval'][1]:.3g}] | [{low:.3g}, {high:.3g}] |",
         f"| coefficient of variation | {point['failures'] ** -0.5:.3f} | {found.estimate.variation:.3f} |",
-        f"| simulations for the precision of `rare` | {found.estimate.plain_draws:,.0f} | "
-        f"{found.estimate.simulations:,} |",
+        f"| simulations for the precision of `rare` | {found.estimate.plain_draws:,.0f} | {spent:,} |",
         f"| seconds for it, compilation included | {same_precision:.1f} | {seconds:.1f} |",
         "",
         f"`rare` takes **{cheaper:.0f} times fewer** simulations for the same coefficient of variation.",

@@ -11,10 +11,10 @@ import numpy as np
 from gain_sets import CONSTANT, SQUARE_ROOT, random_gains
 
 from dssc_jax import plotting
-from dssc_jax.comparison import controller_table, with_controller
+from dssc_jax.analyses.comparison import controller_table, with_controller
+from dssc_jax.analyses.margins import Margins
+from dssc_jax.analyses.theory import Beside
 from dssc_jax.console import machine
-from dssc_jax.margins import Margins
-from dssc_jax.theory import Beside
 
 ROOT = Path(__file__).parents[1]
 STUDY, CERTIFIED, DOCS = ROOT / "studies" / "compare_mu.toml", ROOT / "studies" / "certified_margin.toml", ROOT / "docs"

@@ -135,11 +135,19 @@ STUDY_KINDS = (letters, misspelt, retyped, absurd, deleted, encoded, enormous)
 
 def damage(random: Random, folder: Path) -> str:
     """Harm a results folder in one way; what was done."""
+    return random.choice((content_harmed, metadata_altered, exchanged, misplaced))(random, folder)
+
+
+def parts(folder: Path, kind: str = "") -> list[Path]:
+    """The files that a result is read from; those of a kind: ``zarr.json``, ``c`` for chunks, ``digests``."""
     files = sorted(file for file in folder.rglob("*") if file.is_file() and "figures" not in file.parts)
-    files = [file for file in files if file.name in ("zarr.json", "manifest.json") or "c" in file.parts]
-    file = random.choice(files)
-    if random.random() < 0.3:
-        file = folder / "manifest.json"
+    wanted = {kind} if kind else {"zarr.json", "manifest.json", "c", "digests"}
+    return [file for file in files if wanted & {*file.relative_to(folder).parts}]
+
+
+def content_harmed(random: Random, folder: Path) -> str:
+    """A file cut, emptied, replaced by noise or a folder, or one of its values changed; or an array less."""
+    file = folder / "manifest.json" if random.random() < 0.3 else random.choice(parts(folder))
     where = file.relative_to(folder)
     content = file.read_bytes()
     kind = random.choice(["deleted", "cut", "emptied", "flipped", "noise", "folder", "value", "array"])
@@ -160,14 +168,61 @@ def damage(random: Random, folder: Path) -> str:
     elif kind == "array":
         shutil.rmtree(folder / "data.zarr" / random.choice(["outcome", "error_rms", "draw", "plant.k_p"]))
     elif file.suffix == ".json":
-        table = json.loads(content)
-        path = random.choice(places(table))
-        here = table
-        for key in path[:-1]:
-            here = here[key]
-        here[path[-1]] = random.choice([*ABSURD[:6], *OTHERS, None, [10**12], "../../x"])
-        file.write_text(json.dumps(table))
-        return f"{where}: {'.'.join(map(str, path))} = {here[path[-1]]!r}"
+        return f"{where}: {changed_value(random, file)}"
     else:
         file.write_bytes(content * 2)
     return f"{where}: {kind}"
+
+
+def changed_value(random: Random, file: Path) -> str:
+    """One value of a JSON file changed, taken away, or put in."""
+    table = json.loads(file.read_text())
+    path = random.choice(places(table))
+    here = table
+    for key in path[:-1]:
+        here = here[key]
+    how = random.choice(["changed", "taken away", "put in"])
+    if how == "taken away":
+        del here[path[-1]]
+    elif how == "put in" and isinstance(here, dict):
+        here["stopping"] = {"rule": "r", "most": 9, "verdict": "narrow", "look": 3, "looks": []}
+    else:
+        here[path[-1]] = random.choice([*ABSURD[:6], *OTHERS, None, [10**12], "../../x"])
+    file.write_text(json.dumps(table))
+    return f"{'.'.join(map(str, path))} {how}"
+
+
+def metadata_altered(random: Random, folder: Path) -> str:
+    """What Zarr says of an array, altered to something that it reads without complaint."""
+    file = random.choice([file for file in parts(folder, "zarr.json") if file.parent.name != "data.zarr"])
+    table = json.loads(file.read_text())
+    kind = random.choice(("endian", "fill_value", "codec", "dimension_names", "units", "long_name"))
+    if kind == "endian":
+        table["codecs"][0]["configuration"]["endian"] = "big"
+    elif kind == "fill_value":
+        table["fill_value"] = 0
+    elif kind == "codec":
+        table["codecs"][1]["configuration"]["checksum"] = False
+    elif kind == "dimension_names":
+        table["dimension_names"] = [f"other_{name}" for name in table["dimension_names"]]
+    else:
+        table["attributes"][kind] = "km"
+    file.write_text(json.dumps(table))
+    return f"{file.relative_to(folder)}: {kind}"
+
+
+def exchanged(random: Random, folder: Path) -> str:
+    """Two files that each change places with the other: chunks, digests, or metadata."""
+    kind = random.choice(("c", "c", "digests", "zarr.json"))
+    one, other = random.sample(parts(folder, kind), 2)
+    first, second = one.read_bytes(), other.read_bytes()
+    one.write_bytes(second)
+    other.write_bytes(first)
+    return f"{one.relative_to(folder)} and {other.relative_to(folder)} exchanged"
+
+
+def misplaced(random: Random, folder: Path) -> str:
+    """A file copied over another of its kind."""
+    one, other = random.sample(parts(folder, random.choice(("c", "c", "digests"))), 2)
+    shutil.copy(one, other)
+    return f"{one.relative_to(folder)} copied over {other.relative_to(folder)}"

@@ -13,7 +13,8 @@ import pytest
 import typer
 import yaml
 
-from dssc_jax.cli.shared import app
+from benchmarks.pages import PAGES as PAGES_OF
+from dssc_jax.cli.common import app
 
 ROOT = Path(__file__).parents[1]
 BLOCK = re.compile(r"```(\w+)\n(.*?)```", re.DOTALL)
@@ -88,6 +89,25 @@ def test_what_a_page_names_exists(path):
         assert (ROOT / file).exists(), file
 
 
+@pytest.mark.parametrize("page", PAGES_OF)
+def test_generated_pages_are_current(page):
+    """`make pages` writes them."""
+    assert (ROOT / "docs" / page).read_text() == PAGES_OF[page]()
+
+
+def test_every_source_is_in_the_bibliography():
+    """By its first author's name and its year."""
+    page = " ".join((ROOT / "docs" / "bibliography.md").read_text().split())
+    cited = 0
+    for file in SOURCE.rglob("*.py"):
+        for block in re.findall(r"References?:\n((?:[ \t]+\S.*\n)+)", file.read_text()):
+            sources = re.findall(r"(?:[A-Z]\.(?:-[A-Z]\.)? )+([A-Z]\w+)[^;]*?\((\d{4})\)", " ".join(block.split()))
+            for name, year in sources:
+                assert re.search(rf"{name}\b[^*]*\({year}\)", page), f"{name} ({year})"
+                cited += 1
+    assert cited > 15
+
+
 def navigation(entries):
     """Every page that the site's contents name."""
     for entry in entries:
@@ -117,5 +137,5 @@ def test_the_site_builds_without_warning(tmp_path):
         assert not re.search(r"<(?:script|img|iframe)[^>]*src=\"(?:https?:)?//", text), page.name
         assert not re.search(r"<link[^>]*rel=\"(?:stylesheet|preconnect)\"[^>]*href=\"(?:https?:)?//", text), page.name
     reference = (tmp_path / "reference.html").read_text()
-    assert "dssc_jax.running.run" in reference
+    assert "dssc_jax.runs.run.run" in reference
     assert ":meth:" not in reference

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks import hostile
 from dssc_jax.cli import guarded
-from dssc_jax.errors import ConfigError
+from dssc_jax.core.errors import ConfigError
 from dssc_jax.study import Study
 from dssc_jax.study.tables import DEEPEST, LARGEST, read_toml
 from tests.conftest import UNCERTAIN
@@ -64,7 +64,7 @@ def test_a_long_complaint_is_cut(tmp_path, capsys):
     assert len(capsys.readouterr().err) < 1100
 
 
-MODULE = "from pathlib import Path\nPath('imported').touch()\nfrom dssc_jax.plants import PLANTS\n"
+MODULE = "from pathlib import Path\nPath('imported').touch()\nfrom dssc_jax.models.plants import PLANTS\n"
 MODULE += "PLANT = PLANTS['normal_form'].members[None]\n"
 
 

@@ -5,15 +5,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dssc_jax.controllers import CONTROLLERS
-from dssc_jax.controllers.gain_functions import GAIN_FUNCTIONS
-from dssc_jax.controllers.modulation import MODULATIONS
-from dssc_jax.environment import DISTURBANCES, REFERENCES
-from dssc_jax.errors import ConfigError
-from dssc_jax.plants import PLANTS
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.signals import Measurement, PlantInput, ReferencePoint
+from dssc_jax.models.controllers import CONTROLLERS
+from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS
+from dssc_jax.models.controllers.modulation import MODULATIONS
+from dssc_jax.models.environment import DISTURBANCES, REFERENCES
+from dssc_jax.models.plants import PLANTS
+from dssc_jax.models.unmodelled import UNMODELLED
 from dssc_jax.study.components import parse_component
-from dssc_jax.types import Measurement, PlantInput, ReferencePoint
-from dssc_jax.unmodelled import UNMODELLED
 from tests.contracts import assert_contract
 
 FUNCTIONS = {

@@ -5,7 +5,7 @@ import pytest
 from benchmarks.speed import native
 from benchmarks.speed.contest import OURS, PLAIN, C, Contender, contest, quartiles, ratios
 from benchmarks.speed.workloads import Case
-from dssc_jax import xla
+from dssc_jax.backend import xla
 
 UNFLAGGED = OURS._replace(name="unflagged", environment={xla.SWITCH: "off"})
 needs_c = pytest.mark.skipif(

@@ -16,9 +16,9 @@ from scipy.stats import spearmanr
 import dssc_jax as dj
 from benchmarks.paper.loops import AXES, RHO, TAU_AV, comparison, sta, wide
 from benchmarks.paper.signals import SETTLED, SMOOTH, moving_average
-from dssc_jax.numerics import stream
-from dssc_jax.sampling import draw_key, inside, uniform
-from dssc_jax.simulation import simulate
+from dssc_jax.closed_loop.draw import simulate_recorded
+from dssc_jax.core.numerics import stream
+from dssc_jax.engine.sampling import draw_key, inside, uniform
 from dssc_jax.statistics import clopper_pearson
 from dssc_jax.study.laws import parse_law
 
@@ -97,8 +97,7 @@ def fly(study: dj.Study, values: Columns, count: int = DRAWS) -> Flights:
     padding = tiles * tile - count
 
     def one(lane: Mapping[str, jax.Array], index: jax.Array):
-        run, recorded = simulate(study.loop, study.params(lane), draw_key(SEED, index), every=1)
-        assert recorded is not None
+        run, recorded = simulate_recorded(study.loop, study.params(lane), draw_key(SEED, index))
         pairs = zip(recorded.instant.channels, recorded.references, strict=True)
         back = jnp.stack([sample.u_total - point.y_dot - point.y_ddot for sample, point in pairs])
         return run.outcome, back

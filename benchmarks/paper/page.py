@@ -23,9 +23,9 @@ from benchmarks.paper.monte_carlo import (
 )
 from benchmarks.paper.signals import SECONDS, SMOOTH, fast_part, gap, lost, per_axis, rms, text, window
 from dssc_jax.console import machine
-from dssc_jax.uav.aerodynamics import drag
-from dssc_jax.uav.vehicle import GRAVITY, QUADROTOR
-from dssc_jax.vectors import Vec3, quaternion_from_euler
+from dssc_jax.core.vectors import Vec3, quaternion_from_euler
+from dssc_jax.models.uav.aerodynamics import drag
+from dssc_jax.models.uav.vehicle import GRAVITY, QUADROTOR
 
 PROPORTIONAL = 1.0 / (110.651 * 2.0 * 0.03)  # 1/s: 1/(k_o tau_av) at sigma = 0
 TAU_M = KAPPA_1 / KAPPA_2 * 0.0025  # s: tau_m at sigma = 0

@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.speed import native, rivals
 from benchmarks.speed.workloads import Case, Found, agree, disagreement
-from dssc_jax import xla
+from dssc_jax.backend import xla
 
 ROOT = Path(__file__).parents[2]
 SIZES = {"uav": (4096, 10.0), "axis": (16384, 40.0)}
@@ -55,7 +55,7 @@ def available() -> list[Contender]:
 
 def environment(more: dict[str, str]) -> dict[str, str]:
     """That of a process of its own: this one's without what importing the package has added to it, and ``more``."""
-    added = ("XLA_FLAGS", xla.SWITCH, xla.CACHE_DIRECTORY)
+    added = ("XLA_FLAGS", xla.SWITCH)
     path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     return {name: value for name, value in os.environ.items() if name not in added} | {"PYTHONPATH": path} | more
 

@@ -8,8 +8,8 @@ import jax
 import numpy as np
 
 from benchmarks.speed.workloads import METRICS, Found, Task
-from dssc_jax.engine import Engine, simulated
-from dssc_jax.types import Outcome
+from dssc_jax.core.signals import Outcome
+from dssc_jax.engine.batching import Engine, simulated
 
 Program = Callable[[], Found]
 

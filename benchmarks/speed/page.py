@@ -202,7 +202,7 @@ quartiles. All use every core, but where one device is said.
   `benchmarks/speed/by_hand.py`.
 
 The trigonometric functions that replace the compiler's own, `numerics.atan` and `numerics.atan2`, are within 2 units in
-the last place in both precisions (`tests/test_numerics.py`).
+the last place in both precisions (`tests/core/test_numerics.py`).
 
 Millions of lane-steps a second:
 

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import dssc_jax as dj  # isort: skip  (sets compiler flags before anything starts JAX)
 import numpy as np
 
-from dssc_jax.engine import drawn, medians
-from dssc_jax.environment.references import MISSION, Axis, SineParams
-from dssc_jax.integrators import Integrator
+from dssc_jax.core.integrators import Integrator
+from dssc_jax.engine.batching import drawn, medians
+from dssc_jax.models.environment.references import MISSION, Axis, SineParams
 
 HERE = Path(__file__).parent
 METRICS = ("error_rms", "error_max", "command_tv")

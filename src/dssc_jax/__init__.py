@@ -1,34 +1,37 @@
 """dssc_jax: vectorised Monte Carlo robustness analysis of Dynamic Smooth Sliding Control.
 
-Importing the package sets compiler flags (see :mod:`dssc_jax.xla`) and nothing else; JAX is loaded on first use.
+Importing the package sets compiler flags (see :mod:`dssc_jax.backend.xla`) and nothing else; JAX is loaded on first
+use.
 """
 
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from dssc_jax import xla
+from dssc_jax.backend import xla
 
 xla.configure()
 
 if TYPE_CHECKING:
-    from dssc_jax import design, report, theory
+    from dssc_jax import design, report
     from dssc_jax import plotting as plot
-    from dssc_jax.comparison import Comparison, compare, compare_margins
-    from dssc_jax.errors import ConfigError
-    from dssc_jax.exports import export
-    from dssc_jax.falsification import Falsified, falsify
-    from dssc_jax.global_sensitivity import sensitivity
-    from dssc_jax.loading import load
-    from dssc_jax.margins import Margins, margin
-    from dssc_jax.rare_events import Splitting, rare
-    from dssc_jax.results import Result
-    from dssc_jax.running import run
+    from dssc_jax.analyses import theory
+    from dssc_jax.analyses.comparison import Comparison, compare, compare_margins
+    from dssc_jax.analyses.falsification import Falsified, falsify
+    from dssc_jax.analyses.loading import load
+    from dssc_jax.analyses.margins import Margins, margin
+    from dssc_jax.analyses.rare_events import rare
+    from dssc_jax.analyses.sensitivity import sensitivity
+    from dssc_jax.analyses.splitting import Splitting
+    from dssc_jax.analyses.tuning import Tuned, tune
+    from dssc_jax.core.errors import ConfigError
+    from dssc_jax.results.export import export
+    from dssc_jax.results.result import Result
+    from dssc_jax.runs.run import run
+    from dssc_jax.runs.run_until import run_until
+    from dssc_jax.runs.trajectory import replay, simulate
+    from dssc_jax.runs.verify import verify
     from dssc_jax.statistics import AcceptReject, UntilWidth, plan
-    from dssc_jax.stopping import run_until
     from dssc_jax.study import Study
-    from dssc_jax.trajectories import replay, simulate
-    from dssc_jax.tuning import Tuned, tune
-    from dssc_jax.verification import verify
 
 __version__ = "0.1.0"
 __all__ = [
@@ -64,37 +67,37 @@ __all__ = [
 ]
 
 _HOME = {
-    "ConfigError": "dssc_jax.errors",
+    "ConfigError": "dssc_jax.core.errors",
     "Study": "dssc_jax.study",
-    "Result": "dssc_jax.results",
-    "export": "dssc_jax.exports",
-    "load": "dssc_jax.loading",
-    "Comparison": "dssc_jax.comparison",
-    "compare": "dssc_jax.comparison",
-    "compare_margins": "dssc_jax.comparison",
-    "Margins": "dssc_jax.margins",
-    "margin": "dssc_jax.margins",
-    "Falsified": "dssc_jax.falsification",
-    "falsify": "dssc_jax.falsification",
-    "Tuned": "dssc_jax.tuning",
-    "tune": "dssc_jax.tuning",
-    "replay": "dssc_jax.trajectories",
-    "run": "dssc_jax.running",
-    "simulate": "dssc_jax.trajectories",
-    "run_until": "dssc_jax.stopping",
-    "verify": "dssc_jax.verification",
+    "Result": "dssc_jax.results.result",
+    "export": "dssc_jax.results.export",
+    "load": "dssc_jax.analyses.loading",
+    "Comparison": "dssc_jax.analyses.comparison",
+    "compare": "dssc_jax.analyses.comparison",
+    "compare_margins": "dssc_jax.analyses.comparison",
+    "Margins": "dssc_jax.analyses.margins",
+    "margin": "dssc_jax.analyses.margins",
+    "Falsified": "dssc_jax.analyses.falsification",
+    "falsify": "dssc_jax.analyses.falsification",
+    "Tuned": "dssc_jax.analyses.tuning",
+    "tune": "dssc_jax.analyses.tuning",
+    "replay": "dssc_jax.runs.trajectory",
+    "run": "dssc_jax.runs.run",
+    "simulate": "dssc_jax.runs.trajectory",
+    "run_until": "dssc_jax.runs.run_until",
+    "verify": "dssc_jax.runs.verify",
     "UntilWidth": "dssc_jax.statistics",
     "AcceptReject": "dssc_jax.statistics",
     "plan": "dssc_jax.statistics",
-    "sensitivity": "dssc_jax.global_sensitivity",
-    "rare": "dssc_jax.rare_events",
-    "Splitting": "dssc_jax.rare_events",
+    "sensitivity": "dssc_jax.analyses.sensitivity",
+    "rare": "dssc_jax.analyses.rare_events",
+    "Splitting": "dssc_jax.analyses.splitting",
 }
 _MODULES = {
     "design": "dssc_jax.design",
     "plot": "dssc_jax.plotting",
     "report": "dssc_jax.report",
-    "theory": "dssc_jax.theory",
+    "theory": "dssc_jax.analyses.theory",
 }
 
 

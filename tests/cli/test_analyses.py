@@ -144,11 +144,14 @@ def test_sensitivity_and_rare(study, capsys):
     found = last_json(capsys)
     assert (found["rows"], found["simulations"]) == (256, 1024)
     assert (study.parent / "s" / "figures" / "sensitivity.png").stat().st_size > 10_000
-    spent = ["--particles", "20", "--moves", "2", "--repeats", "10"]
-    assert guarded(["rare", str(study), *uncertain, *spent, "--out", "r"]) == 0
+    spent = ["--particles", "20", "--moves", "2", "--repeats", "10", "--plain", "500"]
+    seldom = [*uncertain, "--set", "requirement.0.max=0.743"]
+    assert guarded(["rare", str(study), *seldom, *spent, "--out", "r"]) == 0
     shown = capsys.readouterr().out
     assert "10 independent repeats" in shown
+    assert "of 500 plain draws failed" in shown
     stored = json.loads((study.parent / "r" / "rare.json").read_text())
+    assert stored["plain"].keys() == {"draws", "failures", "interval", "contradicts"}
     assert stored["inputs"]["plant"]["a_p"] == {"normal": [1.0, 0.1]}
     assert guarded(["rare", str(study), *spent, "--out", "r"]) == 2  # another study's answer is there
     assert "another study" in capsys.readouterr().err

@@ -1,17 +1,20 @@
 """The command line as a person or a program meets it."""
 
 import json
+import os
+import re
 import resource
 import signal
 import subprocess
 import sys
 import time
 
+import psutil
 import pytest
 import typer
 
 from dssc_jax.cli import guarded
-from dssc_jax.cli.shared import app, parse_over, parse_value
+from dssc_jax.cli.common import app, parse_over, parse_value
 from tests.cli.conftest import last_json
 
 COMMANDS = sorted(typer.main.get_command(app).commands)
@@ -91,7 +94,7 @@ def test_simulate_and_replay(study, capsys):
     capsys.readouterr()
     assert guarded(["replay", "results/small-run", "--draw", "7", "--csv", "b.csv", "--json"]) == 0
     again = last_json(capsys)
-    assert again["deviation"] == 0.0
+    assert again["agreement"] == "agrees"
     assert again["error_rms"] == pytest.approx(single["error_rms"], rel=1e-12)
     assert (study.parent / "b.csv").read_text() == (study.parent / "a.csv").read_text()
 
@@ -205,35 +208,90 @@ def test_interrupt_is_130(study, monkeypatch, capsys):
     def interrupted(*args, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("dssc_jax.running.run", interrupted)
+    monkeypatch.setattr("dssc_jax.runs.run.run", interrupted)
     assert guarded(["run", str(study), "--set", "controller.k_p={ uniform = [1, 2] }"]) == 130
     wanted = f"go on with: dssc-jax run {study} --set 'controller.k_p={{ uniform = [1, 2] }}' --resume\n"
     assert capsys.readouterr().err.endswith(wanted)
-    monkeypatch.setattr("dssc_jax.trajectories.simulate", interrupted)
+    monkeypatch.setattr("dssc_jax.runs.trajectory.simulate", interrupted)
     assert guarded(["simulate", str(study)]) == 130
     assert capsys.readouterr().err == "interrupted\n"  # nothing to go on from
 
 
-def test_a_signal_keeps_what_is_finished(study, capsys):
-    """SIGINT in the middle of a sweep of six blocks: exit 130, and --resume does not begin at zero."""
-    arguments = ["--set", "loop.duration=200.0", "--draws", "17000", "--out", "cut"]
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job inherits "ignored"
-    process = subprocess.Popen([sys.executable, "-m", "dssc_jax.cli", "sweep", str(study), *arguments], stderr=-1)
-    signal.signal(signal.SIGINT, before)
+@pytest.mark.parametrize(
+    ("number", "code", "options"),
+    [
+        (signal.SIGINT, 130, ["--cluster", "local:2"]),
+        (signal.SIGTERM, 143, ["--cluster", "local:2"]),
+        (signal.SIGHUP, 129, []),
+    ],
+)
+def test_a_signal_keeps_what_is_finished(study, number, code, options):
+    """In the middle of a sweep of six blocks: the same is said of all, --resume does not begin at zero, nobody is left.
+
+    Ctrl-C goes to all processes of a terminal, the other signals to one.
+    """
+    arguments = ["--set", "loop.duration=200.0", "--draws", "17000", "--out", "cut", *options]
+    before = signal.signal(number, signal.SIG_DFL)  # a shell's background job inherits "ignored"
+    command = [sys.executable, "-m", "dssc_jax.cli", "sweep", str(study), *arguments]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, start_new_session=True)
+    signal.signal(number, before)
 
     def blocks():
         chunks = (study.parent / "cut" / "data.zarr" / "outcome" / "c").rglob("*")
         return [file for file in chunks if file.is_file() and file.suffix != ".partial"]
 
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 120
     while not blocks() and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.01)
-    process.send_signal(signal.SIGINT)
+    helpers = psutil.Process(process.pid).children(recursive=True)
+    assert len(helpers) >= (2 if options else 0)
+    (os.killpg if number == signal.SIGINT else os.kill)(process.pid, number)
     said = process.communicate(timeout=60)[1].decode()
-    assert process.returncode == 130
-    assert "--resume" in said
+    assert process.returncode == code
+    assert f"interrupted; what was finished is kept, go on with: dssc-jax sweep {study} --set" in said
+    assert said.strip().endswith("--resume")
     assert "Traceback" not in said
     assert 0 < len(blocks()) < 6
+    assert psutil.wait_procs(helpers, timeout=60)[1] == []
+
+
+def test_a_terminal_that_is_gone_is_not_written_to(study):
+    """The hang-up of a closed window: nothing can be said any more, and the code is still the signal's."""
+    leader, terminal = os.openpty()
+    options = ["--set", "loop.duration=20000.0", "--draws", "100000", "--out", "cut"]
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "dssc_jax.cli", "run", str(study), *options], stdout=terminal, stderr=terminal
+    )
+    signal.signal(signal.SIGHUP, before)
+    os.close(terminal)
+    shown = b""
+    while b"small" not in shown:  # the progress
+        shown += os.read(leader, 1024)
+    os.close(leader)
+    process.send_signal(signal.SIGHUP)
+    assert process.wait(timeout=60) == 129
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["run", "--until-width", "0.2"], r"small stopped early after 1,024 of at most 100,000 draws: the rule is met"),
+        (
+            ["margin", "--over", "controller.k_p=0.5:2"],
+            r"small stopped early after \d+ of at most 620 simulations: every critical value is found",
+        ),
+        (["run"], None),
+    ],
+)
+def test_progress_tells_how_it_ended(study, arguments, told, capsys):
+    command, *options = arguments
+    assert guarded([command, str(study), *options]) == 0
+    said = capsys.readouterr().err
+    counts = re.findall(r"(\d+)/(\d+)", said)
+    assert counts[-1][0] == counts[-1][1]
+    assert bool(told) == ("stopped early" in said)
+    assert re.search(told or "small", said)
 
 
 def test_parsing():

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from dssc_jax.core.zero_dynamics import ZeroDynamics
 from dssc_jax.design import Bounds, Free
-from dssc_jax.zero_dynamics import ZeroDynamics
 
 BOUNDS = Bounds(
     k_min=0.8, k_max=1.3, a_max=1.2, k_d1=0.05, k_d2=0.02, k_d3=0.1, k_d4=0.3, c_sigma=0.4, c_e2=0.2, y_m=20.0,

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import sympy as sp
 
+from dssc_jax.core.zero_dynamics import companion
 from dssc_jax.design import Bounds, Free, Recipe, State, check, derive, small_gain, synthesise
 from dssc_jax.design.lyapunov import eigenvalues_of_p
 from dssc_jax.design.small_gain import comparison_gains, error_dynamics
 from dssc_jax.design.table1 import f, kappa_c_bound
-from dssc_jax.uav.vehicle import GRAVITY, QUADROTOR
-from dssc_jax.zero_dynamics import companion
+from dssc_jax.models.uav.vehicle import GRAVITY, QUADROTOR
 from tests.design.cases import BOUNDS, FREE
 
 PAGE = Path(__file__).parents[2] / "docs" / "errata.md"

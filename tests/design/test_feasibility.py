@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from dssc_jax.core.errors import ConfigError
 from dssc_jax.design import Bounds, Free, certified, check, guarantee, small_gain, synthesise
 from dssc_jax.design.feasibility import DISTURBANCES, RANGES, Criterion, Goal, edges, limits, optimise, scaled
 from dssc_jax.design.practice import practice
-from dssc_jax.errors import ConfigError
 
 BOUNDS = Bounds(0.9, 1.1, 1.0, alpha_d3=0.1, alpha_d=1.0, k_d4=0.05)
 FREE = Free(0.5, 0.1, 0.3, 0.5, 2.0, 0.1, 6.0)

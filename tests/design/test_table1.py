@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.zero_dynamics import ZeroDynamics, companion
 from dssc_jax.design import Bounds, Free, Parameters, Recipe, State, check, derive, synthesise
 from dssc_jax.design.bounds import coupling
 from dssc_jax.design.table1 import f, kappa_c_bound, kappa_d_bound
-from dssc_jax.errors import ConfigError
-from dssc_jax.zero_dynamics import ZeroDynamics, companion
 from tests.design.cases import BOUNDS, FREE, random_case
 
 
@@ -133,6 +133,6 @@ def test_bad_bounds():
 
 def test_parameters_feed_the_controller():
     """The names of Table 1 are those of the study file's vgsta functions, eps being epsilon."""
-    from dssc_jax.controllers.gain_functions import Vgsta
+    from dssc_jax.models.controllers.gain_functions import Vgsta
 
     assert {name.replace("eps", "epsilon") for name in Parameters._fields} - {"l0"} <= set(Vgsta._fields)

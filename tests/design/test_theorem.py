@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import solve_continuous_lyapunov
 from scipy.optimize import minimize
 
-from dssc_jax.controllers.gain_functions import Vgsta
+from dssc_jax.core.zero_dynamics import ZeroDynamics, companion
 from dssc_jax.design import (
     Bounds,
     Free,
@@ -25,7 +25,7 @@ from dssc_jax.design import (
 from dssc_jax.design.lyapunov import alphas, eigenvalues_of_p, kappa_1, q_coefficients, smallest_of_q, worst_of_q
 from dssc_jax.design.practice import predictor_pole, proportional_gain, sample_time
 from dssc_jax.design.small_gain import comparison_gains, error_dynamics, guarantee_at, worst_condition
-from dssc_jax.zero_dynamics import ZeroDynamics, companion
+from dssc_jax.models.controllers.gain_functions import Vgsta
 from tests.design.cases import BOUNDS, FREE, random_case
 
 

@@ -1,23 +1,21 @@
 """The index: one row a result, damaged ones among them."""
 
-import json
 import os
 import shutil
 from pathlib import Path
 
 import pytest
 
-from dssc_jax.errors import ConfigError
+from dssc_jax.core.errors import ConfigError
 from dssc_jax.report import write_index
 from dssc_jax.report.index import REPORT
+from tests.forging import resealed
 
 
 @pytest.fixture
 def results(ran, tmp_path):
     """A folder of one good result, with a report already."""
     ran.save(tmp_path / "good")
-    manifest = json.loads((tmp_path / "good" / "manifest.json").read_text())
-    (tmp_path / "good" / "manifest.json").write_text(json.dumps(manifest | {"complete": True}))
     (tmp_path / "good" / REPORT).write_text("made before")
     ran.path = None
     return tmp_path
@@ -53,23 +51,30 @@ def test_damage_is_listed_and_nothing_else_changes(results):
     (results / "empty").mkdir()
     (copied("broken") / "manifest.json").write_text("{")
     (copied("binary") / "manifest.json").write_bytes(b"\xff\xfe\x00")
-    (copied("array") / "summary.json").write_text("[1]")
-    (copied("words") / "summary.json").write_text('{"points": [{"failures": "many", "draws": 3}]}')
-    (copied("none") / "summary.json").write_text('{"points": []}')
-    (copied("zero") / "summary.json").write_text('{"points": [{"failures": 0, "draws": 0}]}')
-    (copied("without") / "summary.json").unlink()
+    next((copied("chunk") / "data.zarr" / "outcome" / "c").rglob("0")).unlink()
+    shutil.rmtree(copied("undigested") / "digests")
     shutil.rmtree(copied("hollow") / "data.zarr")
     (results / "hollow" / REPORT).unlink()
-    cut = copied("cut") / "manifest.json"
-    cut.write_text(cut.read_text().replace('"complete": true', '"complete": false'))
+    resealed(copied("cut"), complete=False)
+    shutil.rmtree(results / "cut" / "digests")
     found = trouble(results)
     assert found.pop("good") == ""
-    assert len(found) == 10
+    assert len(found) == 7
     assert all(found.values())
     assert "--resume" in found["cut"]
     text = (results / "index.html").read_text()
     assert all(f"<code>{name}</code>" in text for name in found)
     assert not (results / "hollow" / REPORT).exists()
+
+
+def test_numbers_come_from_the_draws(results, ran):
+    """summary.json is for people and other programs."""
+    summary = results / "good" / "summary.json"
+    for said in ('{"points": [{"failures": 0, "draws": 24, "probability": 0.0, "interval": [0.0, 0.1]}]}', "[1]"):
+        summary.write_text(said)
+        _, (row,) = write_index(results)
+        assert row.trouble == ""
+        assert row.worst == ran.failed.values.mean()
 
 
 def test_names_are_text_and_links_are_quoted(results):

@@ -11,8 +11,8 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.report import elements, html, write
-from dssc_jax.report.asked import dependence
 from dssc_jax.report.page import SECTIONS, STYLE
+from dssc_jax.report.study_sections import dependence
 from dssc_jax.report.subject import Subject, worst_draws
 from dssc_jax.report.vector import COLOURS, inline
 from dssc_jax.study import read_toml
@@ -154,9 +154,9 @@ def test_the_study_file_in_it_gives_the_study(ran, tmp_path):
 
 
 def test_worst_draws_are_the_worst(ran):
-    margins = ran.dataset["margin_error_max_after_2"].values
+    slacks = ran.dataset["slack_error_max_after_2"].values
     chosen = worst_draws(ran, 3)
-    assert sorted(margins)[:3] == [margins[draw] for draw in chosen]
+    assert sorted(slacks)[:3] == [slacks[draw] for draw in chosen]
     about = Subject(ran, 2)
     assert [run.attrs["draw"] for run in about.trajectories] == chosen[:2]
     assert max(run.attrs["deviation"] for run in about.trajectories) < 1e-9
@@ -164,7 +164,7 @@ def test_worst_draws_are_the_worst(ran):
 
 def test_among_draws_that_end_early_the_earliest_is_worst(ran):
     data = ran.dataset.copy(deep=True)
-    data["margin_error_max_after_2"][:3] = -np.inf
+    data["slack_error_max_after_2"][:3] = -np.inf
     data["failed_at"][:3] = [2.0, 1.0, 3.0]
     assert worst_draws(dj.Result(ran.study, data, ran.manifest), 3) == [1, 0, 2]
 

@@ -2,7 +2,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from dssc_jax.statistics import DataDriven, FixedCount, Replicated, clopper_pearson, describe_probability
+from dssc_jax.statistics import (
+    DataDriven,
+    FixedCount,
+    Replicated,
+    clopper_pearson,
+    describe_probability,
+    lognormal_interval,
+    replicate_interval,
+)
 
 
 @pytest.mark.parametrize(("k", "n", "low", "high"), [(0, 100, 0.0, 0.036217), (10, 100, 0.049005, 0.176223)])
@@ -74,3 +82,27 @@ def test_replicates_that_scatter_get_students_t():
 def test_replicates_must_share_the_draws_evenly():
     with pytest.raises(ValueError, match="cannot be shared out"):
         Replicated(8, "scrambled Sobol").interval(np.zeros(100, dtype=bool))
+
+
+@pytest.mark.parametrize("spread", [0.3, 0.65, 1.0])
+@pytest.mark.parametrize("zeros", [0.0, 0.3])
+def test_the_mean_of_skewed_estimates_lies_within_their_interval(spread, zeros):
+    """On both sides; Student's t lies wholly below the mean far too often."""
+    rng = np.random.default_rng(int(100 * spread))
+    estimates = rng.lognormal(-0.5 * spread**2, spread, (4000, 10)) * (rng.random((4000, 10)) >= zeros) / (1.0 - zeros)
+    low, high = np.array([lognormal_interval(row) for row in estimates]).T
+    assert np.mean(high < 1.0) < 0.04
+    assert np.mean(low > 1.0) < 0.035
+    if zeros == 0.0:
+        assert np.median(high / low) < 2.0 * np.exp(2.0 * 2.262 * spread / np.sqrt(10.0))  # and no longer than need be
+    assert np.mean(replicate_interval(rng.lognormal(-0.5, 1.0, (4000, 10)), 10)[:, 1] < 1.0) > 0.1
+
+
+def test_the_interval_of_a_mean_with_too_few_estimates():
+    assert lognormal_interval(np.zeros(10)) == (0.0, np.inf)
+    assert lognormal_interval(np.array([0.0, 0.1, 0.0])) == (0.0, np.inf)
+    low, high = lognormal_interval(np.array([0.1, 0.1, 0.1]))
+    assert low == pytest.approx(0.1)
+    assert high == pytest.approx(0.1)
+    with_zero = lognormal_interval(np.array([0.1, 0.2, 0.3, 0.0]))
+    assert with_zero[0] < lognormal_interval(np.array([0.1, 0.2, 0.3]))[0]

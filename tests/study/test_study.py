@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.errors import ConfigError
-from dssc_jax.study.library import available
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.study.laws import Law
+from dssc_jax.study.library import available, find
 from dssc_jax.study.tables import set_dotted
 from tests.conftest import CASE_2, UNCERTAIN
 
@@ -230,7 +231,9 @@ def test_table_1_parameters_survive_the_file(tmp_path):
 OWN = """
 from typing import Annotated, NamedTuple
 import jax.numpy as jnp
-from dssc_jax.types import Command, Controller, Measurement, Plant, Quantity
+from dssc_jax.core.signals import Command, Measurement
+from dssc_jax.core.contracts import Controller, Plant
+from dssc_jax.core.quantities import Quantity
 
 class Gains(NamedTuple):
     l0: Annotated[float, Quantity("1/s", "error pole", above=0.0)]
@@ -284,6 +287,27 @@ def test_own_plant_and_controller_by_dotted_name(tmp_path, monkeypatch):
     assert "force" in dj.simulate(dj.Study.from_table(table), 3)
     with pytest.raises(ConfigError, match=r"gain .*must be > 0"):
         dj.Study.from_table(table | {"controller": {"kind": "my_models:CONTROLLER", "l0": 2.0, "k": -3.0}})
+
+
+def test_a_number_that_channels_share_is_one_number_with_a_place_in_each():
+    study = dj.Study.load(find("uav_robustness")).override({"controller.x.l0": 2.5})  # the study itself has z and psi
+    everywhere, own = study.numbers["controller.l0"], study.numbers["controller.x.l0"]
+    assert everywhere.paths == tuple(f"controller.{i}.l0" for i in (1, 2, 3))
+    assert own.paths == ("controller.0.l0",)
+    assert study.numbers["controller.z.rho"].paths == ("controller.2.rho.rho",)
+    params = study.params({"controller.l0": 9.0, "controller.z.rho": 8.0})
+    assert [gains.l0 for gains in params.controller] == [2.5, 9.0, 9.0, 9.0]
+    assert [gains.rho.rho for gains in params.controller] == [1.5, 1.5, 8.0, 0.15]
+
+
+def test_numbers_are_what_a_study_can_give(uncertain):
+    """What a model fills in by itself, as the norm observer, is no number of the study; what the table gives is one."""
+    study = uncertain.override({"controller.rho": {**NORM_BOUND, "kind": "norm_bound"}, "sweep": {}})
+    assert study.numbers["controller.rho.zero_dynamics.a.0"].value == 1.0
+    assert "controller.rho.observer_rate" not in study.leaves()
+    assert study.template.controller[0].rho.observer_rate > 0.0
+    assert study.numbers["controller.functions.tau_av"].quantity.unit == "s"
+    assert list(study.laws) == [name for name, number in study.numbers.items() if isinstance(number.value, Law)]
 
 
 def test_uncertain_table_is_valid():

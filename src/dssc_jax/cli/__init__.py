@@ -2,14 +2,16 @@
 
 import gc
 import importlib
+import os
 import shlex
+import signal
 import sys
-import warnings
+from types import FrameType
 
 import typer
 
-from dssc_jax.cli.shared import BAD_INPUT, DONE, INTERRUPTED, app
-from dssc_jax.errors import ConfigError
+from dssc_jax.cli.common import BAD_INPUT, DONE, app, say
+from dssc_jax.core.errors import ConfigError
 
 MODULES = ("simulation", "robustness", "tuning", "statistics", "stored", "reports", "designs", "about")
 """Each registers its commands; help lists them in this order."""
@@ -17,23 +19,34 @@ MODULES = ("simulation", "robustness", "tuning", "statistics", "stored", "report
 for module in MODULES:
     importlib.import_module(f"dssc_jax.cli.{module}")
 
-LONGEST = 1000  # characters of a message
+ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+"""Signals that end a command as Ctrl-C does: what was finished is kept."""
 YOUNG = 100_000  # objects between two searches for garbage: imports and traces make a million that stay
-
-
-def say(text: str) -> None:
-    """For people: one line on stderr, so that stdout stays for results; control characters are not passed on."""
-    line = " ".join(text.split())
-    line = line if len(line) <= LONGEST else f"{line[:LONGEST]} ..."
-    print("".join(c if c.isprintable() else "?" for c in line), file=sys.stderr)
 
 
 def main() -> None:
     """Entry point: one line for bad input, no traceback."""
     gc.set_threshold(YOUNG)
+    for number in ENDING:
+        if signal.getsignal(number) != signal.SIG_IGN:  # as nohup has it
+            signal.signal(number, end)
     code = guarded(sys.argv[1:])
     gc.freeze()  # what is left goes with the process: to look through it once more would take half a second
     sys.exit(code)
+
+
+def end(number: int, _: FrameType | None) -> None:
+    """Leave whatever is going on; its folders are closed and its processes end on the way.
+
+    What is still said goes nowhere where the terminal is gone.
+    """
+    with open(os.devnull, "w") as nowhere:
+        for stream in (1, 2):
+            try:
+                os.write(stream, b"")
+            except OSError:
+                os.dup2(nowhere.fileno(), stream)
+    raise SystemExit(128 + number)
 
 
 def how_to_go_on(arguments: list[str]) -> str:
@@ -47,11 +60,10 @@ def how_to_go_on(arguments: list[str]) -> str:
 
 def guarded(arguments: list[str]) -> int:
     """Run a command and turn what ends it into an exit code."""
-    warnings.filterwarnings("ignore", category=RuntimeWarning)  # numbers that overflow are outcomes, told as such
     try:
         code = app(arguments or ["--help"], standalone_mode=False)
-    except KeyboardInterrupt:
-        code = INTERRUPTED
+    except SystemExit as ending:
+        code = ending.code
     except ConfigError as error:
         say(f"error: {error}")
         return BAD_INPUT
@@ -67,6 +79,6 @@ def guarded(arguments: list[str]) -> int:
             raise
         say(f"error: {usage()}")
         return BAD_INPUT
-    if code == INTERRUPTED:  # typer turns the signal into this code itself
+    if code in [128 + number for number in ENDING]:
         say(f"interrupted{how_to_go_on(arguments)}")
     return code if isinstance(code, int) else DONE

@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 
 from dssc_jax.cli import options as opt
-from dssc_jax.cli.shared import DONE, app
-from dssc_jax.errors import ConfigError
+from dssc_jax.cli.common import DONE, app
+from dssc_jax.core.errors import ConfigError
 
 
 @app.command()
@@ -52,9 +52,9 @@ def info(
             raise ConfigError("--json", "tells of all kinds at once; leave KIND out")
         show_kind(kind)
         return DONE
-    found = environment()
+    machine = environment()
     if as_json:
-        print(json.dumps(found))
+        print(json.dumps(machine))
     else:
-        show_environment(found)
+        show_environment(machine)
     return DONE

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dssc_jax.cli import options as opt
-from dssc_jax.cli.shared import DONE, FAILS, app, attempt
-from dssc_jax.errors import ConfigError
+from dssc_jax.cli.common import DONE, FAILS, app, attempt
+from dssc_jax.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from dssc_jax.study.design_file import DesignFile
+    from dssc_jax.design.files import DesignFile
 
 LatexOption = Annotated[bool, typer.Option("--latex", help="Print the tables as LaTeX (booktabs).")]
 
@@ -29,7 +29,7 @@ def check(
     Table 1's inequalities must hold strictly over the whole interval of k_p, and phi_b must meet the small-gain
     condition. Tells each slack, the guaranteed residual and decay rate, and the sampling period that the design needs.
     """
-    from dssc_jax.study.design_file import load_design
+    from dssc_jax.design.files import load_design
 
     require_one_form(as_json, as_latex)
     return tell_design(load_design(design), as_json, as_latex)
@@ -47,13 +47,13 @@ def design(
     [free] fixes free parameters of Table 1; what it leaves open is chosen for the [goal]: without one, for the
     smallest guaranteed error at a sampling period of 1 ms.
     """
-    from dssc_jax.study.design_file import load_design, to_toml
+    from dssc_jax.design.files import load_design, to_toml
 
     require_one_form(as_json, as_latex)
-    found = load_design(bounds, complete=False)
+    bounded = load_design(bounds, complete=False)
     if out is not None:
-        attempt(out, lambda: out.write_text(to_toml(found), encoding="utf-8"))
-    return tell_design(found, as_json, as_latex)
+        attempt(out, lambda: out.write_text(to_toml(bounded), encoding="utf-8"))
+    return tell_design(bounded, as_json, as_latex)
 
 
 def require_one_form(as_json: bool, as_latex: bool) -> None:
@@ -66,33 +66,33 @@ def require_one_form(as_json: bool, as_latex: bool) -> None:
         raise ConfigError("--latex", "cannot stand with --json: both are all that stdout holds")
 
 
-def tell_design(found: "DesignFile", as_json: bool, as_latex: bool) -> int:
+def tell_design(design_file: "DesignFile", as_json: bool, as_latex: bool) -> int:
     """Print a design with its certificate; the exit code says whether there is one."""
     from dssc_jax.console import jsonable
+    from dssc_jax.console.designs import latex, show
     from dssc_jax.design import check as check_design
     from dssc_jax.design.feasibility import limits
-    from dssc_jax.design_tables import latex, show
 
-    certificate = check_design(found.parameters, found.bounds)
-    reach = limits(found.parameters, found.bounds) if certificate.certified else None
+    certificate = check_design(design_file.parameters, design_file.bounds)
+    reach = limits(design_file.parameters, design_file.bounds) if certificate.certified else None
     if as_json:
         content = {
-            "design": found.name,
-            "parameters": found.parameters._asdict(),
-            "free": found.free and found.free._asdict(),
-            "goal": found.goal and found.goal._asdict(),
-            "edges": found.edges,
+            "design": design_file.name,
+            "parameters": design_file.parameters._asdict(),
+            "free": design_file.free and design_file.free._asdict(),
+            "goal": design_file.goal and design_file.goal._asdict(),
+            "edges": design_file.edges,
             **certificate.to_dict(),
             "limits": reach and reach._asdict(),
-            "modulation": found.modulation
+            "modulation": design_file.modulation
             and {
-                "needed_rho": found.modulation.needed_rho(certificate.practice),
-                "first_sliding": found.modulation.first_sliding,
+                "needed_rho": design_file.modulation.needed_rho(certificate.practice),
+                "first_sliding": design_file.modulation.first_sliding,
             },
         }
         print(json.dumps(jsonable(content), allow_nan=False))
     elif as_latex:
-        print(latex(found, certificate))
+        print(latex(design_file, certificate))
     else:
-        show(found, certificate, reach)
+        show(design_file, certificate, reach)
     return DONE if certificate.certified else FAILS

@@ -30,6 +30,9 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on std
 Local = Annotated[
     bool, typer.Option("--allow-local", help="Let `module:object` names in the study import from its own folder.")
 ]
+TrustCode = Annotated[
+    bool, typer.Option("--trust-code", help="Import the `module:object` names of the result's study.")
+]
 Point = Annotated[
     list[str] | None, typer.Option("--at", metavar="NAME=VALUE", help="Point of the sweep; may be repeated.")
 ]

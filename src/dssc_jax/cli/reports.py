@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from dssc_jax.cli import options as opt
-from dssc_jax.cli.shared import DONE, app, attempt
-from dssc_jax.errors import ConfigError
+from dssc_jax.cli.common import DONE, app, attempt, load_result
+from dssc_jax.core.errors import ConfigError
 
 
 @app.command()
@@ -21,10 +21,13 @@ def report(
         Path | None, typer.Option("--index", metavar="DIR", help="Write DIR/index.html over the results in DIR.")
     ] = None,
     as_json: opt.Json = False,
+    trust_code: opt.TrustCode = False,
+    allow_local: opt.Local = False,
 ) -> int:
     """Write a result as one HTML page.
 
-    The page needs neither network nor JavaScript and prints well. The worst draws are simulated again for it.
+    The page needs neither network nor JavaScript and prints well. The worst draws are simulated again for it; those of
+    a study that names code of its own with --trust-code only.
 
     With --index, a page over all the results in a folder instead; reports that are missing or out of date are made.
     """
@@ -36,10 +39,9 @@ def report(
         assert index is not None
         return tell_index(index, as_json)
     from dssc_jax.report import write
-    from dssc_jax.results import load
 
     began = time.perf_counter()
-    page, found = out or result / "report.html", load(result)
+    page, found = out or result / "report.html", load_result(result, trust_code, allow_local)
     attempt(page, lambda: write(found, page, worst))
     size, seconds = page.stat().st_size, time.perf_counter() - began
     if as_json:

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dssc_jax.cli import options as opt
-from dssc_jax.cli.shared import DONE, app, default_out, load_study
-from dssc_jax.errors import ConfigError
+from dssc_jax.cli.common import DONE, app, default_out, load_study
+from dssc_jax.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from dssc_jax.comparison import MarginContest
+    from dssc_jax.analyses.comparison import MarginContest
     from dssc_jax.study import Study
 
 WalkOption = Annotated[
@@ -22,6 +22,7 @@ LogOption = Annotated[bool, typer.Option("--log", help="Walk evenly in the logar
 PointsOption = Annotated[int, typer.Option("--points", metavar="N", help="Values of the bracketing grid.")]
 BisectionsOption = Annotated[int, typer.Option("--bisections", metavar="N", help="Halvings of a grid's cell.")]
 SWITCHING = ("sta", "smc")
+WALKED = {"of": "simulations", "early": "every critical value is found"}
 
 
 def parse_bounds(text: str) -> tuple[str, tuple[float, float]]:
@@ -60,16 +61,16 @@ def margin(
     without a critical value between the bounds, the share that passes again beyond a failure, and what Theorem 1 says.
     """
     from dssc_jax import plotting
-    from dssc_jax.analysis import require_free
+    from dssc_jax.analyses.margins import margin as find
     from dssc_jax.console import jsonable, progress_bar, show_margin_contest, show_margins
-    from dssc_jax.margins import margin as find
+    from dssc_jax.results.analysis_folder import require_free
 
     name, bounds = parse_bounds(over)
     walk = {"over": name, "bounds": bounds, "log": log, "points": points, "bisections": bisections}
     loaded = load_study(study, settings, draws, seed, allow_local)
     command = f"margin-{name}" if controllers is None else f"margins-{name}"
     folder = out or default_out(loaded, command, settings, draws, seed)
-    with progress_bar(loaded, quiet=as_json) as advance:
+    with progress_bar(loaded, quiet=as_json, **WALKED) as advance:
         if controllers is None:
             require_free(folder, "margin")
             found = find(loaded, **walk, progress=advance)
@@ -91,8 +92,8 @@ def compare_margins_of(
     study: "Study", controllers: str, folder: Path, walk: dict[str, Any], progress: Callable[..., None]
 ) -> "MarginContest":
     """Margins of several controllers; their folder is checked before anything is simulated."""
-    from dssc_jax.analysis import require_free
-    from dssc_jax.comparison import compare_margins
+    from dssc_jax.analyses.comparison import compare_margins
+    from dssc_jax.results.analysis_folder import require_free
 
     names = split_names(controllers)
     for name in names:
@@ -125,16 +126,16 @@ def theory(
     simulated margin. They answer different questions; where one is silent, the answer says why.
     """
     from dssc_jax import plotting
+    from dssc_jax.analyses.theory import beside
     from dssc_jax.cli.statistics import keep, place
     from dssc_jax.console import progress_bar, show_theory
-    from dssc_jax.theory import beside
 
     name, bounds = parse_bounds(over)
     loaded = load_study(study, settings, draws, seed, allow_local)
     folder = out or default_out(loaded, f"theory-{name}", settings, draws, seed)
     path = place(folder, "theory.json", loaded)
     rivals = switching_rivals(loaded)
-    with progress_bar(loaded, quiet=as_json) as advance:
+    with progress_bar(loaded, quiet=as_json, **WALKED) as advance:
         found = beside(
             loaded,
             over=name,
@@ -157,7 +158,7 @@ def theory(
 
 def switching_rivals(study: "Study") -> dict[str, "Study"]:
     """The study under the laws that have a describing function, where their gains follow from it."""
-    from dssc_jax.comparison import controller_table, with_controller
+    from dssc_jax.analyses.comparison import controller_table, with_controller
 
     found = {}
     for name in SWITCHING:
@@ -192,17 +193,17 @@ def compare(
     tuned is tuned on draws of its own. Plants of several channels are not tuned.
     """
     from dssc_jax import plotting
-    from dssc_jax.analysis import require_free
-    from dssc_jax.comparison import compare as contest
-    from dssc_jax.comparison.tuning import CANDIDATES
+    from dssc_jax.analyses.comparison import compare as contest
+    from dssc_jax.analyses.comparison.tuning import CANDIDATES
     from dssc_jax.console import jsonable, progress_bar, show_comparison
+    from dssc_jax.results.analysis_folder import require_free
 
     loaded = load_study(study, settings, draws, seed, allow_local)
     folder = out or default_out(loaded, "compare", settings, draws, seed)
     require_free(folder, "compare")
     names = split_names(controllers)
     usual = CANDIDATES if len(loaded.loop.channels) == 1 else 0
-    with progress_bar(loaded, quiet=as_json) as advance:
+    with progress_bar(loaded, quiet=as_json, of="runs") as advance:
         found = contest(loaded, names, candidates=usual if tune is None else tune, progress=advance)
     found.save(folder)
     figures = plotting.save_figure(plotting.comparison(found), folder / "figures", "compare")

@@ -2,18 +2,19 @@
 
 import json
 import math
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from dssc_jax.cli import options as opt
-from dssc_jax.cli.shared import DONE, FAILS, app, assignment, attempt, default_out, load_result, load_study, parse_overs
-from dssc_jax.errors import ConfigError
+from dssc_jax.cli.common import DONE, FAILS, app, assignment, attempt, default_out, load_result, load_study, parse_overs
+from dssc_jax.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from dssc_jax.results import Result
-    from dssc_jax.stopping import Rule
+    from dssc_jax.results.result import Result
+    from dssc_jax.runs.run_until import Rule
     from dssc_jax.study import Study
 
 FIGURES = (".png", ".svg", ".pdf")
@@ -51,12 +52,14 @@ def run(
     rule is met (narrow enough, or accepted).
     """
     rule = stopping_rule(until_width, accept, reject)
-    found = load_study(study, settings, draws, seed, allow_local, cluster).without_sweep()
+    loaded = load_study(study, settings, draws, seed, allow_local, cluster).without_sweep()
     if rule is not None:
         require_unset("a data-driven stop", draws=draws, resume=resume or None, cluster=cluster)
-        return finish_sequential(found, rule, max_draws, out, as_json)
+        return finish_sequential(loaded, rule, max_draws, out, as_json)
     require_unset("a fixed number of draws", max_draws=max_draws)
-    return finish(found, out or default_out(found, "run", settings, draws, seed), resume, as_json, cluster, allow_local)
+    return finish(
+        loaded, out or default_out(loaded, "run", settings, draws, seed), resume, as_json, cluster, allow_local
+    )
 
 
 @app.command()
@@ -79,13 +82,13 @@ def sweep(
     All points see the same draws. A swept value takes the place of the law of that parameter. Running the same study
     into the same folder again starts over, unless --resume is given; another study's folder is never touched.
     """
-    found = load_study(study, settings, draws, seed, allow_local, cluster)
+    loaded = load_study(study, settings, draws, seed, allow_local, cluster)
     if over:
-        found = found.override({"sweep": parse_overs(over)})
-    if not found.axes:
-        raise ConfigError(found.source, "has no [sweep]; add one, or --over NAME=LO:HI:COUNT")
+        loaded = loaded.override({"sweep": parse_overs(over)})
+    if not loaded.axes:
+        raise ConfigError(loaded.source, "has no [sweep]; add one, or --over NAME=LO:HI:COUNT")
     return finish(
-        found, out or default_out(found, "sweep", over, settings, draws, seed), resume, as_json, cluster, allow_local
+        loaded, out or default_out(loaded, "sweep", over, settings, draws, seed), resume, as_json, cluster, allow_local
     )
 
 
@@ -105,10 +108,10 @@ def simulate(
 
     Values are the study's own. Tells how the draw ended; --csv and --figure keep the trajectory.
     """
-    from dssc_jax import trajectories
+    from dssc_jax.runs import trajectory as trajectories
 
-    found = load_study(study, settings, None, seed, allow_local)
-    return tell_trajectory(trajectories.simulate(found, draw, every=every), csv, figure, as_json)
+    loaded = load_study(study, settings, None, seed, allow_local)
+    return tell_trajectory(trajectories.simulate(loaded, draw, every=every), csv, figure, as_json)
 
 
 @app.command()
@@ -120,15 +123,17 @@ def replay(
     figure: opt.Figure = None,
     every: opt.Every = 1,
     as_json: opt.Json = False,
+    trust_code: opt.TrustCode = False,
     allow_local: opt.Local = False,
 ) -> int:
-    """Simulate one draw of a result again.
+    """Simulate one draw of a result again, by the plain program.
 
-    Its metrics are compared with the stored ones.
+    Its metrics are compared with the stored ones; exit 1 where they differ by more than rounding explains.
 
-    In a sweep, --at picks the point (the nearest one); without it, the point where the draw's margin is smallest.
+    In a sweep, --at picks the point (the nearest one); without it, the point where the draw's slack is smallest.
+    A result whose study names code of its own needs --trust-code.
     """
-    from dssc_jax import trajectories
+    from dssc_jax.runs import trajectory as trajectories
 
     point = {}
     for text in at or []:
@@ -139,8 +144,11 @@ def replay(
             point[name] = math.nan
         if not math.isfinite(point[name]):
             raise ConfigError("--at", f"must be NAME=NUMBER, got '{text}'")
-    found = trajectories.replay(load_result(result, allow_local), draw, point=point or None, every=every)
-    return tell_trajectory(found, csv, figure, as_json)
+    trajectory = trajectories.replay(
+        load_result(result, trust_code, allow_local), draw, point=point or None, every=every
+    )
+    done = tell_trajectory(trajectory, csv, figure, as_json)
+    return FAILS if trajectory.attrs["agreement"] == "differs" else done
 
 
 def stopping_rule(width: float | None, accept: float | None, reject: float | None) -> "Rule | None":
@@ -173,11 +181,11 @@ def require_unset(purpose: str, **options: Any) -> None:
 def finish_sequential(study: "Study", rule: "Rule", most: int | None, out: Path | None, as_json: bool) -> int:
     """Draw until the rule is content."""
     from dssc_jax.console import progress_bar
-    from dssc_jax.stopping import MOST, run_until
+    from dssc_jax.runs.run_until import MOST, run_until
 
     most = MOST if most is None else most
     out = out or default_out(study.override({"draws": most}), f"run-{rule.slug}", most)
-    with progress_bar(study, quiet=as_json) as advance:
+    with progress_bar(study, quiet=as_json, early="the rule is met") as advance:
         result = run_until(study, rule, out, most=most, progress=advance)
     conclude(result, out, as_json)
     return DONE if result.manifest["stopping"]["verdict"] in ("narrow", "accepted") else FAILS
@@ -187,8 +195,8 @@ def finish(
     study: "Study", out: Path, resume: bool, as_json: bool, cluster: str | None = None, local: bool = False
 ) -> int:
     """Run to the end."""
-    from dssc_jax import running
     from dssc_jax.console import progress_bar, tell
+    from dssc_jax.runs import run as running
 
     folder = str(Path(study.source).resolve().parent) if local else None
     with progress_bar(study, quiet=as_json) as advance:
@@ -199,11 +207,12 @@ def finish(
 
 def conclude(result: "Result", out: Path, as_json: bool) -> None:
     """Tell the result, then draw its figures, which people need not wait for."""
-    from dssc_jax.chunks import told
     from dssc_jax.console import show_figures, show_result
+    from dssc_jax.results.blocks import told
 
     if as_json:
-        print(json.dumps(result.summary()), flush=True)
+        sys.stdout.writelines(line.replace("\n", "") for line in result.lines())
+        print(flush=True)
     else:
         show_result(result)
     from dssc_jax import plotting
@@ -214,22 +223,22 @@ def conclude(result: "Result", out: Path, as_json: bool) -> None:
         show_figures(figures)
 
 
-def tell_trajectory(found: Any, csv: Path | None, figure: Path | None, as_json: bool) -> int:
+def tell_trajectory(trajectory: Any, csv: Path | None, figure: Path | None, as_json: bool) -> int:
     """Keep a trajectory as asked, and tell how the draw ended."""
     from dssc_jax.console import show_draw
 
     if figure is not None and figure.suffix.lower() not in FIGURES:
         raise ConfigError(str(figure), f"cannot be written: the name must end in one of {', '.join(FIGURES)}")
     if csv is not None:
-        attempt(csv, lambda: found.to_dataframe().to_csv(csv, index_label="t"))
+        attempt(csv, lambda: trajectory.to_dataframe().to_csv(csv, index_label="t"))
     if figure is not None:
         from dssc_jax import plotting
 
-        attempt(figure, lambda: plotting.write(plotting.trajectory(found), figure))
+        attempt(figure, lambda: plotting.write(plotting.trajectory(trajectory), figure))
     if as_json:
         from dssc_jax.console import jsonable
 
-        print(json.dumps(jsonable(found.attrs), allow_nan=False))
+        print(json.dumps(jsonable(trajectory.attrs), allow_nan=False))
     else:
-        show_draw(found.attrs, [path for path in (csv, figure) if path is not None])
+        show_draw(trajectory.attrs, [path for path in (csv, figure) if path is not None])
     return DONE

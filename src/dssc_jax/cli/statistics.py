@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dssc_jax.cli import options as opt
-from dssc_jax.cli.shared import DONE, app, default_out, load_study
-from dssc_jax.errors import ConfigError
+from dssc_jax.cli.common import DONE, app, default_out, load_study
+from dssc_jax.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from dssc_jax.study import Study
@@ -29,8 +29,8 @@ def plan(
 ) -> int:
     """How many draws does my question need?
 
-    Answers for a failure probability (Chernoff, Clopper-Pearson), for the worst case and for no failure at all, and for
-    tolerance limits (Wilks).
+    Answers for a failure probability (Chernoff; Clopper-Pearson, at the expected count and assured), for the worst case
+    and for no failure at all, and for tolerance limits (Wilks).
     """
     from dssc_jax.console import show_table
     from dssc_jax.statistics import plan as answers
@@ -60,12 +60,13 @@ def sensitivity(
 ) -> int:
     """Which uncertain numbers matter, for each metric and for failure?
 
-    First-order and total Sobol indices with bootstrap intervals. The draws, rounded down to a power of two, are the
-    rows of a sample that is simulated once for each uncertain number and twice more. The study's [sweep] is left aside.
+    First-order and total Sobol indices with intervals; a failure too rare for them is told with the rows that it
+    needs. The draws, rounded down to a power of two, are the rows of a sample that is simulated once for each uncertain
+    number and twice more. The study's [sweep] is left aside.
     """
     from dssc_jax import plotting
+    from dssc_jax.analyses.sensitivity import sensitivity as indices
     from dssc_jax.console import progress_bar, show_sensitivity
-    from dssc_jax.global_sensitivity import sensitivity as indices
 
     found = load_study(study, settings, draws, seed, allow_local).without_sweep()
     folder = out or default_out(found, "sensitivity", settings, draws, seed)
@@ -90,6 +91,7 @@ def rare(
     ] = None,
     moves: Annotated[int, typer.Option("--moves", metavar="M", help="Steps of a clone at each level.")] = 5,
     repeats: Annotated[int, typer.Option("--repeats", metavar="R", help="Independent repeats, at least 10.")] = 20,
+    plain: Annotated[int, typer.Option("--plain", metavar="N", help="Plain draws, which may contradict.")] = 4096,
     settings: opt.Set = None,
     seed: opt.Seed = None,
     out: opt.Out = None,
@@ -98,15 +100,16 @@ def rare(
 ) -> int:
     """A failure probability too small for plain draws.
 
-    Adaptive multilevel splitting on the smallest requirement margin: failures are approached level by level. The
-    interval comes from independent repeats. The study's [sweep] and its number of draws are left aside.
+    Adaptive multilevel splitting on the smallest slack of a requirement: failures are approached level by level. The
+    interval comes from independent repeats; plain draws beside them tell where it cannot be right. The study's [sweep]
+    and its number of draws are left aside.
     """
+    from dssc_jax.analyses.rare_events import rare as estimate
+    from dssc_jax.analyses.splitting import Splitting
     from dssc_jax.console import counter, show_rare
-    from dssc_jax.rare_events import Splitting
-    from dssc_jax.rare_events import rare as estimate
 
     found = load_study(study, settings, None, seed, allow_local).without_sweep()
-    how = Splitting(particles, particles // 2 if killed is None else killed, moves, repeats)
+    how = Splitting(particles, particles // 2 if killed is None else killed, moves, repeats, plain=plain)
     path = place(out or default_out(found, "rare", settings, seed), "rare.json", found)
     with counter(found, quiet=as_json) as advance:
         result = estimate(found, how, progress=advance)
@@ -124,7 +127,7 @@ def place(folder: Path, name: str, study: "Study") -> Path:
     Raises:
         ConfigError: something else is there.
     """
-    from dssc_jax.analysis import require_place
+    from dssc_jax.results.analysis_folder import require_place
 
     require_place(folder / name, study)
     return folder / name
@@ -132,8 +135,8 @@ def place(folder: Path, name: str, study: "Study") -> Path:
 
 def keep(path: Path, content: dict[str, Any], study: "Study") -> dict[str, Any]:
     """Write an answer with the study that it answers for."""
-    from dssc_jax.analysis import write_answer
     from dssc_jax.console import jsonable
+    from dssc_jax.results.analysis_folder import write_answer
 
     plain = {**jsonable(content), "result": str(path.parent)}
     write_answer(path, plain, study)

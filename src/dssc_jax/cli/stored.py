@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from dssc_jax.cli import options as opt
-from dssc_jax.cli.shared import DONE, FAILS, app, load_result
+from dssc_jax.cli.common import DONE, FAILS, app, load_result
 
 
 @app.command()
@@ -16,22 +16,23 @@ def verify(
     draws: Annotated[int, typer.Option("--draws", metavar="K", help="How many lanes to compute again.")] = 16,
     seed: Annotated[int | None, typer.Option("--seed", metavar="S", help="Picks them [anew each time].")] = None,
     as_json: opt.Json = False,
+    trust_code: opt.TrustCode = False,
     allow_local: opt.Local = False,
 ) -> int:
-    """Compute a random handful of a result's lanes again.
+    """Compute a random handful of a result's lanes again, by the plain program.
 
-    They must be bit-identical on the same machine; elsewhere the largest relative deviation is told. Exit 1 where it
-    is more than rounding.
+    The largest relative deviation is shown. Exit 1 where it is more than rounding explains, or where every lane
+    amplifies rounding so much that none is evidence. A result whose study names code of its own needs --trust-code.
     """
     from dssc_jax.console import jsonable, show_verification
-    from dssc_jax.verification import verify as verify_result
+    from dssc_jax.runs.verify import verify as verify_result
 
-    found = verify_result(load_result(result, allow_local), draws, seed)
+    verification = verify_result(load_result(result, trust_code, allow_local), draws, seed)
     if as_json:
-        print(json.dumps(jsonable({"result": str(result), **found.to_dict()}), allow_nan=False))
+        print(json.dumps(jsonable({"result": str(result), **verification.to_dict()}), allow_nan=False))
     else:
-        show_verification(found)
-    return DONE if found.verified else FAILS
+        show_verification(verification)
+    return DONE if verification.verified else FAILS
 
 
 @app.command()
@@ -42,16 +43,15 @@ def export(
         Path | None, typer.Option("--out", metavar="FILE", help="The file [draws.csv, ... in RESULT].")
     ] = None,
     as_json: opt.Json = False,
-    allow_local: opt.Local = False,
 ) -> int:
     """Write a result for other programs, with units and meanings.
 
     csv and parquet: a table with one row a draw and sweep point. netcdf: the dataset, with CF attributes.
     """
     from dssc_jax.console import show_files
-    from dssc_jax.exports import export as export_result
+    from dssc_jax.results.export import export as export_result
 
-    written = export_result(load_result(result, allow_local), to, out)
+    written = export_result(load_result(result), to, out)
     if as_json:
         print(json.dumps({"result": str(result), "files": list(map(str, written))}))
     else:

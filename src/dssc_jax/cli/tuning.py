@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from dssc_jax.cli import options as opt
-from dssc_jax.cli.shared import DONE, FAILS, app, attempt, default_out, load_study
+from dssc_jax.cli.common import DONE, FAILS, app, attempt, default_out, load_study
 
 BudgetOption = Annotated[
     int, typer.Option("--budget", metavar="N", help="Simulations of a hunt; one with derivatives counts for several.")
@@ -38,15 +38,15 @@ def tune(
     decide: exit 1 where a limit or requirement is not met on the validation draws, or a hunt still finds a failure.
     """
     from dssc_jax import plotting
-    from dssc_jax.analysis import require_free
+    from dssc_jax.analyses.tuning import tune as search
     from dssc_jax.console import jsonable, progress_bar, show_tuning
+    from dssc_jax.results.analysis_folder import require_free
     from dssc_jax.study.tables import to_toml
-    from dssc_jax.tuning import tune as search
 
     loaded = load_study(study, settings, draws, seed, allow_local)
     folder = default_out(loaded, "tune", settings, draws, seed)
     require_free(folder, "tune")
-    with progress_bar(loaded, quiet=as_json) as advance:
+    with progress_bar(loaded, quiet=as_json, of="steps", early="nothing better came") as advance:
         found = search(loaded, robust=robust, rounds=rounds, budget=budget, report=advance)
     found.save(folder)
     figures = plotting.save_figure(plotting.tuning(found), folder / "figures", "tune")
@@ -76,16 +76,16 @@ def falsify(
     Exit 1 where one fails. The witness is written as a study (witness.toml, for `simulate`) and as a result of that one
     draw (the folder witness, for `replay`).
     """
-    from dssc_jax.analysis import require_free
+    from dssc_jax.analyses.falsification import falsify as hunt
     from dssc_jax.console import jsonable, progress_bar, show_falsification
-    from dssc_jax.falsification import falsify as hunt
-    from dssc_jax.running import run
+    from dssc_jax.results.analysis_folder import require_free
+    from dssc_jax.runs.run import run
     from dssc_jax.study.tables import to_toml
 
     loaded = load_study(study, settings, None, seed, allow_local)
     folder = out or default_out(loaded, "falsify", settings, seed)
     require_free(folder, "falsify")
-    with progress_bar(loaded, quiet=as_json) as advance:
+    with progress_bar(loaded, quiet=as_json, of="simulations", early="the search found nothing further") as advance:
         found = hunt(loaded, budget=budget, seed=search_seed, report=advance)
     found.save(folder)
     file, witness = folder / "witness.toml", folder / "witness"
@@ -97,4 +97,4 @@ def falsify(
         print(json.dumps(jsonable(summary), allow_nan=False))
     else:
         show_falsification(summary, [folder, file, witness])
-    return FAILS if found.margin < 0.0 else DONE
+    return FAILS if found.slack < 0.0 else DONE

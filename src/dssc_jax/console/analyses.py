@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.markup import escape
 
+from dssc_jax.analyses.sensitivity import FAILURE
 from dssc_jax.console.terminal import output, show_files, show_pairs, show_table
-from dssc_jax.global_sensitivity import FAILURE
-from dssc_jax.results import headline_measure
+from dssc_jax.results.result import headline_measure
 
 if TYPE_CHECKING:
-    from dssc_jax.global_sensitivity import Sensitivity
+    from dssc_jax.analyses.sensitivity import Sensitivity
 
 
 def show_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
@@ -42,13 +42,12 @@ def show_sensitivity(result: "Sensitivity", files: list[Path]) -> None:
     console = output()
     console.print(
         f"[bold]{escape(result.study.name)}[/bold]  Sobol indices, {result.simulations} simulations on {result.rows} "
-        f"rows; {100 * result.confidence:g} % bootstrap intervals"
+        f"rows; {100 * result.confidence:g} % intervals"
     )
     for name in dict.fromkeys((FAILURE, headline_measure(result.study).name)):
         found = result.outputs[name]
         if found is None:
-            why = f"has no value on {result.missing[name]} draws" if result.missing[name] else "does not vary"
-            console.print(f"{name}: {why}, hence no indices", markup=False)
+            console.print(f"{name}: no indices; it {result.reasons[name]}", markup=False, soft_wrap=True)
             continue
         rows = [
             (factor, interval_text(*first), interval_text(*total))
@@ -69,12 +68,26 @@ def show_rare(found: Mapping[str, Any], files: list[Path]) -> None:
     low, high = found["interval"]
     level = f"{100 * found['confidence']:g} % {found['interval_method']}"
     console.print(f"[bold]{escape(found['study'])}[/bold]  required: {escape('; '.join(found['requirements']))}")
-    if found["probability"] == 0.0:
-        console.print("no repeat reached a failure; this method then says nothing of its probability", markup=False)
-    else:
+    if found["splitting"]["probability"] == 0.0:
+        console.print("no repeat reached a failure; the splitting then says nothing of its probability", markup=False)
+    plain = found["plain"]
+    if plain["contradicts"]:
+        below, above = found["splitting"]["interval"]
         console.print(
-            f"failure probability {found['probability']:.3g} in [{low:.3g}, {high:.3g}] ({level})", markup=False
+            f"warning: plain draws contradict the splitting, which found {found['splitting']['probability']:.3g} in "
+            f"[{below:.3g}, {above:.3g}]: it missed a way to failure, or its chains did not mix. The answer is that of "
+            "the plain draws",
+            style="bold yellow",
+            markup=False,
         )
+    value = f"{found['probability']:.3g} in [{low:.3g}, {high:.3g}]" if found["probability"] else f"<= {high:.3g}"
+    console.print(f"failure probability {value} ({level})", markup=False)
+    console.print(
+        f"beside it {plain['failures']:,} of {plain['draws']:,} plain draws failed; a failure that the margin does not "
+        f"lead to may be as probable as {plain['interval'][1]:.3g}",
+        markup=False,
+    )
+    if found["splitting"]["probability"] > 0.0:
         console.print(
             f"coefficient of variation {found['variation']:.2g} by {found['simulations']:,} simulations; plain draws "
             f"would take {found['plain_draws'] or np.inf:,.0f}",

@@ -26,7 +26,7 @@ def environment() -> dict[str, Any]:
     """Versions, devices, flags and registries."""
     import jax
 
-    from dssc_jax import xla
+    from dssc_jax.backend import xla
     from dssc_jax.console.kinds import kinds
     from dssc_jax.study.measuring import KNOWN
 
@@ -44,21 +44,22 @@ def environment() -> dict[str, Any]:
     }
 
 
-def show_environment(found: dict[str, Any]) -> None:
+def show_environment(environment: dict[str, Any]) -> None:
     """The environment, for people."""
     from dssc_jax.console.kinds import HEADS
 
     console = output()
-    console.print("  ".join(f"{name} {number}" for name, number in found["versions"].items()))
+    console.print("  ".join(f"{name} {number}" for name, number in environment["versions"].items()))
     console.print(
-        f"devices    {', '.join(found['devices'])}\nXLA flags  {found['xla_flags'] or 'none'}", soft_wrap=True
+        f"devices    {', '.join(environment['devices'])}\nXLA flags  {environment['xla_flags'] or 'none'}",
+        soft_wrap=True,
     )
-    for slot, its_kinds in found["kinds"].items():
+    for slot, its_kinds in environment["kinds"].items():
         rows = []
         for kind, about in its_kinds.items():
             options = "; ".join(f"{name}: {' | '.join(map(str, values))}" for name, values in about["options"].items())
             rows.append((kind, about["summary"], ", ".join(about["fields"]), options))
         show_table((f"[{HEADS.get(slot, slot)}]", "what", "fields", "options"), rows)
-    rows = [(name, about["meaning"], about["unit"], about["of"]) for name, about in found["metrics"].items()]
+    rows = [(name, about["meaning"], about["unit"], about["of"]) for name, about in environment["metrics"].items()]
     show_table(("metric", "what", "unit", "of each"), rows)
     console.print("`dssc-jax info KIND` tells unit, meaning, range and default of a kind's fields", markup=False)

@@ -5,10 +5,11 @@ from enum import Enum
 from typing import Any
 
 from dssc_jax.console.terminal import output, show_table
-from dssc_jax.errors import ConfigError, meant
+from dssc_jax.core.errors import ConfigError, meant
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.registry import Entry, Registry, Slot
 from dssc_jax.study.build import REGISTRIES
 from dssc_jax.study.components import FieldSpec, field_specs
-from dssc_jax.types import Entry, Quantity, Registry, Slot
 
 TRAJECTORY = "trajectory"
 HEADS = {TRAJECTORY: "reference, of a plant of several channels"}
@@ -17,24 +18,24 @@ REQUIRED = "required"
 
 def registries() -> dict[str, Registry]:
     """Every registry by the table that its kinds stand in; parts of models behind the models."""
-    found = dict(REGISTRIES)
+    by_table = dict(REGISTRIES)
     for slot, registry in REGISTRIES.items():
         for entry in registry.values():
-            found |= parts(params_of(entry), slot)
-    return found
+            by_table |= parts(params_of(entry), slot)
+    return by_table
 
 
 def parts(params: type, place: str) -> dict[str, Registry]:
     """Registries of the slots in a parameter type."""
-    found = {}
+    by_slot = {}
     for name, spec in field_specs(params).items():
         if isinstance(spec.mark, Slot):
-            found[f"{place}.{name}"] = spec.mark.registry
+            by_slot[f"{place}.{name}"] = spec.mark.registry
             for entry in spec.mark.registry.values():
-                found |= parts(params_of(entry), f"{place}.{name}")
+                by_slot |= parts(params_of(entry), f"{place}.{name}")
         elif spec.nested:
-            found |= parts(spec.core, f"{place}.{name}")
-    return found
+            by_slot |= parts(spec.core, f"{place}.{name}")
+    return by_slot
 
 
 def member_of(entry: Entry) -> Any:
@@ -50,9 +51,9 @@ def params_of(entry: Entry) -> Any:
 
 def kinds() -> dict[str, dict[str, Any]]:
     """Summary, fields and options of every kind, by the table that it stands in."""
-    found: dict[str, dict[str, Any]] = {}
+    by_table: dict[str, dict[str, Any]] = {}
     for slot, registry in registries().items():
-        found[slot] = {
+        by_table[slot] = {
             kind: {
                 "summary": entry.summary,
                 "fields": list(field_specs(params_of(entry))),
@@ -61,7 +62,7 @@ def kinds() -> dict[str, dict[str, Any]]:
             }
             for kind, entry in registry.items()
         }
-    return found
+    return by_table
 
 
 def options_of(entry: Entry) -> dict[str, list[Any]]:
@@ -135,10 +136,10 @@ def show_kind(name: str) -> None:
         ConfigError: there is none.
     """
     every = registries()
-    found = {slot: registry[name] for slot, registry in every.items() if name in registry}
-    if not found:
+    entries = {slot: registry[name] for slot, registry in every.items() if name in registry}
+    if not entries:
         valid = {kind for registry in every.values() for kind in registry}
         raise ConfigError(name, f"is no kind; {meant(name, valid)}")
-    for slot, entry in found.items():
+    for slot, entry in entries.items():
         output().print(f'[{HEADS.get(slot, slot)}] kind = "{name}": {entry.summary}', markup=False)
         show_table(COLUMNS, rows_of(entry))

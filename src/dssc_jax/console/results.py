@@ -2,22 +2,29 @@
 
 import math
 from collections.abc import Mapping
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.markup import escape
 
+from dssc_jax.closed_loop.requirements import ended_early
 from dssc_jax.console.terminal import output, show_files, show_table
-from dssc_jax.results import headline
+from dssc_jax.engine.reference import VERDICTS
+from dssc_jax.results.result import headline
+from dssc_jax.results.schema import outcome_codes
+from dssc_jax.results.summary import most_violated
 from dssc_jax.statistics import describe_probability
 
 if TYPE_CHECKING:
-    from dssc_jax.results import Result
-    from dssc_jax.verification import Verification
+    from dssc_jax.results.result import Result
+    from dssc_jax.runs.verify import Verification
+    from dssc_jax.study import Study
 
-WIDEST_ROWS = 40
+WIDEST_ROWS, WIDEST_COLUMNS = 40, 24
 STAYS_FINITE = "that the draw stays finite"
+SHARE = ("probability", "95 % interval")
 MARKS = {True: "yes", False: "no", None: "-"}
 
 
@@ -30,11 +37,11 @@ def show_result(result: "Result") -> None:
         console.print(describe_probability(result.failed.values, result.method), markup=False)
         if stopping := result.manifest.get("stopping"):
             console.print(f"the draws decided their number, {stopping['rule']}: {stopping['verdict']}", markup=False)
-        show_outcomes(result.summary()["points"][0])
+        show_point(result.study, next(result.points()))
     elif len(axes) == 2 and math.prod(map(len, axes.values())) > WIDEST_ROWS:
         show_grid(result, list(axes))
     else:
-        show_points(list(axes), result.summary()["points"], headline(result).name)
+        show_points(result)
     console.print(result.certificate, markup=False)
     times = result.manifest["times"]
     console.print(
@@ -52,9 +59,18 @@ def show_figures(figures: list[Path]) -> None:
     output().print(f"figures {', '.join(str(path) for path in figures)}", soft_wrap=True, markup=False)
 
 
-def show_outcomes(point: dict[str, Any]) -> None:
-    """How the draws ended, and the metrics' quantiles."""
-    show_table(("outcome", "draws"), [(name.replace("_", " "), str(n)) for name, n in point["outcomes"].items()])
+def show_point(study: "Study", point: dict[str, Any]) -> None:
+    """Each requirement by itself, which are violated together, early ends, and the metrics' quantiles."""
+    if point["requirements"]:
+        rows = [(each["text"], *counted(each, point["draws"]), str(each["alone"])) for each in point["requirements"]]
+        show_table(("requirement", "violated by", *SHARE, "by it alone"), rows)
+    if point["overlaps"]:
+        rows = [(" and ".join(pair["names"]), str(pair["draws"])) for pair in point["overlaps"]]
+        show_table(("violated together (not by early ends)", "draws"), rows)
+    if point["ended_early"]:
+        counts = {name: point["outcomes"][name] for code, name in outcome_codes(study).items() if ended_early(code)}
+        ways = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in counts.items() if n)
+        output().print(f"ended early, and so violated every requirement: {ways}")
     rows = [
         (name, *(quantile_text(found, level) for level in ("q5", "q50", "q95")))
         for name, found in point["metrics"].items()
@@ -74,30 +90,41 @@ def quantile_text(found: Mapping[str, Any], level: str) -> str:
     return f"{found[level]:.4g} [{number(low, '-inf')}, {number(high, 'inf')}]"
 
 
-def show_points(axes: list[str], points: list[dict[str, Any]], metric: str) -> None:
+def counted(row: Mapping[str, Any], draws: int) -> tuple[str, str, str]:
+    """Failures, their probability, and its interval; no failure is told by its upper bound, never as 0."""
+    low, high = row["interval"]
+    probability = f"{row['probability']:.4g}" if row["failures"] else f"<= {high:.3g}"
+    return f"{row['failures']}/{draws}", probability, f"[{low:.3g}, {high:.3g}]"
+
+
+def show_points(result: "Result") -> None:
     """One row a sweep point, with the headline metric's median; the first ones where there are very many."""
+    axes, metric = result.study.axes, headline(result).name
+    several = len(result.study.requirements) > 1
     rows = []
-    for point in points[:WIDEST_ROWS]:
-        low, high = point["interval"]
-        share = f"{point['probability']:.4g}" if point["failures"] else f"<= {high:.3g}"
+    for point in islice(result.points(), WIDEST_ROWS):
         values = [f"{point[name]:.5g}" for name in axes]
         middle = point["metrics"].get(metric, {}).get("q50")
         shown = "inf" if middle is None else f"{middle:.4g}"
-        numbers = (f"{point['failures']}/{point['draws']}", share, f"[{low:.3g}, {high:.3g}]", shown)
-        rows.append((*values, *numbers, MARKS[point["certified"]]))
-    show_table((*axes, "failures", "probability", "95 % interval", f"median {metric}", "certified"), rows)
-    if len(points) > WIDEST_ROWS:
-        output().print(f"... and {len(points) - WIDEST_ROWS} more points in summary.json")
+        worst = [most_violated(point)] if several else []
+        rows.append((*values, *counted(point, point["draws"]), *worst, shown, MARKS[point["certified"]]))
+    worst = ["most violated"] if several else []
+    show_table((*axes, "failures", *SHARE, *worst, f"median {metric}", "certified"), rows)
+    more = math.prod(map(len, axes.values())) - len(rows)
+    if more:
+        output().print(f"... and {more} more points in summary.json")
 
 
 def show_grid(result: "Result", axes: list[str]) -> None:
-    """Failure probability in per cent over two axes."""
+    """Failure probability in per cent over two axes; in wider steps where there are very many values."""
     down, across = axes
-    failed = result.failed.transpose(down, across, "draw").values
+    down_values, across_values = (np.asarray(result.study.axes[name]) for name in axes)
+    by_row, by_column = -(-len(down_values) // WIDEST_ROWS), -(-len(across_values) // WIDEST_COLUMNS)
+    failed = result.failed.transpose(down, across, "draw").values[::by_row, ::by_column]
     share = 100.0 * failed.mean(-1)
-    head = (f"{down} \\ {across}", *(f"{value:.3g}" for value in result.study.axes[across]))
+    head = (f"{down} \\ {across}", *(f"{value:.3g}" for value in across_values[::by_column]))
     rows = []
-    for value, row, counts in zip(result.study.axes[down], share, failed.sum(-1), strict=True):
+    for value, row, counts in zip(down_values[::by_row], share, failed.sum(-1), strict=True):
         rows.append(
             (
                 f"{value:.3g}",
@@ -107,28 +134,48 @@ def show_grid(result: "Result", axes: list[str]) -> None:
     draws = failed.shape[-1]
     bound = describe_probability(np.zeros(draws, dtype=bool), result.method)
     show_table(head, rows, title=f"failures in % of {draws} draws; '.': {bound}; all intervals in summary.json")
+    if by_row * by_column > 1:
+        output().print(
+            f"... each step is {by_row} of {len(down_values)} values of {escape(down)}, "
+            f"and {by_column} of {len(across_values)} of {escape(across)}; all points in summary.json"
+        )
 
 
 def show_draw(attributes: Mapping[str, Any], files: list[Path]) -> None:
     """How one draw ended, its drawn numbers and its metrics."""
-    ended = str(attributes["outcome_meaning"]).replace("_", " ")
-    output().print(f"[bold]{escape(str(attributes['study']))}[/bold] draw {attributes['draw']}: {ended}")
-    skipped = {"study", "draw", "outcome", "outcome_meaning"}
+    study, ended = (escape(str(attributes[name])) for name in ("study", "verdict"))
+    output().print(f"[bold]{study}[/bold] draw {attributes['draw']}: {ended}")
+    skipped = {"study", "draw", "outcome", "outcome_meaning", "verdict", "agreement", "deviation"}
     if attributes["failed_at"] != attributes["failed_at"]:  # NaN: it did not
         skipped.add("failed_at")
     rows = [(name, f"{value:.6g}") for name, value in attributes.items() if name not in skipped]
     show_table(("number", "value"), rows)
+    if "agreement" in attributes:
+        verdict = VERDICTS[attributes["agreement"]].format(attributes["deviation"])
+        output().print(f"computed again by the plain program, the draw {verdict}")
     show_files(files)
 
 
 def show_verification(found: "Verification") -> None:
     """How a result compares with its lanes computed again."""
     console = output()
-    console.print(f"{found.identical} of {found.lanes} lanes bit-identical (--seed {found.seed} picks the same ones)")
+    verdict = VERDICTS[found.verdict].format(found.deviation)
+    lanes = f"{found.lanes} lane{'s' if found.lanes > 1 else ''} (--seed {found.seed} picks the same)"
+    console.print(f"computed again by the plain program, {lanes}: the result {verdict}")
+    if found.undecided:
+        console.print(f"{found.undecided} of them amplify rounding so much that they are no evidence")
+    if not found.digests:
+        console.print("written without digests, by an earlier version: a file that was altered since is not noticed")
     if found.worst is not None:
         rows = [
             (name, f"{value:.17g}" if isinstance(value, float) else str(value)) for name, value in found.worst.items()
         ]
         show_table(("largest deviation", f"{found.deviation:.3g}"), rows)
-        verdict = "within rounding" if found.verified else "[red]more than rounding[/red]"
-        console.print(f"the deviation is {verdict}; computed otherwise: {escape('; '.join(found.otherwise) or 'no')}")
+    if found.otherwise:
+        console.print(f"the result was computed otherwise: {escape('; '.join(found.otherwise))}")
+    if found.single_precision:
+        single = found.single_precision
+        console.print(
+            f"float32 itself, against float64 with the same noise: {single.outcomes} outcomes differ; relative "
+            f"deviation of a lane {single.median:.1g} (median), {single.largest:.1g} (largest)"
+        )

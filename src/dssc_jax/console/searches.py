@@ -36,7 +36,7 @@ def show_tuning(summary: Mapping[str, Any], files: list[Path]) -> None:
     if summary["certified_points"] is not None:
         console.print(f"certified: all {summary['certified_points']} points that were visited, by Theorem 1")
     for number, hunt in enumerate(summary["counterexamples"], start=1):
-        console.print(f"hunt {number}: worst margin {hunt['margin']:.4g} in {hunt['simulations']} simulations")
+        console.print(f"hunt {number}: worst slack {hunt['slack']:.4g} in {hunt['simulations']} simulations")
     if not summary["feasible"]:
         console.print(
             f"no point met every limit on the validation draws; the nearest misses by {summary['violation']:.2%}"
@@ -51,10 +51,10 @@ def show_falsification(summary: Mapping[str, Any], files: list[Path]) -> None:
     required = escape("; ".join(summary["requirements"]))
     console.print(f"[bold]{escape(summary['study'])}[/bold]  required: {required}")
     show_table(("worst draw", ""), [(name, f"{value:.6g}") for name, value in summary["witness"].items()])
-    margin = "ended early" if summary["margin"] == -np.inf else f"margin {summary['margin']:.4g} of the bound"
+    slack = "ended early" if summary["slack"] == -np.inf else f"slack {summary['slack']:.4g} of the bound"
     spent = f"{summary['simulations']} simulations, {summary['seconds']:.1f} s"
-    found = (
+    ending = (
         f"fails; the first failure came after {summary['first_failure']}" if summary["failed"] else "passes; the worst"
     )
-    console.print(f"it {found} of {spent}: {margin}")
+    console.print(f"it {ending} of {spent}: {slack}")
     show_files(files)

@@ -30,12 +30,18 @@ def errors() -> Console:
 
 def tell(text: str) -> None:
     """Something a person should know while a run goes on."""
-    errors().print(text, markup=False)
+    errors().print(text, markup=False, soft_wrap=True)
 
 
 @contextmanager
-def progress_bar(study: "Study", quiet: bool) -> Iterator[Callable[..., None]]:
+def progress_bar(study: "Study", quiet: bool, of: str = "draws", early: str = "") -> Iterator[Callable[..., None]]:
     """A bar with the time left, on stderr; ``quiet`` shows it only where stderr is a terminal.
+
+    Args:
+        study: What is computed.
+        quiet: Whether a program reads what the command says.
+        of: What is counted.
+        early: Why work ends before all of it is done, where it may.
 
     Yields:
         Takes what is done, what is to do, and a line on what was found so far, if any.
@@ -51,17 +57,24 @@ def progress_bar(study: "Study", quiet: bool) -> Iterator[Callable[..., None]]:
     )
     bar = Progress(*columns, console=console, disable=quiet and not console.is_terminal)
     task = bar.add_task(f"{study.name} (compiling)", total=None)
+    counted = most = 0
 
-    def advance(done: int, total: int, found: str = "") -> None:
+    def advance(done: int, total: int, note: str = "") -> None:
+        nonlocal counted, most
+        counted, most = done, total
         bar.start()  # not before the first call: bad input is told without a bar
-        text = f"{study.name} {found}".strip() if done else f"{study.name} (compiling)"
+        text = f"{study.name} {note}".strip() if done else f"{study.name} (compiling)"
         bar.update(task, completed=done, total=total, description=text)
 
     try:
         yield advance
+        if counted < most:
+            bar.update(task, total=counted)
     finally:
         if bar.live.is_started:
             bar.stop()
+    if counted < most and not bar.disable:
+        tell(f"{study.name} stopped early after {counted:,} of at most {most:,} {of}: {early}")
 
 
 @contextmanager

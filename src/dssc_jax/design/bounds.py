@@ -6,10 +6,10 @@ Formulas here and in the rest of the package take numbers, arrays or traced valu
 from functools import cache
 from typing import Annotated, Any, NamedTuple, get_type_hints
 
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.zero_dynamics import ZeroDynamics, require_hurwitz
 from dssc_jax.design.arrays import Number
-from dssc_jax.errors import ConfigError
-from dssc_jax.types import Quantity
-from dssc_jax.zero_dynamics import ZeroDynamics, require_hurwitz
 
 MOST = 1e30  # numbers beyond it, or below its inverse, overflow in products of powers
 

@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import differential_evolution
 
+from dssc_jax.core.errors import ConfigError, meant
 from dssc_jax.design.bounds import MOST, Bounds
 from dssc_jax.design.certificate import certified
 from dssc_jax.design.practice import practice
 from dssc_jax.design.small_gain import guarantee
 from dssc_jax.design.synthesis import Free, design, synthesise
 from dssc_jax.design.table1 import Parameters
-from dssc_jax.errors import ConfigError, meant
 
 REACH = 1e6  # factors beyond it count as no limit
 HALVINGS = 60

@@ -3,11 +3,11 @@
 from enum import StrEnum
 from typing import Annotated, NamedTuple
 
+from dssc_jax.core.errors import ConfigError
 from dssc_jax.design.arrays import Number, greater
 from dssc_jax.design.bounds import Bounds, derive, positive, require_plain
 from dssc_jax.design.small_gain import small_gain
 from dssc_jax.design.table1 import Parameters, over_phi_b
-from dssc_jax.errors import ConfigError
 
 
 class Recipe(StrEnum):

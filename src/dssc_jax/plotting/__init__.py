@@ -17,7 +17,7 @@ from dssc_jax.plotting.sweeps import fitted_slope, probability, sweep, typical
 from dssc_jax.plotting.theory import theory
 from dssc_jax.plotting.trajectories import signals, trajectory
 from dssc_jax.plotting.tuning import tuning
-from dssc_jax.results import Result
+from dssc_jax.results.result import Result
 
 __all__ = [
     "BLUE",

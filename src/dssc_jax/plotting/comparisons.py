@@ -10,7 +10,7 @@ from matplotlib.ticker import PercentFormatter
 from dssc_jax.plotting.style import BLUE, GREY, ORANGE, SLIDE, styled, title
 
 if TYPE_CHECKING:
-    from dssc_jax.comparison import Comparison
+    from dssc_jax.analyses.comparison import Comparison
 
 APART = 0.18  # between given and tuned gains of one controller
 

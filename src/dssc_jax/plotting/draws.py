@@ -5,11 +5,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from dssc_jax.errors import ConfigError, meant
-from dssc_jax.metrics import Measure
+from dssc_jax.closed_loop.metrics import Measure
+from dssc_jax.core.errors import ConfigError, meant
 from dssc_jax.plotting.style import BLUE, DRAWABLE, RED, SLIDE, SMALL, label, panel, set_scale, styled, title
 from dssc_jax.plotting.thinning import picked
-from dssc_jax.results import Result, measured
+from dssc_jax.results.result import Result, measured
 from dssc_jax.statistics import CONFIDENCE, Replicated, clopper_pearson
 
 BINS, FILLED = 8, 5  # at most so many bins, each of at least so many draws

@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dssc_jax.global_sensitivity import FAILURE, Indices, Sensitivity
+from dssc_jax.analyses.sensitivity import FAILURE, Indices, Sensitivity
 from dssc_jax.plotting.style import BLUE, ORANGE, SLIDE, styled, title
-from dssc_jax.results import headline_measure
+from dssc_jax.results.result import headline_measure
 
 OFFSET = 0.13  # of the two kinds of index from their common row
 
@@ -26,7 +26,7 @@ def sensitivity(result: Sensitivity) -> Figure:
         ax.axvline(0.0, color="black", linewidth=0.8)
         ax.set_xlabel("share of the variance")
         if found is None:
-            why = f"no value on {result.missing[name]} draws" if result.missing[name] else "does not vary"
+            why = textwrap.fill(f"no indices; it {result.reasons[name]}", 40)
             ax.text(0.5, 0.5, why, transform=ax.transAxes, ha="center")
         else:
             rows(ax, found)
@@ -38,7 +38,7 @@ def sensitivity(result: Sensitivity) -> Figure:
     title(
         figure,
         f"{result.study.name}: Sobol indices from {result.simulations} simulations, "
-        f"{100 * result.confidence:g} % bootstrap intervals",
+        f"{100 * result.confidence:g} % intervals",
     )
     return figure
 

@@ -11,8 +11,8 @@ from matplotlib.ticker import PercentFormatter
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, named, styled, title
 
 if TYPE_CHECKING:
-    from dssc_jax.certification import Reach
-    from dssc_jax.margins import Margins, Walk
+    from dssc_jax.analyses.margins import Margins, Walk
+    from dssc_jax.design.certification import Reach
 
 
 @styled

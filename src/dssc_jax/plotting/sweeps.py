@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
 
-from dssc_jax.metrics import Measure
+from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.plotting.draws import limits
 from dssc_jax.plotting.style import (
     BLUE,
@@ -28,8 +28,11 @@ from dssc_jax.plotting.style import (
     styled,
     title,
 )
-from dssc_jax.results import Result, measured, upper_quantiles
+from dssc_jax.plotting.thinning import envelope, thinned
+from dssc_jax.results.result import Result, measured
+from dssc_jax.statistics.order import upper_quantiles
 
+MARKED = 200  # a curve of more points shows none of them
 FINE = 2500  # a map of more cells is written as an image, not cell by cell
 CERTIFIED = "certified by Theorem 1"
 HALF, BOUND = ("half of the draws fail", "-"), ("95 % upper bound of the probability at 5 %", "--")
@@ -143,8 +146,9 @@ def typical_curve(ax: Axes, result: Result, measure: Measure, axis: str) -> None
     low, middle, high = quantiles(result, measure)
     several = result.study.config.draws > 1
     if several:
-        ax.fill_between(x, low, high, color=BLUE, alpha=0.2, linewidth=0.0, label="5 to 95 % of draws")
-    ax.plot(x, middle, "o-", color=BLUE, label="median" if several else "simulated")
+        band = envelope(x, low, high)
+        ax.fill_between(*band, color=BLUE, alpha=0.2, linewidth=0.0, label="5 to 95 % of draws")
+    ax.plot(*thinned(x, middle), points(x), color=BLUE, label="median" if several else "simulated")
     if len(x) > 1:
         ax.set_xlim(x.min(), x.max())
     if not np.isfinite(middle).any():
@@ -162,11 +166,17 @@ def probability_curve(ax: Axes, result: Result, axis: str) -> None:
     """The failure probability with its interval along one axis."""
     x, failed = result.dataset[axis].values, result.failed.values
     interval = result.method.interval(failed)
-    ax.fill_between(x, *interval.T, color=RED, alpha=0.2, linewidth=0.0, label=f"95 % {result.method.name}")
-    ax.plot(x, failed.mean(-1), "o-", color=RED, label="failed draws")
+    band = envelope(x, *interval.T)
+    ax.fill_between(*band, color=RED, alpha=0.2, linewidth=0.0, label=f"95 % {result.method.name}")
+    ax.plot(*thinned(x, failed.mean(-1)), points(x), color=RED, label="failed draws")
     ax.set(ylabel="failure probability", ylim=(-0.03, 1.03))
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
     finish_curve(ax, result, axis)
+
+
+def points(x: np.ndarray) -> str:
+    """How a curve is drawn: with a mark at each point where they can be told apart."""
+    return "o-" if len(x) <= MARKED else "-"
 
 
 def finish_curve(ax: Axes, result: Result, axis: str) -> None:
@@ -177,9 +187,12 @@ def finish_curve(ax: Axes, result: Result, axis: str) -> None:
     if certified is not None and certified.any():
         inside = certified.values
         edges = cell_edges(x, is_log(x))
-        for i in np.flatnonzero(inside):
-            text = CERTIFIED if i == inside.argmax() else None
-            ax.axvspan(edges[i], edges[i + 1], fc="none", ec=GREEN, hatch="//", linewidth=0.0, label=text)
+        turns = np.flatnonzero(np.diff(inside, prepend=False, append=False))  # where stretches begin, and end
+        for begin, end in turns.reshape(-1, 2):
+            text = CERTIFIED if begin == turns[0] else None
+            ax.axvspan(
+                float(edges[begin]), float(edges[end]), fc="none", ec=GREEN, hatch="//", linewidth=0.0, label=text
+            )
         ax.set_xlim(edges[0], edges[-1])
     mark_own_value(ax, result, axis, GREY)
     ax.set_xlabel(named(axis, result.dataset[axis].attrs))

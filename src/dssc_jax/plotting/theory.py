@@ -14,7 +14,7 @@ from dssc_jax.plotting.margins import certificate
 from dssc_jax.plotting.style import BLUE, GREY, ORANGE, PANEL, RED, SKY, SLIDE, VIOLET, styled
 
 if TYPE_CHECKING:
-    from dssc_jax.margins import Margins
+    from dssc_jax.analyses.margins import Margins
 
 COLOURS = (BLUE, RED, ORANGE, VIOLET, SKY, "black")
 NOTHING = 1e-2  # of the push [1/s]: a deviation that dies away is not drawn
@@ -33,7 +33,8 @@ def theory(
     Args:
         margins: Margins over one and the same number, by what they are of. Those of a linearisation are
             dashed, in continuous time dotted.
-        oscillations: What :func:`dssc_jax.theory.chattering` returned, by controller; none: the left panel alone.
+        oscillations: What :func:`dssc_jax.analyses.theory.chattering` returned, by controller; none: the left panel
+            alone.
         local: Local critical value of the loop on the right whose gains are finite at the origin.
     """
     size = (SLIDE[0] if oscillations else PANEL[0] + 1.4, SLIDE[1] + 0.9)

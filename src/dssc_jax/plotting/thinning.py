@@ -32,6 +32,28 @@ def thinned(x: np.ndarray, y: np.ndarray, columns: int = COLUMNS) -> tuple[np.nd
     return x[kept], y[kept]
 
 
+def envelope(
+    x: np.ndarray, low: np.ndarray, high: np.ndarray, columns: int = COLUMNS
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A band over rising x reduced to the outermost values of each column.
+
+    Args:
+        x: Shape (n,), rising.
+        low: Its lower edge, shape (n,).
+        high: Its upper edge, shape (n,).
+        columns: How many groups of neighbours the band is cut into.
+
+    Returns:
+        The band, with at most ``columns + 1`` points; the band itself where it has no more than twice as many.
+    """
+    if len(x) <= 2 * columns:
+        return x, low, high
+    first = len(x) * np.arange(columns) // columns
+    ends = np.append(first, len(x) - 1)
+    lowest, highest = np.minimum.reduceat(low, first), np.maximum.reduceat(high, first)
+    return x[ends], np.append(lowest, lowest[-1]), np.append(highest, highest[-1])
+
+
 def picked(count: int, most: int = COLUMNS) -> np.ndarray:
     """At most ``most`` indices of 0 .. count-1, evenly spaced, both ends among them."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))

@@ -105,5 +105,4 @@ def state_dependent(ax: Axes, run: xr.Dataset) -> None:
 
 def how_it_ended(run: xr.Dataset) -> str:
     """A trajectory's title."""
-    ended = str(run.attrs.get("outcome_meaning", "")).replace("_", " ")
-    return f"{run.attrs.get('study', '')}, draw {run.attrs.get('draw', 0)}: {ended}"
+    return f"{run.attrs.get('study', '')}, draw {run.attrs.get('draw', 0)}: {run.attrs.get('verdict', '')}"

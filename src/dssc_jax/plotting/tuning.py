@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, styled, title
 
 if TYPE_CHECKING:
-    from dssc_jax.tuning import Tuned
+    from dssc_jax.analyses.tuning import Tuned
 
 
 @styled

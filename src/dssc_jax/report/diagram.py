@@ -73,7 +73,7 @@ def present(study: Study, slot: str) -> bool:
 
 def has_nominal(study: Study) -> bool:
     """Whether the controller has a nominal part."""
-    return any(getattr(gains, "nominal", None) is not None for gains in study.template.controller)
+    return any("nominal" in name.split(".") for name in within(study.leaves(), "controller"))
 
 
 def notes(study: Study, slot: str) -> list[str]:

@@ -1,6 +1,5 @@
 """A page over many runs: what a folder of results holds, each with its report."""
 
-import json
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -9,12 +8,12 @@ from urllib.parse import quote
 
 import htpy as h
 
-from dssc_jax import store
-from dssc_jax.errors import ConfigError
-from dssc_jax.report.asked import moment
+from dssc_jax.core.errors import ConfigError
 from dssc_jax.report.elements import counted, interval, probability, table
 from dssc_jax.report.page import REPORT, page, save, write
-from dssc_jax.results import load
+from dssc_jax.report.study_sections import moment
+from dssc_jax.results import store
+from dssc_jax.results.result import load
 
 INDEX = "index.html"
 
@@ -43,22 +42,22 @@ def folders(root: Path) -> Iterator[Path]:
         yield from found or [child]
 
 
-def row_of(folder: Path) -> Row:
-    """What the index says of a folder, read from its manifest and summary alone."""
+def row_of(folder: Path, made: Callable[[Path], None]) -> Row:
+    """What the index says of a folder, once its report is there; one that is missing, or older, is made."""
+    row = Row(folder)
     try:
         manifest = store.read_manifest(folder)
+        row = row._replace(study=str(manifest["study"].get("name", "")), started=str(manifest.get("started", "")))
+        result, page = load(folder), folder / REPORT
+        if not page.exists() or page.stat().st_mtime < (folder / store.MANIFEST).stat().st_mtime:
+            made(write(result, page))
+        return row._replace(**numbers(result.summary()["points"]))
     except ConfigError as error:
-        return Row(folder, trouble=error.rule)
-    row = Row(folder, study=str(manifest["study"].get("name", "")), started=str(manifest.get("started", "")))
-    if not manifest.get("complete"):
-        return row._replace(trouble="is not complete; finish with --resume")
-    try:
-        summary = json.loads((folder / store.SUMMARY).read_text(encoding="utf-8"))
-        return row._replace(**numbers(summary["points"]))
+        return row._replace(trouble=error.rule)
     except OSError as error:
-        return row._replace(trouble=f"{store.SUMMARY} cannot be read ({error.strerror})")
-    except (ValueError, KeyError, TypeError, ArithmeticError, RecursionError) as error:
-        return row._replace(trouble=f"{store.SUMMARY} is damaged: {type(error).__name__}")
+        return row._replace(trouble=f"{REPORT} cannot be written ({error.strerror})")
+    except Exception as error:  # one report that cannot be made must not take the index with it
+        return row._replace(trouble=f"its report cannot be made: {type(error).__name__}: {error}")
 
 
 def numbers(points: list[dict[str, Any]]) -> dict[str, Any]:
@@ -72,23 +71,6 @@ def numbers(points: list[dict[str, Any]]) -> dict[str, Any]:
         "interval": interval(best["interval"]) if len(points) == 1 else "",
         "worst": most["probability"],
     }
-
-
-def report_of(row: Row, made: Callable[[Path], None]) -> Row:
-    """The row once its report is there; one that is missing, or older than the result, is made."""
-    if row.trouble:
-        return row
-    page = row.folder / REPORT
-    try:
-        if not page.exists() or page.stat().st_mtime < (row.folder / store.SUMMARY).stat().st_mtime:
-            made(write(load(row.folder), page))
-    except ConfigError as error:
-        return row._replace(trouble=error.rule)
-    except OSError as error:
-        return row._replace(trouble=f"{REPORT} cannot be written ({error.strerror})")
-    except Exception as error:  # one report that cannot be made must not take the index with it
-        return row._replace(trouble=f"its report cannot be made: {type(error).__name__}: {error}")
-    return row
 
 
 def write_index(root: str | Path, made: Callable[[Path], None] = lambda page: None) -> tuple[Path, list[Row]]:
@@ -107,7 +89,7 @@ def write_index(root: str | Path, made: Callable[[Path], None] = lambda page: No
     top = Path(root)
     if not top.is_dir():
         raise ConfigError(str(top), "is not a folder of results")
-    rows = [report_of(row_of(place), made) for place in folders(top)]
+    rows = [row_of(place, made) for place in folders(top)]
     target = top / INDEX
     save(html(top, rows), target)
     return target, rows

@@ -8,25 +8,25 @@ from pathlib import Path
 import htpy as h
 from markupsafe import Markup
 
-from dssc_jax.report import asked, found
+from dssc_jax.report import result_sections, study_sections
 from dssc_jax.report.elements import Section, facts
 from dssc_jax.report.subject import WORST, Subject
-from dssc_jax.results import Result
+from dssc_jax.results.result import Result
 
 REPORT = "report.html"
 STYLE = Path(__file__).with_name("style.css")
 NOTHING_OUTSIDE = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 SECTIONS: tuple[Callable[[Subject], Section | None], ...] = (
-    asked.question,
-    asked.loop,
-    asked.laws,
-    found.outcome,
-    found.sweep,
-    found.metrics,
-    found.causes,
-    found.worst,
-    found.chattering,
-    asked.provenance,
+    study_sections.question,
+    study_sections.loop,
+    study_sections.laws,
+    result_sections.outcome,
+    result_sections.sweep,
+    result_sections.metrics,
+    result_sections.causes,
+    result_sections.worst,
+    result_sections.chattering,
+    study_sections.provenance,
 )
 """A section is a function of the subject; None where it has nothing to say."""
 
@@ -41,7 +41,7 @@ def html(result: Result, worst: int = WORST) -> str:
     about = Subject(result, worst)
     sections = [section for make in SECTIONS if (section := make(about)) is not None]
     study = result.study
-    short, long = found.verdict(about)
+    short, long = result_sections.verdict(about)
     contents = [(section.key, section.heading) for section in sections]
     head = [
         h.p(".kind")["Robustness report"],
@@ -53,7 +53,7 @@ def html(result: Result, worst: int = WORST) -> str:
         h.section(aria_labelledby=section.key)[h.h2(id=section.key)[section.heading], section.body]
         for section in sections
     ]
-    return page(found.title_of(study), head, body, contents)
+    return page(result_sections.title_of(study), head, body, contents)
 
 
 def page(title: str, head: h.Node, body: h.Node, contents: list[tuple[str, str]]) -> str:

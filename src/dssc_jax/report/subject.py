@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from dssc_jax.results import Result, headline
-from dssc_jax.trajectories import deviation, recorder
+from dssc_jax.results.result import Result, headline
+from dssc_jax.runs.trajectory import agreement_of, recorder
+from dssc_jax.study import Described
 
 WORST = 3  # draws that are shown over time
 
@@ -48,6 +49,12 @@ class Subject:
         """The result at that point."""
         return self.result.at(self.index)
 
+    @cached_property
+    def said(self) -> dict[str, Any]:
+        """What the summary says of that point."""
+        shape = tuple(len(values) for values in self.result.study.axes.values())
+        return self.summary["points"][np.ravel_multi_index(tuple(self.index.values()), shape) if shape else 0]
+
     @property
     def where(self) -> str:
         """That point as the end of a phrase; empty for a run."""
@@ -56,30 +63,34 @@ class Subject:
 
     @cached_property
     def trajectories(self) -> list[xr.Dataset]:
-        """The worst draws simulated again; ``deviation`` compares their metrics with the stored ones."""
-        if not self.worst:
+        """The worst draws simulated again; ``agreement`` and ``deviation`` compare them with the stored ones.
+
+        None of a study whose code is not loaded.
+        """
+        if not self.worst or isinstance(self.result.study, Described):
             return []
         study = self.result.study
         record = recorder(study)
         found = []
         for draw in worst_draws(self.close, self.worst):
             run = record(draw, self.point)
-            run.attrs["deviation"] = deviation(study, self.close.dataset.isel(draw=draw), run.attrs)
+            agreement = agreement_of(self.result, run)
+            run.attrs |= {"deviation": float(agreement.deviation[0]), "agreement": agreement.verdict}
             found.append(run)
         return found
 
 
 def worst_draws(close: Result, count: int) -> list[int]:
-    """Draws of one point by the smallest margin relative to its bound; among those that ended early, the earliest.
+    """Draws of one point by the smallest slack relative to its bound; among those that ended early, the earliest.
 
     Without requirements, by the largest value of the headline metric.
     """
     required = close.study.requirements
     if required:
-        margin = np.min([close.dataset[r.name].values / r.scale for r in required], axis=0)
+        slack = np.min([close.dataset[r.name].values / r.scale for r in required], axis=0)
     else:
         value = close.dataset[headline(close).name].values
-        margin = -np.where(np.isnan(value), np.inf, value)
+        slack = -np.where(np.isnan(value), np.inf, value)
     ended = close.dataset["failed_at"].values
-    order = np.lexsort((np.where(np.isnan(ended), np.inf, ended), margin))
+    order = np.lexsort((np.where(np.isnan(ended), np.inf, ended), slack))
     return [int(draw) for draw in order[:count]]

@@ -9,7 +9,7 @@ from dssc_jax.statistics.paired import (
     difference_interval,
     mcnemar,
 )
-from dssc_jax.statistics.planning import chernoff_draws, clopper_pearson_draws, plan, worst_case_draws
+from dssc_jax.statistics.planning import assured_draws, chernoff_draws, expected_draws, plan, worst_case_draws
 from dssc_jax.statistics.proportions import (
     CONFIDENCE,
     DataDriven,
@@ -18,7 +18,9 @@ from dssc_jax.statistics.proportions import (
     Replicated,
     clopper_pearson,
     describe_probability,
+    lognormal_interval,
     replicate_interval,
+    unseen,
 )
 from dssc_jax.statistics.sequential import AcceptReject, UntilWidth, looks
 
@@ -32,19 +34,22 @@ __all__ = [
     "MetricDifference",
     "Replicated",
     "UntilWidth",
+    "assured_draws",
     "chernoff_draws",
     "clopper_pearson",
-    "clopper_pearson_draws",
     "compare_failures",
     "compare_metrics",
     "describe_probability",
     "difference_interval",
+    "expected_draws",
+    "lognormal_interval",
     "looks",
     "mcnemar",
     "plan",
     "quantile_interval",
     "replicate_interval",
     "tolerance_limits",
+    "unseen",
     "wilks_draws",
     "wilks_order",
     "worst_case_draws",

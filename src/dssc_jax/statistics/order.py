@@ -1,5 +1,6 @@
 """What the order statistics of independent draws say of any law: intervals of quantiles, and tolerance limits."""
 
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -18,6 +19,20 @@ def binomial_quantile(level: float, draws: int, probability: float) -> int:
     return k
 
 
+def first(holds: Callable[[int], bool], start: int = 1) -> int:
+    """The smallest whole number, ``start`` at least, that a condition holds for; it holds for all larger ones."""
+    if holds(start):
+        return start
+    step = 1
+    while not holds(start + step):
+        step *= 2
+    short, enough = start + step // 2, start + step
+    while enough - short > 1:
+        middle = (short + enough) // 2
+        short, enough = (short, middle) if holds(middle) else (middle, enough)
+    return enough
+
+
 def ranked(values: np.ndarray) -> np.ndarray:
     """Values in rising order along the last axis; a draw without a value (NaN) counts as +inf."""
     return np.sort(np.where(np.isnan(values), np.inf, values))
@@ -28,6 +43,14 @@ def at_rank(ordered: np.ndarray, rank: int) -> np.ndarray:
     if 1 <= rank <= ordered.shape[-1]:
         return ordered[..., rank - 1]
     return np.full(ordered.shape[:-1], -np.inf if rank < 1 else np.inf)
+
+
+def upper_quantiles(values: np.ndarray, levels: Sequence[float]) -> np.ndarray:
+    """Quantiles along the last axis with draws without a value at infinity, shape (levels, ...).
+
+    Order statistics only: a finite value is never averaged with an infinite one.
+    """
+    return np.quantile(np.where(np.isnan(values), np.inf, values), levels, axis=-1, method="inverted_cdf")
 
 
 @lru_cache
@@ -109,17 +132,7 @@ def wilks_draws(content: float, confidence: float = CONFIDENCE, order: int = 1, 
     require_share(content=content, confidence=confidence)
     if order < 1 or sides not in (1, 2):
         raise ValueError(f"needs order >= 1 and sides 1 or 2, got {order} and {sides}")
-    enough = 1
-    while wilks_confidence(enough, content, order, sides) < confidence:
-        enough *= 2
-    short = enough // 2
-    while enough - short > 1:
-        middle = (short + enough) // 2
-        if wilks_confidence(middle, content, order, sides) < confidence:
-            short = middle
-        else:
-            enough = middle
-    return enough
+    return first(lambda draws: wilks_confidence(draws, content, order, sides) >= confidence)
 
 
 def wilks_order(draws: int, content: float, confidence: float = CONFIDENCE, sides: int = 1) -> int:

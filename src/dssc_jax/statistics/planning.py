@@ -3,10 +3,14 @@
 import math
 from typing import NamedTuple
 
-from dssc_jax.statistics.order import wilks_draws
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dssc_jax.statistics.order import first, wilks_draws
 from dssc_jax.statistics.proportions import CONFIDENCE, clopper_pearson, require_share
 
 ORDERS = {1: (1, 2, 3, 4, 5), 2: (1, 2, 3)}  # Wilks orders worth naming, by number of sides
+NEGLIGIBLE = 1e-9  # probability of the counts that a sum leaves out
 
 
 class Answer(NamedTuple):
@@ -48,30 +52,71 @@ def worst_case_draws(error: float, confidence: float = CONFIDENCE) -> int:
     return math.ceil(math.log(1.0 - confidence) / math.log1p(-error))
 
 
-def clopper_pearson_draws(error: float, probability: float, confidence: float = CONFIDENCE) -> int:
-    """Draws after which the exact interval reaches at most ``error`` to either side of an expected probability.
+def reach(failures: ArrayLike, draws: ArrayLike, confidence: float = CONFIDENCE) -> np.ndarray:
+    """How far the exact interval extends from the share of failures, on its longer side; shape of the arguments."""
+    share = np.asarray(failures) / np.asarray(draws)
+    return np.abs(clopper_pearson(failures, draws, confidence) - share[..., None]).max(-1)
 
-    The count of failures is taken at its expectation, rounded up.
+
+def reach_probability(draws: int, error: float, probability: float, confidence: float = CONFIDENCE) -> float:
+    """Probability that the exact interval reaches at most ``error`` to either side: a sum over the binomial law."""
+    from scipy import stats
+
+    fewest, most = stats.binom.interval(1.0 - NEGLIGIBLE, draws, probability)
+    failures = np.arange(fewest, most + 1)
+    return float(stats.binom.pmf(failures, draws, probability)[reach(failures, draws, confidence) <= error].sum())
+
+
+def expected_draws(error: float, probability: float, confidence: float = CONFIDENCE) -> int:
+    """Draws after which the exact interval reaches at most ``error``, if failures come at their expected number.
+
+    That number, probability times draws, need not be whole here. In about half of all cases there are more failures and
+    the interval reaches further; :func:`assured_draws` counts with them.
+
+    Raises:
+        ValueError: an argument is out of range.
 
     Example:
-        >>> clopper_pearson_draws(0.01, 0.05)
-        2189
+        >>> expected_draws(0.01, 0.05)
+        2181
+    """
+    require_share(error=error, probability=probability, confidence=confidence)
+    return first(lambda draws: bool(reach(probability * draws, draws, confidence) <= error))
+
+
+def assured_draws(error: float, probability: float, confidence: float = CONFIDENCE) -> int:
+    """Draws from which on the exact interval reaches at most ``error`` with a probability of ``confidence`` or more.
+
+    With n_k draws, and not with fewer, the interval is short enough at every number of failures up to k. From n_k
+    to n_(k+1) - 1 draws the probability of such a number falls, at n_(k+1) it jumps up: a saw. The answer is the first
+    n_k from which on every tooth ends high enough. (Some smaller numbers of draws may do by chance of the saw.)
+
+    Args:
+        error: In (0, 1).
+        probability: The failure probability that one expects, in (0, 1).
+        confidence: Of the interval, and of its reach; in (0, 1).
+
+    Raises:
+        ValueError: an argument is out of range.
+
+    Example:
+        >>> assured_draws(0.01, 0.05)
+        2435
     """
     require_share(error=error, probability=probability, confidence=confidence)
 
-    def reach(draws: int) -> float:
-        share = math.ceil(probability * draws) / draws
-        low, high = clopper_pearson(math.ceil(probability * draws), draws, confidence)
-        return max(high - share, share - low)
+    def tooth(failures: int) -> int:
+        """n_k; near one half the longest interval is that of somewhat fewer failures."""
 
-    enough = 1
-    while reach(enough) > error:
-        enough *= 2
-    short = enough // 2
-    while enough - short > 1:
-        middle = (short + enough) // 2
-        short, enough = (middle, enough) if reach(middle) > error else (short, middle)
-    return enough
+        def short(draws: int) -> bool:
+            below = 4 * math.isqrt(draws) if 3 * failures > draws else 0
+            counts = np.arange(max(failures - below, 0), failures + 1)
+            return bool(reach(counts, draws, confidence).max() <= error)
+
+        return first(short, max(2 * failures, 1))
+
+    rarer = min(probability, 1.0 - probability)
+    return tooth(first(lambda k: reach_probability(tooth(k + 1) - 1, error, rarer, confidence) >= confidence, 0))
 
 
 def plan(error: float, confidence: float = CONFIDENCE, probability: float | None = None) -> list[Answer]:
@@ -99,13 +144,22 @@ def plan(error: float, confidence: float = CONFIDENCE, probability: float | None
         ),
     ]
     if probability is not None:
-        answers.append(
+        question = f"failure probability, expected at {probability:g} (Clopper-Pearson)"
+        enough = expected_draws(error, probability, confidence)
+        reached = reach_probability(enough, error, probability, confidence)
+        interval = f"the {100 * confidence:g} % interval reaches at most {error:g} to either side"
+        answers += [
             Answer(
-                f"failure probability, expected at {probability:g} (Clopper-Pearson)",
-                clopper_pearson_draws(error, probability, confidence),
-                f"the exact interval reaches at most {error:g} to either side {sure}",
-            )
-        )
+                f"{question}, at the expected count",
+                enough,
+                f"{interval} if failures come at their expected number: in {100 * reached:.0f} % of all cases",
+            ),
+            Answer(
+                f"{question}, assured",
+                assured_draws(error, probability, confidence),
+                f"{interval} in {100 * confidence:g} % of all cases or more; so it does after any more draws",
+            ),
+        ]
     for sides, orders in ORDERS.items():
         for order in orders:
             extreme = {1: "largest", 2: "second largest", 3: "third largest"}.get(order, f"{order}-th largest")

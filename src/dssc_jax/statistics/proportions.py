@@ -58,6 +58,11 @@ def look_error(look: int, error: float) -> float:
     return 6.0 * error / (math.pi * look) ** 2
 
 
+def unseen(draws: ArrayLike, confidence: float = CONFIDENCE) -> np.ndarray:
+    """ln(2/a)/n: so probable may be what n independent draws have not shown, at the interval's upper tail."""
+    return math.log(2.0 / (1.0 - confidence)) / np.asarray(draws)
+
+
 class FixedCount(NamedTuple):
     """Independent draws whose number was fixed beforehand."""
 
@@ -137,12 +142,12 @@ class Replicated(NamedTuple):
     def interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
         """Intervals from failures of shape (..., n), shape (..., 2).
 
-        Student's t over the replicates' shares, widened on both sides by ln(2/a)/n: where all replicates agree, on
-        no failure for one, t alone has width 0. So much is what n independent draws without a failure leave open.
+        Student's t over the replicates' shares, widened on both sides by :func:`unseen`: where all replicates agree, on
+        no failure for one, t alone has width 0.
         """
-        low, high = np.moveaxis(replicate_interval(failed.astype(float), self.replicates, confidence), -1, 0)
-        unseen = math.log(2.0 / (1.0 - confidence)) / failed.shape[-1]
-        return np.stack([np.maximum(low - unseen, 0.0), np.minimum(high + unseen, 1.0)], axis=-1)
+        low, high = np.moveaxis(replicate_interval(failed, self.replicates, confidence), -1, 0)
+        open_left = unseen(failed.shape[-1], confidence)
+        return np.stack([np.maximum(low - open_left, 0.0), np.minimum(high + open_left, 1.0)], axis=-1)
 
 
 Method: TypeAlias = FixedCount | DataDriven | Replicated
@@ -171,6 +176,38 @@ def replicate_interval(values: np.ndarray, replicates: int, confidence: float = 
     return np.stack([middle - half, middle + half], axis=-1)
 
 
+def lognormal_interval(values: np.ndarray, confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """Interval of the mean of independent estimates that are 0 or follow a lognormal law.
+
+    With m and s^2 the mean and variance of the logarithms, the law's mean is exp(m + s^2/2). Student's t limits of m
+    and chi-square limits of s^2/2 are combined: their distances from the estimates add up as squares. Zeros widen the
+    interval: the lower end is multiplied by the lower limit of the share of the others.
+
+    Args:
+        values: Estimates >= 0, shape (n,).
+        confidence: Coverage, in (0, 1).
+
+    Returns:
+        Lower and upper end; 0 and infinity with fewer than two estimates above 0.
+
+    Reference:
+        G. Y. Zou, C. Y. Huo, J. Taleban, Environmetrics 20 (2009) 172-180, with Student's t for the normal law.
+    """
+    positive = values[values > 0.0]
+    count = len(positive)
+    if count < 2:
+        return 0.0, math.inf
+    logarithms = np.log(positive)
+    variance = logarithms.var(ddof=1)
+    tail = 0.5 * (1.0 - confidence)
+    location = special.stdtrit(count - 1, 1.0 - tail) * math.sqrt(variance / count)
+    spread = 0.5 * variance * ((count - 1) / special.chdtri(count - 1, [tail, 1.0 - tail]) - 1.0)
+    low, high = logarithms.mean() + 0.5 * variance + np.hypot(location, spread) * [-1.0, 1.0]
+    seen = clopper_pearson(count, len(values), confidence)[0] if count < len(values) else 1.0
+    with np.errstate(over="ignore"):
+        return float(seen * np.exp(low)), float(np.exp(high))
+
+
 def describe_probability(failed: np.ndarray, method: Method = FIXED, confidence: float = CONFIDENCE) -> str:
     """One line for people. No failure in n is told by its upper bound, never as 0.
 
@@ -184,5 +221,5 @@ def describe_probability(failed: np.ndarray, method: Method = FIXED, confidence:
     level = f"{100 * confidence:g} % {method.name}"
     if failures == 0:
         return f"no failure in {draws} draws: failure probability <= {high:.3g} ({level})"
-    found = f"{failures / draws:.3g} in [{low:.3g}, {high:.3g}]"
-    return f"{failures} failures in {draws} draws: failure probability {found} ({level})"
+    estimate = f"{failures / draws:.3g} in [{low:.3g}, {high:.3g}]"
+    return f"{failures} failures in {draws} draws: failure probability {estimate} ({level})"

@@ -14,11 +14,11 @@ FIRST, RATIO = 100, 1.5  # draws of the first look, and each look's multiple of 
 
 def looks(most: int) -> list[int]:
     """Numbers of draws at which one looks: a geometric sequence that ends with ``most``."""
-    found, draws = [], FIRST
+    numbers, draws = [], FIRST
     while draws < most:
-        found.append(draws)
+        numbers.append(draws)
         draws = math.ceil(RATIO * draws)
-    return [*found, most]
+    return [*numbers, most]
 
 
 @dataclass(frozen=True)

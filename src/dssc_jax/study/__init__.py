@@ -1,7 +1,8 @@
 """Study files: from TOML to a validated closed loop with its laws, axes and requirements."""
 
+from dssc_jax.study.described import Described, received
 from dssc_jax.study.laws import Law
 from dssc_jax.study.study import Study, hash_of
 from dssc_jax.study.tables import read_toml
 
-__all__ = ["Law", "Study", "hash_of", "read_toml"]
+__all__ = ["Described", "Law", "Study", "hash_of", "read_toml", "received"]

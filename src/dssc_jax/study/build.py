@@ -1,20 +1,27 @@
-"""From a study's tables to the closed loop: models looked up, numbers parsed, channels filled."""
+"""Build the closed loop from a study's tables: look up models, parse numbers, fill channels."""
 
 import copy
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from itertools import chain
 from typing import Any, NamedTuple
 
 import jax
 from pydantic import BaseModel, ValidationError
 
-from dssc_jax.controllers import CONTROLLERS, DIFFERENTIATORS
-from dssc_jax.environment import DISTURBANCES, REFERENCES, SENSORS, TRAJECTORIES, WINDS
-from dssc_jax.errors import ConfigError, meant
-from dssc_jax.integrators import Integrator
-from dssc_jax.loop import Loop, LoopParams, Settled, start, step
-from dssc_jax.metrics import Measure, available
-from dssc_jax.plants import PLANTS
-from dssc_jax.requirements import Requirement
-from dssc_jax.study.components import Component, as_table, explain, parse_component, parse_number
+from dssc_jax.closed_loop.metrics import Measure, available
+from dssc_jax.closed_loop.requirements import Requirement
+from dssc_jax.closed_loop.sample import Loop, LoopParams, Settled, initial_state, step
+from dssc_jax.core.errors import ConfigError, errors_under, meant
+from dssc_jax.core.integrators import Integrator
+from dssc_jax.core.numerics import arithmetic
+from dssc_jax.core.registry import single
+from dssc_jax.models.controllers import CONTROLLERS, DIFFERENTIATORS
+from dssc_jax.models.environment import DISTURBANCES, REFERENCES, SENSORS, TRAJECTORIES, WINDS
+from dssc_jax.models.plants import PLANTS
+from dssc_jax.models.uav import UAV
+from dssc_jax.models.unmodelled import UNMODELLED
+from dssc_jax.study.components import Component, Number, as_table, dotted, explain, parse_component, parse_number
 from dssc_jax.study.laws import Law
 from dssc_jax.study.measuring import kinds_of, measured
 from dssc_jax.study.schema import (
@@ -27,9 +34,6 @@ from dssc_jax.study.schema import (
     TuneTable,
 )
 from dssc_jax.study.tables import has_dotted, merged, set_dotted
-from dssc_jax.types import Quantity, single
-from dssc_jax.uav import UAV
-from dssc_jax.unmodelled import UNMODELLED
 
 REGISTRIES = {
     "plant": {**PLANTS, "uav": single(UAV, "the full UAV: rigid body, rotors, aerodynamics, inner loops (1)")},
@@ -64,13 +68,12 @@ def validate_fixed(table: dict[str, Any]) -> StudyTable:
 
 
 class Parts(NamedTuple):
-    """A study's table, made out: see the arguments of :class:`dssc_jax.study.Study`."""
+    """A study's table, parsed: see the arguments of :class:`dssc_jax.study.Study`."""
 
     config: StudyTable
     loop: Loop
     template: LoopParams
-    quantities: dict[str, Quantity]
-    short: dict[str, str]
+    numbers: dict[str, Number]
     measures: tuple[Measure, ...]
     requirements: tuple[Requirement, ...]
 
@@ -82,49 +85,61 @@ def build(table: dict[str, Any]) -> Parts:
         ConfigError: dotted path, rule and value of the first thing that is wrong.
     """
     config = validate_fixed(table)
-    plant = parse_component(config.plant, REGISTRIES["plant"], "plant")
+    plant = parse_whole(config.plant, "plant")
     channels = plant.model.channels or ("",)
     several = len(channels) > 1
-    trajectories = REGISTRIES["trajectory" if several else "reference"]
     wholes = {
         "plant": plant,
-        "reference": parse_component(config.reference, trajectories, "reference"),
-        "wind": parse_component(config.wind, REGISTRIES["wind"], "wind"),
+        "reference": parse_whole(config.reference, "reference", several),
+        "wind": parse_whole(config.wind, "wind"),
     }
     if not several and wholes["wind"].kind != "none":
         raise ConfigError("wind.kind", f"the plant '{plant.kind}' does not fly; use a disturbance")
-    parts = {slot: parse_channels(getattr(config, slot), slot, channels) for slot in PER_CHANNEL}
-    for name, gains in zip(channels, parts["controller"], strict=True):
+    columns = {slot: parse_channels(getattr(config, slot), slot, channels) for slot in PER_CHANNEL}
+    for name, gains in zip(channels, columns["controller"], strict=True):
         if "l0" not in gains.params._fields:
-            path = f"controller.{name}" if name else "controller"
-            raise ConfigError(path, "the gains need the field l0, which defines sigma = e' + l0 e")
+            raise ConfigError(
+                dotted("controller", name), "the gains need the field l0, which defines sigma = e' + l0 e"
+            )
     loop = Loop(
-        plant=plant.model,
-        reference=wholes["reference"].model,
-        wind=wholes["wind"].model,
-        **{slot: tuple(part.model for part in column) for slot, column in parts.items()},
+        **{slot: part.model for slot, part in wholes.items()},
+        **{slot: tuple(part.model for part in column) for slot, column in columns.items()},
         channels=channels,
-        sample_time=config.loop.sample_time,
-        steps=config.loop.steps,
-        substeps=config.loop.substeps,
-        integrator=Integrator(config.loop.integrator),
-        settled=Settled(**config.loop.settled.model_dump()) if config.loop.settled else None,
+        **clock(config),
     )
     template = LoopParams(
         **{slot: part.params for slot, part in wholes.items()},
-        **{slot: tuple(part.params for part in column) for slot, column in parts.items()},
+        **{slot: tuple(part.params for part in column) for slot, column in columns.items()},
     )
-    everything = [*wholes.values(), *(part for column in parts.values() for part in column)]
-    short = {long: brief for part in everything for long, brief in part.short.items()}
-    quantities = {short.get(name, name): q for part in everything for name, q in part.quantities.items()}
+    numbers = by_name(n for part in (*wholes.values(), *chain(*columns.values())) for n in part.numbers)
+    check_axes(config, numbers)
+    check_swept_parts(table, config, channels)
     known = kinds_of(config)
     names = available(*info_fields(loop, template), known)
     measures, requirements = measured(config, names, known, plant.model)
     check_settled(loop, measures)
-    parts_found = Parts(config, loop, template, quantities, short, measures, requirements)
-    check_axes(parts_found)
-    prepare_box(table, parts_found)
-    return parts_found
+    return Parts(config, loop, template, numbers, measures, requirements)
+
+
+def by_name(numbers: Iterable[Number]) -> dict[str, Number]:
+    """The numbers by name; one that several channels share is a single number with a place in each."""
+    merged_numbers: dict[str, Number] = {}
+    for number in numbers:
+        others = merged_numbers[number.name].paths if number.name in merged_numbers else ()
+        merged_numbers[number.name] = replace(number, paths=others + number.paths)
+    return merged_numbers
+
+
+def clock(config: StudyTable) -> dict[str, Any]:
+    """The loop's fields about time: sampling, integration, and when a draw is over."""
+    loop = config.loop
+    return {
+        "sample_time": loop.sample_time,
+        "steps": loop.steps,
+        "substeps": loop.substeps,
+        "integrator": Integrator(loop.integrator),
+        "settled": Settled(**loop.settled.model_dump()) if loop.settled else None,
+    }
 
 
 def check_settled(loop: Loop, measures: tuple[Measure, ...]) -> None:
@@ -135,30 +150,36 @@ def check_settled(loop: Loop, measures: tuple[Measure, ...]) -> None:
         raise ConfigError("loop.settled.after", f"{rule}; got {loop.settled.after:g}")
 
 
+def parse_whole(table: dict[str, Any], slot: str, several: bool = False) -> Component:
+    """The component of a slot that the loop has once.
+
+    Args:
+        table: The slot's table.
+        slot: Its name.
+        several: Whether the loop has several channels; a reference is then a trajectory.
+    """
+    registry = REGISTRIES["trajectory" if slot == "reference" and several else slot]
+    component = parse_component(table, registry, slot)
+    return replace(component, numbers=tuple(number.under(slot, slot) for number in component.numbers))
+
+
 def parse_channels(table: dict[str, Any], slot: str, channels: tuple[str, ...]) -> list[Component]:
     """One component a channel. A table ``[controller.x]`` overrides what ``[controller]`` says for all.
 
     A number that a channel does not override is one number for all channels: one draw of its law, one axis.
     """
-    registry = REGISTRIES[slot]
     common = {name: value for name, value in table.items() if name not in channels}
-    found = []
+    components = []
     for index, channel in enumerate(channels):
-        own = as_table(table.get(channel, {}), f"{slot}.{channel}") if channel else {}
-        path = f"{slot}.{channel}" if own else slot
-        part = parse_component(merged(common, own), registry, path)
-        place = f"{slot}.{index}"  # where the template has it
-        short = {}
-        for name in part.quantities:
-            rest = name.removeprefix(path)
-            brief = part.short.get(name, name)
-            if own and not has_dotted(own, brief.removeprefix(f"{path}.")):
-                brief = f"{slot}{brief.removeprefix(path)}"
-            short[f"{place}{rest}"] = brief
-        part.quantities = {f"{place}{name.removeprefix(path)}": q for name, q in part.quantities.items()}
-        part.short = short
-        found.append(part)
-    return found
+        own_path = dotted(slot, channel)
+        own = as_table(table.get(channel, {}), own_path) if channel else {}
+        component = parse_component(merged(common, own), REGISTRIES[slot], own_path if own else slot)
+        numbers = tuple(
+            number.under(f"{slot}.{index}", own_path if has_dotted(own, number.name) else slot)
+            for number in component.numbers
+        )
+        components.append(replace(component, numbers=numbers))
+    return components
 
 
 def info_fields(loop: Loop, template: LoopParams) -> tuple[dict[str, tuple[str, ...]], tuple[str, ...]]:
@@ -169,59 +190,62 @@ def info_fields(loop: Loop, template: LoopParams) -> tuple[dict[str, tuple[str, 
 
     def first() -> Any:
         key = jax.random.key(0)
-        return step(loop, params, key, start(loop, params, key), 0)[1].instant
+        return step(loop, params, key, initial_state(loop, params, key), 0)[1].instant
 
-    instant = jax.eval_shape(first)
+    with arithmetic():
+        instant = jax.eval_shape(first)
     infos = {
         name: getattr(sample.info, "_fields", ()) for name, sample in zip(loop.channels, instant.channels, strict=True)
     }
     return infos, getattr(instant.plant, "_fields", ())
 
 
-def check_axes(parts: Parts) -> None:
-    """Every axis is a number of the loop, and every value admissible.
+def check_axes(config: StudyTable, numbers: Mapping[str, Number]) -> None:
+    """Require that every axis is a number of the loop, and every value of it admissible.
 
     Raises:
         ConfigError: otherwise.
     """
-    for name, values in parts.config.sweep.items():
-        if name.startswith("loop."):
-            raise ConfigError(f"sweep.{name}", "the clock is fixed before tracing; run once per value with --set")
-        if name not in parts.quantities:
-            raise ConfigError(f"sweep.{name}", f"unknown parameter; {nearest(name, parts)}")
-        if not parts.quantities[name].law:
-            raise ConfigError(f"sweep.{name}", "is fixed before tracing; run once per value with --set")
-        for value in values:
-            try:
-                parse_number(value, parts.quantities[name])
-            except ValueError as error:
-                raise ConfigError(f"sweep.{name}", str(error)) from None
+    for name, values in config.sweep.items():
+        with errors_under(f"sweep.{name}"):
+            if name.startswith("loop."):
+                raise ConfigError("", "the clock is fixed before tracing; run once per value with --set")
+            if name not in numbers:
+                raise ConfigError("", f"unknown parameter; {nearest_number(name, config, numbers)}")
+            if not numbers[name].quantity.law:
+                raise ConfigError("", "is fixed before tracing; run once per value with --set")
+            for value in (min(values), max(values)):
+                try:
+                    parse_number(value, numbers[name].quantity)
+                except ValueError as error:
+                    raise ConfigError("", str(error)) from None
 
 
-def nearest(name: str, parts: Parts) -> str:
-    """The end of the message about an unknown number: that its part has none at all, or what was meant."""
+def nearest_number(name: str, config: StudyTable, numbers: Mapping[str, Number]) -> str:
+    """The end of the message about an unknown number: that its part has no numbers, or the nearest name."""
     slot = name.partition(".")[0]
-    table = getattr(parts.config, slot) if slot in REGISTRIES.keys() & StudyTable.model_fields.keys() else None
-    if table is not None and not any(known.startswith(f"{slot}.") for known in parts.quantities):
+    table = getattr(config, slot) if slot in REGISTRIES.keys() & StudyTable.model_fields.keys() else None
+    if table is not None and not any(known.startswith(f"{slot}.") for known in numbers):
         return f"the study's {slot} is of the kind '{table['kind']}', which has no numbers"
-    return meant(name, parts.quantities)
+    return meant(name, numbers)
 
 
-def prepare_box(table: dict[str, Any], parts: Parts) -> None:
-    """What spans several fields must hold for all swept values: they stand as laws in a trial of every part.
+def check_swept_parts(table: dict[str, Any], config: StudyTable, channels: tuple[str, ...]) -> None:
+    """Require that rules that span several fields of a part hold for all swept values.
+
+    The parts are parsed once more, with a law of the swept values in place of each swept number.
 
     Raises:
-        ConfigError: it does not, or a swept number is one that is used up before tracing.
+        ConfigError: a rule does not hold, or a swept number is used up before tracing.
     """
     table = copy.deepcopy(table)
-    for name, values in parts.config.sweep.items():
+    for name, values in config.sweep.items():
         set_dotted(table, name, {"choice": list(values)})
-    for slot in {name.split(".")[0] for name in parts.config.sweep}:
+    for slot in {name.split(".")[0] for name in config.sweep}:
         try:
             if slot in PER_CHANNEL:
-                parse_channels(table[slot], slot, parts.loop.channels)
+                parse_channels(table[slot], slot, channels)
             else:
-                registry = "trajectory" if slot == "reference" and len(parts.loop.channels) > 1 else slot
-                parse_component(table[slot], REGISTRIES[registry], slot)
+                parse_whole(table[slot], slot, several=len(channels) > 1)
         except ConfigError as error:
             raise error.within("sweep") from None

@@ -1,4 +1,4 @@
-"""From a study file's tables to models and parameters.
+"""Parse a study file's tables into models and parameters.
 
 The parameter types of the models are the schema: their annotations say which quantity a field is, which slot,
 and what stands when it is absent. A validated table becomes the chosen model and an instance of its parameter
@@ -10,31 +10,55 @@ import importlib
 import sys
 import types
 import typing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cache
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, create_model
 
-from dssc_jax.errors import ConfigError, meant
+from dssc_jax.core.contracts import Preset, as_given
+from dssc_jax.core.errors import ConfigError, errors_under, meant
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.registry import Entry, Registry, Slot, single
 from dssc_jax.study.laws import Law, is_law, is_number, parse_law
 from dssc_jax.study.tables import merged
-from dssc_jax.types import Entry, Preset, Quantity, Registry, Slot, nothing, single
 
 
-@dataclass
-class Component:
-    """A chosen model with its parameters, and what each of its numbers means by dotted path.
+@dataclass(frozen=True)
+class Number:
+    """A number of the loop, from which sweeps, laws, units and messages follow.
 
-    ``short`` maps the path of a number to the shorter one a study uses where a slot was given as a bare number.
+    Args:
+        name: What the study calls it, dotted; where a slot was given as a bare number, the name of the slot.
+        paths: Where the parameters hold it, dotted; several where channels share it.
+        quantity: Unit, meaning and admissible interval.
+        value: The number, or the law that stands for it.
     """
+
+    name: str
+    paths: tuple[str, ...]
+    quantity: Quantity
+    value: float | Law
+
+    def under(self, path: str, name: str) -> "Number":
+        """The number of a part as that of the whole, which holds the part at ``path`` and calls it ``name``."""
+        return replace(self, name=dotted(name, self.name), paths=tuple(dotted(path, own) for own in self.paths))
+
+
+@dataclass(frozen=True)
+class Component:
+    """A chosen model with its parameters, whose leaves are numbers and laws, and a record of each of its numbers."""
 
     kind: str
     model: Any
     params: Any
-    quantities: dict[str, Quantity] = field(default_factory=dict)
-    short: dict[str, str] = field(default_factory=dict)
+    numbers: tuple[Number, ...]
+
+
+def dotted(*parts: str) -> str:
+    """Parts of a dotted name, joined; empty ones are left out."""
+    return ".".join(part for part in parts if part)
 
 
 def parse_number(value: Any, quantity: Quantity) -> float | Law:
@@ -90,10 +114,19 @@ class FieldSpec:
         return self.mark is None and hasattr(self.core, "_fields")
 
     @property
+    def part(self) -> bool:
+        """A table of its own: of a kind that the study chooses, or of a fixed one."""
+        return isinstance(self.mark, Slot) or self.nested
+
+    @property
+    def enum(self) -> type[Enum] | None:
+        """The choices of an option, if it is one."""
+        return self.core if isinstance(self.core, type) and issubclass(self.core, Enum) else None
+
+    @property
     def derived(self) -> bool:
         """Not for tables: the model's ``prepare`` fills it."""
-        choice = isinstance(self.core, type) and (issubclass(self.core, Enum) or self.core is bool)
-        return self.mark is None and not self.nested and not choice
+        return self.mark is None and not self.nested and self.enum is None and self.core is not bool
 
 
 @cache
@@ -131,11 +164,11 @@ def table_model(params: type) -> type[BaseModel]:
     """The pydantic model of a table's plain fields; slots and nested tables are parsed on their own."""
     fields: dict[str, Any] = {}
     for name, spec in field_specs(params).items():
-        if isinstance(spec.mark, Slot) or spec.nested or spec.derived:
+        if spec.part or spec.derived:
             continue
         kind = number_type(spec.mark, spec.many, spec.optional) if isinstance(spec.mark, Quantity) else spec.core
-        if isinstance(kind, type) and issubclass(kind, Enum):
-            kind = Literal[tuple(member.value for member in kind)]  # type: ignore[valid-type]
+        if spec.enum:
+            kind = Literal[tuple(member.value for member in spec.enum)]  # type: ignore[valid-type]
         fields[name] = (kind, ...)
     return create_model(params.__name__, __config__=ConfigDict(extra="forbid", strict=True), **fields)
 
@@ -173,40 +206,40 @@ def imported(name: str, place: str) -> Any:
         raise ConfigError(place, f"cannot import '{name}': {type(error).__name__}: {error}") from error
 
 
-def lookup(kind: Any, registry: Registry, path: str) -> Entry:
+def lookup(kind: Any, registry: Registry) -> Entry:
     """The registry row of a kind, or a user's own model by its dotted name ``package.module:object``."""
     if not isinstance(kind, str):
-        raise ConfigError(f"{path}.kind", f"must be a name, got {kind!r}")
+        raise ConfigError("kind", f"must be a name, got {kind!r}")
     if kind in registry:
         return registry[kind]
     if ":" not in kind:
-        raise ConfigError(f"{path}.kind", f"unknown kind '{kind}'; {meant(kind, registry)}")
-    found = imported(kind, f"{path}.kind")
-    if hasattr(found, "_fields") and not isinstance(found, type) and not hasattr(found, "params"):
-        found = Preset(type(found), found)
-    if isinstance(found, Entry):
-        return found
+        raise ConfigError("kind", f"unknown kind '{kind}'; {meant(kind, registry)}")
+    model = imported(kind, "kind")
+    if hasattr(model, "_fields") and not isinstance(model, type) and not hasattr(model, "params"):
+        model = Preset(type(model), model)
+    if isinstance(model, Entry):
+        return model
     contract = type(next(iter(next(iter(registry.values())).members.values())))
-    if not isinstance(found, contract) or (contract is type and not hasattr(found, "_fields")):
+    if not isinstance(model, contract) or (contract is type and not hasattr(model, "_fields")):
         wanted = "a NamedTuple type" if contract is type else f"a {contract.__name__}"
-        raise ConfigError(f"{path}.kind", f"'{kind}' must be {wanted}, got {type(found).__name__}")
-    return single(found, "a user's own")
+        raise ConfigError("kind", f"'{kind}' must be {wanted}, got {type(model).__name__}")
+    return single(model, "a user's own")
 
 
-def member_of(entry: Entry, table: dict[str, Any], path: str) -> Any:
-    """Take the entry's option out of the table and pick the member."""
+def member_of(entry: Entry, table: dict[str, Any]) -> Any:
+    """The member of an entry that the table's option picks."""
     if entry.option is None:
         return entry.members[None]
-    choice = table.pop(entry.option, entry.default)
+    choice = table.get(entry.option, entry.default)
     for key, member in entry.members.items():
         if choice == key and not isinstance(choice, bool):
             return member
     valid = [key.value for key in entry.members]
     hint = meant(choice, valid) if isinstance(choice, str) else f"valid are {', '.join(map(str, valid))}"
-    raise ConfigError(f"{path}.{entry.option}", f"must be one of {', '.join(map(str, valid))}, got {choice!r}; {hint}")
+    raise ConfigError(entry.option, f"must be one of {', '.join(map(str, valid))}, got {choice!r}; {hint}")
 
 
-def as_table(value: Any, path: str) -> dict[str, Any]:
+def as_table(value: Any, path: str = "") -> dict[str, Any]:
     """A copy of a table.
 
     Raises:
@@ -217,92 +250,111 @@ def as_table(value: Any, path: str) -> dict[str, Any]:
     return dict(value)
 
 
-def parse_component(value: Any, registry: Registry, path: str, default: str | None = None) -> Component:
+def parse_component(value: Any, registry: Registry, path: str = "", default: str | None = None) -> Component:
     """The model that a table names, with its parameters.
+
+    Args:
+        value: The table.
+        registry: The kinds that it may name.
+        path: Where the table stands, for messages.
+        default: The kind of a table that names none.
 
     Raises:
         ConfigError: with the path, the rule and the value of the first thing that is wrong.
     """
-    table = as_table(value, path)
-    kind = table.pop("kind", default)
-    if kind is None:
-        raise ConfigError(f"{path}.kind", f"is required and missing; valid names are {', '.join(sorted(registry))}")
-    entry = lookup(kind, registry, path)
-    table = merged(entry.silent, table)
-    model = member_of(entry, table, path)
-    component = Component(kind, model, None)
-    options = (entry.option,) if entry.option else ()
-    also = ("kind", *options)
-    params = getattr(model, "params", model)
-    component.params = parse_params(table, params, path, component, also, getattr(model, "defaults", None))
-    prepare = getattr(model, "prepare", nothing)
-    try:
-        component.params = prepare(component.params)
-    except ConfigError as error:
-        raise error.within_path(path) from None
-    return component
+    with errors_under(path):
+        table = as_table(value)
+        kind = table.get("kind", default)
+        if kind is None:
+            raise ConfigError("kind", f"is required and missing; valid names are {', '.join(sorted(registry))}")
+        entry = lookup(kind, registry)
+        table = merged(entry.silent, table)
+        model = member_of(entry, table)
+        choices = ("kind", entry.option) if entry.option else ("kind",)
+        params, numbers = parse_params(
+            {name: item for name, item in table.items() if name not in choices},
+            getattr(model, "params", model),
+            getattr(model, "defaults", None),
+            choices,
+        )
+        return Component(kind, model, getattr(model, "prepare", as_given)(params), numbers)
 
 
 def parse_params(
-    table: dict[str, Any], params: Any, path: str, into: Component, also: tuple[str, ...] = (), preset: Any = None
-) -> Any:
-    """An instance of a parameter type from its table; the meaning of each number is noted in ``into``.
+    table: dict[str, Any], params: Any, preset: Any = None, choices: tuple[str, ...] = ()
+) -> tuple[Any, tuple[Number, ...]]:
+    """An instance of a parameter type from its table, and its numbers in the order of its fields.
 
     Args:
-        table: The table, which is used up.
+        table: The table.
         params: The parameter type.
-        path: Where the table stands.
-        into: Takes the meaning of each number.
-        also: Names that stood in the table and are valid, for messages.
-        preset: An instance whose values stand where the table is silent.
+        preset: An instance whose values stand where the table has none.
+        choices: Further names that are valid beside the fields, for messages.
 
     Raises:
-        ConfigError: with the path, the rule and the value of the first thing that is wrong.
+        ConfigError: with the path within the table, the rule and the value of the first thing that is wrong.
     """
     specs = field_specs(params)
     defaults = getattr(params, "_field_defaults", {}) if preset is None else preset._asdict()
-    found: dict[str, Any] = {}
+    fields = {name: defaults[name] for name, spec in specs.items() if spec.derived}
+    numbers: dict[str, tuple[Number, ...]] = {}
     for name, spec in specs.items():
-        place = f"{path}.{name}"
-        if spec.derived:
-            found[name] = defaults[name]
-            continue
-        if not isinstance(spec.mark, Slot) and not spec.nested:
-            continue
-        inner = defaults.get(name)
-        if name not in table:
-            chosen = isinstance(spec.mark, Slot) and spec.mark.default is not None
-            if not chosen and name not in defaults:
-                raise ConfigError(place, "is required and missing")
-            if not chosen and inner is None:
-                found[name] = None
-                continue
-        value = table.pop(name, {})
-        if isinstance(spec.mark, Slot):
-            if spec.mark.number is not None and (is_number(value) or is_law(value)):
-                first = next(iter(field_specs(spec.mark.registry[spec.mark.number].members[None])))
-                value = {"kind": spec.mark.number, first: value}
-                into.short[f"{place}.{first}"] = place
-            part = parse_component(value, spec.mark.registry, place, spec.mark.default)
-            into.quantities.update(part.quantities)
-            into.short.update(part.short)
-            found[name] = part.params
-        else:
-            found[name] = parse_params(as_table(value, place), spec.core, place, into, (), inner)
-    silent = {name: defaults[name] for name in specs if name in defaults and name not in found}
-    plain = {name: value.value if isinstance(value, Enum) else value for name, value in silent.items()}
+        if spec.part:
+            with errors_under(name):
+                fields[name], inner = parse_part(name, spec, table, defaults)
+            numbers[name] = tuple(number.under(name, name) for number in inner)
+    plain = {name: item for name, item in table.items() if name not in numbers}
+    for name, value in parse_plain(plain, params, defaults, choices).items():
+        fields[name], mark = value, specs[name].mark
+        if isinstance(mark, Quantity) and value is not None:
+            items = {f"{name}.{i}": item for i, item in enumerate(value)} if specs[name].many else {name: value}
+            numbers[name] = tuple(Number(path, (path,), mark, item) for path, item in items.items())
+    return params(**fields), tuple(number for name in specs for number in numbers.get(name, ()))
+
+
+def parse_part(
+    name: str, spec: FieldSpec, table: dict[str, Any], defaults: dict[str, Any]
+) -> tuple[Any, tuple[Number, ...]]:
+    """The parameters and numbers of the part in a field; None where both table and defaults leave it out.
+
+    Raises:
+        ConfigError: as :func:`parse_params`, with the path within the part.
+    """
+    slot = spec.mark if isinstance(spec.mark, Slot) else None
+    preset, value = defaults.get(name), table.get(name, {})
+    if name not in table and (slot is None or slot.default is None):
+        if name not in defaults:
+            raise ConfigError("", "is required and missing")
+        if preset is None:
+            return None, ()
+    if slot is None:
+        return parse_params(as_table(value), spec.core, preset)
+    if slot.number is None or not (is_number(value) or is_law(value)):
+        component = parse_component(value, slot.registry, default=slot.default)
+        return component.params, component.numbers
+    first = next(iter(field_specs(slot.registry[slot.number].members[None])))
+    component = parse_component({"kind": slot.number, first: value}, slot.registry)
+    return component.params, tuple(
+        replace(number, name="") if number.name == first else number for number in component.numbers
+    )
+
+
+def parse_plain(
+    table: dict[str, Any], params: Any, defaults: dict[str, Any], choices: tuple[str, ...]
+) -> dict[str, Any]:
+    """The fields of a parameter type that are numbers, lists of numbers, or choices.
+
+    Raises:
+        ConfigError: as :func:`parse_params`; names outside the fields are unknown.
+    """
+    specs, model = field_specs(params), table_model(params)
+    silent = {name: defaults[name] for name in model.model_fields if name in defaults}
+    values = {name: value.value if isinstance(value, Enum) else value for name, value in silent.items()}
     try:
-        checked = table_model(params).model_validate(plain | table)
+        checked = model.model_validate(values | table)
     except ValidationError as error:
-        raise explain(error, [*specs, *also]).within_path(path) from None
-    for name, spec in specs.items():
-        if name in found:
-            continue
-        value = getattr(checked, name)
-        if isinstance(spec.mark, Quantity) and value is not None:
-            places = [f"{path}.{name}.{i}" for i in range(len(value))] if spec.many else [f"{path}.{name}"]
-            into.quantities.update(dict.fromkeys(places, spec.mark))
-        if isinstance(spec.core, type) and issubclass(spec.core, Enum):
-            value = spec.core(value)
-        found[name] = value
-    return params(**found)
+        raise explain(error, [*specs, *choices]) from None
+    checked_values = {name: getattr(checked, name) for name in model.model_fields}
+    return {
+        name: value if (enum := specs[name].enum) is None else enum(value) for name, value in checked_values.items()
+    }

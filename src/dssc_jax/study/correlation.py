@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
-from dssc_jax.errors import ConfigError, meant
+from dssc_jax.core.errors import ConfigError, meant
 
 SMALLEST = 1e-8  # least eigenvalue of the correlation matrix
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from dssc_jax.errors import meant
+from dssc_jax.core.errors import meant
 
 Arguments = tuple[float, ...]
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from dssc_jax.errors import ConfigError, meant
+from dssc_jax.core.errors import ConfigError, meant
 
 LONGEST = 255
 PACKAGED = Path(__file__).parents[1] / "_studies"

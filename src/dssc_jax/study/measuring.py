@@ -1,14 +1,14 @@
-"""From a study's tables to what is measured and required."""
+"""Parse the metrics and requirements of a study."""
 
 from collections.abc import Mapping
 
-from dssc_jax.errors import ConfigError, meant
-from dssc_jax.metrics import BRIEF, METRICS, Measure, Metric, Scope, Window, first_sample
-from dssc_jax.performance import PERFORMANCE
-from dssc_jax.requirements import Requirement
+from dssc_jax.closed_loop.metrics import BRIEF, METRICS, Measure, Metric, Scope, Window, first_sample
+from dssc_jax.closed_loop.performance import PERFORMANCE
+from dssc_jax.closed_loop.requirements import Requirement
+from dssc_jax.core.contracts import Plant
+from dssc_jax.core.errors import ConfigError, meant
 from dssc_jax.study.components import imported
 from dssc_jax.study.schema import StudyTable
-from dssc_jax.types import Plant
 
 KNOWN = METRICS | PERFORMANCE
 
@@ -57,8 +57,16 @@ def measured(
 
     def measure(name: str, of: str, window: Window) -> Measure:
         kind, channel = names[of]
-        angular = channel is not None and channels[channel] in plant.angles
-        return Measure(name, kind, window, channel, None if kind in METRICS else known[kind], angular)
+        channel_name = "" if channel is None else channels[channel]
+        return Measure(
+            name,
+            kind,
+            window,
+            channel,
+            own=None if kind in METRICS else known[kind],
+            angular=channel_name in plant.angles,
+            channel_name=channel_name,
+        )
 
     base = Window(config.metrics.after, config.metrics.settling_band)
     require_samples(config, base, "metrics.after")

@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from dssc_jax.errors import meant
-from dssc_jax.integrators import Integrator
+from dssc_jax.core.errors import meant
+from dssc_jax.core.integrators import Integrator
 from dssc_jax.study.laws import is_number
 
 STRICT = ConfigDict(extra="forbid", strict=True, frozen=True)

@@ -1,6 +1,5 @@
 """A study: a validated question, and the closed loop that answers it for one draw."""
 
-import copy
 import hashlib
 import json
 from collections.abc import Mapping
@@ -8,19 +7,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
+from jax.tree_util import keystr, tree_flatten_with_path
 
-from dssc_jax.errors import ConfigError
-from dssc_jax.loop import Loop, LoopParams
-from dssc_jax.metrics import Measure
-from dssc_jax.requirements import Requirement
+from dssc_jax.closed_loop.metrics import Measure
+from dssc_jax.closed_loop.requirements import Requirement
+from dssc_jax.closed_loop.sample import Loop, LoopParams
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Scalar
 from dssc_jax.study.build import build
+from dssc_jax.study.components import Number
 from dssc_jax.study.correlation import matrix, paired, require_correlation
 from dssc_jax.study.laws import Law
 from dssc_jax.study.schema import StudyTable
-from dssc_jax.study.tables import read_toml, require_shallow, set_dotted
-from dssc_jax.types import Quantity, Scalar
+from dssc_jax.study.tables import changed, read_toml
 
 
 def hash_of(table: Mapping[str, Any]) -> str:
@@ -38,8 +39,7 @@ class Study:
         config: The fixed tables.
         loop: The models in their slots, and the clock.
         template: Parameters of the loop; leaves are numbers, and laws where a number is uncertain.
-        quantities: Meaning of each number, by dotted name.
-        short: Shorter names of numbers, see :class:`Component`.
+        numbers: Every number of the loop by dotted name: meaning, value or law, and its places in the template.
         measures: What is measured.
         requirements: What is required.
     """
@@ -49,14 +49,13 @@ class Study:
     config: StudyTable
     loop: Loop
     template: LoopParams
-    quantities: dict[str, Quantity]
-    short: dict[str, str]
+    numbers: dict[str, Number]
     measures: tuple[Measure, ...]
     requirements: tuple[Requirement, ...]
 
     @classmethod
     def load(cls, path: str | Path) -> "Study":
-        """Read and validate a study file.
+        """Read and validate a study file, which is one's own: models that it names as ``module:object`` are imported.
 
         Args:
             path: A TOML file.
@@ -68,16 +67,15 @@ class Study:
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any], source: str = "study") -> "Study":
-        """A study from the content of a study file.
+        """A study from the content of a study file; models that it names as ``module:object`` are imported.
 
         Raises:
             ConfigError: as :meth:`load`.
         """
+        content = changed(table, {}, source)
         try:
-            require_shallow(table)
-            content = copy.deepcopy(dict(table))
-            study = cls(content, source, *build(content))
-            uncertain = [name for name, leaf in study.leaves().items() if isinstance(leaf, Law)]
+            study = cls(table=content, source=source, **build(content)._asdict())
+            uncertain = [name for name, number in study.numbers.items() if isinstance(number.value, Law)]
             require_correlation(study.config.correlation, uncertain, study.axes)
             return study
         except ConfigError as error:
@@ -89,13 +87,7 @@ class Study:
         Raises:
             ConfigError: a name leads nowhere, or the changed study is not valid.
         """
-        table = copy.deepcopy(self.table)
-        for name, value in changes.items():
-            try:
-                set_dotted(table, name, value)
-            except ConfigError as error:
-                raise error.within(self.source) from None
-        return Study.from_table(table, self.source)
+        return Study.from_table(changed(self.table, changes, self.source), self.source)
 
     def without_sweep(self) -> "Study":
         """The study at its own values."""
@@ -131,16 +123,20 @@ class Study:
         """Hash of everything that decides the result."""
         return hash_of(self.table)
 
+    @property
+    def quantities(self) -> dict[str, Quantity]:
+        """Meaning of each number by dotted name."""
+        return {name: number.quantity for name, number in self.numbers.items()}
+
     def leaves(self) -> dict[str, float | Law]:
-        """Every number of the loop by dotted name."""
-        flat, _ = jax.tree_util.tree_flatten_with_path(self.template, is_leaf=lambda x: isinstance(x, Law))
-        return {self._name(path): leaf for path, leaf in flat}
+        """Value or law of each number by dotted name."""
+        return {name: number.value for name, number in self.numbers.items()}
 
     def params(self, values: Mapping[str, Scalar]) -> LoopParams:
         """The loop's parameters with ``values`` (traced or not) in place of laws and swept numbers."""
-        flat, tree = jax.tree_util.tree_flatten_with_path(self.template, is_leaf=lambda x: isinstance(x, Law))
-        return tree.unflatten([values.get(self._name(path), leaf) for path, leaf in flat])
-
-    def _name(self, path: tuple[Any, ...]) -> str:
-        dotted = ".".join(str(getattr(key, "name", getattr(key, "idx", key))) for key in path)
-        return self.short.get(dotted, dotted)
+        names = {path: name for name, number in self.numbers.items() for path in number.paths}
+        flat, tree = tree_flatten_with_path(self.template, is_leaf=lambda leaf: isinstance(leaf, Law))
+        dotted_paths = (keystr(path, simple=True, separator=".") for path, _ in flat)
+        return tree.unflatten(
+            values.get(names.get(path, ""), leaf) for path, (_, leaf) in zip(dotted_paths, flat, strict=True)
+        )

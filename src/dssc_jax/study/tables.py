@@ -1,5 +1,6 @@
 """Study files as plain tables: reading, overriding by dotted name, laying one over another."""
 
+import copy
 import re
 import tomllib
 from collections.abc import Mapping
@@ -8,7 +9,7 @@ from typing import Any
 
 import tomli_w
 
-from dssc_jax.errors import ConfigError
+from dssc_jax.core.errors import ConfigError
 from dssc_jax.study.laws import is_law
 
 LARGEST = 2**20  # bytes of a study file
@@ -103,6 +104,22 @@ def set_dotted(table: dict[str, Any], name: str, value: Any) -> None:
         here[last] = value
     else:
         raise ConfigError(name, f"leads nowhere: '{last}' is not in a table")
+
+
+def changed(table: Mapping[str, Any], changes: Mapping[str, Any], source: str) -> dict[str, Any]:
+    """A copy of a table from ``source`` with other values, by dotted name.
+
+    Raises:
+        ConfigError: the table nests too deeply, or a name leads nowhere.
+    """
+    try:
+        require_shallow(table)
+        found = copy.deepcopy(dict(table))
+        for name, value in changes.items():
+            set_dotted(found, name, value)
+    except ConfigError as error:
+        raise error.within(source) from None
+    return found
 
 
 def merged(common: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:

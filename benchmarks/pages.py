@@ -1,0 +1,126 @@
+"""Regenerates docs/study-file.md and docs/commands.md from the schema, the registries and the command line.
+
+Run it as ``make pages`` after a change of any of them; a test tells where a page is old.
+"""
+
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import typer
+from pydantic import BaseModel
+
+from dssc_jax.cli.common import app
+from dssc_jax.closed_loop.metrics import METRICS
+from dssc_jax.closed_loop.performance import PERFORMANCE
+from dssc_jax.console.kinds import COLUMNS, HEADS, registries, rows_of
+from dssc_jax.study.build import FIXED_TABLES
+from dssc_jax.study.laws import LAWS
+from dssc_jax.study.schema import AXES, StudyTable
+
+DOCS = Path(__file__).parents[1] / "docs"
+STUDY_FILE = """# The study file
+
+Every table and field, generated from the schema (`make pages`). `dssc-jax info KIND` prints one kind in the terminal.
+Numbers are in SI units and radians. A law may stand in place of a number, unless *admissible* says otherwise.
+"""
+COMMANDS = """# Commands
+
+Every command and option, generated from the command line (`make pages`). `dssc-jax COMMAND --help` prints one of them.
+Exit codes: 0 done; 1 a check, verification, tuning or hunt ends with what should not be, or a stopping rule rejects;
+2 bad input; 130 interrupted.
+"""
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Iterator[str]:
+    """A table in Markdown."""
+    yield f"| {' | '.join(head)} |"
+    yield "|---" * len(head) + "|"
+    for row in rows:
+        yield f"| {' | '.join(str(cell).replace('|', '&#124;') for cell in row)} |"
+    yield ""
+
+
+def type_name(annotation: Any) -> str:
+    """An annotation as a reader of a study file takes it."""
+    words = {"float": "number", "int": "whole number", "str": "text", "bool": "true or false"}
+    text = str(getattr(annotation, "__name__", annotation)) if not hasattr(annotation, "__args__") else str(annotation)
+    if text.startswith("typing.Literal"):
+        return " or ".join(map(repr, annotation.__args__))
+    for part, word in words.items():
+        if part in text and "dict" not in text and "list" not in text and "tuple" not in text:
+            return word
+    return "list" if text.startswith("list") else "table"
+
+
+def fixed_rows(model: type[BaseModel]) -> Iterator[tuple[str, ...]]:
+    """The fields of one of the tables that no registry knows."""
+    for name, field in model.model_fields.items():
+        limits = [str(limit) for limit in field.metadata if type(limit).__name__ in ("Gt", "Ge", "Lt", "Le")]
+        bounds = ", ".join(limits).replace("Gt(gt=", "> ").replace("Ge(ge=", ">= ")
+        bounds = bounds.replace("Lt(lt=", "< ").replace("Le(le=", "<= ").replace(")", "")
+        default = "required" if field.is_required() else field.default
+        default = "absent" if default in (None, {}, []) else default
+        shown = default.get("kind", default) if isinstance(default, dict) else default
+        shown = "see below" if isinstance(shown, BaseModel) else shown
+        yield f"`{name}`", type_name(field.annotation), bounds, f"{shown}", field.description or ""
+
+
+def summary(model: type[BaseModel]) -> str:
+    """What a table is, from its docstring: ``[name]``: text."""
+    text = " ".join((model.__doc__ or "").split()).partition(": ")[2].replace("``", "`")
+    return f"{text[0].upper()}{text[1:]}"
+
+
+def study_file() -> str:
+    """The page of the study file."""
+    head = ("field", "holds", "admissible", "default", "meaning")
+    lines = [STUDY_FILE, "## Top level", "", *table(head, fixed_rows(StudyTable))]
+    for name, model in FIXED_TABLES.items():
+        lines += [f"## [{name}]", "", summary(model), "", *table(head, fixed_rows(model))]
+    lines += ["## Laws", "", "A law stands in place of a number: `k_p = { uniform = [0.8, 1.2] }`.", ""]
+    lines += table(
+        ("law", "arguments", "rule"), ((f"`{n}`", f"`{law.signature}`", law.rule[0]) for n, law in LAWS.items())
+    )
+    lines += ["## Axes of a sweep", "", f"`[sweep]` takes, for a number's dotted name, one of {', '.join(AXES)}.", ""]
+    metrics = [(f"`{name}`", metric.unit, metric.meaning) for name, metric in {**METRICS, **PERFORMANCE}.items()]
+    lines += ["## Metrics", "", *table(("metric", "unit", "meaning"), metrics)]
+    for slot, registry in registries().items():
+        lines += [f"## [{HEADS.get(slot, slot)}]", ""]
+        for kind, entry in registry.items():
+            lines += [f'### kind = "{kind}"', "", f"{entry.summary}.", ""]
+            rows = rows_of(entry)
+            if rows:
+                lines += table(COLUMNS, ((f"`{row[0]}`", *row[1:]) for row in rows))
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def commands() -> str:
+    """The page of the commands."""
+    lines = [COMMANDS]
+    for name, command in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]
+        arguments = [p for p in command.params if p.param_type_name == "argument"]
+        usage = " ".join(["dssc-jax", name, *(str(p.name).upper() for p in arguments), "[OPTIONS]"])
+        lines += [f"## {name}", "", f"    {usage}", ""]
+        lines += [" ".join(paragraph.split()) + "\n" for paragraph in (command.help or "").split("\n\n")]
+        rows = []
+        for option in command.params:
+            if option.param_type_name == "option":
+                flags = ", ".join(f"`{flag}`" for flag in option.opts)
+                rows.append((flags, option.metavar or "", getattr(option, "help", "") or ""))
+        lines += table(("option", "value", "meaning"), rows)
+    return "\n".join(lines).rstrip() + "\n"
+
+
+PAGES = {"study-file.md": study_file, "commands.md": commands}
+
+
+def main() -> int:
+    for name, page in PAGES.items():
+        (DOCS / name).write_text(page(), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Analyses of a study that are more than one run."""

@@ -1,0 +1,18 @@
+"""Controllers compared on common draws and common noise: with gains that correspond, and tuned on equal budgets."""
+
+from dssc_jax.analyses.comparison.compare import Comparison, Contest, compare, with_controller
+from dssc_jax.analyses.comparison.margins import MarginContest, compare_margins
+from dssc_jax.analyses.comparison.rivals import controller_table
+from dssc_jax.analyses.comparison.tuning import Tuning, tuned
+
+__all__ = [
+    "Comparison",
+    "Contest",
+    "MarginContest",
+    "Tuning",
+    "compare",
+    "compare_margins",
+    "controller_table",
+    "tuned",
+    "with_controller",
+]

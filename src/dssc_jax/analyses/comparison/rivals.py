@@ -1,0 +1,198 @@
+"""The rivals' gains where a study does not give them: the article's own correspondences (Table 2).
+
+PI and SSC have the gains that DSSC synthesises at the origin; the STA, in its three sampled forms, kappa1 and kappa2 of
+the functions that approximate it; the VGSTA these with the smoothing delta too; first-order sliding mode the gain rho.
+Error pole and nominal control are DSSC's. A name may carry a sampled form or a limit: ``sta_proper``, ``sta_limited``.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+
+from dssc_jax.analyses.theory.linearised import synthesised_gains
+from dssc_jax.core.errors import ConfigError, meant
+from dssc_jax.core.quantities import nominal
+from dssc_jax.core.registry import Discretisation
+from dssc_jax.core.signals import Scalar
+from dssc_jax.models.controllers import CONTROLLERS
+from dssc_jax.models.controllers.dssc import DsscGains
+from dssc_jax.models.controllers.gain_functions import (
+    ApproximateSta1,
+    ApproximateSta2,
+    Field,
+    SquareRoot,
+    StandardSta,
+    Vgsta,
+    variable_gains,
+)
+from dssc_jax.models.controllers.modulation import ConstantModulation
+from dssc_jax.study import Law, Study
+from dssc_jax.study.tables import merged
+
+Table = dict[str, Any]
+LIMITED = "limited"
+SUFFIXES = (*(form.value for form in Discretisation), LIMITED)
+
+
+class SuperTwisting(NamedTuple):
+    """kappa_1 and kappa_2 in Table 2's normalisation, and the smoothing delta."""
+
+    kappa1: Scalar
+    kappa2: Scalar
+    delta: Scalar
+
+
+def super_twisting(functions: Any) -> SuperTwisting:
+    """The STA that state-dependent functions approximate.
+
+    Raises:
+        ConfigError: they approximate none.
+    """
+    match functions:
+        case SquareRoot():  # row 4 of Table 2, where both delta agree
+            kappa1 = 2.0 / (functions.kappa_o * functions.tau_av)
+            return SuperTwisting(kappa1, kappa1 / functions.kappa_m, functions.delta_o)
+        case StandardSta():
+            return SuperTwisting(functions.kappa1, functions.kappa2, 0.0)
+        case ApproximateSta1() | ApproximateSta2():
+            return SuperTwisting(functions.kappa1, functions.kappa2, functions.delta)
+        case Field():  # here kappa2 multiplies sgn itself
+            delta = 0.5 * functions.delta * functions.k_o * functions.kappa1
+            return SuperTwisting(functions.kappa1, 2.0 * functions.kappa2, delta)
+        case Vgsta():  # near the origin, where phi_a rules over phi_b
+            coefficients = (functions.kappa_a, functions.kappa_b, functions.kappa_c, functions.kappa_d)
+            at = variable_gains(0.0, 0.0, coefficients, functions.epsilon, functions.gamma)
+            return SuperTwisting(at.kappa1 * functions.phi_a, at.kappa2 * functions.phi_a**2, functions.delta)
+    raise ConfigError("", f"the functions '{type(functions).__name__}' approximate no super-twisting algorithm")
+
+
+def ssc(gains: DsscGains) -> Table:
+    """Constants: the functions' values at the origin."""
+    at = gains.functions.at(0.0, 0.0, nominal(gains.l0))
+    constants = {"kind": "constant", **{name: float(value) for name, value in at._asdict().items()}}
+    return {"functions": constants, "rho": switching_gain(gains), "predictor_start": gains.predictor_start.value}
+
+
+def pi(gains: DsscGains) -> Table:
+    """What SSC synthesises: K_P = 1/(k_o tau_av), K_I = K_P/tau_m."""
+    proportional, integral = synthesised_gains(gains._replace(l0=nominal(gains.l0)))
+    return {"k_p": float(proportional), "k_i": float(integral)}
+
+
+def sta(gains: DsscGains) -> Table:
+    """Table 2, row 2."""
+    found = super_twisting(gains.functions)
+    return {"kappa1": float(found.kappa1), "kappa2": float(found.kappa2), "k_n": input_gain(gains)}
+
+
+def vgsta(gains: DsscGains) -> Table:
+    """Table 1's own numbers where the functions have them; else the STA with the smoothing delta."""
+    names = ("phi_a", "phi_b", "kappa_a", "kappa_b", "kappa_c", "kappa_d", "epsilon", "gamma", "delta")
+    if isinstance(gains.functions, Vgsta):
+        numbers = {name: getattr(gains.functions, name) for name in names}
+    else:
+        found = super_twisting(gains.functions)
+        numbers = dict.fromkeys(names, 0.0)
+        numbers |= {"phi_a": 1.0, "kappa_d": found.kappa1, "gamma": found.kappa2, "delta": found.delta}
+    return {name: float(value) for name, value in numbers.items()} | {"k_n": input_gain(gains)}
+
+
+def smc(gains: DsscGains) -> Table:
+    """The relay of DSSC without its filter."""
+    return {"gain": switching_gain(gains), "k_n": input_gain(gains)}
+
+
+def input_gain(gains: DsscGains) -> float:
+    """k_n of the nominal control; 1 without one."""
+    return nominal(gains.nominal.k) if gains.nominal else 1.0
+
+
+def switching_gain(gains: DsscGains) -> float:
+    """The constant rho.
+
+    Raises:
+        ConfigError: rho is the norm bound.
+    """
+    if not isinstance(gains.rho, ConstantModulation):
+        raise ConfigError("", "rho is no constant")
+    return nominal(gains.rho.rho)
+
+
+RIVALS: dict[str, Callable[[DsscGains], Table]] = {"ssc": ssc, "pi": pi, "sta": sta, "vgsta": vgsta, "smc": smc}
+
+
+def controller_table(study: Study, name: str) -> Table:
+    """The ``[controller]`` of a controller in a comparison.
+
+    Args:
+        study: The study. Its ``[compare.NAME]`` goes first: a whole controller, or changes of ``[controller]`` where
+            the kind is the same or not named. Its own controller goes by its kind. The rest follows from DSSC.
+        name: Name of the table, or kind of controller, if wanted with a sampled form or ``limited`` to rho.
+
+    Raises:
+        ConfigError: there is no such controller, or its gains do not follow from the study's own.
+    """
+    own = study.config.controller
+    given = study.config.compare.get(name)
+    if given is not None:
+        table = {key: value for key, value in given.items() if key != "tune"}
+        return merged(own, table) if table.get("kind", own["kind"]) == own["kind"] else table
+    kind, _, suffix = name.partition("_")
+    if kind not in CONTROLLERS or (suffix and suffix not in SUFFIXES):
+        known = [*CONTROLLERS, *study.config.compare, *(f"sta_{end}" for end in SUFFIXES)]
+        raise ConfigError(f"compare.{name}", f"there is no such controller; {meant(name, known)}")
+    table = dict(own) if kind == own["kind"] else derived(study, name, kind)
+    if suffix == LIMITED:
+        return with_limit(study, name, table)
+    return {**table, "discretisation": suffix} if suffix else table
+
+
+def derived(study: Study, name: str, kind: str) -> Table:
+    """A rival's table, channel by channel.
+
+    Raises:
+        ConfigError: its gains do not follow from the study's own.
+    """
+    own = study.config.controller
+    if kind not in RIVALS or own["kind"] not in ("dssc", "ssc"):
+        raise ConfigError(f"compare.{name}", f"cannot be derived from '{own['kind']}'; give [compare.{name}]")
+    channels = study.loop.channels
+    common = {key: value for key, value in own.items() if key not in channels}
+    tables = {}
+    for channel, gains in zip(channels, study.template.controller, strict=True):
+        try:
+            with jax.enable_x64(True):
+                table = {"kind": kind, **RIVALS[kind](plain(gains))}
+        except ConfigError as error:
+            raise ConfigError(f"compare.{name}", f"{error.rule}; give [compare.{name}]") from None
+        laid = merged(common, own.get(channel, {})) if channel else common
+        tables[channel] = table | {key: laid[key] for key in ("l0", "nominal") if key in laid}
+    return tables.get("", {"kind": kind, **tables})
+
+
+def plain(gains: DsscGains) -> DsscGains:
+    """Gains whose functions are numbers.
+
+    Raises:
+        ConfigError: one is a law.
+    """
+    if any(isinstance(value, Law) for value in gains.functions):
+        raise ConfigError("", "the functions hold a law, and a rival's gains are numbers")
+    return gains
+
+
+def with_limit(study: Study, name: str, table: Table) -> Table:
+    """A table whose command is clipped to +-rho, for what DSSC with a constant rho is compared with.
+
+    Raises:
+        ConfigError: the controller has no limit, or rho is no constant.
+    """
+    if table["kind"] not in ("sta", "vgsta"):
+        raise ConfigError(f"compare.{name}", f"'{table['kind']}' has no limit; sta and vgsta have")
+    limits = {}
+    for channel, gains in zip(study.loop.channels, study.template.controller, strict=True):
+        if not isinstance(gains, DsscGains):
+            raise ConfigError(f"compare.{name}", "rho is DSSC's; give [compare.NAME] with a limit")
+        limits[channel] = {"limit": switching_gain(gains)}
+    return merged(table, limits.get("", limits))

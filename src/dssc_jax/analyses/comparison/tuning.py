@@ -1,0 +1,165 @@
+"""Tuning on an equal budget: so many candidates in stated ranges, on draws of their own, by one objective."""
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import qmc
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.signals import Outcome
+from dssc_jax.engine.batching import BLOCK
+from dssc_jax.engine.evaluation import Evaluator, worst_slack
+from dssc_jax.study import Study
+from dssc_jax.study.laws import is_number
+from dssc_jax.study.tables import set_dotted
+
+CANDIDATES, DRAWS = 64, 64
+MOST = 100_000  # candidates, or draws of each
+FACTOR = 10.0  # ranges reach from a tenth to ten times the gain that stands in the study
+STATE_DEPENDENT = {
+    "constant": ("k_o", "tau_m"),
+    "sta": ("kappa1", "kappa2"),
+    "approx_sta_1": ("kappa1", "kappa2"),
+    "approx_sta_2": ("kappa1", "kappa2"),
+    "square_root": ("kappa_o", "kappa_m"),
+    "field": ("kappa1", "kappa2"),
+    "vgsta": ("kappa_d", "gamma"),
+}
+GAINS = {"pi": ("k_p", "k_i"), "sta": ("kappa1", "kappa2"), "vgsta": ("kappa_d", "gamma"), "smc": ("gain",)}
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """The budget that every controller gets.
+
+    Args:
+        candidates: Gains tried, the given ones among them.
+        draws: Draws on which each is tried; they are none of those that decide.
+        seed: Their seed.
+    """
+
+    candidates: int
+    draws: int
+    seed: int
+
+    @classmethod
+    def of(cls, study: Study, candidates: int = CANDIDATES, draws: int = DRAWS) -> "Tuning":
+        """A budget whose draws are not the study's.
+
+        Raises:
+            ConfigError: a count is out of range.
+        """
+        for name, count in (("candidates", candidates), ("tuning draws", draws)):
+            if not 1 <= count <= MOST:
+                raise ConfigError(name, f"must be in 1 .. {MOST}, got {count}")
+        return cls(candidates, draws, (study.config.seed + 1) % 2**32)
+
+    @property
+    def text(self) -> str:
+        """The budget as one reads it."""
+        return (
+            f"{self.candidates} candidates (the given gains, then scrambled Sobol points in the logarithm) on "
+            f"{self.draws} draws of seed {self.seed}; fewest failures, then the largest median of the worst margin"
+        )
+
+
+def ranges(study: Study, given: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
+    """What is tuned of the study's controller, by dotted name, and in which range.
+
+    Args:
+        study: The study with this controller.
+        given: ``[compare.NAME.tune]``: ranges by the gains' names within the controller; for the rest of the
+            controller's two usual gains a tenth to ten times their value.
+
+    Raises:
+        ConfigError: a range is none.
+    """
+    found = {}
+    for name, extent in given.items():
+        numbers = isinstance(extent, list) and len(extent) == 2 and all(is_number(value) for value in extent)
+        if not numbers or not 0.0 < extent[0] < extent[1]:
+            raise ConfigError(f"tune.{name}", f"must be [lo, hi] with 0 < lo < hi, got {extent!r}")
+        found[f"controller.{name}"] = (float(extent[0]), float(extent[1]))
+    if found:
+        return found
+    table = study.config.controller
+    kind = table["kind"]
+    if kind in ("dssc", "ssc"):
+        functions = table["functions"].get("kind", "constant")
+        names = [f"functions.{name}" for name in STATE_DEPENDENT.get(functions, ())]
+    else:
+        names = list(GAINS.get(kind, ()))
+    leaves = study.leaves()
+    values = {f"controller.{name}": leaves.get(f"controller.{name}") for name in names}
+    return {
+        name: (value / FACTOR, value * FACTOR)
+        for name, value in values.items()
+        if isinstance(value, float) and value > 0
+    }
+
+
+def tuned(study: Study, budget: Tuning, given: Mapping[str, Any]) -> dict[str, float]:
+    """The best gains found within a budget, by dotted name.
+
+    Args:
+        study: The study with the controller to tune.
+        budget: Candidates and draws.
+        given: See :func:`ranges`.
+
+    Raises:
+        ConfigError: there is nothing to tune, or a range is not admissible.
+    """
+    extents = ranges(study, given)
+    if not extents:
+        raise ConfigError("tune", "no gain of this controller has a range; give [compare.NAME.tune]")
+    trial = study.without_sweep().override({"seed": budget.seed, "draws": budget.draws})
+    candidates = points(trial, extents, budget)
+    evaluator = Evaluator(trial, extents, min(budget.draws * budget.candidates, max(BLOCK, budget.draws)))
+    laws = evaluator.drawn(slice(0, budget.draws))
+    scores = []
+    per_batch = max(1, evaluator.lanes // budget.draws)
+    for begin in range(0, budget.candidates, per_batch):
+        part = {name: column[begin : begin + per_batch] for name, column in candidates.items()}
+        count = len(next(iter(part.values())))
+        lanes = {name: np.tile(column, count) for name, column in laws.items()}
+        lanes |= {name: np.repeat(column, budget.draws) for name, column in part.items()}
+        results = evaluator(np.tile(np.arange(budget.draws), count), lanes)
+        shaped = {name: array.reshape(count, budget.draws) for name, array in results.items()}
+        failures = np.count_nonzero(shaped["outcome"] != Outcome.OK, axis=-1)
+        middle = np.quantile(merit(evaluator.swept, shaped), 0.5, axis=-1, method="inverted_cdf")
+        scores += list(zip(failures.tolist(), (-middle).tolist(), strict=True))
+    best = min(range(len(scores)), key=scores.__getitem__)
+    return {name: float(column[best]) for name, column in candidates.items()}
+
+
+def merit(study: Study, results: Mapping[str, np.ndarray]) -> np.ndarray:
+    """The worst margin of each lane; without requirements the first metric, of which less is better."""
+    if study.requirements or not study.measures:
+        return worst_slack(study, dict(results))
+    found = results[study.measures[0].name]
+    return np.where(np.isnan(found), -np.inf, -found)
+
+
+def points(study: Study, extents: Mapping[str, tuple[float, float]], budget: Tuning) -> dict[str, np.ndarray]:
+    """The candidates: the study's own gains first, the rest spread evenly in the logarithm."""
+    sobol = qmc.Sobol(len(extents), rng=np.random.default_rng(budget.seed))
+    unit = sobol.random(max(1, 1 << (budget.candidates - 1).bit_length()))[: budget.candidates]
+    low, high = np.array(list(extents.values())).T[:, :, None]
+    columns = np.exp(np.log(low) + unit.T * np.log(high / low))
+    leaves = study.leaves()
+    for column, name in zip(columns, extents, strict=True):
+        own = leaves.get(name)
+        if isinstance(own, float):
+            column[0] = own
+    return dict(zip(extents, np.clip(columns, low, high), strict=True))
+
+
+def with_gains(table: dict[str, Any], gains: Mapping[str, float]) -> dict[str, Any]:
+    """A controller's table with the tuned gains in it."""
+    holder = {"controller": copy.deepcopy(table)}
+    for name, value in gains.items():
+        set_dotted(holder, name, value)
+    return holder["controller"]

@@ -1,0 +1,294 @@
+"""The worst draw within the laws' support, hunted instead of waited for.
+
+The search goes on in the laws' standardised coordinates: a draw is a point of the unit cube, whose coordinates are the
+levels of the laws' quantiles. Knots of a disturbance or a wind that is a ``spline`` are numbers like others, so that
+signals need nothing of their own. Noise within the loop is that of draw 0.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+from scipy.optimize import differential_evolution
+from scipy.stats import qmc
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.engine.batching import BLOCK, Arrays
+from dssc_jax.engine.evaluation import Derivative, Evaluator, GradientEvaluator, worst_slack
+from dssc_jax.results.analysis_folder import save
+from dssc_jax.study import Study
+
+EDGE = 1e-6  # outermost level: where the search ends in the tails of unbounded laws
+EXPLORED, CLIMBED = 0.25, 0.5  # shares of the budget; evolution gets what is left
+STARTS, CLIMB = 8, 12  # climbs at most, and steps that each is to have at least
+APART = 0.25  # least distance of two starts, in the largest coordinate
+STRIDE, LONGER, SHORTER = 0.25, 1.5, 0.3  # first step of a climb, and its factors after success and failure
+DESIGN = ("sampling", "replicates", "correlation")  # what a study says of its draws together
+MEMBERS = 4  # of the evolution, for each coordinate
+LEAST, MOST = 32, 10**7  # simulations
+
+Report = Callable[[int, int, str], None]
+
+
+@dataclass
+class Falsified:
+    """The worst draw found.
+
+    Args:
+        study: What was searched.
+        witness: Value of each uncertain number.
+        slack: Its signed slack, the worst requirement's relative to its bound: negative where the draw fails.
+        simulations: How many were spent; one with derivatives counts as one and one more for each derivative.
+        first_failure: The simulations after which the first failure was found; None: none was.
+        trail: Every point that was simulated: its numbers, its slack, and the simulations spent until then.
+        seconds: What it took.
+    """
+
+    study: Study
+    witness: dict[str, float]
+    slack: float
+    simulations: int
+    first_failure: int | None
+    trail: Arrays = field(repr=False)
+    seconds: float = 0.0
+
+    @property
+    def witness_study(self) -> Study:
+        """The study of the witness alone, as draw 0, of numbers in place of laws: no design of draws is left."""
+        table = {name: value for name, value in self.study.table.items() if name not in DESIGN}
+        return Study.from_table({**table, "draws": 1}, self.study.source).override(self.witness)
+
+    def summary(self) -> dict[str, Any]:
+        """The hunt in plain numbers, for JSON; infinity still to be replaced."""
+        return {
+            "study": self.study.name,
+            "requirements": [requirement.text for requirement in self.study.requirements],
+            "failed": self.slack < 0.0,
+            "slack": self.slack,
+            "witness": self.witness,
+            "simulations": self.simulations,
+            "first_failure": self.first_failure,
+            "seconds": self.seconds,
+        }
+
+    def save(self, folder: str | Path) -> Path:
+        """Write every point and the summary into a folder.
+
+        Raises:
+            ConfigError: the folder holds something else.
+        """
+        points = xr.Dataset(
+            {name: ("point", values) for name, values in self.trail.items()}, attrs={"title": self.study.name}
+        )
+        return save(Path(folder), "falsify", self.study, points, self.summary())
+
+
+def falsify(study: Study, *, budget: int = 1000, seed: int = 0, report: Report | None = None) -> Falsified:
+    """The worst draw within the support of a study's laws, by the worst requirement's signed slack.
+
+    A quarter of the budget spreads over the support, half of it climbs from the worst points along projected gradients,
+    the rest is differential evolution among the worst of all. A draw that ends early is the worst there is.
+
+    Args:
+        study: The study; its own sweep is left aside. Unbounded laws end at their 1e-6 quantiles.
+        budget: Simulations.
+        seed: Of the search.
+        report: Told of the simulations spent.
+
+    Raises:
+        ConfigError: nothing is uncertain, nothing is required, or the budget is out of range.
+
+    Example:
+        >>> import dssc_jax as dj
+        >>> study = dj.Study.load("studies/mu_robustness.toml").override({"sweep": {}, "loop.duration": 45.0})
+        >>> dj.falsify(study, budget=64).slack < 0.0
+        True
+    """
+    study = study.without_sweep()
+    require_hunt(study, budget)
+    return hunt(Programs.of(study, budget), budget, seed, report or (lambda done, total, text: None))
+
+
+def require_hunt(study: Study, budget: int) -> None:
+    """Require that there is something to hunt, something to miss, and a budget.
+
+    Raises:
+        ConfigError: there is not.
+    """
+    if not study.without_sweep().laws:
+        raise ConfigError(study.source, "no number is uncertain, so there is no other draw to look for; give laws")
+    if not study.requirements:
+        raise ConfigError(study.source, "nothing is required, so nothing can fail; give a [[requirement]]")
+    if not LEAST <= budget <= MOST:
+        raise ConfigError("budget", f"must be in {LEAST} .. {MOST}, got {budget}")
+
+
+class Programs(NamedTuple):
+    """What hunts of one budget share: a study compiled without and with derivatives, once each is first called."""
+
+    study: Study
+    plain: Evaluator
+    steep: Evaluator
+
+    @classmethod
+    def of(cls, study: Study, budget: int) -> "Programs":
+        """The programs of a study without a sweep."""
+        lanes = max(spread(budget), members(budget, len(study.laws)))
+        climbs = climbers(budget, len(study.laws))
+        steep = GradientEvaluator(study, {}, climbs, names=list(study.laws))
+        return cls(study, Evaluator(study, {}, min(BLOCK, lanes)), steep)
+
+
+def spread(budget: int) -> int:
+    """Points that are spread out: a power of two."""
+    return 1 << int(np.log2(max(EXPLORED * budget, LEAST // 2)))
+
+
+def members(budget: int, size: int) -> int:
+    """Members of the evolution; several generations are to fit the budget."""
+    return max(8, min(MEMBERS * size, budget // 20))
+
+
+def climbers(budget: int, size: int) -> int:
+    """Climbs, each of which is to have some steps."""
+    return max(1, min(STARTS, int(CLIMBED * budget) // (CLIMB * (1 + size))))
+
+
+def hunt(programs: Programs, budget: int, seed: int, report: Report) -> Falsified:
+    """One search; see :func:`falsify`."""
+    began = time.perf_counter()
+    found = Hunt(programs, budget, np.random.default_rng(seed), report)
+    found.explore()
+    for way in (found.climb, found.evolve):
+        if found.worst > -np.inf:
+            way()
+    points, slacks, spent = (np.concatenate(parts) for parts in zip(*found.seen, strict=True))
+    values = found.values(points)
+    worst = int(np.argmin(slacks))
+    failed = np.flatnonzero(slacks < 0.0)
+    return Falsified(
+        study=programs.study,
+        witness={name: float(column[worst]) for name, column in values.items()},
+        slack=float(slacks[worst]),
+        simulations=found.spent,
+        first_failure=int(spent[failed[0]]) if failed.size else None,
+        trail={**values, "slack": slacks, "simulations": spent},
+        seconds=time.perf_counter() - began,
+    )
+
+
+@dataclass
+class Hunt:
+    """A search on its way.
+
+    Args:
+        programs: The study, compiled.
+        budget: Simulations.
+        rng: Of the search.
+        report: Told of the simulations spent.
+    """
+
+    programs: Programs
+    budget: int
+    rng: np.random.Generator
+    report: Report
+    spent: int = 0
+    worst: float = np.inf
+    seen: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.laws = self.programs.study.laws
+        self.size = len(self.laws)
+
+    def values(self, points: np.ndarray) -> Arrays:
+        """The laws' values at points of the unit cube, shape (n, laws)."""
+        return {name: law.quantile(points[:, i]) for i, (name, law) in enumerate(self.laws.items())}
+
+    def simulate(self, points: np.ndarray, evaluator: Evaluator, each: int = 1) -> tuple[np.ndarray, Arrays]:
+        """Margins and results of points; ``each`` is what one of them costs."""
+        results = evaluator(np.zeros(len(points), dtype=int), self.values(points))
+        slacks = worst_slack(evaluator.swept, results)
+        self.seen.append((points, slacks, self.spent + each * np.arange(1, len(points) + 1)))
+        self.spent += each * len(points)
+        self.worst = min(self.worst, float(slacks.min()))
+        self.report(min(self.spent, self.budget), self.budget, f"worst slack {self.worst:.4g}")
+        return slacks, results
+
+    def explore(self) -> None:
+        """Spread points evenly over the cube."""
+        points = qmc.Sobol(self.size, rng=self.rng).random(spread(self.budget))
+        self.simulate(np.clip(points, EDGE, 1.0 - EDGE), self.programs.plain)
+
+    def ranked(self) -> tuple[np.ndarray, np.ndarray]:
+        """All points so far with their slacks, the worst first."""
+        points, slacks = (np.concatenate(parts) for parts in list(zip(*self.seen, strict=True))[:2])
+        order = np.argsort(slacks, kind="stable")
+        return points[order], slacks[order]
+
+    def starts(self, count: int) -> np.ndarray:
+        """The worst points that are apart from each other, and the worst of the rest."""
+        points, _ = self.ranked()
+        chosen: list[int] = []
+        for index, point in enumerate(points):
+            if len(chosen) == count:
+                break
+            if all(np.max(np.abs(point - points[other])) > APART for other in chosen):
+                chosen.append(index)
+        rest = [index for index in range(len(points)) if index not in chosen]
+        return points[[*chosen, *rest][:count]]
+
+    def climb(self) -> None:
+        """Projected gradient descents of the slack, all at once, each with its own step length."""
+        each, room, evaluator = 1 + self.size, int(CLIMBED * self.budget), self.programs.steep
+        points = self.starts(climbers(self.budget, self.size))
+        if len(points) * each > room:
+            return
+        best, results = self.simulate(points, evaluator, each)
+        slopes, stride = self.slopes(points, results), np.full(len(points), STRIDE)
+        for _ in range(room // (each * len(points)) - 1):
+            largest = np.max(np.abs(slopes), axis=1, keepdims=True)
+            moves = stride[:, None] * slopes / np.where(largest > 0.0, largest, 1.0)
+            trial = np.clip(points - moves, EDGE, 1.0 - EDGE)
+            slacks, results = self.simulate(trial, evaluator, each)
+            better = slacks < best
+            points = np.where(better[:, None], trial, points)
+            slopes = np.where(better[:, None], self.slopes(trial, results), slopes)
+            best, stride = np.minimum(best, slacks), stride * np.where(better, LONGER, SHORTER)
+            if self.worst == -np.inf:
+                return
+
+    def slopes(self, points: np.ndarray, results: Arrays) -> np.ndarray:
+        """Derivatives of the worst slack with respect to the coordinates, shape (n, laws); 0 where there is none."""
+        requirements = self.programs.study.requirements
+        slacks = np.array([results[r.name] / r.scale for r in requirements])
+        binding = np.argmin(np.where(np.isnan(slacks), -np.inf, slacks), axis=0)
+        columns = []
+        for i, (name, law) in enumerate(self.laws.items()):
+            ends = np.clip(points[:, i] + EDGE * np.array([[-0.5], [0.5]]), 0.5 * EDGE, 1.0 - 0.5 * EDGE)
+            rate = (law.quantile(ends[1]) - law.quantile(ends[0])) / (ends[1] - ends[0])
+            rows = [results[Derivative(r.name, name)] / r.scale for r in requirements]
+            columns.append(np.take_along_axis(np.array(rows), binding[None], 0)[0] * rate)
+        found = np.stack(columns, axis=1)
+        return np.where(np.isfinite(found), found, 0.0)
+
+    def evolve(self) -> None:
+        """Differential evolution that begins with the worst points so far."""
+        count = members(self.budget, self.size)
+        first: Any = self.ranked()[0][:count]
+        generations = (self.budget - self.spent) // count - 1
+        if generations < 1:
+            return
+
+        def cost(columns: np.ndarray) -> np.ndarray:
+            slacks, _ = self.simulate(np.atleast_2d(columns.T), self.programs.plain)
+            return np.clip(slacks, -1e100, 1e100)
+
+        differential_evolution(
+            cost, [(EDGE, 1.0 - EDGE)] * self.size, init=first, rng=self.rng, tol=0.0,
+            maxiter=generations, polish=False, vectorized=True, updating="deferred",
+            callback=lambda x, convergence: self.worst == -np.inf,
+        )  # fmt: skip

@@ -1,0 +1,166 @@
+"""Critical values by simulation: each draw runs at each value that the search asks for."""
+
+import math
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from dssc_jax.analyses.margins.result import Margins
+from dssc_jax.analyses.margins.search import BISECTIONS, CLOCK, POINTS, Critical, Walk, search
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.engine.batching import BLOCK, Arrays, Clock, Engine, Layout, drawn, execute
+from dssc_jax.engine.evaluation import Evaluator, require_independent, worst_slack
+from dssc_jax.study import Study
+from dssc_jax.study.laws import CASES, SPREAD
+
+MOST_POINTS, MOST_BISECTIONS = 1000, 52
+
+
+def margin(
+    study: Study,
+    *,
+    over: str,
+    bounds: tuple[float, float],
+    log: bool = False,
+    points: int = POINTS,
+    bisections: int = BISECTIONS,
+    progress: ProgressCallback | None = None,
+) -> Margins:
+    """The critical value of one number of the loop for every draw of a study.
+
+    The number takes the place of its law; everything else is drawn. ``spread`` in its place widens all laws together:
+    every drawn number moves to so many times its distance from the median, in the logarithm where the law is one of a
+    logarithm; the critical values then are margins of the uncertainty as a whole, and the degradation curve is the
+    failure probability over nested laws with the same draws. Where no requirement is set, a draw fails by becoming
+    non-finite.
+
+    Args:
+        study: The study; its own sweep is left aside.
+        over: Dotted name of the number, e.g. ``unmodelled.mu``, or ``spread``. ``loop.sample_time`` is fixed before
+            tracing: its grid is taken to whole numbers of samples, with a program each and no bisection.
+        bounds: The safe end, where draws are expected to pass, then the other end, which may be the lower one.
+        log: Walk evenly in the logarithm.
+        points: Values of the bracketing grid. A draw that fails and passes again between two of them is not noticed.
+        bisections: Halvings of the grid's cell.
+        progress: Told of the lanes done.
+
+    Raises:
+        ConfigError: the number, or a bound, is not admissible, or the draws are not independent.
+
+    Example:
+        >>> import dssc_jax as dj
+        >>> study = dj.Study.load("studies/mu_robustness.toml").override({"draws": 8, "loop.duration": 45.0})
+        >>> swift = study.override({"controller.functions.tau_av": 0.003})
+        >>> found = dj.margin(swift, over="unmodelled.mu", bounds=(0.02, 2.0), log=True, points=5, bisections=4)
+        >>> found.summary()["censored"]
+        0.0
+    """
+    require_independent(study, "a margin")
+    study, began, clock = study.without_sweep(), time.perf_counter(), Clock()
+    parted = study.config.loop.duration if over == CLOCK else None
+    walk = Walk(*checked(over, bounds, log, points, bisections), log, points, parted)
+    find = over_sample_time if over == CLOCK else over_number
+    critical, values = find(study, over, walk, bisections, clock, progress or (lambda done, total: None))
+    times = {"seconds": time.perf_counter() - began, "compile_seconds": clock.compile_seconds}
+    criterion = tuple(requirement.text for requirement in study.requirements) or ("the draw stays finite",)
+    return Margins.of(study, over, walk, critical, values, times, criterion)
+
+
+def checked(over: str, bounds: tuple[float, float], log: bool, points: int, bisections: int) -> tuple[float, float]:
+    """The bounds.
+
+    Raises:
+        ConfigError: a walk between them makes no sense.
+    """
+    start, end = bounds
+    if not (math.isfinite(start) and math.isfinite(end)) or start == end:
+        raise ConfigError(over, f"the bounds must be two different finite numbers, got {start:g} and {end:g}")
+    if log and not min(bounds) > 0.0:
+        raise ConfigError(over, f"a logarithmic walk needs bounds > 0, got {start:g} and {end:g}")
+    if over == CLOCK and not min(bounds) > 0.0:
+        raise ConfigError(over, f"must be > 0, got {start:g} and {end:g}")
+    if not 2 <= points <= MOST_POINTS:
+        raise ConfigError("points", f"must be in 2 .. {MOST_POINTS}, got {points}")
+    if not 0 <= bisections <= MOST_BISECTIONS:
+        raise ConfigError("bisections", f"must be in 0 .. {MOST_BISECTIONS}, got {bisections}")
+    return float(start), float(end)
+
+
+def placed(study: Study, over: str) -> Callable[[Arrays, np.ndarray], Arrays]:
+    """What makes every lane's numbers of the drawn ones and the values of the walk: in place of a law, or as spread."""
+    if over != SPREAD:
+        return lambda drawn, values: {**drawn, over: values}
+    return lambda drawn, values: {name: study.laws[name].spread(column, values) for name, column in drawn.items()}
+
+
+def require_spread(study: Study, bounds: tuple[float, float]) -> None:
+    """Require that the laws can be widened as far as that.
+
+    Raises:
+        ConfigError: there is none, or a draw leaves a number's range.
+    """
+    if not any(law.kind not in CASES for law in study.laws.values()):
+        raise ConfigError(SPREAD, "nothing is uncertain that could be widened; give at least one number a law")
+    if min(bounds) < 0.0:
+        raise ConfigError(SPREAD, f"must be >= 0, got {bounds[0]:g} and {bounds[1]:g}")
+    for name, column in drawn(study, slice(0, study.config.draws)).items():
+        widest = study.laws[name].spread(column, max(bounds))
+        low, high = float(widest.min()), float(widest.max())
+        broken = study.quantities[name].violated_by(low, high)
+        if broken:
+            raise ConfigError(SPREAD, f"{name} {broken}, got [{low:g}, {high:g}] at {SPREAD} = {max(bounds):g}")
+
+
+def over_number(
+    study: Study, over: str, walk: Walk, bisections: int, clock: Clock, progress: ProgressCallback
+) -> tuple[Critical, Arrays]:
+    """Critical values of a number that is traced, and the drawn ones: one program, a block of draws after another."""
+    if over == SPREAD:
+        require_spread(study, (walk.start, walk.end))
+    draws, evaluations, place = study.config.draws, walk.points + bisections, placed(study, over)
+    extents = {} if over == SPREAD else {over: (walk.start, walk.end)}
+    evaluator = Evaluator(study, extents, min(draws, BLOCK))
+    evaluator.engine.clock = clock
+    found, columns = [], []
+    for begin in range(0, draws, evaluator.lanes):
+        indices = np.arange(begin, min(begin + evaluator.lanes, draws))
+        laws = evaluator.drawn(slice(begin, begin + len(indices)))
+
+        def margin_of(which: np.ndarray, values: np.ndarray, indices=indices, laws=laws) -> np.ndarray:
+            chosen = {name: column[which] for name, column in laws.items()}
+            worst = worst_slack(evaluator.swept, evaluator(indices[which], place(chosen, values)))
+            progress(clock.lanes, evaluations * draws)
+            return worst
+
+        found.append(search(margin_of, len(indices), walk, bisections))
+        columns.append(laws)
+    joined = {name: np.concatenate([part[name] for part in columns]) for name in columns[0]}
+    return Critical(*(np.concatenate(parts, axis=-1) for parts in zip(*found, strict=True))), joined
+
+
+def over_sample_time(
+    study: Study, over: str, walk: Walk, bisections: int, clock: Clock, progress: ProgressCallback
+) -> tuple[Critical, Arrays]:
+    """Critical sample times on the grid: the clock is fixed before tracing, so every value is a program of its own.
+
+    Raises:
+        ConfigError: two values of the grid fall on the same number of samples.
+    """
+    del bisections
+    if len(set(walk.grid)) < walk.points:
+        raise ConfigError(over, f"{walk.points} points fall on fewer numbers of samples; take fewer, or wider bounds")
+    studies = {value: study.override({over: float(value)}) for value in walk.grid}  # all checked before the first runs
+    columns: Arrays = {}
+
+    def margin_of(which: np.ndarray, values: np.ndarray) -> np.ndarray:
+        at = studies[values[0]]
+        layout = Layout.of(at)
+        engine = Engine(at, layout.lanes, clock=clock)
+        parts = list(execute(engine, layout.blocks()))
+        columns.update({name: np.concatenate([part[name] for _, _, part in parts]) for name in at.laws})
+        progress(clock.lanes, len(studies) * len(which))
+        return np.concatenate([worst_slack(at, results) for _, results, _ in parts])
+
+    return search(margin_of, study.config.draws, walk, bisections=0), columns

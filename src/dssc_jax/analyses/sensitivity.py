@@ -1,0 +1,259 @@
+"""Which uncertain numbers matter: first-order and total Sobol indices of every metric and of failure.
+
+Two independent samples A and B of the unit cube, and for each factor i a third, AB_i: A with the column of i from B
+(Saltelli). The indices follow from the pairs (B, AB_i), which share i only, and (A, AB_i), which share all but i.
+In-loop noise is one more factor: A's rows carry their own draw indices and B's rows others, so that the indices of the
+numbers are not charged with it, and it gets indices of its own.
+
+The rows are independent replicates of a scrambled Sobol sequence, over which the intervals are Student's t. An output
+whose variance comes from a few rows only, as that of a rare failure does, is refused: no interval would hold.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import stream
+from dssc_jax.core.signals import Outcome, ProgressCallback
+from dssc_jax.engine.batching import BLOCK, Arrays, Engine, evaluate, is_noisy
+from dssc_jax.engine.sampling import inside, sobol_points, values_at
+from dssc_jax.statistics import CONFIDENCE, replicate_interval, unseen
+from dssc_jax.study import Study
+
+NOISE = "in-loop noise"
+FAILURE = "failure"
+SMALLEST = 256  # rows of A
+REPLICATES = 8
+LEAST = 20  # rows that must carry an output's variance; with fewer an interval of 95 % is of length 0.6 or more
+WANTED = 30  # what a refusal plans for, so that the next run is not refused by chance
+JOINT = 10  # rows that must carry two independent outputs' variances at once, for control variates: products
+SINGULAR = 1e-10  # relative size of what is 0 in a matrix of control variates
+
+
+class Indices(NamedTuple):
+    """Indices of one output; estimate, lower and upper end, shape (factors, 3). Not clipped: below 0 means about 0."""
+
+    first: np.ndarray
+    total: np.ndarray
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Sobol indices of a study.
+
+    Args:
+        study: The study.
+        rows: Rows of A.
+        simulations: Simulations in all.
+        factors: Names of the uncertain numbers, then the in-loop noise if there is any.
+        outputs: Indices of each metric, and of ``failure``; None where there are none.
+        reasons: For each output without indices the reason.
+        missing: For each output how many simulations have no value of it.
+        confidence: Of the intervals.
+    """
+
+    study: Study
+    rows: int
+    simulations: int
+    factors: tuple[str, ...]
+    outputs: dict[str, Indices | None]
+    reasons: dict[str, str]
+    missing: dict[str, int]
+    confidence: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        outputs: dict[str, Any] = {}
+        for name, found in self.outputs.items():
+            outputs[name] = None
+            if found is not None:
+                outputs[name] = {
+                    factor: {
+                        "first": first[0],
+                        "first_interval": list(first[1:]),
+                        "total": total[0],
+                        "total_interval": list(total[1:]),
+                    }
+                    for factor, first, total in zip(
+                        self.factors, found.first.tolist(), found.total.tolist(), strict=True
+                    )
+                }
+        return {
+            "study": self.study.name,
+            "rows": self.rows,
+            "simulations": self.simulations,
+            "confidence": self.confidence,
+            "interval_method": f"Student's t over {REPLICATES} Sobol replicates",
+            "factors": list(self.factors),
+            "reasons": self.reasons,
+            "missing": self.missing,
+            "outputs": outputs,
+        }
+
+
+def saltelli(rows: int, factors: int, words: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """A and B, shape (rows, factors) each: the halves of a scrambled Sobol sequence's coordinates.
+
+    Row i belongs to replicate i mod R, each of which has a scrambling of its own.
+    """
+    nets = [sobol_points(2 * factors, 0, rows // REPLICATES, (*words, r)) for r in range(REPLICATES)]
+    points = np.stack(nets, axis=1).reshape(rows, 2 * factors)
+    return points[:, :factors], points[:, factors:]
+
+
+def carrying(f_a: np.ndarray, f_b: np.ndarray) -> float:
+    """How many rows carry the variance of an output that varies: their number by its kurtosis.
+
+    Of an indicator it is about the number of rows in the rarer class: n p (1-p)/(1 - 3 p (1-p)).
+
+    Args:
+        f_a: Output at A, shape (rows,).
+        f_b: Output at B, shape (rows,).
+    """
+    deviations = np.stack([f_a, f_b]) - 0.5 * (f_a.mean() + f_b.mean())
+    squares = np.square(deviations / np.abs(deviations).max())
+    return float(len(f_a) * squares.mean() ** 2 / np.mean(squares**2))
+
+
+def refusal(f_a: np.ndarray, f_b: np.ndarray) -> str | None:
+    """Why an output gets no indices, for people; None where it gets them.
+
+    Args:
+        f_a: Output at A, shape (rows,).
+        f_b: Output at B, shape (rows,).
+    """
+    if np.ptp([f_a, f_b]) == 0.0:
+        return "does not vary"
+    rows, carried = len(f_a), carrying(f_a, f_b)
+    if carried < LEAST:
+        enough = 2 ** math.ceil(math.log2(rows * WANTED / carried))
+        return f"needs {enough:,} rows: about {carried:.2g} of {rows:,} rows carry its variance, {LEAST} have to"
+    return None
+
+
+def sobol_indices(f_a: np.ndarray, f_b: np.ndarray, f_ab: np.ndarray, confidence: float = CONFIDENCE) -> Indices:
+    """First-order and total indices with their intervals.
+
+    With outputs centred, S_i = E[f_B f_ABi]/V and S_Ti = E[(f_A - f_ABi)^2]/(2 V), V the variance over A and B. The
+    ratio is linearised; half the length of Student's t interval over the replicates, and what so many carrying rows
+    may not have shown, add up as squares. (Where a factor changes no row the former is 0.)
+
+    Args:
+        f_a: Output at A, shape (rows,); row i belongs to replicate i mod R, see :func:`saltelli`.
+        f_b: Output at B, shape (rows,).
+        f_ab: Output at AB_i, shape (factors, rows).
+        confidence: Of the intervals.
+
+    Reference:
+        M. J. W. Jansen, Computer Physics Communications 117 (1999) 35-43; A. Saltelli et al., Computer Physics
+        Communications 181 (2010) 259-270; A. B. Owen, Monte Carlo theory, methods and examples, section 17.2, on
+        replicates.
+    """
+    carried = carrying(f_a, f_b)
+    middle = 0.5 * (f_a.mean() + f_b.mean())
+    f_a, f_b, f_ab = f_a - middle, f_b - middle, f_ab - middle
+    variance = 0.5 * (f_a**2 + f_b**2)
+    shares = np.concatenate([f_b * f_ab, 0.5 * (f_a - f_ab) ** 2])  # a row's share of each numerator
+    if carried**2 / len(f_a) >= JOINT:
+        pairs = zip(shares, [*f_ab, *f_ab], strict=True)
+        shares = np.stack([controlled(share, variance, f_a, f_b, mixed) for share, mixed in pairs])
+    indices = shares.mean(1, keepdims=True) / variance.mean()
+    low, high = replicate_interval((shares - indices * variance) / variance.mean(), REPLICATES, confidence).T
+    half = np.hypot(0.5 * (high - low), unseen(carried, confidence))[:, None]
+    table = np.concatenate([indices, indices - half, indices + half], axis=1)
+    return Indices(table[: len(f_ab)], table[len(f_ab) :])
+
+
+def controlled(
+    share: np.ndarray, variance: np.ndarray, f_a: np.ndarray, f_b: np.ndarray, f_ab: np.ndarray
+) -> np.ndarray:
+    """A numerator's rows less that combination of control variates which leaves the least variance to its index.
+
+    The controls f_A f_B, (f_AB^2 - f_A^2)/2 and (f_A^2 - f_B^2)/2 have mean 0. The first alone makes of f_B f_AB
+    Saltelli's estimator of a first-order index, the second alone Jansen's; neither is the better one for every index.
+    Coefficients are fitted by least squares; those of a replicate come from all others, so that the index stays
+    unbiased and the scatter between replicates is not fitted away.
+    """
+    controls = np.stack([f_a * f_b, 0.5 * (f_ab**2 - f_a**2), 0.5 * (f_a**2 - f_b**2)], axis=1)
+    target = share - variance * (share.mean() / variance.mean())
+    of = controls.reshape(-1, REPLICATES, 3)
+    squares = np.einsum("nri,nrj->rij", of, of)
+    products = np.einsum("nri,nr->ri", of, target.reshape(-1, REPLICATES))
+    inverse = np.linalg.pinv(squares.sum(0) - squares, rcond=SINGULAR, hermitian=True)
+    coefficients = np.einsum("rij,rj->ri", inverse, products.sum(0) - products)
+    return share - np.einsum("nri,ri->nr", of, coefficients).reshape(-1)
+
+
+def sensitivity(study: Study, confidence: float = CONFIDENCE, progress: ProgressCallback | None = None) -> Sensitivity:
+    """Sobol indices of every metric and of failure, at the study's own values.
+
+    Args:
+        study: The study; its number of draws, rounded down to a power of two, is that of A's rows. A sweep is left
+            aside.
+        confidence: Of the intervals.
+        progress: Told of the simulations done and of all.
+
+    Raises:
+        ConfigError: inputs are correlated, nothing is uncertain, or the draws are too few.
+    """
+    study = study.without_sweep()
+    require_independent(study)
+    rows = 2 ** int(math.log2(study.config.draws))
+    if rows < SMALLEST:
+        raise ConfigError(study.source, f"sensitivity needs draws >= {SMALLEST}, got {study.config.draws}")
+    engine = Engine(study, min(BLOCK, rows))
+    names = list(study.laws)
+    noisy = is_noisy(engine)
+    seed = study.config.seed
+    a, b = saltelli(rows, len(names), (seed, stream("saltelli")))
+    own, others = np.arange(rows), np.arange(rows, 2 * rows)
+    samples = [(a, own), (b, others)]
+    for column in range(len(names)):
+        mixed = a.copy()
+        mixed[:, column] = b[:, column]
+        samples.append((mixed, own))
+    if noisy:
+        samples.append((a, others))
+    found: list[Arrays] = []
+    for points, indices in samples:
+        found.append(evaluate(engine, values_at(study, inside(points)), indices))
+        if progress:
+            progress(len(found) * rows, len(samples) * rows)
+    outputs: dict[str, Indices | None] = {}
+    reasons, missing = {}, {}
+    for name in [measure.name for measure in study.measures] + [FAILURE]:
+        columns = np.stack([output(results, name) for results in found])
+        missing[name] = int(np.count_nonzero(~np.isfinite(columns)))
+        lacking = f"has no value on {missing[name]:,} simulations" if missing[name] else None
+        reason = lacking or refusal(columns[0], columns[1])
+        outputs[name] = None if reason else sobol_indices(columns[0], columns[1], columns[2:], confidence)
+        if reason:
+            reasons[name] = reason
+    factors = (*names, NOISE) if noisy else tuple(names)
+    return Sensitivity(study, rows, len(samples) * rows, factors, outputs, reasons, missing, confidence)
+
+
+def output(results: Arrays, name: str) -> np.ndarray:
+    """A metric, or 1 where the draw failed."""
+    if name == FAILURE:
+        return (results["outcome"] != Outcome.OK).astype(float)
+    return results[name].astype(float)
+
+
+def require_independent(study: Study) -> None:
+    """Require uncertain numbers, all independent.
+
+    Raises:
+        ConfigError: otherwise.
+    """
+    if not study.laws:
+        raise ConfigError(study.source, "nothing is uncertain; give at least one number a law")
+    if study.correlated:
+        raise ConfigError(
+            study.source,
+            f"Sobol indices divide up the variance of independent inputs, but {', '.join(study.correlated)} are "
+            "correlated: leave them fixed, or make them independent with --set correlation={}",
+        )

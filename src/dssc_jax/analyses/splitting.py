@@ -1,0 +1,326 @@
+"""Adaptive multilevel splitting: the probability that a slack is negative, too small for plain draws alone.
+
+A population of particles, points of the standard normal space behind the draws, is pushed towards failure: those with
+the largest slacks die, clones of the others take their places and move on by a Markov chain that never goes back
+above the level. With J levels, each of which k of N particles did not pass, the estimate is prod (1 - k_j/N).
+
+In-loop noise is part of a particle: a clone keeps the draw index of its parent until a move redraws it, which half of
+the moves propose. A fixed index would answer for one realisation of the noise only.
+
+Where the slack does not lead to a way of failing, every particle may miss it. Plain draws stand beside, which may
+contradict the particles; then their answer is the one that is told.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import stream
+from dssc_jax.engine.sampling import generator
+from dssc_jax.statistics import CONFIDENCE, clopper_pearson, lognormal_interval
+
+SlackFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Margins, shape (n,), of points (n, d) in standard normal space with noise indices (n,); negative: failure."""
+
+FIRST_STEP, LEAST_STEP = 0.7, 0.02  # size of a move in standard normal space; it adapts to what is accepted
+ACCEPTED = 0.35  # share of moves to accept
+REFRESHED = 0.5  # share of moves that redraw the in-loop noise
+MOST_LEVELS = 100_000
+
+
+@dataclass(frozen=True)
+class Splitting:
+    """How much to spend.
+
+    Args:
+        particles: N of each repeat.
+        killed: k of N at each level; 1 is the last-particle form, whose law is known: J ~ Poisson(-N ln p).
+        moves: Steps of a clone's Markov chain at each level.
+        repeats: Independent repeats, from whose scatter the interval comes; at least 10.
+        smallest: Give up on a repeat whose estimate falls below; it counts as 0.
+        plain: Plain draws beside them.
+
+    Raises:
+        ConfigError: a number is out of range.
+    """
+
+    particles: int = 200
+    killed: int = 100
+    moves: int = 5
+    repeats: int = 20
+    smallest: float = 1e-12
+    plain: int = 4096
+
+    def __post_init__(self) -> None:
+        if self.particles < 10 or not 0 < self.killed < self.particles:
+            found = f"{self.particles} and {self.killed}"
+            raise ConfigError("rare", f"needs particles >= 10 and 0 < killed < particles, got {found}")
+        if self.repeats < 10 or self.moves < 1 or not 0.0 < self.smallest < 1.0:
+            found = f"{self.repeats}, {self.moves} and {self.smallest}"
+            raise ConfigError("rare", f"needs repeats >= 10, moves >= 1 and smallest in (0, 1), got {found}")
+        if self.plain < 1:
+            raise ConfigError("rare", f"needs plain >= 1, got {self.plain}")
+
+
+USUAL = Splitting()
+"""What is spent unless one says otherwise."""
+
+
+@dataclass
+class Repeat:
+    """One repeat of the splitting.
+
+    Args:
+        rng: Its own generator.
+        points: Particles in standard normal space, shape (N, d).
+        noise: Their noise indices, shape (N,).
+        slacks: Shape (N,).
+        step: Size of a move.
+        estimate: Product over the levels passed.
+        levels: How many were passed.
+        dead: Every particle stood on one level, or the estimate became too small: the repeat's answer is 0.
+    """
+
+    rng: np.random.Generator
+    points: np.ndarray
+    noise: np.ndarray
+    slacks: np.ndarray
+    step: float = FIRST_STEP
+    estimate: float = 1.0
+    levels: int = 0
+    dead: bool = False
+
+
+class Plain(NamedTuple):
+    """Plain independent draws beside the splitting.
+
+    Args:
+        draws: How many.
+        points: Those that failed, in standard normal space, shape (failures, d).
+    """
+
+    draws: int
+    points: np.ndarray
+
+    @property
+    def failures(self) -> int:
+        """How many failed."""
+        return len(self.points)
+
+    @property
+    def share(self) -> float:
+        """Of failures."""
+        return self.failures / self.draws
+
+    def interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
+        """The exact interval."""
+        low, high = clopper_pearson(self.failures, self.draws, confidence)
+        return float(low), float(high)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A rare event's probability.
+
+    Args:
+        estimates: Of each independent repeat, shape (R,).
+        levels: Levels that each repeat passed, shape (R,).
+        simulations: Evaluations of the slack, all repeats together.
+        points: Failing particles of all repeats in standard normal space, shape (n, d).
+        noise: Their noise indices, shape (n,).
+        plain: The plain draws.
+    """
+
+    estimates: np.ndarray
+    levels: np.ndarray
+    simulations: int
+    points: np.ndarray = field(repr=False)
+    noise: np.ndarray = field(repr=False)
+    plain: Plain
+
+    @property
+    def mean(self) -> float:
+        """Mean over the repeats."""
+        return float(self.estimates.mean())
+
+    def mean_interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
+        """Interval from the repeats alone; [0, 1] where not two of them reach a failure.
+
+        An estimate is a product of shares, so that its logarithm is nearly normal: :func:`lognormal_interval`.
+        """
+        low, high = lognormal_interval(self.estimates, confidence)
+        return min(low, 1.0), min(high, 1.0)
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether the plain draws' interval and that of the repeats have nothing in common."""
+        low, high = self.mean_interval()
+        below, above = self.plain.interval()
+        return above < low or high < below
+
+    @property
+    def answered(self) -> bool:
+        """Whether the repeats' answer stands: they reached failures, by levels, and the plain draws do not contradict.
+
+        Without a level the repeats are nothing but fewer plain draws.
+        """
+        return self.mean > 0.0 and bool(self.levels.any()) and not self.contradicted
+
+    @property
+    def probability(self) -> float:
+        """Mean over the repeats, or the share of failed plain draws where the repeats' answer does not stand."""
+        return self.mean if self.answered else self.plain.share
+
+    def interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
+        """Interval from the repeats, or from the plain draws where the repeats' answer does not stand."""
+        return self.mean_interval(confidence) if self.answered else self.plain.interval(confidence)
+
+    @property
+    def method(self) -> str:
+        """Name of the interval."""
+        if self.answered:
+            return f"lognormal mean over {len(self.estimates)} independent repeats"
+        return f"Clopper-Pearson, {self.plain.draws:,} plain draws"
+
+    @property
+    def variation(self) -> float:
+        """Coefficient of variation of :attr:`mean`, from the scatter of the repeats."""
+        if self.mean == 0.0:
+            return np.inf
+        return float(self.estimates.std(ddof=1) / np.sqrt(len(self.estimates)) / self.mean)
+
+    @property
+    def plain_draws(self) -> float:
+        """Plain draws that would reach the same coefficient of variation."""
+        p = self.mean
+        return (1.0 - p) / (p * self.variation**2) if p > 0.0 and self.variation > 0.0 else np.inf
+
+
+def split(slack: SlackFunction, dimension: int, words: Sequence[int], how: Splitting = USUAL) -> Estimate:
+    """Adaptive multilevel splitting, and plain draws beside it.
+
+    All repeats move at once, so that slacks are computed in large batches.
+
+    Args:
+        slack: The slacks; -inf where there is none.
+        dimension: d of the standard normal space.
+        words: Seeds of the random numbers.
+        how: How much to spend.
+
+    Reference:
+        A. Guyader, N. Hengartner, E. Matzner-Lober, Applied Mathematics and Optimization 64 (2011) 171-196;
+        S.-K. Au, J. L. Beck, Probabilistic Engineering Mechanics 16 (2001) 263-277; moves after
+        I. Papaioannou et al., Probabilistic Engineering Mechanics 41 (2015) 89-103.
+    """
+    counter = Counter(slack)
+    repeats = [started(generator(*words, index), dimension, how, counter) for index in range(how.repeats)]
+    for repeat, slacks in zip(repeats, np.split(counter.of(repeats, slice(None)), how.repeats), strict=True):
+        repeat.slacks = slacks
+    for _ in range(MOST_LEVELS):
+        moving = [(repeat, *raised(repeat, how)) for repeat in repeats if not done(repeat, how)]
+        moving = [(repeat, level, clones) for repeat, level, clones in moving if len(clones)]
+        if not moving:
+            break
+        for _ in range(how.moves):
+            move(moving, counter)
+    failing = [repeat.slacks < 0.0 for repeat in repeats]
+    simulations = counter.simulations
+    points = generator(*words, stream("plain")).standard_normal((how.plain, dimension))
+    plain = Plain(how.plain, points[counter(points, counter.fresh(how.plain)) < 0.0])
+    return Estimate(
+        estimates=np.array([0.0 if r.dead else r.estimate * f.mean() for r, f in zip(repeats, failing, strict=True)]),
+        levels=np.array([repeat.levels for repeat in repeats]),
+        simulations=simulations,
+        points=np.concatenate([repeat.points[f] for repeat, f in zip(repeats, failing, strict=True)]),
+        noise=np.concatenate([repeat.noise[f] for repeat, f in zip(repeats, failing, strict=True)]),
+        plain=plain,
+    )
+
+
+class Counter:
+    """A slack that counts its evaluations and hands out fresh noise indices."""
+
+    def __init__(self, slack: SlackFunction) -> None:
+        self.slack, self.simulations, self.indices = slack, 0, 0
+
+    def fresh(self, count: int) -> np.ndarray:
+        """Noise indices that no particle has had."""
+        self.indices += count
+        return np.arange(self.indices - count, self.indices)
+
+    def __call__(self, points: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        """Margins; what has none fails."""
+        self.simulations += len(points)
+        found = self.slack(points, noise)
+        return np.where(np.isnan(found), -np.inf, found)
+
+    def of(self, repeats: list[Repeat], particles: slice) -> np.ndarray:
+        """Margins of particles of all repeats, in one batch."""
+        return self(
+            np.concatenate([repeat.points[particles] for repeat in repeats]),
+            np.concatenate([repeat.noise[particles] for repeat in repeats]),
+        )
+
+
+def started(rng: np.random.Generator, dimension: int, how: Splitting, counter: Counter) -> Repeat:
+    """A repeat before its first level."""
+    points = rng.standard_normal((how.particles, dimension))
+    return Repeat(rng, points, counter.fresh(how.particles), np.full(how.particles, np.nan))
+
+
+def done(repeat: Repeat, how: Splitting) -> bool:
+    """Whether the next level would lie at failure or beyond; also marks repeats that are too small to go on with."""
+    repeat.dead = repeat.dead or repeat.estimate < how.smallest
+    return repeat.dead or bool(np.partition(repeat.slacks, -how.killed)[-how.killed] < 0.0)
+
+
+def raised(repeat: Repeat, how: Splitting) -> tuple[float, np.ndarray]:
+    """The next level, and the particles that clones of the others replace.
+
+    Ties die together. Particles that fail already are never killed, hence the level is 0 at least: at the last one
+    those die that do not fail.
+
+    Returns:
+        The level, which clones must stay below, and the clones' positions; none where nobody survives.
+    """
+    level = float(np.partition(repeat.slacks, -how.killed)[-how.killed])
+    dying = repeat.slacks >= level
+    survivors = np.flatnonzero(~dying)
+    if not len(survivors):
+        repeat.dead = True
+        return level, survivors
+    clones = np.flatnonzero(dying)
+    parents = repeat.rng.choice(survivors, len(clones))
+    repeat.estimate *= len(survivors) / len(repeat.slacks)
+    repeat.levels += 1
+    for values in (repeat.points, repeat.noise, repeat.slacks):
+        values[clones] = values[parents]
+    return level, clones
+
+
+def move(moving: list[tuple[Repeat, float, np.ndarray]], counter: Counter) -> None:
+    """One step of every clone's chain: z' = sqrt(1 - s^2) z + s xi, accepted below the level.
+
+    The step s follows the share accepted, in each repeat by itself; slowly where few move, since a step that answers
+    to the last move of the same particle would change what the chain converges to.
+    """
+    proposals, indices = [], []
+    for repeat, _, clones in moving:
+        fresh = repeat.rng.standard_normal((len(clones), repeat.points.shape[1]))
+        proposals.append(np.sqrt(1.0 - repeat.step**2) * repeat.points[clones] + repeat.step * fresh)
+        redrawn = repeat.rng.random(len(clones)) < REFRESHED
+        indices.append(np.where(redrawn, counter.fresh(len(clones)), repeat.noise[clones]))
+    slacks = counter(np.concatenate(proposals), np.concatenate(indices))
+    ends = np.cumsum([len(clones) for *_, clones in moving])[:-1]
+    for (repeat, level, clones), points, noise, found in zip(
+        moving, proposals, indices, np.split(slacks, ends), strict=True
+    ):
+        accepted = found < level
+        repeat.points[clones[accepted]] = points[accepted]
+        repeat.noise[clones[accepted]] = noise[accepted]
+        repeat.slacks[clones[accepted]] = found[accepted]
+        weight = len(clones) / len(repeat.slacks)
+        repeat.step = float(np.clip(repeat.step * np.exp(weight * (accepted.mean() - ACCEPTED)), LEAST_STEP, 1.0))

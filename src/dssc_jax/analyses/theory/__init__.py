@@ -1,0 +1,26 @@
+"""What theory says of the same loops that are simulated: linearisation at the origin, and describing functions.
+
+A local margin is about deviations that stay small; a simulated margin is about requirements. They answer different
+questions and are never mixed: each result says by what criterion it was found.
+"""
+
+from dssc_jax.analyses.theory.beside import Beside, beside
+from dssc_jax.analyses.theory.chattering import chattering
+from dssc_jax.analyses.theory.describing import LimitCycle, limit_cycle
+from dssc_jax.analyses.theory.linearised import Linearised, at_rest, open_loop, synthesised_gains
+from dssc_jax.analyses.theory.local import Time, local_margin, spectrum
+
+__all__ = [
+    "Beside",
+    "LimitCycle",
+    "Linearised",
+    "Time",
+    "at_rest",
+    "beside",
+    "chattering",
+    "limit_cycle",
+    "local_margin",
+    "open_loop",
+    "spectrum",
+    "synthesised_gains",
+]

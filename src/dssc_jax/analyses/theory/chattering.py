@@ -1,0 +1,62 @@
+"""Oscillations over the time constant of a lag: simulated, and where a describing function is known, predicted."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+
+from dssc_jax.analyses.theory.describing import limit_cycle
+from dssc_jax.analyses.theory.linearised import at_rest, kind_of
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.runs import run as running
+from dssc_jax.study import Study
+
+MU = "unmodelled.mu"
+FINEST = 20  # samples in the smallest time constant: fewer, and the clock chatters rather than the lag
+
+
+def chattering(study: Study, values: Sequence[float], *, push: float, after: float) -> xr.Dataset:
+    """Amplitude of sigma that is left after a small push, over the lag's time constant.
+
+    The loop is at rest but for the push; laws stand at their medians.
+
+    Args:
+        study: A study of one channel under a lag.
+        values: Time constants mu [s].
+        push: Initial output [m].
+        after: When oscillations have settled or died [s].
+
+    Returns:
+        Dimension ``unmodelled.mu``; variables ``amplitude``, the largest |sigma| after that time, ``predicted`` and
+        ``frequency`` by describing function, NaN where there is none.
+
+    Raises:
+        ConfigError: the unmodelled dynamics are no lag, or T_s exceeds a 20th of the smallest mu.
+    """
+    if kind_of(study, "unmodelled") != "lag":
+        raise ConfigError(f"{study.source}: unmodelled.kind", "chattering over mu needs a lag")
+    if study.config.loop.sample_time > min(values) / FINEST * (1 + 1e-9):
+        raise ConfigError(f"{study.source}: loop.sample_time", f"must be <= {min(values) / FINEST:g}, a 20th of mu")
+    rest = at_rest(study)
+    middle = {name: law.median for name, law in rest.laws.items()}
+    changes = {
+        "plant.initial": [push, 0.0],
+        "draws": 1,
+        "requirement": [],
+        "metrics": {"after": after, "names": ["sigma_max"]},
+        "sweep": {MU: [float(value) for value in values]},
+    }
+    found = running.run(rest.override({**middle, **changes})).dataset["sigma_max"].values[:, 0]
+    known = kind_of(study, "controller") in ("sta", "smc")
+    cycles = [limit_cycle(rest, {MU: value}) if known else None for value in values]
+    predicted = [(cycle.amplitude, cycle.frequency) if cycle else (np.nan, np.nan) for cycle in cycles]
+    amplitude, frequency = np.array(predicted).T
+    return xr.Dataset(
+        {
+            "amplitude": ((MU,), found, {"units": "m/s", "long_name": "largest |sigma| of what is left"}),
+            "predicted": ((MU,), amplitude, {"units": "m/s", "long_name": "amplitude by describing function"}),
+            "frequency": ((MU,), frequency, {"units": "rad/s", "long_name": "frequency by describing function"}),
+        },
+        coords={MU: ((MU,), np.asarray(values, float), {"units": "s", "long_name": "time constant mu"})},
+        attrs={"controller": kind_of(study, "controller"), "push": push},
+    )

@@ -1,0 +1,107 @@
+"""Chattering by describing functions: the limit cycle that a switching law and a lag sustain together.
+
+A harmonic balance -1/W(i w) = N(A, w), with W from the robust command to sigma and N the describing function of the law
+for sigma = A sin(w t): 4 K/(pi A) for the relay; for the STA that of its root, c kappa1 A^(-1/2), and that of its
+integrated relay, 2 kappa2/(pi A)/(i w). For mu max(a_p, l_0) << 1 and a lag of order 2 the amplitude grows as mu under
+the relay and as mu^2 under the STA, and the frequency falls as 1/mu.
+
+References:
+    D. P. Atherton, Nonlinear Control Engineering (1975).
+    I. Boiko, L. Fridman, "Analysis of chattering in continuous sliding-mode controllers", IEEE Trans. Automatic Control
+    50 (2005) 1442-1446.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from scipy.optimize import brentq
+
+from dssc_jax.analyses.theory.linearised import Linearised, at_rest, kind_of, open_loop
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.engine.batching import medians
+from dssc_jax.study import Study
+
+ROOT_FACTOR = 2.0 / math.sqrt(math.pi) * math.gamma(1.25) / math.gamma(1.75)  # of |x|^(1/2) sgn x: 1.1128
+SPAN, SCANNED = 1e4, 400  # frequencies scanned, around that of the fastest pole
+
+
+class LimitCycle(NamedTuple):
+    """sigma = amplitude sin(frequency t), in m/s and rad/s."""
+
+    amplitude: float
+    frequency: float
+
+
+def limit_cycle(study: Study, point: Mapping[str, float] | None = None) -> LimitCycle | None:
+    """The chattering that the describing function predicts, or None where it predicts none.
+
+    Args:
+        study: A study of ``smc`` or ``sta`` on a plant of one channel, under a lag or none.
+        point: Values of some numbers; the others stand at their own values, laws at their medians.
+
+    Raises:
+        ConfigError: the law's describing function is not known here.
+    """
+    rest = at_rest(study)
+    values = {**medians(rest), **(point or {})}
+    with jax.enable_x64(True):
+        response = jax.tree.map(np.asarray, jax.jit(lambda lane: open_loop(rest, rest.params(lane)))(values))
+    gains = rest.params(values).controller[0]
+    match kind_of(rest, "controller"):
+        case "smc":
+            balance = relay_balance(float(gains.gain))
+        case "sta":
+            balance = sta_balance(float(gains.kappa1), float(gains.kappa2))
+        case kind:
+            raise ConfigError(f"{study.source}: controller.kind", f"the describing function of '{kind}' is not known")
+    return solve(response, balance)
+
+
+class Balance(NamedTuple):
+    """A law's half of the harmonic balance with q = -1/W(i w), for Re q > 0.
+
+    Args:
+        amplitude: ``(q) -> A`` from the real part.
+        residual: ``(q, A, w) -> imaginary part`` that is left, 0 in balance.
+    """
+
+    amplitude: Callable[[complex], float]
+    residual: Callable[[complex, float, float], float]
+
+
+def relay_balance(gain: float) -> Balance:
+    """N = 4 K/(pi A), real."""
+    return Balance(lambda q: 4.0 * gain / (math.pi * q.real), lambda q, amplitude, w: q.imag)
+
+
+def sta_balance(kappa1: float, kappa2: float) -> Balance:
+    """N = c kappa1 A^(-1/2) + 2 kappa2/(pi A)/(i w), in Table 2's normalisation."""
+    return Balance(
+        lambda q: (ROOT_FACTOR * kappa1 / q.real) ** 2,
+        lambda q, amplitude, w: q.imag + 2.0 * kappa2 / (math.pi * amplitude * w),
+    )
+
+
+def solve(response: Linearised, balance: Balance) -> LimitCycle | None:
+    """The limit cycle of the highest frequency, which is where chattering settles."""
+
+    def inverse(w: float) -> complex:
+        w_of = response.c @ np.linalg.solve(1j * w * np.eye(len(response.a)) - response.a, response.b)
+        return complex(-1.0 / w_of)
+
+    def residual(w: float) -> float:
+        q = inverse(w)
+        return balance.residual(q, balance.amplitude(q), w) if q.real > 0.0 else math.nan
+
+    fastest = np.abs(np.linalg.eigvals(response.a)).max()
+    scan = np.geomspace(fastest / SPAN, fastest * SPAN, SCANNED)
+    found = np.array([residual(w) for w in scan])
+    crossings = np.flatnonzero(found[:-1] * found[1:] < 0.0)
+    if not crossings.size:
+        return None
+    low, high = scan[crossings[-1]], scan[crossings[-1] + 1]
+    frequency = float(brentq(residual, low, high, xtol=1e-12 * high))  # type: ignore[arg-type]
+    return LimitCycle(float(balance.amplitude(inverse(frequency))), frequency)

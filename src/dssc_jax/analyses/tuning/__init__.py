@@ -1,0 +1,6 @@
+"""Gains by gradient: numbers of a loop chosen on draws, inside intervals or under the theorem's certificate."""
+
+from dssc_jax.analyses.tuning.result import Tuned
+from dssc_jax.analyses.tuning.tune import tune
+
+__all__ = ["Tuned", "tune"]

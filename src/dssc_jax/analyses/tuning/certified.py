@@ -1,0 +1,125 @@
+"""Tuning under Theorem 1: by its free parameters, so that every point is certified, or with slacks as constraints."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax.numpy as jnp
+
+from dssc_jax.core.errors import ConfigError, meant
+from dssc_jax.design import Bounds, Certificate, Free, Parameters, certification, check, design
+from dssc_jax.design.small_gain import small_gain
+from dssc_jax.design.table1 import inequalities
+from dssc_jax.study import Study
+
+PREFIX = "free."
+REQUIRED = tuple(name for name in Free._fields if name not in Free._field_defaults)
+
+
+def dotted(name: str) -> str:
+    """The dotted name of a parameter of Table 1 in a study."""
+    if name == "l0":
+        return "controller.l0"
+    return f"controller.functions.{'epsilon' if name == 'eps' else name}"
+
+
+SMALL_GAIN, SLACK = "small gain", "slack of "
+NUMBERS = {dotted(name): name for name in Parameters._fields}
+"""The loop's numbers that the free parameters fix."""
+
+
+@dataclass
+class Theorem:
+    """Theorem 1 for a study's loop.
+
+    Args:
+        study: The study, whose controller has the functions of Table 1.
+        fixed: Values of the free parameters that are not varied.
+        asked: What asked for the theorem.
+
+    Raises:
+        ConfigError: the theorem does not speak of this loop, or its bounds are not to be had beforehand.
+    """
+
+    study: Study
+    fixed: Mapping[str, float]
+    asked: str = "tune.certified"
+    parameters: Parameters = field(init=False)
+    ends: certification.Ends = field(init=False)
+
+    def __post_init__(self) -> None:
+        nominal = getattr(self.study.template.controller[0], "nominal", None)
+        if nominal is not None and nominal.predictor_term:
+            rule = "the bound of u_n then holds 1/tau_m, hence the parameters that follow from it; set it to false"
+            raise ConfigError("controller.nominal.predictor_term", f"cannot be certified while tuning: {rule}")
+        try:
+            self.parameters, bounds = certification.design_of(self.study)
+        except certification.NotCovered as silence:
+            raise ConfigError(self.asked, f"Theorem 1 does not speak of this loop: {silence}") from None
+        try:
+            bounds.prepare()
+        except ConfigError as error:
+            raise ConfigError(self.asked, f"the loop's bounds are no bounds: {error}") from None
+        self.ends = certification.ends_of(self.study)
+
+    def free(self, tuned: Mapping[str, Any]) -> Free:
+        """The free parameters, varied and fixed."""
+        own = {name.removeprefix(PREFIX): value for name, value in tuned.items() if name.startswith(PREFIX)}
+        return Free(**{**self.fixed, **own})
+
+    def expand(self, tuned: Mapping[str, Any]) -> dict[str, Any]:
+        """The loop's numbers: the certified design, and what is tuned beside it."""
+        free = self.free(tuned)
+        _, bounds = self.at({dotted("l0"): free.l0})  # of which those of the nominal control depend on l0
+        parameters = design(bounds, free)
+        beside = {name: value for name, value in tuned.items() if not name.startswith(PREFIX)}
+        return beside | {dotted(name): value for name, value in parameters._asdict().items()}
+
+    def at(self, numbers: Mapping[str, Any]) -> tuple[Parameters, Bounds]:
+        """Parameters and bounds at the loop's numbers as they are simulated; those not among them are the study's."""
+        own = {name: numbers[long] for long, name in NUMBERS.items() if long in numbers}
+        parameters = self.parameters._replace(**own)
+        return parameters, certification.bounds_of(self.study.loop, self.ends, parameters)
+
+    def certificate(self, numbers: Mapping[str, float]) -> Certificate:
+        """The strict check of a design."""
+        return check(*self.at({name: float(value) for name, value in numbers.items()}))
+
+    def excess(self, numbers: Mapping[str, Any], slack: float) -> dict[str, Any]:
+        """How far each strict inequality ``value > bound`` misses ``value >= (1 + slack) bound``, relative to both.
+
+        Args:
+            numbers: The loop's numbers, traced.
+            slack: Relative.
+
+        Returns:
+            What is not positive is within; 1 where the bound has no meaning.
+        """
+        parameters, bounds = self.at(numbers)
+        rows = [(row.name, row.value, row.bound) for row in inequalities(parameters, bounds)]
+        rows.append((SMALL_GAIN, parameters.phi_b, small_gain(parameters, bounds).derived))
+        found = {}
+        for name, value, bound in rows:
+            known = jnp.isfinite(bound)
+            least = jnp.where(known, bound, 0.0)
+            missed = ((1.0 + slack) * least - value) / (jnp.abs(least) + jnp.abs(value))
+            found[SLACK + name] = jnp.where(known, missed, 1.0)
+        return found
+
+
+def split(free: Mapping[str, tuple[float, float] | float]) -> tuple[dict[str, tuple[float, float]], dict[str, float]]:
+    """Intervals of the varied free parameters, and the values of the fixed ones.
+
+    Raises:
+        ConfigError: one is missing or unknown, or none is varied.
+    """
+    for name in free:
+        if name not in Free._fields:
+            raise ConfigError(f"tune.free.{name}", f"unknown name; {meant(name, Free._fields)}")
+    for name in REQUIRED:
+        if name not in free:
+            raise ConfigError(f"tune.free.{name}", "is required and missing: [low, high] to vary it, or a number")
+    varied = {PREFIX + name: value for name, value in free.items() if isinstance(value, tuple)}
+    if not varied:
+        raise ConfigError("tune.free", "varies nothing; give [low, high] for one at least")
+    return varied, {name: value for name, value in free.items() if not isinstance(value, tuple)}

@@ -1,0 +1,114 @@
+"""Descent by optax under an augmented Lagrangian."""
+
+from typing import Any
+
+import jax
+import numpy as np
+import optax
+
+from dssc_jax.analyses.tuning.problem import Point, Problem
+from dssc_jax.analyses.tuning.progress import FINEST, Report, Search, headroom
+
+PENALTY = 20.0  # of the augmented Lagrangian, for objective and excess relative to their scales
+UPDATE = 5  # steps between two looks at the validation draws, after which multipliers move
+LAST = 0.01  # share of the learning rate that the cosine schedule ends with
+HALVINGS = 8
+CLIFF = 0.5  # a step may not worsen the objective by more, relative to the start's: beyond lies a loop that chatters
+SWERVE = 0.05  # a step may not exceed a limit by more, relative to it, unless the point before did
+EXACT = 0.2  # share of the steps, the last ones, in which the sign is not smoothed
+
+
+class Multipliers:
+    """The augmented Lagrangian of relative excesses, g <= 0: f + sum (max(0, lambda + c g)^2 - lambda^2)/(2 c).
+
+    What a limit is exceeded by on the validation draws and not on the training draws is added to g, so that the search
+    keeps away from limits by as much as its draws mislead it.
+
+    Reference:
+        J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), section 17.4.
+    """
+
+    def __init__(self, scale: float) -> None:
+        self.scale = scale
+        self.values: dict[str, float] = {}
+        self.gaps: dict[str, float] = {}
+
+    def pushes(self, point: Point) -> dict[str, float]:
+        """max(0, lambda + c g) of each limit: its share in the gradient, and its next multiplier."""
+        return {
+            name: max(0.0, self.values.get(name, 0.0) + PENALTY * (excess + headroom(name) + self.gaps.get(name, 0.0)))
+            for name, excess in point.merit.excess.items()
+        }
+
+    def gradient(self, point: Point) -> np.ndarray:
+        """Of the augmented Lagrangian."""
+        total = point.gradient / self.scale
+        for name, push in self.pushes(point).items():
+            total = total + push * point.slopes[name]
+        return total
+
+    def move(self, train: Point, validation: Point) -> None:
+        """The usual update of the multipliers, and the gaps anew."""
+        self.values = self.pushes(train)
+        if not validation.merit.ended:
+            seen = train.merit.excess
+            self.gaps = {name: max(0.0, excess - seen[name]) for name, excess in validation.merit.excess.items()}
+
+
+def descend(problem: Problem, first: tuple[Point, Point], report: Report) -> Search:
+    """Descent by gradients of single batches; the best point is chosen on the validation draws.
+
+    A step after which the point is not certified, a draw of the batch ends early, or objective or violation have leapt
+    up, is halved.
+
+    Args:
+        problem: The problem, begun.
+        first: The start on training and validation draws.
+        report: Told after each step.
+    """
+    table = problem.plan.table
+    rate: Any = table.learning_rate
+    if table.schedule == "cosine":
+        rate = optax.cosine_decay_schedule(table.learning_rate, table.steps, LAST)
+    optimiser = optax.chain(optax.clip_by_global_norm(1.0), getattr(optax, table.optimiser)(rate))
+    multipliers = Multipliers(abs(first[0].merit.objective) or 1.0)
+    rng = np.random.default_rng(problem.plan.seed)
+    found, here, waited = Search(first[1]), first[0], 0
+    found.look(problem, 0, *first)
+    with jax.enable_x64(True):
+        state = optimiser.init(here.z)
+    for step in range(1, table.steps + 1):
+        if table.smoothing is not None:
+            problem.width = falling(table.smoothing, (step - 1) / table.steps)
+        with jax.enable_x64(True):
+            change, state = optimiser.update(multipliers.gradient(here), state, here.z)
+        batch = rng.choice(problem.train, table.batch, replace=False) if table.batch else problem.train
+        here, halvings = reach(problem, here, np.asarray(change), batch, CLIFF * multipliers.scale)
+        found.shortened += halvings
+        if step % UPDATE == 0 or step == table.steps:
+            validation = problem.seen(here.z)
+            multipliers.move(here, validation)
+            better = found.look(problem, step, here, validation)
+            waited = 0 if better else waited + 1
+        report(step, table.steps, found.text())
+        if waited >= table.patience:
+            found.stopped = f"no better on the validation draws for {waited} looks"
+            break
+    return found
+
+
+def falling(first: float, done: float) -> float:
+    """Width of the sign after a share of the steps: it falls geometrically, and is 0 in the last ones."""
+    return first * FINEST ** (done / (1.0 - EXACT)) if done < 1.0 - EXACT else 0.0
+
+
+def reach(problem: Problem, here: Point, change: np.ndarray, batch: np.ndarray, leap: float) -> tuple[Point, int]:
+    """The point after a step, which is halved until the point may be visited; then the same point again."""
+    highest, farthest = here.merit.objective + leap, max(here.merit.violation, SWERVE)
+    for halvings in range(HALVINGS):
+        after = here.z + change * 0.5**halvings
+        if problem.allowed(after):
+            point = problem.at(after, batch)
+            if point.merit.objective <= highest and point.merit.violation <= farthest:
+                return point, halvings
+    return problem.at(here.z, batch), HALVINGS

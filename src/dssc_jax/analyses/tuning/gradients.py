@@ -1,0 +1,159 @@
+"""Whether the derivatives say what small changes do: against central differences, in the mirror's coordinates."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.special import logit
+
+from dssc_jax.analyses.tuning.problem import Problem
+from dssc_jax.engine.evaluation import Derivative
+
+STEP = 1e-5  # of the differences
+STRIDE, HALF = 0.03, 0.5  # a step as a search takes it, and to which share of itself a derivative is to tell its effect
+AGREEMENT = 1e-4  # relative
+NOISE = 1e-8  # relative to the value: rounding of a difference, some 1e-16/STEP, with three powers of ten of room
+KINK = 1e-3  # relative jump of the slope between both sides; curvature alone changes it by about STEP
+SHOWN = 5  # disagreements told
+EDGE = 0.05  # share of an interval's logarithm that is left out at both ends
+
+
+class Agreement(NamedTuple):
+    """What came of the comparison.
+
+    Args:
+        points: Random points, each with a draw of its own.
+        compared: Derivatives compared: of each metric at each point, along each coordinate.
+        kinks: Share of them at which the slopes of both sides differ.
+        agreeing: Share of the others that agree to 1e-4 relative.
+        useful: Share of all that agree.
+        telling: Share of all that tell to a half what steps of 0.03 of the coordinate do. Where a loop chatters,
+            derivatives can be exact and tell nothing.
+        ended: Points whose draw ended early, of which none is compared.
+        finite: Whether no derivative of a draw that lasted is NaN or infinite.
+        kinked: Share of kinks of each metric along each number.
+        disagreeing: Where derivatives disagree away from kinks, the worst first: metric, number, point, slopes.
+    """
+
+    points: int
+    compared: int
+    kinks: float
+    agreeing: float
+    useful: float
+    telling: float
+    ended: int
+    finite: bool
+    kinked: dict[str, dict[str, float]]
+    disagreeing: list[dict[str, Any]]
+
+    @property
+    def text(self) -> str:
+        """One line for people."""
+        return (
+            f"{100 * self.agreeing:.1f} % of {self.compared} derivatives agree with central differences to 1e-4 away "
+            f"from kinks, which are {100 * self.kinks:.1f} %; {100 * self.telling:.1f} % tell what a longer step does"
+        )
+
+
+class Comparison(NamedTuple):
+    """Derivatives against differences, all arrays of one shape.
+
+    Args:
+        exact: Derivatives.
+        central: Central differences.
+        kink: Whether the slopes of both sides differ.
+        agree: Whether derivative and difference agree.
+    """
+
+    exact: np.ndarray
+    central: np.ndarray
+    kink: np.ndarray
+    agree: np.ndarray
+
+    @property
+    def shares(self) -> dict[str, Any]:
+        """Kinks among all, agreement away from them and among all, and whether every derivative is finite."""
+        total, smooth = max(self.exact.size, 1), max(int(np.count_nonzero(~self.kink)), 1)
+        return {
+            "kinks": float(np.count_nonzero(self.kink) / total),
+            "agreeing": float(np.count_nonzero(self.agree & ~self.kink) / smooth),
+            "useful": float(np.count_nonzero(self.agree) / total),
+            "finite": bool(np.isfinite(self.exact).all()),
+        }
+
+    def worst(self) -> list[tuple[int, ...]]:
+        """Where they disagree away from kinks, the largest relative difference first."""
+        places = np.argwhere(~self.agree & ~self.kink)
+        scale = np.maximum(np.abs(self.exact), np.abs(self.central))
+        apart = np.abs(self.exact - self.central) / np.where(scale > 0.0, scale, 1.0)
+        ranked = sorted(places.tolist(), key=lambda place: -np.nan_to_num(apart[tuple(place)], nan=np.inf))
+        return [tuple(place) for place in ranked[:SHOWN]]
+
+
+def compare(exact: np.ndarray, value: np.ndarray, above: np.ndarray, below: np.ndarray) -> Comparison:
+    """Derivatives against the differences on both sides, and the values that these round; any shape, one for all."""
+    noise = NOISE * np.abs(value)
+    central, larger = 0.5 * (above + below), np.maximum(np.abs(above), np.abs(below))
+    kink = np.abs(above - below) > KINK * larger + noise
+    agree = np.abs(exact - central) <= AGREEMENT * np.maximum(np.abs(exact), np.abs(central)) + noise
+    return Comparison(exact, central, kink, agree)
+
+
+def check_gradients(problem: Problem, points: int, seed: int = 0) -> Agreement:
+    """Compare derivatives of single draws with central differences.
+
+    Points are uniform in the logarithm of the tuned numbers, all over their intervals.
+
+    Args:
+        problem: Objective and limits name the metrics.
+        points: How many.
+        seed: Of the points.
+    """
+    rng = np.random.default_rng(seed)
+    mirror, size = problem.plan.mirror, len(problem.plan.mirror.names)
+    centre = logit(rng.uniform(EDGE, 1.0 - EDGE, (points, size)))
+    draws = rng.choice(problem.train, points)
+    one = np.eye(size)
+    shifts = np.concatenate([np.zeros((1, size)), STEP * one, -STEP * one, STRIDE * one, -STRIDE * one])
+    z = (centre + shifts[:, None, :]).reshape(-1, size)
+    lanes = {name: np.tile(column[draws], len(shifts)) for name, column in problem.laws.items()}
+    lanes |= mirror.numbers(z)
+    results = problem.flat(np.tile(draws, len(shifts)), lanes)
+    steep = problem.steep(draws, {name: column[:points] for name, column in lanes.items()})
+    chain = mirror.slopes(centre)
+    exact, value, above, below, long = [], [], [], [], []
+    for name in problem.plan.measures:
+        table = results[name].reshape(len(shifts), points)
+        rows = [steep[Derivative(name, of)][:, None] * chain[of] for of in problem.names]
+        exact.append(np.sum(rows, axis=0))
+        value.append(np.repeat(table[0][:, None], size, axis=1))
+        higher, lower, far, near = table[1:].reshape(4, size, points)
+        above.append((higher - table[0]).T / STEP)
+        below.append((table[0] - lower).T / STEP)
+        long.append((far - near).T / (2.0 * STRIDE))
+    lasted = np.isfinite(results["failed_at"].reshape(len(shifts), points)).sum(0) == 0
+    exact, value, above, below, long = (np.stack(parts)[:, lasted] for parts in (exact, value, above, below, long))
+    found = compare(exact, value, above, below)
+    told = np.abs(exact - long) <= HALF * np.maximum(np.abs(exact), np.abs(long)) + NOISE * np.abs(value)
+    metrics, where = list(problem.plan.measures), np.flatnonzero(lasted)
+    share = np.mean(found.kink, axis=1) if len(where) else np.zeros((len(metrics), size))
+    at = {name: column[lasted] for name, column in mirror.tuned(centre).items()}
+    return Agreement(
+        points=points,
+        compared=found.exact.size,
+        telling=float(np.mean(told)) if told.size else 0.0,
+        ended=points - len(where),
+        kinked={
+            m: dict(zip(mirror.names, map(float, row), strict=True)) for m, row in zip(metrics, share, strict=True)
+        },
+        disagreeing=[
+            {
+                "metric": metrics[place[0]],
+                "number": mirror.names[place[2]],
+                "at": {name: float(column[place[1]]) for name, column in at.items()},
+                "derivative": float(found.exact[place]),
+                "difference": float(found.central[place]),
+            }
+            for place in found.worst()
+        ],
+        **found.shares,
+    )

@@ -1,0 +1,220 @@
+"""What a study's ``[tune]`` asks for, checked before anything is compiled."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from dssc_jax.analyses.tuning.certified import NUMBERS, Theorem, split
+from dssc_jax.analyses.tuning.mirror import Mirror, as_they_are
+from dssc_jax.closed_loop.metrics import Measure
+from dssc_jax.core.errors import ConfigError, meant
+from dssc_jax.engine.evaluation import require_independent
+from dssc_jax.models.controllers.dssc import DsscGains
+from dssc_jax.study import Law, Study
+from dssc_jax.study.schema import TuneTable
+
+DESCENTS = ("adam", "adabelief", "amsgrad", "lion", "nadam", "rmsprop", "sgd")  # names in optax
+EVOLUTION = "differential_evolution"  # in scipy.optimize
+PROGRAMMING = "sqp"  # in programming.py
+OPTIMISERS = (*DESCENTS, PROGRAMMING, EVOLUTION)
+WIDTH = "controller.sign_width"
+ASSUMED = ("plant", "reference", "disturbance")  # parts of the loop whose numbers the theorem's bounds are made of
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A tuning, made out.
+
+    Args:
+        study: The study without its sweep.
+        table: Its ``[tune]``.
+        mirror: What is tuned.
+        theorem: What certifies every point; None: nothing has to.
+        seed: Of the draws that train and validate; the study's own draws decide.
+    """
+
+    study: Study
+    table: TuneTable
+    mirror: Mirror
+    theorem: Theorem | None
+    seed: int
+
+    @classmethod
+    def of(cls, study: Study) -> "Plan":
+        """The plan of a study.
+
+        Raises:
+            ConfigError: dotted path, rule and value of the first thing that is wrong.
+        """
+        try:
+            return cls._of(study.without_sweep())
+        except ConfigError as error:
+            raise error.within(study.source) from None
+
+    @classmethod
+    def _of(cls, study: Study) -> "Plan":
+        table = study.config.tune
+        if table is None:
+            raise ConfigError("tune", "is required and missing: parameters and objective")
+        if table.optimiser not in OPTIMISERS:
+            rule = f"unknown name '{table.optimiser}'; {meant(table.optimiser, OPTIMISERS)}"
+            raise ConfigError("tune.optimiser", rule)
+        if table.batch is not None and table.optimiser == PROGRAMMING:
+            raise ConfigError("tune.batch", f"{PROGRAMMING} needs the same draws at every step; take one of {DESCENTS}")
+        if table.batch is not None and table.batch > table.draws:
+            raise ConfigError("tune.batch", f"must be <= draws = {table.draws}, got {table.batch}")
+        require_independent(study, "a tuning's verdict")
+        seed = (study.config.seed + 1) % 2**32 if table.seed is None else table.seed
+        if seed == study.config.seed:
+            raise ConfigError("tune.seed", f"must not be the study's own, whose draws decide, got {seed}")
+        require_metrics(study, table)
+        if table.smoothing is not None:
+            require_sign(study)
+        require_room(study, table)
+        for name in table.parameters:
+            require_number(study, name, table)
+        theorem, varied = None, dict(table.parameters)
+        starts = {name: inside(study, name, table.parameters[name]) for name in table.parameters}
+        if table.certified:
+            free, fixed = split(table.free)
+            theorem = Theorem(study, fixed)
+            starts |= {name: (low * high) ** 0.5 for name, (low, high) in free.items()}
+            varied |= free
+            if table.slack is not None:
+                rule = "belongs to certified = false; a certified design meets the inequalities by construction"
+                raise ConfigError("tune.slack", rule)
+        elif table.free:
+            raise ConfigError("tune.free", "belongs to certified = true")
+        elif table.slack is not None:
+            theorem = Theorem(study, {}, "tune.slack")
+        if not varied:
+            raise ConfigError("tune.parameters", "names nothing to tune; give NAME = [low, high]")
+        mirror = Mirror(varied, starts, theorem.expand if theorem and table.certified else as_they_are)
+        return cls(study, table, mirror, theorem, seed)
+
+    @property
+    def measures(self) -> dict[str, Measure]:
+        """What objective and limits need, by name."""
+        by_name = {measure.name: measure for measure in self.study.measures}
+        return {name: by_name[name] for name in (*self.table.objective, *self.table.limits)}
+
+    def trial(self) -> Study:
+        """The study as it is trained on: other draws, and no metric that is not needed."""
+        bare = {measure.name for measure in self.study.measures}
+        own = {requirement.measure.name for requirement in self.study.requirements}
+        kinds = {self._written(measure) for name, measure in self.measures.items() if name in bare - own}
+        kept = {"after": self.study.config.metrics.after, "settling_band": self.study.config.metrics.settling_band}
+        draws = self.table.draws + self.table.validation
+        changes: dict[str, Any] = {"seed": self.seed, "draws": draws, "plot": {}}
+        return self.study.override(changes | {"metrics": kept | {"names": sorted(kinds)}})
+
+    def smoothed(self) -> Study:
+        """The study as its derivatives are computed: with the sign's first width, where it is to be smoothed."""
+        width = self.table.smoothing
+        return self.trial() if width is None else self.trial().override({WIDTH: width})
+
+    def _written(self, measure: Measure) -> str:
+        """A metric's name as the study writes it: a user's own by its dotted name."""
+        for name in self.study.config.metrics.names or ():
+            if name.rpartition(":")[2] == measure.kind:
+                return name
+        return measure.kind
+
+
+def require_metrics(study: Study, table: TuneTable) -> None:
+    """Require that every metric of objective and limits is one of the study's.
+
+    Raises:
+        ConfigError: one is not, or nothing is to be made small.
+    """
+    names = [measure.name for measure in study.measures]
+    for place, wanted in (("objective", table.objective), ("limits", table.limits)):
+        for name in wanted:
+            if name not in names:
+                rule = f"is no metric of this study; {meant(name, names)}; others have to stand in metrics.names"
+                raise ConfigError(f"tune.{place}.{name}", rule)
+    if not any(weight != 0.0 for weight in table.objective.values()):
+        raise ConfigError("tune.objective", f"needs a weight other than 0, got {table.objective}")
+
+
+def require_room(study: Study, table: TuneTable) -> None:
+    """Require that no two requirements, or a requirement and a limit, exclude each other.
+
+    Raises:
+        ConfigError: a metric is to be above a number and below a lesser one.
+    """
+    required = [(r.measure.name, r.minimum, r.maximum) for r in study.requirements]
+    most = [("requirement", name, high) for name, _, high in required if high is not None]
+    most += [(f"tune.limits.{name}", name, bound) for name, bound in table.limits.items() if isinstance(bound, float)]
+    for place, name, high in most:
+        least = max((low for other, low, _ in required if other == name and low is not None), default=high)
+        if least > high:
+            raise ConfigError(place, f"no value of {name} is >= {least:g} and <= {high:g}: nothing can satisfy both")
+
+
+def require_sign(study: Study) -> None:
+    """Require that every channel's controller has a sign that can be smoothed, and none that is smooth already.
+
+    Raises:
+        ConfigError: one has none, or a width of its own.
+    """
+    if any(not isinstance(gains, DsscGains) for gains in study.template.controller):
+        raise ConfigError("tune.smoothing", "is the width of DSSC's and SSC's sign; this controller has none")
+    if any(name.split(".")[-1] == "sign_width" for name in study.leaves()):
+        raise ConfigError("tune.smoothing", "is the first of a falling width; take sign_width out of [controller]")
+
+
+def require_number(study: Study, name: str, table: TuneTable) -> None:
+    """Require that a dotted name is a plain number of the loop that one may move.
+
+    Raises:
+        ConfigError: it is something else, or follows from others.
+    """
+    place = f"tune.parameters.{name}"
+    if table.certified and name in NUMBERS:
+        raise ConfigError(place, "is fixed by the certified design; vary [tune.free], or set certified = false")
+    part = name.split(".")
+    if (table.certified or table.slack is not None) and (part[0] in ASSUMED or "nominal" in part):
+        raise ConfigError(place, "is what the theorem's bounds are made of, so that they would move; give it a number")
+    if name not in study.leaves():
+        raise ConfigError(place, unfit(study, name))
+    if not study.quantities[name].law:
+        raise ConfigError(place, "is fixed before tracing (a whole number, a length), so it has no derivative")
+    leaf = study.leaves()[name]
+    if isinstance(leaf, Law):
+        raise ConfigError(place, f"is uncertain: {leaf}; give it a number to tune it")
+
+
+def unfit(study: Study, name: str) -> str:
+    """Why a name is no number of the loop."""
+    table: Any = study.table
+    for part in name.split("."):
+        table = table.get(part) if isinstance(table, Mapping) else None
+    if table is not None:
+        return f"is no number of the loop but {table!r}, which has no derivative"
+    try:
+        study.override({name: 1.0})
+    except ConfigError as error:
+        if "unknown" in error.rule or "nowhere" in error.rule:
+            return f"unknown parameter; {meant(name, study.quantities)}"
+        return f"is no number that may be moved: {error.rule}"
+    return "has no value in this study; give one to start from"
+
+
+def inside(study: Study, name: str, extent: tuple[float, float]) -> float:
+    """The study's own value, where the search begins.
+
+    Raises:
+        ConfigError: it is outside its interval, or an end is not admissible.
+    """
+    low, high = extent
+    value = study.leaves()[name]
+    quantity = study.quantities[name]
+    broken = quantity.violated_by(low, high)
+    place = f"tune.parameters.{name}"
+    if broken:
+        raise ConfigError(place, f"{quantity.meaning} [{quantity.unit}] {broken}, got [{low:g}, {high:g}]")
+    assert isinstance(value, float)
+    if not low < value < high:
+        raise ConfigError(place, f"the start is infeasible: the study has {value:g}, not inside ({low:g}, {high:g})")
+    return value

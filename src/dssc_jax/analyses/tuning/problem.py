@@ -1,0 +1,163 @@
+"""A tuning as a function of the mirror's coordinates: values, gradients, and whether a point may be visited."""
+
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.analyses.tuning.objective import Goal, Merit
+from dssc_jax.analyses.tuning.plan import WIDTH, Plan
+from dssc_jax.engine.batching import BLOCK, Arrays
+from dssc_jax.engine.evaluation import Evaluator, GradientEvaluator
+
+
+class Point(NamedTuple):
+    """A point with what a batch says of it: objective, excesses, and their gradients in the mirror's coordinates."""
+
+    z: np.ndarray
+    merit: Merit
+    gradient: np.ndarray
+    slopes: dict[str, np.ndarray]
+
+
+class Slacks:
+    """Excesses of Theorem 1's inequalities at a point, and their slopes, where a slack is asked for."""
+
+    def __init__(self, plan: Plan) -> None:
+        theorem, slack = plan.theorem, plan.table.slack
+        assert theorem is not None
+        assert slack is not None
+
+        def excess(z: jax.Array) -> dict[str, jax.Array]:
+            return theorem.excess(plan.mirror.traced(z), slack)
+
+        self._both = jax.jit(lambda z: (excess(z), jax.jacfwd(excess)(z)))
+
+    def at(self, z: np.ndarray) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+        """Excesses, and their derivatives with respect to the coordinates."""
+        with jax.enable_x64(True):
+            values, slopes = self._both(jnp.asarray(z))
+        return {k: float(v) for k, v in values.items()}, {k: np.nan_to_num(np.asarray(v)) for k, v in slopes.items()}
+
+
+@dataclass
+class Problem:
+    """The plan's objective on the draws that train and validate it, by two programs: with derivatives, and without.
+
+    Draws are counted on: the first ``draws`` train, the next ``validation`` validate. They and their noise are the same
+    at every point.
+
+    Args:
+        plan: The plan.
+        added: Counterexamples: values of the laws' numbers, each of shape (n,).
+        width: Of the smoothed sign in the program with derivatives [m/s], where ``smoothing`` is asked for.
+    """
+
+    plan: Plan
+    added: Arrays = field(default_factory=dict)
+    width: float | None = field(default=None, init=False)
+    certified: int = field(default=0, init=False)
+
+    def __post_init__(self) -> None:
+        trial, mirror, table = self.plan.trial(), self.plan.mirror, self.plan.table
+        start = {name: float(value[0]) for name, value in mirror.numbers(mirror.origin[None]).items()}
+        self.names = list(start)
+        lanes = min(BLOCK, max(table.draws, table.validation) + len(self.extra))
+        ends = {name: (value, value) for name, value in start.items()}
+        self.plain = Evaluator(trial, ends, lanes)
+        self.width = table.smoothing
+        smooth = ends if self.width is None else ends | {WIDTH: (self.width, self.width)}
+        reverse = table.derivatives == "reverse"
+        self.evaluator = GradientEvaluator(self.plan.smoothed(), smooth, lanes, names=self.names, reverse=reverse)
+        self.laws = self.evaluator.drawn(slice(0, trial.config.draws))
+        self.train = np.arange(table.draws)
+        self.validation = np.arange(table.draws, trial.config.draws)
+        self.slacks = None if table.slack is None else Slacks(self.plan)
+        self.goal = Goal(table.objective, table.aggregate, table.level, {}, self.evaluator.swept.requirements)
+
+    @property
+    def extra(self) -> np.ndarray:
+        """Draw indices of the counterexamples: all have the noise of draw 0, as they were found."""
+        return np.zeros(len(next(iter(self.added.values()), [])), dtype=int)
+
+    def begin(self) -> tuple[Point, Point]:
+        """The start on the training and the validation draws; what it has there is what limits may refer to."""
+        origin, everything = self.plan.mirror.origin, np.concatenate([self.train, self.validation])
+        results = self.results(origin[None], everything, self.plain)
+        self.before = {name: results[name][: len(everything)] for name in self.plan.table.limits}
+        return self.at(origin, self.train), self.seen(origin)
+
+    def goal_on(self, draws: np.ndarray) -> Goal:
+        """The goal on some of the draws: a limit set by the start is what the start has on the same ones."""
+        given = self.plan.table.limits.items()
+        limits = {n: float(np.mean(self.before[n][draws])) if bound == "start" else float(bound) for n, bound in given}
+        return replace(self.goal, limits=limits)
+
+    def results(self, z: np.ndarray, draws: np.ndarray, evaluator: Evaluator | None = None) -> Arrays:
+        """Results of every draw, then of the counterexamples, at each point.
+
+        Args:
+            z: Points, shape (m, n).
+            draws: Indices of the draws, shape (d,).
+            evaluator: Another program than the one with derivatives.
+
+        Returns:
+            Each of shape (m (d + added),), point by point.
+        """
+        indices = np.concatenate([draws, self.extra])
+        lanes = {
+            name: np.tile(np.concatenate([column[draws], self.added.get(name, [])]), len(z))
+            for name, column in self.laws.items()
+        }
+        numbers = self.plan.mirror.numbers(z)
+        lanes |= {name: np.repeat(column, len(indices)) for name, column in numbers.items()}
+        return (evaluator or self.steep)(np.tile(indices, len(z)), lanes)
+
+    def steep(self, indices: np.ndarray, lanes: Arrays) -> Arrays:
+        """The program with derivatives, at the present width."""
+        return self.evaluator(indices, lanes | self._width(indices))
+
+    def flat(self, indices: np.ndarray, lanes: Arrays) -> Arrays:
+        """What the program with derivatives computes, without them."""
+        if self.width is None:
+            return self.plain(indices, lanes)
+        evaluator = Evaluator(self.plan.smoothed(), self.evaluator.extents, self.evaluator.lanes)
+        return evaluator(indices, lanes | self._width(indices))
+
+    def _width(self, indices: np.ndarray) -> Arrays:
+        return {} if self.width is None else {WIDTH: np.full(len(indices), self.width)}
+
+    def seen(self, z: np.ndarray, draws: np.ndarray | None = None) -> Point:
+        """One point on the validation draws, or others: exact and without derivatives."""
+        draws = self.validation if draws is None else draws
+        merit = self.goal_on(draws).merit(self.results(z[None], draws, self.plain), (), len(self.extra))
+        if not merit.ended and self.slacks is not None:
+            merit = merit._replace(excess=merit.excess | self.slacks.at(z)[0])
+        return Point(z, merit, np.full(len(z), np.nan), {})
+
+    def at(self, z: np.ndarray, draws: np.ndarray) -> Point:
+        """One point on some of the draws."""
+        merit = self.goal_on(draws).merit(self.results(z[None], draws), self.names, len(self.extra))
+        if merit.ended:
+            return Point(z, merit, np.full(len(z), np.nan), {})
+        chain = {name: column[0] for name, column in self.plan.mirror.slopes(z[None]).items()}
+
+        def along(slopes: dict[str, float]) -> np.ndarray:
+            return np.sum([slope * chain[name] for name, slope in slopes.items()], axis=0)
+
+        slopes = {name: along(row) for name, row in merit.slopes.items()}
+        if self.slacks is not None:
+            excess, steep = self.slacks.at(z)
+            merit, slopes = merit._replace(excess=merit.excess | excess), slopes | steep
+        return Point(z, merit, along(merit.gradient), slopes)
+
+    def allowed(self, z: np.ndarray) -> bool:
+        """Whether the point passes the strict check of Theorem 1, where it has to."""
+        if self.plan.theorem is None:
+            return True
+        numbers = {name: float(column[0]) for name, column in self.plan.mirror.numbers(z[None]).items()}
+        holds = self.plan.theorem.certificate(numbers).certified
+        self.certified += holds
+        return holds

@@ -1,0 +1,135 @@
+"""Sequential quadratic programming: few steps, where every one sees all training draws."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.optimize import minimize
+
+from dssc_jax.analyses.tuning.problem import Point, Problem
+from dssc_jax.analyses.tuning.progress import FINEST, REACH, UNFIT, Report, Search, headroom
+
+STAGES = 4  # between two of them the width of the sign and the limits' headroom move
+PENALTY = 20.0  # of the largest excess, for objectives relative to the start's: more than the multipliers' sum
+CONVERGED = 1e-5  # change of the relative objective at which a stage ends
+
+
+def program(problem: Problem, first: tuple[Point, Point], report: Report) -> Search:
+    """SLSQP on the training draws; validation draws choose among its iterates.
+
+    The largest excess is a coordinate of its own, so that limits in straight lines never contradict each other. What a
+    limit is exceeded by on the validation draws and not on the training draws is added to its headroom, and the search
+    goes on from there.
+
+    Reference:
+        D. Kraft, "A software package for sequential quadratic programming", DFVLR-FB 88-28 (1988); the elastic mode is
+        from J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), section 18.5.
+    """
+    way = Way(problem, Search(first[1]), first[0], report)
+    way.found.look(problem, 0, *first)
+    width, steps = problem.plan.table.smoothing, problem.plan.table.steps
+    for stage in range(1, STAGES + 1):
+        if width is not None:
+            problem.width = width * FINEST ** ((stage - 1) / (STAGES - 2)) if stage < STAGES else 0.0
+        way.go(steps if width is None else stage * steps // STAGES)
+        short = way.widen()
+        if way.done >= steps or (width is None and not short):
+            break
+    return way.found
+
+
+class Waited(Exception):
+    """Nothing better came for as many looks as patience lasts."""
+
+
+@dataclass
+class Way:
+    """A search on its way; its coordinates are the mirror's, then the largest excess.
+
+    Args:
+        problem: The problem, begun.
+        found: What was found.
+        here: The present iterate.
+        report: Told after each step.
+        done: Steps done.
+        gaps: What each limit's headroom is larger by.
+    """
+
+    problem: Problem
+    found: Search
+    here: Point
+    report: Report
+    done: int = 0
+    gaps: dict[str, float] = field(default_factory=dict)
+    _points: dict[bytes, tuple[Point, bool]] = field(default_factory=dict)
+    _waited: int = 0
+
+    def __post_init__(self) -> None:
+        self.names = list(self.here.merit.excess)
+        self.scale = abs(self.here.merit.objective) or 1.0
+
+    def at(self, x: np.ndarray) -> tuple[Point, bool]:
+        """A point, and whether it may be visited."""
+        z = x[:-1]
+        key = z.tobytes()
+        if key not in self._points:
+            point = self.problem.at(z, self.problem.train)
+            self._points[key] = point, not point.merit.ended and self.problem.allowed(z)
+        return self._points[key]
+
+    def cost(self, x: np.ndarray) -> float:
+        """The relative objective, and the penalty."""
+        point, fit = self.at(x)
+        return point.merit.objective / self.scale + PENALTY * float(x[-1]) if fit else UNFIT
+
+    def gradient(self, x: np.ndarray) -> np.ndarray:
+        """Of the cost. It is asked for at iterates only: a look at each.
+
+        Raises:
+            Waited: nothing better came for too long.
+        """
+        point = self.at(x)[0]
+        if not np.array_equal(point.z, self.here.z):
+            self.done, self.here, table = self.done + 1, point, self.problem.plan.table
+            better = self.found.look(self.problem, self.done, point, self.problem.seen(point.z))
+            self._waited = 0 if better else self._waited + 1
+            self.report(self.done, table.steps, self.found.text())
+            if self._waited >= table.patience:
+                raise Waited
+        return np.append(point.gradient / self.scale, PENALTY)
+
+    def room(self, x: np.ndarray) -> np.ndarray:
+        """What is left to every limit, less its headroom, with the largest excess allowed for."""
+        excess = self.at(x)[0].merit.excess
+        own = [excess.get(name, 1.0) + headroom(name) + self.gaps.get(name, 0.0) for name in self.names]
+        return x[-1] - np.array(own)
+
+    def slopes(self, x: np.ndarray) -> np.ndarray:
+        """Derivatives of the room, shape (limits, n + 1)."""
+        rows = self.at(x)[0].slopes
+        own = np.array([rows.get(name, np.zeros(len(x) - 1)) for name in self.names])
+        return np.hstack([-own, np.ones((len(own), 1))])
+
+    def go(self, steps: int) -> None:
+        """One stage, until so many steps are done in all."""
+        self._points.clear()
+        self._waited, table = 0, self.problem.plan.table
+        begin = np.append(np.clip(self.here.z, -REACH, REACH), 0.0)
+        begin[-1] = max([0.0, *-self.room(begin)])
+        limits = {"type": "ineq", "fun": self.room, "jac": self.slopes}
+        try:
+            minimize(
+                self.cost, begin, jac=self.gradient, method="SLSQP", constraints=[limits] if self.names else [],
+                bounds=[(-REACH, REACH)] * (len(begin) - 1) + [(0.0, None)],
+                options={"maxiter": max(1, steps - self.done), "ftol": CONVERGED},
+            )  # fmt: skip
+        except Waited:
+            self.found.stopped = f"no better on the validation draws for {self._waited} looks"
+        else:
+            self.found.stopped = "all steps done" if self.done >= table.steps else "converged"
+
+    def widen(self) -> bool:
+        """More headroom where only the validation draws exceed a limit; whether there is such a limit."""
+        validation, own = self.problem.seen(self.here.z).merit, self.here.merit.excess
+        if not validation.ended:
+            self.gaps = {name: max(0.0, excess - own[name]) for name, excess in validation.excess.items()}
+        return not validation.ended and validation.violation > 0.0

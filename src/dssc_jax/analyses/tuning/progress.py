@@ -1,0 +1,59 @@
+"""What every search notes on its way: the looks at the validation draws, and the best point among them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from dssc_jax.analyses.tuning.certified import SLACK
+from dssc_jax.analyses.tuning.problem import Point, Problem
+
+HEADROOM = 0.01  # by which a search keeps within limits, relative
+UNFIT = 1e6  # cost of a point that is not certified, or whose draws end early
+REACH = 6.0  # |z| at the ends of a search's box: 0.25 % of the interval's logarithm is left out
+FINEST = 1e-3  # width of the sign before it is 0, relative to the first
+
+Report = Callable[[int, int, str], None]
+"""Called with the steps done, the steps in all, and a line of what they found."""
+
+
+@dataclass
+class Search:
+    """What a search found.
+
+    Args:
+        best: The best point on the validation draws.
+        history: A row for each look: step, objective and violation on training and validation draws, tuned numbers.
+        stopped: Why it ended.
+        shortened: Halvings of steps that led where no point may be.
+    """
+
+    best: Point
+    history: list[dict[str, Any]] = field(default_factory=list)
+    stopped: str = "all steps done"
+    shortened: int = 0
+
+    def look(self, problem: Problem, step: int, train: Point, validation: Point) -> bool:
+        """Note a point; whether it is the best so far."""
+        row = {"step": step, "objective": train.merit.objective, "violation": train.merit.violation}
+        row |= {"validation": validation.merit.objective, "validation_violation": validation.merit.violation}
+        tuned = problem.plan.mirror.tuned(train.z)
+        self.history.append(row | {name: float(value) for name, value in tuned.items()})
+        better = rank(validation) < rank(self.best)
+        if better or step == 0:
+            self.best = validation
+        return better
+
+    def text(self) -> str:
+        """The last look, for people."""
+        last, best = self.history[-1], self.best.merit
+        return f"objective {last['objective']:.4g}, best {best.objective:.4g}, violation {best.violation:.2g}"
+
+
+def headroom(limit: str) -> float:
+    """By how much a search keeps within a limit: what draws say is uncertain, what the theorem says is not."""
+    return 0.0 if limit.startswith(SLACK) else HEADROOM
+
+
+def rank(point: Point) -> tuple[float, float]:
+    """Within the limits first, then the least objective."""
+    return point.merit.violation, point.merit.objective

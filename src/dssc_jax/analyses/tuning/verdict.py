@@ -1,0 +1,121 @@
+"""What fresh draws say of tuned numbers: start and result on the study's own draws, which nothing was tuned on."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.stats import bootstrap
+
+from dssc_jax.analyses.tuning.objective import Goal, weights
+from dssc_jax.analyses.tuning.plan import Plan
+from dssc_jax.core.signals import Outcome
+from dssc_jax.engine.batching import Arrays
+from dssc_jax.engine.evaluation import Evaluator
+from dssc_jax.statistics import CONFIDENCE, clopper_pearson, compare_failures, compare_metrics, quantile_interval
+
+RESAMPLES = 2000
+
+
+class Verdict(NamedTuple):
+    """Start and result on the same fresh draws.
+
+    Args:
+        draws: How many; they are the study's own.
+        objective: The aggregate of the costs at the start and of the result; infinite where a draw ended early.
+        reduction: 1 - result/start.
+        reduction_interval: Its bootstrap interval over the draws; NaN where a draw ended early.
+        quantile: Exact order-statistic intervals of the cost's quantile at the aggregate's level, start and result.
+        difference: Median and exact interval of the draw-by-draw difference of the cost, result less start.
+        limits: For each limit its bound, and the means at the start and of the result.
+        failures: Failed draws at the start and of the result.
+        intervals: Exact (Clopper-Pearson) intervals of both failure probabilities.
+        failure_difference: Exact interval of their paired difference, result less start, and McNemar's p-value.
+    """
+
+    draws: int
+    objective: tuple[float, float]
+    reduction: float
+    reduction_interval: tuple[float, float]
+    quantile: tuple[tuple[float, float], tuple[float, float]]
+    difference: tuple[float, float, float]
+    limits: dict[str, tuple[float, float, float]]
+    failures: tuple[int, int]
+    intervals: tuple[tuple[float, float], tuple[float, float]]
+    failure_difference: tuple[float, float, float]
+
+    @property
+    def within(self) -> bool:
+        """Whether every limit holds on these draws."""
+        return all(after <= bound for bound, _, after in self.limits.values())
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {**self._asdict(), "within_limits": self.within, "confidence": CONFIDENCE}
+
+
+def judge(plan: Plan, goal: Goal, start: Mapping[str, float], best: Mapping[str, float]) -> tuple[Verdict, Arrays]:
+    """Judge the result against the start.
+
+    Args:
+        plan: The plan; the study's own draws decide.
+        goal: Costs, aggregate and level.
+        start: The loop's numbers at the start.
+        best: Those of the result.
+
+    Returns:
+        The verdict, and the costs of every draw at the start and of the result.
+    """
+    study = plan.study
+    evaluator = Evaluator(study, {name: (start[name], start[name]) for name in start}, min(study.config.draws, 4096))
+    indices = np.arange(study.config.draws)
+    laws = evaluator.drawn(slice(0, len(indices)))
+    before, after = (
+        evaluator(indices, {**laws, **{name: np.full(len(indices), value) for name, value in numbers.items()}})
+        for numbers in (start, best)
+    )
+    costs = {"start": goal.cost(before), "tuned": goal.cost(after)}
+    return compare(plan, goal, before, after), costs
+
+
+def compare(plan: Plan, goal: Goal, before: Arrays, after: Arrays) -> Verdict:
+    """The verdict from the results of both."""
+    costs = goal.cost(before), goal.cost(after)
+    objective = goal.value(costs[0]), goal.value(costs[1])
+    level = goal.level if goal.aggregate == "cvar" else 0.5
+    paired = compare_metrics(costs[1], costs[0])
+    failed = [np.asarray(results["outcome"] != Outcome.OK) for results in (before, after)]
+    failures = compare_failures(failed[1], failed[0])
+    limits = {}
+    for name, bound in plan.table.limits.items():
+        means = float(np.mean(before[name])), float(np.mean(after[name]))
+        limits[name] = (means[0] if bound == "start" else float(bound), *means)
+    counts = tuple(int(np.count_nonzero(part)) for part in failed)
+    ends = [tuple(clopper_pearson(count, failures.draws).tolist()) for count in counts]
+    return Verdict(
+        draws=failures.draws,
+        objective=objective,
+        reduction=1.0 - objective[1] / objective[0],
+        reduction_interval=reduction_interval(goal, *costs),
+        quantile=(quantile_interval(costs[0], level), quantile_interval(costs[1], level)),
+        difference=(paired.difference, *paired.interval),
+        limits=limits,
+        failures=(counts[0], counts[1]),
+        intervals=(ends[0], ends[1]),
+        failure_difference=(*failures.interval, failures.p_value),
+    )
+
+
+def reduction_interval(goal: Goal, before: np.ndarray, after: np.ndarray) -> tuple[float, float]:
+    """Percentile bootstrap of 1 - result/start over the draws, which stay in pairs."""
+    if not (np.isfinite(before).all() and np.isfinite(after).all()):
+        return float("nan"), float("nan")
+
+    def reduction(first: np.ndarray, second: np.ndarray) -> float:
+        a, b = (float(weights(costs, goal.aggregate, goal.level) @ costs) for costs in (first, second))
+        return 1.0 - b / a
+
+    found = bootstrap(
+        (before, after), reduction, paired=True, vectorized=False, n_resamples=RESAMPLES,
+        confidence_level=CONFIDENCE, method="percentile", rng=0,
+    ).confidence_interval  # fmt: skip
+    return float(found.low), float(found.high)

@@ -1,0 +1,1 @@
+"""What touches the inside of JAX: compiler settings, rewritten programs, kernels."""

@@ -1,0 +1,212 @@
+"""Shared values of a batched step are computed once, which XLA:CPU alone does not do.
+
+XLA:CPU fuses a chain of elementwise operations into one kernel for each of its results, and computes what several
+results share again in every kernel. Here such a value gets a buffer of its own as soon as computing it again would cost
+more than reading it. The border is a call that the compiler may not inline: what crosses it is a buffer, and within a
+loop that is compiled as a whole (see :mod:`dssc_jax.backend.xla`) the call itself costs nothing.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from enum import Enum
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jax.experimental.xla_metadata import set_xla_metadata
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var, jaxpr_as_fun
+
+WORTH = 3  # operations beyond which a shared value is kept: writing and reading it costs about two
+CALLS = ("jit", "closed_call", "custom_jvp_call", "custom_vjp_call")
+BODIES = ("jaxpr", "body_jaxpr")  # of a scan, of a while loop
+LOOPS = ("scan", "while", "cond")
+FREE = {"broadcast_in_dim", "reshape", "squeeze", "convert_element_type", "copy"}
+REPEATED = {
+    *("add", "sub", "mul", "neg", "abs", "sign", "square", "integer_pow", "floor", "ceil", "round", "is_finite"),
+    *("max", "min", "clamp", "select_n", "lt", "le", "gt", "ge", "eq", "ne", "and", "or", "not"),
+}
+"""Operations that XLA repeats rather than keep their result; the others, division and roots among them, it keeps."""
+
+
+def shared_once(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The same function, whose shared values are kept; of arrays with one batch axis, without side effects."""
+
+    def once(*args: Any) -> Any:
+        program, shape = jax.make_jaxpr(function, return_shape=True)(*args)
+        results = jaxpr_as_fun(rewritten(program))(*jax.tree.leaves(args))
+        return jax.tree.unflatten(jax.tree.structure(shape), results)
+
+    return once
+
+
+def rewritten(program: ClosedJaxpr) -> ClosedJaxpr:
+    """The same program: calls inlined, equal expressions merged, shared values kept; so in the bodies of its loops."""
+    inputs = program.in_avals
+    flat = jax.make_jaxpr(lambda *args: Merged().run(program, args))(*inputs)
+    return jax.make_jaxpr(lambda *args: keeping(flat, args))(*inputs)
+
+
+@jax.jit
+def itself(value: jax.Array) -> jax.Array:
+    """The value."""
+    return value
+
+
+def kept(value: jax.Array) -> jax.Array:
+    """The value, in a buffer of its own."""
+    with set_xla_metadata(inlineable="false"):
+        return itself(value)
+
+
+class Scope:
+    """Values of a program's variables while it is evaluated."""
+
+    def __init__(self, program: ClosedJaxpr, args: Sequence[Any]) -> None:
+        jaxpr = program.jaxpr
+        self.values: dict[Var, Any] = dict(zip(jaxpr.constvars, program.consts, strict=True))
+        self.values.update(zip(jaxpr.invars, args, strict=True))
+
+    def read(self, atoms: Sequence[Var | Literal]) -> list[Any]:
+        """Values of variables and literals."""
+        return [atom.val if isinstance(atom, Literal) else self.values[atom] for atom in atoms]
+
+    def write(self, variables: Sequence[Var], values: Sequence[Any]) -> None:
+        """Set what an equation defines."""
+        self.values.update(zip(variables, values, strict=True))
+
+
+class Merged:
+    """Evaluation with calls inlined; an expression that stands twice is evaluated once.
+
+    What is compared by object is kept with the results, so that no later object takes over its id.
+    """
+
+    def __init__(self) -> None:
+        self.known: dict[Hashable, tuple[list[Any], Any]] = {}
+
+    def run(self, program: ClosedJaxpr, args: Sequence[Any]) -> list[Any]:
+        """Results of the program."""
+        scope = Scope(program, args)
+        for eqn in program.jaxpr.eqns:
+            operands = scope.read(eqn.invars)
+            inner = eqn.params.get("jaxpr", eqn.params.get("call_jaxpr"))
+            called = eqn.primitive.name in CALLS and isinstance(inner, ClosedJaxpr)
+            scope.write(eqn.outvars, self.run(inner, operands) if called else self.results(eqn, operands))
+        return scope.read(program.jaxpr.outvars)
+
+    def results(self, eqn: JaxprEqn, operands: list[Any]) -> list[Any]:
+        """What one equation defines."""
+        if eqn.primitive.name in LOOPS or eqn.effects:
+            params = {
+                name: rewritten(value) if name in BODIES and isinstance(value, ClosedJaxpr) else value
+                for name, value in eqn.params.items()
+            }
+            return bound(eqn, operands, params)
+        key = (eqn.primitive, identity(eqn.params), *map(identity, operands))
+        if key not in self.known:
+            self.known[key] = bound(eqn, operands, eqn.params), (operands, eqn.params)
+        return self.known[key][0]
+
+
+def identity(value: Any) -> Hashable:
+    """Equal for operands and parameters that are surely equal.
+
+    Arrays and numbers are compared by type and bytes, containers part by part, names by value; all else, traced values
+    and programs among it, by object. (Printed text would not do: NumPy shortens it.)
+    """
+    if value is None or isinstance(value, str | bytes | Enum | np.dtype):
+        return type(value), value
+    if isinstance(value, Mapping):
+        return type(value), tuple((name, identity(part)) for name, part in value.items())
+    if isinstance(value, tuple | list):
+        return type(value), tuple(map(identity, value))
+    if isinstance(value, bool | int | float | complex | np.generic | np.ndarray | jax.Array) and not_traced(value):
+        array = np.asarray(value)
+        return type(value), str(jax.typeof(value)), array.shape, array.tobytes()
+    return id(value)
+
+
+def not_traced(value: Any) -> bool:
+    """Whether a value is known and not a random key, whose bytes only JAX can read."""
+    return not isinstance(value, Tracer) and not jnp.issubdtype(jax.typeof(value).dtype, jax.dtypes.extended)
+
+
+def bound(eqn: JaxprEqn, operands: Sequence[Any], params: dict[str, Any]) -> list[Any]:
+    """Results of an equation's primitive."""
+    results = eqn.primitive.bind(*operands, **params)
+    return list(results) if eqn.primitive.multiple_results else [results]
+
+
+def needed(jaxpr: Jaxpr) -> list[JaxprEqn]:
+    """The equations that a result depends on."""
+    wanted = {atom for atom in jaxpr.outvars if isinstance(atom, Var)}
+    equations = []
+    for eqn in reversed(jaxpr.eqns):
+        if eqn.effects or not wanted.isdisjoint(eqn.outvars):
+            wanted.update(variables(eqn))
+            equations.append(eqn)
+    return equations[::-1]
+
+
+def variables(eqn: JaxprEqn) -> set[Var]:
+    """Variables that an equation reads."""
+    return {atom for atom in eqn.invars if isinstance(atom, Var)}
+
+
+def keeping(program: ClosedJaxpr, args: Sequence[Any]) -> list[Any]:
+    """Results of a program without calls, its shared values kept where that is cheaper than computing them again."""
+    scope, equations = Scope(program, args), needed(program.jaxpr)
+    keep = worth_keeping(equations, {atom for atom in program.jaxpr.outvars if isinstance(atom, Var)})
+    for eqn in equations:
+        results = bound(eqn, scope.read(eqn.invars), eqn.params)
+        pairs = zip(eqn.outvars, results, strict=True)
+        scope.write(eqn.outvars, [kept(value) if variable in keep else value for variable, value in pairs])
+    return scope.read(program.jaxpr.outvars)
+
+
+def worth_keeping(equations: Sequence[JaxprEqn], results: set[Var]) -> set[Var]:
+    """Variables that several kernels read and that cost too much to compute in each of them.
+
+    A kernel is named by the value that it stores. Backwards, a variable belongs to the kernels of its readers; what
+    only one kernel reads is computed within it. Forwards, operations are counted from the last stored values.
+
+    Of arrays XLA itself keeps what is not :data:`REPEATED`; of single numbers, which kernels broadcast, nothing: the
+    sine of the time would be computed in each kernel that reads the reference.
+    """
+    again = repeated_work(equations, results)
+    kernels: dict[Var, set[Var]] = {variable: {variable} for variable in results}
+    keep = set()
+    for eqn in reversed(equations):
+        readers: set[Var] = set()
+        for variable in eqn.outvars:
+            own = kernels.get(variable, set())
+            repeated, shared = eqn.primitive.name in REPEATED, len(own) > 1 and eqn.primitive.name not in FREE
+            worth = (repeated and again[variable] >= WORTH) if size(variable) > 1 else not repeated
+            if shared and worth:
+                keep.add(variable)
+            stored = variable in keep or variable in results or (shared and not repeated)
+            readers |= {variable} if stored and eqn.primitive.name not in FREE else own
+        for variable in variables(eqn):
+            kernels.setdefault(variable, set()).update(readers)
+    return keep
+
+
+def repeated_work(equations: Sequence[JaxprEqn], results: set[Var]) -> dict[Var, int]:
+    """Operations to compute each variable from the values that several others read."""
+    uses = Counter(results) + Counter(variable for eqn in equations for variable in variables(eqn))
+    again: dict[Var, int] = {}
+    left: dict[Var, int] = Counter()
+    for eqn in equations:
+        cost = sum(left[variable] for variable in variables(eqn)) + (eqn.primitive.name not in FREE)
+        for variable in eqn.outvars:
+            again[variable] = cost
+            stored = uses[variable] > 1 and (cost >= WORTH or eqn.primitive.name not in REPEATED | FREE)
+            left[variable] = 0 if stored else cost
+    return again
+
+
+def size(variable: Var) -> int:
+    """Numbers in a variable's array."""
+    return getattr(variable.aval, "size", 1)

@@ -1,0 +1,268 @@
+"""A batch of lanes as one GPU kernel, whose state stays in registers for the whole run.
+
+A plain loop over time launches kernels at every sample and carries the state of all lanes through memory. Here each
+program of a Pallas grid loads the numbers of a warp of lanes, runs the lanes from start to end, and stores what was
+found. The kernel is what JAX traces of the lane program itself: there is no second copy of the physics.
+
+On the way three things are rewritten, because Triton, which compiles it, reads them differently:
+
+* a weakly typed float64 (the sine of a plain number) would be computed in float32;
+* its minimum and maximum drop a NaN, which would hide a diverged draw from the loop;
+* random keys have no form there. Where no random number is drawn they are unused, and dropped; otherwise the program
+  does not fit, and the engine keeps the loop over time.
+"""
+
+import os
+import warnings
+from collections.abc import Callable, Iterable, Sequence
+from enum import StrEnum
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.core import Tracer
+from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal
+
+from dssc_jax.backend.fusion import CALLS, Scope, bound, needed
+from dssc_jax.core.errors import ConfigError, meant
+
+SWITCH = "DSSC_JAX_KERNEL"
+DEPRECATED = "The Pallas Triton backend is deprecated"  # by JAX 0.11; pyproject.toml admits no version without it
+LANES, WARPS = 32, 1  # of a program: one lane a thread, so that registers are all that bounds how many run
+KEYS = {"random_seed", "random_fold_in", "random_wrap"}
+ELEMENTWISE = {
+    "abs", "acos", "acosh", "add", "and", "asin", "asinh", "atan", "atan2", "atanh", "broadcast_in_dim", "cbrt", "ceil",
+    "convert_element_type", "cos", "cosh", "div", "eq", "exp", "exp2", "expm1", "floor", "ge", "gt", "integer_pow",
+    "is_finite", "le", "log", "log1p", "lt", "mul", "ne", "neg", "not", "or", "pow", "rem", "rsqrt", "select_n", "sign",
+    "sin", "sinh", "sqrt", "square", "stop_gradient", "sub", "tan", "tanh", "xor",
+}  # fmt: skip
+"""Primitives that Triton has, and that act on every lane by itself."""
+
+ORDERED = {"max": jnp.greater_equal, "min": jnp.less_equal}
+
+Batch = Callable[[dict[str, jax.Array], jax.Array], Any]
+"""(numbers of n lanes, their indices) -> a tree of arrays of shape (n,), for any n."""
+
+
+class Form(StrEnum):
+    """How a batch advances: all lanes sample by sample, or a Pallas kernel that takes a warp of them to the end."""
+
+    SCAN = "scan"
+    PALLAS = "pallas"
+
+
+class Unfit(ConfigError):
+    """The program cannot be a kernel."""
+
+    def __init__(self, rule: str) -> None:
+        super().__init__("kernel", f"{rule}; take '{Form.SCAN}'")
+
+
+class KernelWarning(UserWarning):
+    """A study advances sample by sample on a GPU."""
+
+
+def requested(choice: str = "") -> str:
+    """``scan``, or what was asked for: as an argument, or in the environment.
+
+    Raises:
+        ConfigError: there is no such form.
+    """
+    choice = choice or os.environ.get(SWITCH) or Form.SCAN
+    if choice not in (*Form, "auto"):
+        raise ConfigError("kernel", f"must be scan, pallas or auto, got '{choice}'; {meant(choice, (*Form, 'auto'))}")
+    return choice
+
+
+def requested_settings() -> list[str]:
+    """What the environment asks for, as a manifest keeps it; nothing where it does not."""
+    return [f"{SWITCH}={requested()}"] if os.environ.get(SWITCH) else []
+
+
+def compiled(choice: str, compile_for: Callable[[Batch], Any], scan: Batch, batch: Batch) -> Any:
+    """A batch, compiled in the form of choice; ``auto``: as a kernel on a GPU wherever it can be one.
+
+    Args:
+        choice: What :func:`requested` gave.
+        compile_for: Compiles a batch.
+        scan: The batch as it advances sample by sample.
+        batch: The batch as it is written.
+
+    Raises:
+        Unfit: a kernel was asked for, and the batch cannot be one.
+
+    Warns:
+        KernelWarning: it was not asked for, and the batch cannot be one.
+    """
+    if choice == Form.PALLAS:
+        return compile_for(in_registers(batch))
+    if choice == "auto" and jax.default_backend() == "gpu":
+        try:
+            return compile_for(in_registers(batch))
+        # Our own refusal, JAX's of a primitive or device, Triton's of a program; what else is wrong, the scan meets.
+        except (Unfit, RuntimeError) as error:
+            warnings.warn(f"slower, sample by sample: {error}", KernelWarning, stacklevel=2)
+    return compile_for(scan)
+
+
+def in_registers(batch: Batch, interpret: bool | None = None) -> Batch:
+    """The same batch as a Pallas kernel of :data:`LANES` lanes a program.
+
+    Args:
+        batch: What is computed of lanes that do not see each other.
+        interpret: Run it by XLA instead of Triton; None: where there is no GPU.
+
+    Raises:
+        Unfit: when it is traced: the program draws random numbers, or does what only arrays can.
+    """
+    import jax.experimental.pallas as pl  # not at import: most runs need neither
+    from jax.experimental.pallas import triton
+
+    warnings.filterwarnings("ignore", DEPRECATED, DeprecationWarning)
+
+    def advance(values: dict[str, jax.Array], index: jax.Array) -> Any:
+        count, real = len(index), jnp.result_type(float)
+        warp = jax.tree.map(lambda x: jax.ShapeDtypeStruct((LANES,), x.dtype), (values, index))
+        program, shape = jax.make_jaxpr(batch, return_shape=True)(*warp)
+        results, tree = jax.tree.flatten(shape)
+        read, written = power_of_two(len(values)), power_of_two(len(results))
+
+        def kernel(numbers: Any, index: Any, found: Any) -> None:
+            columns = [column.reshape(LANES) for column in lax.split(numbers[...], [1] * read, axis=1)]
+            lanes = dict(zip(values, columns, strict=False)), index[...]
+            out = translated(program, jax.tree.leaves(lanes))
+            out += [jnp.zeros(LANES, real)] * (written - len(out))
+            found[...] = joined([x.astype(real) for x in out])
+
+        numbers = jnp.stack([*values.values(), *[jnp.zeros(count, real)] * (read - len(values))], axis=1)
+        spare = -count % LANES
+        found = pl.pallas_call(
+            kernel,
+            out_shape=jax.ShapeDtypeStruct((count + spare, written), real),
+            grid=((count + spare) // LANES,),
+            in_specs=[pl.BlockSpec((LANES, read), lambda i: (i, 0)), pl.BlockSpec((LANES,), lambda i: (i,))],
+            out_specs=pl.BlockSpec((LANES, written), lambda i: (i, 0)),
+            compiler_params=triton.CompilerParams(num_warps=WARPS, num_stages=1),
+            interpret=jax.default_backend() != "gpu" if interpret is None else interpret,
+        )(jnp.pad(numbers, ((0, spare), (0, 0)), mode="edge"), jnp.pad(index, (0, spare), mode="edge"))
+        columns = [found[:count, i].astype(result.dtype) for i, result in enumerate(results)]
+        return jax.tree.unflatten(tree, columns)
+
+    return advance
+
+
+def power_of_two(count: int) -> int:
+    """The least that is not below ``count``: no other length exists in Triton."""
+    return 1 << max(count - 1, 0).bit_length()
+
+
+def joined(columns: list[jax.Array]) -> jax.Array:
+    """2^m columns as one array of shape (LANES, 2^m), two at a time: Triton's way.
+
+    One store in place of many, since the time to compile grows with the stores times the square of the program.
+    """
+    while len(columns) > 1:
+        half = len(columns) // 2
+        pairs = zip(columns[:half], columns[half:], strict=True)
+        columns = [jnp.concatenate([jnp.expand_dims(x, -1) for x in pair], axis=-1) for pair in pairs]
+    return columns[0].reshape(LANES, -1)
+
+
+def translated(program: ClosedJaxpr, arguments: Sequence[Any]) -> list[Any]:
+    """Trace a program again, as Triton needs it; nested ones become part of it.
+
+    Raises:
+        Unfit: it cannot be said in the primitives of :data:`ELEMENTWISE` and loops over them.
+    """
+    if any(np.ndim(constant) for constant in program.consts):
+        raise Unfit(f"the loop holds an array of shape {max(map(np.shape, program.consts))}")
+    scope = Scope(program, arguments)
+
+    def values(atoms: Sequence[Any]) -> list[Any]:
+        return [typed(*pair) for pair in zip(atoms, scope.read(atoms), strict=True)]
+
+    for equation in needed(program.jaxpr):
+        scope.write(equation.outvars, [strong(x) for x in applied(equation, values(equation.invars))])
+    return values(program.jaxpr.outvars)
+
+
+def applied(equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+    """The results of one equation."""
+    name, params = equation.primitive.name, equation.params
+    if name in KEYS:
+        return [None]  # of a key, which nobody may look into
+    if name.startswith(("random", "threefry")):
+        raise Unfit(f"the loop draws random numbers ({name}), and a kernel cannot")
+    if name in CALLS:
+        return translated(params["call_jaxpr" if "call_jaxpr" in params else "jaxpr"], operands)
+    if name in LOOPS:
+        return LOOPS[name](equation, operands)
+    if name in ORDERED:
+        return [extreme(ORDERED[name], *operands)]
+    if name == "pmax" and params["axes"] == (0,):  # over the lanes, which may tell each other that much
+        return [jnp.max(x, axis=0) for x in operands]
+    if name not in ELEMENTWISE:
+        raise Unfit(f"the loop uses '{name}', which does not act on each lane by itself")
+    shape = equation.outvars[0].aval.shape  # pyright: ignore[reportAttributeAccessIssue]
+    if len(shape) > 1:
+        raise Unfit(f"the loop computes with arrays ('{name}' has {shape[1:]} in a lane)")
+    if shape or any(isinstance(operand, Tracer) for operand in operands):
+        return bound(equation, operands, params)
+    with jax.ensure_compile_time_eval():  # Triton has no rule for functions of constants
+        return [np.asarray(x)[()] for x in bound(equation, operands, params)]
+
+
+def typed(atom: Any, value: Any) -> Any:
+    """The value of a variable or literal; the literal's with the type that it has there."""
+    return np.asarray(value, jax.typeof(value).dtype)[()] if isinstance(atom, Literal) else value
+
+
+def strong(x: Any) -> Any:
+    """The same value, of a type that does not yield to others'."""
+    return lax.convert_element_type(x, x.dtype) if getattr(x, "weak_type", False) else x
+
+
+def extreme(before: Callable[[Any, Any], Any], x: Any, y: Any) -> Any:
+    """The one that comes before the other; NaN where one of them is."""
+    return jnp.where(before(x, y) | (x != x), x, y)
+
+
+def scan(equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+    """A loop of known length that carries numbers only: its body takes and gives what the whole loop does."""
+    body: ClosedJaxpr = equation.params["jaxpr"]
+    if shapes(x.aval for x in (*equation.invars, *equation.outvars)) != shapes((*body.in_avals, *body.out_avals)):
+        raise Unfit("the loop keeps its samples")
+    constants, carry = split_before_last(len(equation.outvars), operands)
+
+    def turn(carry: list[Any], _: None) -> tuple[list[Any], None]:
+        return translated(body, [*constants, *carry]), None
+
+    return lax.scan(turn, carry, length=equation.params["length"])[0]
+
+
+def while_loop(equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+    """A loop that the lanes of a warp leave together."""
+    goes_on, body = equation.params["cond_jaxpr"], equation.params["body_jaxpr"]
+    constants, carry = split_before_last(len(equation.outvars), operands)
+    asked, constants = split_before_last(len(body.in_avals) - len(carry), constants)
+    return lax.while_loop(
+        lambda carry: translated(goes_on, [*asked, *carry])[0],
+        lambda carry: translated(body, [*constants, *carry]),
+        carry,
+    )
+
+
+def shapes(avals: Iterable[Any]) -> list[tuple[int, ...]]:
+    """Shape of each."""
+    return [aval.shape for aval in avals]
+
+
+def split_before_last(count: int, values: list[Any]) -> tuple[list[Any], list[Any]]:
+    """The values before the last ``count``, and the last ``count``."""
+    return values[: len(values) - count], values[len(values) - count :]
+
+
+LOOPS = {"scan": scan, "while": while_loop}
+"""Loops by what any version of JAX says of them: programs, and what goes in and comes out."""

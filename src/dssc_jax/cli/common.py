@@ -1,0 +1,147 @@
+"""What commands share: the application, how a study is loaded, and where its results go."""
+
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from dssc_jax.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from dssc_jax.results.result import Result
+    from dssc_jax.study import Study
+
+DONE, FAILS, BAD_INPUT = 0, 1, 2
+LONGEST = 1000  # characters of a message
+
+app = typer.Typer(
+    name="dssc-jax",
+    help="How much uncertainty does this controller survive, and how do I know?\n\n"
+    "Monte Carlo robustness of Dynamic Smooth Sliding Control and its rivals, on study files (TOML).",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+def assignment(text: str, option: str) -> tuple[str, str]:
+    """Name and value of ``NAME=VALUE``."""
+    name, equals, value = text.partition("=")
+    if not equals or not name or not value:
+        raise ConfigError(option, f"must be NAME=VALUE, got '{text}'")
+    return name, value
+
+
+def parse_value(text: str) -> Any:
+    """A TOML value; what is none is a string."""
+    import tomllib
+
+    try:
+        parsed = tomllib.loads(f"value = {text}")
+    except ValueError:  # TOMLDecodeError is one, so are integers too long
+        return text
+    return parsed["value"] if len(parsed) == 1 else text
+
+
+def parse_over(text: str) -> tuple[str, dict[str, list[Any]]]:
+    """Name and axis of ``NAME=LO:HI:COUNT[:log]``."""
+    name, value = assignment(text, "--over")
+    try:
+        low, high, count, *rest = value.split(":")
+        numbers = [float(low), float(high), int(count)]
+    except ValueError:
+        raise ConfigError("--over", f"must be NAME=LO:HI:COUNT[:log], got '{text}'") from None
+    if rest not in ([], ["log"]):
+        raise ConfigError("--over", f"after COUNT only ':log' may stand, got '{text}'")
+    return name, {"logspace" if rest else "linspace": numbers}
+
+
+def parse_overs(texts: list[str]) -> dict[str, dict[str, list[Any]]]:
+    """The axes of all ``--over`` options."""
+    axes: dict[str, dict[str, list[Any]]] = {}
+    for text in texts:
+        name, axis = parse_over(text)
+        if name in axes:
+            raise ConfigError("--over", f"'{name}' is given twice")
+        axes[name] = axis
+    return axes
+
+
+def load_study(
+    name: str,
+    settings: list[str] | None,
+    draws: int | None,
+    seed: int | None,
+    local: bool,
+    cluster: str | None = None,
+) -> "Study":
+    """The study as the options change it."""
+    if cluster:  # validation starts JAX: leave a GPU's memory to the worker that computes on it
+        os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+    from dssc_jax.study import Study, read_toml
+    from dssc_jax.study.library import find
+    from dssc_jax.study.tables import changed
+
+    path = find(name)
+    if local:
+        sys.path.insert(0, str(path.resolve().parent))
+    changes: dict[str, Any] = {}
+    for text in settings or []:
+        key, value = assignment(text, "--set")
+        changes[key] = parse_value(value)
+    changes |= {key: value for key, value in (("draws", draws), ("seed", seed)) if value is not None}
+    table = changed(read_toml(path), changes, str(path))
+    tell_code("study", table)
+    return Study.from_table(table, str(path))
+
+
+def load_result(folder: Path, trust_code: bool = False, local: bool = False) -> "Result":
+    """A stored result, which may come from anybody.
+
+    Args:
+        folder: The results folder.
+        trust_code: Import what its study names, having said what.
+        local: As in :func:`load_study`, of the study file that it was made from; only where its code is trusted.
+    """
+    from dssc_jax.results.manifest import read_manifest
+    from dssc_jax.results.result import load
+
+    if trust_code:
+        about = read_manifest(folder)
+        if local:
+            sys.path.insert(0, str(Path(str(about.get("source", ""))).resolve().parent))
+        tell_code("result", about["study"], about.get("code"))
+    return load(folder, trust_code)
+
+
+def tell_code(what: str, table: dict[str, Any], then: dict[str, Any] | None = None) -> None:
+    """Say which code is about to run, and from which files, before it is imported."""
+    from dssc_jax.study.code import told
+
+    if names := told(table, then):
+        say(f"this {what} runs code: {names}")
+
+
+def say(text: str) -> None:
+    """For people: one line on stderr, so that stdout stays for results; control characters are not passed on."""
+    line = " ".join(text.split())
+    line = line if len(line) <= LONGEST else f"{line[:LONGEST]} ..."
+    print("".join(c if c.isprintable() else "?" for c in line), file=sys.stderr)
+
+
+def default_out(study: "Study", command: str, *options: Any) -> Path:
+    """results/NAME-COMMAND, with the study's hash where an option is given that alters what is asked."""
+    altered = any(option not in (None, []) for option in options)
+    return Path("results") / f"{study.name}-{command}{'-' + study.hash[:8] if altered else ''}"
+
+
+def attempt(path: Path, write: Callable[[], Any]) -> None:
+    """Write a file the user named; what prevents it is bad input."""
+    try:
+        write()
+    except (OSError, ValueError) as error:
+        raise ConfigError(str(path), f"cannot be written: {' '.join(str(error).split())}") from error

@@ -1,0 +1,353 @@
+"""Metrics of a run in streaming form: memory does not grow with the duration.
+
+A metric is where its accumulator starts, and two pure functions, ``update`` and ``value``. It counts samples at
+t >= ``after`` only.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dssc_jax.core.numerics import root_abs
+from dssc_jax.core.quantities import angular_unit
+from dssc_jax.core.signals import Info, Scalar
+
+
+class Sample(NamedTuple):
+    """What a metric sees of one sample instant.
+
+    ``k`` is the sample's index, ``u`` the controller's robust part and ``u_previous`` that of the sample before (of
+    the first sample: itself); ``k_p`` is the draw's own input gain.
+    """
+
+    k: Scalar
+    dt: Scalar
+    e: Scalar
+    sigma: Scalar
+    u: Scalar
+    u_previous: Scalar
+    u_total: Scalar
+    k_p: Scalar
+    info: Info
+
+
+class Instant(NamedTuple):
+    """One sample instant of the whole loop: every channel, and what the plant's monitor saw."""
+
+    t: Scalar
+    dt: Scalar
+    channels: tuple[Sample, ...]
+    plant: Info
+
+
+class Scope(StrEnum):
+    """What a metric is of: each channel, or the vehicle as a whole."""
+
+    CHANNEL = "channel"
+    VEHICLE = "vehicle"
+
+
+@dataclass(frozen=True)
+class Window:
+    """Samples at t >= ``after`` [s]; ``band`` [m] is the error that counts as settled."""
+
+    after: float = 0.0
+    band: float = 0.05
+
+
+class Span(NamedTuple):
+    """What a finished accumulator is evaluated over: samples in the run, samples in the window, and T_s [s]."""
+
+    steps: Scalar
+    inside: Scalar
+    sample_time: float
+
+
+class Metric(NamedTuple):
+    """A streaming measure.
+
+    Args:
+        unit: SI unit.
+        meaning: Long name.
+        update: ``(accumulator, sample, window) -> accumulator`` for a sample within the window; a metric of the
+            vehicle gets the :class:`Instant`.
+        value: ``(accumulator, window, span) -> value``.
+        needs: Fields of the controller's (the vehicle's) info without which the metric does not exist.
+        scope: Whether it is of a channel or of the vehicle.
+        start: The accumulator before the first sample: a number, or a ``NamedTuple`` of numbers.
+        counted: Whether the value counts samples, as a time or as a share: rounding moves it by whole samples.
+    """
+
+    unit: str
+    meaning: str
+    update: Callable[[Any, Any, Window], Any]
+    value: Callable[[Any, Window, Span], Scalar]
+    needs: tuple[str, ...] = ()
+    scope: Scope = Scope.CHANNEL
+    start: Any = 0.0
+    counted: bool = False
+
+
+def peak(of: Callable[[Any], Scalar]) -> Callable[[Scalar, Any, Window], Scalar]:
+    """Running maximum of |.|."""
+    return lambda acc, sample, window: jnp.maximum(acc, jnp.abs(of(sample)))
+
+
+def total(of: Callable[[Any], Scalar]) -> Callable[[Scalar, Any, Window], Scalar]:
+    """Running sum."""
+    return lambda acc, sample, window: acc + of(sample)
+
+
+def itself(acc: Scalar, window: Window, span: Span) -> Scalar:
+    """The accumulator."""
+    return acc
+
+
+def mean(acc: Scalar, window: Window, span: Span) -> Scalar:
+    """Mean over the window."""
+    return acc / span.inside
+
+
+def root_mean(acc: Scalar, window: Window, span: Span) -> Scalar:
+    """Root of the mean over the window."""
+    return root_abs(acc / span.inside)
+
+
+class Stretch(NamedTuple):
+    """Samples in the uninterrupted stretch that lasts, and in the longest one so far."""
+
+    lasting: Scalar = 0.0
+    longest: Scalar = 0.0
+
+
+def stretch(of: Callable[[Any], Scalar]) -> Callable[[Stretch, Any, Window], Stretch]:
+    """Longest run of samples at which the flag (1 or 0) holds."""
+
+    def update(acc: Stretch, sample: Any, window: Window) -> Stretch:
+        lasting = (acc.lasting + 1.0) * of(sample)
+        return Stretch(lasting, jnp.maximum(acc.longest, lasting))
+
+    return update
+
+
+def longest(acc: Stretch, window: Window, span: Span) -> Scalar:
+    """Time that the longest stretch takes."""
+    return acc.longest * span.sample_time
+
+
+def last_outside(acc: Scalar, sample: Sample, window: Window) -> Scalar:
+    """Number of samples up to the last one with |e| > band; a count is exact in float32 up to 16 million."""
+    return jnp.where(jnp.abs(sample.e) > window.band, jnp.asarray(sample.k + 1, jnp.result_type(float)), acc)
+
+
+def settling(acc: Scalar, window: Window, span: Span) -> Scalar:
+    """Time from the window's start to the end of the last sample outside; infinite where that is the run's last."""
+    time = jnp.maximum(acc * span.sample_time - window.after, 0.0)
+    return jnp.where(acc >= span.steps, jnp.inf, time)
+
+
+def sampling_ratio(sample: Sample) -> Scalar:
+    """(k_p T_s/(k_o tau_av)) (1 + T_s/(2 tau_m))/2: above 1 the sampled loop chatters or diverges.
+
+    Exact stability limit of constant functions on sigma' = k_p u; for state-dependent ones, that of the values
+    at the sample. k_p is the draw's own, so that its largest value over draws is the one at k_max.
+    """
+    info = sample.info
+    proportional = sample.k_p * sample.dt / (info.k_o * info.tau_av)
+    rate = 1.0 / info.tau_m  # the nominal control divides so, too: one division serves both
+    return 0.5 * proportional * (1.0 + 0.5 * sample.dt * rate)
+
+
+def position_error(instant: Instant) -> Scalar:
+    """Distance from the desired position; the first three channels are x, y, z."""
+    return root_abs(sum(jnp.square(sample.e) for sample in instant.channels[:3]))
+
+
+def rotor_limited(instant: Instant) -> Scalar:
+    """1 where a rotor is at its limit, else 0."""
+    return as_float(instant.plant.rotor_limited, instant.plant.tilt)
+
+
+def as_float(flag: Scalar, like: Scalar) -> Scalar:
+    """1 where the flag holds, else 0."""
+    return jnp.where(flag, jnp.ones_like(like), jnp.zeros_like(like))
+
+
+SLIDING, SAMPLING, FLYING = ("sliding_margin",), ("k_o", "tau_av", "tau_m"), ("tilt",)
+METRICS: dict[str, Metric] = {
+    "error_rms": Metric("m", "rms of the output error e", total(lambda s: s.e * s.e), root_mean),
+    "error_max": Metric("m", "largest |e|", peak(lambda s: s.e), itself),
+    "sigma_rms": Metric("m/s", "rms of sigma", total(lambda s: s.sigma * s.sigma), root_mean),
+    "sigma_max": Metric("m/s", "largest |sigma|", peak(lambda s: s.sigma), itself),
+    "settling_time": Metric("s", "time after which |e| stays within the band", last_outside, settling, counted=True),
+    "command_tv": Metric(
+        "m/s", "total variation of the robust command u", total(lambda s: jnp.abs(s.u - s.u_previous)), itself
+    ),
+    "command_rms": Metric("m/s", "rms of the robust command u", total(lambda s: s.u * s.u), root_mean),
+    "command_max": Metric("m/s", "largest |u|", peak(lambda s: s.u), itself),
+    "total_command_max": Metric("m/s", "largest |u + u_n|", peak(lambda s: s.u_total), itself),
+    "outside_sliding": Metric(
+        "1",
+        "share of time outside sliding",
+        total(lambda s: as_float(s.info.sliding_margin < 0.0, s.e)),
+        mean,
+        SLIDING,
+        counted=True,
+    ),
+    "sampling_ratio": Metric("1", "largest sampling ratio", peak(sampling_ratio), itself, SAMPLING),
+    "sampling_ratio_above_1": Metric(
+        "1",
+        "share of time with a sampling ratio above 1",
+        total(lambda s: as_float(sampling_ratio(s) > 1.0, s.e)),
+        mean,
+        SAMPLING,
+        counted=True,
+    ),
+    "position_error_rms": Metric(
+        "m",
+        "rms of the position error",
+        total(lambda i: jnp.square(position_error(i))),
+        root_mean,
+        FLYING,
+        Scope.VEHICLE,
+    ),
+    "position_error_max": Metric("m", "largest position error", peak(position_error), itself, FLYING, Scope.VEHICLE),
+    "tilt_max": Metric("rad", "largest tilt of body z", peak(lambda i: i.plant.tilt), itself, FLYING, Scope.VEHICLE),
+    "rotor_limited": Metric(
+        "1",
+        "share of time with a rotor at its limit",
+        total(rotor_limited),
+        mean,
+        FLYING,
+        Scope.VEHICLE,
+        counted=True,
+    ),
+    "rotor_limited_longest": Metric(
+        "s",
+        "longest uninterrupted time with a rotor at its limit",
+        stretch(rotor_limited),
+        longest,
+        FLYING,
+        Scope.VEHICLE,
+        Stretch(),
+        counted=True,
+    ),
+    "lift_bounded": Metric(
+        "1",
+        "share of time with the wanted lift at its lower bound",
+        total(lambda i: as_float(i.plant.lift_bounded, i.plant.tilt)),
+        mean,
+        FLYING,
+        Scope.VEHICLE,
+        counted=True,
+    ),
+}
+BRIEF = ("error_rms", "error_max", "command_tv", "command_max", "outside_sliding", "sampling_ratio")
+"""Metrics of each channel that a plant of several reports unless the study names others."""
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One metric of one channel, or of the vehicle, over one window.
+
+    Args:
+        name: Its name in results.
+        kind: The metric's name.
+        window: The samples that count.
+        channel: Index of the channel; None: the vehicle.
+        own: The streaming form of a kind that is not in :data:`METRICS`.
+        angular: Whether the channel's output is an angle.
+        channel_name: The channel's name; empty for the vehicle, and for a plant whose only channel has none.
+    """
+
+    name: str
+    kind: str
+    window: Window
+    channel: int | None = 0
+    own: Metric | None = None
+    angular: bool = False
+    channel_name: str = ""
+
+    @property
+    def metric(self) -> Metric:
+        """The streaming form."""
+        return self.own or METRICS[self.kind]
+
+    @property
+    def label(self) -> str:
+        """Kind and channel, without the window."""
+        return suffixed(self.kind, self.channel_name)
+
+    @property
+    def unit(self) -> str:
+        """SI unit of the value."""
+        return angular_unit(self.metric.unit) if self.angular else self.metric.unit
+
+    def of(self, instant: Instant) -> Any:
+        """What the metric is updated with."""
+        return instant if self.channel is None else instant.channels[self.channel]
+
+
+def suffixed(kind: str, channel: str) -> str:
+    """A metric's name with that of its channel, if the channel has one."""
+    return f"{kind}_{channel}" if channel else kind
+
+
+def available(
+    channels: Mapping[str, Sequence[str]], vehicle: Sequence[str], metrics: Mapping[str, Metric]
+) -> dict[str, tuple[str, int | None]]:
+    """Metrics that a loop can have: name -> kind and channel.
+
+    Args:
+        channels: Fields of the controller's info by channel; a plant of one channel has the empty name.
+        vehicle: Fields of the plant's own info.
+        metrics: Every kind there is.
+    """
+    found: dict[str, tuple[str, int | None]] = {}
+    for kind, metric in metrics.items():
+        if metric.scope is Scope.VEHICLE:
+            if set(metric.needs) <= set(vehicle):
+                found[kind] = (kind, None)
+            continue
+        for index, (channel, fields) in enumerate(channels.items()):
+            if set(metric.needs) <= set(fields):
+                found[suffixed(kind, channel)] = (kind, index)
+    return found
+
+
+def first_sample(window: Window, sample_time: float) -> int:
+    """Index of the first sample at t >= after, robust to rounding of t = k T_s."""
+    return max(0, math.ceil(window.after / sample_time - 1e-9))
+
+
+def starts(measures: tuple[Measure, ...]) -> tuple[Any, ...]:
+    """Every accumulator before the first sample."""
+    return tuple(measure.metric.start for measure in measures)
+
+
+def update_all(
+    measures: tuple[Measure, ...], accumulators: tuple[Any, ...], instant: Instant, k: Scalar, t_s: float
+) -> tuple[Any, ...]:
+    """Every accumulator after sample k."""
+    updated = []
+    for measure, acc in zip(measures, accumulators, strict=True):
+        new = measure.metric.update(acc, measure.of(instant), measure.window)
+        start = first_sample(measure.window, t_s)
+        updated.append(new if start == 0 else jax.tree.map(partial(jnp.where, k >= start), new, acc))
+    return tuple(updated)
+
+
+def values(
+    measures: tuple[Measure, ...], accumulators: tuple[Any, ...], steps: Scalar, t_s: float
+) -> dict[str, Scalar]:
+    """Every metric at the end of a run of ``steps`` samples."""
+    return {
+        m.name: m.metric.value(acc, m.window, Span(steps, steps - first_sample(m.window, t_s), t_s))
+        for m, acc in zip(measures, accumulators, strict=True)
+    }

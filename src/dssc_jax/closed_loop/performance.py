@@ -1,0 +1,116 @@
+"""Measures of performance that are computed only where a study names them: each costs time at every sample."""
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from dssc_jax.closed_loop.metrics import Metric, Sample, Scope, Span, Window, itself, peak, total
+from dssc_jax.core.numerics import sign
+from dssc_jax.core.signals import Scalar
+
+CUTOFF = 2.0 * math.pi  # rad/s: the command above 1 Hz counts as chattering (assumed)
+
+
+def integral(acc: Scalar, window: Window, span: Span) -> Scalar:
+    """Sum times T_s."""
+    return acc * span.sample_time
+
+
+def magnitude_of_mean(acc: Scalar, window: Window, span: Span) -> Scalar:
+    """|mean over the window|."""
+    return jnp.abs(acc) / span.inside
+
+
+def timed_error(acc: Scalar, sample: Sample, window: Window) -> Scalar:
+    """Sum of (t - after) |e|."""
+    return acc + (sample.k * sample.dt - window.after) * jnp.abs(sample.e)
+
+
+class Beyond(NamedTuple):
+    """Sign of the window's first error that is not zero, and the largest error on the other side [m]."""
+
+    side: Scalar = 0.0
+    largest: Scalar = 0.0
+
+
+def beyond(acc: Beyond, sample: Sample, window: Window) -> Beyond:
+    """Largest error beyond zero, seen from where the window began."""
+    side = jnp.where(acc.side == 0.0, sign(sample.e), acc.side)
+    return Beyond(side, jnp.maximum(acc.largest, -side * sample.e))
+
+
+class Bands(NamedTuple):
+    """Samples so far, the slow part of the command [m/s], its sum and sum of squares, and the fast part's."""
+
+    samples: Scalar = 0.0
+    slow: Scalar = 0.0
+    total: Scalar = 0.0
+    squares: Scalar = 0.0
+    fast: Scalar = 0.0
+
+
+def bands(acc: Bands, sample: Sample, window: Window) -> Bands:
+    """Part the command by a first-order low-pass filter that starts at the window's first command."""
+    share = -jnp.expm1(-CUTOFF * sample.dt)
+    slow = jnp.where(acc.samples == 0.0, sample.u, acc.slow + share * (sample.u - acc.slow))
+    fast = sample.u - slow
+    return Bands(acc.samples + 1.0, slow, acc.total + slow, acc.squares + slow * slow, acc.fast + fast * fast)
+
+
+def fast_share(acc: Bands, window: Window, span: Span) -> Scalar:
+    """Energy of the fast part over that of both, the slow one taken about its mean; 0 for a constant command."""
+    about_mean = jnp.maximum(acc.squares - acc.total * acc.total / span.inside, 0.0)
+    whole = acc.fast + about_mean
+    return jnp.where(whole > 0.0, acc.fast / jnp.where(whole > 0.0, whole, 1.0), 0.0)
+
+
+class Path(NamedTuple):
+    """Samples so far, the last whole command, and the way that it has gone [m/s]."""
+
+    samples: Scalar = 0.0
+    last: Scalar = 0.0
+    length: Scalar = 0.0
+
+
+def path(acc: Path, sample: Sample, window: Window) -> Path:
+    """Add the step to this sample's u + u_n; the window's first one has none."""
+    step = jnp.where(acc.samples == 0.0, 0.0, jnp.abs(sample.u_total - acc.last))
+    return Path(acc.samples + 1.0, sample.u_total, acc.length + step)
+
+
+class Trend(NamedTuple):
+    """Sums of ln |sigma| and of k ln |sigma|."""
+
+    total: Scalar = 0.0
+    moment: Scalar = 0.0
+
+
+def trend(acc: Trend, sample: Sample, window: Window) -> Trend:
+    """ln |sigma|, floored at the least normal number."""
+    level = jnp.log(jnp.maximum(jnp.abs(sample.sigma), jnp.finfo(jnp.result_type(float)).tiny))
+    return Trend(acc.total + level, acc.moment + sample.k * level)
+
+
+def slope(acc: Trend, window: Window, span: Span) -> Scalar:
+    """Least-squares slope of ln |sigma| over time."""
+    n = span.inside
+    centre = span.steps - n + 0.5 * (n - 1)
+    spread = n * (n**2 - 1) / 12.0
+    return (acc.moment - centre * acc.total) / (max(spread, 1.0) * span.sample_time)
+
+
+PERFORMANCE: dict[str, Metric] = {
+    "iae": Metric("m s", "integral of |e|", total(lambda s: jnp.abs(s.e)), integral),
+    "itae": Metric("m s^2", "integral of time, from the window's start, times |e|", timed_error, integral),
+    "overshoot": Metric(
+        "m", "largest error on the other side of zero", beyond, lambda acc, *_: acc.largest, start=Beyond()
+    ),
+    "steady_state_error": Metric("m", "|mean of e| over the window", total(lambda s: s.e), magnitude_of_mean),
+    "command_energy": Metric("m^2/s", "integral of the robust command's square", total(lambda s: s.u * s.u), integral),
+    "chattering_index": Metric("1", "share of the robust command above 1 Hz", bands, fast_share, start=Bands()),
+    "total_command_tv": Metric("m/s", "total variation of u + u_n", path, lambda acc, *_: acc.length, start=Path()),
+    "roll_max": Metric("rad", "largest |roll|", peak(lambda i: i.plant.phi), itself, ("phi",), Scope.VEHICLE),
+    "pitch_max": Metric("rad", "largest |pitch|", peak(lambda i: i.plant.theta), itself, ("theta",), Scope.VEHICLE),
+    "growth_rate": Metric("1/s", "rate at which |sigma| grows, fitted over the window", trend, slope, start=Trend()),
+}

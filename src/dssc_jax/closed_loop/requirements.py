@@ -1,0 +1,110 @@
+"""Requirements on a run: their slacks, negative where violated, and the outcome code that follows."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.closed_loop.metrics import Measure
+from dssc_jax.core.signals import Outcome, Scalar
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """A bound of one measure. Exactly one of ``maximum`` and ``minimum`` is set, in the metric's unit."""
+
+    measure: Measure
+    maximum: float | None = None
+    minimum: float | None = None
+
+    @property
+    def label(self) -> str:
+        """Its name among the study's requirements: the measure's; a lower bound says so."""
+        return self.measure.name if self.maximum is not None else f"{self.measure.name}_min"
+
+    @property
+    def name(self) -> str:
+        """Name of the slack in results."""
+        return f"slack_{self.label}"
+
+    @property
+    def bound(self) -> float:
+        """The bound, whichever it is."""
+        return self.maximum if self.maximum is not None else self.minimum  # type: ignore[return-value]
+
+    @property
+    def scale(self) -> float:
+        """What slacks are taken relative to where requirements are compared: |bound|, or 1 where that is 0."""
+        return abs(self.bound) or 1.0
+
+    @property
+    def text(self) -> str:
+        """The requirement in words."""
+        window, unit = self.measure.window, self.measure.unit
+        side = f"<= {self.maximum:g}" if self.maximum is not None else f">= {self.minimum:g}"
+        after = f" after {window.after:g} s" if window.after > 0 else ""
+        return f"{self.measure.label}{after} {side} {unit}".removesuffix(" 1")
+
+    def slack(self, value: Scalar) -> Scalar:
+        """Distance to the bound, in the metric's unit: negative where the requirement fails."""
+        if self.maximum is not None:
+            return self.maximum - value
+        return value - self.minimum  # type: ignore[operator]
+
+
+def violated(slack: Any) -> Any:
+    """Whether a slack says that its requirement is violated; one that is no number does.
+
+    Args:
+        slack: A traced value or a NumPy array, any shape.
+
+    Returns:
+        That shape.
+    """
+    return ~(slack >= 0.0)
+
+
+def ended_early(outcome: Any) -> Any:
+    """Whether a draw ended early, and so violates every requirement; from its outcome code, or codes of any shape."""
+    return (outcome != Outcome.OK) & (outcome < Outcome.REQUIREMENT)
+
+
+def judge(
+    requirements: tuple[Requirement, ...], values: dict[str, Scalar], ended: Scalar
+) -> tuple[Scalar, dict[str, Scalar]]:
+    """Outcome code (int32) and the slack of each requirement; -inf where the draw ended early.
+
+    Args:
+        requirements: The requirements; the first violated one, in this order, gives the code.
+        values: Every measure's value by name.
+        ended: The code of the run itself: OK, or why it ended early.
+    """
+    alive = ended == Outcome.OK
+    outcome = jnp.full((), Outcome.OK, dtype=jnp.int32)
+    slacks: dict[str, Scalar] = {}
+    for index, requirement in reversed(list(enumerate(requirements))):
+        slack = requirement.slack(values[requirement.measure.name])
+        outcome = jnp.where(violated(slack), Outcome.REQUIREMENT + index, outcome)
+        slacks[requirement.name] = jnp.where(alive, slack, -jnp.inf)
+    return jnp.where(alive, outcome, ended).astype(jnp.int32), slacks
+
+
+def worst_slack(requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Smallest slack of all requirements, each relative to its bound: negative where a draw fails.
+
+    A draw that ended early, or whose metric is no number, has -inf; without requirements every other one has +inf.
+
+    Args:
+        requirements: The requirements.
+        results: Slacks by name and ``outcome``, of any one shape.
+
+    Returns:
+        That shape.
+    """
+    worst = np.where(ended_early(results["outcome"]), -np.inf, np.inf)
+    for requirement in requirements:
+        slack = results[requirement.name] / requirement.scale
+        worst = np.minimum(worst, np.where(np.isnan(slack), -np.inf, slack))
+    return worst

@@ -1,0 +1,333 @@
+"""One sample of the closed loop of one draw: measure, control, integrate plant and unmodelled dynamics."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dssc_jax.closed_loop.metrics import Instant, Sample
+from dssc_jax.core.contracts import (
+    Controller,
+    Differentiator,
+    Disturbance,
+    Plant,
+    Reference,
+    Sensor,
+    Unmodelled,
+    Wind,
+    as_mimo_plant,
+    as_mimo_reference,
+)
+from dssc_jax.core.integrators import INTEGRATORS, Integrator
+from dssc_jax.core.numerics import stream, wrap_angle
+from dssc_jax.core.signals import (
+    Command,
+    Info,
+    Measurement,
+    Measurements,
+    PlantInput,
+    ReferencePoint,
+    ReferencePoints,
+    Scalar,
+    Signals,
+    State,
+    tracking_error,
+)
+
+UNROLLED = 2  # substeps at most that are traced one by one
+
+
+class LoopParams(NamedTuple):
+    """Parameters of every part of the loop; any number may be traced.
+
+    Those of controller, sensor, differentiator, unmodelled dynamics and disturbance are tuples, one a channel.
+    """
+
+    plant: Any
+    reference: Any
+    wind: Any
+    controller: tuple[Any, ...]
+    sensor: tuple[Any, ...]
+    differentiator: tuple[Any, ...]
+    unmodelled: tuple[Any, ...]
+    disturbance: tuple[Any, ...]
+
+
+class Settled(NamedTuple):
+    """When a draw counts as settled and ends: from ``after`` on, |e| <= ``error`` in every channel for ``hold``.
+
+    Args:
+        error: Bound of |e| [m; rad for psi].
+        hold: Time for which the bound has to hold [s].
+        after: Time before which no error counts [s].
+    """
+
+    error: float
+    hold: float
+    after: float
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The static part of the loop, chosen before tracing: a model in each named slot, and the clock.
+
+    Args:
+        channels: Names of the channels; one empty name for a plant of one.
+        sample_time: T_s [s].
+        steps: Number of samples.
+        substeps: Integrator steps between two samples.
+        settled: When a draw ends before its time; None: never.
+    """
+
+    plant: Plant
+    reference: Reference
+    wind: Wind
+    controller: tuple[Controller, ...]
+    sensor: tuple[Sensor, ...]
+    differentiator: tuple[Differentiator, ...]
+    unmodelled: tuple[Unmodelled, ...]
+    disturbance: tuple[Disturbance, ...]
+    channels: tuple[str, ...]
+    sample_time: float
+    steps: int
+    substeps: int = 1
+    integrator: Integrator = Integrator.RK4
+    settled: Settled | None = None
+
+    @cached_property
+    def mimo_plant(self) -> Plant[Measurements, Signals]:
+        """The plant with tuples at its border, one value a channel, however many channels it has."""
+        return self.plant if len(self.channels) > 1 else as_mimo_plant(self.plant)
+
+    @cached_property
+    def mimo_reference(self) -> Reference[ReferencePoints]:
+        """The reference with a tuple of points, one a channel, however many channels there are."""
+        return self.reference if len(self.channels) > 1 else as_mimo_reference(self.reference)
+
+    def key(self, draw: jax.Array, slot: str, channel: str = "") -> jax.Array:
+        """The random stream of a slot in a channel, of the draw's key."""
+        return jax.random.fold_in(draw, stream(f"{slot}.{channel}" if channel else slot))
+
+
+class ChannelState(NamedTuple):
+    """State of one channel's parts, and its last robust command."""
+
+    controller: State
+    sensor: State
+    differentiator: State
+    unmodelled: State
+    disturbance: State
+    u: Scalar
+
+
+class LoopState(NamedTuple):
+    """State of the plant, the wind, and every channel."""
+
+    plant: State
+    wind: State
+    channels: tuple[ChannelState, ...]
+
+
+class Recorded(NamedTuple):
+    """One sample as a trajectory shows it.
+
+    Args:
+        instant: What metrics read.
+        measurements: The plant's own, before sensors.
+        references: The desired outputs.
+        finite: Whether the state after the sample is finite.
+        broken: Whether the plant's model has ended there.
+    """
+
+    instant: Instant
+    measurements: Measurements
+    references: ReferencePoints
+    finite: Scalar
+    broken: Scalar
+
+
+def as_arrays(tree: Any) -> Any:
+    """Every leaf as an array of the working precision, so that the scan's carry keeps its types."""
+    return jax.tree.map(lambda x: jnp.asarray(x, dtype=jnp.result_type(float)), tree)
+
+
+def measure(loop: Loop, params: LoopParams, plant: State, references: ReferencePoints) -> Measurements:
+    """The plant's outputs, before sensors; an angle is shifted by whole turns to lie within pi of its reference."""
+    measurements = loop.mimo_plant.measure(params.plant, plant)
+    return tuple(
+        m._replace(y=r.y + wrap_angle(m.y - r.y)) if name in loop.plant.angles else m
+        for name, m, r in zip(loop.channels, measurements, references, strict=True)
+    )
+
+
+def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
+    """State at t = 0."""
+    plant = as_arrays(loop.plant.init(params.plant))
+    references = loop.mimo_reference.at(params.reference, 0.0)
+    measurements = measure(loop, params, plant, references)
+    channels = []
+    for i, name in enumerate(loop.channels):
+        stream_key = loop.key(key, "sensor", name)
+        sensor = loop.sensor[i].init(params.sensor[i], measurements[i], jax.random.fold_in(stream_key, 0))
+        # the controller starts from what it will measure at the first sample, not from the plant's own output
+        first = jax.random.fold_in(stream_key, 1)
+        _, sensed = loop.sensor[i].step(params.sensor[i], sensor, measurements[i], first, 0.0, loop.sample_time)
+        differentiator = loop.differentiator[i].init(params.differentiator[i], sensed)
+        _, sensed = loop.differentiator[i].step(params.differentiator[i], differentiator, sensed, loop.sample_time)
+        channels.append(
+            ChannelState(
+                controller=loop.controller[i].init(params.controller[i], sensed, references[i]),
+                sensor=sensor,
+                differentiator=differentiator,
+                unmodelled=loop.unmodelled[i].init(params.unmodelled[i]),
+                disturbance=loop.disturbance[i].init(
+                    params.disturbance[i], jax.random.fold_in(loop.key(key, "disturbance", name), 0)
+                ),
+                u=0.0,
+            )
+        )
+    wind = loop.wind.init(params.wind, jax.random.fold_in(loop.key(key, "wind"), 0))
+    return as_arrays(LoopState(plant, wind, tuple(channels)))
+
+
+def integrate_sample(
+    loop: Loop, params: LoopParams, state: LoopState, commands: Signals, t: Scalar
+) -> tuple[State, tuple[State, ...]]:
+    """Plant and unmodelled dynamics after one sample, with the commands held constant (zero-order hold).
+
+    The unmodelled dynamics are evaluated at the start, middle and end of a substep, where the integrator needs them.
+    Up to :data:`UNROLLED` substeps are traced one by one; of more, only one is, to keep compilation short.
+    """
+    h = loop.sample_time / loop.substeps
+    integrate = INTEGRATORS[loop.integrator]
+
+    def half_step(unmodelled: tuple[State, ...]) -> tuple[State, ...]:
+        parts = zip(loop.unmodelled, params.unmodelled, unmodelled, commands, strict=True)
+        return tuple(model.step(p, z, u, 0.5 * h) for model, p, z, u in parts)
+
+    def substep(index: Scalar, carry: tuple[State, tuple[State, ...]]) -> tuple[State, tuple[State, ...]]:
+        plant, begin = carry
+        middle = half_step(begin)
+        end = half_step(middle)
+        stages = [
+            (t + (index + fraction) * h, actuate(loop, params, unmodelled, commands))
+            for fraction, unmodelled in ((0.0, begin), (0.5, middle), (1.0, end))
+        ]
+
+        def derivative(plant: State, half_steps: int) -> State:
+            stage_time, actuation = stages[half_steps]
+            drive = plant_input(loop, params, state, plant, actuation, stage_time)
+            return loop.mimo_plant.derivative(params.plant, plant, drive, stage_time)
+
+        return loop.plant.project(params.plant, integrate(derivative, plant, h, loop.plant.velocities)), end
+
+    carry = state.plant, tuple(channel.unmodelled for channel in state.channels)
+    if loop.substeps > UNROLLED:
+        return jax.lax.fori_loop(
+            0, loop.substeps, lambda index, carry: as_arrays(substep(index, carry)), as_arrays(carry)
+        )
+    for index in range(loop.substeps):
+        carry = substep(index, carry)
+    return carry
+
+
+def actuate(loop: Loop, params: LoopParams, unmodelled: tuple[State, ...], commands: Signals) -> Signals:
+    """The commands as they reach the plant, through the unmodelled dynamics."""
+    parts = zip(loop.unmodelled, params.unmodelled, unmodelled, commands, strict=True)
+    return tuple(model.output(p, z, u) for model, p, z, u in parts)
+
+
+def plant_input(
+    loop: Loop, params: LoopParams, state: LoopState, plant: State, actuation: Signals, t: Scalar
+) -> PlantInput[Signals]:
+    """The plant's input at a stage of the integrator: commands, disturbances at the stage's plant state, and wind."""
+    references = loop.mimo_reference.at(params.reference, t)
+    measurements = measure(loop, params, plant, references)
+    disturbances = []
+    for i, channel in enumerate(state.channels):
+        sigma = tracking_error(measurements[i], references[i], params.controller[i].l0).sigma
+        model = loop.disturbance[i]
+        disturbances.append(model.value(params.disturbance[i], channel.disturbance, measurements[i], sigma, t))
+    return PlantInput(actuation, tuple(disturbances), loop.wind.value(params.wind, state.wind, t))
+
+
+def all_finite(state: LoopState) -> Scalar:
+    """Whether the sum of squares of the whole state is finite: squares are what metrics accumulate."""
+    return jnp.isfinite(sum(jnp.square(leaf) for leaf in jax.tree.leaves(state)))
+
+
+def control_channel(
+    loop: Loop,
+    params: LoopParams,
+    key: jax.Array,
+    channel: ChannelState,
+    i: int,
+    measurement: Measurement,
+    reference: ReferencePoint,
+    k: Scalar,
+) -> tuple[ChannelState, Command, Info]:
+    """Run sensor, differentiator and controller of channel i at sample k, and advance its disturbance's state."""
+    t, dt, name = k * loop.sample_time, loop.sample_time, loop.channels[i]
+    sensor, sensed = loop.sensor[i].step(
+        params.sensor[i],
+        channel.sensor,
+        measurement,
+        jax.random.fold_in(loop.key(key, "sensor", name), k + 1),
+        t,
+        dt,
+    )
+    differentiator, sensed = loop.differentiator[i].step(params.differentiator[i], channel.differentiator, sensed, dt)
+    controller, command, info = loop.controller[i].step(params.controller[i], channel.controller, sensed, reference, dt)
+    disturbance = loop.disturbance[i].step(
+        params.disturbance[i],
+        channel.disturbance,
+        jax.random.fold_in(loop.key(key, "disturbance", name), k + 1),
+        t,
+        dt,
+    )
+    after = ChannelState(controller, sensor, differentiator, channel.unmodelled, disturbance, command.robust)
+    return after, command, info
+
+
+def step(loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Scalar) -> tuple[LoopState, Recorded]:
+    """Advance the loop by sample k: measure, control, integrate."""
+    dt = loop.sample_time
+    t = k * dt
+    references = loop.mimo_reference.at(params.reference, t)
+    measurements = measure(loop, params, state.plant, references)
+    gains = loop.mimo_plant.input_gain(params.plant)
+    channels, samples, commands = [], [], []
+    for i, channel in enumerate(state.channels):
+        m, r = measurements[i], references[i]
+        after, command, info = control_channel(loop, params, key, channel, i, m, r, k)
+        error = tracking_error(m, r, params.controller[i].l0)
+        samples.append(
+            Sample(
+                k=k,
+                dt=dt,
+                e=error.e,
+                sigma=error.sigma,
+                u=command.robust,
+                u_previous=jnp.where(k == 0, command.robust, channel.u),
+                u_total=command.total,
+                k_p=gains[i],
+                info=info,
+            )
+        )
+        sampled = loop.unmodelled[i].sample(params.unmodelled[i], channel.unmodelled, command.total, dt)
+        channels.append(after._replace(unmodelled=sampled))
+        commands.append(command.total)
+    wind = loop.wind.step(params.wind, state.wind, jax.random.fold_in(loop.key(key, "wind"), k + 1), t, dt)
+    controlled = LoopState(state.plant, wind, tuple(channels))
+    plant, unmodelled = integrate_sample(loop, params, controlled, tuple(commands), t)
+    actuation = actuate(loop, params, tuple(channel.unmodelled for channel in channels), tuple(commands))
+    drive = plant_input(loop, params, controlled, state.plant, actuation, t)
+    info = loop.mimo_plant.monitor(params.plant, state.plant, drive)
+    after = as_arrays(
+        LoopState(plant, wind, tuple(c._replace(unmodelled=z) for c, z in zip(channels, unmodelled, strict=True)))
+    )
+    broken = loop.plant.broken(params.plant, after.plant)
+    instant = Instant(t, dt, tuple(samples), info)
+    return after, Recorded(instant, measurements, references, all_finite(after), broken)

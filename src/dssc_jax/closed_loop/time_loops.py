@@ -1,0 +1,106 @@
+"""Time loops with early ends, recording or checkpoints; the carry has the index ``k`` of the next sample."""
+
+from collections.abc import Callable
+from typing import Protocol, TypeVar
+
+import jax
+import jax.numpy as jnp
+
+from dssc_jax.core.signals import Scalar
+
+CHECK_INTERVAL = 64  # samples between two checks whether any draw is still running
+
+
+class Carry(Protocol):
+    """What a time loop carries from sample to sample."""
+
+    @property
+    def k(self) -> Scalar:
+        """Index of the next sample."""
+        ...
+
+
+C = TypeVar("C", bound=Carry)
+R = TypeVar("R")
+
+
+def until_all_ended(
+    sample: Callable[[C], C], running: Callable[[C], Scalar], begin: C, steps: int, together: str, turn: int = 1
+) -> C:
+    """Advance sample by sample until ``steps`` are done, or no draw of the mapped axis ``together`` is running.
+
+    All draws of the axis share the check, so that time and what depends on it alone stay scalars.
+
+    Args:
+        sample: Advances the carry by one sample.
+        running: Whether a draw has not ended.
+        begin: The carry at the start.
+        steps: Samples in all.
+        together: Name of the mapped axis.
+        turn: Samples by which one iteration of the compiled loop advances; ``steps`` and :data:`CHECK_INTERVAL` are
+            multiples of it.
+    """
+
+    traced_once = jax.jit(sample)
+
+    def iteration(at: C) -> C:
+        for _ in range(turn):
+            at = traced_once(at)
+        return at
+
+    def any_running(at: C) -> Scalar:
+        return jax.lax.pmax(jnp.where(running(at), 1, 0), together)
+
+    def block(carry: tuple[C, Scalar]) -> tuple[C, Scalar]:
+        last = jnp.minimum(carry[0].k + CHECK_INTERVAL, steps)
+        after = jax.lax.while_loop(lambda at: at.k < last, iteration, carry[0])
+        return after, any_running(after)
+
+    def goes_on(carry: tuple[C, Scalar]) -> Scalar:
+        return (carry[0].k < steps) & (carry[1] > 0)
+
+    return jax.lax.while_loop(goes_on, block, (begin, any_running(begin)))[0]
+
+
+def scan_segments(sample: Callable[[C], C], begin: C, steps: int, segment: int | None = None) -> C:
+    """Advance sample by sample to the end, so that derivatives can be taken.
+
+    Args:
+        sample: Advances the carry by one sample.
+        begin: The carry at the start.
+        steps: Samples in all.
+        segment: Samples of a segment. Reverse mode stores the carry at the start of each segment, and computes the
+            samples within it again. None: it stores every carry.
+    """
+
+    def ahead(at: C, count: int) -> C:
+        return jax.lax.scan(lambda at, _: (sample(at), None), at, length=count)[0]
+
+    if segment is None:
+        return ahead(begin, steps)
+    checkpointed = jax.checkpoint(lambda at: ahead(at, segment))
+    at = jax.lax.scan(lambda at, _: (checkpointed(at), None), begin, length=steps // segment)[0]
+    return ahead(at, steps % segment)
+
+
+def scan_recorded(sample: Callable[[C], tuple[C, R]], begin: C, steps: int, every: int) -> tuple[C, R]:
+    """Advance sample by sample to the end, and record every ``every``-th sample.
+
+    Args:
+        sample: Advances the carry by one sample, and gives its record.
+        begin: The carry at the start.
+        steps: Samples in all.
+        every: One sample of so many is recorded, the first included.
+
+    Returns:
+        The carry at the end, and the records with leaves of shape (ceil(steps/every),).
+    """
+
+    def recorded_then_skipped(at: C, _: None) -> tuple[C, R]:
+        last = jnp.minimum(at.k + every, steps)
+        at, record = sample(at)
+        return jax.lax.while_loop(lambda at: at.k < last, lambda at: sample(at)[0], at), record
+
+    if every == 1:
+        return jax.lax.scan(lambda at, _: sample(at), begin, length=steps)
+    return jax.lax.scan(recorded_then_skipped, begin, length=-(-steps // every))

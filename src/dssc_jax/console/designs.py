@@ -1,0 +1,163 @@
+"""A design and its certificate as tables, for the terminal and for LaTeX."""
+
+from typing import Any, NamedTuple, get_type_hints
+
+from rich.markup import escape
+
+from dssc_jax.console import output, show_table
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.design import Certificate, Constants, Parameters
+from dssc_jax.design.feasibility import Limits
+from dssc_jax.design.files import DesignFile, functions_toml
+
+Row = tuple[str, ...]
+
+
+class Table(NamedTuple):
+    """A titled table of text."""
+
+    title: str
+    head: Row
+    rows: list[Row]
+
+
+def number(value: Any) -> str:
+    """A number as one reads it; a dash where there is none."""
+    return "-" if value is None or value != value else f"{value:.5g}"
+
+
+def tables(design: DesignFile, certificate: Certificate) -> list[Table]:
+    """Parameters, inequalities, small gain and what they guarantee."""
+    return [
+        Table("Parameters", ("parameter", "value", "unit", "meaning"), described(design.parameters)),
+        inequality_table(certificate),
+        small_gain_table(certificate),
+        guarantee_table(design, certificate),
+        Table("Constants", ("constant", "value", "unit", "meaning"), described(certificate.constants)),
+    ]
+
+
+def described(numbers: Parameters | Constants) -> list[Row]:
+    """Each number with its unit and meaning."""
+    hints = get_type_hints(type(numbers), include_extras=True)
+    rows = []
+    for name, value in numbers._asdict().items():
+        mark: Quantity = hints[name].__metadata__[0]
+        rows.append((name, number(value), mark.unit, mark.meaning))
+    return rows
+
+
+def inequality_table(certificate: Certificate) -> Table:
+    """Table 1 with slacks, as derived and as printed."""
+    rows = [
+        (
+            i.name,
+            *(number(x) for x in (i.value, i.bound, i.slack, i.printed_slack)),
+            i.state.value.replace("_", " "),
+            i.equation,
+        )
+        for i in certificate.inequalities
+    ]
+    head = ("inequality", "value", "must exceed", "slack", "printed slack", "state", "equation")
+    return Table("Design inequalities, for all k_p", head, rows)
+
+
+READINGS = {
+    "derived": "linear comparison system of (58) and (60); certifies",
+    "theorem": "4 gamma_1 gamma_2 <= phi_b^2 (Appendix G) with the derived gains",
+    "printed": "last bound of Appendix D as printed",
+}
+
+
+def small_gain_table(certificate: Certificate) -> Table:
+    """The three readings of the small-gain condition."""
+    rows = [
+        (name, number(certificate.phi_b), number(bound), number(certificate.phi_b - bound), READINGS[name])
+        for name, bound in certificate.small_gain._asdict().items()
+    ]
+    return Table("Small gain", ("reading", "phi_b", "must exceed", "slack", "source"), rows)
+
+
+def guarantee_table(design: DesignFile, certificate: Certificate) -> Table:
+    """What follows: residuals, rate, proofs, and what a running loop needs."""
+    g, proofs, needs = certificate.guarantee, certificate.lyapunov, certificate.practice
+    rows = [
+        ("ultimate bound of |e|", number(g.e), "m"),
+        ("ultimate bound of |sigma|", number(g.sigma), "m/s"),
+        ("constant of O(1/phi_b^2) of |e|", number(g.order), "m"),
+        ("decay rate to the residual set", number(g.decay_rate), "1/s"),
+        ("smallest eigenvalue of P", number(proofs.p_smallest), "SI"),
+        ("smallest eigenvalue of Q - 2 eps I found", number(proofs.q_smallest), "SI"),
+        ("Q - 2 eps I > 0 for all sigma, e, alpha, k_p", "proved" if proofs.q_proved else "not proved", ""),
+        ("k_o tau_av > 0 and tau_m > 0 for all sigma, e", "proved" if proofs.functions_proved else "not proved", ""),
+        ("sampling period, at sigma = e = 0", number(needs.sample_time_origin), "s"),
+        ("sampling period, over the residual set", number(needs.sample_time), "s"),
+        ("|u_av| over the residual set", number(needs.u_av), "m/s"),
+    ]
+    if design.modulation is not None:
+        rows += [
+            ("constant rho that keeps sliding there", number(design.modulation.needed_rho(needs)), "m/s"),
+            ("time of the first sliding under (33)", number(design.modulation.first_sliding), "s"),
+        ]
+    return Table("Guaranteed", ("what", "value", "unit"), rows)
+
+
+def limits_table(limits: Limits) -> Table:
+    """How far each bound can go alone."""
+    meanings = {
+        "phi_b": "least phi_b",
+        "disturbance": "largest factor on k_d1 ... k_d5, alpha_d2, alpha_d3",
+        "k_min": "least k_min",
+        "k_max": "largest k_max",
+        "a_max": "largest a_max",
+    }
+    rows = [(meanings[name], number(value)) for name, value in limits._asdict().items()]
+    return Table("Certified up to, one at a time", ("limit", "value"), rows)
+
+
+def show(design: DesignFile, certificate: Certificate, limits: Limits | None) -> None:
+    """Print a design."""
+    shown = "".join(character if character.isprintable() else "?" for character in design.name)
+    verdict = "[green]certified[/green]" if certificate.certified else "[red]not certified[/red]: "
+    output().print(f"[bold]{escape(shown)}[/bold]: {verdict}{escape(reasons(certificate))}")
+    if certificate.certified:
+        output().print("In continuous time, without unmodelled dynamics, and with a rho that keeps sliding.")
+    for table in [*tables(design, certificate), *([limits_table(limits)] if limits else [])]:
+        show_table(table.head, table.rows, title=table.title)
+    for edge in design.edges:
+        output().print(f"{edge}; a wider range in [goal.vary] may do better", markup=False)
+    if design.goal is not None or design.free is not None:
+        output().print("In a study:", markup=False)
+        output().print(functions_toml(design.parameters), markup=False, highlight=False)
+
+
+def reasons(certificate: Certificate) -> str:
+    """What stands in the way of the certificate."""
+    failing = [f"{i.name} {i.state.value.replace('_', ' ')}" for i in certificate.inequalities if not i.satisfied]
+    if not certificate.interconnected:
+        bound = certificate.small_gain.derived
+        failing.append(f"small gain needs phi_b > {number(bound)}" if bound == bound else "small gain needs P > 0")
+    return "; ".join(failing)
+
+
+SPECIAL = {"\\": r"\textbackslash{}", "^": r"\^{}", "~": r"\~{}"}
+SPECIAL |= {character: f"\\{character}" for character in "_%&#${}"}
+SPECIAL |= {character: f"${character}$" for character in "<>|"}
+
+
+def latex(design: DesignFile, certificate: Certificate) -> str:
+    """The tables as LaTeX; they need the package booktabs."""
+    parts = []
+    for table in tables(design, certificate):
+        body = "\n".join(" & ".join(map(escaped, row)) + r" \\" for row in table.rows)
+        parts.append(
+            f"\\begin{{table}}\n\\caption{{{escaped(f'{table.title} of {design.name}')}}}\n"
+            f"\\begin{{tabular}}{{{'l' * len(table.head)}}}\n\\toprule\n{' & '.join(map(escaped, table.head))} \\\\\n"
+            f"\\midrule\n{body}\n\\bottomrule\n\\end{{tabular}}\n\\end{{table}}"
+        )
+    return "\n\n".join(parts)
+
+
+def escaped(text: str) -> str:
+    """Text with LaTeX's special characters escaped."""
+    return "".join(SPECIAL.get(character, character) for character in text)

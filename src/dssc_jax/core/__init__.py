@@ -1,0 +1,1 @@
+"""What everything stands on: quantities, signals, contracts of models, errors, and numerics."""

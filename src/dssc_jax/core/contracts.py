@@ -1,0 +1,262 @@
+"""The contracts of models.
+
+A model is a ``NamedTuple`` of pure functions for one draw, without a batch axis, and the ``NamedTuple`` type
+of its parameters. It is chosen before tracing; its parameters may be traced. Every parameter field is
+annotated with a :class:`~dssc_jax.core.quantities.Quantity`, from which study files are validated.
+"""
+
+from collections.abc import Callable
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import jax
+
+from dssc_jax.core.signals import (
+    Command,
+    Info,
+    Measurement,
+    Measurements,
+    Params,
+    PlantInput,
+    ReferencePoint,
+    ReferencePoints,
+    Scalar,
+    Signal,
+    Signals,
+    State,
+)
+from dssc_jax.core.vectors import Vec3
+
+Output = TypeVar("Output", bound=Measurement | Measurements)
+Desired = TypeVar("Desired", bound=ReferencePoint | ReferencePoints)
+
+
+class NoParams(NamedTuple):
+    """The parameters of a model that has none."""
+
+
+def as_given(params: Params) -> Params:
+    """Prepare nothing."""
+    return params
+
+
+def no_constraint(params: Params, state: State) -> State:
+    """Project nothing: every state is admissible."""
+    return state
+
+
+def no_info(params: Params, state: State, drive: PlantInput) -> tuple[()]:
+    """Report nothing."""
+    return ()
+
+
+def always_valid(params: Params, state: State) -> bool:
+    """Report that the model is valid in every state."""
+    return False
+
+
+def stateless(params: Params, key: jax.Array) -> tuple[()]:
+    """Initialise a model without a state."""
+    return ()
+
+
+def unchanged(params: Params, state: State, key: jax.Array, t: Scalar, dt: Scalar) -> State:
+    """Advance a state that no sample changes."""
+    return state
+
+
+def ignore_sample(params: Params, state: State, command: Scalar, dt: Scalar) -> State:
+    """Leave the state of continuous dynamics alone at a sample instant."""
+    return state
+
+
+class Plant(NamedTuple, Generic[Output, Signal]):
+    """A plant of relative degree two from each command to its output.
+
+    A plant of several channels (MIMO, as the UAV) names them; its measurement, input gain and input are tuples in that
+    order. Those of a plant of one channel (SISO) are plain values.
+
+    Args:
+        params: NamedTuple type of the parameters.
+        init: ``(params) -> state`` at t = 0.
+        derivative: ``(params, state, input, t) -> state'``, the same structure as the state.
+        measure: ``(params, state) -> Measurement``.
+        input_gain: ``(params) -> k_p``, the high-frequency gain from command to y'' [1/s].
+        velocities: Names of the state's fields that semi-implicit Euler advances first.
+        prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
+        channels: Names of the channels; none for a plant of one.
+        angles: Channels whose output is an angle: its error is wrapped to (-pi, pi].
+        project: ``(params, state) -> state`` after each integrator step, back onto the state's manifold.
+        monitor: ``(params, state, input) -> info`` at each sample, a NamedTuple for metrics and people.
+        broken: ``(params, state) -> bool``: the model ends here (a singular attitude), the draw is frozen.
+    """
+
+    params: type
+    init: Callable[[Params], State]
+    derivative: Callable[[Params, State, PlantInput[Signal], Scalar], State]
+    measure: Callable[[Params, State], Output]
+    input_gain: Callable[[Params], Signal]
+    velocities: tuple[str, ...] = ()
+    prepare: Callable[[Params], Params] = as_given
+    channels: tuple[str, ...] = ()
+    angles: tuple[str, ...] = ()
+    project: Callable[[Params, State], State] = no_constraint
+    monitor: Callable[[Params, State, PlantInput[Signal]], Info] = no_info
+    broken: Callable[[Params, State], Scalar | bool] = always_valid
+
+
+def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Signals]:
+    """A plant of one channel with tuples of one value at its border, as a plant of several has them."""
+
+    def plain(drive: PlantInput[Signals]) -> PlantInput[Scalar]:
+        (command,), (disturbance,) = drive.command, drive.disturbance
+        return PlantInput(command, disturbance, drive.wind)
+
+    return Plant(
+        plant.params,
+        plant.init,
+        derivative=lambda params, state, drive, t: plant.derivative(params, state, plain(drive), t),
+        measure=lambda params, state: (plant.measure(params, state),),
+        input_gain=lambda params: (plant.input_gain(params),),
+        velocities=plant.velocities,
+        prepare=plant.prepare,
+        channels=plant.channels,
+        angles=plant.angles,
+        project=plant.project,
+        monitor=lambda params, state, drive: plant.monitor(params, state, plain(drive)),
+        broken=plant.broken,
+    )
+
+
+class Preset(NamedTuple):
+    """A parameter type with an instance that a table overrides field by field."""
+
+    params: type
+    defaults: Any
+    prepare: Callable[[Params], Params] = as_given
+
+
+class Controller(NamedTuple):
+    """A sampled controller.
+
+    Args:
+        gains: NamedTuple type of the gains; must have the field ``l0``.
+        init: ``(gains, measurement, reference) -> state`` from the first sample.
+        step: ``(gains, state, measurement, reference, dt) -> (state, command, info)``. ``info`` is a NamedTuple
+            of scalars for people and metrics, and is never fed back.
+        prepare: As in :class:`Plant`.
+    """
+
+    gains: type
+    init: Callable[[Params, Measurement, ReferencePoint], State]
+    step: Callable[[Params, State, Measurement, ReferencePoint, Scalar], tuple[State, Command, Info]]
+    prepare: Callable[[Params], Params] = as_given
+
+    @property
+    def params(self) -> type:
+        """The gains, under the name that all models share."""
+        return self.gains
+
+
+class Reference(NamedTuple, Generic[Desired]):
+    """A desired trajectory: ``at(params, t) -> ReferencePoint``; for several channels, a tuple with one each.
+
+    ``defaults`` is an instance of the parameters that stands where a table is silent.
+    """
+
+    params: type
+    at: Callable[[Params, Scalar], Desired]
+    prepare: Callable[[Params], Params] = as_given
+    defaults: Any = None
+
+
+def as_mimo_reference(reference: Reference[ReferencePoint]) -> Reference[ReferencePoints]:
+    """A reference of one channel whose point stands in a tuple, as that of several channels does."""
+    return Reference(reference.params, lambda params, t: (reference.at(params, t),), reference.prepare)
+
+
+class Disturbance(NamedTuple):
+    """A matched disturbance d(y, y', t) [m/s].
+
+    Args:
+        params: NamedTuple type of the parameters.
+        init: ``(params, key) -> state``.
+        step: ``(params, state, key, t, dt) -> state`` at each sample: what is held over [t, t + dt).
+        value: ``(params, state, measurement, sigma, t) -> d``, evaluated in every stage of the integrator.
+        prepare: As in :class:`Plant`.
+    """
+
+    params: type
+    init: Callable[[Params, jax.Array], State]
+    step: Callable[[Params, State, jax.Array, Scalar, Scalar], State]
+    value: Callable[[Params, State, Measurement, Scalar, Scalar], Scalar]
+    prepare: Callable[[Params], Params] = as_given
+
+
+class Wind(NamedTuple):
+    """Wind velocity in the inertial frame, z up [m/s].
+
+    Args:
+        params: NamedTuple type of the parameters.
+        init: ``(params, key) -> state``.
+        step: ``(params, state, key, t, dt) -> state`` at each sample: what is held over [t, t + dt).
+        value: ``(params, state, t) -> Vec3``, evaluated in every stage of the integrator.
+        prepare: As in :class:`Plant`.
+    """
+
+    params: type
+    init: Callable[[Params, jax.Array], State]
+    step: Callable[[Params, State, jax.Array, Scalar, Scalar], State]
+    value: Callable[[Params, State, Scalar], Vec3]
+    prepare: Callable[[Params], Params] = as_given
+
+
+class Sensor(NamedTuple):
+    """A sensor between one channel of the plant and its controller.
+
+    Args:
+        params: NamedTuple type of the parameters.
+        init: ``(params, measurement, key) -> state`` from the first true measurement.
+        step: ``(params, state, measurement, key, t, dt) -> (state, measurement)`` at each sample.
+        prepare: As in :class:`Plant`.
+    """
+
+    params: type
+    init: Callable[[Params, Measurement, jax.Array], State]
+    step: Callable[[Params, State, Measurement, jax.Array, Scalar, Scalar], tuple[State, Measurement]]
+    prepare: Callable[[Params], Params] = as_given
+
+
+class Differentiator(NamedTuple):
+    """Makes y' of y where only y is measured; stands between sensor and controller.
+
+    Args:
+        params: NamedTuple type of the parameters.
+        init: ``(params, measurement) -> state`` from the first measurement, whose velocity is not to be used.
+        step: ``(params, state, measurement, dt) -> (state, measurement)`` at each sample.
+        prepare: As in :class:`Plant`.
+    """
+
+    params: type
+    init: Callable[[Params, Measurement], State]
+    step: Callable[[Params, State, Measurement, Scalar], tuple[State, Measurement]]
+    prepare: Callable[[Params], Params] = as_given
+
+
+class Unmodelled(NamedTuple):
+    """Unmodelled dynamics G_mu(mu s) in series with the plant input (Section V-A2).
+
+    Args:
+        params: NamedTuple type of the parameters.
+        init: ``(params) -> state`` at rest.
+        step: ``(params, state, command, dt) -> state`` with the command held over dt.
+        output: ``(params, state, command) -> command`` that reaches the plant.
+        prepare: As in :class:`Plant`.
+        sample: ``(params, state, command, dt) -> state`` once a sample of length dt, when its command is given.
+    """
+
+    params: type
+    init: Callable[[Params], State]
+    step: Callable[[Params, State, Scalar, Scalar], State]
+    output: Callable[[Params, State, Scalar], Scalar]
+    prepare: Callable[[Params], Params] = as_given
+    sample: Callable[[Params, State, Scalar, Scalar], State] = ignore_sample

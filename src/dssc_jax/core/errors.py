@@ -1,0 +1,52 @@
+"""The error of bad input: said before anything is traced, in one line."""
+
+import difflib
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+
+
+class ConfigError(ValueError):
+    """Bad input: where it stands, the rule it breaks and the value found.
+
+    Args:
+        where: File and dotted path of the field, e.g. ``study.toml: plant.k_p``.
+        rule: What must hold, and the value that does not.
+    """
+
+    def __init__(self, where: str, rule: str) -> None:
+        self.where, self.rule = where, rule
+        super().__init__(f"{where}: {rule}" if where else rule)
+
+    def __reduce__(self) -> tuple[type, tuple[str, str]]:  # it travels between a cluster's processes
+        return ConfigError, (self.where, self.rule)
+
+    def within(self, place: str) -> "ConfigError":
+        """The same error with ``place`` (a file, usually) in front of its path."""
+        return ConfigError(f"{place}: {self.where}" if self.where else place, self.rule)
+
+    def within_path(self, path: str) -> "ConfigError":
+        """The same error with the dotted ``path`` of the table in front of the field's name."""
+        return ConfigError(".".join(part for part in (path, self.where) if part), self.rule)
+
+
+@contextmanager
+def errors_under(path: str) -> Iterator[None]:
+    """Put the dotted ``path`` of a table in front of the field's name in every error raised inside.
+
+    Raises:
+        ConfigError: the one raised inside, with the longer path.
+    """
+    try:
+        yield
+    except ConfigError as error:
+        raise error.within_path(path) from None
+
+
+def meant(name: str, valid: Iterable[str]) -> str:
+    """The end of a message about an unknown name: the nearest valid one, or all of them."""
+    names = sorted(map(str, valid))
+    near = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
+    if not near:  # the last part of a dotted path is what people remember
+        tail = name.rpartition(".")[2]
+        near = [full for full in names if full.rpartition(".")[2] == tail][:1]
+    return f"did you mean '{near[0]}'?" if near else f"valid names are {', '.join(names) or 'none'}"

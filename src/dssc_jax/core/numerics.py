@@ -1,0 +1,174 @@
+"""Functions that are safe where the plain ones are not. Each says why."""
+
+import math
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.core.signals import Scalar
+
+SERIES_BELOW = 0.05
+SERIES_TERMS = 13  # 0.05^13 / 15 < 1e-17
+
+
+@contextmanager
+def arithmetic(precision: int = 64) -> Iterator[None]:
+    """JAX computes with so many bits; a number that overflows them is an outcome, of which NumPy need not warn."""
+    with jax.enable_x64(precision == 64), np.errstate(all="ignore"):
+        yield
+
+
+def root_abs(x: Scalar, floor: float = 0.0) -> Scalar:
+    """r = max(|x|, floor^2)^(1/2), with gradient 0 at x = 0, where the slope of the root is infinite."""
+    magnitude = jnp.abs(x)
+    positive = magnitude > floor**2
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, magnitude, 1.0)), floor)
+
+
+def over_log_defect(x: Scalar) -> Scalar:
+    """x^2 / (x - ln(1 + x)) for x >= 0, whose singularity at 0 is removable: the limit is 2.
+
+    Below 0.05 the difference cancels; there 1/2 - x/3 + x^2/4 - ... stands for (x - ln(1 + x))/x^2.
+    """
+    small = x < SERIES_BELOW
+    near = jnp.where(small, x, 0.0)
+    series = jnp.zeros_like(near)
+    for k in reversed(range(SERIES_TERMS)):
+        series = 1.0 / (k + 2) - near * series
+    far = jnp.where(small, 1.0, x)
+    return jnp.where(small, 1.0 / series, far * far / (far - jnp.log1p(far)))
+
+
+def sign(x: Scalar) -> Scalar:
+    """sgn x with sgn 0 = 0."""
+    return jnp.sign(x)
+
+
+def saturate(x: Scalar, limit: Scalar) -> Scalar:
+    """X clipped to [-limit, limit]."""
+    return jnp.clip(x, -limit, limit)
+
+
+ATAN_P = (-8.750608600031904122785e-1, -1.615753718733365076637e1, -7.500855792314704667340e1,
+          -1.228866684490136173410e2, -6.485021904942025371773e1)  # fmt: skip
+ATAN_Q = (1.0, 2.485846490142306297962e1, 1.650270098316988542046e2, 4.328810604912902668951e2,
+          4.853903996359136964868e2, 1.945506571482613964425e2)  # fmt: skip
+
+
+def polynomial(coefficients: Sequence[float], x: Scalar) -> Scalar:
+    """Horner's rule, highest power first."""
+    value: Scalar = coefficients[0]
+    for coefficient in coefficients[1:]:
+        value = value * x + coefficient
+    return value
+
+
+def arc(opposite: Scalar, adjacent: Scalar) -> Scalar:
+    """The angle in [0, pi/4] of a right triangle, 0 <= opposite <= adjacent and adjacent > 0, with one division less.
+
+    Reduction beyond 0.66, by pi/4 + atan((x - 1)/(x + 1)), and the rational approximation are those of S. L. Moshier's
+    Cephes library (atan.c, 1984-2000); the ratio itself is never formed.
+    """
+    middle = opposite > 0.66 * adjacent
+    reduced = jnp.where(middle, opposite - adjacent, opposite) / jnp.where(middle, opposite + adjacent, adjacent)
+    z = reduced * reduced
+    value = reduced + reduced * z * polynomial(ATAN_P, z) / polynomial(ATAN_Q, z)
+    return jnp.where(middle, 0.25 * math.pi + value, value)
+
+
+def atan(x: Scalar) -> Scalar:
+    """The arctangent in a form that vectorises, within 2 ulp: XLA:CPU calls a scalar routine for its own."""
+    magnitude = jnp.abs(x)
+    steep = magnitude > 1.0
+    angle = arc(jnp.where(steep, 1.0, magnitude), jnp.where(steep, magnitude, 1.0))
+    angle = jnp.where(steep, 0.5 * math.pi - angle, angle)
+    return jnp.where(x < 0.0, -angle, angle)
+
+
+def atan2(y: Scalar, x: Scalar) -> Scalar:
+    """The angle of (x, y) in (-pi, pi], like :func:`atan`; 0 at the origin."""
+    across, along = jnp.abs(y), jnp.abs(x)
+    steep = across > along
+    longer = jnp.where(steep, across, along)
+    angle = arc(jnp.where(steep, along, across), jnp.where(longer == 0.0, 1.0, longer))
+    angle = jnp.where(steep, 0.5 * math.pi - angle, angle)
+    angle = jnp.where(x < 0.0, math.pi - angle, angle)
+    return jnp.where(y < 0.0, -angle, angle)
+
+
+def wrap_angle(angle: Scalar) -> Scalar:
+    """The same angle in (-pi, pi] [rad]."""
+    return angle - 2.0 * math.pi * jnp.ceil((angle - math.pi) / (2.0 * math.pi))
+
+
+def begun(at: Scalar, t: Scalar, dt: Scalar) -> Scalar:
+    """Share of the sample [t, t + dt) that comes after ``at``: what begins within it is held as its mean."""
+    return jnp.clip((t + dt - at) / dt, 0.0, 1.0)
+
+
+def stream(name: str) -> int:
+    """The number of a named factor's own random stream: adding a factor does not move the others."""
+    return zlib.crc32(name.encode())
+
+
+def dot(left: Sequence[Scalar], right: Sequence[Scalar]) -> Scalar:
+    """Sum of products of two short tuples, spelled out: scalars in a step compile to scalar arithmetic.
+
+    Where a plain number on the left is 0 or 1 known before tracing, its product is left out or is the other factor.
+    """
+    total: Scalar = 0.0
+    for a, b in zip(left, right, strict=True):
+        if isinstance(a, float) and a == 0.0:
+            continue
+        total = total + (b if isinstance(a, float) and a == 1.0 else a * b)
+    return total
+
+
+def cubic_spline(coefficients: Sequence[Scalar], x: Scalar) -> Scalar:
+    """The sum of c_i B(x - i) with the cubic B-spline B of support (-2, 2) and knots at the whole numbers.
+
+    It lies between the smallest and the largest of (0, c_0, c_1, ..., 0), and its slope between the least and the
+    greatest difference of two that follow each other.
+
+    Reference:
+        C. de Boor, A Practical Guide to Splines, revised ed. (2001), chapters IX to XI.
+    """
+    total: Scalar = 0.0
+    for i, coefficient in enumerate(coefficients):
+        distance = jnp.abs(x - i)
+        outer, inner = jnp.maximum(2.0 - distance, 0.0), jnp.maximum(1.0 - distance, 0.0)
+        total = total + coefficient * (outer * outer * outer - 4.0 * inner * inner * inner) / 6.0
+    return total
+
+
+def standard_normals(key: jax.Array, count: int) -> tuple[Scalar, ...]:
+    """Independent standard normal numbers: in float64 those of ``jax.random.normal(key, (count,))``, one by one.
+
+    In float32 they are the same numbers but for rounding: the leading bits of the uniform number behind each. So the
+    precision of a study does not change its noise. (``jax.random.normal`` in float32 draws other numbers.)
+
+    In a batch, each is an array over the lanes, which vectors of the processor run along; the array of all would be
+    run along its short last axis. A number's bits are those of the key that its index is folded into.
+    """
+    real = jnp.result_type(float)
+    lowest = np.nextafter(np.array(-1.0, real), np.array(0.0, real))
+
+    def standard_normal(i: int) -> Scalar:
+        high, low = jax.random.key_data(jax.random.fold_in(key, i))
+        if real == jnp.float64:
+            fraction = (high.astype(jnp.uint64) << 32 | low) >> 12 | np.uint64(0x3FF << 52)
+        else:
+            fraction = high >> 9 | np.uint32(0x7F << 23)
+        uniform = jax.lax.bitcast_convert_type(fraction, real) - 1.0  # in [0, 1)
+        return np.sqrt(2.0).astype(real) * jax.lax.erf_inv(jnp.maximum(lowest, uniform * (1.0 - lowest) + lowest))
+
+    return tuple(standard_normal(i) for i in range(count))
+
+
+def standard_normal(key: jax.Array) -> Scalar:
+    """The first of :func:`standard_normals`."""
+    return standard_normals(key, 1)[0]

@@ -1,0 +1,56 @@
+"""What the numbers of a model mean: unit, meaning and admissible interval."""
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Unit, meaning and admissible interval of one number of a model.
+
+    Args:
+        unit: SI unit; ``"1"`` when dimensionless.
+        meaning: The standard term, with the paper's symbol.
+        above: Exclusive lower bound.
+        at_least: Inclusive lower bound.
+        below: Exclusive upper bound.
+        at_most: Inclusive upper bound.
+        law: Whether a probability law may stand in place of the number.
+    """
+
+    unit: str
+    meaning: str
+    above: float | None = None
+    at_least: float | None = None
+    below: float | None = None
+    at_most: float | None = None
+    law: bool = True
+
+    def violated_by(self, low: float, high: float) -> str | None:
+        """The rule that the interval [low, high] breaks, or None."""
+        if self.above is not None and not low > self.above:
+            return f"must be > {self.above:g}"
+        if self.at_least is not None and not low >= self.at_least:
+            return f"must be >= {self.at_least:g}"
+        if self.below is not None and not high < self.below:
+            return f"must be < {self.below:g}"
+        if self.at_most is not None and not high <= self.at_most:
+            return f"must be <= {self.at_most:g}"
+        return None
+
+
+def extent(value: Any) -> tuple[float, float]:
+    """Lowest and highest value that a number, or a law that stands for it, can take."""
+    support = getattr(value, "support", None)
+    return support if support is not None else (float(value), float(value))
+
+
+def nominal(value: Any) -> float:
+    """A number, or the median of the law that stands for it."""
+    return float(getattr(value, "median", value))
+
+
+def angular_unit(unit: str) -> str:
+    """A channel's unit where its output is an angle: rad in place of a leading metre."""
+    return re.sub(r"^m\b", "rad", unit)

@@ -1,0 +1,96 @@
+"""Signals between models: measurements, reference points, commands, plant inputs, tracking errors, outcomes."""
+
+from collections.abc import Callable
+from enum import IntEnum
+from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
+
+import jax
+
+Scalar: TypeAlias = jax.Array | float
+
+Params: TypeAlias = Any
+
+State: TypeAlias = Any
+
+Info: TypeAlias = Any
+
+ProgressCallback: TypeAlias = Callable[[int, int], None]
+"""Called with what is done so far, in lanes or steps, and with how much there is in all."""
+
+
+class Measurement(NamedTuple):
+    """What the controller sees of the plant: output ``y`` [m] and its derivative ``y_dot`` [m/s]."""
+
+    y: Scalar
+    y_dot: Scalar
+
+
+class ReferencePoint(NamedTuple):
+    """Desired output ``y`` = y_m [m] with first and second derivative [m/s], [m/s^2]."""
+
+    y: Scalar
+    y_dot: Scalar
+    y_ddot: Scalar
+
+
+Signals: TypeAlias = tuple[Scalar, ...]
+"""One value a channel."""
+
+Measurements: TypeAlias = tuple[Measurement, ...]
+"""One measurement a channel."""
+
+ReferencePoints: TypeAlias = tuple[ReferencePoint, ...]
+"""One desired point a channel."""
+
+Signal = TypeVar("Signal", bound=Scalar | Signals)
+"""A scalar for a plant of one channel (SISO), a tuple of scalars for one of several (MIMO)."""
+
+
+class Command(NamedTuple):
+    """Plant input u_p of equation (11) in its two parts [m/s]."""
+
+    robust: Scalar
+    nominal: Scalar
+
+    @property
+    def total(self) -> Scalar:
+        """u_p = u + u_n (11) [m/s]."""
+        return self.robust + self.nominal
+
+
+class PlantInput(NamedTuple, Generic[Signal]):
+    """What drives the plant: the command u_p after unmodelled dynamics, and the matched disturbance d [m/s].
+
+    Both are scalars for a plant of one channel, and tuples in the order of its channels otherwise; ``wind`` is a
+    ``Vec3`` [m/s] for plants that fly.
+    """
+
+    command: Signal
+    disturbance: Signal
+    wind: Any = None
+
+
+class Outcome(IntEnum):
+    """How a draw ended.
+
+    ``REQUIREMENT + i``: it ran to its end, and requirement i (from 0) is the first in the study's order that it
+    violates.
+    """
+
+    OK = 0
+    NON_FINITE = 1
+    SINGULAR_ATTITUDE = 2
+    REQUIREMENT = 10
+
+
+class TrackingError(NamedTuple):
+    """Output error e = y - y_m (9) [m] and the output of relative degree one sigma = e' + l_0 e (10) [m/s]."""
+
+    e: Scalar
+    sigma: Scalar
+
+
+def tracking_error(measurement: Measurement, reference: ReferencePoint, l0: Scalar) -> TrackingError:
+    """Equations (9) and (10)."""
+    e = measurement.y - reference.y
+    return TrackingError(e, measurement.y_dot - reference.y_dot + l0 * e)

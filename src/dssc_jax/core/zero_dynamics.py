@@ -1,0 +1,83 @@
+"""The zero dynamics eta' = A_eta eta + B_eta y' of (5): what plant and norm observer both need to know of it."""
+
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity, extent
+from dssc_jax.core.signals import Scalar
+
+
+class ZeroDynamics(NamedTuple):
+    """A_eta in controllable canonical form and C_eta.
+
+    ``a = (a_0, ..., a_{m-1})`` are the coefficients of s^m + a_{m-1} s^{m-1} + ... + a_0, rising powers: the last
+    row of A_eta is -a. ``c`` is the row C_eta in the same order.
+    """
+
+    a: Annotated[tuple[Scalar, ...], Quantity("1/s^(m-i)", "characteristic coefficients of A_eta, rising powers")]
+    c: Annotated[tuple[Scalar, ...], Quantity("SI", "output row C_eta")]
+
+
+def companion(a: tuple[float, ...]) -> np.ndarray:
+    """A_eta, (m, m), of its characteristic coefficients in rising powers."""
+    m = len(a)
+    matrix = np.eye(m, k=1)
+    matrix[-1] = -np.asarray(a, dtype=float)
+    return matrix
+
+
+def is_hurwitz(a: tuple[float, ...]) -> bool:
+    """Whether all eigenvalues of A_eta have negative real parts."""
+    return bool(np.all(np.linalg.eigvals(companion(a)).real < 0.0))
+
+
+def kharitonov(low: tuple[float, ...], high: tuple[float, ...]) -> list[tuple[float, ...]]:
+    """The four polynomials whose stability decides that of the whole box of coefficients.
+
+    Reference:
+        V. L. Kharitonov, Differential Equations 14 (1979) 1483-1485. Coefficients in rising powers; the leading
+        one is 1 and belongs to both ends.
+    """
+    patterns = ("llhh", "hhll", "lhhl", "hllh")
+    return [tuple(low[i] if p[i % 4] == "l" else high[i] for i in range(len(low))) for p in patterns]
+
+
+def require_hurwitz(dynamics: ZeroDynamics) -> None:
+    """Check lengths, and that A_eta is Hurwitz for every admissible value of its coefficients.
+
+    Raises:
+        ConfigError: a and c differ in length, or some value within the laws' supports is not Hurwitz.
+    """
+    if len(dynamics.a) != len(dynamics.c) or not dynamics.a:
+        raise ConfigError(
+            "zero_dynamics", f"a and c must have the same length >= 1, got {len(dynamics.a)} and {len(dynamics.c)}"
+        )
+    low, high = zip(*(extent(value) for value in dynamics.a), strict=True)
+    for corner in kharitonov(low, high):
+        if not np.all(np.isfinite(corner)) or not is_hurwitz(corner):
+            raise ConfigError(
+                "zero_dynamics.a",
+                f"A_eta must be Hurwitz (minimum phase); s^{len(corner)} + ... with coefficients "
+                f"{[float(f'{value:g}') for value in corner]} in rising powers is not",
+            )
+
+
+def norm_observer(dynamics: ZeroDynamics) -> tuple[float, float]:
+    """Rate lambda [1/s] and gain c of eta_bar' = -lambda eta_bar + c |y'|, which bounds |C_eta eta|.
+
+    With A_eta^T P_o + P_o A_eta = -2 I, lambda = 1/lmax(P_o) and c = |C_eta| |P_o B_eta| / lmin(P_o); the bound
+    holds up to |C_eta| (lmax/lmin)^(1/2) |eta(0)| e^(-lambda t).
+
+    Raises:
+        ConfigError: as :func:`require_hurwitz`.
+    """
+    from scipy.linalg import solve_continuous_lyapunov
+
+    require_hurwitz(dynamics)
+    matrix = companion(tuple(float(value) for value in dynamics.a))
+    p = solve_continuous_lyapunov(matrix.T, -2.0 * np.eye(len(matrix)))
+    eigenvalues = np.linalg.eigvalsh(p)
+    gain = np.linalg.norm(np.asarray(dynamics.c, dtype=float)) * np.linalg.norm(p[:, -1]) / eigenvalues[0]
+    return 1.0 / float(eigenvalues[-1]), float(gain)

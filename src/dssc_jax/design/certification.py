@@ -1,0 +1,299 @@
+"""Whether Theorem 1 certifies a study's loop, at every point of its sweep.
+
+The bounds (A0)-(A4) follow from the study: the interval of k_p and a_p from their laws, the disturbance's constants
+from its kind, those of the reference and of the nominal control from theirs. The certificate is that of the loop in
+continuous time, without unmodelled dynamics and sensors, and with a rho that keeps sliding: what else the study
+holds is what the simulation is for.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dssc_jax.closed_loop.sample import Loop
+from dssc_jax.core.contracts import Disturbance, Reference
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.design import Bounds, Parameters, certified
+from dssc_jax.design.arrays import greater
+from dssc_jax.design.practice import predictor_pole
+from dssc_jax.models.controllers.dssc import DSSC
+from dssc_jax.models.controllers.gain_functions import Vgsta
+from dssc_jax.models.environment import disturbances, references
+from dssc_jax.models.plants.normal_form import NORMAL_FORM
+from dssc_jax.study import Described, Study
+from dssc_jax.study.laws import SPREAD, Law
+
+OUTSIDE = {
+    "loop": "it is of continuous time",
+    "sensor": "it takes y and y' as they are",
+    "differentiator": "it takes y' as it is",
+    "controller.rho": "it takes sliding for granted",
+}
+"""Numbers of which the theorem says nothing, and why."""
+LIMITS = ("unmodelled.rate", "unmodelled.limit")  # unmodelled dynamics whose absence is an infinite number
+REFINEMENTS, REFINED = 2, 33  # of the walk's cell in which the certificate is lost: 1/1024 of it
+
+
+class NotCovered(Exception):
+    """The theorem does not speak of this loop; the message says why."""
+
+
+class Mark(NamedTuple):
+    """What the theorem says of a study.
+
+    Args:
+        certified: True or False for each point, of the shape of the sweep's axes; None where it does not speak.
+        reason: Why it does not speak; empty where it does.
+    """
+
+    certified: np.ndarray | None
+    reason: str
+
+
+class Reach(NamedTuple):
+    """How far the theorem certifies a loop as one of its numbers is walked.
+
+    Args:
+        value: The last value that is certified, for all draws at once; None where none is.
+        text: What the theorem says of the number, in words.
+    """
+
+    value: float | None
+    text: str
+
+
+class Ends(NamedTuple):
+    """Lowest and highest value of every number of a loop, each an array over the sweep's axes or a number."""
+
+    low: Any
+    high: Any
+
+    def largest(self, name: str) -> Any:
+        """Largest magnitude of a field."""
+        return np.maximum(np.abs(getattr(self.low, name)), np.abs(getattr(self.high, name)))
+
+    def part(self, name: str, index: int | None = None) -> "Ends":
+        """The ends of a part."""
+        low, high = getattr(self.low, name), getattr(self.high, name)
+        return Ends(low, high) if index is None else Ends(low[index], high[index])
+
+
+def mark(study: Study) -> Mark:
+    """Whether each point of a study's sweep is certified; of one whose code is not loaded, what was found with it."""
+    if isinstance(study, Described):
+        found = study.description.certified
+        return Mark(None if found is None else np.asarray(found, dtype=bool), study.description.silence)
+    try:
+        with np.errstate(all="ignore"):  # an unbounded law makes infinite bounds, which nothing certifies
+            found = certified(*design_of(study))
+    except NotCovered as silence:
+        return Mark(None, str(silence))
+    shape = tuple(len(values) for values in study.axes.values())
+    return Mark(np.broadcast_to(np.asarray(found, dtype=bool), shape).copy(), "")
+
+
+def reach(study: Study, name: str, values: np.ndarray) -> Reach:
+    """How far Theorem 1 certifies a study as one number takes the place of its law, or of its own value.
+
+    Of unmodelled dynamics the theorem knows their absence only: a lag mu s W(mu s) u (Section V-A2) depends on u', and
+    therefore is no disturbance of the class (A0)-(A3), however small mu; nor is what a limit takes from the command.
+
+    Args:
+        study: The study; its own sweep is left aside.
+        name: Dotted name of the number.
+        values: Where it is walked, from its safe end, shape (n,).
+    """
+    part = name.partition(".")[0]
+    if part == "unmodelled":
+        whole, reason = mark(study.override({"sweep": {}}))
+        if whole is None:
+            return Reach(None, f"Theorem 1 is silent: {reason}")
+        if not whole:
+            return Reach(None, "Theorem 1 does not certify the loop, not even without unmodelled dynamics")
+        alone = "Theorem 1 certifies the loop without unmodelled dynamics, and is silent of any"
+        return Reach(None, f"{alone} finite {name}") if name in LIMITS else Reach(0.0, f"{alone} {name} > 0")
+    if part in OUTSIDE or name in OUTSIDE:
+        return Reach(None, f"Theorem 1 is silent of {name}: {OUTSIDE.get(name) or OUTSIDE[part]}")
+    return certified_up_to(study, name, np.asarray(values, float))
+
+
+def certified_up_to(study: Study, name: str, values: np.ndarray) -> Reach:
+    """:func:`reach` of a number that the theorem speaks of."""
+    along = marks_over_spread if name == SPREAD else marks_along
+    holds, reason = along(study, name, values)
+    if holds is None:
+        return Reach(None, f"Theorem 1 is silent: {reason}")
+    if not holds[0]:
+        return Reach(None, f"Theorem 1 does not certify the loop at {name} = {values[0]:g}")
+    if holds.all():
+        text = f"Theorem 1 certifies the whole walk, without lag and sampling, to {name} = {values[-1]:g}"
+        return Reach(float(values[-1]), text)
+    first = int(np.argmin(holds))
+    low, high = values[first - 1], values[first]
+    for _ in range(REFINEMENTS):
+        finer = np.linspace(low, high, REFINED)
+        holds, _ = along(study, name, finer)
+        assert holds is not None  # it spoke of both ends
+        first = max(1, int(np.argmin(holds)))
+        low, high = finer[first - 1], finer[first]
+    return Reach(float(low), f"Theorem 1 certifies the loop, without lag and sampling, as far as {name} = {low:.6g}")
+
+
+def marks_along(study: Study, name: str, values: np.ndarray) -> Mark:
+    """Marks of a study at values of one number, in their order."""
+    found, reason = mark(study.override({"sweep": {name: sorted(values.tolist())}}))
+    if found is not None and values[0] > values[-1]:
+        found = found[::-1]
+    return Mark(found, reason)
+
+
+def marks_over_spread(study: Study, name: str, values: np.ndarray) -> Mark:
+    """Marks of a study whose laws are so many times as wide: their ends move about the median.
+
+    A law of unbounded support stays unbounded; one that leaves its number's range is not certified.
+    """
+    del name
+    found = []
+    for value in values:
+        try:
+            certified, reason = mark(study.override({"sweep": {}, **widened(study, float(value))}))
+        except ConfigError:
+            certified, reason = np.False_, ""
+        if certified is None:
+            return Mark(None, reason)
+        found.append(bool(certified))
+    return Mark(np.array(found), "")
+
+
+def widened(study: Study, share: float) -> dict[str, Any]:
+    """What takes the place of each law of bounded support: a uniform one over its moved ends."""
+    changes: dict[str, Any] = {}
+    for name, law in study.laws.items():
+        if np.all(np.isfinite(law.support)):
+            low, high = (float(end) for end in law.spread(np.array(law.support), share))
+            changes[name] = {"uniform": [low, high]} if low < high else low
+    return changes
+
+
+def design_of(study: Study) -> tuple[Parameters, Bounds]:
+    """The parameters of Table 1 and the bounds of a study's loop, over its sweep.
+
+    Raises:
+        NotCovered: the plant is not (5)-(8), the functions are not those of Table 1, or something has no bound.
+    """
+    ends = ends_of(study)
+    if study.loop.plant is not NORMAL_FORM:
+        raise NotCovered("the plant is not of the class (5)-(8)")
+    gains = ends.low.controller[0]
+    own_model = study.loop.controller[0] not in DSSC.members.values()
+    if own_model or not isinstance(gains.functions, Vgsta):
+        raise NotCovered("the controller is not DSSC with functions.kind = 'vgsta', those of Table 1")
+    if gains.sign_width is not None:
+        raise NotCovered("the sign is smoothed (sign_width), so that nothing slides on sigma_tilde = 0")
+    if any(isinstance(leaf, Law) for name, leaf in study.leaves().items() if is_gain(name) and name not in study.axes):
+        raise NotCovered("the controller's own numbers are uncertain")
+    own = gains.functions._asdict() | {"eps": gains.functions.epsilon, "l0": gains.l0}
+    parameters = Parameters(**{name: own[name] for name in Parameters._fields})
+    return parameters, bounds_of(study.loop, ends, parameters)
+
+
+def is_gain(name: str) -> bool:
+    """Whether a dotted name is one of the functions' or l0."""
+    return name.startswith("controller.functions.") or name == "controller.l0"
+
+
+def ends_of(study: Study) -> Ends:
+    """The loop's parameters at both ends of every law; swept values lie along their axes."""
+    count = len(study.axes)
+    along: dict[str, Any] = {
+        name: np.asarray(values).reshape([-1 if i == position else 1 for i in range(count)])
+        for position, (name, values) in enumerate(study.axes.items())
+    }
+    low, high = (study.params({name: law.support[end] for name, law in study.laws.items()} | along) for end in (0, 1))
+    return Ends(low, high)
+
+
+def bounds_of(loop: Loop, ends: Ends, p: Parameters) -> Bounds:
+    """The bounds (A0)-(A4) of a loop of the class (5)-(8)."""
+    plant = ends.low.plant
+    dynamics = plant.zero_dynamics
+    if dynamics is not None and not is_fixed(ends.part("plant").part("zero_dynamics")):
+        raise NotCovered("the zero dynamics are uncertain, or swept")
+    reference = reference_bounds(loop.reference, ends.part("reference"))
+    return Bounds(
+        k_min=plant.k_p,
+        k_max=ends.high.plant.k_p,
+        a_max=ends.part("plant").largest("a_p"),
+        zero_dynamics=dynamics,
+        **reference,
+        **disturbance_bounds(loop.disturbance[0], ends.part("disturbance", 0)),
+        **nominal_bounds(ends.part("controller", 0).part("nominal"), p, reference),
+    )
+
+
+def is_fixed(ends: Ends) -> bool:
+    """Whether every number of a part is plain, and the same at both ends."""
+    low, high = ([value for row in part for value in row] for part in ends)
+    return all(isinstance(value, int | float) for value in low) and low == high
+
+
+def swing(amplitude: Any, period: Any, order: int) -> Any:
+    """Largest value of the derivative of a sine of the given order."""
+    return amplitude * (2.0 * math.pi / period) ** order
+
+
+def reference_bounds(model: Reference, ends: Ends) -> dict[str, Any]:
+    """Suprema of the reference and its first three derivatives."""
+    for axis, member in references.MISSION_ENTRY.members.items():
+        if model is member:
+            ends = Ends(references.MISSION[axis], references.MISSION[axis])
+            model = references.SINE
+    low = ends.low
+    if model is references.ZERO:
+        return {}
+    if model is not references.SINE:
+        raise NotCovered("the reference's third derivative has no known bound")
+    amplitude = ends.largest("amplitude")
+    names = ("y_m_dot", "y_m_ddot", "y_m_dddot")
+    swings = {name: swing(amplitude, low.period, order) for order, name in enumerate(names, 1)}
+    return {"y_m": amplitude + ends.largest("offset"), **swings}
+
+
+def disturbance_bounds(model: Disturbance, ends: Ends) -> dict[str, Any]:
+    """The constants of (A0.b)-(A3). A step is constant but for its instant, after which the theorem starts anew."""
+    low = ends.low
+    if model is disturbances.NONE:
+        return {}
+    if model in (disturbances.CONSTANT, disturbances.STEP):
+        return {"alpha_d": ends.largest("value")}
+    if model is disturbances.SINE:
+        amplitude = ends.largest("amplitude")
+        return {"alpha_d": amplitude, "alpha_d3": swing(amplitude, low.period, 1)}
+    if model is disturbances.SPLINE:
+        pairs = zip(low.knots, ends.high.knots, strict=True)
+        knots = [0.0, *(np.maximum(np.abs(a), np.abs(b)) for a, b in pairs), 0.0]
+        steepest = np.max(np.add(knots[1:], knots[:-1]), axis=0) / low.interval  # of any knots that large
+        return {"alpha_d": np.max(knots, axis=0), "alpha_d3": steepest}
+    if model is disturbances.PARTITION:
+        names = ("k_d1", "k_d2", "k_d3", "k_d4", "k_d5", "alpha_d2", "alpha_d3")
+        return {name: getattr(ends.high, name) for name in names}
+    raise NotCovered("the disturbance's derivative has no known bound")
+
+
+def nominal_bounds(ends: Ends, p: Parameters, reference: dict[str, Any]) -> dict[str, Any]:
+    """The constants of (A4) of the nominal control (37), with 1/tau_m at its largest; each is worst at an end."""
+    if ends.low is None:
+        return {}
+    speed, acceleration, jerk = (reference.get(name, 0.0) for name in ("y_m_dot", "y_m_ddot", "y_m_dddot"))
+    pole = predictor_pole(p) if ends.low.predictor_term else 0.0
+    k, damping = ends.low.k, ends.largest("a")
+    offset = greater(abs(ends.low.a - p.l0), abs(ends.high.a - p.l0))
+    c_e = offset * p.l0 / k
+    return {
+        "c_sigma": (offset + pole) / k,
+        "c_e1": c_e,
+        "c_e2": c_e,
+        "c_m": (damping * speed + acceleration) / k,
+        "u_m_dot": (damping * acceleration + jerk) / k,
+    }

@@ -1,0 +1,183 @@
+"""Design files: ``[bounds]``, and ``[parameters]`` to check, or ``[free]`` and ``[goal]`` from which they follow."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+from pydantic import BaseModel, BeforeValidator, Field, ValidationError
+
+from dssc_jax.core.errors import ConfigError, errors_under, meant
+from dssc_jax.design import Bounds, Free, Modulation, Parameters, Recipe, derive, synthesise
+from dssc_jax.design.bounds import require_plain
+from dssc_jax.design.feasibility import RANGES, Criterion, Goal, edges, optimise
+from dssc_jax.study.components import as_table, explain, parse_params
+from dssc_jax.study.schema import STRICT, finite
+from dssc_jax.study.tables import read_toml
+
+SILENT = Free(l0=1.0, phi_a=0.1, eps=0.5, delta=1.0, eps_1=1.0, eps_2=0.1, eps_3=1.0)
+"""What [free] is taken to say where it is silent and the goal does not vary it (assumed)."""
+REQUIRED = set(Free._fields) - set(Free._field_defaults)
+RUNNABLE = 1e-3  # s; sampling period that a design must allow where no goal is given
+
+
+def interval(value: Any) -> tuple[float, float]:
+    """Two finite numbers."""
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise ValueError(f"must be [low, high], got {value!r}")
+    return finite(value[0]), finite(value[1])
+
+
+Real = Annotated[float, BeforeValidator(finite)]
+Range = Annotated[tuple[float, float], BeforeValidator(interval)]
+
+
+class DesignFile(NamedTuple):
+    """What a design file says, and the parameters that follow.
+
+    Args:
+        name: Of the file, or as it says.
+        bounds: What is known.
+        parameters: Given, synthesised or optimised.
+        free: The free parameters that they were synthesised from, if they were.
+        goal: What the free parameters were optimised for, if they were.
+        modulation: How the loop is meant to reach sliding, if it is said.
+        edges: What was optimised and ended at an end of its range, in words.
+    """
+
+    name: str
+    bounds: Bounds
+    parameters: Parameters
+    free: Free | None = None
+    goal: Goal | None = None
+    modulation: Modulation | None = None
+    edges: tuple[str, ...] = ()
+
+
+class GoalTable(BaseModel):
+    """``[goal]``: what the free parameters are chosen for."""
+
+    model_config = STRICT
+    criterion: str | None = None
+    residual: Real | None = Field(default=None, gt=0.0)
+    sample_time: Real = Field(default=RUNNABLE, ge=0.0)
+    vary: dict[str, Range] = {}
+
+
+TABLES = ("name", "recipe", "bounds", "parameters", "free", "goal", "modulation")
+
+
+def load_design(path: str | Path, *, complete: bool = True) -> DesignFile:
+    """Read a design file.
+
+    Args:
+        path: A TOML file with ``[bounds]`` and ``[parameters]`` or ``[free]``; ``recipe`` is ``strict`` (default) or
+            ``printed`` and belongs to ``[free]``. With ``[goal]``, what ``[free]`` does not fix is optimised.
+        complete: Whether ``[free]`` without ``[goal]`` has to name every parameter; otherwise the rest is optimised
+            for the smallest guaranteed residual at a sampling period of 1 ms, and ``[free]`` may be absent.
+
+    Raises:
+        ConfigError: file, dotted path, rule and value of the first thing that is wrong.
+    """
+    try:
+        return parse_design(read_toml(path), Path(path).stem, complete)
+    except ConfigError as error:
+        raise (error if error.where == str(path) else error.within(str(path))) from None
+
+
+def parse_design(table: dict[str, Any], name: str, complete: bool = True) -> DesignFile:
+    """The content of a design file."""
+    for key in table:
+        if key not in TABLES:
+            raise ConfigError(key, f"unknown name; {meant(key, TABLES)}")
+    name = table.get("name", name)
+    if not isinstance(name, str):
+        raise ConfigError("name", f"must be text, got {name!r}")
+    for key in ("recipe", "goal", "free"):
+        if key in table and "parameters" in table:
+            raise ConfigError(key, "has no place beside [parameters], which are given")
+    if complete and not table.keys() & {"parameters", "free", "goal"}:
+        raise ConfigError("", "needs [bounds] and one of [parameters], [free] and [goal]")
+    bounds = plain(table, Bounds, "bounds")
+    with errors_under("bounds"):
+        bounds = bounds.prepare()
+    modulation = plain(table, Modulation, "modulation") if "modulation" in table else None
+    if "parameters" in table:
+        return DesignFile(name, bounds, plain(table, Parameters, "parameters"), modulation=modulation)
+    recipe = table.get("recipe", Recipe.STRICT.value)
+    if recipe not in list(Recipe):
+        raise ConfigError("recipe", f"must be strict or printed, got {recipe!r}")
+    named = as_table(table.get("free", {}), "free").keys() >= REQUIRED
+    if "goal" not in table and (complete or named):
+        free, goal, at_edges = plain(table, Free, "free"), None, ()
+    else:
+        if "recipe" in table:
+            raise ConfigError("recipe", "has no meaning where the free parameters are sought; designs are strict then")
+        free, goal, at_edges = sought(table, bounds)
+    return DesignFile(name, bounds, synthesise(bounds, free, Recipe(recipe)), free, goal, modulation, at_edges)
+
+
+def sought(table: dict[str, Any], bounds: Bounds) -> tuple[Free, Goal, tuple[str, ...]]:
+    """The free parameters that serve the goal, and which of them ended at an end of their range.
+
+    Those that ``[free]`` gives are kept, the others varied.
+    """
+    try:
+        wanted = GoalTable.model_validate(as_table(table.get("goal", {}), "goal"))
+    except ValidationError as error:
+        raise explain(error, GoalTable.model_fields).within_path("goal") from None
+    criterion = wanted.criterion or default_criterion(bounds)
+    if criterion not in list(Criterion):
+        raise ConfigError("goal.criterion", f"unknown criterion '{criterion}'; {meant(criterion, list(Criterion))}")
+    given = as_table(table.get("free", {}), "free")
+    for key in wanted.vary:
+        if key in given:
+            raise ConfigError(f"goal.vary.{key}", "is fixed by [free] already")
+    start = plain({"free": SILENT._asdict() | given}, Free, "free")
+    ranges = {key: box for key, box in RANGES.items() if key not in given} | wanted.vary
+    goal = Goal(Criterion(criterion), wanted.residual or float("inf"), wanted.sample_time)
+    try:
+        best = optimise(bounds, start, goal, ranges)
+    except ConfigError as error:
+        raise (error.within_path("goal") if error.where.startswith("vary") else error) from None
+    return best, goal, edges(best, ranges)
+
+
+def default_criterion(bounds: Bounds) -> str:
+    """The smallest residual; the fastest decay where nothing drives the loop away from zero."""
+    driven = derive(bounds, 1.0).beta_m > 0.0 or (bounds.zero_dynamics is not None and bounds.y_m_dot > 0.0)
+    return (Criterion.RESIDUAL if driven else Criterion.DECAY_RATE).value
+
+
+def plain(table: dict[str, Any], kind: type, path: str) -> Any:
+    """A table of plain numbers, none too large or too small to compute with, as an instance of its parameter type."""
+    if path not in table:
+        raise ConfigError(path, "is required and missing")
+    with errors_under(path):
+        numbers, _ = parse_params(as_table(table[path]), kind)
+        require_plain(numbers)
+    return numbers
+
+
+def to_toml(found: DesignFile) -> str:
+    """A design file with the parameters as numbers, and the table of a study that flies them."""
+    bounds = {name: value for name, value in found.bounds._asdict().items() if name != "zero_dynamics" and value != 0.0}
+    quoted = json.dumps(found.name, ensure_ascii=False).replace("\x7f", "\\u007f")
+    lines = [f"name = {quoted}", "", "[bounds]", *(f"{name} = {value!r}" for name, value in bounds.items())]
+    if found.bounds.zero_dynamics is not None:
+        a, c = (list(part) for part in found.bounds.zero_dynamics)
+        lines.append(f"zero_dynamics = {{ a = {a}, c = {c} }}")
+    lines += ["", "[parameters]", *(f"{name} = {value!r}" for name, value in found.parameters._asdict().items())]
+    if found.modulation is not None:
+        lines += ["", "[modulation]", *(f"{name} = {value!r}" for name, value in found.modulation._asdict().items())]
+    comment = [f"# {line}" for line in ["In a study:", *functions_toml(found.parameters).splitlines()]]
+    return "\n".join([*lines, "", *comment, ""])
+
+
+def functions_toml(parameters: Parameters) -> str:
+    """The controller's table in a study that flies the parameters; k_o = 1 is a choice, only k_o tau_av matters."""
+    names = {name: "epsilon" if name == "eps" else name for name in Parameters._fields if name != "l0"}
+    fields = ", ".join(f"{names[name]} = {getattr(parameters, name)!r}" for name in names)
+    return (
+        f'[controller]\nkind = "dssc"\nl0 = {parameters.l0!r}\n[controller.functions]\nkind = "vgsta"\nk_o = 1.0\n'
+        + fields.replace(", ", "\n")
+    )

@@ -1,0 +1,341 @@
+"""The only place that batches: tile, vmap, map, shard, chunk.
+
+A lane is one draw at one sweep point. A block is the unit of work and of storage: a box of the grid
+(sweep axes..., draw), computed as one batch of lanes. A batch is cut into tiles whose state stays in cache; tiles
+are mapped in sequence, and shared out over the devices. Lanes do not see each other, so results do not depend on
+any of these sizes.
+"""
+
+import itertools
+import math
+import platform
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+
+from dssc_jax.backend import kernels, xla
+from dssc_jax.backend.fusion import shared_once
+from dssc_jax.closed_loop.draw import simulate
+from dssc_jax.core.numerics import arithmetic
+from dssc_jax.core.signals import Scalar
+from dssc_jax.engine.sampling import draw, draw_key
+from dssc_jax.study import Study
+
+LANES = 64  # of a tile that one kernel advances: its state and temporaries stay in the second-level cache
+LANES_OF_KERNELS = 512  # of a tile that many kernels advance, so that calling them costs little
+TILE = "tile"  # name of the axis over the lanes of a tile
+VECTOR = 8  # lanes in a 512-bit vector of float64: every tile is a multiple of it
+BLOCK = 16384  # lanes
+PROBES = 16  # draws that are simulated twice to find in-loop noise
+VERSIONS = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy", "xarray", "zarr")
+
+Arrays = dict[Any, np.ndarray]
+"""Arrays by name; derivatives by :class:`dssc_jax.engine.evaluation.Derivative`."""
+
+Lane = Callable[[dict[str, jax.Array], jax.Array], dict[str, Scalar]]
+"""(each of the lane's own numbers, draw index) -> what is computed of the lane."""
+
+
+def simulated(study: Study, together: str | None = TILE, segment: int | None = None) -> Lane:
+    """A lane's metrics, slacks, outcome and the time at which it ended early.
+
+    Args:
+        study: What to simulate.
+        together: See :func:`dssc_jax.closed_loop.draw.simulate`; None where derivatives are taken.
+        segment: See :func:`dssc_jax.closed_loop.time_loops.scan_segments`.
+    """
+
+    def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
+        key = draw_key(study.config.seed, index)
+        loop, params = study.loop, study.params(values)
+        asked = study.measures, study.requirements
+        run = simulate(loop, params, key, *asked, together=together, segment=segment)
+        ended = {"failed_at": run.failed_at} | ({"settled_at": run.settled_at} if study.loop.settled else {})
+        return {**run.metrics, **run.slacks, "outcome": run.outcome, **ended}
+
+    return lane
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The grid of all lanes and its blocks.
+
+    Args:
+        shape: Points of each axis, then draws.
+        block: Shape of a block; those at the far edges may be cut.
+    """
+
+    shape: tuple[int, ...]
+    block: tuple[int, ...]
+
+    @classmethod
+    def of(cls, study: Study, lanes: int = BLOCK) -> "Layout":
+        """Blocks of at most ``lanes`` lanes: whole trailing dimensions, and a part of the next.
+
+        Where one block holds the whole grid, it leaves room for more draws.
+        """
+        shape = (*(len(values) for values in study.axes.values()), study.config.draws)
+        block, room = [], lanes
+        for size in reversed(shape):
+            block.append(max(1, min(size, room)))
+            room //= block[-1] if block[-1] == size else room + 1
+        block[0] *= max(1, room)
+        return cls(shape, tuple(reversed(block)))
+
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any]) -> "Layout":
+        """The layout that :meth:`to_dict` gave."""
+        return cls(tuple(stored["shape"]), tuple(stored["block"]))
+
+    def to_dict(self) -> dict[str, list[int]]:
+        """For JSON."""
+        return {"shape": list(self.shape), "block": list(self.block)}
+
+    @property
+    def lanes(self) -> int:
+        """Lanes of the largest block."""
+        return math.prod(map(min, self.shape, self.block))
+
+    def index(self, block: tuple[slice, ...]) -> tuple[int, ...]:
+        """The place of a block, or of what is a part of one, among the blocks."""
+        return tuple(part.start // size for part, size in zip(block, self.block, strict=True))
+
+    def blocks(self) -> list[tuple[slice, ...]]:
+        """Every block as a slice of the grid, in C order."""
+        starts = (range(0, size, step) for size, step in zip(self.shape, self.block, strict=True))
+        return [
+            tuple(slice(a, min(a + step, size)) for a, step, size in zip(at, self.block, self.shape, strict=True))
+            for at in itertools.product(*starts)
+        ]
+
+
+@dataclass
+class Clock:
+    """Seconds spent compiling and running, lanes done, and how often the step was traced."""
+
+    compile_seconds: float = 0.0
+    run_seconds: float = 0.0
+    lanes: int = 0
+    traces: int = 0
+
+
+@dataclass
+class Engine:
+    """A study compiled once for batches of a fixed size.
+
+    Args:
+        study: What to simulate.
+        lanes: Lanes of a batch; smaller ones are padded.
+        tile: Lanes of a tile; None: chosen by the batch.
+        devices: Devices to share tiles over; None: all.
+        program: What is computed of each lane.
+        kernel: ``scan``, ``pallas`` or ``auto``; empty: as the environment says, or ``scan``.
+        extra: Numbers that the program takes of each lane beside those of the study.
+    """
+
+    study: Study
+    lanes: int
+    tile: int | None = None
+    devices: int | None = None
+    clock: Clock = field(default_factory=Clock)
+    program: Callable[[Study], Lane] = simulated
+    kernel: str = ""
+    extra: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        self.kernel = kernels.requested(self.kernel)
+        usable = jax.devices()[: self.devices]
+        share = -(-self.lanes // len(usable))
+        wanted = min(self.tile, share) if self.tile else best_tile(usable, share)
+        self._tile = -(-wanted // VECTOR) * VECTOR
+        tiles = -(-self.lanes // self._tile)
+        self._tiles = -(-tiles // len(usable)) * len(usable)
+        self._mesh = Mesh(np.array(usable), ("device",))
+        self._run = None
+        self._finished = 0.0
+
+    @property
+    def names(self) -> list[str]:
+        """Numbers that differ between lanes."""
+        return [*self.study.axes, *self.study.laws, *self.extra]
+
+    def __call__(self, values: Mapping[str, np.ndarray], indices: np.ndarray) -> Callable[[], Arrays]:
+        """Start a batch; the result of the returned function is ready when it is called.
+
+        Args:
+            values: For each of ``names`` an array of shape (n,), n <= lanes.
+            indices: Draw index of each lane, shape (n,).
+        """
+        count = len(indices)
+        padding = self._tiles * self._tile - count
+        with arithmetic(self.study.config.loop.precision):
+            dtype = jnp.result_type(float)
+            shaped = {
+                name: np.pad(values[name], (0, padding), mode="edge").astype(dtype).reshape(self._tiles, self._tile)
+                for name in self.names
+            }
+            index = np.pad(indices, (0, padding), mode="edge").astype(np.uint32).reshape(self._tiles, self._tile)
+            if self._run is None:
+                self._run = self._compile(shaped, index)
+            began = time.perf_counter()
+            out = self._run(shaped, index)
+
+        def finish() -> Arrays:
+            arrays = {name: np.asarray(array).reshape(-1)[:count] for name, array in out.items()}
+            self.clock.run_seconds += time.perf_counter() - max(began, self._finished)
+            self._finished = time.perf_counter()
+            self.clock.lanes += count
+            return arrays
+
+        return finish
+
+    def _compile(self, values: dict[str, np.ndarray], index: np.ndarray):
+        began = time.perf_counter()
+        lane = self.program(self.study)
+
+        def one(values: dict[str, jax.Array], i: jax.Array) -> dict[str, Scalar]:
+            self.clock.traces += 1
+            return lane(values, i)
+
+        def compile_for(batch: kernels.Batch):
+            def share(lanes: dict[str, jax.Array], i: jax.Array) -> dict[str, Scalar]:
+                return jax.lax.map(lambda tile: batch(*tile), (lanes, i))
+
+            spec = PartitionSpec("device")
+            sharded = jax.shard_map(share, mesh=self._mesh, in_specs=spec, out_specs=spec, check_vma=False)
+            return jax.jit(sharded).lower(values, index).compile()
+
+        batch = jax.vmap(one, axis_name=TILE)
+        whole = xla.compiles_loops_whole() and on_cpu(self._mesh.devices)
+        compiled = kernels.compiled(self.kernel, compile_for, shared_once(batch) if whole else batch, batch)
+        self.clock.compile_seconds += time.perf_counter() - began
+        return compiled
+
+    @property
+    def rate(self) -> float:
+        """Draws times samples a second, without compilation."""
+        return self.clock.lanes * self.study.loop.steps / self.clock.run_seconds if self.clock.run_seconds else 0.0
+
+    def times(self, began: float) -> dict[str, float]:
+        """What a manifest says of the time spent since ``began`` of ``time.perf_counter``."""
+        return {
+            "seconds": time.perf_counter() - began,
+            "compile_seconds": self.clock.compile_seconds,
+            "run_seconds": self.clock.run_seconds,
+            "rate": self.rate,
+            "traces": self.clock.traces,
+        }
+
+
+def on_cpu(devices: Iterable[Any]) -> bool:
+    """Whether the devices are cores of a CPU."""
+    return all(device.platform == "cpu" for device in devices)
+
+
+def best_tile(devices: Sequence[Any], share: int) -> int:
+    """Lanes of a tile, as measured; the loop with one degree of freedom and the UAV want the same.
+
+    Never fewer where a tile is one kernel: the compiler unrolls shorter loops, which costs it long and the kernel more.
+
+    Args:
+        devices: Devices in use.
+        share: Lanes of one device.
+    """
+    if not on_cpu(devices):
+        return share
+    return LANES if xla.compiles_loops_whole() else min(share, LANES_OF_KERNELS)
+
+
+def medians(study: Study) -> dict[str, float]:
+    """Each uncertain number at its median."""
+    return {name: law.median for name, law in study.laws.items()}
+
+
+def drawn(study: Study, draws: slice) -> Arrays:
+    """Values of the study's laws for a range of draws."""
+    return draw(study, np.arange(draws.start, draws.stop))
+
+
+def lanes_of(study: Study, block: tuple[slice, ...], values: Arrays) -> tuple[Arrays, np.ndarray]:
+    """Values and draw indices of every lane of a block, flattened in C order; ``values`` are those of its draws."""
+    *points, draws = block
+    shape = tuple(part.stop - part.start for part in block)
+    flat = {}
+    for position, ((name, axis), part) in enumerate(zip(study.axes.items(), points, strict=True)):
+        along = np.asarray(axis[part]).reshape([-1 if i == position else 1 for i in range(len(shape))])
+        flat[name] = np.broadcast_to(along, shape).reshape(-1)
+    for name, column in values.items():
+        flat[name] = np.broadcast_to(column, shape).reshape(-1)
+    indices = np.broadcast_to(np.arange(draws.start, draws.stop), shape).reshape(-1)
+    return flat, indices
+
+
+def lanes_in(block: tuple[slice, ...]) -> int:
+    """Number of lanes of a block."""
+    return math.prod(part.stop - part.start for part in block)
+
+
+def computing() -> dict[str, Any]:
+    """What a result's last digits depend on beside the study: versions, device, compiler settings."""
+    device = jax.devices()[0]
+    return {
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in VERSIONS}},
+        "device": {"kind": device.device_kind, "platform": device.platform, "count": len(jax.devices())},
+        "compiler": [*xla.code_generation(), *kernels.requested_settings()],
+    }
+
+
+def execute(engine: Engine, blocks: list[tuple[slice, ...]]) -> Iterator[tuple[tuple[slice, ...], Arrays, Arrays]]:
+    """Compute blocks in turn; each is started before the one before it is handed out.
+
+    Yields:
+        The block, its results with the block's shape, and the drawn values of its range of draws.
+    """
+    waiting = None
+    for block in blocks:
+        values = drawn(engine.study, block[-1])
+        started = engine(*lanes_of(engine.study, block, values))
+        if waiting is not None:
+            yield collect(*waiting)
+        waiting = block, started, values
+    if waiting is not None:
+        yield collect(*waiting)
+
+
+def evaluate(engine: Engine, values: Arrays, indices: np.ndarray) -> Arrays:
+    """Results at any number of given points, in batches of the engine's size.
+
+    Args:
+        engine: The compiled study.
+        values: For each of the engine's names an array of shape (n,).
+        indices: Draw index of each lane, which decides its in-loop noise, shape (n,).
+
+    Returns:
+        Each metric, slack, ``outcome`` and ``failed_at``, shape (n,).
+    """
+    parts = [slice(start, start + engine.lanes) for start in range(0, len(indices), engine.lanes)]
+    started = [engine({name: column[part] for name, column in values.items()}, indices[part]) for part in parts]
+    batches = [finish() for finish in started]
+    return {name: np.concatenate([arrays[name] for arrays in batches]) for name in batches[0]}
+
+
+def is_noisy(engine: Engine) -> bool:
+    """Whether a draw's result depends on its index beyond its values: noise of sensors, wind or disturbances."""
+    values = draw(engine.study, np.arange(PROBES) % engine.study.config.draws)
+    same, other = (evaluate(engine, values, np.arange(first, first + PROBES)) for first in (0, PROBES))
+    return any(not np.array_equal(same[name], other[name], equal_nan=True) for name in same)
+
+
+def collect(
+    block: tuple[slice, ...], started: Callable[[], Arrays], values: Arrays
+) -> tuple[tuple[slice, ...], Arrays, Arrays]:
+    """Wait for a block and give its results the block's shape."""
+    shape = tuple(part.stop - part.start for part in block)
+    return block, {name: array.reshape(shape) for name, array in started().items()}, values

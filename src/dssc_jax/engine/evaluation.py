@@ -1,0 +1,175 @@
+"""Simulate draws of a study at any values of chosen numbers by one compiled program, with derivatives if wanted."""
+
+import math
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.closed_loop import requirements
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.signals import Scalar
+from dssc_jax.engine.batching import BLOCK, Arrays, Engine, Lane, drawn, evaluate, simulated
+from dssc_jax.study import Study
+
+NOT_DIFFERENTIATED = ("outcome", "failed_at", "settled_at")
+DIRECTION = "direction"  # index, among an evaluator's names, of the number along which a lane differentiates
+
+
+class Derivative(NamedTuple):
+    """Key of a result that holds the derivative of a metric or slack with respect to a number of the study."""
+
+    of: str
+    by: str
+
+
+@dataclass
+class Evaluator:
+    """A study whose ``extents`` are given anew with every batch.
+
+    Args:
+        study: The study; its own sweep is left aside.
+        extents: Lowest and highest value of each number to come, checked like the ends of a sweep; a value takes the
+            place of the number's law.
+        lanes: Lanes of a batch at most.
+
+    Raises:
+        ConfigError: a name is no number of the loop, or an end is not admissible.
+    """
+
+    study: Study
+    extents: Mapping[str, tuple[float, float]]
+    lanes: int = BLOCK
+    swept: Study = field(init=False)
+
+    def __post_init__(self) -> None:
+        axes = {name: sorted(set(extent)) for name, extent in self.extents.items()}
+        self.swept = self.study.override({"sweep": axes})
+        self.engine = self.compiled()
+
+    def compiled(self) -> Engine:
+        """The program that all batches share."""
+        return Engine(self.swept, self.lanes)
+
+    def drawn(self, draws: slice) -> Arrays:
+        """Values of the laws that are left, for a range of draws."""
+        return drawn(self.swept, draws)
+
+    def __call__(self, indices: np.ndarray, values: Mapping[str, np.ndarray]) -> Arrays:
+        """Metrics, slacks and outcome of each lane.
+
+        Args:
+            indices: Draw of each lane, shape (n,).
+            values: Every law's and every chosen number's value, each of shape (n,).
+        """
+        return evaluate(self.engine, {name: values[name] for name in self.engine.names}, indices)
+
+
+@dataclass
+class GradientEvaluator(Evaluator):
+    """An evaluator that also computes the derivative of every metric and slack with respect to some of the numbers.
+
+    The derivatives are further results, whose keys are :class:`Derivative`. Forward mode computes each lane once for
+    each number, along that number's tangent; memory does not grow with the duration. Reverse mode takes one backward
+    pass for each metric and slack, however many numbers there are; it stores the state at about sqrt(steps) samples and
+    computes those between again.
+
+    Args:
+        names: The numbers.
+        reverse: Reverse mode.
+
+    Reference:
+        A. Griewank, A. Walther, "Algorithm 799: revolve", ACM TOMS 26 (2000) 19-45: checkpoints.
+    """
+
+    names: Sequence[str] = ()
+    reverse: bool = False
+
+    def compiled(self) -> Engine:
+        """The program with derivatives."""
+        if self.reverse:
+            return Engine(self.swept, self.lanes, program=partial(reverse_mode, names=self.names))
+        lanes = min(BLOCK, self.lanes * len(self.names))
+        return Engine(self.swept, lanes, program=partial(forward_mode, names=self.names), extra=(DIRECTION,))
+
+    def __call__(self, indices: np.ndarray, values: Mapping[str, np.ndarray]) -> Arrays:
+        """Results of each lane, as of :class:`Evaluator`, and their derivatives."""
+        if self.reverse:
+            return super().__call__(indices, values)
+        count, size = len(indices), len(self.names)
+        tiled = {name: np.tile(values[name], size) for name in self.engine.names if name != DIRECTION}
+        columns = super().__call__(np.tile(indices, size), tiled | {DIRECTION: np.repeat(np.arange(size), count)})
+        results = {}
+        for key, column in columns.items():
+            if isinstance(key, Derivative):
+                rows = column.reshape(size, count)
+                results |= {Derivative(key.of, name): row for name, row in zip(self.names, rows, strict=True)}
+            else:
+                results[key] = column[:count]
+        return results
+
+
+def metrics_and_slacks(
+    plain: Lane, values: Mapping[str, jax.Array], index: jax.Array
+) -> Callable[[dict[str, jax.Array]], tuple[dict[str, Scalar], dict[str, Scalar]]]:
+    """A lane's metrics and slacks as a function of some of its numbers, together with all of the lane's results."""
+
+    def at(numbers: dict[str, jax.Array]) -> tuple[dict[str, Scalar], dict[str, Scalar]]:
+        results = plain({**values, **numbers}, index)
+        return {name: value for name, value in results.items() if name not in NOT_DIFFERENTIATED}, results
+
+    return at
+
+
+def with_derivatives(results: Mapping[str, Scalar], slopes: Mapping[Derivative, Scalar]) -> dict[Any, Scalar]:
+    """Results and derivatives as one pytree; in a plain dict JAX would sort the keys, which do not compare."""
+    return OrderedDict([*results.items(), *slopes.items()])
+
+
+def forward_mode(study: Study, names: Sequence[str]) -> Lane:
+    """The program in forward mode; each lane differentiates by the number that its ``DIRECTION`` points to."""
+    plain = simulated(study)
+
+    def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
+        own = {name: value for name, value in values.items() if name != DIRECTION}
+        numbers = {name: own[name] for name in names}
+        tangent = {name: jnp.where(values[DIRECTION] == i, 1.0, 0.0) for i, name in enumerate(names)}
+        _, slopes, results = jax.jvp(metrics_and_slacks(plain, own, index), (numbers,), (tangent,), has_aux=True)
+        return with_derivatives(results, {Derivative(of, DIRECTION): slope for of, slope in slopes.items()})
+
+    return lane
+
+
+def reverse_mode(study: Study, names: Sequence[str]) -> Lane:
+    """The program in reverse mode: one backward pass for each metric and slack."""
+    plain = simulated(study, together=None, segment=math.isqrt(study.loop.steps))
+
+    def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
+        numbers = {name: values[name] for name in names}
+        slopes, results = jax.jacrev(metrics_and_slacks(plain, values, index), has_aux=True)(numbers)
+        return with_derivatives(
+            results, {Derivative(of, by): slope for of, row in slopes.items() for by, slope in row.items()}
+        )
+
+    return lane
+
+
+def require_independent(study: Study, purpose: str) -> None:
+    """Require independent draws, for statements that order statistics and exact tests make of them.
+
+    Raises:
+        ConfigError: the study's draws are points of a design.
+    """
+    kind = study.config.sampling
+    if kind != "random":
+        raise ConfigError(study.source, f"{purpose} needs independent draws: sampling = 'random', got '{kind}'")
+
+
+def worst_slack(study: Study, results: Arrays) -> np.ndarray:
+    """:func:`dssc_jax.closed_loop.requirements.worst_slack` of a study."""
+    return requirements.worst_slack(study.requirements, results)

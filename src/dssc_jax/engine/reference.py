@@ -1,0 +1,182 @@
+"""What stored results are held against: the lane as it is written, by plain JAX, and what rounding does to it.
+
+The engine rewrites a lane before it is compiled, and an error in that would be repeated by a check that runs the same
+program. Here the untouched lane runs under ``jit(vmap(...))`` alone. Two programs round differently, so their results
+differ by a few roundings, and a loop that chatters or diverges amplifies these. How much a lane amplifies them is
+measured: it runs again with every number changed in its last bits.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+
+from dssc_jax.engine.batching import Arrays, simulated
+from dssc_jax.engine.sampling import draw
+from dssc_jax.study import Study
+from dssc_jax.study.laws import Law
+
+ROUNDING = {64: 1e-9, 32: 2e-3}
+"""Relative deviation by precision that another program, compiler or machine explains in any loop that does not amplify
+rounding: they contract multiply-adds differently."""
+
+SHIFT = {64: 2.0**-48, 32: 2.0**-20}
+"""Relative change of every number that shows what rounding does to a lane: some roundings of its precision."""
+
+COPIES = 4  # of a lane, moved in different directions
+FACTOR = 100.0  # by which a deviation may exceed that of the copies: rounding acts in every operation of every sample
+UNDECIDED = 1e-2  # a lane that may deviate by more is no evidence
+
+
+VERDICTS = {
+    "agrees": "agrees with the stored values (largest relative deviation {:.1g})",
+    "differs": "DIFFERS from the stored values by more than rounding explains (relative deviation {:.1g})",
+    "undecided": "proves nothing, since rounding alone changes the result (relative deviation {:.1g})",
+}
+"""What a verdict says of values that were computed again, with the largest relative deviation."""
+
+Lanes = tuple[np.ndarray, ...]
+"""Lanes of a result: their index along every swept parameter and along the draws, shape (n,) each."""
+
+
+class Agreement(NamedTuple):
+    """How stored lanes agree with computed ones.
+
+    Args:
+        deviation: Largest relative deviation of a value in each lane, shape (n,); infinite where outcomes differ.
+        variable: Which value that is, shape (n,).
+        allowed: What rounding explains in each lane, shape (n,).
+    """
+
+    deviation: np.ndarray
+    variable: np.ndarray
+    allowed: np.ndarray
+
+    @property
+    def decided(self) -> np.ndarray:
+        """Whether each lane is evidence: rounding hardly moves it."""
+        return self.allowed <= UNDECIDED
+
+    @property
+    def verdict(self) -> str:
+        """``agrees``; ``differs`` where rounding does not explain a deviation; ``undecided``: no lane is evidence."""
+        if np.any(self.decided & (self.deviation > self.allowed)):
+            return "differs"
+        return "agrees" if self.decided.any() else "undecided"
+
+
+def plain(study: Study, values: Mapping[str, np.ndarray], draws: np.ndarray) -> Arrays:
+    """Metrics, slacks and outcome of lanes by the plain program, shape (n,) each.
+
+    Args:
+        study: The study.
+        values: Numbers that stand in place of the study's, shape (n,) each; its laws and swept ones at least.
+        draws: Index of each lane's draw, shape (n,).
+    """
+    with jax.enable_x64(study.config.loop.precision == 64):
+        lanes = {name: jnp.asarray(column, jnp.result_type(float)) for name, column in values.items()}
+        batch = jax.jit(jax.vmap(simulated(study, together=None)))
+        return jax.tree.map(np.asarray, batch(lanes, np.asarray(draws, np.uint32)))
+
+
+def numbers(study: Study, lanes: Lanes) -> Arrays:
+    """Swept and drawn numbers of each lane, shape (n,) each."""
+    swept = {name: np.asarray(axis)[i] for (name, axis), i in zip(study.axes.items(), lanes, strict=False)}
+    return {**swept, **draw(study, lanes[-1])}
+
+
+def computed_again(study: Study, lanes: Lanes) -> Arrays:
+    """Every variable of the lanes, by the plain program."""
+    values = numbers(study, lanes)
+    return {name: values[name] for name in study.laws} | plain(study, values, lanes[-1])
+
+
+def moved(study: Study, lanes: Lanes) -> list[Arrays]:
+    """Copies of the lanes, by the plain program, every number moved in its last bits."""
+    constant = {
+        name: np.full(len(lanes[-1]), number.value)
+        for name, number in study.numbers.items()
+        if not isinstance(number.value, Law) and number.quantity.law
+    }
+    rng, shift = np.random.default_rng(0), SHIFT[study.config.loop.precision]
+    values = {
+        name: (column * (1.0 + shift * rng.choice([-1.0, 1.0], (COPIES, len(column))))).ravel()
+        for name, column in {**constant, **numbers(study, lanes)}.items()
+    }
+    results = plain(study, values, np.tile(lanes[-1], COPIES))
+    return [{name: np.split(array, COPIES)[copy] for name, array in results.items()} for copy in range(COPIES)]
+
+
+def stored_lanes(dataset: xr.Dataset, names: Iterable[str], lanes: Lanes) -> Arrays:
+    """Variables of a result at the lanes."""
+    columns = {}
+    for name in names:
+        array = dataset[name]
+        columns[name] = array.values[lanes[-1:] if array.dims == ("draw",) else lanes]
+    return columns
+
+
+def agreement(study: Study, dataset: xr.Dataset, lanes: Lanes, computed: Mapping[str, np.ndarray]) -> Agreement:
+    """How the stored lanes of a result agree with computed ones.
+
+    Args:
+        study: The study.
+        dataset: The result.
+        lanes: Which.
+        computed: Variables of the result as another program computed them, shape (n,) each.
+    """
+    stored = stored_lanes(dataset, computed, lanes)
+    sizes = {name: typical(dataset[name].values) for name in computed}
+    gaps = deviations(study, sizes, stored, computed)
+    names, table = np.array(list(gaps)), np.stack(list(gaps.values()))
+    deviation = table.max(0)
+    rounding = ROUNDING[study.config.loop.precision]
+    allowed = np.full(deviation.shape, rounding)
+    doubtful = deviation > rounding
+    if doubtful.any():
+        copies = moved(study, tuple(part[doubtful] for part in lanes))
+        here = {name: column[doubtful] for name, column in computed.items() if name in copies[0]}
+        spread = [list(deviations(study, sizes, here, copy).values()) for copy in copies]
+        allowed[doubtful] = np.maximum(rounding, FACTOR * np.max(spread, axis=(0, 1)))
+    return Agreement(deviation, names[table.argmax(0)], allowed)
+
+
+def deviations(
+    study: Study, sizes: Mapping[str, float], stored: Mapping[str, np.ndarray], computed: Mapping[str, np.ndarray]
+) -> Arrays:
+    """Deviation of each of the stored variables, shape (n,) each.
+
+    It is relative to the stored value or to the variable's typical size, whichever is larger; 0 for equal NaN and
+    infinities, infinite where one value is not finite and the other is. Rounding may move what counts samples by one
+    sample. An outcome is right or wrong.
+    """
+    counts, gaps = counted(study), {}
+    for name, there in stored.items():
+        here = np.asarray(computed[name], dtype=there.dtype)
+        if name == "outcome":
+            gaps[name] = np.where(there == here, 0.0, np.inf)
+            continue
+        equal = (there == here) | (np.isnan(there) & np.isnan(here))
+        with np.errstate(invalid="ignore", over="ignore"):
+            gap = np.maximum(np.abs(there.astype(float) - here) - counts.get(name, 0.0), 0.0)
+            relative = gap / np.maximum(np.abs(there), sizes[name])
+        gaps[name] = np.where(equal, 0.0, np.where(np.isfinite(there) & np.isfinite(here), relative, np.inf))
+    return gaps
+
+
+def counted(study: Study) -> dict[str, float]:
+    """What one sample more or less changes, for each variable that counts samples."""
+    clock = study.loop
+    sample = {"s": clock.sample_time, "1": 1.0 / clock.steps}
+    samples = {m.name: (1.0 + 1e-6) * sample[m.metric.unit] for m in study.measures if m.metric.counted}
+    samples |= {r.name: samples[r.measure.name] for r in study.requirements if r.measure.name in samples}
+    return samples | dict.fromkeys(("failed_at", "settled_at"), (1.0 + 1e-6) * clock.sample_time)
+
+
+def typical(values: np.ndarray) -> float:
+    """The median magnitude of what is finite; the smallest normal number where nothing is."""
+    finite = np.abs(values[np.isfinite(values)])
+    return max(float(np.median(finite)) if finite.size else 0.0, np.finfo(float).tiny)

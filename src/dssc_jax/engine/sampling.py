@@ -1,0 +1,164 @@
+"""Draw i of a study: a point of the unit cube, and the values that the laws make of it.
+
+Random draws depend on (seed, i) only, never on the number of draws, the chunk or the device, and a factor's on its
+own name only. The points of the other designs are shared out over independent replicates, draw i to replicate i mod R:
+Sobol points can be extended (but another law moves them all), those of a Latin hypercube cannot.
+"""
+
+import warnings
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy import special
+
+from dssc_jax.backend import compiled_programs
+from dssc_jax.core.numerics import stream
+from dssc_jax.study import Study
+
+compiled_programs.keep()  # before the first program is compiled
+
+EDGE = 2.0**-53  # keeps quantiles of unbounded laws finite
+SOBOL_BITS = 30  # of a coordinate; scipy's fast_forward knows words of 32 bits only
+
+
+def draw_key(seed: int, index: jax.Array | int) -> jax.Array:
+    """The random key of draw ``index``."""
+    return jax.random.fold_in(jax.random.key(seed), index)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _uniform(seed: int, streams: tuple[int, ...], indices: jax.Array) -> jax.Array:
+    def point(index: jax.Array) -> jax.Array:
+        key = draw_key(seed, index)
+        return jax.vmap(lambda stream: jax.random.uniform(jax.random.fold_in(key, stream), dtype=jnp.float64))(factors)
+
+    factors = jnp.asarray(streams, dtype=jnp.uint32)
+    return jax.vmap(point)(indices)
+
+
+def uniform(seed: int, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
+    """Independent points of the half-open unit cube, shape (n, streams)."""
+    with jax.enable_x64(True):
+        return np.asarray(_uniform(seed, streams, np.asarray(indices, dtype=np.uint32)))
+
+
+def random_points(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
+    """Independent points."""
+    return uniform(study.config.seed, streams, indices)
+
+
+def generator(*words: int) -> np.random.Generator:
+    """A host generator of its own for each tuple of numbers."""
+    return np.random.default_rng(np.random.SeedSequence(words))
+
+
+def sobol_points(dimension: int, first: int, last: int, words: Sequence[int]) -> np.ndarray:
+    """Points first .. last - 1 of a Sobol sequence whose scrambling is drawn from ``words``, in their cells' middle.
+
+    Returns:
+        Shape (last - first, dimension).
+    """
+    from scipy.stats import qmc
+
+    sequence = qmc.Sobol(dimension, scramble=True, bits=SOBOL_BITS, rng=generator(*words))
+    if first:
+        sequence.fast_forward(first)
+    with warnings.catch_warnings():  # a block need not be a power of two; the study's whole design is
+        warnings.filterwarnings("ignore", "The balance properties of Sobol' points require n to be a power of 2")
+        return sequence.random(last - first) + 0.5**SOBOL_BITS / 2.0
+
+
+def replicated_sobol(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
+    """Scrambled Sobol points, the first one kept; every replicate has a scrambling of its own."""
+    points = np.empty((len(indices), len(streams)))
+    position, replicate = np.divmod(indices, study.config.replicates)
+    for r in np.unique(replicate):
+        mine = replicate == r
+        first, last = int(position[mine].min()), int(position[mine].max()) + 1
+        words = (study.config.seed, stream("sobol"), int(r))
+        points[mine] = sobol_points(len(streams), first, last, words)[position[mine] - first]
+    return points
+
+
+@lru_cache(maxsize=1)
+def latin_design(seed: int, streams: tuple[int, ...], replicates: int, draws: int) -> np.ndarray:
+    """All points of independent Latin hypercubes, shape (draws, factors): a design of one dimension for each factor."""
+    from scipy.stats import qmc
+
+    def column(factor: int, replicate: int) -> np.ndarray:
+        return qmc.LatinHypercube(1, rng=generator(seed, factor, replicate)).random(draws // replicates)[:, 0]
+
+    columns = [np.stack([column(factor, r) for r in range(replicates)], axis=1).reshape(-1) for factor in streams]
+    return np.stack(columns, axis=1)
+
+
+def replicated_latin(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
+    """Points of Latin hypercubes, one a replicate. They depend on the number of draws."""
+    config = study.config
+    return latin_design(config.seed, streams, config.replicates, config.draws)[indices]
+
+
+DESIGNS: dict[str, Callable[[Study, tuple[int, ...], np.ndarray], np.ndarray]] = {
+    "random": random_points,
+    "sobol": replicated_sobol,
+    "lhs": replicated_latin,
+}
+
+
+def unit_points(study: Study, indices: np.ndarray) -> np.ndarray:
+    """Points of the open unit cube, a column a factor, by the study's design.
+
+    Args:
+        study: The study.
+        indices: Draw indices, shape (n,).
+
+    Returns:
+        Shape (n, number of laws), float64 whatever the study's precision.
+    """
+    names = list(study.laws)
+    if not names:
+        return np.empty((len(indices), 0))
+    streams = tuple(stream(name) for name in names)
+    if len(set(streams)) != len(streams):
+        raise ValueError(f"two factors share a random stream; rename one of {names}")
+    return inside(DESIGNS[study.config.sampling](study, streams, np.asarray(indices)))
+
+
+def inside(points: np.ndarray) -> np.ndarray:
+    """Points moved off the faces of the unit cube, where quantiles may be infinite."""
+    return np.clip(points, EDGE, 1.0 - EDGE)
+
+
+def values_at(study: Study, points: np.ndarray) -> dict[str, np.ndarray]:
+    """Values of the uncertain numbers at points of the unit cube; correlated ones through a Gaussian copula.
+
+    Args:
+        study: The study.
+        points: Independent uniform coordinates, a column a law, shape (n, laws).
+
+    Returns:
+        For each factor an array of shape (n,), float64.
+    """
+    names = list(study.laws)
+    points = np.asarray(points).copy()
+    coupled = [names.index(name) for name in study.correlated]
+    if coupled:
+        normal = special.ndtri(points[:, coupled]) @ np.linalg.cholesky(study.correlation).T
+        points[:, coupled] = inside(special.ndtr(normal))
+    return {name: law.quantile(points[:, column]) for column, (name, law) in enumerate(study.laws.items())}
+
+
+def draw(study: Study, indices: np.ndarray) -> dict[str, np.ndarray]:
+    """Values of the uncertain numbers for the given draws.
+
+    Args:
+        study: The study.
+        indices: Draw indices, shape (n,).
+
+    Returns:
+        For each factor an array of shape (n,), float64.
+    """
+    return values_at(study, unit_points(study, indices))

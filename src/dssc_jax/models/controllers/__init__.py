@@ -1,0 +1,13 @@
+"""Controllers. A new one is one file and one row here; it inherits every protocol test."""
+
+from dssc_jax.core.registry import Registry
+from dssc_jax.models.controllers.differentiators import DIFFERENTIATORS
+from dssc_jax.models.controllers.dssc import DSSC, SSC
+from dssc_jax.models.controllers.pi import PI
+from dssc_jax.models.controllers.smc import SMC
+from dssc_jax.models.controllers.sta import STA
+from dssc_jax.models.controllers.vgsta import VGSTA
+
+CONTROLLERS: Registry = {"dssc": DSSC, "ssc": SSC, "sta": STA, "vgsta": VGSTA, "pi": PI, "smc": SMC}
+
+__all__ = ["CONTROLLERS", "DIFFERENTIATORS"]

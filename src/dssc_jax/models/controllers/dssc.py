@@ -1,0 +1,212 @@
+"""Dynamic Smooth Sliding Control (14)-(18), and SSC as its case of constant functions.
+
+The implicit (backward Euler) form has a closed solution and is the default. With a = T_s/tau_av, b = T_s/tau_m
+and c = T_s k_o/((1+a)(1+b)) the set-valued u_0 in rho Sgn(sigma_tilde+) is solved exactly by a clip. While the
+clip is inactive sigma_hat+ = sigma to rounding and the command obeys the synthesised law (22) in backward-Euler
+form; explicit Euler chatters at every step size and is unstable for T_s > 2 tau_m or T_s > 2 tau_av.
+"""
+
+from collections.abc import Callable
+from enum import StrEnum
+from typing import Annotated, NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+
+from dssc_jax.core.contracts import Controller
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import sign
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.registry import Discretisation, Entry, Slot
+from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, State, TrackingError, tracking_error
+from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS, Constant, StateFunctions
+from dssc_jax.models.controllers.modulation import MODULATIONS, Signals
+from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
+
+
+@jax.tree_util.register_static
+class PredictorStart(StrEnum):
+    """sigma_hat at the first sample: 0, or sigma (sliding from the start, as in Appendix D)."""
+
+    ZERO = "zero"
+    MATCHED = "matched"
+
+
+class DsscGains(NamedTuple):
+    """Gains of DSSC: the state-dependent functions, the modulation and the nominal control.
+
+    ``sign_width`` makes x/(|x| + w) of sgn(x), for derivatives without corners; absent, or 0: the sign itself.
+    """
+
+    l0: Annotated[Scalar, L0]
+    functions: Annotated[State, Slot(GAIN_FUNCTIONS)]
+    rho: Annotated[State, Slot(MODULATIONS, number="constant")]
+    nominal: NominalGains | None = None
+    predictor_start: PredictorStart = PredictorStart.ZERO
+    sign_width: Annotated[Scalar | None, Quantity("m/s", "width of the smoothed sign", at_least=0.0)] = None
+
+
+class DsscState(NamedTuple):
+    """Averaged control u_av [m/s], predictor sigma_hat [m/s], the last sample's sigma [m/s], modulation's state."""
+
+    u_av: Scalar
+    sigma_hat: Scalar
+    sigma: Scalar
+    modulation: State
+
+
+class DsscInfo(NamedTuple):
+    """What the loop may report of one sample.
+
+    ``sliding_margin`` is rho - |u_eq| [m/s] with u_eq = d_0/k_o of (20), discretised: in the implicit form the u_0
+    that brings sigma_tilde to 0 within the sample; in the explicit one, which never gets there, (20) with the
+    difference of the last two sigma. The sliding condition rho > |d_0|/k_o holds where it is not negative.
+    """
+
+    sigma_tilde: Scalar
+    sigma_hat: Scalar
+    u_av: Scalar
+    u_0: Scalar
+    rho: Scalar
+    sliding_margin: Scalar
+    k_o: Scalar
+    tau_m: Scalar
+    tau_av: Scalar
+
+
+class Sampled(NamedTuple):
+    """Filter and predictor after one sample: u_0, u_av+, sigma_hat+ and the equivalent control u_eq [m/s]."""
+
+    u_0: Scalar
+    u_av: Scalar
+    sigma_hat: Scalar
+    u_eq: Scalar
+
+
+Update: TypeAlias = Callable[[Scalar, DsscState, Scalar, StateFunctions, Scalar, Scalar | None], Sampled]
+"""(sigma, state, rho, functions, T_s, width of the sign) -> filter and predictor after the sample."""
+
+
+def smoothed_rest(free: Scalar, c: Scalar, rho: Scalar, width: Scalar) -> Scalar:
+    """What is left of ``free`` after u_0: the x with x + c rho x/(|x| + width) = free, in closed form.
+
+    Smooth where width > 0; with width 0 it is what the clip leaves, free - clip(free, -c rho, c rho).
+    """
+    size = jnp.abs(free)
+    b = width + c * rho - size
+    square = b * b + 4.0 * width * size
+    root = jnp.sqrt(jnp.where(square > 0.0, square, 1.0)) * (square > 0.0)  # its slope at 0 is infinite
+    inside = b > 0.0
+    within = free * 2.0 * width / jnp.where(inside, b + root, 1.0)  # the larger root of a quadratic, without difference
+    return jnp.where(inside, within, jnp.sign(free) * 0.5 * (root - b))
+
+
+def implicit_update(
+    sigma: Scalar, state: DsscState, rho: Scalar, at: StateFunctions, dt: Scalar, width: Scalar | None
+) -> Sampled:
+    """Backward Euler of (15)-(18), solved exactly; the ratios stay finite where tau_av or tau_m vanish.
+
+    The change u_0 - u_av is clipped, not u_0: in sliding nothing of the size of u_av is then subtracted.
+    """
+    u_av, sigma_hat = state.u_av, state.sigma_hat
+    keep = at.tau_av / (at.tau_av + dt)  # 1/(1+a)
+    decay = at.tau_m / (at.tau_m + dt)  # 1/(1+b)
+    c = dt * at.k_o * keep * decay
+    wanted = (sigma - decay * sigma_hat) / c  # u_eq - u_av
+    if width is None:
+        change = jnp.clip(wanted, -rho - u_av, rho - u_av)
+    else:
+        change = wanted - smoothed_rest(c * (wanted + u_av), c, rho, width) / c
+    return Sampled(
+        u_0=u_av + change,
+        u_av=u_av + dt / (at.tau_av + dt) * change,
+        sigma_hat=decay * sigma_hat + c * change,
+        u_eq=u_av + wanted,
+    )
+
+
+def explicit_update(
+    sigma: Scalar, state: DsscState, rho: Scalar, at: StateFunctions, dt: Scalar, width: Scalar | None
+) -> Sampled:
+    """Forward Euler of (15)-(18) with sgn 0 = 0: the naive form, kept for comparison."""
+    u_0 = rho * smoothed_sign(sigma - state.sigma_hat, width)
+    change = u_0 - state.u_av
+    u_eq = ((sigma - state.sigma) / dt + sigma / at.tau_m) / at.k_o + state.u_av
+    sigma_hat = state.sigma_hat + dt * (at.k_o * change - state.sigma_hat / at.tau_m)
+    return Sampled(u_0, state.u_av + dt / at.tau_av * change, sigma_hat, u_eq)
+
+
+def smoothed_sign(x: Scalar, width: Scalar | None) -> Scalar:
+    """x/(|x| + width); without a width, or with 0, the sign with sgn 0 = 0."""
+    if width is None:
+        return sign(x)
+    size = jnp.abs(x) + width
+    return x / jnp.where(size > 0.0, size, 1.0)
+
+
+def init(gains: DsscGains, measurement: Measurement, reference: ReferencePoint) -> DsscState:
+    """u_av = 0; sigma_hat = 0, or sigma of the first sample. It matters: a start at 0 adds about sigma/(k_o tau_av)."""
+    sigma = tracking_error(measurement, reference, gains.l0).sigma
+    matched = gains.predictor_start == PredictorStart.MATCHED
+    return DsscState(0.0, sigma if matched else 0.0, sigma, gains.rho.init())
+
+
+def dssc(update: Update) -> Controller:
+    """DSSC with the given sampled form of filter and predictor."""
+
+    def step(
+        gains: DsscGains, state: DsscState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
+    ) -> tuple[DsscState, Command, DsscInfo]:
+        error: TrackingError = tracking_error(measurement, reference, gains.l0)
+        at: StateFunctions = gains.functions.at(error.sigma, error.e, gains.l0)
+        u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, 1.0 / at.tau_m)
+        signals = Signals(
+            u_av=state.u_av,
+            u_nominal=u_nominal,
+            y=measurement.y,
+            y_dot=measurement.y_dot,
+            sigma=error.sigma,
+            sigma_m_dot=reference.y_ddot + gains.l0 * reference.y_dot,
+            k_o=at.k_o,
+            tau_m=at.tau_m,
+            l0=gains.l0,
+        )
+        modulation, rho = gains.rho.at(state.modulation, signals, dt)
+        after = update(error.sigma, state, rho, at, dt, gains.sign_width)
+        info = DsscInfo(
+            sigma_tilde=error.sigma - after.sigma_hat,
+            sigma_hat=after.sigma_hat,
+            u_av=after.u_av,
+            u_0=after.u_0,
+            rho=rho,
+            sliding_margin=rho - abs(after.u_eq),
+            **at._asdict(),
+        )
+        return DsscState(after.u_av, after.sigma_hat, error.sigma, modulation), Command(-after.u_av, u_nominal), info
+
+    return Controller(DsscGains, init, step)
+
+
+def constant_functions(gains: DsscGains) -> DsscGains:
+    """SSC is DSSC with constants.
+
+    Raises:
+        ConfigError: the functions are not constants.
+    """
+    if not isinstance(gains.functions, Constant):
+        raise ConfigError("functions.kind", "ssc has constant functions; for others take kind = 'dssc'")
+    return gains
+
+
+MEMBERS = {
+    Discretisation.IMPLICIT: dssc(implicit_update),
+    Discretisation.EXPLICIT: dssc(explicit_update),
+}
+DSSC = Entry(MEMBERS, "dynamic smooth sliding control (14)-(18)", "discretisation", Discretisation.IMPLICIT)
+SSC = Entry(
+    {form: member._replace(prepare=constant_functions) for form, member in MEMBERS.items()},
+    "smooth sliding control: DSSC with constant functions",
+    "discretisation",
+    Discretisation.IMPLICIT,
+    {"functions": {"kind": "constant"}},
+)

@@ -1,0 +1,220 @@
+"""The state-dependent functions k_o, tau_av, tau_m of (sigma, e): the rows of Table 2, Section V and Table 1.
+
+Each row is a NamedTuple of its constants with one method, ``at(sigma, e, l0)``. In sliding only the product
+k_o tau_av and tau_m matter (22); rows that fix the product alone take one of k_o or tau_av, and the other
+follows. r = |sigma|^(1/2) throughout.
+"""
+
+from typing import Annotated, Any, NamedTuple
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import over_log_defect, root_abs, sign
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.registry import Registry, single
+from dssc_jax.core.signals import Scalar
+
+ROOT_FLOOR = 1e-9  # [(m/s)^(1/2)]: the standard STA's k_o tau_av and tau_m vanish at sigma = 0
+
+KAPPA_1 = Quantity("(m/s)^(1/2)", "proportional gain kappa_1 in Table 2's normalisation", above=0.0)
+KAPPA_2 = Quantity("m/s^2", "integral gain kappa_2 in Table 2's normalisation: sgn times kappa_2/2", above=0.0)
+DELTA = Quantity("(m/s)^(1/2)", "smoothing delta", above=0.0)
+K_O = Quantity("1/s", "predictor gain k_o", above=0.0)
+TAU_AV = Quantity("s", "averaging time constant tau_av", above=0.0)
+TAU_M = Quantity("s", "predictor time constant tau_m", above=0.0)
+
+
+class StateFunctions(NamedTuple):
+    """Values of the functions at one sample: k_o [1/s], tau_av [s], tau_m [s]."""
+
+    k_o: Scalar
+    tau_av: Scalar
+    tau_m: Scalar
+
+
+def split(product: Scalar, tau_m: Scalar, k_o: Scalar | None, tau_av: Scalar | None) -> StateFunctions:
+    """The functions from k_o tau_av and whichever factor is given."""
+    if k_o is not None:
+        return StateFunctions(k_o, product / k_o, tau_m)
+    assert tau_av is not None  # held by one_factor, before tracing
+    return StateFunctions(product / tau_av, tau_av, tau_m)
+
+
+def one_factor(gains: Any) -> Any:
+    """Require that exactly one of k_o and tau_av is given.
+
+    Raises:
+        ConfigError: both or neither are.
+    """
+    if (gains.k_o is None) == (gains.tau_av is None):
+        found = "neither" if gains.k_o is None else "both"
+        raise ConfigError("", f"give one of k_o and tau_av, the other follows from their product; got {found}")
+    return gains
+
+
+class Constant(NamedTuple):
+    """Constants: the original SSC, which synthesises PI with K_P = 1/(k_o tau_av), K_I = K_P/tau_m."""
+
+    k_o: Annotated[Scalar, K_O]
+    tau_av: Annotated[Scalar, TAU_AV]
+    tau_m: Annotated[Scalar, TAU_M]
+
+    def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
+        """Table 2, row 1."""
+        return StateFunctions(self.k_o, self.tau_av, self.tau_m)
+
+
+class StandardSta(NamedTuple):
+    """Standard STA; stiff, since both functions vanish with sigma. r is floored at 1e-9."""
+
+    kappa1: Annotated[Scalar, KAPPA_1]
+    kappa2: Annotated[Scalar, KAPPA_2]
+    k_o: Annotated[Scalar | None, K_O] = None
+    tau_av: Annotated[Scalar | None, TAU_AV] = None
+
+    prepare = one_factor
+
+    def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
+        """Table 2, row 2: k_o tau_av = 2 r/kappa1 (printed with phi_1 for phi_1'), tau_m = (kappa1/kappa2) r."""
+        r = root_abs(sigma, ROOT_FLOOR)
+        return split(2.0 * r / self.kappa1, self.kappa1 / self.kappa2 * r, self.k_o, self.tau_av)
+
+
+class ApproximateSta1(NamedTuple):
+    """First approximation of the STA; smooth at sigma = 0, where tau_m = 2 delta kappa1/kappa2."""
+
+    kappa1: Annotated[Scalar, KAPPA_1]
+    kappa2: Annotated[Scalar, KAPPA_2]
+    delta: Annotated[Scalar, DELTA]
+    k_o: Annotated[Scalar | None, K_O] = None
+    tau_av: Annotated[Scalar | None, TAU_AV] = None
+
+    prepare = one_factor
+
+    def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
+        """Table 2, row 3: tau_m = (kappa1/kappa2) r/[1 - (delta/r) ln((r + delta)/delta)]."""
+        r = root_abs(sigma)
+        tau_m = self.kappa1 / self.kappa2 * self.delta * over_log_defect(r / self.delta)
+        return split(2.0 * (r + self.delta) / self.kappa1, tau_m, self.k_o, self.tau_av)
+
+
+class ApproximateSta2(NamedTuple):
+    """Second approximation of the STA."""
+
+    kappa1: Annotated[Scalar, KAPPA_1]
+    kappa2: Annotated[Scalar, KAPPA_2]
+    delta: Annotated[Scalar, DELTA]
+    k_o: Annotated[Scalar | None, K_O] = None
+    tau_av: Annotated[Scalar | None, TAU_AV] = None
+
+    prepare = one_factor
+
+    def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
+        """Table 2, row 4: k_o tau_av = 2 (r + delta)/kappa1, tau_m = (kappa1/kappa2)(r + delta)."""
+        r = root_abs(sigma) + self.delta
+        return split(2.0 * r / self.kappa1, self.kappa1 / self.kappa2 * r, self.k_o, self.tau_av)
+
+
+class SquareRoot(NamedTuple):
+    """The functions of the article's simulations (Section V-B)."""
+
+    kappa_o: Annotated[Scalar, Quantity("(m/s)^(-1/2)/s", "predictor gain's slope kappa_o", above=0.0)]
+    kappa_m: Annotated[Scalar, Quantity("s (m/s)^(-1/2)", "predictor time constant's slope kappa_m", above=0.0)]
+    delta_o: Annotated[Scalar, DELTA]
+    delta_m: Annotated[Scalar, DELTA]
+    tau_av: Annotated[Scalar, TAU_AV]
+
+    def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
+        """k_o = kappa_o (r + delta_o), tau_m = kappa_m (r + delta_m)."""
+        r = root_abs(sigma)
+        return StateFunctions(self.kappa_o * (r + self.delta_o), self.tau_av, self.kappa_m * (r + self.delta_m))
+
+
+class Field(NamedTuple):
+    """The functions of the field test (Section V-C). Here, and here only, kappa_2 multiplies sgn itself."""
+
+    k_o: Annotated[Scalar, K_O]
+    kappa1: Annotated[Scalar, KAPPA_1]
+    kappa2: Annotated[Scalar, Quantity("m/s^2", "integral gain kappa_2, multiplying sgn itself", above=0.0)]
+    delta: Annotated[Scalar, Quantity("s", "smoothing delta of both time constants", above=0.0)]
+
+    def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
+        """tau_av = 2 r/(k_o kappa1) + delta, tau_m = kappa1 r/(2 kappa2) + delta."""
+        r = root_abs(sigma)
+        tau_av = 2.0 * r / (self.k_o * self.kappa1) + self.delta
+        return StateFunctions(self.k_o, tau_av, self.kappa1 * r / (2.0 * self.kappa2) + self.delta)
+
+
+KAPPA_ABC = "variable gain's coefficient"
+
+
+class VariableGains(NamedTuple):
+    """kappa_1, kappa_2 of Section IV-B at one sample, and the derivatives of kappa_1."""
+
+    kappa1: Scalar
+    kappa2: Scalar
+    by_sigma: Scalar
+    by_e: Scalar
+
+
+def variable_gains(
+    sigma: Scalar, e: Scalar, coefficients: tuple[Scalar, Scalar, Scalar, Scalar], epsilon: Scalar, gamma: Scalar
+) -> VariableGains:
+    """kappa_1 = (kappa_a |sigma| + kappa_b |e| + kappa_c)^2 + kappa_d and kappa_2 = 2 eps kappa_1 + gamma."""
+    kappa_a, kappa_b, kappa_c, kappa_d = coefficients
+    kappa = kappa_a * abs(sigma) + kappa_b * abs(e) + kappa_c
+    kappa1 = kappa * kappa + kappa_d
+    return VariableGains(
+        kappa1,
+        2.0 * epsilon * kappa1 + gamma,
+        2.0 * kappa * kappa_a * sign(sigma),
+        2.0 * kappa * kappa_b * sign(e),
+    )
+
+
+class Vgsta(NamedTuple):
+    """The functions of Table 1, which synthesise an approximation of the variable-gain STA.
+
+    tau_m > 0 for every (sigma, e) needs phi_b > l_0/eps and kappa_a >= kappa_b/l_0, two of Table 1's inequalities;
+    outside of them the predictor can be unstable, and the draws show it.
+    """
+
+    phi_a: Annotated[Scalar, Quantity("(m/s)^(1/2)", "square-root part phi_a", at_least=0.0)]
+    phi_b: Annotated[Scalar, Quantity("1", "linear part phi_b", above=0.0)]
+    kappa_a: Annotated[Scalar, Quantity("SI", f"{KAPPA_ABC} of |sigma|, kappa_a", at_least=0.0)]
+    kappa_b: Annotated[Scalar, Quantity("SI", f"{KAPPA_ABC} of |e|, kappa_b", at_least=0.0)]
+    kappa_c: Annotated[Scalar, Quantity("SI", f"{KAPPA_ABC} kappa_c", at_least=0.0)]
+    kappa_d: Annotated[Scalar, Quantity("SI", f"{KAPPA_ABC} kappa_d", above=0.0)]
+    epsilon: Annotated[Scalar, Quantity("SI", "integral gain's share eps", above=0.0)]
+    gamma: Annotated[Scalar, Quantity("SI", "integral gain's offset gamma", at_least=0.0)]
+    delta: Annotated[Scalar, DELTA]
+    k_o: Annotated[Scalar | None, K_O] = None
+    tau_av: Annotated[Scalar | None, TAU_AV] = None
+
+    prepare = one_factor
+
+    def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
+        """(28) and (29) with (26); Table 1 prints phi_b for phi_a in the first factor of tau_m's denominator.
+
+        phi_1 = ratio sigma with ratio = phi_a/(r + delta) + phi_b. kappa_1 has kinks at sigma = 0 and e = 0,
+        so tau_m jumps at e = 0; sgn 0 = 0 there.
+        """
+        r = root_abs(sigma)
+        rd = r + self.delta
+        ratio = self.phi_a / rd + self.phi_b
+        slope = self.phi_a * (rd + self.delta) / (2.0 * rd * rd) + self.phi_b
+        coefficients = (self.kappa_a, self.kappa_b, self.kappa_c, self.kappa_d)
+        gains = variable_gains(sigma, e, coefficients, self.epsilon, self.gamma)
+        inverse_product = gains.by_sigma * ratio * sigma + gains.kappa1 * slope
+        tau_m = inverse_product / (ratio * (gains.by_e * (sigma - l0 * e) + gains.kappa2 * slope))
+        return split(1.0 / inverse_product, tau_m, self.k_o, self.tau_av)
+
+
+GAIN_FUNCTIONS: Registry = {
+    "constant": single(Constant, "constants: SSC, synthesises PI (Table 2 row 1)"),
+    "sta": single(StandardSta, "standard STA, stiff (Table 2 row 2)"),
+    "approx_sta_1": single(ApproximateSta1, "first approximation of the STA (Table 2 row 3)"),
+    "approx_sta_2": single(ApproximateSta2, "second approximation of the STA (Table 2 row 4)"),
+    "square_root": single(SquareRoot, "the article's simulations (Section V-B)"),
+    "field": single(Field, "the article's field test (Section V-C)"),
+    "vgsta": single(Vgsta, "approximation of the variable-gain STA (Table 1)"),
+}

@@ -1,0 +1,42 @@
+"""The nominal control (37), which every controller shares."""
+
+from typing import Annotated, NamedTuple
+
+import jax.numpy as jnp
+
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import ReferencePoint, Scalar, TrackingError
+
+L0 = Quantity("1/s", "error pole l_0 of sigma = e' + l_0 e", above=0.0)
+
+
+class NominalGains(NamedTuple):
+    """Nominal plant of (37): a_n, k_n, and whether c_sigma keeps 1/tau_m."""
+
+    a: Annotated[Scalar, Quantity("1/s", "nominal damping a_n")]
+    k: Annotated[Scalar, Quantity("1/s", "nominal input gain k_n", above=0.0)]
+    predictor_term: bool = True
+
+
+def nominal_control(
+    nominal: NominalGains | None, l0: Scalar, error: TrackingError, reference: ReferencePoint, predictor_pole: Scalar
+) -> Scalar:
+    """u_n of (37) [m/s]; zero without nominal gains.
+
+    c_e = (a_n - l0) l0/k_n, c_sigma = (l0 - a_n + 1/tau_m)/k_n, c_m1 = -a_n/k_n, c_m2 = -1/k_n. The article
+    prints the last two for k_n = 1 only. With exact parameters what is left is
+    sigma' = k_p u + k_p d - sigma/tau_m. The term 1/tau_m is an explicit, held feedback: it needs
+    T_s (1/tau_m + |l0 - a_n|) < 2 whatever the controller's discretisation.
+
+    Args:
+        nominal: Nominal gains, or None.
+        l0: Error pole [1/s].
+        error: Tracking errors.
+        reference: Desired trajectory.
+        predictor_pole: 1/tau_m [1/s]; 0 for a controller without a predictor.
+    """
+    if nominal is None:
+        return 0.0
+    pole = jnp.where(nominal.predictor_term, predictor_pole, 0.0)
+    feedback = (nominal.a - l0) * l0 * error.e + (l0 - nominal.a + pole) * error.sigma
+    return (nominal.a * reference.y_dot + reference.y_ddot - feedback) / nominal.k

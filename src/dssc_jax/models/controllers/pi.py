@@ -1,0 +1,58 @@
+"""The PI controller u = -K_P sigma - K_I int sigma dt, which SSC synthesises in sliding."""
+
+from typing import Annotated, NamedTuple
+
+from dssc_jax.core.contracts import Controller
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.registry import Discretisation, Entry
+from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, tracking_error
+from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
+
+
+class PiGains(NamedTuple):
+    """Gains of the PI controller."""
+
+    l0: Annotated[Scalar, L0]
+    k_p: Annotated[Scalar, Quantity("1", "proportional gain K_P", at_least=0.0)]
+    k_i: Annotated[Scalar, Quantity("1/s", "integral gain K_I", at_least=0.0)]
+    nominal: NominalGains | None = None
+
+
+class PiState(NamedTuple):
+    """Integral of sigma [m]."""
+
+    integral: Scalar
+
+
+class PiInfo(NamedTuple):
+    """The integral term's share of the command [m/s]."""
+
+    integral: Scalar
+
+
+def init(gains: PiGains, measurement: Measurement, reference: ReferencePoint) -> PiState:
+    """The integral starts at 0."""
+    return PiState(0.0)
+
+
+def pi(implicit: bool) -> Controller:
+    """PI whose integral holds the present sample already (backward Euler), or not yet (forward Euler)."""
+
+    def step(
+        gains: PiGains, state: PiState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
+    ) -> tuple[PiState, Command, PiInfo]:
+        error = tracking_error(measurement, reference, gains.l0)
+        u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, 0.0)
+        after = state.integral + dt * error.sigma
+        integral = -gains.k_i * (after if implicit else state.integral)
+        return PiState(after), Command(integral - gains.k_p * error.sigma, u_nominal), PiInfo(integral)
+
+    return Controller(PiGains, init, step)
+
+
+PI = Entry(
+    {Discretisation.IMPLICIT: pi(implicit=True), Discretisation.EXPLICIT: pi(implicit=False)},
+    "proportional-integral control of sigma",
+    "discretisation",
+    Discretisation.IMPLICIT,
+)

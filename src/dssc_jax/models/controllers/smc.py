@@ -1,0 +1,59 @@
+"""First-order sliding mode u = -K sgn(sigma)."""
+
+from typing import Annotated, NamedTuple
+
+from dssc_jax.core.contracts import Controller
+from dssc_jax.core.numerics import saturate, sign
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.registry import Discretisation, Entry
+from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, tracking_error
+from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
+from dssc_jax.models.controllers.sta import K_N
+
+
+class SmcGains(NamedTuple):
+    """Gains of first-order sliding mode."""
+
+    l0: Annotated[Scalar, L0]
+    gain: Annotated[Scalar, Quantity("m/s", "switching gain K", above=0.0)]
+    k_n: Annotated[Scalar, K_N] = 1.0
+    nominal: NominalGains | None = None
+
+
+class SmcInfo(NamedTuple):
+    """Margin K - |u_eq| [m/s] of the sliding condition; u_eq brings sigma to 0 within one sample."""
+
+    sliding_margin: Scalar
+
+
+class NoInfo(NamedTuple):
+    """The explicit relay never slides within a sample: there is no margin to tell."""
+
+
+def init(gains: SmcGains, measurement: Measurement, reference: ReferencePoint) -> tuple[()]:
+    """No state."""
+    return ()
+
+
+def smc(implicit: bool) -> Controller:
+    """The relay solved implicitly, u = -clip(sigma/(T_s k_n), -K, K), or switched by the sample's sign."""
+
+    def step(
+        gains: SmcGains, state: tuple[()], measurement: Measurement, reference: ReferencePoint, dt: Scalar
+    ) -> tuple[tuple[()], Command, SmcInfo | NoInfo]:
+        error = tracking_error(measurement, reference, gains.l0)
+        u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, 0.0)
+        u_eq = -error.sigma / (dt * gains.k_n)
+        if implicit:
+            return state, Command(saturate(u_eq, gains.gain), u_nominal), SmcInfo(gains.gain - abs(u_eq))
+        return state, Command(-gains.gain * sign(error.sigma), u_nominal), NoInfo()
+
+    return Controller(SmcGains, init, step)
+
+
+SMC = Entry(
+    {Discretisation.IMPLICIT: smc(implicit=True), Discretisation.EXPLICIT: smc(implicit=False)},
+    "first-order sliding mode",
+    "discretisation",
+    Discretisation.IMPLICIT,
+)

@@ -1,0 +1,117 @@
+"""The super-twisting algorithm in its explicit, implicit and proper implicit forms.
+
+u = -kappa1 |sigma|^(1/2) sgn sigma + v, v' = -(kappa2/2) sgn sigma: Table 2's normalisation. With x = sigma,
+h = T_s, k2 = kappa2/2 and the nominal input gain k_n, w = k_n u is computed for x+ = x + h (w + d).
+
+References:
+    B. Brogliato, A. Polyakov, D. Efimov, "The implicit discretization of the supertwisting sliding-mode control
+    algorithm", IEEE Trans. Automatic Control 65 (2020).
+    R. Seeber, B. Andritsch, proper implicit discretisation of the super-twisting controller, Automatica (2025).
+"""
+
+from collections.abc import Callable
+from typing import Annotated, NamedTuple, TypeAlias
+
+import jax.numpy as jnp
+
+from dssc_jax.core.contracts import Controller
+from dssc_jax.core.numerics import root_abs, saturate, sign
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.registry import Discretisation, Entry
+from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, tracking_error
+from dssc_jax.models.controllers.gain_functions import KAPPA_1, KAPPA_2
+from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
+
+K_N = Quantity("1/s", "nominal input gain k_n", above=0.0)
+LIMIT = Quantity("m/s", "limit of |u|", above=0.0)
+
+
+class StaGains(NamedTuple):
+    """Gains of the STA; ``limit`` clips the command, the integrator goes on."""
+
+    l0: Annotated[Scalar, L0]
+    kappa1: Annotated[Scalar, KAPPA_1]
+    kappa2: Annotated[Scalar, KAPPA_2]
+    k_n: Annotated[Scalar, K_N] = 1.0
+    limit: Annotated[Scalar | None, LIMIT] = None
+    nominal: NominalGains | None = None
+
+
+class IntegralState(NamedTuple):
+    """The integral term v, in units of w = k_n u [m/s^2]."""
+
+    v: Scalar
+
+
+class IntegralInfo(NamedTuple):
+    """The integral term's share of the command [m/s]."""
+
+    integral: Scalar
+
+
+def root_of(excess: Scalar, slope: Scalar) -> Scalar:
+    """The non-negative s with s^2 + slope s = excess, for excess >= 0; 0 otherwise."""
+    positive = excess > 0.0
+    inside = jnp.where(positive, excess, 1.0)
+    # 2 c/(b + sqrt(b^2 + 4 c)): the difference of the textbook form cancels for small excess
+    return jnp.where(positive, 2.0 * inside / (slope + jnp.sqrt(slope * slope + 4.0 * inside)), 0.0)
+
+
+Update: TypeAlias = Callable[[Scalar, Scalar, Scalar, Scalar, Scalar], tuple[Scalar, Scalar]]
+"""(x, v, k_1, k_2, T_s) -> w and v+ after the sample."""
+
+
+def explicit_update(x: Scalar, v: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> tuple[Scalar, Scalar]:
+    """Forward Euler: (w, v+)."""
+    return -k1 * root_abs(x) * sign(x) + v, v - h * k2 * sign(x)
+
+
+def implicit_update(x: Scalar, v: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> tuple[Scalar, Scalar]:
+    """Backward Euler, solved exactly: never chatters, |x| = O(h) in sliding."""
+    b = x + h * v
+    sliding = jnp.abs(b) <= h * h * k2
+    s = root_of(jnp.abs(b) - h * h * k2, h * k1)
+    v_next = jnp.where(sliding, -x / h, v - h * k2 * sign(b))
+    return jnp.where(sliding, -x / h, v_next - k1 * s * sign(b)), v_next
+
+
+def proper_update(x: Scalar, v: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> tuple[Scalar, Scalar]:
+    """The proper implicit form: reaches |x| <= L h^2."""
+    xi = saturate(x / (h * h * k2), 1.0)
+    s = root_of(jnp.abs(x) - h * h * k2, h * k1)
+    v_next = v - h * k2 * xi
+    return -k1 * s * xi + 2.0 * v_next - v, v_next
+
+
+def init(gains: StaGains, measurement: Measurement, reference: ReferencePoint) -> IntegralState:
+    """v = 0."""
+    return IntegralState(0.0)
+
+
+def sta(update: Update) -> Controller:
+    """The STA with the given sampled form."""
+
+    def step(
+        gains: StaGains, state: IntegralState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
+    ) -> tuple[IntegralState, Command, IntegralInfo]:
+        error = tracking_error(measurement, reference, gains.l0)
+        u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, 0.0)
+        w, v = update(error.sigma, state.v, gains.k_n * gains.kappa1, 0.5 * gains.k_n * gains.kappa2, dt)
+        u = w / gains.k_n
+        if gains.limit is not None:
+            u = saturate(u, gains.limit)
+        return IntegralState(v), Command(u, u_nominal), IntegralInfo(v / gains.k_n)
+
+    return Controller(StaGains, init, step)
+
+
+STA = Entry(
+    {
+        Discretisation.IMPLICIT: sta(implicit_update),
+        Discretisation.EXPLICIT: sta(explicit_update),
+        Discretisation.PROPER: sta(proper_update),
+    },
+    "super-twisting algorithm, three sampled forms",
+    "discretisation",
+    Discretisation.IMPLICIT,
+)

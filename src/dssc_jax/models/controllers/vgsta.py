@@ -1,0 +1,120 @@
+"""The variable-gain super-twisting algorithm u = -kappa_1 phi_1 - int kappa_2 phi_1 phi_1' dt.
+
+phi_1 = phi_a sigma/(r + delta) + phi_b sigma (26), r = |sigma|^(1/2); delta = 0 is the VGSTA proper, with
+kappa_3 = phi_b when phi_a = 1. kappa_1, kappa_2 as in Table 1.
+
+The implicit form evaluates the gains, and the factors of (26) that delta brings in, at the sampled (sigma, e),
+as DSSC does. With s = |x+|^(1/2) backward Euler is then a quadratic in s; for constant gains, phi_b = 0 and
+delta = 0 it is the implicit STA.
+"""
+
+from collections.abc import Callable
+from typing import Annotated, NamedTuple, TypeAlias
+
+import jax.numpy as jnp
+
+from dssc_jax.core.contracts import Controller
+from dssc_jax.core.numerics import root_abs, saturate, sign
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.registry import Discretisation, Entry
+from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, tracking_error
+from dssc_jax.models.controllers.gain_functions import KAPPA_ABC, ROOT_FLOOR, VariableGains, variable_gains
+from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
+from dssc_jax.models.controllers.sta import K_N, LIMIT, IntegralInfo, IntegralState, root_of
+
+
+class VgstaGains(NamedTuple):
+    """Gains of the VGSTA."""
+
+    l0: Annotated[Scalar, L0]
+    phi_a: Annotated[Scalar, Quantity("(m/s)^(1/2)", "square-root part phi_a", at_least=0.0)]
+    phi_b: Annotated[Scalar, Quantity("1", "linear part phi_b", at_least=0.0)]
+    kappa_a: Annotated[Scalar, Quantity("SI", f"{KAPPA_ABC} of |sigma|, kappa_a", at_least=0.0)]
+    kappa_b: Annotated[Scalar, Quantity("SI", f"{KAPPA_ABC} of |e|, kappa_b", at_least=0.0)]
+    kappa_c: Annotated[Scalar, Quantity("SI", f"{KAPPA_ABC} kappa_c", at_least=0.0)]
+    kappa_d: Annotated[Scalar, Quantity("SI", f"{KAPPA_ABC} kappa_d", at_least=0.0)]
+    epsilon: Annotated[Scalar, Quantity("SI", "integral gain's share eps", at_least=0.0)]
+    gamma: Annotated[Scalar, Quantity("SI", "integral gain's offset gamma", at_least=0.0)]
+    delta: Annotated[Scalar, Quantity("(m/s)^(1/2)", "smoothing delta", at_least=0.0)] = 0.0
+    k_n: Annotated[Scalar, K_N] = 1.0
+    limit: Annotated[Scalar | None, LIMIT] = None
+    nominal: NominalGains | None = None
+
+
+class Shape(NamedTuple):
+    """phi_1 = a s sgn + b x and phi_1' = a_slope/(2 s) + b near the sampled sigma, s = |x|^(1/2)."""
+
+    a: Scalar
+    a_slope: Scalar
+    b: Scalar
+
+
+def shape_at(gains: VgstaGains, sigma: Scalar) -> Shape:
+    """The factors of (26) at the sample; without delta they are phi_a, phi_a and phi_b exactly."""
+    r = root_abs(sigma, ROOT_FLOOR)
+    rd = r + gains.delta
+    return Shape(gains.phi_a * r / rd, gains.phi_a * r * (rd + gains.delta) / (rd * rd), gains.phi_b)
+
+
+Update: TypeAlias = Callable[[Scalar, Scalar, Shape, VariableGains, Scalar, Scalar], tuple[Scalar, Scalar]]
+"""(x, v, factors of phi_1, gains, k_n, T_s) -> w and v+ after the sample."""
+
+
+def explicit_update(
+    x: Scalar, v: Scalar, shape: Shape, at: VariableGains, k_n: Scalar, h: Scalar
+) -> tuple[Scalar, Scalar]:
+    """Forward Euler: (w, v+). phi_1 phi_1' is even in s but for its sign, hence bounded at 0."""
+    s = root_abs(x)
+    phi_1 = (shape.a + shape.b * s) * s * sign(x)
+    phi_2 = (shape.a + shape.b * s) * (0.5 * shape.a_slope + shape.b * s) * sign(x)
+    return -k_n * at.kappa1 * phi_1 + v, v - h * k_n * at.kappa2 * phi_2
+
+
+def implicit_update(
+    x: Scalar, v: Scalar, shape: Shape, at: VariableGains, k_n: Scalar, h: Scalar
+) -> tuple[Scalar, Scalar]:
+    """Backward Euler with the gains of the sample: A s^2 + B s = |x + h v| - h^2 kappa_2 a a_slope/2."""
+    a, a_slope, b = shape
+    hk1, h2k2 = h * k_n * at.kappa1, h * h * k_n * at.kappa2
+    start = x + h * v
+    quadratic = 1.0 + hk1 * b + h2k2 * b * b
+    linear = hk1 * a + h2k2 * b * (a + 0.5 * a_slope)
+    dead_zone = 0.5 * h2k2 * a * a_slope
+    sliding = jnp.abs(start) <= dead_zone
+    s = root_of((jnp.abs(start) - dead_zone) / quadratic, linear / quadratic)
+    phi_1 = (a + b * s) * s * sign(start)
+    phi_2 = (a + b * s) * (0.5 * a_slope + b * s) * sign(start)
+    v_next = jnp.where(sliding, -x / h, v - h * k_n * at.kappa2 * phi_2)
+    return jnp.where(sliding, -x / h, v_next - k_n * at.kappa1 * phi_1), v_next
+
+
+def init(gains: VgstaGains, measurement: Measurement, reference: ReferencePoint) -> IntegralState:
+    """v = 0."""
+    return IntegralState(0.0)
+
+
+def vgsta(update: Update) -> Controller:
+    """The VGSTA with the given sampled form."""
+
+    def step(
+        gains: VgstaGains, state: IntegralState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
+    ) -> tuple[IntegralState, Command, IntegralInfo]:
+        error = tracking_error(measurement, reference, gains.l0)
+        u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, 0.0)
+        coefficients = (gains.kappa_a, gains.kappa_b, gains.kappa_c, gains.kappa_d)
+        at = variable_gains(error.sigma, error.e, coefficients, gains.epsilon, gains.gamma)
+        w, v = update(error.sigma, state.v, shape_at(gains, error.sigma), at, gains.k_n, dt)
+        u = w / gains.k_n
+        if gains.limit is not None:
+            u = saturate(u, gains.limit)
+        return IntegralState(v), Command(u, u_nominal), IntegralInfo(v / gains.k_n)
+
+    return Controller(VgstaGains, init, step)
+
+
+VGSTA = Entry(
+    {Discretisation.IMPLICIT: vgsta(implicit_update), Discretisation.EXPLICIT: vgsta(explicit_update)},
+    "variable-gain super-twisting algorithm with the gains of Table 1",
+    "discretisation",
+    Discretisation.IMPLICIT,
+)

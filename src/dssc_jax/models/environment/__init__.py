@@ -1,0 +1,35 @@
+"""What surrounds the loop: desired trajectories, sensors, disturbances, wind. A new one is one file and one row."""
+
+from dssc_jax.core.contracts import Reference
+from dssc_jax.core.registry import Registry, single
+from dssc_jax.models.environment import disturbances, references, waypoints
+from dssc_jax.models.environment.sensors import SENSORS
+from dssc_jax.models.environment.wind import WINDS
+
+WAYPOINTS = Reference(waypoints.WaypointParams, waypoints.at, waypoints.curve)
+SOCCER_FIELD = WAYPOINTS._replace(defaults=waypoints.SOCCER_FIELD)
+
+REFERENCES: Registry = {
+    "zero": single(references.ZERO, "regulation to the origin"),
+    "sine": single(references.SINE, "offset + amplitude sin(2 pi t/period + phase)"),
+    "mission": references.MISSION_ENTRY,
+}
+TRAJECTORIES: Registry = {
+    "zero": single(references.HOVER, "hover at the origin, or at a given position"),
+    "hover": single(references.HOVER, "a fixed position and yaw"),
+    "steps": single(references.STEPS, "steps of position and yaw"),
+    "mission": single(references.WHOLE_MISSION, "the article's mission, all four axes"),
+    "soccer_field": single(SOCCER_FIELD, "waypoints over a soccer field (made up), like the article's field test"),
+    "waypoints": single(WAYPOINTS, "georeferenced waypoints, flown at bounded speed"),
+}
+DISTURBANCES: Registry = {
+    "none": single(disturbances.NONE, "no disturbance"),
+    "constant": single(disturbances.CONSTANT, "a constant"),
+    "step": single(disturbances.STEP, "a step at a given time"),
+    "sine": single(disturbances.SINE, "amplitude sin(2 pi t/period + phase)"),
+    "spline": single(disturbances.SPLINE, "a cubic spline of given knots: any signal of bounded amplitude and slope"),
+    "filtered_noise": single(disturbances.FILTERED_NOISE, "Gauss-Markov noise, exactly sampled"),
+    "partition": single(disturbances.PARTITION, "d_1 + d_2 + d_3 of (30), attaining the bounds of (A1)-(A3)"),
+}
+
+__all__ = ["DISTURBANCES", "REFERENCES", "SENSORS", "TRAJECTORIES", "WINDS"]

@@ -1,0 +1,167 @@
+"""Sensors: one for each channel, between plant and controller, evaluated once a controller sample."""
+
+from typing import Annotated, Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dssc_jax.core.contracts import NoParams, Sensor
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import standard_normals
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.registry import Registry, single
+from dssc_jax.core.signals import Measurement, Scalar
+
+MOST_DELAY = 200  # samples: the state holds two scalars for each, and every scalar is copied at every sample
+
+POSITION_STD = Quantity("m", "standard deviation of the noise on y", at_least=0.0)
+VELOCITY_STD = Quantity("m/s", "standard deviation of the noise on y'", at_least=0.0)
+POSITION_BIAS = Quantity("m", "constant error of y")
+VELOCITY_BIAS = Quantity("m/s", "constant error of y'")
+DELAY = Quantity("1", "delay, in controller samples", at_least=0.0, at_most=float(MOST_DELAY), law=False)
+PERIOD = Quantity("1", "controller samples from one reading to the next", at_least=1.0, law=False)
+
+
+class NoisyParams(NamedTuple):
+    """A sensor with white Gaussian noise, constant errors, a delay and a sampling period of its own.
+
+    The two counts of samples decide the shape of the state: whole numbers, known before tracing. On a channel
+    whose output is an angle, read rad for m.
+    """
+
+    position_std: Annotated[Scalar, POSITION_STD] = 0.0
+    velocity_std: Annotated[Scalar, VELOCITY_STD] = 0.0
+    position_bias: Annotated[Scalar, POSITION_BIAS] = 0.0
+    velocity_bias: Annotated[Scalar, VELOCITY_BIAS] = 0.0
+    delay_samples: Annotated[Scalar, DELAY] = 0.0
+    period_samples: Annotated[Scalar, PERIOD] = 1.0
+
+
+class LagParams(NamedTuple):
+    """A sensor that follows: y and y' each through 1/(mu s + 1)."""
+
+    mu: Annotated[Scalar, Quantity("s", "time constant of the sensor's lag", above=0.0)]
+
+
+class LagState(NamedTuple):
+    """The measurement of the sample before, and what the sensor showed of it."""
+
+    true: Measurement
+    shown: Measurement
+
+
+class NoisyState(NamedTuple):
+    """The last reading with its age in controller samples, and what is under way, oldest first."""
+
+    age: Scalar
+    held: Measurement
+    queue: tuple[Measurement, ...]
+
+
+def whole(name: str, value: Any) -> int:
+    """A count of samples.
+
+    Raises:
+        ConfigError: it is traced, or not a whole number.
+    """
+    if not isinstance(value, int | float):
+        raise ConfigError(name, "decides the shape of the state: must be a plain number, neither law nor swept")
+    if not float(value).is_integer():
+        raise ConfigError(name, f"must be a whole number of samples, got {float(value):g}")
+    return int(value)
+
+
+def prepare(params: NoisyParams) -> NoisyParams:
+    """Check the counts of samples.
+
+    Raises:
+        ConfigError: one is not a whole number.
+    """
+    whole("delay_samples", params.delay_samples)
+    whole("period_samples", params.period_samples)
+    return params
+
+
+def reading(params: NoisyParams, measurement: Measurement, key: jax.Array) -> Measurement:
+    """The measurement with the constant errors and fresh noise."""
+    noise = standard_normals(key, 2)
+    return Measurement(
+        measurement.y + params.position_bias + params.position_std * noise[0],
+        measurement.y_dot + params.velocity_bias + params.velocity_std * noise[1],
+    )
+
+
+def noisy_init(params: NoisyParams, measurement: Measurement, key: jax.Array) -> NoisyState:
+    """The plant stood at its first measurement before: one reading of it fills the queue, a new one is due."""
+    first = reading(params, measurement, key)
+    period = whole("period_samples", params.period_samples)
+    return NoisyState(float(period), first, (first,) * whole("delay_samples", params.delay_samples))
+
+
+def noisy_step(
+    params: NoisyParams, state: NoisyState, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
+) -> tuple[NoisyState, Measurement]:
+    """Read if a reading is due, hold it otherwise; deliver what was read or held ``delay_samples`` ago.
+
+    Args:
+        params: Noise, constant errors, delay and period.
+        state: Last reading and queue.
+        measurement: The plant's y [m] and y' [m/s] now.
+        key: The sample's own random key.
+        t: Time [s].
+        dt: Sampling period of the controller [s].
+
+    Returns:
+        The next state, and the measurement that the controller sees.
+    """
+    due = state.age >= whole("period_samples", params.period_samples)
+    fresh = reading(params, measurement, key)
+    held = Measurement(*(jnp.where(due, new, old) for new, old in zip(fresh, state.held, strict=True)))
+    delivered, *queue = (*state.queue, held)
+    return NoisyState(jnp.where(due, 1.0, state.age + 1.0), held, tuple(queue)), delivered
+
+
+def lag_init(params: LagParams, measurement: Measurement, key: jax.Array) -> LagState:
+    """The plant stood at its first measurement before."""
+    return LagState(measurement, measurement)
+
+
+def lag_step(
+    params: LagParams, state: LagState, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
+) -> tuple[LagState, Measurement]:
+    """Exact solution of mu z' = y - z over dt, for y linear between the samples: a small mu is no delay.
+
+    Args:
+        params: Time constant.
+        state: Measurement and reading of the sample before.
+        measurement: The plant's y [m] and y' [m/s] now.
+        key: Not used.
+        t: Time [s].
+        dt: Time since the sample before [s].
+
+    Returns:
+        The next state, and the measurement that the controller sees.
+    """
+    steps = dt / params.mu
+    share = -jnp.expm1(-steps)
+
+    def followed(true: Scalar, before: Scalar, shown: Scalar) -> Scalar:
+        return true - (true - before) * share / steps + (shown - before) * (1.0 - share)
+
+    seen = Measurement(*map(followed, measurement, state.true, state.shown))
+    return LagState(measurement, seen), seen
+
+
+IDEAL = Sensor(
+    NoParams,
+    init=lambda params, measurement, key: (),
+    step=lambda params, state, measurement, key, t, dt: (state, measurement),
+)
+NOISY = Sensor(NoisyParams, noisy_init, noisy_step, prepare)
+LAG = Sensor(LagParams, lag_init, lag_step)
+
+SENSORS: Registry = {
+    "ideal": single(IDEAL, "the plant's own y and y'"),
+    "lag": single(LAG, "y and y' each through 1/(mu s + 1)"),
+    "noisy": single(NOISY, "white noise, constant errors, delay, and a sampling period of its own"),
+}

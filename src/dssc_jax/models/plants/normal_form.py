@@ -1,0 +1,94 @@
+"""The one-degree-of-freedom class (5)-(8), of any order n >= 2, in normal form."""
+
+from typing import Annotated, NamedTuple
+
+from dssc_jax.core.contracts import Plant
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import dot
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Measurement, PlantInput, Scalar
+from dssc_jax.core.zero_dynamics import ZeroDynamics, require_hurwitz
+
+
+class NormalFormParams(NamedTuple):
+    """Parameters of (5)-(8).
+
+    ``zero_dynamics`` holds A_eta's characteristic coefficients and C_eta; absent, the order is two.
+    """
+
+    k_p: Annotated[Scalar, Quantity("1/s", "high-frequency gain k_p", above=0.0)] = 1.0
+    a_p: Annotated[Scalar, Quantity("1/s", "damping a_p")] = 1.0
+    zero_dynamics: ZeroDynamics | None = None
+    initial: Annotated[tuple[Scalar, ...], Quantity("m, m/s", "initial x1, x2, then eta")] = (0.0, 0.0)
+
+
+class NormalFormState(NamedTuple):
+    """Position x1 = y [m], velocity x2 [m/s] and the zero dynamics' state eta."""
+
+    x1: Scalar
+    x2: Scalar
+    eta: tuple[Scalar, ...]
+
+
+def init(params: NormalFormParams) -> NormalFormState:
+    """State at t = 0; eta is zero where ``initial`` does not reach it."""
+    x1, x2, *eta = params.initial
+    order = 0 if params.zero_dynamics is None else len(params.zero_dynamics.a)
+    return NormalFormState(x1, x2, tuple(eta) + (0.0,) * (order - len(eta)))
+
+
+def derivative(params: NormalFormParams, state: NormalFormState, drive: PlantInput, t: Scalar) -> NormalFormState:
+    """Right-hand side of (5)-(7); A_eta in controllable canonical form, B_eta = [0 ... 0 1]^T."""
+    del t
+    eta_dot: tuple[Scalar, ...] = ()
+    coupling: Scalar = 0.0
+    if params.zero_dynamics is not None:
+        eta_dot = (*state.eta[1:], state.x2 - dot(params.zero_dynamics.a, state.eta))
+        coupling = dot(params.zero_dynamics.c, state.eta)
+    x2_dot = -params.a_p * state.x2 - coupling + params.k_p * (drive.command + drive.disturbance)
+    return NormalFormState(state.x2, x2_dot, eta_dot)
+
+
+def measure(params: NormalFormParams, state: NormalFormState) -> Measurement:
+    """y = x1 (8) and y' = x2 (6)."""
+    del params
+    return Measurement(state.x1, state.x2)
+
+
+def input_gain(params: NormalFormParams) -> Scalar:
+    """k_p of (7) [1/s]."""
+    return params.k_p
+
+
+def prepare(params: NormalFormParams) -> NormalFormParams:
+    """Check the zero dynamics and the length of the initial state.
+
+    Raises:
+        ConfigError: A_eta is not Hurwitz for some admissible value, or a length does not fit.
+    """
+    order = 0
+    if params.zero_dynamics is not None:
+        require_hurwitz(params.zero_dynamics)
+        order = len(params.zero_dynamics.a)
+    if not 2 <= len(params.initial) <= 2 + order:
+        raise ConfigError(
+            "initial", f"needs x1, x2 and at most {order} values of eta, got {len(params.initial)} values"
+        )
+    return params
+
+
+def from_inner_pi(k_p: Scalar, k_i: Scalar) -> NormalFormParams:
+    """A velocity loop with a PI inner controller as an instance of the class (Appendix B).
+
+    Args:
+        k_p: Proportional gain of the inner loop [1/s].
+        k_i: Integral gain of the inner loop [1/s^2].
+    """
+    return NormalFormParams(
+        k_p=k_p,
+        a_p=(k_p**2 - k_i) / k_p,
+        zero_dynamics=ZeroDynamics(a=(k_i / k_p,), c=((k_i / k_p) ** 2,)),
+    )
+
+
+NORMAL_FORM = Plant(NormalFormParams, init, derivative, measure, input_gain, ("x2",), prepare)

@@ -1,0 +1,45 @@
+"""Drag of structure and propellers (Appendix A).
+
+F_di = -K_Fdi |thetadot_i| (v_i - v_w) with v_i = v + R (Omega x p_bi). Summed over rotors only the moments of the
+speeds matter: sum w_i, sum w_i p_i and sum w_i p_i p_i^T, w_i = |thetadot_i|.
+"""
+
+from typing import NamedTuple
+
+from dssc_jax.core.numerics import dot
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.vectors import Mat3, Vec3
+from dssc_jax.models.uav.vehicle import Vehicle
+
+
+class Drag(NamedTuple):
+    """F_drag, inertial [N], and tau_drag, body frame [N m]."""
+
+    force: Vec3
+    torque: Vec3
+
+
+def drag(vehicle: Vehicle, rotation: Mat3, rate: Vec3, air_velocity: Vec3, speeds: tuple[Scalar, ...]) -> Drag:
+    """Drag of structure and propellers.
+
+    Args:
+        vehicle: K_Fd, K_Fdi and the geometry.
+        rotation: R, body to inertial.
+        rate: Body rate Omega [rad/s].
+        air_velocity: v_r = v - v_w, inertial [m/s].
+        speeds: |thetadot_i| of each rotor [rad/s].
+    """
+    in_body = rotation.transpose @ air_velocity
+    structure = in_body.scale(Vec3(*vehicle.structure_drag)) * (-air_velocity.norm())
+    x, y = vehicle.directions()
+    ones = (1.0,) * vehicle.rotors
+    first = Vec3(dot(x, speeds), dot(y, speeds), 0.0) * vehicle.arm
+    square = vehicle.arm * vehicle.arm
+    sxx, sxy, syy = (
+        square * dot([a * b for a, b in zip(*pair, strict=True)], speeds) for pair in ((x, x), (x, y), (y, y))
+    )
+    k = vehicle.propeller_drag
+    propellers = (in_body * dot(ones, speeds) + rate.cross(first)) * (-k)
+    # sum w_i p_i x (Omega x p_i) = sum w_i (|p_i|^2 Omega - (p_i . Omega) p_i)
+    spin = Vec3(syy * rate.x - sxy * rate.y, sxx * rate.y - sxy * rate.x, (sxx + syy) * rate.z)
+    return Drag(rotation @ (structure + propellers), (first.cross(in_body) + spin) * (-k))

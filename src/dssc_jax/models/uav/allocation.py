@@ -1,0 +1,65 @@
+"""Control allocation: rotor thrusts from net thrust and moment by the pseudo-inverse of the geometry (Figure 1)."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import dot
+from dssc_jax.core.quantities import nominal
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.vectors import Vec3
+from dssc_jax.models.uav.vehicle import Vehicle
+
+ROUNDING = 1e-12  # relative to the largest entry of a column
+
+
+class Thrusts(NamedTuple):
+    """Commanded thrusts f_i [N], and whether any of them is at a limit."""
+
+    each: tuple[Scalar, ...]
+    limited: Scalar
+
+
+def geometry(vehicle: Vehicle) -> np.ndarray:
+    """The matrix from thrusts to (f, M_x, M_y, M_z), (4, n_r), nominal: laws at their medians."""
+    plain = vehicle._replace(arm=nominal(vehicle.arm), torque_coefficient=nominal(vehicle.torque_coefficient))
+    x, y = plain.arm * np.array(plain.directions(), dtype=float)
+    return np.stack([np.ones(vehicle.rotors), y, -x, np.asarray(plain.spins) * plain.torque_coefficient])
+
+
+def pseudo_inverse(vehicle: Vehicle) -> tuple[tuple[float, ...], ...]:
+    """Rows (f, M_x, M_y, M_z) -> f_i, one a rotor.
+
+    Raises:
+        ConfigError: the rotors cannot produce thrust and all three moments.
+    """
+    matrix = geometry(vehicle)
+    scale = np.linalg.norm(matrix, axis=1, keepdims=True)
+    rank = int(np.linalg.matrix_rank(matrix / scale, tol=1e-9))
+    if rank < 4:
+        raise ConfigError(
+            "spins", f"rotor_angles and spins must span thrust and three moments (yaw included), got rank {rank} of 4"
+        )
+    inverse = np.linalg.pinv(matrix)
+    inverse[np.abs(inverse) < ROUNDING * np.abs(inverse).max(axis=0)] = 0.0
+    return tuple(tuple(float(value) for value in row) for row in inverse)
+
+
+def allocate(inverse: tuple[tuple[float, ...], ...], thrust: Scalar, moment: Vec3, limit: Scalar) -> Thrusts:
+    """Thrusts for the wanted net thrust [N] and moment [N m], each limited to [0, limit]."""
+    wanted = [dot(row, (thrust, *moment)) for row in inverse]
+    each = tuple(jnp.clip(f, 0.0, limit) for f in wanted)
+    limited = jnp.zeros((), dtype=bool)
+    for f in wanted:
+        limited = limited | (f < 0.0) | (f > limit)
+    return Thrusts(each, limited)
+
+
+def net(vehicle: Vehicle, thrusts: tuple[Scalar, ...]) -> tuple[Scalar, Vec3]:
+    """f = sum f_i and M = sum p_bi x (f_i e3) + e3 sum s_i c_tau f_i."""
+    x, y = vehicle.directions()
+    ones = (1.0,) * vehicle.rotors
+    turning = Vec3(dot(y, thrusts), -dot(x, thrusts), 0.0) * vehicle.arm
+    return dot(ones, thrusts), turning._replace(z=vehicle.torque_coefficient * dot(vehicle.spins, thrusts))

@@ -1,0 +1,222 @@
+"""The complete UAV as a plant of four channels: velocity commands in, position and yaw out (1), Section V-B."""
+
+import math
+from typing import Annotated, Any, NamedTuple
+
+import jax.numpy as jnp
+
+from dssc_jax.core.contracts import Plant, Preset
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import atan2, dot, root_abs
+from dssc_jax.core.quantities import Quantity, nominal
+from dssc_jax.core.registry import Registry, Slot, single
+from dssc_jax.core.signals import Measurement, PlantInput, Scalar
+from dssc_jax.core.vectors import Quaternion, Vec3, quaternion_from_euler
+from dssc_jax.models.uav.aerodynamics import drag
+from dssc_jax.models.uav.allocation import Thrusts, allocate, net, pseudo_inverse
+from dssc_jax.models.uav.inner_loop import Demand, InnerGains, Integrals, demand, euler_of, euler_rates, trig_of
+from dssc_jax.models.uav.rigid_body import BodyState, body_derivative, gyroscopic_torque
+from dssc_jax.models.uav.vehicle import GRAVITY, HEXACOPTER, QUADROTOR, Vehicle, check_vehicle
+
+CHANNELS = ("x", "y", "z", "psi")
+LEAST_UPRIGHT = math.cos(math.radians(85.0))  # cos phi cos theta below this is a singular attitude
+
+VEHICLES: Registry = {
+    "m600_quadrotor": single(Preset(Vehicle, QUADROTOR), "the article's simulated quadrotor"),
+    "m600_hexacopter": single(Preset(Vehicle, HEXACOPTER), "the same with six rotors"),
+}
+
+
+class Believed(NamedTuple):
+    """What the inner loop believes; absent numbers are the vehicle's own, or the medians of their laws."""
+
+    mass: Annotated[Scalar | None, Quantity("kg", "believed mass M_n", above=0.0)] = None
+    inertia: Annotated[tuple[Scalar, ...] | None, Quantity("kg m^2", "believed total inertia J", above=0.0)] = None
+    thrust_coefficient: Annotated[Scalar | None, Quantity("N s^2/rad^2", "believed k_T", above=0.0)] = None
+
+
+class InnerModel(NamedTuple):
+    """The vehicle as the inner loop has it: M [kg], diagonal of J [kg m^2], k_T [N s^2/rad^2]."""
+
+    mass: Scalar
+    inertia: Vec3
+    thrust_coefficient: Scalar
+
+
+class UavParams(NamedTuple):
+    """Parameters of the UAV; ``allocation`` follows from the vehicle's nominal geometry before tracing."""
+
+    vehicle: Annotated[Any, Slot(VEHICLES, default="m600_quadrotor")]
+    believed: Believed = Believed()
+    inner_loop: InnerGains = InnerGains()
+    position: Annotated[tuple[Scalar, ...], Quantity("m", "initial position")] = (0.0, 0.0, 0.0)
+    velocity: Annotated[tuple[Scalar, ...], Quantity("m/s", "initial velocity")] = (0.0, 0.0, 0.0)
+    yaw: Annotated[Scalar, Quantity("rad", "initial yaw psi")] = 0.0
+    allocation: tuple = ()
+
+    @property
+    def inner_model(self) -> InnerModel:
+        """The beliefs, complete once :func:`prepare` has filled them."""
+        mass, inertia, thrust_coefficient = self.believed
+        assert mass is not None
+        assert inertia is not None
+        assert thrust_coefficient is not None
+        return InnerModel(mass, Vec3(*inertia), thrust_coefficient)
+
+
+class UavState(NamedTuple):
+    """Body, inner-loop integrals and, with a motor lag, the rotor speeds |thetadot_i| [rad/s]."""
+
+    position: Vec3
+    velocity: Vec3
+    attitude: Quaternion
+    rate: Vec3
+    integrals: Integrals
+    speeds: tuple[Scalar, ...]
+
+
+class UavInfo(NamedTuple):
+    """What metrics and trajectories see of the vehicle: Euler angles [rad], tilt [rad] and what is limited."""
+
+    phi: Scalar
+    theta: Scalar
+    psi: Scalar
+    tilt: Scalar
+    thrust: Scalar
+    rotor_limited: Scalar
+    lift_bounded: Scalar
+
+
+def init(params: UavParams) -> UavState:
+    """At rest in attitude; rotors at hover speed, where they have a lag."""
+    vehicle = params.vehicle
+    zero = Vec3(0.0, 0.0, 0.0)
+    speeds = ()
+    if vehicle.motor_lag is not None:
+        believed = params.inner_model
+        hover = root_abs(believed.mass * GRAVITY / vehicle.rotors / believed.thrust_coefficient)
+        speeds = (hover,) * vehicle.rotors
+    return UavState(
+        Vec3(*params.position),
+        Vec3(*params.velocity),
+        quaternion_from_euler(0.0, 0.0, params.yaw),
+        zero,
+        Integrals(zero, 0.0),
+        speeds,
+    )
+
+
+def wanted(params: UavParams, state: UavState, drive: PlantInput) -> tuple[Demand, Thrusts]:
+    """Inner loops and allocation."""
+    x, y, z, psi = (u + d for u, d in zip(drive.command, drive.disturbance, strict=True))
+    rotation = state.attitude.matrix()
+    found = demand(
+        params.inner_loop,
+        params.inner_model.mass,
+        params.inner_model.inertia,
+        state.velocity,
+        rotation,
+        state.rate,
+        state.integrals,
+        Vec3(x, y, z),
+        psi,
+    )
+    return found, allocate(params.allocation, found.thrust, found.moment, params.vehicle.thrust_limit)
+
+
+def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar) -> UavState:
+    """Right-hand side of (1) with inner loops, allocation, rotors and aerodynamics."""
+    vehicle = params.vehicle
+    inner, thrusts = wanted(params, state, drive)
+    commanded = tuple(root_abs(f / params.inner_model.thrust_coefficient) for f in thrusts.each)
+    if vehicle.motor_lag is None:
+        speeds, accelerations, spin_up = commanded, (), 0.0
+    else:
+        speeds = state.speeds
+        accelerations = tuple((c - w) / vehicle.motor_lag for c, w in zip(commanded, speeds, strict=True))
+        spin_up = -dot(vehicle.spins, accelerations)
+    thrust, moment = net(vehicle, tuple(vehicle.thrust_coefficient * w * w for w in speeds))
+    rotation = state.attitude.matrix()
+    air = drag(vehicle, rotation, state.rate, state.velocity - drive.wind, speeds)
+    spin = -dot(vehicle.spins, speeds)
+    torque = moment + air.torque + gyroscopic_torque(state.rate, vehicle.rotor_inertia_z, spin, spin_up)
+    body = BodyState(state.position, state.velocity, state.attitude, state.rate)
+    slope = body_derivative(body, vehicle.mass, vehicle.inertia, thrust, air.force, torque, rotation)
+    return UavState(*slope, inner.integrals, accelerations)
+
+
+def project(params: UavParams, state: UavState) -> UavState:
+    """Bring the quaternion back to unit length: integrators drift."""
+    return state._replace(attitude=state.attitude.normalised())
+
+
+def measure(params: UavParams, state: UavState) -> tuple[Measurement, ...]:
+    """Position and yaw with their rates; yaw in (-pi, pi]."""
+    rotation = state.attitude.matrix()
+    turning = euler_rates(trig_of(rotation), state.rate)
+    psi = atan2(rotation.b.x, rotation.a.x)
+    linear = (Measurement(p, v) for p, v in zip(state.position, state.velocity, strict=True))
+    return (*linear, Measurement(psi, turning.psi))
+
+
+def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
+    """Attitude and limits at a sample."""
+    rotation = state.attitude.matrix()
+    inner, thrusts = wanted(params, state, drive)
+    tilt = atan2(jnp.sqrt(rotation.c.x**2 + rotation.c.y**2), rotation.c.z)
+    return UavInfo(*euler_of(rotation), tilt, inner.thrust, thrusts.limited, inner.bounded)
+
+
+def broken(params: UavParams, state: UavState) -> Scalar:
+    """A flip, or an attitude at which the Euler angles of the inner loop become singular."""
+    return state.attitude.matrix().c.z < LEAST_UPRIGHT
+
+
+def input_gain(params: UavParams) -> tuple[Scalar, ...]:
+    """k_p of each channel: the velocity loops' proportional gains [1/s]."""
+    linear = params.inner_loop.kd_velocity
+    return linear, linear, linear, params.inner_loop.kd_yaw
+
+
+def prepare(params: UavParams) -> UavParams:
+    """Check the vehicle, and derive allocation and beliefs from its nominal numbers.
+
+    Raises:
+        ConfigError: the vehicle is impossible, or its rotors cannot produce yaw.
+    """
+    vehicle = params.vehicle
+    try:
+        check_vehicle(vehicle)
+        allocation = pseudo_inverse(vehicle)
+    except ConfigError as error:
+        raise error.within_path("vehicle") from None
+    for name in ("position", "velocity"):
+        if len(getattr(params, name)) != 3:
+            raise ConfigError(name, f"needs three values, got {len(getattr(params, name))}")
+    plain = vehicle._replace(
+        body_inertia=tuple(nominal(value) for value in vehicle.body_inertia),
+        rotor_inertia_xy=nominal(vehicle.rotor_inertia_xy),
+        rotor_inertia_z=nominal(vehicle.rotor_inertia_z),
+    )
+    own = Believed(nominal(vehicle.mass), tuple(plain.inertia), nominal(vehicle.thrust_coefficient))
+    given = {name: value for name, value in params.believed._asdict().items() if value is not None}
+    believed = own._replace(**given)
+    if len(given.get("inertia", (0, 0, 0))) != 3:
+        raise ConfigError("believed.inertia", f"needs three values, got {given['inertia']}")
+    return params._replace(believed=believed, allocation=allocation)
+
+
+UAV = Plant(
+    UavParams,
+    init,
+    derivative,
+    measure,
+    input_gain,
+    velocities=("velocity", "rate", "speeds"),
+    prepare=prepare,
+    channels=CHANNELS,
+    angles=("psi",),
+    project=project,
+    monitor=monitor,
+    broken=broken,
+)

@@ -1,0 +1,112 @@
+"""Vehicle parameters as data: the article's quadrotor and the hexacopter that it flew (Section V-B, Appendix A)."""
+
+import math
+from typing import Annotated, NamedTuple
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity, extent
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.vectors import Vec3
+
+GRAVITY = 9.81  # m/s^2
+ROUNDING = 1e-15  # cos(pi/2) is 6e-17
+
+
+class Vehicle(NamedTuple):
+    """A multirotor with equal rotors on a circle around the centre of mass.
+
+    Rotor i = 1..n_r sits at ``rotor_angles[i]`` counter-clockwise from body x, at the distance ``arm``; ``spins`` s_i =
+    -sgn(thetadot_i) is the sign of its drag torque about body z.
+    """
+
+    mass: Annotated[Scalar, Quantity("kg", "mass M", above=0.0)]
+    body_inertia: Annotated[tuple[Scalar, ...], Quantity("kg m^2", "structure's principal inertia I_b", above=0.0)]
+    rotor_inertia_xy: Annotated[Scalar, Quantity("kg m^2", "hub's transverse inertia I_xy", at_least=0.0)]
+    rotor_inertia_z: Annotated[Scalar, Quantity("kg m^2", "hub's axial inertia I_z", at_least=0.0)]
+    thrust_coefficient: Annotated[Scalar, Quantity("N s^2/rad^2", "thrust coefficient k_T", above=0.0)]
+    torque_coefficient: Annotated[Scalar, Quantity("m", "torque over thrust c_tau", above=0.0)]
+    arm: Annotated[Scalar, Quantity("m", "arm length L", above=0.0)]
+    structure_drag: Annotated[tuple[Scalar, ...], Quantity("N s^2/m^2", "structure drag K_Fd, body axes", at_least=0.0)]
+    propeller_drag: Annotated[Scalar, Quantity("N s^2/(m rad)", "propeller drag force K_Fdi", at_least=0.0)]
+    rotor_angles: Annotated[tuple[Scalar, ...], Quantity("rad", "rotor angle from body x", law=False)]
+    spins: Annotated[tuple[Scalar, ...], Quantity("1", "spin sign s_i", at_least=-1.0, at_most=1.0, law=False)]
+    max_thrust: Annotated[Scalar | None, Quantity("N", "largest thrust of a rotor f_max", above=0.0)] = None
+    motor_lag: Annotated[Scalar | None, Quantity("s", "time constant of the rotor speed", above=0.0)] = None
+
+    @property
+    def rotors(self) -> int:
+        """Number of rotors n_r."""
+        return len(self.rotor_angles)
+
+    @property
+    def inertia(self) -> Vec3:
+        """J = diag(n_r I_xy + I_bx, n_r I_xy + I_by, n_r I_z + I_bz) [kg m^2]."""
+        transverse = self.rotors * self.rotor_inertia_xy
+        bx, by, bz = self.body_inertia
+        return Vec3(transverse + bx, transverse + by, self.rotors * self.rotor_inertia_z + bz)
+
+    @property
+    def thrust_limit(self) -> Scalar:
+        """f_max; 2 M g/n_r unless the vehicle says otherwise (assumed) [N]."""
+        return 2.0 * self.mass * GRAVITY / self.rotors if self.max_thrust is None else self.max_thrust
+
+    def directions(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """x and y of every rotor for an arm of length 1; what is 0 but for rounding is 0."""
+        x, y = ([f(angle) for angle in self.rotor_angles] for f in (math.cos, math.sin))
+        return tuple(0.0 if abs(v) < ROUNDING else v for v in x), tuple(0.0 if abs(v) < ROUNDING else v for v in y)
+
+
+def ring(rotors: int) -> tuple[float, ...]:
+    """Equally spaced angles from body x, counter-clockwise [rad]."""
+    return tuple(2.0 * math.pi * i / rotors for i in range(rotors))
+
+
+def alternating(rotors: int) -> tuple[float, ...]:
+    """Spin signs +1, -1, ...; with four rotors on a ring, other orders of the same signs lose yaw."""
+    return tuple(1.0 if i % 2 == 0 else -1.0 for i in range(rotors))
+
+
+QUADROTOR = Vehicle(
+    mass=10.9,
+    body_inertia=(0.4, 0.4, 0.74),
+    rotor_inertia_xy=0.01,
+    rotor_inertia_z=0.5e-5,
+    thrust_coefficient=0.0024,
+    torque_coefficient=0.57,  # equals the arm and is implausibly large for a propeller; kept as printed
+    arm=0.57,
+    structure_drag=(0.03, 0.03, 0.015),
+    propeller_drag=8e-6,
+    rotor_angles=ring(4),
+    spins=alternating(4),
+)
+"""The article's simulated vehicle (Section V-B)."""
+
+HEXACOPTER = QUADROTOR._replace(rotor_angles=ring(6), spins=alternating(6))
+"""The same body with six rotors, like the DJI M600 Pro that the article flew; rotors as the quadrotor's (assumed)."""
+
+
+def check_vehicle(vehicle: Vehicle) -> None:
+    """Check what spans several fields, for every value within the laws' supports.
+
+    Raises:
+        ConfigError: with the field, the rule and the value.
+    """
+    for name in ("body_inertia", "structure_drag"):
+        if len(getattr(vehicle, name)) != 3:
+            raise ConfigError(name, f"needs three values, got {len(getattr(vehicle, name))}")
+    if len(vehicle.spins) != vehicle.rotors or vehicle.rotors < 4:
+        raise ConfigError("spins", f"needs one sign a rotor, and four rotors at least; got {vehicle.rotors} rotors")
+    if any(abs(s) != 1.0 for s in vehicle.spins):
+        raise ConfigError("spins", f"each must be 1 or -1, got {list(vehicle.spins)}")
+    limits = [extent(value) for value in vehicle.body_inertia]
+    for i, axis in enumerate("xyz"):
+        others = sum(limits[j][0] for j in range(3) if j != i)
+        if limits[i][1] > others:
+            raise ConfigError(
+                "body_inertia",
+                f"must keep the triangle inequality: I_{axis} <= the sum of the others; {limits[i][1]:g} > {others:g}",
+            )
+    if vehicle.max_thrust is not None:
+        lift, weight = vehicle.rotors * extent(vehicle.max_thrust)[0], extent(vehicle.mass)[1] * GRAVITY
+        if lift <= weight:
+            raise ConfigError("max_thrust", f"hover needs n_r f_max > M g = {weight:g} N, got {lift:g} N")

@@ -1,0 +1,63 @@
+"""A pure delay in series with the plant input, of any real number of controller samples."""
+
+from typing import Annotated, NamedTuple
+
+import jax.numpy as jnp
+
+from dssc_jax.core.contracts import Unmodelled
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import dot
+from dssc_jax.core.quantities import Quantity, extent
+from dssc_jax.core.signals import Scalar
+
+MOST = 200  # samples: the state holds a scalar for each, and every scalar is copied at every sample
+
+
+class DelayParams(NamedTuple):
+    """The delay, and the longest one that the memory reaches."""
+
+    samples: Annotated[Scalar, Quantity("1", "delay, in controller samples", at_least=0.0)]
+    memory: Annotated[float, Quantity("1", "longest delay, in samples", at_least=1.0, at_most=MOST, law=False)] = 20.0
+
+
+class DelayState(NamedTuple):
+    """The commands of this sample and those before, newest first, and what reaches the plant during this one."""
+
+    commands: tuple[Scalar, ...]
+    delayed: Scalar
+
+
+def prepare(params: DelayParams) -> DelayParams:
+    """Check the delay against the memory.
+
+    Raises:
+        ConfigError: the delay can be longer, or the memory is no whole number.
+    """
+    if not float(params.memory).is_integer():
+        raise ConfigError("memory", f"must be a whole number of samples, got {params.memory:g}")
+    longest = extent(params.samples)[1]
+    if longest > params.memory:
+        raise ConfigError("samples", f"must be <= memory = {params.memory:g}, got up to {longest:g}")
+    return params
+
+
+def init(params: DelayParams) -> DelayState:
+    """Nothing was commanded before t = 0."""
+    return DelayState((0.0,) * (int(params.memory) + 1), 0.0)
+
+
+def sample(params: DelayParams, state: DelayState, command: Scalar, dt: Scalar) -> DelayState:
+    """Take in a command. A delay of n + f samples acts through its mean over the sample: (1 - f) u_n + f u_(n+1)."""
+    commands = (command, *state.commands[:-1])
+    weights = [jnp.maximum(0.0, 1.0 - jnp.abs(params.samples - age)) for age in range(len(commands))]
+    return DelayState(commands, dot(weights, commands))
+
+
+DELAY = Unmodelled(
+    DelayParams,
+    init,
+    step=lambda params, state, command, dt: state,
+    output=lambda params, state, command: state.delayed,
+    prepare=prepare,
+    sample=sample,
+)

@@ -1,0 +1,28 @@
+"""A rate limit in series with the plant input: what reaches the plant follows the command no faster than that."""
+
+from typing import Annotated, NamedTuple
+
+from dssc_jax.core.contracts import Unmodelled
+from dssc_jax.core.numerics import saturate
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Scalar
+
+
+class RateLimitParams(NamedTuple):
+    """The largest slope; an ideal actuator has an infinite one."""
+
+    rate: Annotated[Scalar, Quantity("m/s^2", "largest slope of the plant input", above=0.0)]
+
+
+def step(params: RateLimitParams, state: tuple[Scalar], command: Scalar, dt: Scalar) -> tuple[Scalar]:
+    """Exact solution of z' = rate sgn(u - z) over dt with the command held."""
+    (z,) = state
+    return (z + saturate(command - z, params.rate * dt),)
+
+
+RATE_LIMIT = Unmodelled(
+    RateLimitParams,
+    init=lambda params: (0.0,),
+    step=step,
+    output=lambda params, state, command: state[0],
+)

@@ -1,0 +1,290 @@
+"""Sections on the answer: outcome, sweep, metrics, causes, worst draws, chattering."""
+
+from functools import partial
+from typing import Any
+
+import htpy as h
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from dssc_jax import plotting
+from dssc_jax.closed_loop.metrics import Measure
+from dssc_jax.engine.reference import VERDICTS
+from dssc_jax.plotting.draws import shown_laws
+from dssc_jax.report.elements import (
+    LEVEL,
+    Section,
+    counted,
+    facts,
+    figure,
+    folded,
+    interval,
+    number,
+    probability,
+    table,
+    with_unit,
+)
+from dssc_jax.report.subject import Subject
+from dssc_jax.report.vector import inline
+from dssc_jax.results.result import Result, headline
+from dssc_jax.results.schema import ENDINGS, outcome_codes
+from dssc_jax.results.summary import most_violated
+from dssc_jax.statistics.order import upper_quantiles
+from dssc_jax.study import Described, Study
+
+MOST_ROWS, MOST_FACTORS = 400, 24
+CERTIFIED = {None: "-", True: "yes", False: "no"}
+UNSHOWN = "They are not simulated again here, which would run code that is not part of dssc_jax: "
+CHATTER = ("command_tv", "sampling_ratio", "sampling_ratio_above_1", "outside_sliding")
+
+
+def outcome(about: Subject) -> Section:
+    """How the draws ended, with intervals; of a sweep, its points, and how the draws ended at one of them."""
+    if about.result.study.axes:
+        return Section("outcome", "The outcome", [*points(about), *ways(about)])
+    certificate = h.p[h.strong[about.result.certificate], "."]
+    return Section("outcome", "The outcome", [*ways(about), certificate])
+
+
+def ways(about: Subject) -> list[h.Node]:
+    """Every way in which draws ended, each requirement by itself, and which requirements are violated together."""
+    close, point = about.close, about.said
+    ended, method, draws = close.dataset["outcome"].values, close.method, point["draws"]
+    rows: list[tuple[h.Node, ...]] = []
+    for code, words in ENDINGS.items():
+        if code in outcome_codes(close.study):
+            bounds, n = method.interval(ended == code).tolist(), int(np.count_nonzero(ended == code))
+            rows.append((words, f"{n:,}", probability(n / draws, bounds), interval(bounds), ""))
+    for each in point["requirements"]:
+        rows.append((f"violates {each['text']}", *fails(each), f"{each['alone']:,}"))
+    rows.append((h.strong["fails in any way"], *fails(point), ""))
+    head = ("how a draw ended", "draws", "probability", f"{LEVEL} interval", "this alone")
+    note = (
+        "A draw counts for every requirement that it violates, and one that ended early for all of them "
+        f"({counted(point['ended_early'], 'draw')} here). Intervals: {method.name}, each at {LEVEL} on its own. A way "
+        f"in which no draw in {draws:,} ended is told by its upper bound."
+    )
+    return [table(f"Outcomes of {counted(draws, 'draw')}{about.where}", head, rows), h.p[note], *together(point)]
+
+
+def together(point: dict[str, Any]) -> list[h.Node]:
+    """Pairs of requirements that the same draws violate, where there are at least two."""
+    if len(point["requirements"]) < 2:
+        return []
+    if not point["overlaps"]:
+        return [h.p["No draw that ran to its end violates two requirements."]]
+    text = {each["name"]: each["text"] for each in point["requirements"]}
+    rows = [(*(text[name] for name in pair["names"]), f"{pair['draws']:,}") for pair in point["overlaps"]]
+    caption = "Requirements that the same draws violate, without draws that ended early"
+    return [table(caption, ("one", "other", "draws"), rows, words=2)]
+
+
+def fails(point: dict[str, Any]) -> tuple[str, str, str]:
+    """Failures of a point, or of one requirement there, their probability and its interval."""
+    bounds = point["interval"]
+    return f"{point['failures']:,}", probability(point["probability"], bounds), interval(bounds)
+
+
+def points(about: Subject) -> list[h.Node]:
+    """Points of a sweep: the best, the worst, the one looked at closely; and all of them, folded."""
+    study, found = about.result.study, about.summary["points"]
+    names = [(name, study.quantities[name].unit) for name in study.axes]
+    swept = [name if unit == "1" else f"{name} [{unit}]" for name, unit in names]
+    middle = f"median {headline(about.result).name}"
+    worst = ["most violated"] if len(study.requirements) > 1 else []
+    head = (*swept, "failures", "probability", f"{LEVEL} interval", *worst, middle, "certified")
+    best, most = (pick(found, key=lambda point: point["probability"]) for pick in (min, max))
+    picked = {"least failures": best, "nearest to half": about.said, "most failures": most}
+    some = [(name, *cells(about, point)) for name, point in picked.items()]
+    every = [cells(about, point) for point in found[:MOST_ROWS]]
+    more = f"; the first {MOST_ROWS} of {len(found):,}, all are in summary.json" if len(found) > MOST_ROWS else ""
+    caption = f"{counted(study.config.draws, 'draw')} at each point{more}"
+    note = (
+        f"Intervals: {about.result.method.name}, each at {LEVEL} on its own; the draws of all points are the same, "
+        "so that differences between points are sharper than the intervals suggest."
+    )
+    return [
+        table("Three points of the sweep", ("point", *head), some),
+        h.p[note],
+        folded(f"All {counted(len(found), 'point')}", table(caption, head, every)),
+    ]
+
+
+def cells(about: Subject, point: dict[str, Any]) -> tuple[h.Node, ...]:
+    """A point of a sweep as a row: where, failures with interval and what fails most, the median, the certificate."""
+    where = (number(point[name]) for name in about.result.study.axes)
+    middle = point["metrics"][headline(about.result).name]["q50"]
+    worst = [most_violated(point)] if len(point["requirements"]) > 1 else []
+    return *where, *fails(point), *worst, number(middle), CERTIFIED[point["certified"]]
+
+
+def sweep(about: Subject) -> Section | None:
+    """Failure probability and the headline metric over the sweep."""
+    result = about.result
+    if not result.study.axes:
+        return None
+    shown = [name for name, values in result.study.axes.items() if len(values) > 1][:2]
+    rest = [f"{name} = {values[0]:g}" for name, values in result.study.axes.items() if name not in shown]
+    held = f" Held: {', '.join(rest)}." if rest else ""
+    shares = [point["probability"] for point in about.summary["points"]]
+    over = " and ".join(shown or result.study.axes)
+    low, high = number(min(shares)), number(max(shares))
+    text = f"Failure probability over {over}: from {low} to {high}. All points are in the table of the outcome."
+    metric = headline(result).name
+    hatched = " (hatched)." if "certified" in result.dataset else "."
+    captions = (
+        f"Failure probability. {result.certificate}{hatched}{held}",
+        f"Median of {metric}: half of the draws are below.{held}",
+    )
+    pictures = (
+        inline(lambda: plotting.probability(result), text, "probability"),
+        inline(lambda: plotting.typical(result), f"Median of {metric} over {over}.", "typical"),
+    )
+    return Section("sweep", "The sweep", h.div(".pair")[map(figure, pictures, captions)])
+
+
+def metrics(about: Subject) -> Section:
+    """Quantiles of every metric."""
+    study, close = about.result.study, about.close
+    rows = []
+    for measure in study.measures:
+        found = upper_quantiles(close.dataset[measure.name].values, (0.05, 0.5, 0.95))
+        unit = unit_of(close, measure)
+        asked = [requirement for requirement in study.requirements if requirement.measure == measure]
+        bounds = [f"{'≤' if r.maximum is not None else '≥'} {r.bound:g}" for r in asked]
+        meaning = close.dataset[measure.name].attrs["long_name"]
+        rows.append((h.code[measure.name], meaning, unit, *map(number, found), " ".join(bounds)))
+    head = ("metric", "meaning", "unit", "5 %", "median", "95 %", "required")
+    name = headline(about.result).name
+    text = f"Share of draws at or below each value of {name}; its quantiles are in the table."
+    picture = inline(lambda: plotting.distribution(close), text, "distribution")
+    caption = f"Distribution of {name} with the interval of each share."
+    body = [
+        h.p[f"Quantiles over draws{about.where}. A draw that ended early counts as ∞."],
+        table("Quantiles of the metrics", head, rows, words=3),
+        h.div(".pair")[figure(picture, caption)],
+    ]
+    return Section("metrics", "What was measured", body)
+
+
+def unit_of(result: Result, measure: Measure) -> str:
+    """A metric's unit as a cell shows it."""
+    unit = result.dataset[measure.name].attrs["units"]
+    return "" if unit == "1" else unit
+
+
+def causes(about: Subject) -> Section | None:
+    """Failures against each uncertain number."""
+    close = about.close
+    names = shown_laws(close)[:MOST_FACTORS]
+    failures = int(close.failed.sum())
+    if not names or not 0 < failures < close.failed.size:
+        return None
+    pictures = []
+    for i, name in enumerate(names):
+        text = f"Failure probability against {name}, in bins of equal count, with intervals."
+        picture = inline(partial(plotting.factor, close, name), text, f"cause{i}")
+        pictures.append(figure(picture, [h.code[name], f": {close.study.quantities[name].meaning}"]))
+    left = len(close.study.laws) - len(names)
+    more = f" {counted(left, 'number')} more are in the dataset." if left > 0 else ""
+    note = (
+        f"Failure probability{about.where}, in bins of equal count of one uncertain number while all the others vary, "
+        f"with {LEVEL} intervals. A slope tells on what failures depend.{more}"
+    )
+    return Section("causes", "What failures depend on", [h.p[note], h.div(".grid")[pictures]])
+
+
+def worst(about: Subject) -> Section | None:
+    """The draws with the smallest slacks, over time."""
+    if about.worst and isinstance(about.result.study, Described):
+        names = ", ".join(about.result.study.code)
+        return Section("worst", "The worst draws", h.p[UNSHOWN, h.code[names], "."])
+    if not about.trajectories:
+        return None
+    laws = about.result.study.laws
+    body: list[h.Node] = [
+        h.p[
+            f"The draws with the smallest slack{about.where}, simulated again. Each can be had with ",
+            h.code["dssc-jax replay"],
+            "; its index is all that is needed.",
+        ]
+    ]
+    for rank, run in enumerate(about.trajectories):
+        drawn = [(name, with_unit(run.attrs[name], about.result.study.quantities[name].unit)) for name in laws]
+        text = described(run)
+        picture = inline(partial(untitled, run), text, f"worst{rank}")
+        agrees = f"Computed again, it {VERDICTS[run.attrs['agreement']].format(run.attrs['deviation'])}."
+        body += [h.h3[f"Draw {run.attrs['draw']}"], figure(picture, f"{text} {agrees}"), facts(drawn)]
+    return Section("worst", "The worst draws", body)
+
+
+def untitled(run: xr.Dataset) -> Figure:
+    """A trajectory without its title, which the page gives."""
+    figure = plotting.trajectory(run)
+    figure.suptitle("")
+    return figure
+
+
+def described(run: xr.Dataset) -> str:
+    """How a draw ended, in a sentence."""
+    at = "" if np.isnan(run.attrs["failed_at"]) else f" at {run.attrs['failed_at']:.4g} s"
+    return f"Draw {run.attrs['draw']} over time: it {run.attrs['verdict']}{at}."
+
+
+def chattering(about: Subject) -> Section | None:
+    """How much the command moves, and whether the sampling allows what the gains ask for."""
+    study, close = about.result.study, about.close
+    measures = [measure for measure in study.measures if measure.kind in CHATTER]
+    if not measures:
+        return None
+    rows = []
+    for measure in measures:
+        values = close.dataset[measure.name].values
+        middle, high, largest = upper_quantiles(values, (0.5, 0.95, 1.0))
+        unit = unit_of(close, measure)
+        rows.append((h.code[measure.name], measure.metric.meaning, unit, number(middle), number(high), number(largest)))
+    head = ("metric", "meaning", "unit", "median", "95 %", "largest")
+    body: list[h.Node] = [
+        h.p[
+            "A total variation of the command far above its range means that it switches. A sampling ratio above 1 "
+            "says that the sampled loop chatters or diverges, since the hold is too slow for the gain.",
+            above_one(about),
+        ],
+        table(f"Chattering{about.where}", head, rows, words=3),
+    ]
+    if study.axes and any(measure.name == "command_tv" for measure in measures):
+        picture = inline(
+            lambda: plotting.typical(about.result, metric="command_tv"),
+            "Median total variation of the command over the sweep.",
+            "chattering",
+        )
+        body.append(h.div(".pair")[figure(picture, "Median total variation of the robust command.")])
+    return Section("chattering", "Chattering", body)
+
+
+def above_one(about: Subject) -> str:
+    """How many lanes have a sampling ratio above 1 at some time; of a vehicle, in any channel."""
+    names = [measure.name for measure in about.result.study.measures if measure.kind == "sampling_ratio"]
+    if not names:
+        return ""
+    ratios = np.max([about.result.dataset[name].values for name in names], axis=0)
+    ended, above = int(np.count_nonzero(np.isfinite(ratios))), int(np.count_nonzero(ratios > 1.0))
+    return f" Of {ended:,} simulated loops that ran to their end, {above:,} have one at some time."
+
+
+def verdict(about: Subject) -> tuple[str, str]:
+    """The result in a few characters, and in a sentence."""
+    found = about.summary["points"]
+    if not about.result.study.axes:
+        (point,) = found
+        said = f"{point['failures']:,} of {point['draws']:,} draws fail; {LEVEL} interval {interval(point['interval'])}"
+        return probability(point["probability"], point["interval"]), said
+    best, most = (pick(found, key=lambda point: point["probability"]) for pick in (min, max))
+    text = " to ".join(probability(point["probability"], point["interval"]) for point in (best, most))
+    return text, f"from the best to the worst of {counted(len(found), 'point')}, {best['draws']:,} draws each"
+
+
+def title_of(study: Study) -> str:
+    """The page's title."""
+    return f"{study.name}: robustness report"

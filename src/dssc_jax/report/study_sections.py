@@ -1,0 +1,153 @@
+"""Sections on the question: the study, the loop, the laws; and the provenance of the answer."""
+
+from datetime import datetime
+from typing import Any
+
+import htpy as h
+import numpy as np
+import tomli_w
+
+from dssc_jax.closed_loop.requirements import Requirement
+from dssc_jax.report.diagram import diagram
+from dssc_jax.report.elements import Section, counted, facts, figure, folded, number, scrolled, table, with_unit
+from dssc_jax.report.subject import Subject
+from dssc_jax.study import Law, Study
+from dssc_jax.study.laws import LOGARITHMIC
+
+BINS, EACH = 36, 60  # of a density's sketch, and levels in each
+SKETCH = (132, 34)
+
+
+def question(about: Subject) -> Section:
+    """What is asked, in sentences."""
+    study = about.result.study
+    clock = study.config.loop
+    swept = [
+        f"{name} over {counted(len(values), 'value')} from {number(min(values))} to "
+        f"{with_unit(max(values), study.quantities[name].unit)}"
+        for name, values in study.axes.items()
+    ]
+    body = [
+        h.p[
+            f"Does the loop meet what is required of it, over {counted(study.config.draws, 'draw')} of "
+            f"{counted(len(study.laws), 'uncertain number')}? Each draw is simulated for {clock.duration:g} s, "
+            f"sampled every {1e3 * clock.sample_time:g} ms."
+        ],
+        h.p["Required of each draw:"],
+        h.ul[(h.li[sentence(requirement)] for requirement in study.requirements), h.li["the state stays finite"]],
+    ]
+    if swept:
+        body += [h.p["The same draws are simulated at every point of the sweep:"], h.ul[(h.li[text] for text in swept)]]
+    return Section("question", "The question", body)
+
+
+def sentence(requirement: Requirement) -> h.Node:
+    """A requirement in words."""
+    metric, after = requirement.measure.metric, requirement.measure.window.after
+    side = "at most" if requirement.maximum is not None else "at least"
+    window = f" from {after:g} s on" if after > 0 else ""
+    channel = f" ({requirement.measure.channel_name})" if requirement.measure.channel_name else ""
+    bound = with_unit(requirement.bound, requirement.measure.unit)
+    return [f"{metric.meaning}{channel}{window}: {side} ", h.strong[bound]]
+
+
+def loop(about: Subject) -> Section:
+    """The block diagram."""
+    study = about.result.study
+    caption = "The loop that is simulated. ~ marks numbers that a law gives, ⇄ numbers that are swept."
+    return Section("loop", "The loop", figure(scrolled("Block diagram", diagram(study)), caption))
+
+
+def laws(about: Subject) -> Section | None:
+    """Every uncertain number with its law."""
+    study = about.result.study
+    if not study.laws:
+        return None
+    rows = []
+    for name, law in study.laws.items():
+        low, middle, high = law.quantile(np.array([0.05, 0.5, 0.95]))
+        quantity = study.quantities[name]
+        unit = "" if quantity.unit == "1" else f" [{quantity.unit}]"
+        what = [h.code[name], h.span(".meaning")[f"{quantity.meaning}{unit}"]]
+        drawn = [sketch(law), law.kind in LOGARITHMIC and h.span(".meaning")["logarithmic axis"]]
+        rows.append((what, str(law), drawn, number(middle), f"{number(low)} to {number(high)}"))
+    head = ("number", "law", "density", "median", "5 to 95 %")
+    caption = f"Laws of the uncertain numbers, {dependence(study)}"
+    return Section("laws", "What is uncertain", table(caption, head, rows, words=3))
+
+
+def dependence(study: Study) -> str:
+    """Which uncertain numbers depend on each other, as the end of a phrase."""
+    pairs = [f"{pair}: {number(rank)}" for pair, rank in study.config.correlation.items()]
+    return f"with rank correlations ({'; '.join(pairs)}), otherwise independent" if pairs else "independent"
+
+
+def sketch(law: Law) -> h.Element:
+    """A small picture of a law's density, over a logarithmic axis where the law is one of the logarithm."""
+    values = law.quantile((np.arange(BINS * EACH) + 0.5) / (BINS * EACH))
+    low, high = float(values.min()), float(values.max())
+    shown = np.log(values) if law.kind in LOGARITHMIC else values
+    counts, _ = np.histogram(shown, bins=BINS)
+    width, height = SKETCH
+    step = width / BINS
+    tops = height - 1.0 - (height - 4.0) * counts / counts.max()
+    outline = "".join(f"V{top:.1f}h{step:.2f}" for top in tops)
+    scale = ", logarithmic axis" if law.kind in LOGARITHMIC else ""
+    text = f"density of {law} from {number(low)} to {number(high)}{scale}"
+    return h.svg(".sketch", role="img", aria_label=text, viewBox=f"0 0 {width} {height}", width=width, height=height)[
+        h.title[text], h.path(d=f"M0 {height - 1}{outline}V{height - 1}z")
+    ]
+
+
+def provenance(about: Subject) -> Section:
+    """Where the numbers come from, and how to have them again."""
+    result, manifest = about.result, about.result.manifest
+    study, device = result.study, part(manifest, "device")
+    versions = "  ".join(f"{name} {version}" for name, version in part(manifest, "versions").items())
+    sizes = [len(values) for values in study.axes.values()]
+    pairs: list[tuple[str, h.Node]] = [
+        ("study", f"{study.name}, from {manifest.get('source', study.source)}"),
+        ("hash of the study", h.code[study.hash]),
+        ("seed", f"{study.config.seed}, {study.config.sampling} sampling"),
+        ("size", f"{counted(study.config.draws, 'draw')} at {counted(int(np.prod(sizes)), 'point')}"),
+        ("arithmetic", f"float{study.config.loop.precision}, {study.config.loop.integrator}"),
+        ("started", moment(str(manifest.get("started", "")))),
+        ("time", spent(part(manifest, "times"))),
+        ("machine", f"{device.get('count', '?')} of {device.get('kind', '?')} ({device.get('platform', '?')})"),
+        ("versions", versions),
+    ]
+    text = tomli_w.dumps(without_none(study.table))
+    again = ["Save it as a file and give it to ", h.code["dssc-jax run"], " or ", h.code["dssc-jax sweep"], "."]
+    listing = [h.p[again], h.pre(tabindex="0")[h.code[text]]]
+    body = [facts(pairs, "facts wide"), folded("The study file", listing, on_paper=True)]
+    return Section("provenance", "Provenance", body)
+
+
+def part(manifest: dict[str, Any], name: str) -> dict[str, Any]:
+    """A table of the manifest; empty where it is damaged, which only what it would tell suffers from."""
+    table = manifest.get(name)
+    return table if isinstance(table, dict) else {}
+
+
+def spent(times: dict[str, Any]) -> str:
+    """Time and throughput of the run."""
+    try:
+        rate = f", {times['rate'] / 1e6:.0f} million draw samples a second" if times.get("rate") else ""
+        return f"{times['seconds']:.1f} s, of which {times['compile_seconds']:.1f} s compiling{rate}"
+    except (KeyError, TypeError, ValueError):
+        return "not recorded"
+
+
+def moment(text: str) -> str:
+    """A time stamp as people read it."""
+    try:
+        return f"{datetime.fromisoformat(text):%Y-%m-%d %H:%M UTC}"
+    except ValueError:
+        return text or "not recorded"
+
+
+def without_none(content: Any) -> Any:
+    """TOML has no null; an absent name says the same."""
+    if isinstance(content, dict):
+        return {name: without_none(value) for name, value in content.items() if value is not None}
+    return [without_none(value) for value in content] if isinstance(content, list | tuple) else content

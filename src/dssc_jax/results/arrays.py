@@ -1,0 +1,205 @@
+"""The Zarr arrays of a results folder: laid out for a study, checked against what their study lays out, extended."""
+
+import json
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+from zarr.codecs import BytesCodec, ZstdCodec
+from zarr.storage import MemoryStore
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.engine.batching import Layout
+from dssc_jax.results.manifest import DATA
+from dssc_jax.results.schema import (
+    NOT_COMPUTED,
+    Variable,
+    coordinate_values,
+    coordinates,
+    dataset_attributes,
+    variables,
+)
+from dssc_jax.study import Study
+
+MEND = "--resume computes again what is not as it was written"
+Extent = tuple[tuple[int, ...], tuple[int, ...]]
+"""Shape and chunks of an array."""
+
+
+def lay_out(folder: Path, study: Study, layout: Layout) -> zarr.Group:
+    """Every array of the store, empty."""
+    group = zarr.open_group(folder / DATA, mode="w", zarr_format=3, attributes={**dataset_attributes(study)})
+    for name, values in coordinate_values(study).items():
+        create(group, name, coordinates(study)[name], (values.shape, values.shape))[...] = values
+    for name, variable in variables(study).items():
+        create(group, name, variable, extent(variable, layout))
+    return group
+
+
+def extent(variable: Variable, layout: Layout) -> Extent:
+    """Shape and chunks of a variable's array."""
+    drawn = variable.dims == ("draw",)
+    return (layout.shape[-1:], layout.block[-1:]) if drawn else (layout.shape, layout.block)
+
+
+def create(group: zarr.Group, name: str, variable: Variable, extent: Extent, overwrite: bool = False) -> zarr.Array:
+    """One array with its dimensions and attributes, and a checksum in every chunk."""
+    shape, chunks = extent
+    return group.create_array(
+        name,
+        overwrite=overwrite,
+        serializer=BytesCodec(endian="little"),
+        compressors=ZstdCodec(level=0, checksum=True),
+        shape=shape,
+        chunks=chunks,
+        dtype=variable.dtype,
+        fill_value=np.nan if variable.dtype.startswith("float") else NOT_COMPUTED,
+        dimension_names=variable.dims,
+        attributes=dict(variable.attributes),
+    )
+
+
+def open_group(folder: Path, mode: str) -> zarr.Group:
+    """The folder's Zarr group. Version 3 only: version 2 has a codec that unpickles.
+
+    Raises:
+        ConfigError: it is absent or damaged.
+    """
+    try:
+        return zarr.open_group(folder / DATA, mode=mode, zarr_format=3)  # type: ignore[arg-type]
+    except Exception as error:  # zarr has no common base class of its errors
+        raise ConfigError(str(folder / DATA), f"cannot be opened: {one_line(error)}") from error
+
+
+@cache
+def blank(dtype: str) -> dict[str, Any]:
+    """What the Zarr in use says of an array that :func:`create` makes of a type."""
+    group = zarr.open_group(MemoryStore(), mode="w", zarr_format=3)
+    return create(group, "blank", Variable(("draw",), dtype, {}), ((1,), (1,))).metadata.to_dict()
+
+
+def metadata(variable: Variable, extent: Extent) -> str:
+    """All metadata that a variable's array is laid out with, see :func:`as_json`."""
+    shape, chunks = extent
+    own = {
+        "shape": shape,
+        "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": chunks}},
+        "attributes": dict(variable.attributes),
+        "dimension_names": variable.dims,
+    }
+    return as_json(blank(variable.dtype) | own)
+
+
+def as_json(content: dict[str, Any]) -> str:
+    """Metadata in a form that can be compared."""
+    return json.dumps(content, sort_keys=True, default=str)
+
+
+def checked(group: zarr.Group, place: Path, variable: Variable, extent: Extent, growing: bool = False) -> zarr.Array:
+    """One array, all of whose metadata are as they were laid out.
+
+    Args:
+        group: The group.
+        place: Where the array is.
+        variable: What it holds.
+        extent: Its shape and chunks.
+        growing: It may have any number of draws yet.
+
+    Raises:
+        ConfigError: it is absent or otherwise.
+    """
+    shape, chunks = extent
+    try:
+        with zarr.config.set({"array.write_empty_chunks": True}):  # chunks of NaN too, since presence has a meaning
+            array: Any = group[place.name]
+        found = as_json(array.metadata.to_dict())
+        shape = (*shape[:-1], array.shape[-1]) if growing else shape
+    except Exception as error:  # zarr has no common base class of its errors
+        raise ConfigError(str(place), f"is damaged: {one_line(error)}") from error
+    if found != metadata(variable, (shape, chunks)):
+        raise ConfigError(str(place), "is damaged: its metadata are not those that its study lays out")
+    return array
+
+
+def checked_arrays(
+    folder: Path, study: Study, layout: Layout, mode: str = "r", growing: bool = False
+) -> dict[str, zarr.Array]:
+    """Every variable's array.
+
+    Args:
+        folder: The results folder.
+        study: The study as run.
+        layout: Its blocks.
+        mode: ``r`` to read, ``r+`` to write.
+        growing: Arrays may have any number of draws yet.
+
+    Raises:
+        ConfigError: one is absent or not as it was laid out, or there is another one.
+    """
+    group = open_group(folder, mode)
+    about = zarr.open_group(MemoryStore(), mode="w", zarr_format=3, attributes={**dataset_attributes(study)})
+    if as_json(group.metadata.to_dict()) != as_json(about.metadata.to_dict()):
+        raise ConfigError(str(folder / DATA), "is damaged: its attributes are not those that its study lays out")
+    found = {
+        name: checked(group, folder / DATA / name, variable, extent(variable, layout), growing)
+        for name, variable in variables(study).items()
+    }
+    others = {file.name for file in (folder / DATA).iterdir() if file.is_dir()} - found.keys() - {*coordinates(study)}
+    if others:
+        raise ConfigError(str(folder / DATA / min(others)), "is damaged: it is no variable of the study")
+    return found
+
+
+def require_coordinates(folder: Path, study: Study) -> None:
+    """Require that the store's coordinates, which others read, are those of the study.
+
+    Raises:
+        ConfigError: one is not.
+    """
+    group = open_group(folder, "r")
+    for name, values in coordinate_values(study).items():
+        if not is_coordinate(group, folder / DATA / name, coordinates(study)[name], values):
+            raise ConfigError(str(folder / DATA / name), f"is damaged: it is not the study's coordinate; {MEND}")
+
+
+def is_coordinate(group: zarr.Group, place: Path, variable: Variable, values: np.ndarray) -> bool:
+    """Whether a coordinate reads well and holds these values."""
+    try:
+        return np.array_equal(np.asarray(checked(group, place, variable, (values.shape, values.shape))), values)
+    except Exception:  # zarr and its codecs raise errors of many kinds
+        return False
+
+
+def laid_out(folder: Path, study: Study, layout: Layout) -> bool:
+    """Whether an earlier run, of any number of draws, came as far as laying out the whole store.
+
+    Raises:
+        ConfigError: it did, and the store is damaged since.
+    """
+    try:
+        checked_arrays(folder, study, layout, growing=True)
+    except ConfigError as error:
+        if any((folder / DATA / "outcome" / "c").rglob("*")):
+            raise ConfigError(error.where, f"{error.rule}; start over without --resume") from None
+        return False
+    return True
+
+
+def reshape(folder: Path, study: Study, layout: Layout) -> None:
+    """Give every array the study's number of draws, and the coordinates their values; nothing that exists is lost."""
+    for name, array in checked_arrays(folder, study, layout, "r+", growing=True).items():
+        shape, _ = extent(variables(study)[name], layout)
+        if array.shape != shape:
+            array.resize(shape)
+    group = open_group(folder, mode="r+")
+    for name, values in coordinate_values(study).items():
+        variable = coordinates(study)[name]
+        if not is_coordinate(group, folder / DATA / name, variable, values):
+            create(group, name, variable, (values.shape, values.shape), overwrite=True)[...] = values
+
+
+def one_line(error: BaseException) -> str:
+    """An exception's message without its line breaks."""
+    return " ".join(str(error).split()) or type(error).__name__

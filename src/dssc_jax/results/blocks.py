@@ -1,0 +1,183 @@
+"""The Zarr arrays of a results folder, block by block, each block being one chunk of every variable.
+
+A chunk is written beside its place and moved there; the block's digests follow. A block is complete where its chunks
+hold the values that its digests are of.
+"""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.engine.batching import Arrays, Layout, lanes_in
+from dssc_jax.results.arrays import MEND, checked_arrays, one_line
+from dssc_jax.results.digests import DIGESTS, Piece, add_piece, over_all, pieces_of, sum_of
+from dssc_jax.results.manifest import DATA
+from dssc_jax.study import Study
+
+Block = tuple[slice, ...]
+
+
+@contextmanager
+def told(folder: Path) -> Iterator[None]:
+    """A full disk, and whatever else prevents writing, in one line.
+
+    Raises:
+        ConfigError: the folder cannot be written.
+    """
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or one_line(error)
+        raise ConfigError(
+            str(folder), f"cannot be written: {reason}; what was finished is kept, --resume goes on from there"
+        ) from error
+
+
+class Chunks:
+    """The arrays of a results folder, block by block. Any number of processes may write, each its own blocks.
+
+    Args:
+        folder: The results folder, laid out.
+        study: The study as run.
+        layout: Its blocks.
+        mode: ``r`` to read, ``r+`` to write.
+        growing: Arrays may have any number of draws yet.
+
+    Raises:
+        ConfigError: an array is absent or not as it was laid out.
+    """
+
+    def __init__(self, folder: Path, study: Study, layout: Layout, mode: str = "r", growing: bool = False) -> None:
+        self.folder, self.layout = folder, layout
+        self.arrays = checked_arrays(folder, study, layout, mode, growing)
+        self.drawn = list(study.laws)
+
+    def write(self, block: Block, results: Arrays, drawn: Arrays) -> None:
+        """Write a block, or the end of one that has grown; its digests last."""
+        values, sums = results | drawn, {}
+        with told(self.folder):
+            for name in self._held(block):
+                array = self.arrays[name]
+                written = np.asarray(values[name], dtype=array.dtype)
+                array[self._part(name, block)] = written
+                sums[name] = sum_of(written)
+            add_piece(self.folder, self.layout.index(block), Piece((block[-1].start, block[-1].stop), sums))
+
+    def pending(self) -> tuple[list[Block], list[Path]]:
+        """What is still to be computed: whole blocks, or the draws that are missing at a block's end.
+
+        Returns:
+            The blocks, and the files of those of which nothing is kept.
+
+        Raises:
+            ConfigError: a folder stands where a chunk, or its digests, should be.
+        """
+        blocks: list[Block] = []
+        useless: list[Path] = []
+        for block in self.layout.blocks():
+            files = [self._file(name, block) for name in self._held(block)]
+            for file in files:
+                if file.is_dir():
+                    raise ConfigError(str(file), "is damaged: a folder stands in the place of a chunk; take it away")
+            pieces = self._pieces(block)
+            if pieces and self._altered(block, pieces, self.arrays):
+                pieces = []
+            rest = rest_of(block, pieces)
+            blocks += [rest] * (lanes_in(rest) > 0)
+            useless += files if not pieces else []
+        return blocks, useless
+
+    def read(self, dataset: xr.Dataset) -> None:
+        """Fill a dataset with what stands here.
+
+        Raises:
+            ConfigError: a variable does not read.
+        """
+        for name, array in self.arrays.items():
+            try:
+                dataset[name].values[...] = array[...]
+            except Exception as error:  # zarr and its codecs raise errors of many kinds
+                raise ConfigError(str(self.folder / DATA / name), f"is damaged: {one_line(error)}; {MEND}") from error
+
+    def require_all(self) -> None:
+        """Require every block's digests.
+
+        Raises:
+            ConfigError: some are absent: the run did not finish.
+        """
+        blocks = self.layout.blocks()
+        missing = sum(lanes_in(rest_of(block, self._pieces(block))) for block in blocks)
+        if missing:
+            raise incomplete(self.folder, missing, sum(map(lanes_in, blocks)))
+
+    def require_written(self, dataset: xr.Dataset, seal: str | None) -> None:
+        """Require that a dataset holds what was written.
+
+        Args:
+            dataset: What was read.
+            seal: The digest over all blocks; None of a run that has not finished.
+
+        Raises:
+            ConfigError: it does not.
+        """
+        values = {name: dataset[name].values for name in self.arrays}
+        for block in self.layout.blocks():
+            altered = self._altered(block, self._pieces(block), values)
+            if altered:
+                where, at = str(self.folder / DATA / altered), self.layout.index(block)
+                raise ConfigError(where, f"is damaged: block {at} does not hold what was written; {MEND}")
+        if seal is not None and seal != over_all(self.folder, self.layout):
+            raise ConfigError(str(self.folder / DIGESTS), f"is damaged: these are not the run's digests; {MEND}")
+
+    def _pieces(self, block: Block) -> list[Piece]:
+        """A block's digests, which reach without a gap from its first draw on; none where they do not."""
+        pieces = pieces_of(self.folder, self.layout.index(block))
+        ends = [block[-1].start, *(piece.draws[1] for piece in pieces)]
+        sound = [piece.draws[0] for piece in pieces] == ends[:-1] and ends == sorted({*ends})
+        return pieces if sound and ends[-1] <= block[-1].stop else []
+
+    def _altered(self, block: Block, pieces: list[Piece], values: Mapping[str, Any]) -> str:
+        """The first variable that does not hold what was written; empty where all do.
+
+        Args:
+            block: The block.
+            pieces: Its digests.
+            values: Each variable, by whatever takes the block as an index.
+        """
+        for piece in pieces:
+            part = (*block[:-1], slice(*piece.draws))
+            for name in self._held(block):
+                try:
+                    found = sum_of(np.asarray(values[name][self._part(name, part)]))
+                except Exception:  # zarr and its codecs raise errors of many kinds
+                    return name
+                if found != piece.sums.get(name):
+                    return name
+        return ""
+
+    def _held(self, block: Block) -> list[str]:
+        """The variables of a block; drawn numbers, which have no other dimension, stand in the first of their draws."""
+        first = all(part.start == 0 for part in block[:-1])
+        return [name for name in self.arrays if first or name not in self.drawn]
+
+    def _part(self, name: str, block: Block) -> Block:
+        return block[-1:] if name in self.drawn else block
+
+    def _file(self, name: str, block: Block) -> Path:
+        index = self.layout.index(block)
+        return self.folder / DATA / name / "c" / Path(*map(str, index[-1:] if name in self.drawn else index))
+
+
+def rest_of(block: Block, pieces: list[Piece]) -> Block:
+    """The part of a block that its digests do not reach."""
+    return (*block[:-1], slice(pieces[-1].draws[1] if pieces else block[-1].start, block[-1].stop))
+
+
+def incomplete(folder: Path, missing: int, total: int) -> ConfigError:
+    """The error of a run that did not finish."""
+    return ConfigError(str(folder), f"is not complete: {missing} of {total} lanes are missing; finish with --resume")

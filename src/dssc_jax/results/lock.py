@@ -1,0 +1,51 @@
+"""One writer a results folder: a lock of the operating system, which dies with its process and cannot go stale."""
+
+import json
+import os
+import platform
+from datetime import UTC, datetime
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+from dssc_jax.core.errors import ConfigError
+
+LOCK, HOLDER = ".lock", ".writer.json"
+
+
+def take(folder: Path) -> FileLock:
+    """Take a folder's lock, until ``release`` or the end of the process, however it ends.
+
+    Args:
+        folder: An existing folder.
+
+    Raises:
+        ConfigError: somebody else holds it, and who that is.
+    """
+    lock = FileLock(folder / LOCK)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise ConfigError(
+            str(folder), f"is being written by {holder(folder)}; wait for it, or choose another --out"
+        ) from None
+    about = {
+        "process": os.getpid(),
+        "host": platform.node(),
+        "since": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+    try:
+        (folder / HOLDER).write_text(json.dumps(about) + "\n", encoding="utf-8")
+    except OSError:
+        lock.release()
+        raise
+    return lock
+
+
+def holder(folder: Path) -> str:
+    """Who took the lock last, in words."""
+    try:
+        about = json.loads((folder / HOLDER).read_text(encoding="utf-8"))
+        return f"process {about['process']} on {about['host']} since {about['since']}"
+    except (OSError, ValueError, KeyError, TypeError):
+        return "another process"

@@ -1,0 +1,265 @@
+"""What manifest.json says of a run: read with care, compared with the run that wants to go on from it."""
+
+import json
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.design.certification import mark
+from dssc_jax.engine.batching import Layout
+from dssc_jax.study import Described, Study, hash_of
+from dssc_jax.study.code import recorded
+from dssc_jax.study.described import describe
+from dssc_jax.study.laws import is_number
+from dssc_jax.study.tables import require_shallow
+
+SCHEMA, WITHOUT_DIGESTS = 2, 1
+SEAL = "digest"
+DATA, MANIFEST, SUMMARY, PARTIAL = "data.zarr", "manifest.json", "summary.json", ".partial"
+ANALYSES = ("margin", "compare")
+TABLES = ("study", "layout", "versions", "device", "times")
+TIMES = ("seconds", "compile_seconds", "rate")
+"""What every finished run tells of its time."""
+
+STOPPED = ("rule", "most", "verdict", "look", "looks")
+CLUSTER = ("workers", "lost")
+COMPUTING = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy")
+"""Packages whose version may change a result in its last digits."""
+
+EXTENSIBLE = ("random", "sobol")
+"""Kinds of sampling whose draw i does not depend on the number of draws."""
+
+
+def write_json(path: Path, content: Any, durable: bool = True) -> None:
+    """Replace a JSON file as :func:`write_text` does."""
+    write_text(path, [json.dumps(content, indent=2), "\n"], durable)
+
+
+def write_text(path: Path, parts: Iterable[str], durable: bool = True) -> None:
+    """Replace a file in one move, so that no reader sees half of it.
+
+    Args:
+        path: The file. Several processes may write it at once; the last one wins.
+        parts: What it shall hold.
+        durable: Have the disk keep it before it is moved, so that not even a power cut leaves half of it.
+    """
+    partial = path.with_name(f"{path.name}.{uuid4().hex}{PARTIAL}")
+    try:
+        with partial.open("w", encoding="utf-8") as file:
+            file.writelines(parts)
+            if durable:
+                file.flush()
+                os.fsync(file.fileno())
+        os.replace(partial, path)
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
+
+
+def write_sealed(path: Path, content: dict[str, Any]) -> None:
+    """Write a JSON file with the digest of all that it holds."""
+    write_json(path, content | {SEAL: hash_of(content)})
+
+
+def unsealed(path: Path, content: dict[str, Any]) -> dict[str, Any]:
+    """What :func:`write_sealed` was given.
+
+    Args:
+        path: The file, for messages.
+        content: What it holds now.
+
+    Raises:
+        ConfigError: it is something else.
+    """
+    found = dict(content)
+    if found.pop(SEAL, None) != hash_of(found):
+        raise ConfigError(str(path), "is damaged: its content is not the one that its digest was taken of")
+    return found
+
+
+def write_manifest(folder: Path, manifest: dict[str, Any]) -> None:
+    """Write manifest.json."""
+    write_sealed(folder / MANIFEST, manifest)
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """The manifest of a results folder.
+
+    Raises:
+        ConfigError: there is none, it is damaged, or it is of another schema version.
+    """
+    path = folder / MANIFEST
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        others = [kind for kind in ANALYSES if (folder / f"{kind}.json").exists()]
+        told = f"; it holds what `{others[0]}` wrote, which dj.load reads" if others else ""
+        raise ConfigError(
+            str(folder), f"is not a results folder: {MANIFEST} cannot be read ({error.strerror}){told}"
+        ) from error
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(str(path), f"is damaged, not valid JSON: {error}") from error
+    if not isinstance(manifest, dict) or "schema" not in manifest:
+        raise ConfigError(str(path), "is damaged: it has no schema version")
+    if manifest["schema"] not in (SCHEMA, WITHOUT_DIGESTS):
+        raise ConfigError(
+            str(path),
+            f"has schema version {manifest['schema']!r}, this program reads {WITHOUT_DIGESTS} and {SCHEMA}; "
+            "use the dssc_jax that wrote it, or run its study again into another --out",
+        )
+    if manifest["schema"] == SCHEMA or SEAL in manifest:
+        manifest = unsealed(path, manifest)
+    for name in TABLES:
+        if not isinstance(manifest.get(name), dict):
+            raise ConfigError(str(path), f"is damaged: {name} is not a table")
+    require_sound(path, manifest)
+    try:
+        require_shallow(manifest["study"])
+    except ConfigError as error:
+        raise error.within(str(path)) from None
+    if manifest.get("hash") != hash_of(manifest["study"]):
+        raise ConfigError(str(path), "is damaged: the study is not the one that its hash was taken of")
+    return manifest
+
+
+def require_sound(path: Path, manifest: dict[str, Any]) -> None:
+    """Require what a summary takes from a manifest beside its study: numbers where it computes, tables where it reads.
+
+    Raises:
+        ConfigError: the field, and what it must be.
+    """
+    for name, value in manifest["times"].items():
+        if not is_number(value):
+            raise ConfigError(str(path), f"is damaged: times.{name} must be a number, got {value!r}")
+    require_fields(path, "times", manifest["times"], TIMES if manifest.get("complete") else ())
+    for name, fields in (("stopping", STOPPED), ("cluster", CLUSTER)):
+        if manifest.get(name) is not None:
+            require_fields(path, name, manifest[name], fields)
+    code = manifest.get("code", {})
+    if not isinstance(code, dict) or not all(isinstance(about, dict) for about in code.values()):
+        raise ConfigError(str(path), f"is damaged: code must be a table of tables, got {code!r}")
+    look = (manifest.get("stopping") or {}).get("look", 1)
+    if not isinstance(look, int) or look < 1:
+        raise ConfigError(str(path), f"is damaged: stopping.look must be a whole number >= 1, got {look!r}")
+
+
+def require_fields(path: Path, name: str, table: Any, fields: tuple[str, ...]) -> None:
+    """Require a table with these fields.
+
+    Raises:
+        ConfigError: it is none, or lacks one.
+    """
+    if not isinstance(table, dict) or not table.keys() >= set(fields):
+        raise ConfigError(str(path), f"is damaged: {name} must be a table with {', '.join(fields)}, got {table!r}")
+
+
+def stored_layout(folder: Path, study: Study, manifest: dict[str, Any], draws: int | None = None) -> Layout:
+    """The study's grid in the blocks that a manifest tells.
+
+    Args:
+        folder: The results folder, for messages.
+        study: The study.
+        manifest: The manifest.
+        draws: How many draws the manifest's own study has; None: as many as the study.
+
+    Raises:
+        ConfigError: the manifest's layout is not that of its study.
+    """
+    whole = Layout.of(study).shape
+    told = [*whole[:-1], whole[-1] if draws is None else draws]
+    shape, block = (manifest["layout"].get(name) for name in ("shape", "block"))
+    sizes = [value for part in (shape, block) if isinstance(part, list) for value in part]
+    counts = all(isinstance(value, int) and not isinstance(value, bool) and value > 0 for value in sizes)
+    if not counts or shape != told or not isinstance(block, list) or len(block) != len(told):
+        raise ConfigError(str(folder / MANIFEST), f"is damaged: the layout {manifest['layout']} does not fit the study")
+    return Layout(whole, tuple(block))
+
+
+def differences(old: Any, new: Any, path: str = "") -> list[str]:
+    """Where two tables differ, a line each."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        found = []
+        for name in sorted(old.keys() | new.keys()):
+            found += differences(old.get(name), new.get(name), f"{path}.{name}" if path else name)
+        return found
+    return [] if old == new else [f"{path}: {old!r} there, {new!r} here"]
+
+
+def listed(found: list[str], most: int = 3) -> str:
+    """The first differences in one line."""
+    return "; ".join(found[:most]) + (f"; and {len(found) - most} more" if len(found) > most else "")
+
+
+def require_same_study(folder: Path, manifest: dict[str, Any], study: Study, resume: bool) -> bool:
+    """Require that a folder's study is this one; a resumed run may ask for more draws.
+
+    Returns:
+        Whether it does.
+
+    Raises:
+        ConfigError: another study, with the differences; or draws that cannot be added.
+    """
+    old, new = manifest["study"], study.table
+    if resume and manifest.get("stopping"):
+        raise ConfigError(str(folder), "ended where its draws decided; that cannot be resumed, start over")
+    if manifest["hash"] == study.hash:
+        return False
+    found = differences(old, new)
+    draws, wanted = old.get("draws", 1), study.config.draws
+    if [line.partition(":")[0] for line in found] == ["draws"] and isinstance(draws, int) and wanted > draws:
+        if study.config.sampling not in EXTENSIBLE:
+            raise ConfigError(
+                str(folder),
+                f"holds {draws} draws of '{study.config.sampling}' sampling, which depend on their number: "
+                f"{wanted} of them are another set; choose another --out, nothing was written",
+            )
+        if resume:
+            return True
+        raise ConfigError(
+            str(folder),
+            f"holds {draws} draws of this study; add {wanted - draws} with --resume, or choose another --out, "
+            "nothing was written",
+        )
+    raise ConfigError(
+        str(folder), f"holds results of another study ({listed(found)}); choose another --out, nothing was written"
+    )
+
+
+def about_code(study: Study) -> dict[str, Any]:
+    """What a folder says of the code that its study names: files, digests, and what its reader needs to know of it."""
+    if isinstance(study, Described):
+        return {"code": study.code, "described": study.description.model_dump(mode="json")}
+    code = recorded(study.table)
+    return {"code": code, "described": describe(study, *mark(study))} if code else {}
+
+
+def machinery_differences(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
+    """Where two manifests differ in what decides a result's last digits: versions, device, compiler, one's own code."""
+    there, here = (
+        {
+            "versions": {name: manifest.get("versions", {}).get(name) for name in COMPUTING},
+            "device": manifest.get("device", {}).get("kind"),
+            "compiler": manifest.get("compiler"),
+            "code": {name: about.get("sha256") for name, about in manifest.get("code", {}).items()},
+        }
+        for manifest in (old, new)
+    )
+    return differences(there, here)
+
+
+def require_same_machinery(folder: Path, old: dict[str, Any], new: dict[str, Any]) -> None:
+    """Require that what computes the rest of a run is what computed its beginning.
+
+    Raises:
+        ConfigError: another version, device or compiler setting, which may round differently.
+    """
+    found = machinery_differences(old, new)
+    if found:
+        raise ConfigError(
+            str(folder),
+            f"was begun otherwise ({listed(found)}), and its rest would not be bit-identical; go on as it was begun, "
+            "or start over without --resume, nothing was written",
+        )

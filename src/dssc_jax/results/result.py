@@ -1,0 +1,187 @@
+"""The result of a study: every draw's metrics and outcome, and what they say together."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from dssc_jax.closed_loop.metrics import Measure
+from dssc_jax.core.errors import ConfigError, meant
+from dssc_jax.core.signals import Outcome
+from dssc_jax.design import certification
+from dssc_jax.engine.batching import Layout
+from dssc_jax.results import store
+from dssc_jax.results.schema import variables
+from dssc_jax.results.summary import lines, points
+from dssc_jax.statistics import CONFIDENCE, DataDriven, FixedCount, Method, Replicated
+from dssc_jax.study import Study
+
+ERRORS = ("error_rms", "position_error_rms")  # of a plant of one channel, and of a vehicle
+GIVEN = "with a rho that keeps sliding"
+"""What a certificate presumes beside the loop that it names."""
+
+DESIGNS = {"sobol": "scrambled Sobol", "lhs": "Latin hypercube"}
+
+
+@dataclass
+class Result:
+    """A finished study.
+
+    Args:
+        study: The study as run.
+        dataset: One variable a metric, slack and drawn number, ``outcome`` and ``failed_at``; dimensions are the
+            swept parameters and ``draw``.
+        manifest: Study, versions, device, counts and times.
+        path: The results folder, once there is one.
+        silence: Why the dataset has no coordinate ``certified``, which tells for each point of the sweep whether
+            Theorem 1 holds for the loop without unmodelled dynamics, sensors and sampling, and with a rho that keeps
+            sliding; empty where it has one.
+    """
+
+    study: Study
+    dataset: xr.Dataset
+    manifest: dict[str, Any] = field(default_factory=dict)
+    path: Path | None = None
+    silence: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        certified, self.silence = certification.mark(self.study)
+        if certified is not None and "certified" not in self.dataset:
+            about = {"long_name": "certified by Theorem 1"}
+            self.dataset = self.dataset.assign_coords(certified=(tuple(self.study.axes), certified, about))
+
+    @property
+    def certificate(self) -> str:
+        """What Theorem 1 says of the loop, in a line."""
+        if "certified" not in self.dataset:
+            return f"not certified: {self.silence}"
+        certified = self.dataset["certified"].values
+        if not certified.ndim:
+            return f"certified by Theorem 1, {GIVEN}" if certified else "not certified by Theorem 1"
+        return f"Theorem 1 certifies {np.count_nonzero(certified)} of {certified.size} points, {GIVEN}"
+
+    @property
+    def failed(self) -> xr.DataArray:
+        """Whether each draw failed, in any way; a non-finite draw is a failure."""
+        return self.dataset["outcome"] != Outcome.OK
+
+    def at(self, index: Mapping[str, int]) -> "Result":
+        """The result at given indices of swept parameters; the others stay axes of the dataset."""
+        return Result(self.study, self.dataset.isel(index), self.manifest)
+
+    @property
+    def method(self) -> Method:
+        """How intervals follow from these draws: by their design, and by what ended them."""
+        config, stopping = self.study.config, self.manifest.get("stopping")
+        if stopping:
+            return DataDriven(stopping["look"])
+        return FixedCount() if config.sampling == "random" else Replicated(config.replicates, DESIGNS[config.sampling])
+
+    def summary(self, confidence: float = CONFIDENCE) -> dict[str, Any]:
+        """Failures, probability and interval of every sweep point, of each requirement too; quantiles of the metrics.
+
+        ``failures`` of a point counts the draws that fail in any way, that of a requirement all draws that violate it.
+        A draw that ended early violates every requirement; ``ended_early`` tells how many did, while ``alone`` and
+        ``overlaps`` count the others. It has no metric and counts as infinite there. Intervals of quantiles are order
+        statistics, hence for independent draws only.
+
+        Args:
+            confidence: Of each interval by itself.
+        """
+        return self._said(list(self.points(confidence)), confidence)
+
+    def points(self, confidence: float = CONFIDENCE) -> Iterator[dict[str, Any]]:
+        """The points of :meth:`summary`, one after another: of a large sweep, few are in memory at once."""
+        return points(self.study, self.dataset, self.method, confidence)
+
+    def lines(self) -> Iterator[str]:
+        """:meth:`summary` as JSON, line by line, as it stands in ``summary.json``."""
+        return lines(self._said(self.points(), CONFIDENCE))
+
+    def _said(self, points: Iterable[dict[str, Any]], confidence: float) -> dict[str, Any]:
+        times = self.manifest.get("times", {})
+        return {
+            "study": self.study.name,
+            "draws": self.study.config.draws,
+            "confidence": confidence,
+            "certificate": self.certificate,
+            "interval_method": self.method.name,
+            "stopping": self.manifest.get("stopping"),
+            "requirements": [requirement.text for requirement in self.study.requirements],
+            "points": points,
+            "rate": times.get("rate"),
+            "compile_seconds": times.get("compile_seconds"),
+            "seconds": times.get("seconds"),
+            "result": str(self.path) if self.path else None,
+        }
+
+    def save(self, folder: str | Path) -> Path:
+        """Write the results folder.
+
+        Args:
+            folder: Made when absent; one that holds the same study is written anew.
+
+        Raises:
+            ConfigError: the folder holds something else.
+        """
+        path = Path(folder)
+        layout = Layout.of(self.study)
+        with store.Store(path, self.study, self.manifest | {"layout": layout.to_dict(), "complete": False}) as target:
+            for block in layout.blocks():
+                drawn = {name: self.dataset[name].values[block[-1]] for name in self.study.laws}
+                grid = {name: self.dataset[name].values[block] for name in variables(self.study) if name not in drawn}
+                target.chunks.write(block, grid, drawn)
+            target.complete({})
+            self.path = path
+            target.summarise(self.lines())
+        return path
+
+
+def load(folder: str | Path, trust_code: bool = False) -> Result:
+    """Read a results folder.
+
+    Args:
+        folder: What ``run`` or ``sweep`` wrote, or :meth:`Result.save`.
+        trust_code: Import the models that its study names as ``module:object``; everything but simulating a draw
+            again does without.
+
+    Raises:
+        ConfigError: it is no results folder, it is damaged, or its run did not finish.
+    """
+    return Result(*store.read(Path(folder), trust_code), Path(folder))
+
+
+def headline(result: Result) -> Measure:
+    """The metric that a result's study is about."""
+    return headline_measure(result.study)
+
+
+def headline_measure(study: Study) -> Measure:
+    """The metric that a study is about: the one it names, else that of its first requirement, else the error.
+
+    A study that measures no error is about the first metric that it has.
+    """
+    wanted = study.config.plot.metric
+    by_name = {measure.name: measure for measure in study.measures}
+    if wanted:
+        return by_name[wanted]
+    if study.requirements:
+        return study.requirements[0].measure
+    return next((by_name[name] for name in ERRORS if name in by_name), study.measures[0])
+
+
+def measured(result: Result, metric: str | None) -> Measure:
+    """The measure of that name; None: the headline.
+
+    Raises:
+        ConfigError: the result has no such metric.
+    """
+    if metric is None:
+        return headline(result)
+    by_name = {measure.name: measure for measure in result.study.measures}
+    if metric not in by_name:
+        raise ConfigError("metric", f"'{metric}' is none of the result's; {meant(metric, by_name)}")
+    return by_name[metric]

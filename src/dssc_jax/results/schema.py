@@ -1,0 +1,131 @@
+"""The shape of a result: its variables with dimensions, types, units and meanings, following CF conventions."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from dssc_jax.closed_loop.requirements import violated
+from dssc_jax.core.signals import Outcome
+from dssc_jax.study import Study
+
+ENDINGS = {
+    Outcome.OK: "meets all that is required",
+    Outcome.NON_FINITE: "does not stay finite",
+    Outcome.SINGULAR_ATTITUDE: "reaches a singular attitude",
+}
+"""How a draw ends that violates no requirement, or did not come to its end."""
+OUTCOME = "how the draw ended; of violated requirements the first in the study's order"
+NOT_COMPUTED = -1  # outcome of a lane whose block is not done
+
+
+def outcome_codes(study: Study) -> dict[int, str]:
+    """Every outcome code that the study's draws can have, with its meaning.
+
+    A code names only the first violated requirement, in the study's order; the slacks tell of each.
+    """
+    requirements = {Outcome.REQUIREMENT + i: f"first_violated_{r.label}" for i, r in enumerate(study.requirements)}
+    broken = {int(Outcome.SINGULAR_ATTITUDE): "singular_attitude"} if len(study.loop.channels) > 1 else {}
+    return {
+        int(Outcome.OK): "ok",
+        int(Outcome.NON_FINITE): "non_finite",
+        **broken,
+        **{int(k): v for k, v in requirements.items()},
+    }
+
+
+def verdict(study: Study, outcome: int, slacks: Mapping[str, Any]) -> str:
+    """How a draw ended, in words: every requirement that it violates, where it ran to its end."""
+    if outcome < Outcome.REQUIREMENT:
+        return ENDINGS[Outcome(outcome)]
+    broken = (requirement.text for requirement in study.requirements if violated(slacks[requirement.name]))
+    return f"violates {' and '.join(broken)}"
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One variable of a result: its dimensions, type and attributes."""
+
+    dims: tuple[str, ...]
+    dtype: str
+    attributes: Mapping[str, Any]
+
+
+def variables(study: Study) -> dict[str, Variable]:
+    """Every variable of the study's dataset. ``outcome`` stands last: its presence marks a block as complete."""
+    grid = (*study.axes, "draw")
+    real = f"float{study.config.loop.precision}"
+    described = {}
+    for name, law in study.laws.items():
+        quantity = study.quantities[name]
+        about = {"units": quantity.unit, "long_name": quantity.meaning, "law": str(law)}
+        described[name] = Variable(("draw",), "float64", about)
+    for measure in study.measures:
+        window = f", t >= {measure.window.after:g} s" if measure.window.after > 0 else ""
+        about = {"units": measure.unit, "long_name": measure.metric.meaning + window}
+        described[measure.name] = Variable(grid, real, about)
+    for requirement in study.requirements:
+        about = {"units": requirement.measure.unit, "long_name": f"signed slack of {requirement.text}"}
+        described[requirement.name] = Variable(grid, real, about)
+    about = {"units": "s", "long_name": "time of the first non-finite step (NaN: none)"}
+    described["failed_at"] = Variable(grid, real, about)
+    if study.loop.settled:
+        about = {
+            "units": "s",
+            "long_name": "time from which on it had settled, and was not simulated (NaN: none)",
+        }
+        described["settled_at"] = Variable(grid, real, about)
+    codes = outcome_codes(study)
+    about = {"long_name": OUTCOME, "flag_values": list(codes), "flag_meanings": " ".join(codes.values())}
+    described["outcome"] = Variable(grid, "int32", about)
+    return described
+
+
+def coordinates(study: Study) -> dict[str, Variable]:
+    """The dataset's coordinates, one an axis, and the draw's index."""
+    described = {}
+    for name in study.axes:
+        quantity = study.quantities[name]
+        described[name] = Variable((name,), "float64", {"units": quantity.unit, "long_name": quantity.meaning})
+    described["draw"] = Variable(("draw",), "int64", {"long_name": "draw index"})
+    return described
+
+
+def coordinate_values(study: Study) -> dict[str, np.ndarray]:
+    """Values of :func:`coordinates`."""
+    return {**{k: np.asarray(v) for k, v in study.axes.items()}, "draw": np.arange(study.config.draws)}
+
+
+def dataset_attributes(study: Study) -> dict[str, str]:
+    """The dataset's own attributes, after the CF conventions."""
+    described = {"comment": study.config.description} if study.config.description else {}
+    return {"Conventions": "CF-1.11", "title": study.name, "source": "dssc_jax", **described}
+
+
+def in_memory(study: Study) -> xr.Dataset:
+    """A dataset of the study's shape, not computed yet."""
+    coords = coordinate_values(study)
+    sizes = {name: len(values) for name, values in coords.items()}
+    blank = {}
+    for name, variable in variables(study).items():
+        shape = [sizes[dim] for dim in variable.dims]
+        fill = np.nan if variable.dtype.startswith("float") else NOT_COMPUTED
+        blank[name] = (variable.dims, np.full(shape, fill, variable.dtype), dict(variable.attributes))
+    about = coordinates(study)
+    return xr.Dataset(
+        blank,
+        coords={name: ((name,), values, dict(about[name].attributes)) for name, values in coords.items()},
+        attrs=dataset_attributes(study),
+    )
+
+
+def put(
+    dataset: xr.Dataset, box: tuple[slice, ...], results: Mapping[str, np.ndarray], drawn: Mapping[str, np.ndarray]
+) -> None:
+    """Put a block of the grid, and the drawn values of its range of draws, into a dataset of :func:`in_memory`."""
+    for name, array in results.items():
+        dataset[name].values[box] = array
+    for name, column in drawn.items():
+        dataset[name].values[box[-1]] = column

@@ -1,0 +1,196 @@
+"""A results folder: a Zarr store of all draws, manifest.json and summary.json; filled by one run, read by anybody."""
+
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.engine.batching import Layout
+from dssc_jax.results import lock
+from dssc_jax.results.arrays import laid_out, lay_out, require_coordinates, reshape
+from dssc_jax.results.blocks import Chunks, told
+from dssc_jax.results.digests import DIGESTS, over_all
+from dssc_jax.results.first_schema import read_first_schema
+from dssc_jax.results.manifest import (
+    DATA,
+    MANIFEST,
+    PARTIAL,
+    SCHEMA,
+    SUMMARY,
+    WITHOUT_DIGESTS,
+    read_manifest,
+    require_same_machinery,
+    require_same_study,
+    stored_layout,
+    write_manifest,
+    write_text,
+)
+from dssc_jax.results.schema import in_memory
+from dssc_jax.study import Study, received
+
+OWN = (lock.LOCK, lock.HOLDER)
+"""What a run that was killed at its very beginning leaves behind, beside the beginning of a manifest."""
+
+
+class Store:
+    """A results folder being filled by one run, which holds its lock.
+
+    Args:
+        folder: Where; made when absent.
+        study: The study as run.
+        manifest: What manifest.json says until the run is complete, the layout included.
+        resume: Keep what an earlier run of the same study finished; the study may ask for more draws.
+
+    Raises:
+        ConfigError: the folder holds another study's results, or something that is no result, or somebody is
+            writing it, or it cannot be written.
+    """
+
+    def __init__(self, folder: Path, study: Study, manifest: dict[str, Any], resume: bool = False) -> None:
+        self.folder, self.study = folder, study
+        if self._occupied():
+            require_same_study(folder, read_manifest(folder), study, resume)  # before anything is touched
+        with told(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            self._lock = lock.take(folder)
+        try:
+            old = read_manifest(folder) if self._occupied() else None
+            more = old is not None and require_same_study(folder, old, study, resume)
+            with told(folder):
+                if old is None or not resume or not self._go_on(old, manifest, more):
+                    self._begin(manifest)
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> "Store":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Release the lock."""
+        self._lock.release()
+
+    @property
+    def finished(self) -> bool:
+        """Whether there is nothing left to do, and the manifest says so."""
+        return bool(self.manifest.get("complete")) and not self.pending
+
+    @property
+    def layout(self) -> Layout:
+        """The blocks; a resumed run keeps those it began with."""
+        return self.chunks.layout
+
+    def _occupied(self) -> bool:
+        if self.folder.exists() and not self.folder.is_dir():
+            raise ConfigError(str(self.folder), "is a file, not a results folder; nothing was written")
+        return self.folder.exists() and any(
+            file.name not in OWN and file.suffix != PARTIAL for file in self.folder.iterdir()
+        )
+
+    def _begin(self, manifest: dict[str, Any]) -> None:
+        for name in (DATA, DIGESTS):
+            shutil.rmtree(self.folder / name, ignore_errors=True)
+        (self.folder / SUMMARY).unlink(missing_ok=True)
+        self._clear()
+        manifest = {name: value for name, value in manifest.items() if name != DIGESTS} | {"schema": SCHEMA}
+        write_manifest(self.folder, manifest)  # before the data, so that an interrupted run is known as one
+        layout = Layout.from_dict(manifest["layout"])
+        lay_out(self.folder, self.study, layout)
+        self.manifest, self.pending = manifest, layout.blocks()
+        self.chunks = Chunks(self.folder, self.study, layout, "r+")
+
+    def _go_on(self, old: dict[str, Any], new: dict[str, Any], more: bool) -> bool:
+        """Take up what is there; False where the run before did not come as far as laying out its store."""
+        if old["schema"] == WITHOUT_DIGESTS:
+            rule = (
+                "was written without digests, by an earlier version: it can be read, and started over without --resume"
+            )
+            raise ConfigError(str(self.folder), rule)
+        draws = old["study"].get("draws", 1)
+        layout = stored_layout(self.folder, self.study, old, draws)
+        if not laid_out(self.folder, self.study, layout):
+            return False
+        if more:
+            require_same_machinery(self.folder, old, new)
+            self._require_sealed(old, Layout((*layout.shape[:-1], draws), layout.block))
+        self._clear()
+        self.manifest = old
+        if more:
+            self.manifest = new | {"layout": layout.to_dict()}
+            write_manifest(self.folder, self.manifest)  # before the arrays grow, for the same reason
+            (self.folder / SUMMARY).unlink(missing_ok=True)
+        reshape(self.folder, self.study, layout)
+        self.chunks = Chunks(self.folder, self.study, layout, "r+")
+        self.pending, useless = self.chunks.pending()
+        if self.pending:
+            require_same_machinery(self.folder, old, new)
+        else:
+            self._require_sealed(old, layout)
+        for file in useless:
+            file.unlink(missing_ok=True)
+        return True
+
+    def _require_sealed(self, manifest: dict[str, Any], layout: Layout) -> None:
+        """Require that a run which has finished still has the digests that it ended with."""
+        if manifest.get(DIGESTS, over_all(self.folder, layout)) != over_all(self.folder, layout):
+            raise ConfigError(str(self.folder / DIGESTS), "is damaged: these are not the run's digests; start over")
+
+    def _clear(self) -> None:
+        """Take away what writers that were killed left half written."""
+        for partial in self.folder.rglob(f"*{PARTIAL}"):
+            partial.unlink(missing_ok=True)
+
+    def complete(self, about: dict[str, Any]) -> None:
+        """Record that every block is there, and what the manifest says further of the finished run."""
+        self._require_sealed(self.manifest, self.layout)  # what was mended is what had been there
+        self.manifest = self.manifest | about | {DIGESTS: over_all(self.folder, self.layout), "complete": True}
+        with told(self.folder):
+            write_manifest(self.folder, self.manifest)
+
+    def read(self) -> tuple[xr.Dataset, dict[str, Any]]:
+        """Dataset and manifest, once the run is complete.
+
+        Raises:
+            ConfigError: what is on the disk is not what was written.
+        """
+        return read_dataset(self.folder, self.study, self.manifest), self.manifest
+
+    def summarise(self, lines: Iterable[str]) -> None:
+        """Write summary.json."""
+        with told(self.folder):
+            write_text(self.folder / SUMMARY, lines)
+
+
+def read(folder: Path, trust_code: bool = False) -> tuple[Study, xr.Dataset, dict[str, Any]]:
+    """Study, dataset and manifest of a results folder.
+
+    Raises:
+        ConfigError: it is no results folder, it is damaged, or its run did not finish.
+    """
+    manifest = read_manifest(folder)
+    study = received(manifest, str(folder / MANIFEST), trust_code)
+    return study, read_dataset(folder, study, manifest), manifest
+
+
+def read_dataset(folder: Path, study: Study, manifest: dict[str, Any]) -> xr.Dataset:
+    """The dataset of a results folder, whose study and manifest are known.
+
+    Raises:
+        ConfigError: it is damaged, or its run did not finish.
+    """
+    layout = stored_layout(folder, study, manifest)
+    if manifest["schema"] == WITHOUT_DIGESTS:
+        return read_first_schema(folder, study, layout)
+    chunks = Chunks(folder, study, layout, growing=not manifest.get("complete"))
+    chunks.require_all()
+    dataset = in_memory(study)
+    chunks.read(dataset)
+    chunks.require_written(dataset, manifest.get(DIGESTS))
+    require_coordinates(folder, study)
+    return dataset

@@ -1,0 +1,182 @@
+"""What the draws say of every point of a sweep: failures, each requirement by itself, quantiles of the metrics."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from dssc_jax.closed_loop.requirements import ended_early, violated
+from dssc_jax.core.signals import Outcome
+from dssc_jax.results.schema import outcome_codes
+from dssc_jax.statistics import Method, Replicated
+from dssc_jax.statistics.order import at_rank, quantile_ranks, ranked, upper_quantiles
+from dssc_jax.study import Study
+
+QUANTILES = (0.05, 0.5, 0.95)
+BATCH_LANES, BATCH_POINTS = 2**20, 4096  # of which a summary is made at once
+Row = dict[str, Any]
+
+
+class Statements(NamedTuple):
+    """How statements about probability laws are made.
+
+    Args:
+        method: The interval that fits the draws.
+        confidence: At which each statement holds by itself.
+    """
+
+    method: Method
+    confidence: float
+
+    def shares(self, happened: np.ndarray) -> dict[str, list[Any]]:
+        """Columns of how often something happened, from draws of shape (points, draws)."""
+        failures = np.count_nonzero(happened, axis=-1)
+        return {
+            "failures": failures.tolist(),
+            "probability": (failures / happened.shape[-1]).tolist(),
+            "interval": self.method.interval(happened, self.confidence).tolist(),
+        }
+
+    def quantiles(self, values: np.ndarray) -> dict[str, list[Any]]:
+        """Columns of quantiles and their intervals, None where infinite, from draws of shape (points, draws)."""
+        ordered, found = ranked(values), {}
+        for level, column in zip(QUANTILES, upper_quantiles(ordered, QUANTILES), strict=True):
+            found[f"q{100 * level:g}"] = column
+            if not isinstance(self.method, Replicated):
+                ranks = quantile_ranks(ordered.shape[-1], level, self.method.level(self.confidence))
+                found[f"q{100 * level:g}_interval"] = np.stack([at_rank(ordered, rank) for rank in ranks], axis=-1)
+        return {name: nullable(column) for name, column in found.items()}
+
+
+def points(study: Study, dataset: xr.Dataset, method: Method, confidence: float) -> Iterator[Row]:
+    """Every point of a study's sweep in plain numbers, the last axis running fastest; of a run the only one.
+
+    They are made a batch at a time: cost goes by lanes, however many points share them, and few points are in memory.
+
+    Args:
+        study: The study.
+        dataset: Its draws, as :class:`dssc_jax.results.result.Result` has them.
+        method: How intervals follow from the draws.
+        confidence: Of each interval by itself.
+    """
+    say, draws = Statements(method, confidence), dataset.sizes["draw"]
+    names = ["outcome", *(r.name for r in study.requirements), *(measure.name for measure in study.measures)]
+    lanes = {name: dataset[name].transpose(*study.axes, "draw").values.reshape(-1, draws) for name in names}
+    count = len(lanes["outcome"])
+    grid = np.meshgrid(*study.axes.values(), indexing="ij")
+    at = {name: values.ravel() for name, values in zip(study.axes, grid, strict=True)}
+    marked = "certified" in dataset
+    certified = dataset["certified"].transpose(*study.axes).values.ravel() if marked else np.full(count, None)
+    size = min(max(BATCH_LANES // draws, 1), BATCH_POINTS)
+    for first in range(0, count, size):
+        here = slice(first, first + size)
+        own = {name: values[here].tolist() for name, values in at.items()}
+        yield from some_points(study, {name: a[here] for name, a in lanes.items()}, own, certified[here].tolist(), say)
+
+
+def some_points(
+    study: Study, lanes: Mapping[str, np.ndarray], at: dict[str, list[float]], certified: list[Any], say: Statements
+) -> list[Row]:
+    """A batch of points.
+
+    Args:
+        study: The study.
+        lanes: Outcome, margins and metrics by name, shape (points, draws).
+        at: Swept values of each point.
+        certified: What the theorem says of each.
+        say: How statements are made.
+    """
+    outcome = lanes["outcome"]
+    count, draws = outcome.shape
+    early = ended_early(outcome)
+    violations = {r.label: violated(lanes[r.name]) for r in study.requirements}
+    pairs = overlaps(violations, early)
+    return rows(
+        {
+            **at,
+            "draws": [draws] * count,
+            **say.shares(outcome != Outcome.OK),
+            "certified": certified,
+            "ended_early": np.count_nonzero(early, axis=-1).tolist(),
+            "requirements": side_by_side(requirements(study, violations, early, say), count),
+            "overlaps": [
+                [{"names": list(pair), "draws": n} for pair, n in zip(pairs, counts, strict=True) if n]
+                for counts in side_by_side(list(pairs.values()), count)
+            ],
+            "outcomes": rows(
+                {
+                    meaning: np.count_nonzero(outcome == code, axis=-1).tolist()
+                    for code, meaning in outcome_codes(study).items()
+                }
+            ),
+            "metrics": rows({measure.name: rows(say.quantiles(lanes[measure.name])) for measure in study.measures}),
+        }
+    )
+
+
+def lines(summary: Mapping[str, Any]) -> Iterator[str]:
+    """A summary as JSON, line by line: each entry, and each of the points, which may be an iterator, has its own."""
+    start = "{"
+    for name, value in summary.items():
+        yield f"{start}{json.dumps(name)}: "
+        if name == "points":
+            separator = "["
+            for point in value:
+                yield f"{separator}\n{json.dumps(point)}"
+                separator = ","
+            yield "]"
+        else:
+            yield json.dumps(value)
+        start = ",\n"
+    yield "}\n"
+
+
+def requirements(
+    study: Study, violations: Mapping[str, np.ndarray], early: np.ndarray, say: Statements
+) -> list[list[Row]]:
+    """Each requirement at every point, whatever the others say.
+
+    ``alone`` counts the draws that ran to their end and violate this requirement only.
+    """
+    together = np.sum(list(violations.values()), axis=0)
+    found = []
+    for requirement in study.requirements:
+        broken = violations[requirement.label]
+        alone = np.count_nonzero(broken & (together == 1) & ~early, axis=-1).tolist()
+        said = {"name": requirement.label, "text": requirement.text}
+        found.append([said | row for row in rows(say.shares(broken) | {"alone": alone})])
+    return found
+
+
+def overlaps(violations: Mapping[str, np.ndarray], early: np.ndarray) -> dict[tuple[str, str], list[int]]:
+    """For every pair of requirements, how many draws of each point ran to their end and violate both."""
+    return {
+        (a, b): np.count_nonzero(violations[a] & violations[b] & ~early, axis=-1).tolist()
+        for a, b in combinations(violations, 2)
+    }
+
+
+def rows(columns: Mapping[str, Sequence[Any]]) -> list[Row]:
+    """A table's rows from its columns."""
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+
+def side_by_side(parts: Sequence[Sequence[Any]], count: int) -> list[list[Any]]:
+    """What there is at each of so many points, from what each part has there."""
+    return [[part[i] for part in parts] for i in range(count)]
+
+
+def nullable(values: np.ndarray) -> list[Any]:
+    """Numbers for JSON, which has no infinity: None where a value is not finite."""
+    found = np.array(values, dtype=object)
+    found[~np.isfinite(values)] = None
+    return found.tolist()
+
+
+def most_violated(point: Mapping[str, Any]) -> str:
+    """The requirement that most draws of a point violate, with their number; ``-`` where all draws meet all of them."""
+    worst = max(point["requirements"], key=lambda requirement: requirement["failures"], default=None)
+    return f"{worst['name']} ({worst['failures']})" if worst and worst["failures"] else "-"

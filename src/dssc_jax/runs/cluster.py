@@ -1,0 +1,292 @@
+"""The same run on many processes or machines, by dask.distributed: each task computes and writes a range of blocks.
+
+A worker compiles once and writes its own chunks of the one results folder, which all must see. Blocks do not depend
+on each other, and what is written twice is written alike: a worker that dies loses nothing but time.
+"""
+
+import importlib
+import json
+import logging
+import os
+import sys
+import time
+from asyncio import CancelledError
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError as FutureCancelled
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+from dssc_jax.backend import xla
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.engine.batching import Engine, Layout, computing, execute, lanes_in
+from dssc_jax.results.blocks import Block, Chunks
+from dssc_jax.results.manifest import listed, machinery_differences
+from dssc_jax.results.store import Store
+from dssc_jax.study import Study
+
+GO_ON = "what was finished is kept, --resume goes on from there"
+LOCAL = "local:"
+OPTION = "--cluster"
+CONNECT = 30.0  # s for the scheduler to answer
+DEAF = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"  # Ctrl-C reaches all; the first process ends them
+PATIENCE = 600.0  # s without a worker before giving up: a queue may take its time
+POLL = 1.0  # s between looks at who is there
+TASKS, MOST_BLOCKS = 8, 16  # tasks a worker at least, blocks a task at most
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a worker must know; it is sent with every task and kept by the worker.
+
+    Args:
+        table: The study's table as JSON.
+        folder: The results folder, absolute.
+        block: Shape of its blocks.
+        local: Folder that the study's ``module:object`` names may come from.
+    """
+
+    table: str
+    folder: str
+    block: tuple[int, ...]
+    local: str | None
+
+
+@dataclass(frozen=True)
+class Share:
+    """What a worker has done in one task.
+
+    Args:
+        worker: Its address.
+        lanes: Lanes computed and written.
+        seconds: Time spent running them.
+        compile_seconds: Time that the worker has spent compiling since it started.
+        traces: How often it has traced the loop since then.
+    """
+
+    worker: str
+    lanes: int
+    seconds: float
+    compile_seconds: float
+    traces: int
+
+
+_one_at_a_time = Lock()
+
+
+@lru_cache(maxsize=1)
+def prepared(job: Job) -> tuple[Engine, Chunks]:
+    """A worker's engine and its way to the folder, made once a job."""
+    if job.local and job.local not in sys.path:
+        sys.path.insert(0, job.local)
+    study = Study.from_table(json.loads(job.table))
+    layout = Layout(Layout.of(study).shape, job.block)
+    return Engine(study, layout.lanes), Chunks(Path(job.folder), study, layout, "r+")
+
+
+def compute(job: Job, blocks: list[Block]) -> Share:
+    """One task: compute blocks and write them, on the worker."""
+    from distributed import get_worker
+
+    with _one_at_a_time:  # a worker with several threads still has one device to share
+        try:
+            engine, chunks = prepared(job)
+        except ConfigError as error:
+            raise error.within(f"worker {get_worker().address}") from None
+        before = engine.clock.run_seconds
+        for block, results, drawn in execute(engine, blocks):
+            chunks.write(block, results, drawn)
+        clock = engine.clock
+        lanes = sum(map(lanes_in, blocks))
+        return Share(get_worker().address, lanes, clock.run_seconds - before, clock.compile_seconds, clock.traces)
+
+
+class Cluster:
+    """Workers of a scheduler.
+
+    Args:
+        client: A ``distributed.Client`` connected to it.
+        address: As the user gave it.
+        tell: Told in words of what a person should know while the run goes on.
+    """
+
+    def __init__(self, client: Any, address: str, tell: Callable[[str], None]) -> None:
+        self.client, self.address, self.tell = client, address, tell
+        self.lost: list[str] = []
+        self._present = self._workers()
+        self._seen = self._looked = time.monotonic()
+
+    def _workers(self) -> set[str]:
+        return set(self.client.nthreads())
+
+    def machinery(self) -> dict[str, Any]:
+        """What the workers compute with; they must agree.
+
+        Raises:
+            ConfigError: they do not, or cannot import this package.
+        """
+        try:
+            machines = self.client.run(computing)
+        except ImportError as error:
+            raise ConfigError(OPTION, f"the workers lack this package: {error}") from error
+        (first, here), *others = machines.items()
+        for worker, there in others:
+            differing = machinery_differences(here, there)
+            if differing:
+                text = f"workers {first} and {worker} would not give bit-identical results: {listed(differing)}"
+                raise ConfigError(OPTION, text)
+        return here
+
+    def fill(self, study: Study, target: Store, told: Callable[[int], None], local: str | None) -> dict[str, Any]:
+        """Compute what a folder lacks.
+
+        Args:
+            study: The study.
+            target: The folder, locked by this process.
+            told: Told of the lanes of every task that is done.
+            local: See :class:`Job`.
+
+        Returns:
+            What the manifest says of it: ``times`` and ``cluster``.
+
+        Raises:
+            ConfigError: the scheduler or all workers are gone for good, or a worker cannot write.
+        """
+        began = time.perf_counter()
+        job = Job(json.dumps(study.table), str(target.folder.resolve()), target.layout.block, local)
+        workers = len(self._present)
+        shares = []
+        for share in self._done(job, ranges(target.pending, workers)):
+            shares.append(share)
+            told(share.lanes)
+        about = {"address": self.address, "workers": workers, "lost": self.lost}
+        return {"times": summed(shares, study.loop.steps, time.perf_counter() - began), "cluster": about}
+
+    def _done(self, job: Job, tasks: list[list[Block]]) -> Iterator[Share]:
+        distributed = importlib.import_module("distributed")
+        waiting = {self.client.submit(compute, job, blocks, pure=False) for blocks in tasks}
+        try:
+            while waiting:
+                try:
+                    done, waiting = distributed.wait(waiting, timeout=POLL, return_when="FIRST_COMPLETED")
+                except TimeoutError:
+                    done = set()
+                if time.monotonic() > self._looked + POLL or not waiting:
+                    self._look()
+                for future in done:
+                    yield future.result()
+        except distributed.KilledWorker as error:
+            raise ConfigError(OPTION, f"{error.last_worker.address} and others died of one task; {GO_ON}") from error
+        except (CancelledError, FutureCancelled, TimeoutError, distributed.comm.CommClosedError) as error:
+            raise ConfigError(OPTION, f"the scheduler at {self.address} was lost; {GO_ON}") from error
+
+    def _look(self) -> None:
+        now, present = time.monotonic(), self._workers()
+        for worker in sorted(self._present - present):
+            self.lost.append(worker)
+            self.tell(f"worker {worker} was lost; its unfinished blocks go to others")
+        for worker in sorted(present - self._present):
+            self.tell(f"worker {worker} joined")
+        self._present, self._looked = present, now
+        self._seen = now if present else self._seen
+        if now > self._seen + PATIENCE:
+            raise ConfigError(OPTION, f"no worker for {PATIENCE:g} s; {GO_ON}")
+
+
+def ranges(blocks: list[Block], workers: int) -> list[list[Block]]:
+    """Blocks in ranges that make a task each."""
+    size = min(max(len(blocks) // (TASKS * max(workers, 1)), 1), MOST_BLOCKS)
+    return [blocks[i : i + size] for i in range(0, len(blocks), size)]
+
+
+def summed(shares: list[Share], steps: int, seconds: float) -> dict[str, Any]:
+    """The times of a run: rates of the workers add up, compilations go on side by side."""
+    lanes, busy = {}, {}
+    for share in shares:
+        lanes[share.worker] = lanes.get(share.worker, 0) + share.lanes
+        busy[share.worker] = busy.get(share.worker, 0.0) + share.seconds
+    return {
+        "seconds": seconds,
+        "compile_seconds": max((share.compile_seconds for share in shares), default=0.0),
+        "run_seconds": max(busy.values(), default=0.0),
+        "rate": sum(lanes[worker] * steps / busy[worker] for worker in lanes if busy[worker] > 0.0),
+        "traces": max((share.traces for share in shares), default=0),
+    }
+
+
+@contextmanager
+def connected(address: str, tell: Callable[[str], None]) -> Iterator[Cluster]:
+    """Workers at an address, or workers of one's own for as long as the context lasts.
+
+    Args:
+        address: ``tcp://host:port`` of a scheduler, or ``local:N`` for N processes on this machine.
+        tell: See :class:`Cluster`.
+
+    Raises:
+        ConfigError: the address is wrong, nobody answers, or dask.distributed is not installed.
+    """
+    count = parsed(address)
+    try:
+        distributed = importlib.import_module("distributed")
+    except ImportError:
+        raise ConfigError(OPTION, "needs dask.distributed: pip install 'dssc_jax[cluster]'") from None
+    with ExitStack() as stack:  # what dask logs of a loss is told in one line instead
+        stack.enter_context(distributed.utils.silence_logging_cmgr(logging.CRITICAL))
+        place = stack.enter_context(local_cluster(count)) if count else address
+        try:
+            client = stack.enter_context(distributed.Client(place, timeout=CONNECT))
+            client.wait_for_workers(count or 1, timeout=PATIENCE)
+        except (OSError, TimeoutError, ValueError) as error:
+            raise ConfigError(OPTION, f"no scheduler with workers answers at {address}: {error}") from error
+        yield Cluster(client, address, tell)
+
+
+def parsed(address: str) -> int:
+    """Number of processes of ``local:N``, 0 for the address of a scheduler.
+
+    Raises:
+        ConfigError: it is neither.
+    """
+    if address.startswith(LOCAL):
+        count = address.removeprefix(LOCAL)
+        if count.isascii() and count.isdecimal() and 1 <= int(count) <= 1024:
+            return int(count)
+    elif "://" in address:
+        return 0
+    raise ConfigError(OPTION, f"must be tcp://HOST:PORT or local:N with 1 <= N <= 1024, got '{address}'")
+
+
+def local_cluster(count: int) -> Any:
+    """Processes on this machine, started afresh, never forked: JAX has threads. They listen to this machine only."""
+    distributed, dask = importlib.import_module("distributed"), importlib.import_module("dask")
+    dask.config.set({"distributed.worker.multiprocessing-method": "spawn"})
+    here = {"host": "127.0.0.1", "dashboard": False}
+    quiet = {"silence_logs": logging.CRITICAL}
+    own = [{"env": worker_environment(index, count)} for index in range(count)]
+    common = {**here, **quiet, "nthreads": 1, "memory_limit": 0, "preload": [DEAF]}
+    return distributed.SpecCluster(
+        scheduler={"cls": distributed.Scheduler, "options": here},
+        workers={i: {"cls": distributed.Nanny, "options": {**common, **options}} for i, options in enumerate(own)},
+        **quiet,
+    )
+
+
+def worker_environment(index: int, count: int) -> dict[str, str]:
+    """A worker's share of the machine: one GPU each where there are any, else an equal part of the cores."""
+    gpus = visible_gpus()
+    return {
+        "XLA_FLAGS": xla.flags_for(max(1, xla.usable_cores() // count)),
+        **({"CUDA_VISIBLE_DEVICES": gpus[index % len(gpus)]} if gpus else {}),
+    }
+
+
+def visible_gpus() -> list[str]:
+    """The GPUs that a process may use, found without starting JAX, which would take hold of one."""
+    allowed = os.environ.get("CUDA_VISIBLE_DEVICES")
+    if allowed is not None:
+        return [name for name in allowed.split(",") if name]
+    numbers = [path.name.removeprefix("nvidia") for path in Path("/dev").glob("nvidia[0-9]*")]
+    return sorted(numbers, key=int)

@@ -1,0 +1,127 @@
+"""Runs whose number of draws the draws themselves decide; the result is that of the study with the final number."""
+
+import time
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.signals import Outcome, ProgressCallback
+from dssc_jax.engine.batching import Arrays, Engine, Layout, computing, drawn, execute
+from dssc_jax.engine.evaluation import require_independent
+from dssc_jax.results.manifest import read_manifest
+from dssc_jax.results.result import Result
+from dssc_jax.results.schema import in_memory, put
+from dssc_jax.runs.run import about_run
+from dssc_jax.statistics import AcceptReject, UntilWidth, looks
+from dssc_jax.statistics.sequential import FIRST
+from dssc_jax.study import Study
+
+Rule: TypeAlias = UntilWidth | AcceptReject
+
+MOST = 100_000  # draws, unless told otherwise
+BATCH = 1024  # draws computed at once
+UNDECIDED = "undecided"
+
+
+def run_until(
+    study: Study,
+    rule: Rule,
+    out: str | Path | None = None,
+    *,
+    most: int = MOST,
+    progress: ProgressCallback | None = None,
+) -> Result:
+    """Simulate draws until the rule is content, at a geometric sequence of looks.
+
+    The intervals of the result are valid although the draws decided when to stop; its manifest says that they did,
+    and how. Draw i is the same as in any other run of the study.
+
+    Args:
+        study: The study, without a sweep; its own number of draws does not matter.
+        rule: When to stop.
+        out: Results folder, written at the end; None keeps the result in memory.
+        most: Draws at which to stop undecided.
+        progress: Told of the draws done and of ``most``.
+
+    Raises:
+        ConfigError: the study is swept or its draws are not independent, ``most`` is out of range, or ``out`` holds
+            something else.
+    """
+    require_sequential(study)
+    if most < FIRST:
+        raise ConfigError(
+            study.source, f"a data-driven stop looks first at {FIRST} draws; it may take no fewer, got {most}"
+        )
+    whole = study.override({"draws": most})
+    if out is not None:
+        require_same_rule(Path(out), whole, rule, most)
+    began = time.perf_counter()
+    engine = Engine(whole, min(most, BATCH))
+    batches = execute(engine, [(slice(a, min(a + engine.lanes, most)),) for a in range(0, most, engine.lanes)])
+    batches_done: list[Arrays] = []
+    failed = np.empty(0, dtype=bool)
+    seen: list[dict[str, int]] = []
+    verdict, draws = None, 0
+    for look, draws in enumerate(looks(most), 1):
+        while len(failed) < draws:
+            _, results, _ = next(batches)
+            batches_done.append(results)
+            failed = np.concatenate([failed, results["outcome"] != Outcome.OK])
+            if progress:
+                progress(len(failed), most)
+        failures = int(np.count_nonzero(failed[:draws]))
+        seen.append({"draws": draws, "failures": failures})
+        verdict = rule.verdict(failures, draws, look)
+        if verdict:
+            break
+    final = study.override({"draws": draws})
+    dataset = in_memory(final)
+    joined = {name: np.concatenate([part[name] for part in batches_done])[:draws] for name in batches_done[0]}
+    put(dataset, (slice(0, draws),), joined, drawn(final, slice(0, draws)))
+    manifest = about_run(final, Layout.of(final), computing()) | {
+        "complete": True,
+        "times": engine.times(began),
+        "stopping": {
+            "data_driven": True,
+            "rule": rule.text,
+            "most": most,
+            "verdict": verdict or UNDECIDED,
+            "look": len(seen),
+            "looks": seen,
+        },
+    }
+    result = Result(final, dataset, manifest)
+    if out is not None:
+        result.save(out)
+    return result
+
+
+def require_sequential(study: Study) -> None:
+    """Require one point and independent draws.
+
+    Raises:
+        ConfigError: otherwise.
+    """
+    if study.axes:
+        raise ConfigError(study.source, "a data-driven stop is for one point; leave [sweep] aside")
+    require_independent(study, "a data-driven stop")
+
+
+def require_same_rule(folder: Path, study: Study, rule: Rule, most: int) -> None:
+    """Require that the folder is free, or holds a result of the same study and rule.
+
+    Raises:
+        ConfigError: otherwise; before anything is simulated.
+    """
+    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+        return
+    manifest: dict[str, Any] = read_manifest(folder) if folder.is_dir() else {"study": {}}
+    stopping = manifest.get("stopping") or {}
+    same_rule = (stopping.get("rule"), stopping.get("most")) == (rule.text, most)
+    if not same_rule or manifest["study"] | {"draws": most} != study.table:
+        raise ConfigError(
+            str(folder),
+            "holds something else than this study under this rule; choose another --out",
+        )

@@ -1,0 +1,243 @@
+"""One draw as a trajectory: of a study (simulate), or of a result and checked against it (replay)."""
+
+from collections.abc import Callable, Mapping
+
+import jax
+import numpy as np
+import xarray as xr
+
+from dssc_jax.closed_loop.draw import Run, simulate_recorded
+from dssc_jax.closed_loop.sample import Loop, Recorded
+from dssc_jax.core.errors import ConfigError, meant
+from dssc_jax.core.numerics import arithmetic
+from dssc_jax.core.quantities import angular_unit
+from dssc_jax.engine.batching import drawn
+from dssc_jax.engine.reference import Agreement, agreement
+from dssc_jax.engine.sampling import draw_key
+from dssc_jax.results.result import Result
+from dssc_jax.results.schema import outcome_codes, variables, verdict
+from dssc_jax.study import Study
+
+MOST_KEPT = 5_000_000  # samples of a trajectory
+UNITS = {
+    "y": ("m", "output y"),
+    "y_dot": ("m/s", "output's derivative y'"),
+    "y_ref": ("m", "desired output y_m"),
+    "e": ("m", "output error e"),
+    "sigma": ("m/s", "sigma = e' + l_0 e"),
+    "u": ("m/s", "robust command u"),
+    "u_total": ("m/s", "total command u + u_n"),
+    "sigma_tilde": ("m/s", "sliding variable"),
+    "sigma_hat": ("m/s", "predictor's output"),
+    "u_av": ("m/s", "averaged control"),
+    "u_0": ("m/s", "switched control"),
+    "rho": ("m/s", "modulation"),
+    "sliding_margin": ("m/s", "rho - |u_eq|"),
+    "k_o": ("1/s", "predictor gain"),
+    "tau_m": ("s", "predictor time constant"),
+    "tau_av": ("s", "averaging time constant"),
+    "integral": ("m/s", "integral term of u"),
+    "phi": ("rad", "roll"),
+    "theta": ("rad", "pitch"),
+    "psi": ("rad", "yaw"),
+    "tilt": ("rad", "tilt of body z"),
+    "thrust": ("N", "wanted net thrust"),
+    "rotor_limited": ("1", "a rotor at its limit"),
+    "lift_bounded": ("1", "wanted lift at its lower bound"),
+}
+
+
+def lane_values(study: Study, draw: int, point: Mapping[str, float]) -> dict[str, float]:
+    """Every number that differs between lanes, for one lane.
+
+    Raises:
+        ConfigError: the draw is not among the study's, or a point's name is no swept parameter.
+    """
+    if not 0 <= draw < study.config.draws:
+        raise ConfigError(study.source, f"draw must be in 0 .. {study.config.draws - 1}, got {draw}")
+    for name in point:
+        if name not in study.axes:
+            raise ConfigError(study.source, f"'{name}' is not swept; {meant(name, study.axes)}")
+    missing = [name for name in study.axes if name not in point]
+    if missing:
+        raise ConfigError(study.source, f"the point needs a value of {', '.join(missing)}")
+    values = {name: float(column[0]) for name, column in drawn(study, slice(draw, draw + 1)).items()}
+    return {**values, **point}
+
+
+def simulate(study: Study, draw: int = 0, *, point: Mapping[str, float] | None = None, every: int = 1) -> xr.Dataset:
+    """One draw as a trajectory.
+
+    Args:
+        study: The study. Without ``point`` a sweep is left aside.
+        draw: Index of the draw.
+        point: Value of each swept parameter.
+        every: Keep every ``every``-th sample.
+
+    Returns:
+        Dimension ``t`` [s]; variables y, y_dot, y_ref, e, sigma, u, u_total and the fields of the controller's
+        info. Attributes hold the drawn values and how the draw ended.
+
+    Raises:
+        ConfigError: draw, point or every is out of range.
+    """
+    return recorder(study if point else study.without_sweep(), every)(draw, point or {})
+
+
+def recorder(study: Study, every: int = 1) -> Callable[[int, Mapping[str, float]], xr.Dataset]:
+    """Trajectories of one draw after another by one compiled program.
+
+    Args:
+        study: The study, sweep and all.
+        every: Keep every ``every``-th sample.
+
+    Returns:
+        ``(draw, point) -> trajectory`` as :func:`simulate` describes it.
+
+    Raises:
+        ConfigError: every is out of range; when called, draw or point is.
+    """
+    if every < 1:
+        raise ConfigError(study.source, f"every must be >= 1, got {every}")
+    every = min(every, study.loop.steps)
+    kept = -(-study.loop.steps // every)
+    if kept > MOST_KEPT:
+        raise ConfigError(study.source, f"a trajectory keeps at most {MOST_KEPT} samples, got {kept}; raise every")
+
+    @jax.jit
+    def one(lane: dict[str, jax.Array], index: jax.Array):
+        return simulate_recorded(
+            study.loop,
+            study.params(lane),
+            draw_key(study.config.seed, index),
+            study.measures,
+            study.requirements,
+            every,
+        )
+
+    def record(draw: int, point: Mapping[str, float]) -> xr.Dataset:
+        values = lane_values(study, draw, point)
+        with arithmetic(study.config.loop.precision):
+            ended, recorded = jax.tree.map(np.asarray, one(values, np.uint32(draw)))
+        return as_trajectory(study, draw, values, ended, recorded)
+
+    return record
+
+
+def as_trajectory(study: Study, draw: int, values: Mapping[str, float], ended: Run, recorded: Recorded) -> xr.Dataset:
+    """What the loop recorded of one draw, with units, meanings and how it ended."""
+    gone = recorded.instant.t >= np.fmin(ended.failed_at, ended.settled_at)  # from there on it is frozen
+    columns = {
+        name: np.where(gone, np.nan, column) if gone.any() else column
+        for name, column in trajectory_columns(study, recorded).items()
+    }
+    described = {name: describe(name, study.loop) for name in columns}
+    code = int(ended.outcome)
+    return xr.Dataset(
+        {name: (("t",), column, described[name]) for name, column in columns.items()},
+        coords={"t": (("t",), recorded.instant.t, {"units": "s", "long_name": "time"})},
+        attrs={
+            "study": study.name,
+            "draw": draw,
+            **values,
+            "outcome": code,
+            "outcome_meaning": outcome_codes(study)[code],
+            "verdict": verdict(study, code, ended.slacks),
+            "failed_at": float(ended.failed_at),
+            **({"settled_at": float(ended.settled_at)} if study.loop.settled else {}),
+            **{name: float(value) for name, value in {**ended.metrics, **ended.slacks}.items()},
+        },
+    )
+
+
+def trajectory_columns(study: Study, recorded: Recorded) -> dict[str, np.ndarray]:
+    """Every signal over time; prefixed by the channel for a plant of several."""
+    columns = {}
+    instant = recorded.instant
+    parts = zip(study.loop.channels, recorded.measurements, recorded.references, instant.channels, strict=True)
+    for channel, measurement, reference, sample in parts:
+        signals = {
+            "y": measurement.y,
+            "y_dot": measurement.y_dot,
+            "y_ref": reference.y,
+            "e": sample.e,
+            "sigma": sample.sigma,
+            "u": sample.u,
+            "u_total": sample.u_total,
+            **sample.info._asdict(),
+        }
+        columns |= {f"{channel}_{name}" if channel else name: values for name, values in signals.items()}
+    seen = instant.plant._asdict() if hasattr(instant.plant, "_asdict") else {}
+    return columns | {name: values.astype(float) for name, values in seen.items()}
+
+
+def describe(name: str, loop: Loop) -> dict[str, str]:
+    """Attributes of a trajectory's column; a user's own info field has none."""
+    channel, _, rest = name.partition("_")
+    if channel not in loop.channels or not channel:
+        unit, meaning = UNITS.get(name, ("", name))
+        return {"units": unit, "long_name": meaning}
+    unit, meaning = UNITS.get(rest, ("", rest))
+    unit = angular_unit(unit) if channel in loop.plant.angles else unit
+    return {"units": unit, "long_name": f"{channel}: {meaning}"}
+
+
+def replay(result: Result, draw: int, *, point: Mapping[str, float] | None = None, every: int = 1) -> xr.Dataset:
+    """One draw of a result as a trajectory, checked against what the result holds of it.
+
+    Args:
+        result: A loaded or fresh result.
+        draw: Index of the draw.
+        point: Value of each swept parameter, taken to the nearest of the sweep; None: where the draw fails by
+            most, or its first point.
+        every: Keep every ``every``-th sample.
+
+    Returns:
+        As :func:`simulate`. The attribute ``agreement`` tells how the metrics of this trajectory, which the plain
+        program computes, agree with the stored ones (see :class:`dssc_jax.engine.reference.Agreement`); ``deviation``
+        is the largest relative deviation.
+
+    Raises:
+        ConfigError: draw or point is not in the result.
+    """
+    study = result.study
+    if not 0 <= draw < study.config.draws:
+        raise ConfigError(
+            str(result.path or study.source), f"draw must be in 0 .. {study.config.draws - 1}, got {draw}"
+        )
+    for name in point or {}:
+        if name not in study.axes:
+            raise ConfigError(study.source, f"'{name}' is not swept; {meant(name, study.axes)}")
+    index = {name: nearest(values, (point or {}).get(name)) for name, values in study.axes.items()}
+    if not point:
+        index = hardest(result, draw)
+    exact = {name: study.axes[name][i] for name, i in index.items()}
+    trajectory = simulate(study, draw, point=exact or None, every=every)
+    compared = agreement_of(result, trajectory)
+    trajectory.attrs["deviation"] = float(compared.deviation[0])
+    trajectory.attrs["agreement"] = compared.verdict
+    return trajectory
+
+
+def agreement_of(result: Result, run: xr.Dataset) -> Agreement:
+    """How a trajectory's draw agrees with what a result holds of it."""
+    study = result.study
+    lanes = [np.array([axis.index(run.attrs[name])]) for name, axis in study.axes.items()]
+    names = (name for name in variables(study) if name in run.attrs)
+    computed = {name: np.array([run.attrs[name]]) for name in names}
+    return agreement(study, result.dataset, (*lanes, np.array([run.attrs["draw"]])), computed)
+
+
+def nearest(values: tuple[float, ...], wanted: float | None) -> int:
+    """Index of the value nearest to the wanted one; 0 without a wish."""
+    return 0 if wanted is None else int(np.argmin(np.abs(np.asarray(values) - wanted)))
+
+
+def hardest(result: Result, draw: int) -> dict[str, int]:
+    """The sweep point of the draw's smallest slack relative to its bound; the first one without requirements."""
+    axes = list(result.study.axes)
+    if not axes or not result.study.requirements:
+        return dict.fromkeys(axes, 0)
+    slacks = [result.dataset[r.name].isel(draw=draw).values / r.scale for r in result.study.requirements]
+    slack = np.min(slacks, axis=0)
+    return dict(zip(axes, map(int, np.unravel_index(np.argmin(slack), slack.shape)), strict=True))

@@ -1,0 +1,130 @@
+"""Is a stored result what its study says? A random handful of lanes, computed again by the plain program."""
+
+import secrets
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.engine.batching import Arrays, computing
+from dssc_jax.engine.reference import Agreement, Lanes, agreement, computed_again, deviations, stored_lanes, typical
+from dssc_jax.results.manifest import WITHOUT_DIGESTS, machinery_differences
+from dssc_jax.results.result import Result
+from dssc_jax.study.code import recorded
+
+LANES, MOST_LANES = 16, 16384
+
+
+@dataclass(frozen=True)
+class SinglePrecision:
+    """What float32 alone does to a result: its lanes beside the same lanes, with the same noise, in float64.
+
+    Args:
+        outcomes: Lanes whose outcome differs.
+        median: Median over the lanes of their largest relative deviation.
+        largest: The largest of them; infinite where one lane ends early and the other does not.
+    """
+
+    outcomes: int
+    median: float
+    largest: float
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What computing a handful of lanes again has shown.
+
+    Args:
+        lanes: How many.
+        seed: Which: the same seed picks the same ones.
+        deviation: Largest deviation of a value, relative to it or to its variable's median magnitude, whichever is
+            larger; infinite where an outcome differs. Lanes that are no evidence do not count, unless none is.
+        worst: Where that is: variable, draw, swept values, stored and computed value; None where all agree.
+        verdict: ``agrees``; ``differs`` where rounding does not explain a deviation; ``undecided`` where every lane
+            amplifies rounding so much that none is evidence.
+        undecided: Lanes that are no evidence.
+        otherwise: How this machinery differs from the one that computed the result.
+        digests: Whether the result was written with digests, so that altered files are noticed before this.
+        single_precision: What float32 does to a result in single precision; else None.
+    """
+
+    lanes: int
+    seed: int
+    deviation: float
+    worst: dict[str, Any] | None
+    verdict: str
+    undecided: int
+    otherwise: list[str]
+    digests: bool
+    single_precision: SinglePrecision | None = None
+
+    @property
+    def verified(self) -> bool:
+        """Whether the stored lanes are what the study says."""
+        return self.verdict == "agrees"
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self) | {"verified": self.verified}
+
+
+def verify(result: Result, draws: int = LANES, seed: int | None = None) -> Verification:
+    """Compute random lanes of a result again and compare them with what is stored.
+
+    They are computed by the lane as it is written, in plain JAX, and not by the program that made the result.
+
+    Args:
+        result: A loaded result.
+        draws: How many lanes, i.e. draws at random sweep points; all of them where the result has fewer.
+        seed: Picks the lanes; None: anew each time.
+
+    Raises:
+        ConfigError: draws or seed is out of range.
+    """
+    if not 1 <= draws <= MOST_LANES:
+        raise ConfigError("draws", f"must be in 1 .. {MOST_LANES}, got {draws}")
+    if seed is not None and seed < 0:
+        raise ConfigError("seed", f"must be >= 0, got {seed}")
+    seed = secrets.randbelow(2**32) if seed is None else seed
+    shape = result.dataset["outcome"].shape
+    total = int(np.prod(shape))
+    picked = np.sort(np.random.default_rng(seed).choice(total, min(draws, total), replace=False))
+    lanes = np.unravel_index(picked, shape)
+    computed = computed_again(result.study, lanes)
+    found = agreement(result.study, result.dataset, lanes, computed)
+    shown = found.decided if found.decided.any() else np.ones_like(found.decided)
+    largest = int(np.argmax(np.where(shown, found.deviation, -1.0)))
+    return Verification(
+        lanes=len(picked),
+        seed=seed,
+        deviation=float(found.deviation[largest]),
+        worst=worst(result, lanes, computed, found, largest) if found.deviation[largest] > 0.0 else None,
+        verdict=found.verdict,
+        undecided=int(np.count_nonzero(~found.decided)),
+        otherwise=machinery_differences(result.manifest, computing() | {"code": recorded(result.study.table)}),
+        digests=result.manifest.get("schema") != WITHOUT_DIGESTS,
+        single_precision=single_precision(result, lanes, computed)
+        if result.study.config.loop.precision == 32
+        else None,
+    )
+
+
+def worst(result: Result, lanes: Lanes, computed: Arrays, found: Agreement, at: int) -> dict[str, Any]:
+    """The value that deviates most, and where it stands."""
+    name, study = str(found.variable[at]), result.study
+    point = {axis: values[i[at]] for (axis, values), i in zip(study.axes.items(), lanes, strict=False)}
+    stored = stored_lanes(result.dataset, [name], lanes)[name]
+    values = {"stored": stored[at].item(), "computed": computed[name][at].item()}
+    return {"variable": name, "draw": int(lanes[-1][at]), **point, **values}
+
+
+def single_precision(result: Result, lanes: Lanes, computed: Arrays) -> SinglePrecision:
+    """Lanes in float32 beside the same lanes in float64."""
+    study = result.study.override({"loop.precision": 64})
+    exact = computed_again(study, lanes)
+    sizes = {name: typical(result.dataset[name].values) for name in exact}
+    gaps = deviations(study, sizes, exact, {name: computed[name].astype(exact[name].dtype) for name in exact})
+    largest = np.max([gap for name, gap in gaps.items() if name != "outcome"], axis=0)
+    differs = int(np.count_nonzero(exact["outcome"] != computed["outcome"]))
+    return SinglePrecision(differs, float(np.median(largest)), float(largest.max()))

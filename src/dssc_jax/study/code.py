@@ -1,0 +1,71 @@
+"""Code that a study names as ``module:object``: which modules, and from which files. Nothing here imports them."""
+
+import hashlib
+import importlib.util
+from collections.abc import Mapping
+from importlib.machinery import PathFinder
+from pathlib import Path
+from typing import Any
+
+NAMING = ("kind", "metric", "names")
+"""Keys under which a study's tables may name a module's object."""
+
+
+def named(table: Mapping[str, Any]) -> tuple[str, ...]:
+    """Every ``module:object`` in a study's table, sorted; valid or not, the table may be anything."""
+    found: set[str] = set()
+    waiting: list[Any] = [table]
+    while waiting:
+        here = waiting.pop()
+        if isinstance(here, Mapping):
+            for key in NAMING:
+                value = here.get(key)
+                texts = value if isinstance(value, list | tuple) else [value]
+                found.update(text for text in texts if isinstance(text, str) and ":" in text)
+            waiting.extend(here.values())
+        elif isinstance(here, list | tuple):
+            waiting.extend(here)
+    return tuple(sorted(found))
+
+
+def located(name: str) -> Path | None:
+    """The file of a ``module:object``'s module; None where there is none.
+
+    The packages above the module are not imported either, as ``importlib.util.find_spec`` of a dotted name would.
+    """
+    first, *rest = name.partition(":")[0].split(".")
+    try:
+        spec = importlib.util.find_spec(first)
+        for part in rest:
+            places = spec.submodule_search_locations if spec else None
+            spec = PathFinder.find_spec(part, list(places)) if places else None
+    except (ImportError, ValueError):  # no name of a module, or one that says nothing of its file
+        return None
+    return Path(spec.origin) if spec and spec.has_location and spec.origin else None
+
+
+def recorded(table: Mapping[str, Any]) -> dict[str, dict[str, str | None]]:
+    """File and digest of each module that a study names, by ``module:object``; for JSON."""
+    return {name: digested(located(name)) for name in named(table)}
+
+
+def digested(file: Path | None) -> dict[str, str | None]:
+    """A file and the digest of its content."""
+    if file is None:
+        return {"file": None, "sha256": None}
+    return {"file": str(file), "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
+
+
+def told(table: Mapping[str, Any], then: Mapping[str, Any] | None = None) -> str:
+    """The code that a study names and where it is found, in words; empty where it names none.
+
+    Args:
+        table: The study's table.
+        then: What :func:`recorded` said when the study was run; None: nothing was recorded.
+    """
+    found = []
+    for name, now in recorded(table).items():
+        earlier = (then or {}).get(name)
+        changed = isinstance(earlier, Mapping) and earlier.get("sha256") != now["sha256"]
+        found.append(f"{name} from {now['file'] or 'no file that is found'}{', changed since the run' * changed}")
+    return "; ".join(found)

@@ -1,0 +1,216 @@
+"""A study whose code is not loaded: what a results folder says of it stands in for the models.
+
+Whoever reads a result needs names, units and meanings, no models. A folder whose study names ``module:object`` keeps
+them beside the study, so that reading it runs nobody's code.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from dssc_jax.closed_loop.metrics import Metric, Scope, available
+from dssc_jax.closed_loop.sample import Loop
+from dssc_jax.core.contracts import NoParams, Plant
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.study.build import clock, info_fields, validate_fixed
+from dssc_jax.study.code import named, told
+from dssc_jax.study.components import Number
+from dssc_jax.study.laws import Law, parse_law
+from dssc_jax.study.measuring import KNOWN, kinds_of, measured
+from dssc_jax.study.study import Study
+
+FLAG = "--trust-code (in Python: dj.load(folder, trust_code=True))"
+STRICT = ConfigDict(extra="forbid")
+
+
+class DescribedNumber(BaseModel):
+    """A number of the loop as JSON: its value or law, and what it means."""
+
+    model_config = STRICT
+    value: float | dict[str, list[float]]
+    unit: str
+    meaning: str
+
+
+class OwnMetric(BaseModel):
+    """A metric of the study's own code: what it means, and of what it is."""
+
+    model_config = STRICT
+    unit: str
+    meaning: str
+    needs: tuple[str, ...]
+    scope: Scope
+
+
+class Description(BaseModel):
+    """What only the models know of a study, and its reader needs.
+
+    ``fields`` are the names in each channel's info, ``seen`` those in the plant's own; ``certified`` and ``silence``
+    are what Theorem 1 says at every point of the sweep.
+    """
+
+    model_config = STRICT
+    channels: tuple[str, ...]
+    angles: tuple[str, ...]
+    numbers: dict[str, DescribedNumber]
+    fields: dict[str, tuple[str, ...]]
+    seen: tuple[str, ...]
+    metrics: dict[str, OwnMetric]
+    certified: Any
+    silence: str
+
+
+@dataclass(frozen=True)
+class Unloaded:
+    """Stands where models would; whoever needs one learns which code was not loaded.
+
+    Args:
+        error: What to say.
+    """
+
+    error: ConfigError
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        raise self.error
+
+    def __call__(self, *_: Any) -> Any:
+        """Nothing can be computed."""
+        raise self.error
+
+
+@dataclass(frozen=True)
+class Described(Study):
+    """A study by its description. It is read like any other; it cannot be simulated or changed.
+
+    Args:
+        code: File and digest of each module that the study names, as they were when it was run.
+        description: The rest.
+        refusal: What whoever would simulate it is told.
+    """
+
+    code: dict[str, Any]
+    description: Description
+    refusal: ConfigError
+
+    @classmethod
+    def of(cls, table: Mapping[str, Any], source: str, code: Any, content: Any) -> "Described":
+        """A study from its table and what :func:`describe` said of it.
+
+        Raises:
+            ConfigError: they do not fit, or are damaged.
+        """
+        try:
+            description = Description.model_validate(content)
+            numbers, certified = numbers_of(description), np.asarray(description.certified or False, dtype=bool)
+        except ValueError as error:  # pydantic's is one
+            complaint = " ".join(str(error).split())
+            raise ConfigError(source, f"is damaged: its description of the study's code says {complaint}") from None
+        rule = f"runs code that was not loaded: {told(table, code)}; {FLAG} loads it"
+        absent: Any = Unloaded(refusal := ConfigError(source, rule))
+        channels, angles = description.channels, description.angles
+        plant = Plant(NoParams, absent, absent, absent, absent, channels=channels, angles=angles)
+        own = {
+            name: Metric(a.unit, a.meaning, absent, absent, a.needs, a.scope) for name, a in description.metrics.items()
+        }
+        known = KNOWN | own
+        try:
+            config = validate_fixed(dict(table))
+            names = available(description.fields, description.seen, known)
+            measures, requirements = measured(config, names, known, plant)
+        except ConfigError as error:
+            raise error.within(source) from None
+        shape = tuple(len(values) for values in config.sweep.values())
+        loop = Loop(plant, *[absent] * 7, channels=channels or ("",), **clock(config))
+        fits = numbers.keys() >= config.sweep.keys() and tuple(description.fields) == loop.channels
+        if not fits or (certified.shape or shape) != shape:
+            raise ConfigError(source, "is damaged: its description is not that of its study")
+        return cls(
+            table=dict(table),
+            source=source,
+            config=config,
+            loop=loop,
+            template=absent,
+            numbers=numbers,
+            measures=measures,
+            requirements=requirements,
+            code=code,
+            description=description,
+            refusal=refusal,
+        )
+
+    def override(self, changes: Mapping[str, Any]) -> Study:
+        """Refused: other values need the models.
+
+        Raises:
+            ConfigError: always.
+        """
+        raise self.refusal
+
+
+def numbers_of(description: Description) -> dict[str, Number]:
+    """Every number of the loop; its place is unknown without the models."""
+    return {
+        name: Number(
+            name,
+            paths=(),
+            quantity=Quantity(stored.unit, stored.meaning),
+            value=parse_law(stored.value) if isinstance(stored.value, dict) else stored.value,
+        )
+        for name, stored in description.numbers.items()
+    }
+
+
+def describe(study: Study, certified: np.ndarray | None, silence: str) -> dict[str, Any]:
+    """What :meth:`Described.of` needs beside a study's table, for JSON.
+
+    Args:
+        study: The study, with its models.
+        certified: Whether Theorem 1 holds at each point of the sweep; None where it does not speak.
+        silence: Why it does not.
+    """
+    numbers = {}
+    for name, number in study.numbers.items():
+        law, quantity = number.value, number.quantity
+        value = {law.kind: list(law.arguments)} if isinstance(law, Law) else law
+        numbers[name] = {"value": value, "unit": quantity.unit, "meaning": quantity.meaning}
+    fields, seen = info_fields(study.loop, study.template)
+    own = {name: metric for name, metric in kinds_of(study.config).items() if name not in KNOWN}
+    return {
+        "channels": list(study.loop.plant.channels),
+        "angles": list(study.loop.plant.angles),
+        "numbers": numbers,
+        "fields": {name: list(names) for name, names in fields.items()},
+        "seen": list(seen),
+        "metrics": {
+            name: {"unit": m.unit, "meaning": m.meaning, "needs": list(m.needs), "scope": m.scope.value}
+            for name, m in own.items()
+        },
+        "certified": None if certified is None else certified.tolist(),
+        "silence": silence,
+    }
+
+
+def received(about: Mapping[str, Any], source: str, trust_code: bool = False) -> Study:
+    """The study of a folder, which may come from anybody: the code that it names is loaded on request only.
+
+    Args:
+        about: The folder's manifest: ``study``, and where that names code ``code`` and ``described``.
+        source: Where it stands, for messages.
+        trust_code: Import what the study names.
+
+    Raises:
+        ConfigError: it is not valid; or it names code, and was written before descriptions were kept.
+    """
+    table = about["study"]
+    if trust_code or not named(table):
+        return Study.from_table(table, source)
+    code, content = about.get("code"), about.get("described")
+    if not isinstance(code, dict) or content is None:
+        raise ConfigError(source, f"names code, {told(table)}, and does not describe it; {FLAG} loads it")
+    return Described.of(table, source, code, content)

@@ -1,6 +1,0 @@
-"""Gains by gradient: numbers of a loop chosen on draws, inside intervals or under the theorem's certificate."""
-
-from dssc_jax.tuning.result import Tuned
-from dssc_jax.tuning.tune import tune
-
-__all__ = ["Tuned", "tune"]

@@ -1,0 +1,109 @@
+"""The gains that correspond (Table 2)."""
+
+import numpy as np
+import pytest
+
+import dssc_jax as dj
+from dssc_jax.analyses.comparison import controller_table
+
+FUNCTIONS = {
+    "square_root": {"kappa_o": 20.0, "kappa_m": 2.0, "delta_o": 0.5, "delta_m": 0.5, "tau_av": 0.02},
+    "approx_sta_1": {"kappa1": 5.0, "kappa2": 2.5, "delta": 0.5, "tau_av": 0.02},
+    "approx_sta_2": {"kappa1": 5.0, "kappa2": 2.5, "delta": 0.5, "tau_av": 0.02},
+    "sta": {"kappa1": 5.0, "kappa2": 2.5, "tau_av": 0.02},
+    "field": {"k_o": 10.0, "kappa1": 5.0, "kappa2": 1.25, "delta": 0.02},
+}
+
+
+def study_with(functions, **controller):
+    return dj.Study.from_table(
+        {
+            "name": "rivals",
+            "loop": {"duration": 2.0, "sample_time": 0.01},
+            "plant": {"kind": "normal_form", "initial": [0.5, 0.0]},
+            "controller": {"kind": "dssc", "l0": 1.0, "rho": 3.0, "functions": functions, **controller},
+        }
+    )
+
+
+@pytest.mark.parametrize("kind", FUNCTIONS)
+def test_super_twisting_gains(kind):
+    """Every row stands for the same STA: kappa_1 = 5, kappa_2 = 2.5 in Table 2's normalisation."""
+    study = study_with({"kind": kind, **FUNCTIONS[kind]})
+    sta = controller_table(study, "sta")
+    assert (sta["kappa1"], sta["kappa2"]) == pytest.approx((5.0, 2.5), rel=1e-12)
+    vgsta = controller_table(study, "vgsta")
+    assert (vgsta["kappa_d"], vgsta["gamma"]) == pytest.approx((5.0, 2.5), rel=1e-12)
+    assert vgsta["delta"] == pytest.approx(0.0 if kind == "sta" else 0.5)
+
+
+def test_delta_of_the_field_functions():
+    """k_o tau_av = 2 (r + delta)/kappa1 with the delta of Table 2: here delta k_o kappa1/2."""
+    study = study_with({"kind": "field", **FUNCTIONS["field"]})
+    functions = study.template.controller[0].functions
+    delta = controller_table(study, "vgsta")["delta"]
+    for sigma in (0.0, 0.3, 4.0):
+        at = functions.at(sigma, 0.0, 1.0)
+        assert float(at.k_o * at.tau_av) == pytest.approx(2.0 * (np.sqrt(sigma) + delta) / 5.0, rel=1e-6)
+
+
+def test_ssc_and_pi_do_the_same_in_sliding():
+    """SSC synthesises PI up to an integration constant, which the matched start makes 0 here: e is the same."""
+    study = study_with({"kind": "square_root", **FUNCTIONS["square_root"]}, predictor_start="matched")
+    study = study.override({"plant.initial": [0.0, 0.0], "disturbance": {"kind": "step", "value": 0.5}})
+    error = {
+        name: dj.simulate(study.override({"controller": controller_table(study, name)}))["e"].values
+        for name in ("ssc", "pi", "dssc")
+    }
+    assert np.abs(error["ssc"]).max() > 1e-3
+    assert np.abs(error["ssc"] - error["pi"]).max() < 1e-12
+    assert np.abs(error["ssc"] - error["dssc"]).max() > 1e-4
+
+
+def test_forms_limits_and_own_tables():
+    own = {
+        "sta": {"kind": "sta", "l0": 2.0, "kappa1": 1.0, "kappa2": 1.0},
+        "gentle": {"functions": {"kappa1": 1.0}},
+    }
+    study = study_with({"kind": "approx_sta_2", **FUNCTIONS["approx_sta_2"]}, nominal={"a": 1.0, "k": 2.0})
+    assert controller_table(study, "sta_proper")["discretisation"] == "proper"
+    assert controller_table(study, "sta_limited")["limit"] == 3.0
+    assert controller_table(study, "smc")["gain"] == 3.0
+    assert controller_table(study, "smc")["k_n"] == 2.0
+    assert controller_table(study, "dssc_explicit")["functions"] == study.config.controller["functions"]
+    study = study.override({"compare": own})
+    assert controller_table(study, "sta") == own["sta"]
+    gentle = controller_table(study, "gentle")
+    assert gentle["functions"]["kappa1"] == 1.0
+    assert gentle["functions"]["kappa2"] == 2.5
+
+
+def test_channels_have_gains_of_their_own():
+    study = dj.Study.load("studies/paper_case1.toml")
+    table = controller_table(study, "sta_limited")
+    assert table["x"]["limit"] == 1.5
+    assert table["z"]["limit"] == 0.5
+    assert table["x"]["kappa1"] == pytest.approx(2.0 / (110.651 * 0.03))
+    assert table["psi"]["kappa1"] == pytest.approx(2.0 / (55.3255 * 0.06))
+    assert len(study.override({"controller": table}).loop.controller) == 4
+
+
+@pytest.mark.parametrize(
+    ("changes", "name", "rule"),
+    [
+        ({}, "stx", "there is no such controller; did you mean 'sta"),
+        ({}, "pi_limited", "'pi' has no limit"),
+        (
+            {"controller.functions": {"kind": "constant", "k_o": 1.0, "tau_av": 1.0, "tau_m": 1.0}},
+            "sta",
+            "give \\[comp",
+        ),
+        ({"controller.functions.kappa1": {"uniform": [1.0, 2.0]}}, "pi", "a rival's gains are numbers"),
+        ({"controller.rho": {"kind": "norm_bound", "k_p_max": 1, "a_p_max": 1, "delta_rho": 1}}, "smc", "no constant"),
+        ({"controller": {"kind": "pi", "l0": 1.0, "k_p": 1.0, "k_i": 1.0}}, "sta", "cannot be derived from 'pi'"),
+    ],
+)
+def test_what_does_not_follow(changes, name, rule):
+    study = study_with({"kind": "approx_sta_2", **FUNCTIONS["approx_sta_2"]}).override(changes)
+    with pytest.raises(dj.ConfigError, match=rule):
+        controller_table(study, name)

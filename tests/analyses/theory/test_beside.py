@@ -1,0 +1,83 @@
+"""Theory beside simulation: every part is there, or says why it is not."""
+
+import numpy as np
+import pytest
+
+import dssc_jax as dj
+from tests.design.test_certification import table
+
+WALK = {"over": "unmodelled.mu", "bounds": (0.002, 0.2), "log": True, "points": 6, "bisections": 8}
+
+
+@pytest.fixture(scope="module")
+def study():
+    """Gains that Theorem 1 certifies, under a lag."""
+    changes = {
+        "draws": 60,
+        "loop.duration": 12.0,
+        "loop.sample_time": 0.002,
+        "plant.initial": [0.2, 0.0],
+        "controller.predictor_start": "matched",
+        "unmodelled": {"kind": "lag", "order": 2, "mu": 0.01},
+        "requirement": [{"metric": "command_tv", "after": 8.0, "max": 2.0}],
+    }
+    return dj.Study.from_table(table()).override(changes)
+
+
+@pytest.fixture(scope="module")
+def found(study):
+    relay = study.override({"controller": {"kind": "smc", "l0": 0.5, "gain": 1.0}})
+    return dj.theory.beside(study, **WALK, rivals={"smc": relay})
+
+
+def test_every_part_is_the_one_that_is_computed_alone(study, found):
+    alone = dj.margin(study, **WALK)
+    assert np.array_equal(found.performance.dataset["critical"].values, alone.dataset["critical"].values)
+    for kind, margins in found.local.items():
+        local = dj.theory.local_margin(study, **WALK, kind=kind)
+        assert np.array_equal(margins.dataset["critical"].values, local.dataset["critical"].values)
+    assert set(found.local) == {"sampled", "continuous"}
+    assert set(found.oscillations) == {"dssc", "smc"}
+    assert found.performance.certificate.value == 0.0
+    assert not found.silent
+
+
+def test_the_parts_tell_one_story(found):
+    """The requirement bounds the command's travel, which the local margin decides here; the relay chatters anyway."""
+    told = found.summary()
+    local, simulated = told["local"]["sampled"]["median"], told["performance"]["median"]
+    assert simulated == pytest.approx(local, rel=0.1)
+    assert local < told["local"]["continuous"]["median"] < 1.3 * local
+    mu = np.array(told["oscillations"]["smc"]["mu"])
+    assert mu[0] == pytest.approx(0.04)  # 20 T_s
+    assert told["oscillations"]["smc"]["amplitude"][0] == pytest.approx(
+        told["oscillations"]["smc"]["predicted"][0], rel=0.1
+    )
+    assert np.isnan(told["oscillations"]["dssc"]["predicted"]).all()
+    assert told["edge"] == pytest.approx(local, rel=0.05)
+
+
+def test_the_figure_says_what_the_theorem_says(found):
+    figure = dj.plot.theory(found.margins, found.oscillations, found.edge)
+    assert figure.get_supxlabel() == found.performance.certificate.text
+    left, right = figure.axes
+    labels = left.get_legend_handles_labels()[1]
+    assert labels[-1] == "certified as far as 0"
+    assert {line.get_linestyle() for line in left.lines[:3]} == {"-", "--", ":"}
+    assert "smc, describing function" in right.get_legend_handles_labels()[1]
+
+
+def test_what_is_silent_says_why(study):
+    few = study.override({"draws": 4, "loop.duration": 9.0})
+    options = {"points": 3, "bisections": 2}
+    gain = dj.theory.beside(few, over="plant.k_p", bounds=(1.0, 0.5), **options)
+    assert "lag's mu" in gain.silent["oscillations"]
+    assert gain.performance.certificate.value == pytest.approx(0.896, abs=0.01)
+    assert len(dj.plot.theory(gain.margins, gain.oscillations).axes) == 1
+    bias = dj.theory.beside(few, over="disturbance.amplitude", bounds=(0.1, 1.0), **options)
+    assert "plays no part near the origin" in bias.silent["sampled"]
+    switching = few.override({"controller": {"kind": "smc", "l0": 0.5, "gain": 1.0}})
+    fine = dj.theory.beside(switching, over="unmodelled.mu", bounds=(0.001, 0.01), **options)
+    assert "switches at the origin" in fine.silent["sampled"]
+    assert "the clock would chatter" in fine.silent["oscillations"]
+    assert fine.edge is None

@@ -1,0 +1,146 @@
+"""Compiled programs between processes: read where they are whole and in their place, else compiled again."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from dssc_jax.backend.compiled_programs import DIGEST, Programs, digest
+from tests.backend.test_xla import CLEAN, python
+from tests.results.test_durability import SMALL
+
+STUDY = """
+import json, sys
+import dssc_jax as dj
+study = dj.Study.from_table(json.loads(sys.argv[1])).without_sweep()
+print(dj.run(study).dataset["error_rms"].values.tobytes().hex())
+"""
+
+
+def run(home):
+    """A small study in a process of its own, whose cache is in ``home``; exit code, result, what was said."""
+    done = subprocess.run(
+        [sys.executable, "-c", STUDY, json.dumps(SMALL)],
+        env={**CLEAN, "XDG_CACHE_HOME": str(home)},
+        capture_output=True,
+        text=True,
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.fixture(scope="module")
+def cold(tmp_path_factory):
+    """A cache that a run has filled, and the run."""
+    home = tmp_path_factory.mktemp("cache")
+    done = run(home)
+    assert (done[0], done[2]) == (0, "")
+    return home, done
+
+
+def kept(home):
+    """The programs of a cache, the largest first."""
+    return sorted((home / "dssc_jax").rglob("*.program"), key=lambda file: -file.stat().st_size)
+
+
+def states(home):
+    return {file.name: (file.read_bytes(), file.stat().st_ino) for file in kept(home)}
+
+
+def test_the_second_process_reads_what_the_first_has_compiled(cold):
+    home, done = cold
+    before = states(home)
+    assert len(before) >= 2
+    assert run(home) == done
+    assert states(home) == before  # read, not written anew
+
+
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.5, 0.99])
+def test_a_program_that_is_cut_short_is_deleted_with_one_line(cold, share):
+    home, done = cold
+    before, file = {name: content for name, (content, _) in states(home).items()}, kept(home)[0]
+    file.write_bytes(file.read_bytes()[: int(share * file.stat().st_size)])
+    code, result, said = run(home)
+    assert (code, result) == (0, done[1])
+    assert len(said.strip().splitlines()) == 1
+    assert said.startswith(f"deleted {file}: ")
+    assert run(home) == done
+    assert states(home).keys() == before.keys()
+
+
+def test_programs_that_have_changed_places_are_not_run(cold):
+    """JAX's own cache runs one for the other, which ends the process with SIGABRT."""
+    home, done = cold
+    one, other = kept(home)[:2]
+    first, second = one.read_bytes(), other.read_bytes()
+    one.write_bytes(second)
+    other.write_bytes(first)
+    code, result, said = run(home)
+    assert (code, result) == (0, done[1])
+    assert sorted(line.split(": ")[0] for line in said.splitlines()) == sorted((f"deleted {one}", f"deleted {other}"))
+    assert run(home) == done
+
+
+def test_a_program_belongs_to_its_name(tmp_path, capsys):
+    programs = Programs(tmp_path / "new")
+    assert programs.get("a") is None
+    programs.put("a", b"program")
+    assert programs.get("a") == b"program"
+    (tmp_path / "new" / "a.program").rename(tmp_path / "new" / "b.program")
+    assert programs.get("b") is None
+    assert "b.program: it does not hold what was kept there" in capsys.readouterr().err
+    assert not list((tmp_path / "new").iterdir())
+    assert digest("ab", b"c") != digest("a", b"bc")
+
+
+def test_what_has_not_been_read_for_long_goes_first(tmp_path):
+    (tmp_path / "jit_old-cache").write_bytes(bytes(100))  # what JAX's own cache has left
+    os.utime(tmp_path / "jit_old-cache", (0, 0))
+    (tmp_path / "folder").mkdir()
+    programs = Programs(tmp_path, most=3 * (DIGEST + 100))
+    for age, name in enumerate("abc"):
+        programs.put(name, bytes(100))
+        os.utime(tmp_path / f"{name}.program", (age, age))
+    assert not (tmp_path / "jit_old-cache").exists()
+    programs.get("a")
+    programs.put("d", bytes(100))
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["a.program", "c.program", "d.program", "folder"]
+
+
+def test_a_disk_that_is_full_leaves_no_half(tmp_path, monkeypatch):
+    monkeypatch.setattr("os.replace", lambda *_: (_ for _ in ()).throw(OSError("No space left on device")))
+    with pytest.raises(OSError, match="No space left"):
+        Programs(tmp_path).put("a", b"program")
+    assert not list(tmp_path.iterdir())
+
+
+COMPILE = """
+import sys
+import dssc_jax, dssc_jax.engine.sampling, jax, jax.numpy as jnp
+from pathlib import Path
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+jax.jit(lambda x: jnp.sin(x) + 1.0)(1.0)
+kept = jax.config.jax_compilation_cache_dir
+print(kept, sorted({file.suffix for file in Path(kept).glob("jit__lambda*")}) if kept else "")
+"""
+
+
+def test_programs_are_kept_where_the_user_caches(tmp_path):
+    folder, suffixes = python(COMPILE, XDG_CACHE_HOME=str(tmp_path)).stdout.split()
+    assert folder.startswith(str(tmp_path / "dssc_jax"))
+    assert suffixes == "['.program']"
+
+
+def test_a_users_own_cache_wins_and_none_is_kept_on_request(tmp_path):
+    own, unused = str(tmp_path / "own"), str(tmp_path / "unused")
+    assert python(COMPILE, JAX_COMPILATION_CACHE_DIR=own, XDG_CACHE_HOME=unused).stdout.split() == [own, "['']"]
+    assert python(COMPILE, XDG_CACHE_HOME=unused, DSSC_JAX_CACHE="off").stdout.split() == ["None"]
+    assert not (tmp_path / "unused").exists()
+
+
+def test_another_jax_keeps_nothing(tmp_path):
+    """One without the private function that is replaced: no cache, rather than one that is believed."""
+    code = f"import jax._src.compilation_cache as c; del c.get_file_cache{COMPILE}"
+    assert python(code, XDG_CACHE_HOME=str(tmp_path)).stdout.split() == ["None"]
+    assert not list(tmp_path.iterdir())

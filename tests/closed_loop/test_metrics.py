@@ -1,0 +1,114 @@
+"""Streaming metrics against the same numbers from the stored trajectory."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import dssc_jax as dj
+from dssc_jax.closed_loop.metrics import (
+    METRICS,
+    Instant,
+    Measure,
+    Scope,
+    Window,
+    first_sample,
+    starts,
+    update_all,
+    values,
+)
+from dssc_jax.core.signals import Outcome
+
+STUDIES = Path(__file__).parents[2] / "studies"
+
+
+def test_streaming_equals_stored(case_2):
+    study = case_2.override({"controller.rho": 0.75, "metrics": {"after": 10.0, "settling_band": 5.0}})
+    run = dj.simulate(study)
+    inside = run["t"].values >= 10.0 - 1e-9
+    e, u, sigma = (run[name].values[inside] for name in ("e", "u", "sigma"))
+    t = run["t"].values[inside]
+    steps = np.abs(np.diff(run["u"].values, prepend=run["u"].values[0]))
+    ratio = 0.005 / (run["k_o"] * run["tau_av"]) * (1 + 0.005 / (2 * run["tau_m"])) / 2
+    expected = {
+        "error_rms": np.sqrt(np.mean(e**2)),
+        "error_max": np.abs(e).max(),
+        "sigma_rms": np.sqrt(np.mean(sigma**2)),
+        "sigma_max": np.abs(sigma).max(),
+        "settling_time": t[np.abs(e) > 5.0].max() + 0.005 - 10.0,
+        "command_tv": steps[inside].sum(),
+        "command_rms": np.sqrt(np.mean(u**2)),
+        "command_max": np.abs(u).max(),
+        "total_command_max": np.abs(run["u_total"].values[inside]).max(),
+        "outside_sliding": np.mean(run["sliding_margin"].values[inside] < 0),
+        "sampling_ratio": ratio.values[inside].max(),
+        "sampling_ratio_above_1": 0.0,
+    }
+    assert set(expected) == {name for name, metric in METRICS.items() if metric.scope is Scope.CHANNEL}
+    assert expected["outside_sliding"] > 0
+    for name, value in expected.items():
+        assert run.attrs[name] == pytest.approx(value, rel=1e-9), name
+
+
+def test_unsettled_is_infinite(case_2):
+    assert dj.simulate(case_2.override({"metrics.settling_band": 1e-9})).attrs["settling_time"] == np.inf
+
+
+def test_settled_from_the_start_is_zero():
+    study = dj.Study.from_table(
+        {
+            "name": "still",
+            "loop": {"duration": 1.0, "sample_time": 0.01},
+            "plant": {"kind": "normal_form"},
+            "controller": {"kind": "pi", "l0": 1.0, "k_p": 1.0, "k_i": 0.0},
+        }
+    )
+    assert dj.simulate(study).attrs["settling_time"] == 0.0
+
+
+@pytest.mark.parametrize(("after", "dt", "k"), [(0.0, 0.1, 0), (0.3, 0.1, 3), (20.0, 0.005, 4000), (0.25, 0.1, 3)])
+def test_window_starts_at_the_first_sample_not_before(after, dt, k):
+    """0.3/0.1 is 2.9999999999999996 in floating point."""
+    assert first_sample(Window(after), dt) == k
+
+
+class Seen(NamedTuple):
+    rotor_limited: bool
+    tilt: float = 0.0
+
+
+@pytest.mark.parametrize(
+    ("flags", "after", "longest"),
+    [
+        ("000000", 0.0, 0),
+        ("111111", 0.0, 6),
+        ("011011101", 0.0, 3),
+        ("110100", 0.0, 2),
+        ("11110110", 0.2, 2),
+        ("11110110", 0.3, 2),
+        ("11111010", 0.3, 2),
+    ],
+)
+def test_longest_uninterrupted_stretch(flags, after, longest):
+    """A window that opens within a stretch counts from there."""
+    measures = (Measure("limited", "rotor_limited_longest", Window(after), None),)
+    accumulators = starts(measures)
+    for k, flag in enumerate(flags):
+        instant = Instant(0.1 * k, 0.1, (), Seen(flag == "1"))
+        accumulators = update_all(measures, accumulators, instant, jnp.asarray(k), 0.1)
+    assert float(values(measures, accumulators, len(flags), 0.1)["limited"]) == pytest.approx(0.1 * longest)
+
+
+def test_a_rotor_at_its_limit_for_too_long_is_an_outcome():
+    """A vehicle that sinks at 6 m/s, whose rotors lift little more than its weight."""
+    weak = {"plant.velocity": [0.0, 0.0, -6.0], "plant.vehicle.max_thrust": {"uniform": [28.0, 36.0]}}
+    bound = {"requirement": [{"metric": "rotor_limited_longest", "max": 0.5}]}
+    study = dj.Study.load(STUDIES / "paper_case1.toml").override({"draws": 8, "loop.duration": 2.0, **weak, **bound})
+    found = dj.run(study).dataset
+    longest, code = found["rotor_limited_longest"].values, found["outcome"].values
+    assert 0 < np.count_nonzero(longest > 0.5) < 8
+    np.testing.assert_array_equal(code == Outcome.REQUIREMENT, longest > 0.5)
+    np.testing.assert_array_equal(code == Outcome.OK, longest <= 0.5)
+    np.testing.assert_array_equal(longest == 0.0, found["rotor_limited"].values == 0.0)

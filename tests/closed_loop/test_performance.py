@@ -1,0 +1,167 @@
+"""Measures on request, against the same numbers from the stored trajectory; and a user's own."""
+
+import re
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import dssc_jax as dj
+from dssc_jax.closed_loop.metrics import METRICS, Instant, Measure, Scope, Window, starts, update_all, values
+from dssc_jax.closed_loop.performance import PERFORMANCE
+from dssc_jax.core.quantities import angular_unit
+from dssc_jax.results.schema import variables
+
+OWN = """
+import jax.numpy as jnp
+from dssc_jax.closed_loop.metrics import Metric, itself, peak
+JERK = Metric("m/s", "largest change of the command in a sample", peak(lambda s: s.u - s.u_previous), itself)
+WORD = "no metric"
+error_rms = Metric("m", "a name that is taken", peak(lambda s: s.e), itself)
+"""
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    (tmp_path / "own_metrics.py").write_text(OWN)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield
+    sys.modules.pop("own_metrics", None)
+
+
+def test_only_where_named(case_2):
+    assert not set(PERFORMANCE) & {measure.kind for measure in case_2.measures}
+    assert not set(PERFORMANCE) & set(METRICS)
+
+
+def test_streaming_equals_stored(case_2):
+    study = case_2.override({"metrics": {"after": 10.0, "names": ["error_rms", *PERFORMANCE]}})
+    run = dj.simulate(study)
+    inside = run["t"].values >= 10.0 - 1e-9
+    e, u, whole, sigma, t = (run[name].values[inside] for name in ("e", "u", "u_total", "sigma", "t"))
+    slow = [u[0]]
+    for value in u[1:]:
+        slow.append(slow[-1] + (1.0 - np.exp(-2.0 * np.pi * 0.005)) * (value - slow[-1]))
+    fast = np.sum((u - slow) ** 2)
+    expected = {
+        "iae": 0.005 * np.abs(e).sum(),
+        "itae": 0.005 * ((t - 10.0) * np.abs(e)).sum(),
+        "overshoot": max(0.0, (-np.sign(e[0]) * e).max()),
+        "steady_state_error": abs(e.mean()),
+        "command_energy": 0.005 * (u**2).sum(),
+        "chattering_index": fast / (fast + len(u) * np.var(slow)),
+        "total_command_tv": np.abs(np.diff(whole)).sum(),
+        "growth_rate": np.polyfit(t, np.log(np.abs(sigma)), 1)[0],
+    }
+    assert set(expected) == {name for name, metric in PERFORMANCE.items() if metric.scope is Scope.CHANNEL}
+    assert expected["overshoot"] > 0.0
+    for name, value in expected.items():
+        assert run.attrs[name] == pytest.approx(value, rel=1e-8), name
+
+
+def test_a_constant_command_does_not_chatter(case_2):
+    still = {
+        "plant.initial": [0.0, 0.0],
+        "reference": {"kind": "zero"},
+        "disturbance": {"kind": "none"},
+        "metrics": {"names": list(PERFORMANCE)},
+    }
+    attrs = dj.simulate(case_2.override(still)).attrs
+    assert {attrs[name] for name in PERFORMANCE if name in attrs and name != "growth_rate"} == {0.0}
+
+
+class Attitude(NamedTuple):
+    phi: float
+    theta: float
+
+
+def test_peak_attitude_is_that_of_the_window():
+    measures = tuple(Measure(name, name, Window(0.2), None, PERFORMANCE[name]) for name in ("roll_max", "pitch_max"))
+    accumulators = starts(measures)
+    for k, (phi, theta) in enumerate([(0.9, -0.9), (0.8, 0.7), (-0.3, 0.1), (0.2, -0.4)]):
+        instant = Instant(0.1 * k, 0.1, (), Attitude(phi, theta))
+        accumulators = update_all(measures, accumulators, instant, jnp.asarray(k), 0.1)
+    found = values(measures, accumulators, 4, 0.1)
+    assert {name: float(value) for name, value in found.items()} == {"roll_max": 0.3, "pitch_max": 0.4}
+
+
+def test_metrics_of_an_angle_are_in_radians():
+    """Whatever says a metric's unit: results, requirements, reports."""
+    named = {"metrics.names": ["error_rms", "iae", "itae", "command_energy", "tilt_max", "chattering_index"]}
+    uav = dj.Study.load(Path(__file__).parents[2] / "studies" / "paper_case1.toml")
+    study = uav.override({**named, "requirement": [{"metric": "error_max_psi", "max": 0.1}]})
+    units = {name: about.attributes["units"] for name, about in variables(study).items() if name != "outcome"}
+    of_length = {"error_rms": "m", "iae": "m s", "itae": "m s^2", "command_energy": "m^2/s"}
+    for kind, unit in of_length.items():
+        assert (units[f"{kind}_x"], units[f"{kind}_psi"]) == (unit, "rad" + unit.removeprefix("m"))
+    assert units["chattering_index_psi"] == "1"
+    assert units["tilt_max"] == units["error_max_psi"] == units["slack_error_max_psi"] == "rad"
+    assert study.requirements[0].text == "error_max_psi <= 0.1 rad"
+
+
+@pytest.mark.parametrize(
+    ("unit", "angular"),
+    [("m", "rad"), ("m/s", "rad/s"), ("m^2/s", "rad^2/s"), ("mm", "mm"), ("1/m", "1/m")],
+)
+def test_angular_unit(unit, angular):
+    assert angular_unit(unit) == angular
+
+
+def test_chattering_is_the_share_above_the_cutoff():
+    """A relay at 1 ms chatters at 500 Hz, and the implicit one not at all."""
+    table = {
+        "name": "relay",
+        "loop": {"duration": 2.0, "sample_time": 1e-3},
+        "plant": {"kind": "normal_form", "initial": [0.01234, 0.0]},
+        "controller": {"kind": "smc", "l0": 1.0, "gain": 1.0},
+        "metrics": {"after": 1.0, "names": ["chattering_index"]},
+    }
+    found = {}
+    for form in ("implicit", "explicit"):
+        table["controller"]["discretisation"] = form
+        found[form] = dj.simulate(dj.Study.from_table(table)).attrs["chattering_index"]
+    assert found["explicit"] > 0.95
+    assert found["implicit"] < 1e-3
+
+
+def test_own_metric(case_2, own, tmp_path):
+    study = case_2.override(
+        {
+            "metrics": {"names": ["own_metrics:JERK"]},
+            "requirement": [{"metric": "own_metrics:JERK", "after": 30.0, "max": 1e-3}],
+            "loop.duration": 40.0,
+        }
+    )
+    run = dj.simulate(study)
+    steps = np.abs(np.diff(run["u"].values))
+    assert run.attrs["JERK"] == pytest.approx(steps.max(), rel=1e-12)
+    result = dj.run(study)
+    assert result.summary()["requirements"] == ["JERK after 30 s <= 0.001 m/s"]
+    result.save(tmp_path / "r")
+    assert dj.load(tmp_path / "r").dataset["JERK"].attrs["long_name"] == "largest change of the command in a sample"
+
+
+@pytest.mark.parametrize(
+    ("name", "rule"),
+    [
+        ("own_metrics:WORD", "must be a Metric, got str"),
+        ("own_metrics:NONE", "cannot import"),
+        ("no_such_module:X", "cannot import"),
+        ("own_metrics:error_rms", "another metric of the name 'error_rms'"),
+        ("chattering_indx", "did you mean 'chattering_index'"),
+    ],
+)
+def test_bad_names(case_2, own, name, rule):
+    for changes in ({"metrics": {"names": [name]}}, {"requirement": [{"metric": name, "max": 1.0}]}):
+        with pytest.raises(dj.ConfigError, match=rule):
+            case_2.override(changes)
+
+
+def test_the_page_has_every_metric_with_its_unit():
+    page = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text()
+    rows = re.findall(r"^\| `(\w+)` \|.*\| (\S.*) \|$", page, re.MULTILINE)
+    assert dict(rows) == {name: metric.unit for name, metric in (METRICS | PERFORMANCE).items()}
+    assert [name for name, _ in rows] == [*METRICS, *PERFORMANCE]

@@ -1,0 +1,175 @@
+"""Batches: bit-identical for any chunk, tile and device count; one compile; flat memory."""
+
+import json
+import os
+import subprocess
+import sys
+
+import jax
+import numpy as np
+import pytest
+
+import dssc_jax as dj
+from dssc_jax.engine.batching import Engine, Layout
+from tests.tolerances import COMPILER, SINGLE
+
+
+def same(left, right):
+    for name in left.dataset.data_vars:
+        np.testing.assert_array_equal(left.dataset[name].values, right.dataset[name].values, err_msg=name)
+
+
+@pytest.fixture(scope="module")
+def whole():
+    from tests.conftest import UNCERTAIN
+
+    return dj.run(dj.Study.from_table(UNCERTAIN))
+
+
+def test_two_devices_are_there():
+    assert len(jax.devices()) == 2
+
+
+def test_the_study_is_not_trivial(whole):
+    share = whole.failed.mean().item()
+    assert 0.05 < share < 0.95
+    assert whole.dataset.sizes == {"controller.functions.tau_av": 3, "controller.l0": 2, "draw": 24}
+
+
+@pytest.mark.parametrize("block", [1, 7, 24, 1000])
+def test_any_chunk_size(whole, block):
+    found = dj.run(whole.study, block=block)
+    same(whole, found)
+    assert found.manifest["times"]["traces"] == 1  # one compile
+
+
+@pytest.mark.parametrize("tile", [1, 16, 1024])
+def test_any_tile_size(whole, tile):
+    same(whole, dj.run(whole.study, tile=tile))
+
+
+def test_any_number_of_devices(whole):
+    """Two of them made the whole."""
+    same(whole, dj.run(whole.study, devices=1))
+
+
+def test_more_draws_keep_the_first_ones(whole):
+    more = dj.run(whole.study.override({"draws": 60}))
+    for name in whole.dataset.data_vars:
+        np.testing.assert_array_equal(more.dataset[name].values[..., :24], whole.dataset[name].values, err_msg=name)
+
+
+def test_another_law_does_not_move_the_draws_of_the_others(whole):
+    fixed = dj.run(whole.study.override({"plant.k_p": 1.0}))
+    for name in ("plant.a_p", "unmodelled.mu", "controller.rho", "plant.zero_dynamics.a.1"):
+        np.testing.assert_array_equal(fixed.dataset[name].values, whole.dataset[name].values, err_msg=name)
+
+
+def test_another_seed_gives_other_draws(whole):
+    other = dj.run(whole.study.override({"seed": 4}))
+    assert not np.any(other.dataset["plant.k_p"].values == whole.dataset["plant.k_p"].values)
+
+
+def test_vmap_equals_a_loop(whole):
+    """A batch against one draw at a time, by the single-draw path."""
+    for draw in (0, 5, 23):
+        point = {"controller.functions.tau_av": 0.05, "controller.l0": 0.5}
+        alone = dj.simulate(whole.study, draw, point=point)
+        batch = whole.dataset.sel(point).isel(draw=draw)
+        for measure in whole.study.measures:
+            assert alone.attrs[measure.name] == pytest.approx(batch[measure.name].item(), rel=1e-11), measure.name
+
+
+def test_a_replay_agrees(whole):
+    again = dj.replay(whole, 11, point={"controller.functions.tau_av": 0.1, "controller.l0": 1.0})
+    assert again.attrs["agreement"] == "agrees"
+    assert 0.0 <= again.attrs["deviation"] < 1e-11
+
+
+def test_one_compile_for_the_whole_sweep(whole):
+    assert whole.manifest["times"]["traces"] == 1
+
+
+@pytest.mark.parametrize("shape", [{}, {"draws": 1}, {"draws": 1000, "sweep": {}}])
+def test_layout_covers_every_lane_once(uncertain, shape):
+    study = uncertain.override(shape)
+    for lanes in (1, 5, 24, 48, 100, 16384):
+        layout = Layout.of(study, lanes)
+        assert layout.lanes <= lanes
+        count = np.zeros(layout.shape, dtype=int)
+        for block in layout.blocks():
+            count[block] += 1
+        assert np.all(count == 1)
+
+
+def test_memory_does_not_grow_with_the_duration(uncertain):
+    sizes = []
+    for duration in (1.0, 100.0):
+        study = uncertain.override({"loop.duration": duration, "requirement": []})
+        engine = Engine(study, 48)
+        engine({name: np.ones(48) for name in engine.names}, np.arange(48)) if duration < 2 else None
+        compiled = engine._run or engine._compile(
+            {name: np.ones((engine._tiles, engine._tile)) for name in engine.names},
+            np.zeros((engine._tiles, engine._tile), np.uint32),
+        )
+        memory = compiled.memory_analysis()
+        sizes.append(memory.temp_size_in_bytes + memory.output_size_in_bytes + memory.argument_size_in_bytes)
+    assert sizes[0] == sizes[1]
+
+
+def test_single_precision_is_close_and_keeps_its_type(uncertain):
+    """Noise included: both precisions draw the same."""
+    double, single = dj.run(uncertain), dj.run(uncertain.override({"loop.precision": 32}))
+    assert single.dataset["error_rms"].dtype == np.float32
+    assert single.dataset["plant.k_p"].dtype == np.float64
+    np.testing.assert_array_equal(single.dataset["plant.k_p"], double.dataset["plant.k_p"])
+    np.testing.assert_allclose(single.dataset["error_rms"], double.dataset["error_rms"], rtol=SINGLE)
+    np.testing.assert_array_equal(single.dataset["outcome"], double.dataset["outcome"])
+
+
+SCRIPT = """
+import sys, json
+import dssc_jax as dj
+study = dj.Study.from_table(json.loads(sys.argv[1]))
+result = dj.run(study)
+print(json.dumps({m.name: result.dataset[m.name].values.ravel().tolist() for m in study.measures}))
+"""
+
+
+def in_subprocess(study, **environment):
+    keep = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
+    out = subprocess.run(
+        [sys.executable, "-c", SCRIPT, json.dumps(study.table)],
+        env={**keep, **environment},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return json.loads(out.stdout)
+
+
+def test_flagged_and_unflagged_compilers_agree(case_2, uncertain):
+    """Case 2 over 10 s, implicit scheme, and the uncertain study; in processes of their own."""
+    for study in (case_2.override({"loop.duration": 10.0, "requirement": []}), uncertain):
+        flagged, plain = in_subprocess(study), in_subprocess(study, DSSC_JAX_XLA="off")
+        for name, values in flagged.items():
+            np.testing.assert_allclose(values, plain[name], rtol=COMPILER, atol=1e-12, err_msg=name)
+
+
+MEMORY = """
+import dssc_jax as dj
+from dssc_jax.study.library import find
+shorter = {"draws": 100_000, "loop.duration": 6.0, "requirement": [{"metric": "error_rms", "max": 20.0}]}
+study = dj.Study.load(find("mu_robustness")).without_sweep().override(shorter)
+result = dj.run(study)
+peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))  # ru_maxrss is inherited on exec
+print(int(peak.split()[1]) / 1e6, result.manifest["times"]["seconds"])
+"""
+
+
+def test_hundred_thousand_draws_fit_in_two_gigabytes():
+    """Draws of 6 s: memory does not grow with the duration, see above."""
+    out = subprocess.run([sys.executable, "-c", MEMORY], capture_output=True, text=True, check=True)
+    gigabytes, seconds = map(float, out.stdout.split())
+    print(f"\n100,000 draws of 6 s: peak {gigabytes:.2f} GB, {seconds:.1f} s")
+    assert gigabytes < 2.0

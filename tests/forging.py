@@ -1,0 +1,38 @@
+"""Results folders as somebody would leave them who knows how they are made: digests and all."""
+
+import json
+
+from dssc_jax.results.blocks import Chunks
+from dssc_jax.results.digests import DIGESTS, over_all
+from dssc_jax.results.manifest import SEAL, WITHOUT_DIGESTS, read_manifest, stored_layout, write_json, write_manifest
+from dssc_jax.study import Study
+
+
+def resealed(folder, **changes):
+    """The manifest with some of its fields replaced (None: taken away), and its digest taken anew."""
+    manifest = json.loads((folder / "manifest.json").read_text()) | changes
+    write_manifest(folder, {name: value for name, value in manifest.items() if name != SEAL and value is not None})
+
+
+def redigested(folder):
+    """Digests of whatever the arrays now hold."""
+    manifest = read_manifest(folder)
+    study = Study.from_table(manifest["study"])
+    layout = stored_layout(folder, study, manifest)
+    chunks = Chunks(folder, study, layout, "r+")
+    for block in layout.blocks():
+        held = {name: chunks.arrays[name][block[-1:] if name in study.laws else block] for name in chunks.arrays}
+        chunks.write(block, held, {})
+    resealed(folder, **{DIGESTS: over_all(folder, layout)})
+
+
+def without_digests(folder):
+    """The folder as the first version wrote it."""
+    manifest = json.loads((folder / "manifest.json").read_text())
+    for file in (folder / DIGESTS).iterdir():
+        file.unlink()
+    (folder / DIGESTS).rmdir()
+    for array in (folder / "data.zarr").glob("slack_*"):
+        array.rename(array.with_name(array.name.replace("slack_", "margin_")))
+    kept = {name: value for name, value in manifest.items() if name not in (SEAL, DIGESTS)}
+    write_json(folder / "manifest.json", kept | {"schema": WITHOUT_DIGESTS})

@@ -1,0 +1,170 @@
+"""Figures: they draw where they are told to, with units and intervals, and lose no peak."""
+
+import copy
+import doctest
+import io
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+import dssc_jax as dj
+from dssc_jax.plotting import thinning
+from dssc_jax.plotting.style import label
+from dssc_jax.plotting.sweeps import cell_edges
+from dssc_jax.plotting.thinning import COLUMNS, picked, thinned
+from dssc_jax.results.result import headline_measure
+from dssc_jax.statistics import clopper_pearson
+from tests.conftest import UNCERTAIN
+
+
+@pytest.fixture(scope="module")
+def swept():
+    return dj.run(dj.Study.from_table(copy.deepcopy(UNCERTAIN)))
+
+
+@pytest.fixture(scope="module")
+def one(swept):
+    return swept.at(dict.fromkeys(swept.study.axes, 0))
+
+
+@pytest.fixture(scope="module")
+def flown(swept):
+    return dj.simulate(swept.study, 2)
+
+
+def drawings(swept, one, flown):
+    """Every single panel by name, as a function of the axes."""
+    row = swept.at({"controller.l0": 0})
+    return {
+        "distribution": lambda ax: dj.plot.distribution(one, ax),
+        "factor": lambda ax: dj.plot.factor(one, "plant.k_p", ax),
+        "probability map": lambda ax: dj.plot.probability(swept, ax),
+        "probability curve": lambda ax: dj.plot.probability(row, ax),
+        "typical map": lambda ax: dj.plot.typical(swept, ax),
+        "typical curve": lambda ax: dj.plot.typical(row, ax, metric="command_tv"),
+        "signals": lambda ax: dj.plot.signals(flown, ["e", "sigma"], ax),
+    }
+
+
+def test_panels_draw_into_given_axes_or_their_own(swept, one, flown):
+    for name, draw in drawings(swept, one, flown).items():
+        figure = Figure()
+        left, right = figure.subplots(1, 2)
+        assert draw(right) is figure, name
+        assert right.has_data(), name
+        assert not left.has_data(), name
+        assert draw(None) is not figure, name
+
+
+def test_axes_carry_units_and_figures_are_vectors(swept, one, flown):
+    for name, draw in drawings(swept, one, flown).items():
+        figure = draw(None)
+        ax = figure.axes[0]
+        assert ax.get_xlabel(), name
+        assert ax.get_ylabel(), name
+        text = io.StringIO()
+        figure.savefig(text, format="svg")
+        assert text.getvalue().count("<image") == name.endswith("map"), name  # the colour bar's gradient
+    assert "[s]" in dj.plot.probability(swept).axes[0].get_xlabel() + dj.plot.probability(swept).axes[0].get_ylabel()
+    assert "[m/s]" in dj.plot.signals(flown, ["sigma"]).axes[0].get_ylabel()
+
+
+def test_composites(swept, one, flown):
+    for figure in (dj.plot.sweep(swept), dj.plot.failures(one), dj.plot.trajectory(flown)):
+        figure.savefig(io.BytesIO(), format="pdf")
+
+
+def test_the_distributions_band_is_the_exact_interval(one):
+    ax = dj.plot.distribution(one).axes[0]
+    draws = one.dataset.sizes["draw"]
+    steps = np.asarray(ax.lines[0].get_ydata())
+    assert steps == pytest.approx(np.arange(1, draws + 1) / draws)
+    band = ax.collections[0].get_paths()[0].vertices[:, 1]
+    for k in (1, draws // 2, draws):
+        assert any(np.isclose(band, bound).any() for bound in clopper_pearson(k, draws))
+    assert {round(v, 9) for v in clopper_pearson(1, draws)} <= {round(v, 9) for v in band}
+
+
+def test_a_study_that_measures_no_error_is_about_its_first_metric(uncertain):
+    measured = uncertain.override({"metrics.names": ["iae"], "requirement": [], "sweep": {}, "loop.duration": 1.0})
+    assert "integral of |e|" in dj.plot.failures(dj.run(measured)).axes[0].get_xlabel()
+    flight = dj.Study.load("studies/paper_case1.toml").override({"requirement": []})
+    assert headline_measure(flight).name == "position_error_rms"
+
+
+def test_a_sweeps_points_are_not_pooled(swept):
+    with pytest.raises(ValueError, match=r"take Result\.at"):
+        dj.plot.distribution(swept)
+    with pytest.raises(ValueError, match=r"take Result\.at"):
+        dj.plot.factor(swept, "plant.k_p")
+    with pytest.raises(dj.ConfigError, match="did you mean 'error_rms'"):
+        dj.plot.typical(swept, metric="error_rmz")
+    with pytest.raises(dj.ConfigError, match=r"did you mean 'plant\.k_p'"):
+        dj.plot.factor(swept.at(dict.fromkeys(swept.study.axes, 0)), "plant.kp")
+
+
+def test_the_certified_stretch_is_hatched(swept):
+    row = swept.at({"controller.l0": 0})
+    data = row.dataset.assign(certified=("controller.functions.tau_av", np.array([True, True, False])))
+    ax = dj.plot.probability(dj.Result(row.study, data)).axes[0]
+    (hatched,) = [patch for patch in ax.patches if isinstance(patch, Rectangle) and patch.get_hatch()]
+    axis = data["controller.functions.tau_av"].values
+    assert hatched.get_x() < axis[0]
+    assert axis[1] < hatched.get_x() + hatched.get_width() < axis[2]
+    labels = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert labels.count("certified by Theorem 1") == 1
+
+
+def test_more_signals_than_colours(flown):
+    with pytest.raises(ValueError, match="at most 5 signals, got 6"):
+        dj.plot.signals(flown, ["e"] * 6)
+
+
+def test_cell_edges():
+    assert cell_edges(np.array([1.0, 2.0, 4.0]), False) == pytest.approx([0.5, 1.5, 3.0, 5.0])
+    assert cell_edges(np.array([1.0, 10.0, 100.0]), True) == pytest.approx(10.0 ** np.array([-0.5, 0.5, 1.5, 2.5]))
+    assert cell_edges(np.array([3.0]), False) == pytest.approx([2.5, 3.5])
+
+
+def test_a_large_map_is_one_image(swept):
+    """61 x 61 points of the one draw repeated: cells as an image, text and lines as vectors."""
+    axes = {name: {"linspace": [0.1, 1.0, 61]} for name in ("controller.functions.tau_av", "controller.l0")}
+    study = swept.study.override({"sweep": axes})
+    grid = swept.dataset.isel({name: np.zeros(61, int) for name in axes})
+    data = grid.assign_coords({name: np.asarray(values) for name, values in study.axes.items()})
+    text = io.StringIO()
+    dj.plot.probability(dj.Result(study, data)).savefig(text, format="svg")
+    assert text.getvalue().count("<image") == 2
+    assert len(text.getvalue()) < 500_000
+
+
+def test_thinning_keeps_peaks_gaps_and_order():
+    t = np.linspace(0.0, 1.0, 50_000)
+    y = np.sin(40.0 * t)
+    y[12_345], y[40_000:41_000] = 9.0, np.nan
+    kept_t, kept_y = thinned(t, y)
+    assert len(kept_t) <= 2 * COLUMNS
+    assert (np.diff(kept_t) > 0).all()
+    assert np.nanmax(kept_y) == 9.0
+    assert np.nanmin(kept_y) == np.nanmin(y)
+    assert np.isnan(kept_y).any()
+    assert thinned(t[:10], y[:10])[0] is not t
+    assert (thinned(t[:10], y[:10])[0] == t[:10]).all()
+
+
+def test_the_example_of_thinning_holds():
+    assert doctest.testmod(thinning).attempted == 1
+    assert doctest.testmod(thinning).failed == 0
+
+
+def test_dollars_in_a_users_words_are_no_mathematics():
+    figure = Figure()
+    figure.subplots().set_xlabel(label({"long_name": "cost $x_{$", "units": "$"}))
+    figure.savefig(io.BytesIO(), format="svg")
+
+
+def test_picked_keeps_both_ends():
+    assert picked(3).tolist() == [0, 1, 2]
+    assert picked(100_000, 5).tolist() == [0, 25000, 50000, 74999, 99999]
