@@ -133,10 +133,13 @@ class Study:
         return {name: number.value for name, number in self.numbers.items()}
 
     def params(self, values: Mapping[str, Scalar]) -> LoopParams:
-        """The loop's parameters with ``values`` (traced or not) in place of laws and swept numbers."""
+        """The loop's parameters with ``values`` (traced or not) in place of laws and swept numbers.
+
+        A leaf that is no number of the study, a thing computed from such numbers, goes by its own dotted path.
+        """
         names = {path: name for name, number in self.numbers.items() for path in number.paths}
         flat, tree = tree_flatten_with_path(self.template, is_leaf=lambda leaf: isinstance(leaf, Law))
         dotted_paths = (keystr(path, simple=True, separator=".") for path, _ in flat)
         return tree.unflatten(
-            values.get(names.get(path, ""), leaf) for path, (_, leaf) in zip(dotted_paths, flat, strict=True)
+            values.get(names.get(path, path), leaf) for path, (_, leaf) in zip(dotted_paths, flat, strict=True)
         )
