@@ -86,7 +86,7 @@ What a `margin` command has left in its folder is had again by `dj.load`, checke
 `dssc-jax theory STUDY --over NAME=LO:HI` asks four questions of one number at once, and says why where one of them has
 no answer:
 
-| | speaks of | silent |
+| | applies to | does not apply |
 |---|---|---|
 | Theorem 1 | all draws and all states together | lag, sampling, sensors; other functions than Table 1's |
 | eigenvalues | small deviations from the origin, draw by draw | requirements; laws that switch at the origin |

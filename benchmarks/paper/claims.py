@@ -55,9 +55,9 @@ def before_disturbance(
     ]
 
 
-def verdict(axes: list[str], meant: tuple[str, ...] = AXES) -> str:
+def verdict(axes: list[str], nearest: tuple[str, ...] = AXES) -> str:
     """Holds, holds on some axes, or does not hold."""
-    if set(axes) >= set(meant):
+    if set(axes) >= set(nearest):
         return "holds"
     return f"in part: on {', '.join(axes)} only" if axes else "does not hold"
 

@@ -23,7 +23,7 @@ def test_margin(study, capsys):
     shown = capsys.readouterr().out
     assert "none of 20 draws, 59 are needed" in shown
     assert "0.47 m" in shown
-    assert "Theorem 1 is silent: the controller is not DSSC" in shown
+    assert "Theorem 1 does not apply: the controller is not DSSC" in shown
 
 
 def test_a_walk_the_wrong_way_round_is_noticed(study, capsys):
@@ -59,7 +59,7 @@ def test_theory(study, capsys):
     assert guarded([*arguments, "--draws", "8", "--out", "t"]) == 0
     shown = capsys.readouterr().out
     assert "simulated" in shown
-    assert "Theorem 1 is silent" in shown
+    assert "Theorem 1 does not apply" in shown
 
 
 def test_compare(study, capsys):

@@ -33,7 +33,7 @@ def test_a_worker_is_killed(study, tmp_path):
             victims.append(next(iter(pids)))
             os.kill(pids[victims[0]], signal.SIGKILL)
 
-    result = dj.run(study, tmp_path / "r", block=8, cluster="local:2", progress=progress, tell=said.append)
+    result = dj.run(study, tmp_path / "r", block=8, cluster="local:2", progress=progress, notify=said.append)
     xr.testing.assert_identical(result.dataset, dj.run(study).dataset)
     about = result.manifest["cluster"]
     assert about["lost"] == victims

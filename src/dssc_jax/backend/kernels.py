@@ -26,7 +26,7 @@ from jax.core import Tracer
 from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal
 
 from dssc_jax.backend.fusion import CALLS, Scope, bound, needed
-from dssc_jax.core.errors import ConfigError, meant
+from dssc_jax.core.errors import ConfigError, nearest
 
 SWITCH = "DSSC_JAX_KERNEL"
 DEPRECATED = "The Pallas Triton backend is deprecated"  # by JAX 0.11; pyproject.toml admits no version without it
@@ -72,7 +72,7 @@ def requested(choice: str = "") -> str:
     """
     choice = choice or os.environ.get(SWITCH) or Form.SCAN
     if choice not in (*Form, "auto"):
-        raise ConfigError("kernel", f"must be scan, pallas or auto, got '{choice}'; {meant(choice, (*Form, 'auto'))}")
+        raise ConfigError("kernel", f"must be scan, pallas or auto, got '{choice}'; {nearest(choice, (*Form, 'auto'))}")
     return choice
 
 
@@ -129,16 +129,16 @@ def in_registers(batch: Batch, interpret: bool | None = None) -> Batch:
         results, tree = jax.tree.flatten(shape)
         read, written = power_of_two(len(values)), power_of_two(len(results))
 
-        def kernel(numbers: Any, index: Any, found: Any) -> None:
+        def kernel(numbers: Any, index: Any, outputs: Any) -> None:
             columns = [column.reshape(LANES) for column in lax.split(numbers[...], [1] * read, axis=1)]
             lanes = dict(zip(values, columns, strict=False)), index[...]
             out = translated(program, jax.tree.leaves(lanes))
             out += [jnp.zeros(LANES, real)] * (written - len(out))
-            found[...] = joined([x.astype(real) for x in out])
+            outputs[...] = joined([x.astype(real) for x in out])
 
         numbers = jnp.stack([*values.values(), *[jnp.zeros(count, real)] * (read - len(values))], axis=1)
         spare = -count % LANES
-        found = pl.pallas_call(
+        outputs = pl.pallas_call(
             kernel,
             out_shape=jax.ShapeDtypeStruct((count + spare, written), real),
             grid=((count + spare) // LANES,),
@@ -147,7 +147,7 @@ def in_registers(batch: Batch, interpret: bool | None = None) -> Batch:
             compiler_params=triton.CompilerParams(num_warps=WARPS, num_stages=1),
             interpret=jax.default_backend() != "gpu" if interpret is None else interpret,
         )(jnp.pad(numbers, ((0, spare), (0, 0)), mode="edge"), jnp.pad(index, (0, spare), mode="edge"))
-        columns = [found[:count, i].astype(result.dtype) for i, result in enumerate(results)]
+        columns = [outputs[:count, i].astype(result.dtype) for i, result in enumerate(results)]
         return jax.tree.unflatten(tree, columns)
 
     return advance
@@ -246,9 +246,9 @@ def while_loop(equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
     """A loop that the lanes of a warp leave together."""
     goes_on, body = equation.params["cond_jaxpr"], equation.params["body_jaxpr"]
     constants, carry = split_before_last(len(equation.outvars), operands)
-    asked, constants = split_before_last(len(body.in_avals) - len(carry), constants)
+    condition_constants, constants = split_before_last(len(body.in_avals) - len(carry), constants)
     return lax.while_loop(
-        lambda carry: translated(goes_on, [*asked, *carry])[0],
+        lambda carry: translated(goes_on, [*condition_constants, *carry])[0],
         lambda carry: translated(body, [*constants, *carry]),
         carry,
     )

@@ -95,7 +95,7 @@ def load_study(
         changes[key] = parse_value(value)
     changes |= {key: value for key, value in (("draws", draws), ("seed", seed)) if value is not None}
     table = changed(read_toml(path), changes, str(path))
-    tell_code("study", table)
+    show_code("study", table)
     return Study.from_table(table, str(path))
 
 
@@ -114,15 +114,15 @@ def load_result(folder: Path, trust_code: bool = False, local: bool = False) -> 
         about = read_manifest(folder)
         if local:
             sys.path.insert(0, str(Path(str(about.get("source", ""))).resolve().parent))
-        tell_code("result", about["study"], about.get("code"))
+        show_code("result", about["study"], about.get("code"))
     return load(folder, trust_code)
 
 
-def tell_code(what: str, table: dict[str, Any], then: dict[str, Any] | None = None) -> None:
+def show_code(what: str, table: dict[str, Any], then: dict[str, Any] | None = None) -> None:
     """Say which code is about to run, and from which files, before it is imported."""
-    from dssc_jax.study.code import told
+    from dssc_jax.study.code import describe_code
 
-    if names := told(table, then):
+    if names := describe_code(table, then):
         say(f"this {what} runs code: {names}")
 
 

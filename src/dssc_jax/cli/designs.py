@@ -32,7 +32,7 @@ def check(
     from dssc_jax.design.files import load_design
 
     require_one_form(as_json, as_latex)
-    return tell_design(load_design(design), as_json, as_latex)
+    return output_design(load_design(design), as_json, as_latex)
 
 
 @app.command()
@@ -53,7 +53,7 @@ def design(
     bounded = load_design(bounds, complete=False)
     if out is not None:
         attempt(out, lambda: out.write_text(to_toml(bounded), encoding="utf-8"))
-    return tell_design(bounded, as_json, as_latex)
+    return output_design(bounded, as_json, as_latex)
 
 
 def require_one_form(as_json: bool, as_latex: bool) -> None:
@@ -66,7 +66,7 @@ def require_one_form(as_json: bool, as_latex: bool) -> None:
         raise ConfigError("--latex", "cannot stand with --json: both are all that stdout holds")
 
 
-def tell_design(design_file: "DesignFile", as_json: bool, as_latex: bool) -> int:
+def output_design(design_file: "DesignFile", as_json: bool, as_latex: bool) -> int:
     """Print a design with its certificate; the exit code says whether there is one."""
     from dssc_jax.console import jsonable
     from dssc_jax.console.designs import latex, show

@@ -123,7 +123,7 @@ def theory(
     """Say what theory and simulation have to say of one number, side by side.
 
     Theorem 1 where it speaks, the linearised loop's local margin, describing functions (over unmodelled.mu), and the
-    simulated margin. They answer different questions; where one is silent, the answer says why.
+    simulated margin. They answer different questions; where one of them does not apply, the answer says why.
     """
     from dssc_jax import plotting
     from dssc_jax.analyses.theory import beside

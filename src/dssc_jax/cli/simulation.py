@@ -111,7 +111,7 @@ def simulate(
     from dssc_jax.runs import trajectory as trajectories
 
     loaded = load_study(study, settings, None, seed, allow_local)
-    return tell_trajectory(trajectories.simulate(loaded, draw, every=every), csv, figure, as_json)
+    return output_trajectory(trajectories.simulate(loaded, draw, every=every), csv, figure, as_json)
 
 
 @app.command()
@@ -147,7 +147,7 @@ def replay(
     trajectory = trajectories.replay(
         load_result(result, trust_code, allow_local), draw, point=point or None, every=every
     )
-    done = tell_trajectory(trajectory, csv, figure, as_json)
+    done = output_trajectory(trajectory, csv, figure, as_json)
     return FAILS if trajectory.attrs["agreement"] == "differs" else done
 
 
@@ -195,20 +195,20 @@ def finish(
     study: "Study", out: Path, resume: bool, as_json: bool, cluster: str | None = None, local: bool = False
 ) -> int:
     """Run to the end."""
-    from dssc_jax.console import progress_bar, tell
+    from dssc_jax.console import notify, progress_bar
     from dssc_jax.runs import run as running
 
     folder = str(Path(study.source).resolve().parent) if local else None
     with progress_bar(study, quiet=as_json) as advance:
-        result = running.run(study, out, resume=resume, progress=advance, cluster=cluster, tell=tell, local=folder)
+        result = running.run(study, out, resume=resume, progress=advance, cluster=cluster, notify=notify, local=folder)
     conclude(result, out, as_json)
     return DONE
 
 
 def conclude(result: "Result", out: Path, as_json: bool) -> None:
-    """Tell the result, then draw its figures, which people need not wait for."""
+    """Show the result, then draw its figures, which take longer."""
     from dssc_jax.console import show_figures, show_result
-    from dssc_jax.results.blocks import told
+    from dssc_jax.results.blocks import writing
 
     if as_json:
         sys.stdout.writelines(line.replace("\n", "") for line in result.lines())
@@ -217,14 +217,14 @@ def conclude(result: "Result", out: Path, as_json: bool) -> None:
         show_result(result)
     from dssc_jax import plotting
 
-    with told(out):
+    with writing(out):
         figures = plotting.save_all(result, out / "figures")
     if not as_json:
         show_figures(figures)
 
 
-def tell_trajectory(trajectory: Any, csv: Path | None, figure: Path | None, as_json: bool) -> int:
-    """Keep a trajectory as asked, and tell how the draw ended."""
+def output_trajectory(trajectory: Any, csv: Path | None, figure: Path | None, as_json: bool) -> int:
+    """Write the files of a trajectory that were asked for, and show how the draw ended."""
     from dssc_jax.console import show_draw
 
     if figure is not None and figure.suffix.lower() not in FIGURES:

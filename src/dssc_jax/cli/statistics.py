@@ -36,14 +36,14 @@ def plan(
     from dssc_jax.statistics import plan as answers
 
     try:
-        found = answers(error, confidence, probability)
+        plans = answers(error, confidence, probability)
     except ValueError as wrong:
         raise ConfigError("plan", str(wrong)) from None
     if as_json:
         about = {"error": error, "confidence": confidence, "probability": probability}
-        print(json.dumps({**about, "answers": [answer._asdict() for answer in found]}))
+        print(json.dumps({**about, "answers": [answer._asdict() for answer in plans]}))
     else:
-        rows = [(answer.question, str(answer.draws), answer.statement) for answer in found]
+        rows = [(answer.question, str(answer.draws), answer.statement) for answer in plans]
         show_table(("question", "draws", "what one may say then"), rows)
     return DONE
 

@@ -309,16 +309,16 @@ def available(
         vehicle: Fields of the plant's own info.
         metrics: Every kind there is.
     """
-    found: dict[str, tuple[str, int | None]] = {}
+    kinds: dict[str, tuple[str, int | None]] = {}
     for kind, metric in metrics.items():
         if metric.scope is Scope.VEHICLE:
             if set(metric.needs) <= set(vehicle):
-                found[kind] = (kind, None)
+                kinds[kind] = (kind, None)
             continue
         for index, (channel, fields) in enumerate(channels.items()):
             if set(metric.needs) <= set(fields):
-                found[suffixed(kind, channel)] = (kind, index)
-    return found
+                kinds[suffixed(kind, channel)] = (kind, index)
+    return kinds
 
 
 def first_sample(window: Window, sample_time: float) -> int:

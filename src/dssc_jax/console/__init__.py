@@ -8,12 +8,12 @@ from dssc_jax.console.searches import show_falsification, show_tuning
 from dssc_jax.console.terminal import (
     counter,
     jsonable,
+    notify,
     output,
     progress_bar,
     show_files,
     show_page,
     show_table,
-    tell,
 )
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "environment",
     "jsonable",
     "machine",
+    "notify",
     "output",
     "progress_bar",
     "show_comparison",
@@ -39,5 +40,4 @@ __all__ = [
     "show_theory",
     "show_tuning",
     "show_verification",
-    "tell",
 ]

@@ -5,7 +5,7 @@ from enum import Enum
 from typing import Any
 
 from dssc_jax.console.terminal import output, show_table
-from dssc_jax.core.errors import ConfigError, meant
+from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, Registry, Slot
 from dssc_jax.study.build import REGISTRIES
@@ -139,7 +139,7 @@ def show_kind(name: str) -> None:
     entries = {slot: registry[name] for slot, registry in every.items() if name in registry}
     if not entries:
         valid = {kind for registry in every.values() for kind in registry}
-        raise ConfigError(name, f"is no kind; {meant(name, valid)}")
+        raise ConfigError(name, f"is no kind; {nearest(name, valid)}")
     for slot, entry in entries.items():
         output().print(f'[{HEADS.get(slot, slot)}] kind = "{name}": {entry.summary}', markup=False)
         show_table(COLUMNS, rows_of(entry))

@@ -72,22 +72,22 @@ def show_point(study: "Study", point: dict[str, Any]) -> None:
         ways = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in counts.items() if n)
         output().print(f"ended early, and so violated every requirement: {ways}")
     rows = [
-        (name, *(quantile_text(found, level) for level in ("q5", "q50", "q95")))
-        for name, found in point["metrics"].items()
+        (name, *(quantile_text(quantiles, level) for level in ("q5", "q50", "q95")))
+        for name, quantiles in point["metrics"].items()
     ]
     show_table(("metric (ended early: inf)", "5 %", "median", "95 %"), rows)
 
 
-def quantile_text(found: Mapping[str, Any], level: str) -> str:
+def quantile_text(quantiles: Mapping[str, Any], level: str) -> str:
     """A quantile with its interval, where there is one."""
 
     def number(value: float | None, infinite: str) -> str:
         return infinite if value is None else f"{value:.4g}"
 
-    if found[level] is None or f"{level}_interval" not in found:
-        return number(found[level], "inf")
-    low, high = found[f"{level}_interval"]
-    return f"{found[level]:.4g} [{number(low, '-inf')}, {number(high, 'inf')}]"
+    if quantiles[level] is None or f"{level}_interval" not in quantiles:
+        return number(quantiles[level], "inf")
+    low, high = quantiles[f"{level}_interval"]
+    return f"{quantiles[level]:.4g} [{number(low, '-inf')}, {number(high, 'inf')}]"
 
 
 def counted(row: Mapping[str, Any], draws: int) -> tuple[str, str, str]:
@@ -156,25 +156,26 @@ def show_draw(attributes: Mapping[str, Any], files: list[Path]) -> None:
     show_files(files)
 
 
-def show_verification(found: "Verification") -> None:
+def show_verification(verification: "Verification") -> None:
     """How a result compares with its lanes computed again."""
     console = output()
-    verdict = VERDICTS[found.verdict].format(found.deviation)
-    lanes = f"{found.lanes} lane{'s' if found.lanes > 1 else ''} (--seed {found.seed} picks the same)"
+    verdict = VERDICTS[verification.verdict].format(verification.deviation)
+    lanes = f"{verification.lanes} lane{'s' * (verification.lanes > 1)} (--seed {verification.seed} picks the same)"
     console.print(f"computed again by the plain program, {lanes}: the result {verdict}")
-    if found.undecided:
-        console.print(f"{found.undecided} of them amplify rounding so much that they are no evidence")
-    if not found.digests:
+    if verification.undecided:
+        console.print(f"{verification.undecided} of them amplify rounding so much that they are no evidence")
+    if not verification.digests:
         console.print("written without digests, by an earlier version: a file that was altered since is not noticed")
-    if found.worst is not None:
+    if verification.worst is not None:
         rows = [
-            (name, f"{value:.17g}" if isinstance(value, float) else str(value)) for name, value in found.worst.items()
+            (name, f"{value:.17g}" if isinstance(value, float) else str(value))
+            for name, value in verification.worst.items()
         ]
-        show_table(("largest deviation", f"{found.deviation:.3g}"), rows)
-    if found.otherwise:
-        console.print(f"the result was computed otherwise: {escape('; '.join(found.otherwise))}")
-    if found.single_precision:
-        single = found.single_precision
+        show_table(("largest deviation", f"{verification.deviation:.3g}"), rows)
+    if verification.otherwise:
+        console.print(f"the result was computed otherwise: {escape('; '.join(verification.otherwise))}")
+    if verification.single_precision:
+        single = verification.single_precision
         console.print(
             f"float32 itself, against float64 with the same noise: {single.outcomes} outcomes differ; relative "
             f"deviation of a lane {single.median:.1g} (median), {single.largest:.1g} (largest)"

@@ -24,12 +24,12 @@ def output() -> Console:
 
 @cache
 def errors() -> Console:
-    """Standard error, shared by the bar and by what is told meanwhile."""
+    """Standard error, used by the progress bar and by notices that appear meanwhile."""
     return Console(stderr=True, highlight=False)
 
 
-def tell(text: str) -> None:
-    """Something a person should know while a run goes on."""
+def notify(text: str) -> None:
+    """Show a line on standard error while a run goes on."""
     errors().print(text, markup=False, soft_wrap=True)
 
 
@@ -62,7 +62,7 @@ def progress_bar(study: "Study", quiet: bool, of: str = "draws", early: str = ""
     def advance(done: int, total: int, note: str = "") -> None:
         nonlocal counted, most
         counted, most = done, total
-        bar.start()  # not before the first call: bad input is told without a bar
+        bar.start()  # not before the first call: bad input shows no bar
         text = f"{study.name} {note}".strip() if done else f"{study.name} (compiling)"
         bar.update(task, completed=done, total=total, description=text)
 
@@ -74,7 +74,7 @@ def progress_bar(study: "Study", quiet: bool, of: str = "draws", early: str = ""
         if bar.live.is_started:
             bar.stop()
     if counted < most and not bar.disable:
-        tell(f"{study.name} stopped early after {counted:,} of at most {most:,} {of}: {early}")
+        notify(f"{study.name} stopped early after {counted:,} of at most {most:,} {of}: {early}")
 
 
 @contextmanager
@@ -98,8 +98,8 @@ def counter(study: "Study", quiet: bool) -> Iterator[Callable[[int], None]]:
 
 def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | None = None) -> None:
     """A plain table."""
-    told = None if title is None else escape(title)
-    table = Table(*map(escape, head), title=told, title_justify="left", box=None, header_style="bold", pad_edge=False)
+    table = Table(*map(escape, head), title_justify="left", box=None, header_style="bold", pad_edge=False)
+    table.title = None if title is None else escape(title)
     for row in rows:
         table.add_row(*map(escape, row))
     output().print(table)

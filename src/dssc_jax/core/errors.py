@@ -42,7 +42,7 @@ def errors_under(path: str) -> Iterator[None]:
         raise error.within_path(path) from None
 
 
-def meant(name: str, valid: Iterable[str]) -> str:
+def nearest(name: str, valid: Iterable[str]) -> str:
     """The end of a message about an unknown name: the nearest valid one, or all of them."""
     names = sorted(map(str, valid))
     near = difflib.get_close_matches(name, names, n=1, cutoff=0.6)

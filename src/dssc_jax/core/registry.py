@@ -31,14 +31,14 @@ class Entry(NamedTuple):
         option: Name of the option's field, e.g. ``discretisation``.
         default: The option's value when the table does not give it.
         summary: One line for ``dssc-jax info``.
-        silent: What a table is taken to say where it is silent.
+        base: The table that the study's own is laid over.
     """
 
     members: dict[Any, Any]
     summary: str
     option: str | None = None
     default: Any = None
-    silent: dict[str, Any] = {}  # noqa: RUF012  (never changed)
+    base: dict[str, Any] = {}  # noqa: RUF012  (never changed)
 
 
 Registry: TypeAlias = dict[str, Entry]

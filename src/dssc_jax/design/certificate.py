@@ -108,8 +108,8 @@ def check(parameters: Parameters, bounds: Bounds) -> Certificate:
         ...     l0=0.5, phi_a=0.1, phi_b=8.0, delta=0.5, eps=0.3, gamma=3.5,
         ...     kappa_a=0.5, kappa_b=0.1, kappa_c=4.0, kappa_d=1.0,
         ... )
-        >>> found = check(parameters, bounds)
-        >>> found.certified, round(found.guarantee.e, 4)
+        >>> certificate = check(parameters, bounds)
+        >>> certificate.certified, round(certificate.guarantee.e, 4)
         (True, 0.076)
     """
     require_plain(parameters)

@@ -82,15 +82,15 @@ class Ends(NamedTuple):
 def mark(study: Study) -> Mark:
     """Whether each point of a study's sweep is certified; of one whose code is not loaded, what was found with it."""
     if isinstance(study, Described):
-        found = study.description.certified
-        return Mark(None if found is None else np.asarray(found, dtype=bool), study.description.silence)
+        verdicts = study.description.certified
+        return Mark(None if verdicts is None else np.asarray(verdicts, dtype=bool), study.description.silence)
     try:
         with np.errstate(all="ignore"):  # an unbounded law makes infinite bounds, which nothing certifies
-            found = certified(*design_of(study))
+            verdicts = certified(*design_of(study))
     except NotCovered as silence:
         return Mark(None, str(silence))
     shape = tuple(len(values) for values in study.axes.values())
-    return Mark(np.broadcast_to(np.asarray(found, dtype=bool), shape).copy(), "")
+    return Mark(np.broadcast_to(np.asarray(verdicts, dtype=bool), shape).copy(), "")
 
 
 def reach(study: Study, name: str, values: np.ndarray) -> Reach:
@@ -108,13 +108,13 @@ def reach(study: Study, name: str, values: np.ndarray) -> Reach:
     if part == "unmodelled":
         whole, reason = mark(study.override({"sweep": {}}))
         if whole is None:
-            return Reach(None, f"Theorem 1 is silent: {reason}")
+            return Reach(None, f"Theorem 1 does not apply: {reason}")
         if not whole:
             return Reach(None, "Theorem 1 does not certify the loop, not even without unmodelled dynamics")
-        alone = "Theorem 1 certifies the loop without unmodelled dynamics, and is silent of any"
+        alone = "Theorem 1 certifies the loop without unmodelled dynamics, and says nothing about any"
         return Reach(None, f"{alone} finite {name}") if name in LIMITS else Reach(0.0, f"{alone} {name} > 0")
     if part in OUTSIDE or name in OUTSIDE:
-        return Reach(None, f"Theorem 1 is silent of {name}: {OUTSIDE.get(name) or OUTSIDE[part]}")
+        return Reach(None, f"Theorem 1 says nothing about {name}: {OUTSIDE.get(name) or OUTSIDE[part]}")
     return certified_up_to(study, name, np.asarray(values, float))
 
 
@@ -123,7 +123,7 @@ def certified_up_to(study: Study, name: str, values: np.ndarray) -> Reach:
     along = marks_over_spread if name == SPREAD else marks_along
     holds, reason = along(study, name, values)
     if holds is None:
-        return Reach(None, f"Theorem 1 is silent: {reason}")
+        return Reach(None, f"Theorem 1 does not apply: {reason}")
     if not holds[0]:
         return Reach(None, f"Theorem 1 does not certify the loop at {name} = {values[0]:g}")
     if holds.all():
@@ -142,10 +142,10 @@ def certified_up_to(study: Study, name: str, values: np.ndarray) -> Reach:
 
 def marks_along(study: Study, name: str, values: np.ndarray) -> Mark:
     """Marks of a study at values of one number, in their order."""
-    found, reason = mark(study.override({"sweep": {name: sorted(values.tolist())}}))
-    if found is not None and values[0] > values[-1]:
-        found = found[::-1]
-    return Mark(found, reason)
+    verdicts, reason = mark(study.override({"sweep": {name: sorted(values.tolist())}}))
+    if verdicts is not None and values[0] > values[-1]:
+        verdicts = verdicts[::-1]
+    return Mark(verdicts, reason)
 
 
 def marks_over_spread(study: Study, name: str, values: np.ndarray) -> Mark:
@@ -154,7 +154,7 @@ def marks_over_spread(study: Study, name: str, values: np.ndarray) -> Mark:
     A law of unbounded support stays unbounded; one that leaves its number's range is not certified.
     """
     del name
-    found = []
+    verdicts = []
     for value in values:
         try:
             certified, reason = mark(study.override({"sweep": {}, **widened(study, float(value))}))
@@ -162,8 +162,8 @@ def marks_over_spread(study: Study, name: str, values: np.ndarray) -> Mark:
             certified, reason = np.False_, ""
         if certified is None:
             return Mark(None, reason)
-        found.append(bool(certified))
-    return Mark(np.array(found), "")
+        verdicts.append(bool(certified))
+    return Mark(np.array(verdicts), "")
 
 
 def widened(study: Study, share: float) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import differential_evolution
 
-from dssc_jax.core.errors import ConfigError, meant
+from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.design.bounds import MOST, Bounds
 from dssc_jax.design.certificate import certified
 from dssc_jax.design.practice import practice
@@ -46,8 +46,8 @@ def limits(p: Parameters, bounds: Bounds) -> Limits:
     Example:
         >>> from dssc_jax.design import synthesise
         >>> bounds = Bounds(k_min=0.9, k_max=1.1, a_max=1.0, alpha_d3=0.1)
-        >>> found = synthesise(bounds, Free(l0=0.5, phi_a=0.1, eps=0.3, delta=0.5, eps_1=2.0, eps_2=0.1, eps_3=6.0))
-        >>> round(limits(found, bounds).k_min, 3)
+        >>> gains = synthesise(bounds, Free(l0=0.5, phi_a=0.1, eps=0.3, delta=0.5, eps_1=2.0, eps_2=0.1, eps_3=6.0))
+        >>> round(limits(gains, bounds).k_min, 3)
         0.896
     """
 
@@ -125,7 +125,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "eps_1": (0.05, 50.0),
     "eps_3": (0.01, 1000.0),
 }
-"""Where the optimiser looks unless told otherwise (assumed)."""
+"""Where the optimiser looks unless the goal says otherwise (assumed)."""
 
 
 def optimise(
@@ -152,8 +152,8 @@ def optimise(
         >>> bounds = Bounds(k_min=0.9, k_max=1.1, a_max=1.0, alpha_d3=0.1)
         >>> start = Free(l0=0.5, phi_a=0.1, eps=0.3, delta=0.5, eps_1=2.0, eps_2=0.1, eps_3=6.0)
         >>> goal, ranges = Goal(Criterion.GAIN, residual=0.1), {"eps_1": (0.1, 10.0), "eps_3": (1.0, 20.0)}
-        >>> found = optimise(bounds, start, goal, ranges)
-        >>> float(guarantee(synthesise(bounds, found), bounds).e) <= 0.1
+        >>> free = optimise(bounds, start, goal, ranges)
+        >>> float(guarantee(synthesise(bounds, free), bounds).e) <= 0.1
         True
 
     Reference:
@@ -162,7 +162,7 @@ def optimise(
     bounds = bounds.prepare()
     for name, (low, high) in ranges.items():
         if name not in Free._fields:
-            raise ConfigError(f"vary.{name}", f"unknown name; {meant(name, Free._fields)}")
+            raise ConfigError(f"vary.{name}", f"unknown name; {nearest(name, Free._fields)}")
         if not 1.0 / MOST < low < high < MOST:
             raise ConfigError(
                 f"vary.{name}", f"must be [low, high] with 0 < low < high < 1e30, got [{low:g}, {high:g}]"
@@ -181,12 +181,12 @@ def optimise(
     best = free
     if ranges:
         box = [(float(np.log(low)), float(np.log(high))) for low, high in ranges.values()]
-        found = differential_evolution(
+        optimum = differential_evolution(
             cost, box, rng=seed, popsize=20, tol=1e-8, maxiter=400, polish=False, vectorized=True, updating="deferred"
         )
-        if found.fun >= WORST:
+        if optimum.fun >= WORST:
             raise ConfigError("bounds", "no design in the ranges can be computed; the bounds are too far apart")
-        best = Free(*map(float, candidate(found.x)))
+        best = Free(*map(float, candidate(optimum.x)))
     if not float(shortfall(synthesise(bounds, best), bounds, goal)) <= 0.0:
         raise ConfigError("goal", infeasible(bounds, best, goal))
     return best
@@ -194,13 +194,13 @@ def optimise(
 
 def edges(free: Free, ranges: Mapping[str, tuple[float, float]] = RANGES) -> tuple[str, ...]:
     """Which parameters lie at an end of their range, in words: within :data:`AT_EDGE` of its logarithmic length."""
-    found = []
+    edges = []
     for name, (low, high) in ranges.items():
         share = float(np.log(getattr(free, name) / low) / np.log(high / low))
         if min(share, 1.0 - share) < AT_EDGE:
             end = "lower" if share < 0.5 else "upper"
-            found.append(f"{name} = {getattr(free, name):.4g} is the {end} end of what was sought, {low:g} to {high:g}")
-    return tuple(found)
+            edges.append(f"{name} = {getattr(free, name):.4g} is the {end} end of what was sought, {low:g} to {high:g}")
+    return tuple(edges)
 
 
 def shortfall(p: Parameters, bounds: Bounds, goal: Goal) -> np.ndarray:

@@ -6,7 +6,7 @@ from typing import Annotated, Any, NamedTuple
 
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 
-from dssc_jax.core.errors import ConfigError, errors_under, meant
+from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.design import Bounds, Free, Modulation, Parameters, Recipe, derive, synthesise
 from dssc_jax.design.bounds import require_plain
 from dssc_jax.design.feasibility import RANGES, Criterion, Goal, edges, optimise
@@ -14,8 +14,8 @@ from dssc_jax.study.components import as_table, explain, parse_params
 from dssc_jax.study.schema import STRICT, finite
 from dssc_jax.study.tables import read_toml
 
-SILENT = Free(l0=1.0, phi_a=0.1, eps=0.5, delta=1.0, eps_1=1.0, eps_2=0.1, eps_3=1.0)
-"""What [free] is taken to say where it is silent and the goal does not vary it (assumed)."""
+FREE_DEFAULTS = Free(l0=1.0, phi_a=0.1, eps=0.5, delta=1.0, eps_1=1.0, eps_2=0.1, eps_3=1.0)
+"""Values of what [free] does not give and the goal does not vary (assumed)."""
 REQUIRED = set(Free._fields) - set(Free._field_defaults)
 RUNNABLE = 1e-3  # s; sampling period that a design must allow where no goal is given
 
@@ -88,7 +88,7 @@ def parse_design(table: dict[str, Any], name: str, complete: bool = True) -> Des
     """The content of a design file."""
     for key in table:
         if key not in TABLES:
-            raise ConfigError(key, f"unknown name; {meant(key, TABLES)}")
+            raise ConfigError(key, f"unknown name; {nearest(key, TABLES)}")
     name = table.get("name", name)
     if not isinstance(name, str):
         raise ConfigError("name", f"must be text, got {name!r}")
@@ -127,12 +127,12 @@ def sought(table: dict[str, Any], bounds: Bounds) -> tuple[Free, Goal, tuple[str
         raise explain(error, GoalTable.model_fields).within_path("goal") from None
     criterion = wanted.criterion or default_criterion(bounds)
     if criterion not in list(Criterion):
-        raise ConfigError("goal.criterion", f"unknown criterion '{criterion}'; {meant(criterion, list(Criterion))}")
+        raise ConfigError("goal.criterion", f"unknown criterion '{criterion}'; {nearest(criterion, list(Criterion))}")
     given = as_table(table.get("free", {}), "free")
     for key in wanted.vary:
         if key in given:
             raise ConfigError(f"goal.vary.{key}", "is fixed by [free] already")
-    start = plain({"free": SILENT._asdict() | given}, Free, "free")
+    start = plain({"free": FREE_DEFAULTS._asdict() | given}, Free, "free")
     ranges = {key: box for key, box in RANGES.items() if key not in given} | wanted.vary
     goal = Goal(Criterion(criterion), wanted.residual or float("inf"), wanted.sample_time)
     try:
@@ -158,18 +158,19 @@ def plain(table: dict[str, Any], kind: type, path: str) -> Any:
     return numbers
 
 
-def to_toml(found: DesignFile) -> str:
+def to_toml(design_file: DesignFile) -> str:
     """A design file with the parameters as numbers, and the table of a study that flies them."""
-    bounds = {name: value for name, value in found.bounds._asdict().items() if name != "zero_dynamics" and value != 0.0}
-    quoted = json.dumps(found.name, ensure_ascii=False).replace("\x7f", "\\u007f")
+    numbers = design_file.bounds._asdict().items()
+    bounds = {name: value for name, value in numbers if name != "zero_dynamics" and value != 0.0}
+    quoted = json.dumps(design_file.name, ensure_ascii=False).replace("\x7f", "\\u007f")
     lines = [f"name = {quoted}", "", "[bounds]", *(f"{name} = {value!r}" for name, value in bounds.items())]
-    if found.bounds.zero_dynamics is not None:
-        a, c = (list(part) for part in found.bounds.zero_dynamics)
+    if design_file.bounds.zero_dynamics is not None:
+        a, c = (list(part) for part in design_file.bounds.zero_dynamics)
         lines.append(f"zero_dynamics = {{ a = {a}, c = {c} }}")
-    lines += ["", "[parameters]", *(f"{name} = {value!r}" for name, value in found.parameters._asdict().items())]
-    if found.modulation is not None:
-        lines += ["", "[modulation]", *(f"{name} = {value!r}" for name, value in found.modulation._asdict().items())]
-    comment = [f"# {line}" for line in ["In a study:", *functions_toml(found.parameters).splitlines()]]
+    lines += ["", "[parameters]", *(f"{name} = {value!r}" for name, value in design_file.parameters._asdict().items())]
+    if (modulation := design_file.modulation) is not None:
+        lines += ["", "[modulation]", *(f"{name} = {value!r}" for name, value in modulation._asdict().items())]
+    comment = [f"# {line}" for line in ["In a study:", *functions_toml(design_file.parameters).splitlines()]]
     return "\n".join([*lines, "", *comment, ""])
 
 

@@ -124,9 +124,9 @@ class Modulation(NamedTuple):
     delta_rho: Annotated[float, positive("m/s^2", "margin delta_rho of (33)")]
     sigma_tilde: Annotated[float, known("m/s", "|sigma - sigma_hat| at the start")] = 0.0
 
-    def needed_rho(self, found: Practice) -> Number:
+    def needed_rho(self, practice: Practice) -> Number:
         """Constant rho that keeps sliding in the residual set with the margin delta_rho [m/s]."""
-        return found.u_av + (found.drift + self.delta_rho) / self.k_o
+        return practice.u_av + (practice.drift + self.delta_rho) / self.k_o
 
     @property
     def first_sliding(self) -> float:

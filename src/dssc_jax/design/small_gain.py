@@ -186,8 +186,8 @@ def guarantee(p: Parameters, bounds: Bounds) -> Guarantee:
     Example:
         >>> from dssc_jax.design.synthesis import Free, synthesise
         >>> bounds = Bounds(k_min=0.9, k_max=1.1, a_max=1.0, alpha_d3=0.1)
-        >>> found = synthesise(bounds, Free(l0=0.5, phi_a=0.1, eps=0.3, delta=0.5, eps_1=2.0, eps_2=0.1, eps_3=6.0))
-        >>> round(float(guarantee(found, bounds).e), 4)
+        >>> gains = synthesise(bounds, Free(l0=0.5, phi_a=0.1, eps=0.3, delta=0.5, eps_1=2.0, eps_2=0.1, eps_3=6.0))
+        >>> round(float(guarantee(gains, bounds).e), 4)
         0.0844
     """
     c, eta = derive(bounds, p.l0), error_dynamics(bounds, p.l0)

@@ -53,8 +53,8 @@ def synthesise(bounds: Bounds, free: Free, recipe: Recipe = Recipe.STRICT) -> Pa
 
     Example:
         >>> bounds = Bounds(k_min=0.9, k_max=1.1, a_max=1.0, alpha_d3=0.1)
-        >>> found = synthesise(bounds, Free(l0=0.5, phi_a=0.1, eps=0.3, delta=0.5, eps_1=2.0, eps_2=0.1, eps_3=6.0))
-        >>> round(found.phi_b, 4), round(found.gamma, 4)
+        >>> gains = synthesise(bounds, Free(l0=0.5, phi_a=0.1, eps=0.3, delta=0.5, eps_1=2.0, eps_2=0.1, eps_3=6.0))
+        >>> round(gains.phi_b, 4), round(gains.gamma, 4)
         (7.6667, 3.4864)
     """
     bounds = bounds.prepare()
@@ -62,12 +62,12 @@ def synthesise(bounds: Bounds, free: Free, recipe: Recipe = Recipe.STRICT) -> Pa
         require_plain(free)
     except ConfigError as error:
         raise error.within_path("free") from None
-    found = Parameters(*map(float, design(bounds, free, Recipe(recipe))))
+    parameters = Parameters(*map(float, design(bounds, free, Recipe(recipe))))
     try:
-        require_plain(found)
+        require_plain(parameters)
     except ConfigError as error:
         raise ConfigError("free", f"makes with these bounds {error.where}, which {error.rule}") from None
-    return found
+    return parameters
 
 
 def design(bounds: Bounds, free: Free, recipe: Recipe = Recipe.STRICT) -> Parameters:

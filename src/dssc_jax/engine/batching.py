@@ -55,8 +55,8 @@ def simulated(study: Study, together: str | None = TILE, segment: int | None = N
     def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
         key = draw_key(study.config.seed, index)
         loop, params = study.loop, study.params(values)
-        asked = study.measures, study.requirements
-        run = simulate(loop, params, key, *asked, together=together, segment=segment)
+        judged = study.measures, study.requirements
+        run = simulate(loop, params, key, *judged, together=together, segment=segment)
         ended = {"failed_at": run.failed_at} | ({"settled_at": run.settled_at} if study.loop.settled else {})
         return {**run.metrics, **run.slacks, "outcome": run.outcome, **ended}
 

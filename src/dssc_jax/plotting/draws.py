@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from dssc_jax.closed_loop.metrics import Measure
-from dssc_jax.core.errors import ConfigError, meant
+from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.plotting.style import BLUE, DRAWABLE, RED, SLIDE, SMALL, label, panel, set_scale, styled, title
 from dssc_jax.plotting.thinning import picked
 from dssc_jax.results.result import Result, measured
@@ -104,7 +104,7 @@ def factor(result: Result, name: str, ax: Axes | None = None) -> Figure:
     """
     one_point(result)
     if name not in result.study.laws:
-        raise ConfigError("name", f"'{name}' is no uncertain number of the result; {meant(name, result.study.laws)}")
+        raise ConfigError("name", f"'{name}' is no uncertain number of the result; {nearest(name, result.study.laws)}")
     figure, ax = panel(ax, SMALL)
     values, failed = result.dataset[name].values, result.failed.values
     groups = np.array_split(np.argsort(values), max(1, min(BINS, values.size // FILLED)))

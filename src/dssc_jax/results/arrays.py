@@ -114,11 +114,11 @@ def checked(group: zarr.Group, place: Path, variable: Variable, extent: Extent, 
     try:
         with zarr.config.set({"array.write_empty_chunks": True}):  # chunks of NaN too, since presence has a meaning
             array: Any = group[place.name]
-        found = as_json(array.metadata.to_dict())
+        actual = as_json(array.metadata.to_dict())
         shape = (*shape[:-1], array.shape[-1]) if growing else shape
     except Exception as error:  # zarr has no common base class of its errors
         raise ConfigError(str(place), f"is damaged: {one_line(error)}") from error
-    if found != metadata(variable, (shape, chunks)):
+    if actual != metadata(variable, (shape, chunks)):
         raise ConfigError(str(place), "is damaged: its metadata are not those that its study lays out")
     return array
 
@@ -142,14 +142,14 @@ def checked_arrays(
     about = zarr.open_group(MemoryStore(), mode="w", zarr_format=3, attributes={**dataset_attributes(study)})
     if as_json(group.metadata.to_dict()) != as_json(about.metadata.to_dict()):
         raise ConfigError(str(folder / DATA), "is damaged: its attributes are not those that its study lays out")
-    found = {
+    actual = {
         name: checked(group, folder / DATA / name, variable, extent(variable, layout), growing)
         for name, variable in variables(study).items()
     }
-    others = {file.name for file in (folder / DATA).iterdir() if file.is_dir()} - found.keys() - {*coordinates(study)}
+    others = {file.name for file in (folder / DATA).iterdir() if file.is_dir()} - actual.keys() - {*coordinates(study)}
     if others:
         raise ConfigError(str(folder / DATA / min(others)), "is damaged: it is no variable of the study")
-    return found
+    return actual
 
 
 def require_coordinates(folder: Path, study: Study) -> None:

@@ -23,8 +23,8 @@ Block = tuple[slice, ...]
 
 
 @contextmanager
-def told(folder: Path) -> Iterator[None]:
-    """A full disk, and whatever else prevents writing, in one line.
+def writing(folder: Path) -> Iterator[None]:
+    """Report a full disk, or whatever else prevents writing, in one line.
 
     Raises:
         ConfigError: the folder cannot be written.
@@ -60,7 +60,7 @@ class Chunks:
     def write(self, block: Block, results: Arrays, drawn: Arrays) -> None:
         """Write a block, or the end of one that has grown; its digests last."""
         values, sums = results | drawn, {}
-        with told(self.folder):
+        with writing(self.folder):
             for name in self._held(block):
                 array = self.arrays[name]
                 written = np.asarray(values[name], dtype=array.dtype)

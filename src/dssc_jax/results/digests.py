@@ -71,10 +71,10 @@ def pieces_of(folder: Path, index: Index) -> list[Piece]:
     try:
         if content["block"] != list(index):
             return []
-        found = [Piece((int(first), int(last)), dict(sums)) for (first, last), sums in content["pieces"]]
+        pieces = [Piece((int(first), int(last)), dict(sums)) for (first, last), sums in content["pieces"]]
     except (TypeError, KeyError, ValueError):
         return []
-    return found
+    return pieces
 
 
 def add_piece(folder: Path, index: Index, piece: Piece) -> None:

@@ -101,9 +101,9 @@ def into_place(path: Path, write: Callable[[Path], Any]) -> Path:
 
 def columns(result: Result) -> dict[str, dict[str, Any]]:
     """Attributes of the table's columns, in order."""
-    found = {**coordinates(result.study), **variables(result.study)}
-    described = {name: dict(variable.attributes) for name, variable in found.items()}
-    return {**described, MEANING: {"long_name": OUTCOME}}
+    described = {**coordinates(result.study), **variables(result.study)}
+    attributes = {name: dict(variable.attributes) for name, variable in described.items()}
+    return {**attributes, MEANING: {"long_name": OUTCOME}}
 
 
 def pieces(result: Result) -> Iterable["pd.DataFrame"]:

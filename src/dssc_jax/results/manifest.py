@@ -74,10 +74,10 @@ def unsealed(path: Path, content: dict[str, Any]) -> dict[str, Any]:
     Raises:
         ConfigError: it is something else.
     """
-    found = dict(content)
-    if found.pop(SEAL, None) != hash_of(found):
+    inner = dict(content)
+    if inner.pop(SEAL, None) != hash_of(inner):
         raise ConfigError(str(path), "is damaged: its content is not the one that its digest was taken of")
-    return found
+    return inner
 
 
 def write_manifest(folder: Path, manifest: dict[str, Any]) -> None:
@@ -96,9 +96,9 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         manifest = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         others = [kind for kind in ANALYSES if (folder / f"{kind}.json").exists()]
-        told = f"; it holds what `{others[0]}` wrote, which dj.load reads" if others else ""
+        hint = f"; it holds what `{others[0]}` wrote, which dj.load reads" if others else ""
         raise ConfigError(
-            str(folder), f"is not a results folder: {MANIFEST} cannot be read ({error.strerror}){told}"
+            str(folder), f"is not a results folder: {MANIFEST} cannot be read ({error.strerror}){hint}"
         ) from error
     except (ValueError, RecursionError) as error:
         raise ConfigError(str(path), f"is damaged, not valid JSON: {error}") from error
@@ -169,11 +169,11 @@ def stored_layout(folder: Path, study: Study, manifest: dict[str, Any], draws: i
         ConfigError: the manifest's layout is not that of its study.
     """
     whole = Layout.of(study).shape
-    told = [*whole[:-1], whole[-1] if draws is None else draws]
+    expected = [*whole[:-1], whole[-1] if draws is None else draws]
     shape, block = (manifest["layout"].get(name) for name in ("shape", "block"))
     sizes = [value for part in (shape, block) if isinstance(part, list) for value in part]
     counts = all(isinstance(value, int) and not isinstance(value, bool) and value > 0 for value in sizes)
-    if not counts or shape != told or not isinstance(block, list) or len(block) != len(told):
+    if not counts or shape != expected or not isinstance(block, list) or len(block) != len(expected):
         raise ConfigError(str(folder / MANIFEST), f"is damaged: the layout {manifest['layout']} does not fit the study")
     return Layout(whole, tuple(block))
 
@@ -181,16 +181,16 @@ def stored_layout(folder: Path, study: Study, manifest: dict[str, Any], draws: i
 def differences(old: Any, new: Any, path: str = "") -> list[str]:
     """Where two tables differ, a line each."""
     if isinstance(old, dict) and isinstance(new, dict):
-        found = []
+        lines = []
         for name in sorted(old.keys() | new.keys()):
-            found += differences(old.get(name), new.get(name), f"{path}.{name}" if path else name)
-        return found
+            lines += differences(old.get(name), new.get(name), f"{path}.{name}" if path else name)
+        return lines
     return [] if old == new else [f"{path}: {old!r} there, {new!r} here"]
 
 
-def listed(found: list[str], most: int = 3) -> str:
+def listed(lines: list[str], most: int = 3) -> str:
     """The first differences in one line."""
-    return "; ".join(found[:most]) + (f"; and {len(found) - most} more" if len(found) > most else "")
+    return "; ".join(lines[:most]) + (f"; and {len(lines) - most} more" if len(lines) > most else "")
 
 
 def require_same_study(folder: Path, manifest: dict[str, Any], study: Study, resume: bool) -> bool:
@@ -207,9 +207,9 @@ def require_same_study(folder: Path, manifest: dict[str, Any], study: Study, res
         raise ConfigError(str(folder), "ended where its draws decided; that cannot be resumed, start over")
     if manifest["hash"] == study.hash:
         return False
-    found = differences(old, new)
+    lines = differences(old, new)
     draws, wanted = old.get("draws", 1), study.config.draws
-    if [line.partition(":")[0] for line in found] == ["draws"] and isinstance(draws, int) and wanted > draws:
+    if [line.partition(":")[0] for line in lines] == ["draws"] and isinstance(draws, int) and wanted > draws:
         if study.config.sampling not in EXTENSIBLE:
             raise ConfigError(
                 str(folder),
@@ -224,7 +224,7 @@ def require_same_study(folder: Path, manifest: dict[str, Any], study: Study, res
             "nothing was written",
         )
     raise ConfigError(
-        str(folder), f"holds results of another study ({listed(found)}); choose another --out, nothing was written"
+        str(folder), f"holds results of another study ({listed(lines)}); choose another --out, nothing was written"
     )
 
 
@@ -256,10 +256,10 @@ def require_same_machinery(folder: Path, old: dict[str, Any], new: dict[str, Any
     Raises:
         ConfigError: another version, device or compiler setting, which may round differently.
     """
-    found = machinery_differences(old, new)
-    if found:
+    lines = machinery_differences(old, new)
+    if lines:
         raise ConfigError(
             str(folder),
-            f"was begun otherwise ({listed(found)}), and its rest would not be bit-identical; go on as it was begun, "
+            f"was begun otherwise ({listed(lines)}), and its rest would not be bit-identical; go on as it was begun, "
             "or start over without --resume, nothing was written",
         )

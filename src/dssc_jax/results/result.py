@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from dssc_jax.closed_loop.metrics import Measure
-from dssc_jax.core.errors import ConfigError, meant
+from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import Outcome
 from dssc_jax.design import certification
 from dssc_jax.engine.batching import Layout
@@ -183,5 +183,5 @@ def measured(result: Result, metric: str | None) -> Measure:
         return headline(result)
     by_name = {measure.name: measure for measure in result.study.measures}
     if metric not in by_name:
-        raise ConfigError("metric", f"'{metric}' is none of the result's; {meant(metric, by_name)}")
+        raise ConfigError("metric", f"'{metric}' is none of the result's; {nearest(metric, by_name)}")
     return by_name[metric]

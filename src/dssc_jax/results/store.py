@@ -11,7 +11,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Layout
 from dssc_jax.results import lock
 from dssc_jax.results.arrays import laid_out, lay_out, require_coordinates, reshape
-from dssc_jax.results.blocks import Chunks, told
+from dssc_jax.results.blocks import Chunks, writing
 from dssc_jax.results.digests import DIGESTS, over_all
 from dssc_jax.results.first_schema import read_first_schema
 from dssc_jax.results.manifest import (
@@ -53,13 +53,13 @@ class Store:
         self.folder, self.study = folder, study
         if self._occupied():
             require_same_study(folder, read_manifest(folder), study, resume)  # before anything is touched
-        with told(folder):
+        with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
             self._lock = lock.take(folder)
         try:
             old = read_manifest(folder) if self._occupied() else None
             more = old is not None and require_same_study(folder, old, study, resume)
-            with told(folder):
+            with writing(folder):
                 if old is None or not resume or not self._go_on(old, manifest, more):
                     self._begin(manifest)
         except BaseException:
@@ -150,7 +150,7 @@ class Store:
         """Record that every block is there, and what the manifest says further of the finished run."""
         self._require_sealed(self.manifest, self.layout)  # what was mended is what had been there
         self.manifest = self.manifest | about | {DIGESTS: over_all(self.folder, self.layout), "complete": True}
-        with told(self.folder):
+        with writing(self.folder):
             write_manifest(self.folder, self.manifest)
 
     def read(self) -> tuple[xr.Dataset, dict[str, Any]]:
@@ -163,7 +163,7 @@ class Store:
 
     def summarise(self, lines: Iterable[str]) -> None:
         """Write summary.json."""
-        with told(self.folder):
+        with writing(self.folder):
             write_text(self.folder / SUMMARY, lines)
 
 

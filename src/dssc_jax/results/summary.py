@@ -42,13 +42,13 @@ class Statements(NamedTuple):
 
     def quantiles(self, values: np.ndarray) -> dict[str, list[Any]]:
         """Columns of quantiles and their intervals, None where infinite, from draws of shape (points, draws)."""
-        ordered, found = ranked(values), {}
+        ordered, columns = ranked(values), {}
         for level, column in zip(QUANTILES, upper_quantiles(ordered, QUANTILES), strict=True):
-            found[f"q{100 * level:g}"] = column
+            columns[f"q{100 * level:g}"] = column
             if not isinstance(self.method, Replicated):
                 ranks = quantile_ranks(ordered.shape[-1], level, self.method.level(self.confidence))
-                found[f"q{100 * level:g}_interval"] = np.stack([at_rank(ordered, rank) for rank in ranks], axis=-1)
-        return {name: nullable(column) for name, column in found.items()}
+                columns[f"q{100 * level:g}_interval"] = np.stack([at_rank(ordered, rank) for rank in ranks], axis=-1)
+        return {name: nullable(column) for name, column in columns.items()}
 
 
 def points(study: Study, dataset: xr.Dataset, method: Method, confidence: float) -> Iterator[Row]:
@@ -142,13 +142,13 @@ def requirements(
     ``alone`` counts the draws that ran to their end and violate this requirement only.
     """
     together = np.sum(list(violations.values()), axis=0)
-    found = []
+    statements = []
     for requirement in study.requirements:
         broken = violations[requirement.label]
         alone = np.count_nonzero(broken & (together == 1) & ~early, axis=-1).tolist()
         said = {"name": requirement.label, "text": requirement.text}
-        found.append([said | row for row in rows(say.shares(broken) | {"alone": alone})])
-    return found
+        statements.append([said | row for row in rows(say.shares(broken) | {"alone": alone})])
+    return statements
 
 
 def overlaps(violations: Mapping[str, np.ndarray], early: np.ndarray) -> dict[tuple[str, str], list[int]]:
@@ -171,9 +171,9 @@ def side_by_side(parts: Sequence[Sequence[Any]], count: int) -> list[list[Any]]:
 
 def nullable(values: np.ndarray) -> list[Any]:
     """Numbers for JSON, which has no infinity: None where a value is not finite."""
-    found = np.array(values, dtype=object)
-    found[~np.isfinite(values)] = None
-    return found.tolist()
+    objects = np.array(values, dtype=object)
+    objects[~np.isfinite(values)] = None
+    return objects.tolist()
 
 
 def most_violated(point: Mapping[str, Any]) -> str:

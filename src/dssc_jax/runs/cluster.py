@@ -110,11 +110,11 @@ class Cluster:
     Args:
         client: A ``distributed.Client`` connected to it.
         address: As the user gave it.
-        tell: Told in words of what a person should know while the run goes on.
+        notify: Called with a line of text when a worker is lost or joins.
     """
 
-    def __init__(self, client: Any, address: str, tell: Callable[[str], None]) -> None:
-        self.client, self.address, self.tell = client, address, tell
+    def __init__(self, client: Any, address: str, notify: Callable[[str], None]) -> None:
+        self.client, self.address, self.notify = client, address, notify
         self.lost: list[str] = []
         self._present = self._workers()
         self._seen = self._looked = time.monotonic()
@@ -140,13 +140,13 @@ class Cluster:
                 raise ConfigError(OPTION, text)
         return here
 
-    def fill(self, study: Study, target: Store, told: Callable[[int], None], local: str | None) -> dict[str, Any]:
+    def fill(self, study: Study, target: Store, advance: Callable[[int], None], local: str | None) -> dict[str, Any]:
         """Compute what a folder lacks.
 
         Args:
             study: The study.
             target: The folder, locked by this process.
-            told: Told of the lanes of every task that is done.
+            advance: Called with the number of lanes of every task that is done.
             local: See :class:`Job`.
 
         Returns:
@@ -161,7 +161,7 @@ class Cluster:
         shares = []
         for share in self._done(job, ranges(target.pending, workers)):
             shares.append(share)
-            told(share.lanes)
+            advance(share.lanes)
         about = {"address": self.address, "workers": workers, "lost": self.lost}
         return {"times": summed(shares, study.loop.steps, time.perf_counter() - began), "cluster": about}
 
@@ -187,9 +187,9 @@ class Cluster:
         now, present = time.monotonic(), self._workers()
         for worker in sorted(self._present - present):
             self.lost.append(worker)
-            self.tell(f"worker {worker} was lost; its unfinished blocks go to others")
+            self.notify(f"worker {worker} was lost; its unfinished blocks go to others")
         for worker in sorted(present - self._present):
-            self.tell(f"worker {worker} joined")
+            self.notify(f"worker {worker} joined")
         self._present, self._looked = present, now
         self._seen = now if present else self._seen
         if now > self._seen + PATIENCE:
@@ -218,7 +218,7 @@ def summed(shares: list[Share], steps: int, seconds: float) -> dict[str, Any]:
 
 
 @contextmanager
-def connected(address: str, tell: Callable[[str], None]) -> Iterator[Cluster]:
+def connected(address: str, notify: Callable[[str], None]) -> Iterator[Cluster]:
     """Workers at an address, or workers of one's own for as long as the context lasts.
 
     Args:
@@ -241,7 +241,7 @@ def connected(address: str, tell: Callable[[str], None]) -> Iterator[Cluster]:
             client.wait_for_workers(count or 1, timeout=PATIENCE)
         except (OSError, TimeoutError, ValueError) as error:
             raise ConfigError(OPTION, f"no scheduler with workers answers at {address}: {error}") from error
-        yield Cluster(client, address, tell)
+        yield Cluster(client, address, notify)
 
 
 def parsed(address: str) -> int:

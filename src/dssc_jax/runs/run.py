@@ -66,7 +66,7 @@ def run(
     tile: int | None = None,
     devices: int | None = None,
     cluster: str | None = None,
-    tell: Callable[[str], None] = print,
+    notify: Callable[[str], None] = print,
     local: str | None = None,
 ) -> Result:
     """Simulate every draw of a study at every point of its sweep.
@@ -76,13 +76,13 @@ def run(
         out: Results folder to fill as the run goes on; None keeps the result in memory.
         resume: Keep what an earlier run of the same study left in ``out``, and compute what is missing; the study
             may ask for more draws than it did then.
-        progress: Told of the lanes done after each block.
+        progress: Called with the lanes done and all lanes after each block.
         block: Lanes of a block at most; None: the engine's choice. Results do not depend on it, nor on the rest.
         tile: Lanes of a tile.
         devices: Number of devices to use.
         cluster: ``tcp://host:port`` of a dask scheduler or ``local:N``; every worker must see ``out``. Devices and
             tiles are then the workers' own choice.
-        tell: Told in words of a cluster's workers that are lost and that join.
+        notify: Called with a line of text when a worker of the cluster is lost or joins.
         local: Folder where a cluster's workers, too, look for the study's ``module:object`` names.
 
     Raises:
@@ -95,12 +95,15 @@ def run(
         manifest = about_run(study, layout, computing())
         return in_one_piece(study, manifest, Engine(study, layout.lanes, tile, devices), progress)
     with ExitStack() as stack:
-        workers = stack.enter_context(connected(cluster, tell)) if cluster else None
+        workers = stack.enter_context(connected(cluster, notify)) if cluster else None
         manifest = about_run(study, layout, workers.machinery() if workers else computing())
         target = stack.enter_context(Store(Path(out), study, manifest, resume))
         if not target.finished:
-            told = Told(progress, target.layout, target.pending)
-            about = workers.fill(study, target, told, local) if workers else fill(study, target, told, tile, devices)
+            advance = LanesDone(progress, target.layout, target.pending)
+            if workers:
+                about = workers.fill(study, target, advance, local)
+            else:
+                about = fill(study, target, advance, tile, devices)
             target.complete(about)
         result = Result(study, *target.read(), Path(out))
         target.summarise(result.lines())
@@ -108,22 +111,22 @@ def run(
 
 
 def fill(
-    study: Study, target: Store, told: Callable[[int], None], tile: int | None, devices: int | None
+    study: Study, target: Store, advance: Callable[[int], None], tile: int | None, devices: int | None
 ) -> dict[str, Any]:
     """Compute what a folder lacks, in this process; what the manifest says of it."""
     began = time.perf_counter()
     engine = Engine(study, target.layout.lanes, tile, devices)
     for box, results, values in execute(engine, target.pending):
         target.chunks.write(box, results, values)
-        told(lanes_in(box))
+        advance(lanes_in(box))
     return {"times": engine.times(began)}
 
 
-class Told:
-    """Lanes done so far, told to whoever shows progress.
+class LanesDone:
+    """Counts the lanes that are done, and passes the count on.
 
     Args:
-        progress: Who.
+        progress: Called with the lanes done and all lanes; None: nobody is.
         layout: All lanes.
         pending: Those that are not done at the beginning.
     """
@@ -144,8 +147,8 @@ def in_one_piece(study: Study, manifest: dict[str, Any], engine: Engine, progres
     """A run that is kept in memory."""
     began = time.perf_counter()
     layout = Layout.from_dict(manifest["layout"])
-    dataset, told = in_memory(study), Told(progress, layout, layout.blocks())
+    dataset, advance = in_memory(study), LanesDone(progress, layout, layout.blocks())
     for box, results, values in execute(engine, layout.blocks()):
         put(dataset, box, results, values)
-        told(lanes_in(box))
+        advance(lanes_in(box))
     return Result(study, dataset, manifest | {"complete": True, "times": engine.times(began)})

@@ -43,7 +43,7 @@ def run_until(
         rule: When to stop.
         out: Results folder, written at the end; None keeps the result in memory.
         most: Draws at which to stop undecided.
-        progress: Told of the draws done and of ``most``.
+        progress: Called with the draws done and ``most``.
 
     Raises:
         ConfigError: the study is swept or its draws are not independent, ``most`` is out of range, or ``out`` holds

@@ -8,7 +8,7 @@ import xarray as xr
 
 from dssc_jax.closed_loop.draw import Run, simulate_recorded
 from dssc_jax.closed_loop.sample import Loop, Recorded
-from dssc_jax.core.errors import ConfigError, meant
+from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.quantities import angular_unit
 from dssc_jax.engine.batching import drawn
@@ -57,7 +57,7 @@ def lane_values(study: Study, draw: int, point: Mapping[str, float]) -> dict[str
         raise ConfigError(study.source, f"draw must be in 0 .. {study.config.draws - 1}, got {draw}")
     for name in point:
         if name not in study.axes:
-            raise ConfigError(study.source, f"'{name}' is not swept; {meant(name, study.axes)}")
+            raise ConfigError(study.source, f"'{name}' is not swept; {nearest(name, study.axes)}")
     missing = [name for name in study.axes if name not in point]
     if missing:
         raise ConfigError(study.source, f"the point needs a value of {', '.join(missing)}")
@@ -207,8 +207,8 @@ def replay(result: Result, draw: int, *, point: Mapping[str, float] | None = Non
         )
     for name in point or {}:
         if name not in study.axes:
-            raise ConfigError(study.source, f"'{name}' is not swept; {meant(name, study.axes)}")
-    index = {name: nearest(values, (point or {}).get(name)) for name, values in study.axes.items()}
+            raise ConfigError(study.source, f"'{name}' is not swept; {nearest(name, study.axes)}")
+    index = {name: nearest_index(values, (point or {}).get(name)) for name, values in study.axes.items()}
     if not point:
         index = hardest(result, draw)
     exact = {name: study.axes[name][i] for name, i in index.items()}
@@ -228,7 +228,7 @@ def agreement_of(result: Result, run: xr.Dataset) -> Agreement:
     return agreement(study, result.dataset, (*lanes, np.array([run.attrs["draw"]])), computed)
 
 
-def nearest(values: tuple[float, ...], wanted: float | None) -> int:
+def nearest_index(values: tuple[float, ...], wanted: float | None) -> int:
     """Index of the value nearest to the wanted one; 0 without a wish."""
     return 0 if wanted is None else int(np.argmin(np.abs(np.asarray(values) - wanted)))
 

@@ -92,16 +92,16 @@ def verify(result: Result, draws: int = LANES, seed: int | None = None) -> Verif
     picked = np.sort(np.random.default_rng(seed).choice(total, min(draws, total), replace=False))
     lanes = np.unravel_index(picked, shape)
     computed = computed_again(result.study, lanes)
-    found = agreement(result.study, result.dataset, lanes, computed)
-    shown = found.decided if found.decided.any() else np.ones_like(found.decided)
-    largest = int(np.argmax(np.where(shown, found.deviation, -1.0)))
+    compared = agreement(result.study, result.dataset, lanes, computed)
+    shown = compared.decided if compared.decided.any() else np.ones_like(compared.decided)
+    largest = int(np.argmax(np.where(shown, compared.deviation, -1.0)))
     return Verification(
         lanes=len(picked),
         seed=seed,
-        deviation=float(found.deviation[largest]),
-        worst=worst(result, lanes, computed, found, largest) if found.deviation[largest] > 0.0 else None,
-        verdict=found.verdict,
-        undecided=int(np.count_nonzero(~found.decided)),
+        deviation=float(compared.deviation[largest]),
+        worst=worst(result, lanes, computed, compared, largest) if compared.deviation[largest] > 0.0 else None,
+        verdict=compared.verdict,
+        undecided=int(np.count_nonzero(~compared.decided)),
         otherwise=machinery_differences(result.manifest, computing() | {"code": recorded(result.study.table)}),
         digests=result.manifest.get("schema") != WITHOUT_DIGESTS,
         single_precision=single_precision(result, lanes, computed)
@@ -110,9 +110,9 @@ def verify(result: Result, draws: int = LANES, seed: int | None = None) -> Verif
     )
 
 
-def worst(result: Result, lanes: Lanes, computed: Arrays, found: Agreement, at: int) -> dict[str, Any]:
+def worst(result: Result, lanes: Lanes, computed: Arrays, compared: Agreement, at: int) -> dict[str, Any]:
     """The value that deviates most, and where it stands."""
-    name, study = str(found.variable[at]), result.study
+    name, study = str(compared.variable[at]), result.study
     point = {axis: values[i[at]] for (axis, values), i in zip(study.axes.items(), lanes, strict=False)}
     stored = stored_lanes(result.dataset, [name], lanes)[name]
     values = {"stored": stored[at].item(), "computed": computed[name][at].item()}

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 from dssc_jax.closed_loop.metrics import Measure, available
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.closed_loop.sample import Loop, LoopParams, Settled, initial_state, step
-from dssc_jax.core.errors import ConfigError, errors_under, meant
+from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.registry import single
@@ -227,7 +227,7 @@ def nearest_number(name: str, config: StudyTable, numbers: Mapping[str, Number])
     table = getattr(config, slot) if slot in REGISTRIES.keys() & StudyTable.model_fields.keys() else None
     if table is not None and not any(known.startswith(f"{slot}.") for known in numbers):
         return f"the study's {slot} is of the kind '{table['kind']}', which has no numbers"
-    return meant(name, numbers)
+    return nearest(name, numbers)
 
 
 def check_swept_parts(table: dict[str, Any], config: StudyTable, channels: tuple[str, ...]) -> None:

@@ -13,7 +13,7 @@ NAMING = ("kind", "metric", "names")
 
 def named(table: Mapping[str, Any]) -> tuple[str, ...]:
     """Every ``module:object`` in a study's table, sorted; valid or not, the table may be anything."""
-    found: set[str] = set()
+    names: set[str] = set()
     waiting: list[Any] = [table]
     while waiting:
         here = waiting.pop()
@@ -21,11 +21,11 @@ def named(table: Mapping[str, Any]) -> tuple[str, ...]:
             for key in NAMING:
                 value = here.get(key)
                 texts = value if isinstance(value, list | tuple) else [value]
-                found.update(text for text in texts if isinstance(text, str) and ":" in text)
+                names.update(text for text in texts if isinstance(text, str) and ":" in text)
             waiting.extend(here.values())
         elif isinstance(here, list | tuple):
             waiting.extend(here)
-    return tuple(sorted(found))
+    return tuple(sorted(names))
 
 
 def located(name: str) -> Path | None:
@@ -56,16 +56,16 @@ def digested(file: Path | None) -> dict[str, str | None]:
     return {"file": str(file), "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
 
 
-def told(table: Mapping[str, Any], then: Mapping[str, Any] | None = None) -> str:
-    """The code that a study names and where it is found, in words; empty where it names none.
+def describe_code(table: Mapping[str, Any], then: Mapping[str, Any] | None = None) -> str:
+    """Each piece of code that a study names and the file it comes from, in words; empty where it names none.
 
     Args:
         table: The study's table.
         then: What :func:`recorded` said when the study was run; None: nothing was recorded.
     """
-    found = []
+    lines = []
     for name, now in recorded(table).items():
         earlier = (then or {}).get(name)
         changed = isinstance(earlier, Mapping) and earlier.get("sha256") != now["sha256"]
-        found.append(f"{name} from {now['file'] or 'no file that is found'}{', changed since the run' * changed}")
-    return "; ".join(found)
+        lines.append(f"{name} from {now['file'] or 'no file that is found'}{', changed since the run' * changed}")
+    return "; ".join(lines)

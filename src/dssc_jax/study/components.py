@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, create_model
 
 from dssc_jax.core.contracts import Preset, as_given
-from dssc_jax.core.errors import ConfigError, errors_under, meant
+from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, Registry, Slot, single
 from dssc_jax.study.laws import Law, is_law, is_number, parse_law
@@ -83,8 +83,8 @@ def parse_number(value: Any, quantity: Quantity) -> float | Law:
         raise ValueError(f"must be a finite number ({quantity.meaning} [{quantity.unit}]){law}, got {value!r}")
     broken = quantity.violated_by(low, high)
     if broken:
-        found = f"{value!r}" if low == high else f"{parsed}, whose support is [{low:g}, {high:g}]"
-        raise ValueError(f"{quantity.meaning} [{quantity.unit}] {broken}, got {found}")
+        given = f"{value!r}" if low == high else f"{parsed}, whose support is [{low:g}, {high:g}]"
+        raise ValueError(f"{quantity.meaning} [{quantity.unit}] {broken}, got {given}")
     return parsed
 
 
@@ -180,7 +180,7 @@ def explain(error: ValidationError, names: typing.Iterable[str]) -> ConfigError:
     value = first.get("input")
     match first["type"]:
         case "extra_forbidden":
-            return ConfigError(path, f"unknown name; {meant(str(first['loc'][-1]), names)}")
+            return ConfigError(path, f"unknown name; {nearest(str(first['loc'][-1]), names)}")
         case "missing":
             return ConfigError(path, "is required and missing")
         case "value_error":
@@ -213,7 +213,7 @@ def lookup(kind: Any, registry: Registry) -> Entry:
     if kind in registry:
         return registry[kind]
     if ":" not in kind:
-        raise ConfigError("kind", f"unknown kind '{kind}'; {meant(kind, registry)}")
+        raise ConfigError("kind", f"unknown kind '{kind}'; {nearest(kind, registry)}")
     model = imported(kind, "kind")
     if hasattr(model, "_fields") and not isinstance(model, type) and not hasattr(model, "params"):
         model = Preset(type(model), model)
@@ -235,7 +235,7 @@ def member_of(entry: Entry, table: dict[str, Any]) -> Any:
         if choice == key and not isinstance(choice, bool):
             return member
     valid = [key.value for key in entry.members]
-    hint = meant(choice, valid) if isinstance(choice, str) else f"valid are {', '.join(map(str, valid))}"
+    hint = nearest(choice, valid) if isinstance(choice, str) else f"valid are {', '.join(map(str, valid))}"
     raise ConfigError(entry.option, f"must be one of {', '.join(map(str, valid))}, got {choice!r}; {hint}")
 
 
@@ -268,7 +268,7 @@ def parse_component(value: Any, registry: Registry, path: str = "", default: str
         if kind is None:
             raise ConfigError("kind", f"is required and missing; valid names are {', '.join(sorted(registry))}")
         entry = lookup(kind, registry)
-        table = merged(entry.silent, table)
+        table = merged(entry.base, table)
         model = member_of(entry, table)
         choices = ("kind", entry.option) if entry.option else ("kind",)
         params, numbers = parse_params(
@@ -348,8 +348,8 @@ def parse_plain(
         ConfigError: as :func:`parse_params`; names outside the fields are unknown.
     """
     specs, model = field_specs(params), table_model(params)
-    silent = {name: defaults[name] for name in model.model_fields if name in defaults}
-    values = {name: value.value if isinstance(value, Enum) else value for name, value in silent.items()}
+    given_defaults = {name: defaults[name] for name in model.model_fields if name in defaults}
+    values = {name: value.value if isinstance(value, Enum) else value for name, value in given_defaults.items()}
     try:
         checked = model.model_validate(values | table)
     except ValidationError as error:

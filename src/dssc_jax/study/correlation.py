@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
-from dssc_jax.core.errors import ConfigError, meant
+from dssc_jax.core.errors import ConfigError, nearest
 
 SMALLEST = 1e-8  # least eigenvalue of the correlation matrix
 
@@ -58,7 +58,7 @@ def require_correlation(table: Mapping[str, float], laws: Collection[str], swept
             if name in swept:
                 raise ConfigError(place, f"'{name}' is swept, and a swept number has no law; take the pair out")
             if name not in laws:
-                raise ConfigError(place, f"'{name}' is no uncertain number of this study; {meant(name, laws)}")
+                raise ConfigError(place, f"'{name}' is no uncertain number of this study; {nearest(name, laws)}")
         if frozenset(both) in seen:
             raise ConfigError(place, "this pair is given twice")
         seen.add(frozenset(both))
@@ -70,11 +70,11 @@ def require_correlation(table: Mapping[str, float], laws: Collection[str], swept
 
 def matrix(table: Mapping[str, float], names: tuple[str, ...]) -> np.ndarray:
     """Correlation matrix of the normal variables behind ``names``."""
-    found = np.eye(len(names))
+    correlations = np.eye(len(names))
     for pair, rank in table.items():
         i, j = (names.index(name) for name in split_pair(pair))
-        found[i, j] = found[j, i] = gaussian(rank)
-    return found
+        correlations[i, j] = correlations[j, i] = gaussian(rank)
+    return correlations
 
 
 def require_positive_definite(table: Mapping[str, float], names: tuple[str, ...]) -> None:
@@ -83,11 +83,11 @@ def require_positive_definite(table: Mapping[str, float], names: tuple[str, ...]
     Raises:
         ConfigError: they do not; it names the pair with the largest share in the smallest eigenvalue.
     """
-    found = matrix(table, names)
-    values, vectors = np.linalg.eigh(found)
+    correlations = matrix(table, names)
+    values, vectors = np.linalg.eigh(correlations)
     if values[0] > SMALLEST:
         return
-    blame = found * np.outer(vectors[:, 0], vectors[:, 0])
+    blame = correlations * np.outer(vectors[:, 0], vectors[:, 0])
 
     def share(pair: str) -> float:
         a, b = split_pair(pair)

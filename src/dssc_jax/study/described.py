@@ -17,7 +17,7 @@ from dssc_jax.core.contracts import NoParams, Plant
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.study.build import clock, info_fields, validate_fixed
-from dssc_jax.study.code import named, told
+from dssc_jax.study.code import describe_code, named
 from dssc_jax.study.components import Number
 from dssc_jax.study.laws import Law, parse_law
 from dssc_jax.study.measuring import KNOWN, kinds_of, measured
@@ -111,7 +111,7 @@ class Described(Study):
         except ValueError as error:  # pydantic's is one
             complaint = " ".join(str(error).split())
             raise ConfigError(source, f"is damaged: its description of the study's code says {complaint}") from None
-        rule = f"runs code that was not loaded: {told(table, code)}; {FLAG} loads it"
+        rule = f"runs code that was not loaded: {describe_code(table, code)}; {FLAG} loads it"
         absent: Any = Unloaded(refusal := ConfigError(source, rule))
         channels, angles = description.channels, description.angles
         plant = Plant(NoParams, absent, absent, absent, absent, channels=channels, angles=angles)
@@ -212,5 +212,5 @@ def received(about: Mapping[str, Any], source: str, trust_code: bool = False) ->
         return Study.from_table(table, source)
     code, content = about.get("code"), about.get("described")
     if not isinstance(code, dict) or content is None:
-        raise ConfigError(source, f"names code, {told(table)}, and does not describe it; {FLAG} loads it")
+        raise ConfigError(source, f"names code, {describe_code(table)}, and does not describe it; {FLAG} loads it")
     return Described.of(table, source, code, content)

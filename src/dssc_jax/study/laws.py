@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from dssc_jax.core.errors import meant
+from dssc_jax.core.errors import nearest
 
 Arguments = tuple[float, ...]
 
@@ -204,7 +204,7 @@ def parse_law(table: dict[str, Any]) -> Law:
         raise ValueError(f"a law is one name with its arguments, e.g. {{ uniform = [0.8, 1.2] }}; got {table}")
     ((kind, arguments),) = table.items()
     if kind not in LAWS:
-        raise ValueError(f"'{kind}' is not a law; {meant(kind, LAWS)}")
+        raise ValueError(f"'{kind}' is not a law; {nearest(kind, LAWS)}")
     spec = LAWS[kind]
     if not isinstance(arguments, list) or not all(is_number(value) for value in arguments):
         raise ValueError(f"{kind} takes finite numbers {spec.signature}, got {arguments}")

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from dssc_jax.core.errors import ConfigError, meant
+from dssc_jax.core.errors import ConfigError, nearest
 
 LONGEST = 255
 PACKAGED = Path(__file__).parents[1] / "_studies"
@@ -11,20 +11,20 @@ CHECKOUT = Path(__file__).parents[3] / "studies"
 
 def folders() -> list[Path]:
     """Folders that hold studies, nearest first."""
-    found: list[Path] = []
+    existing: list[Path] = []
     for folder in (Path.cwd() / "studies", PACKAGED, CHECKOUT):
-        if folder.is_dir() and folder.resolve() not in [other.resolve() for other in found]:
-            found.append(folder)
-    return found
+        if folder.is_dir() and folder.resolve() not in [other.resolve() for other in existing]:
+            existing.append(folder)
+    return existing
 
 
 def available() -> dict[str, Path]:
     """Every study by name; the nearest folder wins."""
-    found: dict[str, Path] = {}
+    files: dict[str, Path] = {}
     for folder in folders():
         for path in sorted(folder.glob("*.toml")):
-            found.setdefault(path.stem, path)
-    return found
+            files.setdefault(path.stem, path)
+    return files
 
 
 def find(name: str) -> Path:
@@ -43,4 +43,4 @@ def find(name: str) -> Path:
         return known[name]
     if name.replace("-", "_") in known:
         return known[name.replace("-", "_")]
-    raise ConfigError(name, f"is neither a file nor the name of a study; {meant(name, known)}")
+    raise ConfigError(name, f"is neither a file nor the name of a study; {nearest(name, known)}")

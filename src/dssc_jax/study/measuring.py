@@ -6,7 +6,7 @@ from dssc_jax.closed_loop.metrics import BRIEF, METRICS, Measure, Metric, Scope,
 from dssc_jax.closed_loop.performance import PERFORMANCE
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.core.contracts import Plant
-from dssc_jax.core.errors import ConfigError, meant
+from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.study.components import imported
 from dssc_jax.study.schema import StudyTable
 
@@ -19,7 +19,7 @@ def kinds_of(config: StudyTable) -> dict[str, Metric]:
     Raises:
         ConfigError: one cannot be imported, is no metric, or takes the name of another.
     """
-    found = dict(KNOWN)
+    metrics = dict(KNOWN)
     named = [(f"metrics.names.{i}", name) for i, name in enumerate(config.metrics.names or ())]
     named += [(f"requirement.{i}.metric", table.metric) for i, table in enumerate(config.requirement)]
     for place, name in named:
@@ -28,9 +28,9 @@ def kinds_of(config: StudyTable) -> dict[str, Metric]:
         metric = imported(name, place)
         if not isinstance(metric, Metric):
             raise ConfigError(place, f"'{name}' must be a Metric, got {type(metric).__name__}")
-        if found.setdefault(short(name), metric) is not metric:
+        if metrics.setdefault(short(name), metric) is not metric:
             raise ConfigError(place, f"there is another metric of the name '{short(name)}'; rename the object")
-    return found
+    return metrics
 
 
 def short(name: str) -> str:
@@ -74,7 +74,7 @@ def measured(
     kinds = default_kinds(several) if named is None else [short(name) for name in named]
     for index, kind in enumerate(kinds):
         if kind not in known:
-            raise ConfigError(f"metrics.names.{index}", f"unknown metric '{kind}'; {meant(kind, known)}")
+            raise ConfigError(f"metrics.names.{index}", f"unknown metric '{kind}'; {nearest(kind, known)}")
     measures = {name: measure(name, name, base) for name, (kind, _) in names.items() if kind in kinds}
     requirements = []
     for index, table in enumerate(config.requirement):
@@ -83,7 +83,7 @@ def measured(
             if wanted in known and not several:
                 needs = ", ".join(known[wanted].needs)
                 raise ConfigError(f"{place}.metric", f"'{wanted}' needs {needs}, which this loop does not have")
-            raise ConfigError(f"{place}.metric", f"unknown metric '{wanted}'; {meant(wanted, names)}")
+            raise ConfigError(f"{place}.metric", f"unknown metric '{wanted}'; {nearest(wanted, names)}")
         after = base.after if table.after is None else table.after
         window = Window(after, table.settling_band or base.band)
         require_samples(config, window, f"{place}.after")
@@ -99,7 +99,7 @@ def measured(
         raise ConfigError("metrics.names", "names none, and nothing is required: nothing would be measured; name one")
     if config.plot.metric is not None and config.plot.metric not in measures:
         raise ConfigError(
-            "plot.metric", f"unknown metric '{config.plot.metric}'; {meant(config.plot.metric, measures)}"
+            "plot.metric", f"unknown metric '{config.plot.metric}'; {nearest(config.plot.metric, measures)}"
         )
     return tuple(measures.values()), tuple(requirements)
 

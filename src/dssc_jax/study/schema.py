@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from dssc_jax.core.errors import meant
+from dssc_jax.core.errors import nearest
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.study.laws import is_number
 
@@ -51,8 +51,8 @@ class LoopTable(BaseModel):
         if not ratio < 2**31:
             raise ValueError(f"duration/sample_time must be below 2^31 samples, got {ratio:g}")
         if abs(ratio - self.steps) > 1e-6 * ratio:
-            found = f"{self.duration:g}/{self.sample_time:g}"
-            raise ValueError(f"duration must be a whole number of sample times, got {found}")
+            ratio = f"{self.duration:g}/{self.sample_time:g}"
+            raise ValueError(f"duration must be a whole number of sample times, got {ratio}")
         if self.settled and self.settled.hold < self.sample_time:
             raise ValueError(f"settled.hold must be >= sample_time = {self.sample_time:g} s, got {self.settled.hold:g}")
         return self
@@ -113,7 +113,7 @@ def parse_axis(value: Any) -> tuple[float, ...]:
         raise ValueError(f"must be a list or one of {{ linspace | logspace = [lo, hi, count] }}, got {value!r}")
     ((kind, arguments),) = value.items()
     if kind not in AXES:
-        raise ValueError(f"'{kind}' is not a spacing; {meant(kind, AXES)}")
+        raise ValueError(f"'{kind}' is not a spacing; {nearest(kind, AXES)}")
     if not isinstance(arguments, list) or not arguments or not all(is_number(item) for item in arguments):
         raise ValueError(f"{kind} takes a list of finite numbers, got {arguments!r}")
     if kind == "values":

@@ -114,12 +114,12 @@ def changed(table: Mapping[str, Any], changes: Mapping[str, Any], source: str) -
     """
     try:
         require_shallow(table)
-        found = copy.deepcopy(dict(table))
+        copied = copy.deepcopy(dict(table))
         for name, value in changes.items():
-            set_dotted(found, name, value)
+            set_dotted(copied, name, value)
     except ConfigError as error:
         raise error.within(source) from None
-    return found
+    return copied
 
 
 def merged(common: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:

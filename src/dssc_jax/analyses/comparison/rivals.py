@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 
 from dssc_jax.analyses.theory.linearised import synthesised_gains
-from dssc_jax.core.errors import ConfigError, meant
+from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.quantities import nominal
 from dssc_jax.core.registry import Discretisation
 from dssc_jax.core.signals import Scalar
@@ -141,7 +141,7 @@ def controller_table(study: Study, name: str) -> Table:
     kind, _, suffix = name.partition("_")
     if kind not in CONTROLLERS or (suffix and suffix not in SUFFIXES):
         known = [*CONTROLLERS, *study.config.compare, *(f"sta_{end}" for end in SUFFIXES)]
-        raise ConfigError(f"compare.{name}", f"there is no such controller; {meant(name, known)}")
+        raise ConfigError(f"compare.{name}", f"there is no such controller; {nearest(name, known)}")
     table = dict(own) if kind == own["kind"] else derived(study, name, kind)
     if suffix == LIMITED:
         return with_limit(study, name, table)

@@ -6,7 +6,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from dssc_jax.core.errors import ConfigError, meant
+from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.design import Bounds, Certificate, Free, Parameters, certification, check, design
 from dssc_jax.design.small_gain import small_gain
 from dssc_jax.design.table1 import inequalities
@@ -115,7 +115,7 @@ def split(free: Mapping[str, tuple[float, float] | float]) -> tuple[dict[str, tu
     """
     for name in free:
         if name not in Free._fields:
-            raise ConfigError(f"tune.free.{name}", f"unknown name; {meant(name, Free._fields)}")
+            raise ConfigError(f"tune.free.{name}", f"unknown name; {nearest(name, Free._fields)}")
     for name in REQUIRED:
         if name not in free:
             raise ConfigError(f"tune.free.{name}", "is required and missing: [low, high] to vary it, or a number")

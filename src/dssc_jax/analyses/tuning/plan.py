@@ -7,7 +7,7 @@ from typing import Any
 from dssc_jax.analyses.tuning.certified import NUMBERS, Theorem, split
 from dssc_jax.analyses.tuning.mirror import Mirror, as_they_are
 from dssc_jax.closed_loop.metrics import Measure
-from dssc_jax.core.errors import ConfigError, meant
+from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.models.controllers.dssc import DsscGains
 from dssc_jax.study import Law, Study
@@ -57,7 +57,7 @@ class Plan:
         if table is None:
             raise ConfigError("tune", "is required and missing: parameters and objective")
         if table.optimiser not in OPTIMISERS:
-            rule = f"unknown name '{table.optimiser}'; {meant(table.optimiser, OPTIMISERS)}"
+            rule = f"unknown name '{table.optimiser}'; {nearest(table.optimiser, OPTIMISERS)}"
             raise ConfigError("tune.optimiser", rule)
         if table.batch is not None and table.optimiser == PROGRAMMING:
             raise ConfigError("tune.batch", f"{PROGRAMMING} needs the same draws at every step; take one of {DESCENTS}")
@@ -131,7 +131,7 @@ def require_metrics(study: Study, table: TuneTable) -> None:
     for place, wanted in (("objective", table.objective), ("limits", table.limits)):
         for name in wanted:
             if name not in names:
-                rule = f"is no metric of this study; {meant(name, names)}; others have to stand in metrics.names"
+                rule = f"is no metric of this study; {nearest(name, names)}; others have to stand in metrics.names"
                 raise ConfigError(f"tune.{place}.{name}", rule)
     if not any(weight != 0.0 for weight in table.objective.values()):
         raise ConfigError("tune.objective", f"needs a weight other than 0, got {table.objective}")
@@ -196,7 +196,7 @@ def unfit(study: Study, name: str) -> str:
         study.override({name: 1.0})
     except ConfigError as error:
         if "unknown" in error.rule or "nowhere" in error.rule:
-            return f"unknown parameter; {meant(name, study.quantities)}"
+            return f"unknown parameter; {nearest(name, study.quantities)}"
         return f"is no number that may be moved: {error.rule}"
     return "has no value in this study; give one to start from"
 

@@ -46,8 +46,8 @@ def one_factor(gains: Any) -> Any:
         ConfigError: both or neither are.
     """
     if (gains.k_o is None) == (gains.tau_av is None):
-        found = "neither" if gains.k_o is None else "both"
-        raise ConfigError("", f"give one of k_o and tau_av, the other follows from their product; got {found}")
+        given = "neither" if gains.k_o is None else "both"
+        raise ConfigError("", f"give one of k_o and tau_av, the other follows from their product; got {given}")
     return gains
 
 

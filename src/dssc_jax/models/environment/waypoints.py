@@ -154,8 +154,9 @@ def check_speed(params: WaypointParams, path: CubicSpline, u: np.ndarray, total:
     by_length = math.sqrt(total * params.acceleration / RAMP)
     by_turn = math.sqrt(LATERAL_LIMIT / max(curvature[peak], 1e-12))
     if params.speed > by_turn:
-        found = params.speed**2 * curvature[peak] / STANDARD_GRAVITY
-        rule = f"{found:.3g} g across the path near waypoint {np.abs(path.x - u[peak]).argmin()} (from 0), limit 0.5 g"
+        acceleration = params.speed**2 * curvature[peak] / STANDARD_GRAVITY
+        waypoint = np.abs(path.x - u[peak]).argmin()
+        rule = f"{acceleration:.3g} g across the path near waypoint {waypoint} (from 0), limit 0.5 g"
     elif params.speed > by_length:
         rule = f"the path of {total:.3g} m is too short to reach it and stop at {params.acceleration:g} m/s^2"
     else:
@@ -187,11 +188,11 @@ def quintics(y: np.ndarray, y_dot: np.ndarray, y_ddot: np.ndarray, step: float) 
 def located(path: CubicSpline, u: np.ndarray, s: np.ndarray, far: np.ndarray) -> np.ndarray:
     """The u at which the path is ``far`` long [m], by Newton's method from the grid (u, s)."""
     k = np.clip(np.searchsorted(s, far, side="right") - 1, 0, len(u) - 2)
-    found = u[k] + (far - s[k]) / (s[k + 1] - s[k]) * (u[k + 1] - u[k])
+    reached = u[k] + (far - s[k]) / (s[k + 1] - s[k]) * (u[k + 1] - u[k])
     for _ in range(4):
-        missing = far - s[k] - length(path, u[k], found)
-        found = np.clip(found + missing / stretch(path, found), u[k], u[k + 1])
-    return found
+        missing = far - s[k] - length(path, u[k], reached)
+        reached = np.clip(reached + missing / stretch(path, reached), u[k], u[k + 1])
+    return reached
 
 
 def slowed(step: float, coefficients: np.ndarray, params: WaypointParams) -> float:

@@ -154,8 +154,8 @@ def check_table(params: PiecewiseParams) -> PiecewiseParams:
         raise ConfigError("times", "needs at least one time, got none")
     for name in ("x", "y", "z"):
         if len(getattr(params, name)) != rows:
-            found = len(getattr(params, name))
-            raise ConfigError(name, f"must hold {rows} numbers, one for each of times, got {found}")
+            count = len(getattr(params, name))
+            raise ConfigError(name, f"must hold {rows} numbers, one for each of times, got {count}")
     for i, (before, after) in enumerate(pairwise(map(extent, params.times)), start=1):
         if not after[0] > before[1]:
             rule = f"times must increase strictly: must be > {before[1]:g}, the one before, got {after[0]:g}"

@@ -110,7 +110,7 @@ def wanted(params: UavParams, state: UavState, drive: PlantInput) -> tuple[Deman
     """Inner loops and allocation."""
     x, y, z, psi = (u + d for u, d in zip(drive.command, drive.disturbance, strict=True))
     rotation = state.attitude.matrix()
-    found = demand(
+    demanded = demand(
         params.inner_loop,
         params.inner_model.mass,
         params.inner_model.inertia,
@@ -121,7 +121,7 @@ def wanted(params: UavParams, state: UavState, drive: PlantInput) -> tuple[Deman
         Vec3(x, y, z),
         psi,
     )
-    return found, allocate(params.allocation, found.thrust, found.moment, params.vehicle.thrust_limit)
+    return demanded, allocate(params.allocation, demanded.thrust, demanded.moment, params.vehicle.thrust_limit)
 
 
 def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar) -> UavState:
