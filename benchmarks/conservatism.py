@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from dssc_jax import plotting
 from dssc_jax.console import machine
 from dssc_jax.design import Bounds, Free, Guarantee, Parameters, certified, design, guarantee
-from dssc_jax.design.feasibility import scaled
+from dssc_jax.design.feasibility import scaled_bounds
 from dssc_jax.design.practice import practice
 from dssc_jax.engine.batching import Engine
 
@@ -202,8 +202,8 @@ def reaches(case: Case, plants: Plants) -> dict[str, Reach]:
 
     return {
         "disturbance": Reach(
-            reach(lambda x: certified(p, scaled(bounds, x)), count, FURTHEST, FINE),
-            reach(lambda x: within(scaled(bounds, x), plants.k_p), count, FAR),
+            reach(lambda x: certified(p, scaled_bounds(bounds, x)), count, FURTHEST, FINE),
+            reach(lambda x: within(scaled_bounds(bounds, x), plants.k_p), count, FAR),
         ),
         "k_p down": Reach(
             reach(lambda x: certified(p, bounds._replace(k_min=bounds.k_min * x)), count, 1.0 / FURTHEST, FINE),

@@ -12,7 +12,7 @@ import dssc_jax as dj
 from dssc_jax.core.contracts import Disturbance
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.engine.batching import simulated
-from dssc_jax.engine.reference import agreement, computed_again, numbers
+from dssc_jax.engine.reference import agreement, computed_again, lane_numbers
 from dssc_jax.models.controllers import CONTROLLERS, DIFFERENTIATORS
 from dssc_jax.models.environment import DISTURBANCES, REFERENCES, SENSORS
 from dssc_jax.models.unmodelled import UNMODELLED
@@ -44,7 +44,12 @@ TABULATED = Disturbance(
 CONTROLLER_TABLES = [
     *({"kind": kind, **table} for kind, table in PLAIN.items()),
     *(
-        {"kind": "dssc", "functions": {"kind": kind, **numbers}, "rho": (2.0, NORM_BOUND)[i % 2], "nominal": NOMINAL}
+        {
+            "kind": "dssc",
+            "functions": {"kind": kind, **numbers},
+            "rho": (2.0, NORM_BOUND)[i % 2],
+            "nominal": NOMINAL,
+        }
         for i, (kind, numbers) in enumerate(FUNCTIONS.items())
     ),
 ]
@@ -146,7 +151,7 @@ def test_programs_agree(table):
     assert np.isnan(result.dataset["failed_at"].values).any()
     assert_agrees(result, lanes, computed_again(study, lanes))
     if len(study.loop.channels) == 1:
-        first = {name: column[0] for name, column in numbers(study, lanes).items()}
+        first = {name: column[0] for name, column in lane_numbers(study, lanes).items()}
         alone = jax.jit(simulated(study, together=None))(first, np.uint32(0))
         assert_agrees(result, (np.array([0]),), {name: np.asarray(value)[None] for name, value in alone.items()})
 

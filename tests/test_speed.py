@@ -7,7 +7,7 @@ from benchmarks.speed.contest import OURS, PLAIN, C, Contender, contest, quartil
 from benchmarks.speed.workloads import Case
 from dssc_jax.backend import xla
 
-UNFLAGGED = OURS._replace(name="unflagged", environment={xla.SWITCH: "off"})
+UNFLAGGED = OURS._replace(name="unflagged", environment={xla.FLAGS_VARIABLE: "off"})
 needs_c = pytest.mark.skipif(
     native.compiler() is None,
     reason="no GCC on the path; a compiler is no Python package to ask for, .ci/run installs it",

@@ -12,7 +12,7 @@ import dssc_jax as dj
 from dssc_jax.cli import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.study import Described
-from dssc_jax.study.code import located, named
+from dssc_jax.study.code import code_file, code_names
 from tests.conftest import UNCERTAIN
 from tests.forging import resealed
 from tests.mutations import document
@@ -292,8 +292,8 @@ def test_names_are_found_wherever_they_stand():
         "metrics": {"names": ["m:effort", "error_rms"]},
         "kind": 3,
     }
-    assert named({**table, "requirement": [{"metric": "n:tilt"}]}) == ("m:effort", "n:tilt", "x.y:Z")
-    assert named({}) == ()
+    assert code_names({**table, "requirement": [{"metric": "n:tilt"}]}) == ("m:effort", "n:tilt", "x.y:Z")
+    assert code_names({}) == ()
 
 
 def test_modules_are_located_without_importing_their_packages(spy):
@@ -304,11 +304,11 @@ def test_modules_are_located_without_importing_their_packages(spy):
     (nested / "leaf.py").write_text("raise SystemExit('imported')")
     (spy / "space" / "deep").mkdir(parents=True)
     (spy / "space" / "deep" / "leaf.py").write_text("")
-    assert located("outer.inner.leaf:X") == nested / "leaf.py"
-    assert located("outer.inner:X") == nested / "__init__.py"
-    assert located("space.deep.leaf:X") == spy / "space" / "deep" / "leaf.py"
+    assert code_file("outer.inner.leaf:X") == nested / "leaf.py"
+    assert code_file("outer.inner:X") == nested / "__init__.py"
+    assert code_file("space.deep.leaf:X") == spy / "space" / "deep" / "leaf.py"
     for name in ("outer.leaf:X", "nowhere:X", "nowhere.at.all:X", "..:x", ":x", "builtins:eval", "a b:c"):
-        assert located(name) is None
+        assert code_file(name) is None
     assert "outer" not in sys.modules
 
 

@@ -39,7 +39,7 @@ class Contender(NamedTuple):
 
 OURS = Contender("dssc_jax", "engine")
 ONE_DEVICE = Contender("dssc_jax, one device", "engine", {"XLA_FLAGS": f"{xla.DEVICE_COUNT}=1"})
-PLAIN = Contender("jit(vmap(scan))", "scan", {xla.SWITCH: "off"})
+PLAIN = Contender("jit(vmap(scan))", "scan", {xla.FLAGS_VARIABLE: "off"})
 C = Contender("C", "c")
 NUMBA = Contender("Numba", "numba")
 NUMPY = Contender("NumPy", "numpy", every=4)
@@ -55,7 +55,7 @@ def available() -> list[Contender]:
 
 def environment(more: dict[str, str]) -> dict[str, str]:
     """That of a process of its own: this one's without what importing the package has added to it, and ``more``."""
-    added = ("XLA_FLAGS", xla.SWITCH)
+    added = ("XLA_FLAGS", xla.FLAGS_VARIABLE)
     path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     return {name: value for name, value in os.environ.items() if name not in added} | {"PYTHONPATH": path} | more
 

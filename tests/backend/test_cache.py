@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from dssc_jax.backend.compiled_programs import DIGEST, Programs, digest
+from dssc_jax.backend.compiled_programs import DIGEST, ProgramCache, digest
 from tests.backend.test_xla import CLEAN, python
 from tests.results.test_durability import SMALL
 
@@ -83,7 +83,7 @@ def test_programs_that_have_changed_places_are_not_run(cold):
 
 
 def test_a_program_belongs_to_its_name(tmp_path, capsys):
-    programs = Programs(tmp_path / "new")
+    programs = ProgramCache(tmp_path / "new")
     assert programs.get("a") is None
     programs.put("a", b"program")
     assert programs.get("a") == b"program"
@@ -98,7 +98,7 @@ def test_what_has_not_been_read_for_long_goes_first(tmp_path):
     (tmp_path / "jit_old-cache").write_bytes(bytes(100))  # what JAX's own cache has left
     os.utime(tmp_path / "jit_old-cache", (0, 0))
     (tmp_path / "folder").mkdir()
-    programs = Programs(tmp_path, most=3 * (DIGEST + 100))
+    programs = ProgramCache(tmp_path, most=3 * (DIGEST + 100))
     for age, name in enumerate("abc"):
         programs.put(name, bytes(100))
         os.utime(tmp_path / f"{name}.program", (age, age))
@@ -111,7 +111,7 @@ def test_what_has_not_been_read_for_long_goes_first(tmp_path):
 def test_a_disk_that_is_full_leaves_no_half(tmp_path, monkeypatch):
     monkeypatch.setattr("os.replace", lambda *_: (_ for _ in ()).throw(OSError("No space left on device")))
     with pytest.raises(OSError, match="No space left"):
-        Programs(tmp_path).put("a", b"program")
+        ProgramCache(tmp_path).put("a", b"program")
     assert not list(tmp_path.iterdir())
 
 

@@ -5,13 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dssc_jax.backend.fusion import WORTH, rewritten, shared_once
+from dssc_jax.backend.fusion import COSTLY, rewritten, shared_once
 
 X, Z = jnp.linspace(0.1, 2.0, 16), jnp.linspace(-1.0, 1.0, 16)
 
 
 def costly(x):
-    for _ in range(WORTH + 1):
+    for _ in range(COSTLY + 1):
         x = x * x + 0.25
     return x
 

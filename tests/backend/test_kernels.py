@@ -185,13 +185,13 @@ def test_a_program_without_numbers_of_its_own_uses_the_index():
 
 
 def test_the_form_is_chosen_by_argument_or_environment(monkeypatch):
-    monkeypatch.delenv(kernels.SWITCH, raising=False)
+    monkeypatch.delenv(kernels.KERNEL_VARIABLE, raising=False)
     assert kernels.requested() == "scan"
-    assert not any(kernels.SWITCH in flag for flag in computing()["compiler"])
-    monkeypatch.setenv(kernels.SWITCH, "pallas")
+    assert not any(kernels.KERNEL_VARIABLE in flag for flag in computing()["compiler"])
+    monkeypatch.setenv(kernels.KERNEL_VARIABLE, "pallas")
     assert Engine(axis(), 8).kernel == "pallas"
     assert Engine(axis(), 8, kernel="scan").kernel == "scan"
-    assert f"{kernels.SWITCH}=pallas" in computing()["compiler"]
+    assert f"{kernels.KERNEL_VARIABLE}=pallas" in computing()["compiler"]
     with pytest.raises(
         ConfigError, match=r"kernel: must be scan, pallas or auto, got 'palas'; did you mean 'pallas'\?"
     ):

@@ -5,7 +5,16 @@ import pytest
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.design import Bounds, Free, certified, check, guarantee, small_gain, synthesise
-from dssc_jax.design.feasibility import DISTURBANCES, RANGES, Criterion, Goal, edges, limits, optimise, scaled
+from dssc_jax.design.feasibility import (
+    DISTURBANCE_FIELDS,
+    RANGES,
+    Criterion,
+    DesignGoal,
+    edges,
+    limits,
+    optimise,
+    scaled_bounds,
+)
 from dssc_jax.design.practice import practice
 
 BOUNDS = Bounds(0.9, 1.1, 1.0, alpha_d3=0.1, alpha_d=1.0, k_d4=0.05)
@@ -18,8 +27,8 @@ def test_limits_are_edges():
     found = limits(p, BOUNDS)
     assert found.phi_b == pytest.approx(max(small_gain(p, BOUNDS).derived, p.l0 / p.eps), rel=1e-9)
     inside, outside = 1 - 1e-6, 1 + 1e-6
-    assert certified(p, scaled(BOUNDS, inside * found.disturbance))
-    assert not certified(p, scaled(BOUNDS, outside * found.disturbance))
+    assert certified(p, scaled_bounds(BOUNDS, inside * found.disturbance))
+    assert not certified(p, scaled_bounds(BOUNDS, outside * found.disturbance))
     assert certified(p, BOUNDS._replace(k_min=outside * found.k_min))
     assert not certified(p, BOUNDS._replace(k_min=inside * found.k_min))
     assert certified(p, BOUNDS._replace(k_max=inside * found.k_max))
@@ -35,14 +44,14 @@ def test_limits_of_what_does_not_matter_or_is_not_certified():
 
 
 def test_scaling_touches_the_disturbance_only():
-    changed = {name for name in Bounds._fields if getattr(scaled(BOUNDS, 2.0), name) != getattr(BOUNDS, name)}
-    assert changed <= set(DISTURBANCES)
+    changed = {name for name in Bounds._fields if getattr(scaled_bounds(BOUNDS, 2.0), name) != getattr(BOUNDS, name)}
+    assert changed <= set(DISTURBANCE_FIELDS)
 
 
 @pytest.mark.parametrize("criterion", list(Criterion))
 def test_the_optimum_beats_random_candidates(criterion):
     """Certified, within the goal's limits, and no worse than the best of 3,000 random candidates that meet them."""
-    goal = Goal(criterion, residual=0.5, sample_time=1e-3)
+    goal = DesignGoal(criterion, residual=0.5, sample_time=1e-3)
     best = optimise(BOUNDS, FREE, goal)
     p = synthesise(BOUNDS, best)
     assert check(p, BOUNDS).certified
@@ -75,13 +84,13 @@ def score(p, criterion):
 
 def test_an_infeasible_goal_says_how_near_it_comes():
     with pytest.raises(ConfigError, match=r"goal: no design in the ranges has residual <= 1e-09 m and sample_time"):
-        optimise(BOUNDS, FREE, Goal(Criterion.GAIN, residual=1e-9, sample_time=1e-2))
+        optimise(BOUNDS, FREE, DesignGoal(Criterion.GAIN, residual=1e-9, sample_time=1e-2))
 
 
 def test_a_parameter_at_the_end_of_its_range_is_told():
     """The smallest residual wants l0 as large as it may be, whatever that is."""
     ranges = {"l0": (0.1, 2.0), "eps_3": (1.0, 20.0)}
-    best = optimise(BOUNDS, FREE, Goal(Criterion.RESIDUAL), ranges)
+    best = optimise(BOUNDS, FREE, DesignGoal(Criterion.RESIDUAL), ranges)
     assert [text.split(" = ")[0] for text in edges(best, ranges)] == ["l0", "eps_3"]
     assert edges(best._replace(l0=0.5), ranges)[0].startswith("eps_3 = 20 is the upper end")
     assert edges(best._replace(l0=0.1, eps_3=5.0), ranges)[0].startswith("l0 = 0.1 is the lower end")
@@ -93,4 +102,4 @@ def test_a_parameter_at_the_end_of_its_range_is_told():
 )
 def test_bad_ranges(ranges, message):
     with pytest.raises(ConfigError, match=message):
-        optimise(BOUNDS, FREE, Goal(), ranges)
+        optimise(BOUNDS, FREE, DesignGoal(), ranges)

@@ -80,7 +80,7 @@ def test_ranges_cover_every_block_once():
     for count in (0, 1, 7, 100, 5000):
         blocks = [(slice(i, i + 1),) for i in range(count)]
         for workers in (1, 2, 64):
-            parts = cluster.ranges(blocks, workers)
+            parts = cluster.block_ranges(blocks, workers)
             assert [block for part in parts for block in part] == blocks
             assert all(len(part) <= cluster.MOST_BLOCKS for part in parts)
 

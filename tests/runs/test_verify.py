@@ -10,7 +10,7 @@ import zarr
 import dssc_jax as dj
 from dssc_jax.cli import guarded
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.engine.reference import ROUNDING, deviations
+from dssc_jax.engine.reference import TOLERANCE, deviations
 from tests.conftest import UNCERTAIN
 from tests.forging import redigested, without_digests
 from tests.results.test_durability import SMALL
@@ -80,7 +80,7 @@ def test_sizes_of_deviations(whole):
     stored, computed = np.array([1.0, 0.0, nan, inf, -inf, nan]), np.array([1.0, 1e-12, nan, inf, inf, 1.0])
     found = deviations(whole.study, {"error_rms": 0.5}, {"error_rms": stored}, {"error_rms": computed})["error_rms"]
     np.testing.assert_allclose(found, [0.0, 2e-12, 0.0, 0.0, inf, inf])
-    assert ROUNDING[64] < ROUNDING[32]
+    assert TOLERANCE[64] < TOLERANCE[32]
 
 
 def test_rounding_may_move_a_settling_time_by_one_sample(uncertain):

@@ -9,7 +9,7 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.study.laws import Law
-from dssc_jax.study.library import available, find
+from dssc_jax.study.library import available_studies, find
 from dssc_jax.study.tables import set_dotted
 from tests.conftest import CASE_2, UNCERTAIN
 
@@ -223,8 +223,8 @@ def test_sweep_by_the_short_name_of_rho(case_2):
 
 def test_table_1_parameters_survive_the_file(tmp_path):
     """Every shipped study loads."""
-    assert {"mu_robustness", "residual_scaling"} <= set(available())
-    for path in available().values():
+    assert {"mu_robustness", "residual_scaling"} <= set(available_studies())
+    for path in available_studies().values():
         dj.Study.load(path)
 
 

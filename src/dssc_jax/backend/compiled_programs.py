@@ -18,13 +18,13 @@ import jax
 
 from dssc_jax.backend import xla
 
-SWITCH = "DSSC_JAX_CACHE"
-WORTH = 0.05  # s of compiling, from which on a program is kept
-MOST = 2**28  # bytes; what has not been read for the longest time goes first
+CACHE_VARIABLE = "DSSC_JAX_CACHE"
+LEAST_COMPILE_TIME = 0.05  # s of compiling, from which on a program is kept
+CACHE_SIZE = 2**28  # bytes; what has not been read for the longest time goes first
 DIGEST = hashlib.sha256().digest_size
 
 
-class Programs:
+class ProgramCache:
     """A folder of programs by name, as JAX asks for them.
 
     Args:
@@ -32,7 +32,7 @@ class Programs:
         most: Bytes that it may hold.
     """
 
-    def __init__(self, folder: Path, most: int = MOST) -> None:
+    def __init__(self, folder: Path, most: int = CACHE_SIZE) -> None:
         self._path, self.most = folder, most
 
     def get(self, key: str) -> bytes | None:
@@ -84,15 +84,15 @@ def digest(key: str, program: bytes) -> bytes:
     return hashlib.sha256(key.encode() + b"\n" + program).digest()
 
 
-def keep() -> None:
+def keep_programs() -> None:
     """Have JAX keep compiled programs here, unless the user has given it a cache or wants none.
 
     JAX has no public way to say how a cache is read. In a version where the function that makes it is gone, nothing is
     kept: rather no cache than one that is believed.
     """
     folder = xla.cache_directory()
-    unwanted = os.environ.get(SWITCH, "").lower() in xla.OFF or getattr(jax.config, "jax_compilation_cache_dir", "")
-    if unwanted or folder is None:
+    off = os.environ.get(CACHE_VARIABLE, "").lower() in xla.OFF
+    if off or folder is None or getattr(jax.config, "jax_compilation_cache_dir", ""):
         return
     try:
         from jax._src import compilation_cache
@@ -100,7 +100,8 @@ def keep() -> None:
         others = compilation_cache.get_file_cache
     except (ImportError, AttributeError):
         return
-    compilation_cache.get_file_cache = lambda path: (Programs(folder), path) if path == str(folder) else others(path)
+    own = str(folder)
+    compilation_cache.get_file_cache = lambda path: (ProgramCache(folder), path) if path == own else others(path)
     jax.config.update("jax_compilation_cache_dir", str(folder))
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", WORTH)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", LEAST_COMPILE_TIME)

@@ -18,10 +18,10 @@ from jax.core import Tracer
 from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var, jaxpr_as_fun
 
-WORTH = 3  # operations beyond which a shared value is kept: writing and reading it costs about two
+COSTLY = 3  # operations beyond which a shared value is kept: writing and reading it costs about two
 CALLS = ("jit", "closed_call", "custom_jvp_call", "custom_vjp_call")
 BODIES = ("jaxpr", "body_jaxpr")  # of a scan, of a while loop
-LOOPS = ("scan", "while", "cond")
+LOOP_PRIMITIVES = ("scan", "while", "cond")
 FREE = {"broadcast_in_dim", "reshape", "squeeze", "convert_element_type", "copy"}
 REPEATED = {
     *("add", "sub", "mul", "neg", "abs", "sign", "square", "integer_pow", "floor", "ceil", "round", "is_finite"),
@@ -60,7 +60,7 @@ def kept(value: jax.Array) -> jax.Array:
         return itself(value)
 
 
-class Scope:
+class VariableValues:
     """Values of a program's variables while it is evaluated."""
 
     def __init__(self, program: ClosedJaxpr, args: Sequence[Any]) -> None:
@@ -88,7 +88,7 @@ class Merged:
 
     def run(self, program: ClosedJaxpr, args: Sequence[Any]) -> list[Any]:
         """Results of the program."""
-        scope = Scope(program, args)
+        scope = VariableValues(program, args)
         for eqn in program.jaxpr.eqns:
             operands = scope.read(eqn.invars)
             inner = eqn.params.get("jaxpr", eqn.params.get("call_jaxpr"))
@@ -98,19 +98,19 @@ class Merged:
 
     def results(self, eqn: JaxprEqn, operands: list[Any]) -> list[Any]:
         """What one equation defines."""
-        if eqn.primitive.name in LOOPS or eqn.effects:
+        if eqn.primitive.name in LOOP_PRIMITIVES or eqn.effects:
             params = {
                 name: rewritten(value) if name in BODIES and isinstance(value, ClosedJaxpr) else value
                 for name, value in eqn.params.items()
             }
             return bound(eqn, operands, params)
-        key = (eqn.primitive, identity(eqn.params), *map(identity, operands))
+        key = (eqn.primitive, content_key(eqn.params), *map(content_key, operands))
         if key not in self.known:
             self.known[key] = bound(eqn, operands, eqn.params), (operands, eqn.params)
         return self.known[key][0]
 
 
-def identity(value: Any) -> Hashable:
+def content_key(value: Any) -> Hashable:
     """Equal for operands and parameters that are surely equal.
 
     Arrays and numbers are compared by type and bytes, containers part by part, names by value; all else, traced values
@@ -119,9 +119,9 @@ def identity(value: Any) -> Hashable:
     if value is None or isinstance(value, str | bytes | Enum | np.dtype):
         return type(value), value
     if isinstance(value, Mapping):
-        return type(value), tuple((name, identity(part)) for name, part in value.items())
+        return type(value), tuple((name, content_key(part)) for name, part in value.items())
     if isinstance(value, tuple | list):
-        return type(value), tuple(map(identity, value))
+        return type(value), tuple(map(content_key, value))
     if isinstance(value, bool | int | float | complex | np.generic | np.ndarray | jax.Array) and not_traced(value):
         array = np.asarray(value)
         return type(value), str(jax.typeof(value)), array.shape, array.tobytes()
@@ -145,19 +145,19 @@ def needed(jaxpr: Jaxpr) -> list[JaxprEqn]:
     equations = []
     for eqn in reversed(jaxpr.eqns):
         if eqn.effects or not wanted.isdisjoint(eqn.outvars):
-            wanted.update(variables(eqn))
+            wanted.update(variables_of(eqn))
             equations.append(eqn)
     return equations[::-1]
 
 
-def variables(eqn: JaxprEqn) -> set[Var]:
+def variables_of(eqn: JaxprEqn) -> set[Var]:
     """Variables that an equation reads."""
     return {atom for atom in eqn.invars if isinstance(atom, Var)}
 
 
 def keeping(program: ClosedJaxpr, args: Sequence[Any]) -> list[Any]:
     """Results of a program without calls, its shared values kept where that is cheaper than computing them again."""
-    scope, equations = Scope(program, args), needed(program.jaxpr)
+    scope, equations = VariableValues(program, args), needed(program.jaxpr)
     keep = worth_keeping(equations, {atom for atom in program.jaxpr.outvars if isinstance(atom, Var)})
     for eqn in equations:
         results = bound(eqn, scope.read(eqn.invars), eqn.params)
@@ -183,26 +183,26 @@ def worth_keeping(equations: Sequence[JaxprEqn], results: set[Var]) -> set[Var]:
         for variable in eqn.outvars:
             own = kernels.get(variable, set())
             repeated, shared = eqn.primitive.name in REPEATED, len(own) > 1 and eqn.primitive.name not in FREE
-            worth = (repeated and again[variable] >= WORTH) if size(variable) > 1 else not repeated
+            worth = (repeated and again[variable] >= COSTLY) if size(variable) > 1 else not repeated
             if shared and worth:
                 keep.add(variable)
             stored = variable in keep or variable in results or (shared and not repeated)
             readers |= {variable} if stored and eqn.primitive.name not in FREE else own
-        for variable in variables(eqn):
+        for variable in variables_of(eqn):
             kernels.setdefault(variable, set()).update(readers)
     return keep
 
 
 def repeated_work(equations: Sequence[JaxprEqn], results: set[Var]) -> dict[Var, int]:
     """Operations to compute each variable from the values that several others read."""
-    uses = Counter(results) + Counter(variable for eqn in equations for variable in variables(eqn))
+    uses = Counter(results) + Counter(variable for eqn in equations for variable in variables_of(eqn))
     again: dict[Var, int] = {}
     left: dict[Var, int] = Counter()
     for eqn in equations:
-        cost = sum(left[variable] for variable in variables(eqn)) + (eqn.primitive.name not in FREE)
+        cost = sum(left[variable] for variable in variables_of(eqn)) + (eqn.primitive.name not in FREE)
         for variable in eqn.outvars:
             again[variable] = cost
-            stored = uses[variable] > 1 and (cost >= WORTH or eqn.primitive.name not in REPEATED | FREE)
+            stored = uses[variable] > 1 and (cost >= COSTLY or eqn.primitive.name not in REPEATED | FREE)
             left[variable] = 0 if stored else cost
     return again
 

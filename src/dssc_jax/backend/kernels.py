@@ -25,10 +25,10 @@ from jax import lax
 from jax.core import Tracer
 from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal
 
-from dssc_jax.backend.fusion import CALLS, Scope, bound, needed
+from dssc_jax.backend.fusion import CALLS, VariableValues, bound, needed
 from dssc_jax.core.errors import ConfigError, nearest
 
-SWITCH = "DSSC_JAX_KERNEL"
+KERNEL_VARIABLE = "DSSC_JAX_KERNEL"
 DEPRECATED = "The Pallas Triton backend is deprecated"  # by JAX 0.11; pyproject.toml admits no version without it
 LANES, WARPS = 32, 1  # of a program: one lane a thread, so that registers are all that bounds how many run
 KEYS = {"random_seed", "random_fold_in", "random_wrap"}
@@ -70,7 +70,7 @@ def requested(choice: str = "") -> str:
     Raises:
         ConfigError: there is no such form.
     """
-    choice = choice or os.environ.get(SWITCH) or Form.SCAN
+    choice = choice or os.environ.get(KERNEL_VARIABLE) or Form.SCAN
     if choice not in (*Form, "auto"):
         raise ConfigError("kernel", f"must be scan, pallas or auto, got '{choice}'; {nearest(choice, (*Form, 'auto'))}")
     return choice
@@ -78,7 +78,7 @@ def requested(choice: str = "") -> str:
 
 def requested_settings() -> list[str]:
     """What the environment asks for, as a manifest keeps it; nothing where it does not."""
-    return [f"{SWITCH}={requested()}"] if os.environ.get(SWITCH) else []
+    return [f"{KERNEL_VARIABLE}={requested()}"] if os.environ.get(KERNEL_VARIABLE) else []
 
 
 def compiled(choice: str, compile_for: Callable[[Batch], Any], scan: Batch, batch: Batch) -> Any:
@@ -178,7 +178,7 @@ def translated(program: ClosedJaxpr, arguments: Sequence[Any]) -> list[Any]:
     """
     if any(np.ndim(constant) for constant in program.consts):
         raise Unfit(f"the loop holds an array of shape {max(map(np.shape, program.consts))}")
-    scope = Scope(program, arguments)
+    scope = VariableValues(program, arguments)
 
     def values(atoms: Sequence[Any]) -> list[Any]:
         return [typed(*pair) for pair in zip(atoms, scope.read(atoms), strict=True)]
@@ -197,8 +197,8 @@ def applied(equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
         raise Unfit(f"the loop draws random numbers ({name}), and a kernel cannot")
     if name in CALLS:
         return translated(params["call_jaxpr" if "call_jaxpr" in params else "jaxpr"], operands)
-    if name in LOOPS:
-        return LOOPS[name](equation, operands)
+    if name in LOOP_TRANSLATIONS:
+        return LOOP_TRANSLATIONS[name](equation, operands)
     if name in ORDERED:
         return [extreme(ORDERED[name], *operands)]
     if name == "pmax" and params["axes"] == (0,):  # over the lanes, which may tell each other that much
@@ -264,5 +264,5 @@ def split_before_last(count: int, values: list[Any]) -> tuple[list[Any], list[An
     return values[: len(values) - count], values[len(values) - count :]
 
 
-LOOPS = {"scan": scan, "while": while_loop}
+LOOP_TRANSLATIONS = {"scan": scan, "while": while_loop}
 """Loops by what any version of JAX says of them: programs, and what goes in and comes out."""

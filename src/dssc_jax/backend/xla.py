@@ -16,7 +16,7 @@ import warnings
 import zlib
 from pathlib import Path
 
-SWITCH = "DSSC_JAX_XLA"
+FLAGS_VARIABLE = "DSSC_JAX_XLA"
 OFF = ("off", "0", "false")
 WHOLE_LOOPS = "xla_cpu_small_while_loop_byte_threshold"
 LOOP_BYTES = 4 * 2**20  # a tile of 64 UAV draws touches about half a megabyte in a step
@@ -94,7 +94,7 @@ def configure() -> None:
     Warns:
         LateSettingsWarning: when the backend runs already, without these flags.
     """
-    if os.environ.get(SWITCH, "").lower() in OFF:
+    if os.environ.get(FLAGS_VARIABLE, "").lower() in OFF:
         return
     missing = missing_flags()
     if not missing:
@@ -103,7 +103,7 @@ def configure() -> None:
         warnings.warn(
             "JAX started its backend before dssc_jax was imported, so the compiler flags "
             f"{' '.join(missing)} have no effect and simulations will be slower. "
-            f"Import dssc_jax first, or set {SWITCH}=off to do without them.",
+            f"Import dssc_jax first, or set {FLAGS_VARIABLE}=off to do without them.",
             LateSettingsWarning,
             stacklevel=3,
         )

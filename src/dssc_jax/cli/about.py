@@ -15,10 +15,10 @@ def studies(as_json: opt.Json = False) -> int:
     """List the studies that can be run by name."""
     from dssc_jax.console import show_table
     from dssc_jax.study import read_toml
-    from dssc_jax.study.library import available
+    from dssc_jax.study.library import available_studies
 
     rows = []
-    for name, path in available().items():
+    for name, path in available_studies().items():
         try:
             about = str(read_toml(path).get("description", ""))
         except ConfigError as error:

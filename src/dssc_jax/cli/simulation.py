@@ -181,9 +181,9 @@ def require_unset(purpose: str, **options: Any) -> None:
 def finish_sequential(study: "Study", rule: "Rule", most: int | None, out: Path | None, as_json: bool) -> int:
     """Draw until the rule is content."""
     from dssc_jax.console import progress_bar
-    from dssc_jax.runs.run_until import MOST, run_until
+    from dssc_jax.runs.run_until import MOST_DRAWS, run_until
 
-    most = MOST if most is None else most
+    most = MOST_DRAWS if most is None else most
     out = out or default_out(study.override({"draws": most}), f"run-{rule.slug}", most)
     with progress_bar(study, quiet=as_json, early="the rule is met") as advance:
         result = run_until(study, rule, out, most=most, progress=advance)

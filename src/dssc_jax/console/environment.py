@@ -35,7 +35,7 @@ def environment() -> dict[str, Any]:
         "versions": {"python": platform.python_version(), **{name: version(name) for name in packages}},
         "devices": [str(device) for device in jax.devices()],
         "xla_flags": os.environ.get("XLA_FLAGS", ""),
-        "xla_settings": "off" if os.environ.get(xla.SWITCH, "").lower() in xla.OFF else "on",
+        "xla_settings": "off" if os.environ.get(xla.FLAGS_VARIABLE, "").lower() in xla.OFF else "on",
         "kinds": kinds(),
         "metrics": {
             name: {"unit": metric.unit, "meaning": metric.meaning, "of": metric.scope.value}

@@ -9,7 +9,7 @@ import jax
 from dssc_jax.core.signals import Scalar
 
 S = TypeVar("S")
-Derivative = Callable[[S, int], S]
+VectorField = Callable[[S, int], S]
 """``(state, half_steps) -> state'`` at the start (0), middle (1) or end (2) of the step."""
 
 
@@ -25,7 +25,7 @@ def advance(state: S, rate: S, h: Scalar) -> S:
     return jax.tree.map(lambda x, dx: x + h * dx, state, rate)
 
 
-def rk4(derivative: Derivative, state: S, h: Scalar, velocities: tuple[str, ...]) -> S:
+def rk4(derivative: VectorField, state: S, h: Scalar, velocities: tuple[str, ...]) -> S:
     """The classical Runge-Kutta method of order 4; ``velocities`` plays no part."""
     del velocities
     k1 = derivative(state, 0)
@@ -36,7 +36,7 @@ def rk4(derivative: Derivative, state: S, h: Scalar, velocities: tuple[str, ...]
     return advance(state, mean, h)
 
 
-def semi_implicit_euler(derivative: Derivative, state: S, h: Scalar, velocities: tuple[str, ...]) -> S:
+def semi_implicit_euler(derivative: VectorField, state: S, h: Scalar, velocities: tuple[str, ...]) -> S:
     """Velocities first, then everything else with the new velocities; order 1, symplectic on oscillators."""
     kicked = advance(state, derivative(state, 0), h)
     middle = state._replace(**{name: getattr(kicked, name) for name in velocities})  # type: ignore[attr-defined]

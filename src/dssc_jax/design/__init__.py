@@ -5,7 +5,7 @@ from dssc_jax.design.certificate import Certificate, certified, check
 from dssc_jax.design.practice import Modulation
 from dssc_jax.design.small_gain import Guarantee, guarantee, small_gain
 from dssc_jax.design.synthesis import Free, Recipe, design, synthesise
-from dssc_jax.design.table1 import Inequality, Parameters, State
+from dssc_jax.design.table1 import Inequality, InequalityState, Parameters
 
 __all__ = [
     "Bounds",
@@ -14,10 +14,10 @@ __all__ = [
     "Free",
     "Guarantee",
     "Inequality",
+    "InequalityState",
     "Modulation",
     "Parameters",
     "Recipe",
-    "State",
     "certified",
     "check",
     "derive",

@@ -7,21 +7,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-Number: TypeAlias = Any
+Numeric: TypeAlias = Any
 """A number, a NumPy array, or a traced value."""
 
 
-def namespace(*values: Number) -> ModuleType:
+def namespace(*values: Numeric) -> ModuleType:
     """``jax.numpy`` where a value is JAX's, else NumPy, which computes in float64 whatever JAX's precision."""
     return jnp if any(isinstance(value, jax.Array) for value in values) else np
 
 
-def greater(first: Number, second: Number) -> Number:
+def greater(first: Numeric, second: Numeric) -> Numeric:
     """The greater of two values."""
     return namespace(first, second).maximum(first, second)
 
 
-def ratio_where(condition: Number, numerator: Number, denominator: Number) -> Number:
+def ratio_where(condition: Numeric, numerator: Numeric, denominator: Numeric) -> Numeric:
     """numerator/denominator where the condition holds, else NaN; the denominator may vanish elsewhere."""
     xp = namespace(condition, numerator, denominator)
     return xp.where(condition, numerator / xp.where(condition, denominator, 1.0), xp.nan)

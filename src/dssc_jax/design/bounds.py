@@ -9,9 +9,9 @@ from typing import Annotated, Any, NamedTuple, get_type_hints
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.zero_dynamics import ZeroDynamics, require_hurwitz
-from dssc_jax.design.arrays import Number
+from dssc_jax.design.arrays import Numeric
 
-MOST = 1e30  # numbers beyond it, or below its inverse, overflow in products of powers
+LARGEST = 1e30  # numbers beyond it, or below its inverse, overflow in products of powers
 
 
 def known(unit: str, meaning: str) -> Quantity:
@@ -34,12 +34,12 @@ def quantities(kind: type) -> dict[str, Quantity]:
     return {name: mark for name, mark in marks.items() if mark is not None}
 
 
-def in_range(numbers: Any) -> Number:
+def in_range(numbers: Any) -> Numeric:
     """Whether every number lies within its quantity's interval and below :data:`MOST`; for arrays, one by one."""
-    holds: Number = True
+    holds: Numeric = True
     for name, quantity in quantities(type(numbers)).items():
         value = getattr(numbers, name)
-        holds = holds & (abs(value) < MOST)
+        holds = holds & (abs(value) < LARGEST)
         if quantity.above is not None:
             holds = holds & (value > quantity.above)
         if quantity.at_least is not None:
@@ -56,10 +56,10 @@ def require_plain(numbers: Any) -> None:
     for name, quantity in quantities(type(numbers)).items():
         value = getattr(numbers, name)
         for item in value if isinstance(value, tuple) else (value,):
-            if isinstance(item, bool) or not isinstance(item, int | float) or not abs(item) < MOST:
-                raise ConfigError(name, f"must be a plain number below {MOST:.0e}, got {item}")
-            if item != 0.0 and abs(item) < 1.0 / MOST:
-                raise ConfigError(name, f"must be 0 or at least {1.0 / MOST:.0e} in magnitude, got {item}")
+            if isinstance(item, bool) or not isinstance(item, int | float) or not abs(item) < LARGEST:
+                raise ConfigError(name, f"must be a plain number below {LARGEST:.0e}, got {item}")
+            if item != 0.0 and abs(item) < 1.0 / LARGEST:
+                raise ConfigError(name, f"must be 0 or at least {1.0 / LARGEST:.0e} in magnitude, got {item}")
             broken = quantity.violated_by(item, item)
             if broken:
                 raise ConfigError(name, f"{quantity.meaning} [{quantity.unit}] {broken}, got {item:g}")
@@ -68,28 +68,28 @@ def require_plain(numbers: Any) -> None:
 class Bounds(NamedTuple):
     """The bounds of (A0)-(A4) and of the reference."""
 
-    k_min: Annotated[Number, positive("1/s", "lower bound of k_p (A0.a)")]
-    k_max: Annotated[Number, positive("1/s", "upper bound of k_p (A0.a)")]
-    a_max: Annotated[Number, known("1/s", "bound of |a_p| (A0.a)")]
-    k_d1: Annotated[Number, known("1/m", "k_d1 of (A1)")] = 0.0
-    k_d2: Annotated[Number, known("s/m", "k_d2 of (A1)")] = 0.0
-    k_d3: Annotated[Number, known("1", "k_d3 of (A1)")] = 0.0
-    k_d4: Annotated[Number, known("1/s", "k_d4 of (A2)")] = 0.0
-    k_d5: Annotated[Number, known("1/s^2", "k_d5 of (A2)")] = 0.0
-    alpha_d2: Annotated[Number, known("m/s^2", "alpha_d2 of (A2)")] = 0.0
-    alpha_d3: Annotated[Number, known("m/s^2", "alpha_d3 of (A3)")] = 0.0
-    c_sigma: Annotated[Number, known("1", "c_sigma of (A4)")] = 0.0
-    c_e1: Annotated[Number, known("1/s", "c_e1 of (A4)")] = 0.0
-    c_e2: Annotated[Number, known("1/s", "c_e2 of (A4)")] = 0.0
-    c_isigma: Annotated[Number, known("SI", "c_isigma of (A4)")] = 0.0
-    c_ie: Annotated[Number, known("SI", "c_ie of (A4)")] = 0.0
-    y_m: Annotated[Number, known("m", "sup |y_m|")] = 0.0
-    y_m_dot: Annotated[Number, known("m/s", "sup |y_m'|")] = 0.0
-    y_m_ddot: Annotated[Number, known("m/s^2", "sup |y_m''|")] = 0.0
-    y_m_dddot: Annotated[Number, known("m/s^3", "sup |y_m'''|")] = 0.0
-    c_m: Annotated[Number, known("m/s", "c_m of (A4), bound of |u_m|")] = 0.0
-    u_m_dot: Annotated[Number, known("m/s^2", "sup |u_m'|")] = 0.0
-    alpha_d: Annotated[Number, known("m/s", "bound of |d| (A0.b)")] = 0.0
+    k_min: Annotated[Numeric, positive("1/s", "lower bound of k_p (A0.a)")]
+    k_max: Annotated[Numeric, positive("1/s", "upper bound of k_p (A0.a)")]
+    a_max: Annotated[Numeric, known("1/s", "bound of |a_p| (A0.a)")]
+    k_d1: Annotated[Numeric, known("1/m", "k_d1 of (A1)")] = 0.0
+    k_d2: Annotated[Numeric, known("s/m", "k_d2 of (A1)")] = 0.0
+    k_d3: Annotated[Numeric, known("1", "k_d3 of (A1)")] = 0.0
+    k_d4: Annotated[Numeric, known("1/s", "k_d4 of (A2)")] = 0.0
+    k_d5: Annotated[Numeric, known("1/s^2", "k_d5 of (A2)")] = 0.0
+    alpha_d2: Annotated[Numeric, known("m/s^2", "alpha_d2 of (A2)")] = 0.0
+    alpha_d3: Annotated[Numeric, known("m/s^2", "alpha_d3 of (A3)")] = 0.0
+    c_sigma: Annotated[Numeric, known("1", "c_sigma of (A4)")] = 0.0
+    c_e1: Annotated[Numeric, known("1/s", "c_e1 of (A4)")] = 0.0
+    c_e2: Annotated[Numeric, known("1/s", "c_e2 of (A4)")] = 0.0
+    c_isigma: Annotated[Numeric, known("SI", "c_isigma of (A4)")] = 0.0
+    c_ie: Annotated[Numeric, known("SI", "c_ie of (A4)")] = 0.0
+    y_m: Annotated[Numeric, known("m", "sup |y_m|")] = 0.0
+    y_m_dot: Annotated[Numeric, known("m/s", "sup |y_m'|")] = 0.0
+    y_m_ddot: Annotated[Numeric, known("m/s^2", "sup |y_m''|")] = 0.0
+    y_m_dddot: Annotated[Numeric, known("m/s^3", "sup |y_m'''|")] = 0.0
+    c_m: Annotated[Numeric, known("m/s", "c_m of (A4), bound of |u_m|")] = 0.0
+    u_m_dot: Annotated[Numeric, known("m/s^2", "sup |u_m'|")] = 0.0
+    alpha_d: Annotated[Numeric, known("m/s", "bound of |d| (A0.b)")] = 0.0
     zero_dynamics: ZeroDynamics | None = None
 
     def prepare(self) -> "Bounds":
@@ -113,20 +113,20 @@ class Bounds(NamedTuple):
 class Constants(NamedTuple):
     """What the theorem's inequalities are made of; k_p at k_max."""
 
-    kd1_bar: Annotated[Number, Quantity("1/(m s)", "bound of |beta_1/sigma| growing with |e| (69)")]
-    kd2_bar: Annotated[Number, Quantity("1/m", "bound of |beta_1/sigma| growing with |sigma| (69)")]
-    kd3_bar: Annotated[Number, Quantity("1/s", "constant part of the bound of |beta_1/sigma| (69)")]
-    csigma_bar: Annotated[Number, Quantity("1/s", "bound of |k_p u_d + (l_0 - a_p) sigma|/|sigma| (69)")]
-    k_sigma: Annotated[Number, Quantity("1/s^2", "constant part of the bound of |beta_2/sigma| (72)")]
-    kappa_e: Annotated[Number, Quantity("1/s^3", "bound of beta_e growing with |e| (71), derived")]
-    kappa_e_printed: Annotated[Number, Quantity("1/s^3", "the same as printed")]
-    c_eta_a_eta: Annotated[Number, Quantity("SI", "|C_eta A_eta| (71)")]
-    c_eta_b_eta: Annotated[Number, Quantity("SI", "|C_eta B_eta| (72)")]
-    beta_m: Annotated[Number, Quantity("m/s^3", "bound of beta_m, and of the constant rest of beta_e (70), (71)")]
-    beta_m_printed: Annotated[Number, Quantity("m/s^3", "the same term by term as printed, lost dots restored")]
+    kd1_bar: Annotated[Numeric, Quantity("1/(m s)", "bound of |beta_1/sigma| growing with |e| (69)")]
+    kd2_bar: Annotated[Numeric, Quantity("1/m", "bound of |beta_1/sigma| growing with |sigma| (69)")]
+    kd3_bar: Annotated[Numeric, Quantity("1/s", "constant part of the bound of |beta_1/sigma| (69)")]
+    csigma_bar: Annotated[Numeric, Quantity("1/s", "bound of |k_p u_d + (l_0 - a_p) sigma|/|sigma| (69)")]
+    k_sigma: Annotated[Numeric, Quantity("1/s^2", "constant part of the bound of |beta_2/sigma| (72)")]
+    kappa_e: Annotated[Numeric, Quantity("1/s^3", "bound of beta_e growing with |e| (71), derived")]
+    kappa_e_printed: Annotated[Numeric, Quantity("1/s^3", "the same as printed")]
+    c_eta_a_eta: Annotated[Numeric, Quantity("SI", "|C_eta A_eta| (71)")]
+    c_eta_b_eta: Annotated[Numeric, Quantity("SI", "|C_eta B_eta| (72)")]
+    beta_m: Annotated[Numeric, Quantity("m/s^3", "bound of beta_m, and of the constant rest of beta_e (70), (71)")]
+    beta_m_printed: Annotated[Numeric, Quantity("m/s^3", "the same term by term as printed, lost dots restored")]
 
 
-def derive(bounds: Bounds, l0: Number) -> Constants:
+def derive(bounds: Bounds, l0: Numeric) -> Constants:
     """The constants of Appendix E, with y = e + y_m and y' = -l0 e + sigma + y_m'.
 
     kappa_e follows from the derivative of (64): the article misplaces a factor l0 and drops k_p on du_p/de.

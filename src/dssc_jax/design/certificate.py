@@ -2,12 +2,12 @@
 
 from typing import Any, NamedTuple
 
-from dssc_jax.design.arrays import Number
+from dssc_jax.design.arrays import Numeric
 from dssc_jax.design.bounds import Bounds, Constants, derive, in_range, require_plain
 from dssc_jax.design.lyapunov import attack_q, eigenvalues_of_p, functions_are_positive, q_is_positive
 from dssc_jax.design.practice import Practice, practice
 from dssc_jax.design.small_gain import NOTHING, Guarantee, SmallGain, guarantee, small_gain, small_gain_holds
-from dssc_jax.design.table1 import Inequality, Parameters, State, inequalities
+from dssc_jax.design.table1 import Inequality, InequalityState, Parameters, inequalities
 
 
 class Lyapunov(NamedTuple):
@@ -52,7 +52,7 @@ class Certificate(NamedTuple):
     @property
     def table(self) -> bool:
         """Whether every inequality of Table 1 is strictly satisfied."""
-        return all(inequality.state is State.SATISFIED for inequality in self.inequalities)
+        return all(inequality.state is InequalityState.SATISFIED for inequality in self.inequalities)
 
     @property
     def certified(self) -> bool:
@@ -124,23 +124,23 @@ def check(parameters: Parameters, bounds: Bounds) -> Certificate:
         functions_proved=bool(functions_are_positive(p)),
     )
     return Certificate(
-        inequalities=tuple(plain(row) for row in inequalities(p, bounds)),
-        constants=plain(derive(bounds, p.l0)),
+        inequalities=tuple(as_floats(row) for row in inequalities(p, bounds)),
+        constants=as_floats(derive(bounds, p.l0)),
         lyapunov=lyapunov,
-        small_gain=plain(small_gain(p, bounds)),
+        small_gain=as_floats(small_gain(p, bounds)),
         phi_b=p.phi_b,
-        guarantee=plain(promised),
-        practice=plain(practice(p, bounds, promised)),
+        guarantee=as_floats(promised),
+        practice=as_floats(practice(p, bounds, promised)),
         interconnected=holds,
     )
 
 
-def plain(numbers: Any) -> Any:
+def as_floats(numbers: Any) -> Any:
     """A tuple whose numbers are Python's own."""
     return type(numbers)(*(value if isinstance(value, str) else float(value) for value in numbers))
 
 
-def certified(parameters: Parameters, bounds: Bounds) -> Number:
+def certified(parameters: Parameters, bounds: Bounds) -> Numeric:
     """Whether Theorem 1 holds, for many designs at once: what :attr:`Certificate.certified` says of each.
 
     Args:

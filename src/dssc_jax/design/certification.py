@@ -263,11 +263,11 @@ def reference_bounds(model: Reference, ends: Ends) -> dict[str, Any]:
 def disturbance_bounds(model: Disturbance, ends: Ends) -> dict[str, Any]:
     """The constants of (A0.b)-(A3). A step is constant but for its instant, after which the theorem starts anew."""
     low = ends.low
-    if model is disturbances.NONE:
+    if model is disturbances.NO_DISTURBANCE:
         return {}
     if model in (disturbances.CONSTANT, disturbances.STEP):
         return {"alpha_d": ends.largest("value")}
-    if model is disturbances.SINE:
+    if model is disturbances.SINE_DISTURBANCE:
         amplitude = ends.largest("amplitude")
         return {"alpha_d": amplitude, "alpha_d3": swing(amplitude, low.period, 1)}
     if model is disturbances.SPLINE:

@@ -8,18 +8,18 @@ import numpy as np
 from scipy.optimize import differential_evolution
 
 from dssc_jax.core.errors import ConfigError, nearest
-from dssc_jax.design.bounds import MOST, Bounds
+from dssc_jax.design.bounds import LARGEST, Bounds
 from dssc_jax.design.certificate import certified
 from dssc_jax.design.practice import practice
 from dssc_jax.design.small_gain import guarantee
 from dssc_jax.design.synthesis import Free, design, synthesise
 from dssc_jax.design.table1 import Parameters
 
-REACH = 1e6  # factors beyond it count as no limit
-HALVINGS = 60
+LARGEST_FACTOR = 1e6  # factors beyond it count as no limit
+FACTOR_HALVINGS = 60
 AT_EDGE = 1e-3  # share of a range's logarithmic length that counts as its end
-WORST = 1e9  # cost of a candidate that cannot be computed
-DISTURBANCES = ("k_d1", "k_d2", "k_d3", "k_d4", "k_d5", "alpha_d2", "alpha_d3")
+INFEASIBLE_COST = 1e9  # cost of a candidate that cannot be computed
+DISTURBANCE_FIELDS = ("k_d1", "k_d2", "k_d3", "k_d4", "k_d5", "alpha_d2", "alpha_d3")
 
 
 class Limits(NamedTuple):
@@ -55,20 +55,20 @@ def limits(p: Parameters, bounds: Bounds) -> Limits:
         return last_true(lambda factor: bool(certified(*change(factor))), far)
 
     def disturbed(factor: float) -> tuple[Parameters, Bounds]:
-        return p, scaled(bounds, factor)
+        return p, scaled_bounds(bounds, factor)
 
     return Limits(
-        phi_b=p.phi_b * along(lambda x: (p._replace(phi_b=p.phi_b * x), bounds), 1.0 / REACH),
-        disturbance=along(disturbed, REACH),
-        k_min=bounds.k_min * along(lambda x: (p, bounds._replace(k_min=bounds.k_min * x)), 1.0 / REACH),
-        k_max=bounds.k_max * along(lambda x: (p, bounds._replace(k_max=bounds.k_max * x)), REACH),
-        a_max=along(lambda x: (p, bounds._replace(a_max=bounds.a_max + x - 1.0)), REACH) - 1.0 + bounds.a_max,
+        phi_b=p.phi_b * along(lambda x: (p._replace(phi_b=p.phi_b * x), bounds), 1.0 / LARGEST_FACTOR),
+        disturbance=along(disturbed, LARGEST_FACTOR),
+        k_min=bounds.k_min * along(lambda x: (p, bounds._replace(k_min=bounds.k_min * x)), 1.0 / LARGEST_FACTOR),
+        k_max=bounds.k_max * along(lambda x: (p, bounds._replace(k_max=bounds.k_max * x)), LARGEST_FACTOR),
+        a_max=along(lambda x: (p, bounds._replace(a_max=bounds.a_max + x - 1.0)), LARGEST_FACTOR) - 1.0 + bounds.a_max,
     )
 
 
-def scaled(bounds: Bounds, factor: float) -> Bounds:
+def scaled_bounds(bounds: Bounds, factor: float) -> Bounds:
     """The bounds with every disturbance constant of (A1)-(A3) times a factor."""
-    return bounds._replace(**{name: factor * getattr(bounds, name) for name in DISTURBANCES})
+    return bounds._replace(**{name: factor * getattr(bounds, name) for name in DISTURBANCE_FIELDS})
 
 
 def last_true(holds: Callable[[float], bool], far: float) -> float:
@@ -81,7 +81,7 @@ def last_true(holds: Callable[[float], bool], far: float) -> float:
     if holds(far):
         return float("inf") if far > 1.0 else 0.0
     inside, outside = 0.0, float(np.log(far))
-    for _ in range(HALVINGS):
+    for _ in range(FACTOR_HALVINGS):
         middle = 0.5 * (inside + outside)
         inside, outside = (middle, outside) if holds(float(np.exp(middle))) else (inside, middle)
     return float(np.exp(inside))
@@ -105,7 +105,7 @@ OBJECTIVES: dict[Criterion, Callable[[Parameters, Bounds], np.ndarray]] = {
 """Each is to be made small; the gain is the synthesised proportional one at sigma = e = 0."""
 
 
-class Goal(NamedTuple):
+class DesignGoal(NamedTuple):
     """What a design is optimised for.
 
     Args:
@@ -129,7 +129,7 @@ RANGES: dict[str, tuple[float, float]] = {
 
 
 def optimise(
-    bounds: Bounds, free: Free, goal: Goal, ranges: Mapping[str, tuple[float, float]] = RANGES, seed: int = 0
+    bounds: Bounds, free: Free, goal: DesignGoal, ranges: Mapping[str, tuple[float, float]] = RANGES, seed: int = 0
 ) -> Free:
     """The free parameters of Table 1 that serve a goal best, by differential evolution on their logarithms.
 
@@ -163,7 +163,7 @@ def optimise(
     for name, (low, high) in ranges.items():
         if name not in Free._fields:
             raise ConfigError(f"vary.{name}", f"unknown name; {nearest(name, Free._fields)}")
-        if not 1.0 / MOST < low < high < MOST:
+        if not 1.0 / LARGEST < low < high < LARGEST:
             raise ConfigError(
                 f"vary.{name}", f"must be [low, high] with 0 < low < high < 1e30, got [{low:g}, {high:g}]"
             )
@@ -176,7 +176,7 @@ def optimise(
             p = design(bounds, candidate(logarithms))
             excess = shortfall(p, bounds, goal)
             value = np.log(np.clip(OBJECTIVES[goal.criterion](p, bounds), 1e-300, 1e300))
-            return np.nan_to_num(np.where(excess > 0.0, 1e4 + excess, value), nan=WORST)
+            return np.nan_to_num(np.where(excess > 0.0, 1e4 + excess, value), nan=INFEASIBLE_COST)
 
     best = free
     if ranges:
@@ -184,7 +184,7 @@ def optimise(
         optimum = differential_evolution(
             cost, box, rng=seed, popsize=20, tol=1e-8, maxiter=400, polish=False, vectorized=True, updating="deferred"
         )
-        if optimum.fun >= WORST:
+        if optimum.fun >= INFEASIBLE_COST:
             raise ConfigError("bounds", "no design in the ranges can be computed; the bounds are too far apart")
         best = Free(*map(float, candidate(optimum.x)))
     if not float(shortfall(synthesise(bounds, best), bounds, goal)) <= 0.0:
@@ -203,7 +203,7 @@ def edges(free: Free, ranges: Mapping[str, tuple[float, float]] = RANGES) -> tup
     return tuple(edges)
 
 
-def shortfall(p: Parameters, bounds: Bounds, goal: Goal) -> np.ndarray:
+def shortfall(p: Parameters, bounds: Bounds, goal: DesignGoal) -> np.ndarray:
     """By how many powers of e a design misses the goal's limits; 0 where it meets them."""
     missed = np.zeros(np.shape(p.phi_b))
     if np.isfinite(goal.residual):
@@ -213,7 +213,7 @@ def shortfall(p: Parameters, bounds: Bounds, goal: Goal) -> np.ndarray:
     return missed
 
 
-def infeasible(bounds: Bounds, nearest: Free, goal: Goal) -> str:
+def infeasible(bounds: Bounds, nearest: Free, goal: DesignGoal) -> str:
     """Which limit cannot be met, and how near the nearest design comes."""
     p = synthesise(bounds, nearest)
     e, period = float(guarantee(p, bounds).e), float(practice(p, bounds).sample_time_origin)

@@ -9,26 +9,26 @@ from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.design import Bounds, Free, Modulation, Parameters, Recipe, derive, synthesise
 from dssc_jax.design.bounds import require_plain
-from dssc_jax.design.feasibility import RANGES, Criterion, Goal, edges, optimise
+from dssc_jax.design.feasibility import RANGES, Criterion, DesignGoal, edges, optimise
 from dssc_jax.study.components import as_table, explain, parse_params
-from dssc_jax.study.schema import STRICT, finite
+from dssc_jax.study.schema import STRICT, finite_number
 from dssc_jax.study.tables import read_toml
 
 FREE_DEFAULTS = Free(l0=1.0, phi_a=0.1, eps=0.5, delta=1.0, eps_1=1.0, eps_2=0.1, eps_3=1.0)
 """Values of what [free] does not give and the goal does not vary (assumed)."""
-REQUIRED = set(Free._fields) - set(Free._field_defaults)
+REQUIRED_FREE = set(Free._fields) - set(Free._field_defaults)
 RUNNABLE = 1e-3  # s; sampling period that a design must allow where no goal is given
 
 
-def interval(value: Any) -> tuple[float, float]:
+def interval_of(value: Any) -> tuple[float, float]:
     """Two finite numbers."""
     if not isinstance(value, list | tuple) or len(value) != 2:
         raise ValueError(f"must be [low, high], got {value!r}")
-    return finite(value[0]), finite(value[1])
+    return finite_number(value[0]), finite_number(value[1])
 
 
-Real = Annotated[float, BeforeValidator(finite)]
-Range = Annotated[tuple[float, float], BeforeValidator(interval)]
+Real = Annotated[float, BeforeValidator(finite_number)]
+Range = Annotated[tuple[float, float], BeforeValidator(interval_of)]
 
 
 class DesignFile(NamedTuple):
@@ -48,7 +48,7 @@ class DesignFile(NamedTuple):
     bounds: Bounds
     parameters: Parameters
     free: Free | None = None
-    goal: Goal | None = None
+    goal: DesignGoal | None = None
     modulation: Modulation | None = None
     edges: tuple[str, ...] = ()
 
@@ -63,7 +63,7 @@ class GoalTable(BaseModel):
     vary: dict[str, Range] = {}
 
 
-TABLES = ("name", "recipe", "bounds", "parameters", "free", "goal", "modulation")
+DESIGN_TABLES = ("name", "recipe", "bounds", "parameters", "free", "goal", "modulation")
 
 
 def load_design(path: str | Path, *, complete: bool = True) -> DesignFile:
@@ -87,8 +87,8 @@ def load_design(path: str | Path, *, complete: bool = True) -> DesignFile:
 def parse_design(table: dict[str, Any], name: str, complete: bool = True) -> DesignFile:
     """The content of a design file."""
     for key in table:
-        if key not in TABLES:
-            raise ConfigError(key, f"unknown name; {nearest(key, TABLES)}")
+        if key not in DESIGN_TABLES:
+            raise ConfigError(key, f"unknown name; {nearest(key, DESIGN_TABLES)}")
     name = table.get("name", name)
     if not isinstance(name, str):
         raise ConfigError("name", f"must be text, got {name!r}")
@@ -97,18 +97,18 @@ def parse_design(table: dict[str, Any], name: str, complete: bool = True) -> Des
             raise ConfigError(key, "has no place beside [parameters], which are given")
     if complete and not table.keys() & {"parameters", "free", "goal"}:
         raise ConfigError("", "needs [bounds] and one of [parameters], [free] and [goal]")
-    bounds = plain(table, Bounds, "bounds")
+    bounds = parsed_numbers(table, Bounds, "bounds")
     with errors_under("bounds"):
         bounds = bounds.prepare()
-    modulation = plain(table, Modulation, "modulation") if "modulation" in table else None
+    modulation = parsed_numbers(table, Modulation, "modulation") if "modulation" in table else None
     if "parameters" in table:
-        return DesignFile(name, bounds, plain(table, Parameters, "parameters"), modulation=modulation)
+        return DesignFile(name, bounds, parsed_numbers(table, Parameters, "parameters"), modulation=modulation)
     recipe = table.get("recipe", Recipe.STRICT.value)
     if recipe not in list(Recipe):
         raise ConfigError("recipe", f"must be strict or printed, got {recipe!r}")
-    named = as_table(table.get("free", {}), "free").keys() >= REQUIRED
+    named = as_table(table.get("free", {}), "free").keys() >= REQUIRED_FREE
     if "goal" not in table and (complete or named):
-        free, goal, at_edges = plain(table, Free, "free"), None, ()
+        free, goal, at_edges = parsed_numbers(table, Free, "free"), None, ()
     else:
         if "recipe" in table:
             raise ConfigError("recipe", "has no meaning where the free parameters are sought; designs are strict then")
@@ -116,7 +116,7 @@ def parse_design(table: dict[str, Any], name: str, complete: bool = True) -> Des
     return DesignFile(name, bounds, synthesise(bounds, free, Recipe(recipe)), free, goal, modulation, at_edges)
 
 
-def sought(table: dict[str, Any], bounds: Bounds) -> tuple[Free, Goal, tuple[str, ...]]:
+def sought(table: dict[str, Any], bounds: Bounds) -> tuple[Free, DesignGoal, tuple[str, ...]]:
     """The free parameters that serve the goal, and which of them ended at an end of their range.
 
     Those that ``[free]`` gives are kept, the others varied.
@@ -132,9 +132,9 @@ def sought(table: dict[str, Any], bounds: Bounds) -> tuple[Free, Goal, tuple[str
     for key in wanted.vary:
         if key in given:
             raise ConfigError(f"goal.vary.{key}", "is fixed by [free] already")
-    start = plain({"free": FREE_DEFAULTS._asdict() | given}, Free, "free")
+    start = parsed_numbers({"free": FREE_DEFAULTS._asdict() | given}, Free, "free")
     ranges = {key: box for key, box in RANGES.items() if key not in given} | wanted.vary
-    goal = Goal(Criterion(criterion), wanted.residual or float("inf"), wanted.sample_time)
+    goal = DesignGoal(Criterion(criterion), wanted.residual or float("inf"), wanted.sample_time)
     try:
         best = optimise(bounds, start, goal, ranges)
     except ConfigError as error:
@@ -148,7 +148,7 @@ def default_criterion(bounds: Bounds) -> str:
     return (Criterion.RESIDUAL if driven else Criterion.DECAY_RATE).value
 
 
-def plain(table: dict[str, Any], kind: type, path: str) -> Any:
+def parsed_numbers(table: dict[str, Any], kind: type, path: str) -> Any:
     """A table of plain numbers, none too large or too small to compute with, as an instance of its parameter type."""
     if path not in table:
         raise ConfigError(path, "is required and missing")

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.design.arrays import Number, namespace, ratio_where
+from dssc_jax.design.arrays import Numeric, namespace, ratio_where
 from dssc_jax.design.bounds import Bounds, Constants, derive
 from dssc_jax.design.table1 import Parameters, f
 
@@ -21,16 +21,16 @@ POINTS = 49  # of |sigma| and of |e| in the numerical attack, from 0 to infinity
 class Spread(NamedTuple):
     """Smallest and largest eigenvalue of a positive definite matrix."""
 
-    low: Number
-    high: Number
+    low: Numeric
+    high: Numeric
 
     @property
-    def condition(self) -> Number:
+    def condition(self) -> Numeric:
         """Their ratio."""
         return self.high / self.low
 
 
-def eigenvalues_of_p(k_p: Number, eps: Number, gamma: Number) -> Spread:
+def eigenvalues_of_p(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Spread:
     """Eigenvalues of P; the smaller one is NaN unless P > 0, that is gamma k_p > 4 eps^2."""
     first = gamma * k_p
     root = ((first - 1.0) ** 2 + 16.0 * eps**2) ** 0.5
@@ -39,7 +39,7 @@ def eigenvalues_of_p(k_p: Number, eps: Number, gamma: Number) -> Spread:
     return Spread(ratio_where(determinant > 0.0, determinant, high), high)
 
 
-def norm_of_pb(eps: Number) -> Number:
+def norm_of_pb(eps: Numeric) -> Numeric:
     """|P B| with B = [0, 1]^T: it does not depend on k_p."""
     return (1.0 + 4.0 * eps**2) ** 0.5
 
@@ -47,23 +47,23 @@ def norm_of_pb(eps: Number) -> Number:
 class Alphas(NamedTuple):
     """Bounds rho_1, rho_2 of |alpha_1|, |alpha_2| (Appendix E)."""
 
-    rho_1: Number
-    rho_2: Number
+    rho_1: Numeric
+    rho_2: Numeric
 
 
-def alphas(p: Parameters, bounds: Bounds, constants: Constants, sigma: Number, e: Number) -> Alphas:
+def alphas(p: Parameters, bounds: Bounds, constants: Constants, sigma: Numeric, e: Numeric) -> Alphas:
     """rho_1 and rho_2 at (sigma, e); the article drops k_p on the integral terms of rho_2."""
     first = constants.kd1_bar * abs(e) + constants.kd2_bar * abs(sigma) + constants.kd3_bar
     second = constants.k_sigma + bounds.k_max * (bounds.c_isigma * abs(sigma) + bounds.c_ie * abs(e))
     return Alphas(first / p.phi_b, second / p.phi_b**2)
 
 
-def kappa_1(p: Parameters, sigma: Number, e: Number) -> Number:
+def kappa_1(p: Parameters, sigma: Numeric, e: Numeric) -> Numeric:
     """kappa_1 = (kappa_a |sigma| + kappa_b |e| + kappa_c)^2 + kappa_d (78)."""
     return (p.kappa_a * abs(sigma) + p.kappa_b * abs(e) + p.kappa_c) ** 2 + p.kappa_d
 
 
-def smallest_of_q(p: Parameters, k_p: Number, gain: Number, alpha_1: Number, alpha_2: Number) -> Number:
+def smallest_of_q(p: Parameters, k_p: Numeric, gain: Numeric, alpha_1: Numeric, alpha_2: Numeric) -> Numeric:
     """Smallest eigenvalue of Q - 2 eps I.
 
     Args:
@@ -90,7 +90,7 @@ def smallest_of_q(p: Parameters, k_p: Number, gain: Number, alpha_1: Number, alp
     return xp.where(positive, (2.0 * eps * k_q - off**2) / xp.where(positive, large, 1.0), mean - root)
 
 
-def worst_of_q(p: Parameters, bounds: Bounds, k_p: Number, sigma: Number, e: Number) -> Number:
+def worst_of_q(p: Parameters, bounds: Bounds, k_p: Numeric, sigma: Numeric, e: Numeric) -> Numeric:
     """Smallest eigenvalue of Q - 2 eps I over |alpha_1| <= rho_1, |alpha_2| <= rho_2.
 
     It is concave in (alpha_1, alpha_2), in which the matrix is affine, so that the four vertices suffice.
@@ -117,7 +117,7 @@ def attack_q(p: Parameters, bounds: Bounds) -> float:
     return float(np.min(worst_of_q(p, bounds, k_p, sigma, e)))
 
 
-def q_coefficients(p: Parameters, bounds: Bounds) -> tuple[Number, ...]:
+def q_coefficients(p: Parameters, bounds: Bounds) -> tuple[Numeric, ...]:
     """Coefficients of a polynomial in (|sigma|, |e|) whose positivity for all of them is Q - 2 eps I > 0 throughout.
 
     2 eps k_q > (2 eps alpha_1 - alpha_2)^2 at the worst vertex (rho_1, -rho_2), where each of its terms is at its
@@ -145,7 +145,7 @@ def q_coefficients(p: Parameters, bounds: Bounds) -> tuple[Number, ...]:
     )
 
 
-def q_is_positive(p: Parameters, bounds: Bounds) -> Number:
+def q_is_positive(p: Parameters, bounds: Bounds) -> Numeric:
     """Whether Q - 2 eps I > 0 is proved for all sigma, e, alpha and k_p: f > 0 and positive coefficients."""
     holds = p.gamma * bounds.k_min > 4.0 * p.eps**2
     for coefficient in q_coefficients(p, bounds):
@@ -153,7 +153,7 @@ def q_is_positive(p: Parameters, bounds: Bounds) -> Number:
     return holds
 
 
-def functions_are_positive(p: Parameters) -> Number:
+def functions_are_positive(p: Parameters) -> Numeric:
     """Whether k_o tau_av > 0 and tau_m > 0 are proved for all sigma, e.
 
     (28) is positive term by term. For (29), eps kappa phi_b > kappa_b (l0 |e| + |sigma|) suffices, coefficient by

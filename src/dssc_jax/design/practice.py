@@ -6,7 +6,7 @@ where the loop lives in the end, in the guaranteed residual set; a start far awa
 
 from typing import Annotated, NamedTuple
 
-from dssc_jax.design.arrays import Number, namespace, ratio_where
+from dssc_jax.design.arrays import Numeric, namespace, ratio_where
 from dssc_jax.design.bounds import Bounds, derive, known, positive
 from dssc_jax.design.lyapunov import kappa_1
 from dssc_jax.design.small_gain import Guarantee, guarantee
@@ -30,11 +30,11 @@ class Practice(NamedTuple):
             sigma/tau_m in sliding, so that the sliding condition is met by rho > u_av + drift/k_o.
     """
 
-    sample_time_origin: Number
-    sample_time: Number
-    proportional_gain: Number
-    u_av: Number
-    drift: Number
+    sample_time_origin: Numeric
+    sample_time: Numeric
+    proportional_gain: Numeric
+    u_av: Numeric
+    drift: Numeric
 
 
 def practice(p: Parameters, bounds: Bounds, promised: Guarantee | None = None) -> Practice:
@@ -45,7 +45,7 @@ def practice(p: Parameters, bounds: Bounds, promised: Guarantee | None = None) -
         bounds: What is known.
         promised: The guarantee, where it is known already.
     """
-    reached = finite(guarantee(p, bounds) if promised is None else promised)
+    reached = finite_guarantee(guarantee(p, bounds) if promised is None else promised)
     inside = proportional_gain(p, reached.sigma, reached.e)
     return Practice(
         sample_time(bounds.k_max, proportional_gain(p, 0.0, 0.0), predictor_pole(p)),
@@ -55,13 +55,13 @@ def practice(p: Parameters, bounds: Bounds, promised: Guarantee | None = None) -
     )
 
 
-def finite(reached: Guarantee) -> Guarantee:
+def finite_guarantee(reached: Guarantee) -> Guarantee:
     """NaN in place of infinity, which would make NaN of 0 times itself."""
     xp = namespace(*reached)
     return Guarantee(*(xp.where(xp.isfinite(value), value, xp.nan) for value in reached))
 
 
-def proportional_gain(p: Parameters, sigma: Number, e: Number) -> Number:
+def proportional_gain(p: Parameters, sigma: Numeric, e: Numeric) -> Numeric:
     """Bound of 1/(k_o tau_av) = kappa_1' phi_1 + kappa_1 phi_1' (28) for |sigma|, |e| up to the given ones.
 
     phi_1' and phi_1/sigma are largest at sigma = 0, where both are phi_a/delta + phi_b; exact there.
@@ -70,7 +70,7 @@ def proportional_gain(p: Parameters, sigma: Number, e: Number) -> Number:
     return (2.0 * kappa * p.kappa_a * sigma + kappa_1(p, sigma, e)) * (p.phi_a / p.delta + p.phi_b)
 
 
-def predictor_pole(p: Parameters) -> Number:
+def predictor_pole(p: Parameters) -> Numeric:
     """Bound of 1/tau_m of (29) over all (sigma, e).
 
     Its part of d kappa_1/d e is at most kappa_b/kappa_a, that of kappa_2 at most the largest phi_1/sigma times the
@@ -80,7 +80,7 @@ def predictor_pole(p: Parameters) -> Number:
     return ratio_where(p.kappa_a > 0.0, p.kappa_b, p.kappa_a) + (p.phi_a / p.delta + p.phi_b) * largest_share
 
 
-def sample_time(k_p: Number, gain: Number, pole: Number) -> Number:
+def sample_time(k_p: Numeric, gain: Numeric, pole: Numeric) -> Numeric:
     """T_s for which (k_p T_s gain)(1 + T_s pole/2)/2 is :data:`RATIO` [s].
 
     Args:
@@ -92,7 +92,7 @@ def sample_time(k_p: Number, gain: Number, pole: Number) -> Number:
     return 2.0 * linear / (1.0 + (1.0 + 2.0 * linear * pole) ** 0.5)
 
 
-def command_bounds(p: Parameters, bounds: Bounds, reached: Guarantee) -> tuple[Number, Number]:
+def command_bounds(p: Parameters, bounds: Bounds, reached: Guarantee) -> tuple[Numeric, Numeric]:
     """Bounds of |u_av| and |sigma' + sigma/tau_m| in the residual set.
 
     sigma' = -k_p kappa_1 phi_1 + beta_1 + z (48) with |phi_1|, |z| <= zeta, and k_p u_av = d_sigma - sigma' (13).
@@ -124,7 +124,7 @@ class Modulation(NamedTuple):
     delta_rho: Annotated[float, positive("m/s^2", "margin delta_rho of (33)")]
     sigma_tilde: Annotated[float, known("m/s", "|sigma - sigma_hat| at the start")] = 0.0
 
-    def needed_rho(self, practice: Practice) -> Number:
+    def needed_rho(self, practice: Practice) -> Numeric:
         """Constant rho that keeps sliding in the residual set with the margin delta_rho [m/s]."""
         return practice.u_av + (practice.drift + self.delta_rho) / self.k_o
 

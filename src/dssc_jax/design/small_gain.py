@@ -13,10 +13,10 @@ depend on k_p: a concave function of k_p, since lmin is concave, det P affine an
 
 from typing import NamedTuple
 
-from dssc_jax.design.arrays import Number, greater, namespace
+from dssc_jax.design.arrays import Numeric, greater, namespace
 from dssc_jax.design.bounds import Bounds, Constants, derive
 from dssc_jax.design.lyapunov import Spread, eigenvalues_of_p, norm_of_pb
-from dssc_jax.design.table1 import ROUNDING, ULPS, Parameters
+from dssc_jax.design.table1 import BOUNDARY_WIDTH, ULPS, Parameters
 
 RESOLVED = 1e-9  # smallest ratio of eigenvalues of P_eta that float64 resolves to a few digits
 
@@ -31,11 +31,11 @@ class ErrorDynamics(NamedTuple):
     """
 
     spread: Spread
-    input: Number
-    reference: Number
+    input: Numeric
+    reference: Numeric
 
 
-def error_dynamics(bounds: Bounds, l0: Number) -> ErrorDynamics:
+def error_dynamics(bounds: Bounds, l0: Numeric) -> ErrorDynamics:
     """P_eta for A_xeta = [[A_eta, -l0 B_eta], [0, -l0]], B_sigma = [B_eta; 1], B_m = [B_eta; 0].
 
     For a plant of order two it is 1/l0. Where it is too ill-conditioned for its smaller eigenvalue to be known, that is
@@ -62,7 +62,7 @@ def error_dynamics(bounds: Bounds, l0: Number) -> ErrorDynamics:
     )
 
 
-def lyapunov(matrix: Number) -> Number:
+def lyapunov(matrix: Numeric) -> Numeric:
     """The symmetric P of A^T P + P A = -2 I for each matrix of a stack, shape (..., n, n), as one linear system."""
     xp = namespace(matrix)
     n = matrix.shape[-1]
@@ -77,7 +77,7 @@ def lyapunov(matrix: Number) -> Number:
     return 0.5 * (p + xp.swapaxes(p, -1, -2))
 
 
-def worst_condition(p: Parameters, bounds: Bounds) -> Number:
+def worst_condition(p: Parameters, bounds: Bounds) -> Numeric:
     """Largest condition number of P over the interval of k_p: at one of its ends."""
     low, high = (eigenvalues_of_p(k_p, p.eps, p.gamma).condition for k_p in (bounds.k_min, bounds.k_max))
     return greater(low, high)
@@ -92,9 +92,9 @@ class SmallGain(NamedTuple):
         printed: The last bound of Appendix D, with 1/4 where 4 belongs and mixed powers of eigenvalues.
     """
 
-    derived: Number
-    theorem: Number
-    printed: Number
+    derived: Numeric
+    theorem: Numeric
+    printed: Numeric
 
 
 def small_gain(p: Parameters, bounds: Bounds) -> SmallGain:
@@ -112,23 +112,23 @@ def small_gain(p: Parameters, bounds: Bounds) -> SmallGain:
     return SmallGain(derived, 2.0 * derived, printed**0.5)
 
 
-def small_gain_holds(p: Parameters, bounds: Bounds) -> Number:
+def small_gain_holds(p: Parameters, bounds: Bounds) -> Numeric:
     """Whether phi_b exceeds the derived bound by more than its rounding, that of P's determinant included."""
     bound = small_gain(p, bounds).derived
     determinant = p.gamma * bounds.k_min - 4.0 * p.eps**2
     cancelled = ULPS * (p.gamma * bounds.k_min + 4.0 * p.eps**2) / abs(determinant)
-    return p.phi_b > bound * (1.0 + ROUNDING + cancelled)
+    return p.phi_b > bound * (1.0 + BOUNDARY_WIDTH + cancelled)
 
 
 class Gains(NamedTuple):
     """Coefficients of the comparison system (61), (62) at one k_p."""
 
-    k_eta1: Number
-    k_eta2: Number
-    k_eta3: Number
-    k_v1: Number
-    k_v2: Number
-    k_v3: Number
+    k_eta1: Numeric
+    k_eta2: Numeric
+    k_eta3: Numeric
+    k_v1: Numeric
+    k_v2: Numeric
+    k_v3: Numeric
 
 
 def comparison_gains(p: Parameters, c: Constants, eta: ErrorDynamics, lyapunov_of: Spread) -> Gains:
@@ -163,12 +163,12 @@ class Guarantee(NamedTuple):
         order: e phi_b^2, the constant of O(1/phi_b^2) [m].
     """
 
-    decay_rate: Number
-    sigma: Number
-    e: Number
-    zeta: Number
-    x_eta: Number
-    order: Number
+    decay_rate: Numeric
+    sigma: Numeric
+    e: Numeric
+    zeta: Numeric
+    x_eta: Numeric
+    order: Numeric
 
 
 NOTHING = Guarantee(0.0, float("inf"), float("inf"), float("inf"), float("inf"), float("inf"))
@@ -196,7 +196,7 @@ def guarantee(p: Parameters, bounds: Bounds) -> Guarantee:
     return Guarantee(-greater(-low.decay_rate, -high.decay_rate), *worst)
 
 
-def guarantee_at(p: Parameters, bounds: Bounds, c: Constants, eta: ErrorDynamics, k_p: Number) -> Guarantee:
+def guarantee_at(p: Parameters, bounds: Bounds, c: Constants, eta: ErrorDynamics, k_p: Numeric) -> Guarantee:
     """The same at one k_p."""
     spread = eigenvalues_of_p(k_p, p.eps, p.gamma)
     k = comparison_gains(p, c, eta, spread)

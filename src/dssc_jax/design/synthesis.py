@@ -4,7 +4,7 @@ from enum import StrEnum
 from typing import Annotated, NamedTuple
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.design.arrays import Number, greater
+from dssc_jax.design.arrays import Numeric, greater
 from dssc_jax.design.bounds import Bounds, derive, positive, require_plain
 from dssc_jax.design.small_gain import small_gain
 from dssc_jax.design.table1 import Parameters, over_phi_b
@@ -25,14 +25,14 @@ class Recipe(StrEnum):
 class Free(NamedTuple):
     """The free parameters of Table 1, and the relative slack of the strict recipe."""
 
-    l0: Annotated[Number, positive("1/s", "error pole l_0")]
-    phi_a: Annotated[Number, positive("(m/s)^(1/2)", "square-root part phi_a")]
-    eps: Annotated[Number, positive("SI", "eps")]
-    delta: Annotated[Number, positive("(m/s)^(1/2)", "smoothing delta")]
-    eps_1: Annotated[Number, positive("1", "eps_1, so that f(k_min) = 1 + eps_1")]
-    eps_2: Annotated[Number, positive("SI", "eps_2, added to kappa_a and kappa_b")]
-    eps_3: Annotated[Number, positive("1", "eps_3, the least excess of phi_b over l0/eps")]
-    slack: Annotated[Number, positive("1", "relative slack of kappa_c, kappa_d and of phi_b's small-gain bound")] = 0.01
+    l0: Annotated[Numeric, positive("1/s", "error pole l_0")]
+    phi_a: Annotated[Numeric, positive("(m/s)^(1/2)", "square-root part phi_a")]
+    eps: Annotated[Numeric, positive("SI", "eps")]
+    delta: Annotated[Numeric, positive("(m/s)^(1/2)", "smoothing delta")]
+    eps_1: Annotated[Numeric, positive("1", "eps_1, so that f(k_min) = 1 + eps_1")]
+    eps_2: Annotated[Numeric, positive("SI", "eps_2, added to kappa_a and kappa_b")]
+    eps_3: Annotated[Numeric, positive("1", "eps_3, the least excess of phi_b over l0/eps")]
+    slack: Annotated[Numeric, positive("1", "relative slack of kappa_c, kappa_d and phi_b's small-gain bound")] = 0.01
 
 
 def synthesise(bounds: Bounds, free: Free, recipe: Recipe = Recipe.STRICT) -> Parameters:

@@ -8,29 +8,29 @@ so all hold on the interval if and only if they hold at k_min.
 from enum import StrEnum
 from typing import Annotated, NamedTuple
 
-from dssc_jax.design.arrays import Number, greater, ratio_where
+from dssc_jax.design.arrays import Numeric, greater, ratio_where
 from dssc_jax.design.bounds import Bounds, derive, positive
 
-ROUNDING = 1e-12  # relative; slacks below it are equality
+BOUNDARY_WIDTH = 1e-12  # relative; slacks below it are equality
 ULPS = 16.0 * 2.0**-52  # a few roundings of the terms that cancel in f
 
 
 class Parameters(NamedTuple):
     """The parameters of Table 1 that the inequalities speak of, and delta."""
 
-    l0: Annotated[Number, positive("1/s", "error pole l_0")]
-    phi_a: Annotated[Number, positive("(m/s)^(1/2)", "square-root part phi_a")]
-    phi_b: Annotated[Number, positive("1", "linear part phi_b")]
-    delta: Annotated[Number, positive("(m/s)^(1/2)", "smoothing delta")]
-    eps: Annotated[Number, positive("SI", "eps")]
-    gamma: Annotated[Number, positive("SI", "gamma")]
-    kappa_a: Annotated[Number, positive("SI", "kappa_a")]
-    kappa_b: Annotated[Number, positive("SI", "kappa_b")]
-    kappa_c: Annotated[Number, positive("SI", "kappa_c")]
-    kappa_d: Annotated[Number, positive("SI", "kappa_d")]
+    l0: Annotated[Numeric, positive("1/s", "error pole l_0")]
+    phi_a: Annotated[Numeric, positive("(m/s)^(1/2)", "square-root part phi_a")]
+    phi_b: Annotated[Numeric, positive("1", "linear part phi_b")]
+    delta: Annotated[Numeric, positive("(m/s)^(1/2)", "smoothing delta")]
+    eps: Annotated[Numeric, positive("SI", "eps")]
+    gamma: Annotated[Numeric, positive("SI", "gamma")]
+    kappa_a: Annotated[Numeric, positive("SI", "kappa_a")]
+    kappa_b: Annotated[Numeric, positive("SI", "kappa_b")]
+    kappa_c: Annotated[Numeric, positive("SI", "kappa_c")]
+    kappa_d: Annotated[Numeric, positive("SI", "kappa_d")]
 
 
-class State(StrEnum):
+class InequalityState(StrEnum):
     """What an inequality's slack says; ``not_evaluable`` where its bound has no meaning because f <= 1 or f <= 0."""
 
     SATISFIED = "satisfied"
@@ -53,64 +53,64 @@ class Inequality(NamedTuple):
 
     name: str
     equation: str
-    value: Number
-    bound: Number
-    printed_bound: Number
-    rounding: Number = ROUNDING
+    value: Numeric
+    bound: Numeric
+    printed_bound: Numeric
+    rounding: Numeric = BOUNDARY_WIDTH
 
     @property
-    def slack(self) -> Number:
+    def slack(self) -> Numeric:
         """Value less the derived bound; NaN where that has no meaning."""
         return self.value - self.bound
 
     @property
-    def printed_slack(self) -> Number:
+    def printed_slack(self) -> Numeric:
         """Value less the printed bound."""
         return self.value - self.printed_bound
 
     @property
-    def tolerance(self) -> Number:
+    def tolerance(self) -> Numeric:
         """Slacks of at most this size are equality."""
         return self.rounding * greater(abs(self.value), abs(self.bound))
 
     @property
-    def satisfied(self) -> Number:
+    def satisfied(self) -> Numeric:
         """Whether it holds strictly; False where it has no meaning. For arrays, element by element."""
         return self.slack > self.tolerance
 
     @property
-    def state(self) -> State:
+    def state(self) -> InequalityState:
         """Violated, boundary and satisfied told apart at rounding; for plain numbers."""
         if self.bound != self.bound:
-            return State.NOT_EVALUABLE
+            return InequalityState.NOT_EVALUABLE
         if abs(self.slack) <= self.tolerance:
-            return State.BOUNDARY
-        return State.SATISFIED if self.slack > 0.0 else State.VIOLATED
+            return InequalityState.BOUNDARY
+        return InequalityState.SATISFIED if self.slack > 0.0 else InequalityState.VIOLATED
 
 
-def f(k_p: Number, eps: Number, gamma: Number) -> Number:
+def f(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Numeric:
     """f(k_p) = 4 eps k_p (gamma k_p - 4 eps^2), the first design inequality's left side."""
     return 4.0 * eps * k_p * (gamma * k_p - 4.0 * eps**2)
 
 
-def f_rounding(k_p: Number, eps: Number, gamma: Number) -> Number:
+def f_rounding(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Numeric:
     """Absolute rounding error of f: its two terms cancel."""
     return ULPS * 4.0 * eps * k_p * (gamma * k_p + 4.0 * eps**2)
 
 
-def kappa_c_bound(k_p: Number, eps: Number, gamma: Number) -> Number:
+def kappa_c_bound(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Numeric:
     """(8 eps^2 + 2 gamma k_p)/(f - 1); NaN where f <= 1, where it would turn negative and pass unseen."""
     excess = f(k_p, eps, gamma) - 1.0
     return ratio_where(excess > f_rounding(k_p, eps, gamma), 8.0 * eps**2 + 2.0 * gamma * k_p, excess)
 
 
-def kappa_d_bound(k_p: Number, eps: Number, gamma: Number) -> Number:
+def kappa_d_bound(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Numeric:
     """(8 eps^2 gamma k_p + 4 eps^2)/f; NaN where f <= 0."""
     value = f(k_p, eps, gamma)
     return ratio_where(value > f_rounding(k_p, eps, gamma), 8.0 * eps**2 * gamma * k_p + 4.0 * eps**2, value)
 
 
-def over_phi_b(first: Number, second: Number, factor: Number, phi_b: Number) -> Number:
+def over_phi_b(first: Numeric, second: Numeric, factor: Numeric, phi_b: Numeric) -> Numeric:
     """(first m phi_b + second)/phi_b^2, the form of the bounds of kappa_a, kappa_b and of kappa_c's second branch.
 
     The factor m is 2 eps as derived, since rho = 2 eps rho_1 + rho_2; the article prints 1, enough for
@@ -131,10 +131,10 @@ def inequalities(p: Parameters, bounds: Bounds) -> tuple[Inequality, ...]:
     at = (k_p, p.eps, p.gamma)
     table = "Table 1"
     value = f(*at)
-    error = ROUNDING + f_rounding(*at)
+    error = BOUNDARY_WIDTH + f_rounding(*at)
     lyapunov, drift = kappa_c_bound(*at), kappa_d_bound(*at)
 
-    def disturbed(name: str, left: Number, first: Number, second: Number) -> Inequality:
+    def disturbed(name: str, left: Numeric, first: Numeric, second: Numeric) -> Inequality:
         derived = over_phi_b(first, second, 2.0 * p.eps, p.phi_b)
         return Inequality(name, f"{table}, Appendix F", left, derived, over_phi_b(first, second, 1.0, p.phi_b))
 
@@ -146,7 +146,7 @@ def inequalities(p: Parameters, bounds: Bounds) -> tuple[Inequality, ...]:
             value,
             1.0,
             1.0,
-            ROUNDING + f_rounding(*at) / greater(abs(value), 1.0),
+            BOUNDARY_WIDTH + f_rounding(*at) / greater(abs(value), 1.0),
         ),
         Inequality("phi_b", f"{table}: phi_b > l0/eps", p.phi_b, p.l0 / p.eps, p.l0 / p.eps),
         Inequality(

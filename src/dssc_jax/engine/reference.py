@@ -19,7 +19,7 @@ from dssc_jax.engine.sampling import draw
 from dssc_jax.study import Study
 from dssc_jax.study.laws import Law
 
-ROUNDING = {64: 1e-9, 32: 2e-3}
+TOLERANCE = {64: 1e-9, 32: 2e-3}
 """Relative deviation by precision that another program, compiler or machine explains in any loop that does not amplify
 rounding: they contract multiply-adds differently."""
 
@@ -27,8 +27,8 @@ SHIFT = {64: 2.0**-48, 32: 2.0**-20}
 """Relative change of every number that shows what rounding does to a lane: some roundings of its precision."""
 
 COPIES = 4  # of a lane, moved in different directions
-FACTOR = 100.0  # by which a deviation may exceed that of the copies: rounding acts in every operation of every sample
-UNDECIDED = 1e-2  # a lane that may deviate by more is no evidence
+ROUNDING_FACTOR = 100.0  # deviation over that of the copies: rounding acts in every operation
+UNDECIDED_BEYOND = 1e-2  # a lane that may deviate by more is no evidence
 
 
 VERDICTS = {
@@ -58,7 +58,7 @@ class Agreement(NamedTuple):
     @property
     def decided(self) -> np.ndarray:
         """Whether each lane is evidence: rounding hardly moves it."""
-        return self.allowed <= UNDECIDED
+        return self.allowed <= UNDECIDED_BEYOND
 
     @property
     def verdict(self) -> str:
@@ -68,7 +68,7 @@ class Agreement(NamedTuple):
         return "agrees" if self.decided.any() else "undecided"
 
 
-def plain(study: Study, values: Mapping[str, np.ndarray], draws: np.ndarray) -> Arrays:
+def plain_results(study: Study, values: Mapping[str, np.ndarray], draws: np.ndarray) -> Arrays:
     """Metrics, slacks and outcome of lanes by the plain program, shape (n,) each.
 
     Args:
@@ -82,7 +82,7 @@ def plain(study: Study, values: Mapping[str, np.ndarray], draws: np.ndarray) -> 
         return jax.tree.map(np.asarray, batch(lanes, np.asarray(draws, np.uint32)))
 
 
-def numbers(study: Study, lanes: Lanes) -> Arrays:
+def lane_numbers(study: Study, lanes: Lanes) -> Arrays:
     """Swept and drawn numbers of each lane, shape (n,) each."""
     swept = {name: np.asarray(axis)[i] for (name, axis), i in zip(study.axes.items(), lanes, strict=False)}
     return {**swept, **draw(study, lanes[-1])}
@@ -90,8 +90,8 @@ def numbers(study: Study, lanes: Lanes) -> Arrays:
 
 def computed_again(study: Study, lanes: Lanes) -> Arrays:
     """Every variable of the lanes, by the plain program."""
-    values = numbers(study, lanes)
-    return {name: values[name] for name in study.laws} | plain(study, values, lanes[-1])
+    values = lane_numbers(study, lanes)
+    return {name: values[name] for name in study.laws} | plain_results(study, values, lanes[-1])
 
 
 def moved(study: Study, lanes: Lanes) -> list[Arrays]:
@@ -104,9 +104,9 @@ def moved(study: Study, lanes: Lanes) -> list[Arrays]:
     rng, shift = np.random.default_rng(0), SHIFT[study.config.loop.precision]
     values = {
         name: (column * (1.0 + shift * rng.choice([-1.0, 1.0], (COPIES, len(column))))).ravel()
-        for name, column in {**constant, **numbers(study, lanes)}.items()
+        for name, column in {**constant, **lane_numbers(study, lanes)}.items()
     }
-    results = plain(study, values, np.tile(lanes[-1], COPIES))
+    results = plain_results(study, values, np.tile(lanes[-1], COPIES))
     return [{name: np.split(array, COPIES)[copy] for name, array in results.items()} for copy in range(COPIES)]
 
 
@@ -129,18 +129,18 @@ def agreement(study: Study, dataset: xr.Dataset, lanes: Lanes, computed: Mapping
         computed: Variables of the result as another program computed them, shape (n,) each.
     """
     stored = stored_lanes(dataset, computed, lanes)
-    sizes = {name: typical(dataset[name].values) for name in computed}
+    sizes = {name: typical_size(dataset[name].values) for name in computed}
     gaps = deviations(study, sizes, stored, computed)
     names, table = np.array(list(gaps)), np.stack(list(gaps.values()))
     deviation = table.max(0)
-    rounding = ROUNDING[study.config.loop.precision]
+    rounding = TOLERANCE[study.config.loop.precision]
     allowed = np.full(deviation.shape, rounding)
     doubtful = deviation > rounding
     if doubtful.any():
         copies = moved(study, tuple(part[doubtful] for part in lanes))
         here = {name: column[doubtful] for name, column in computed.items() if name in copies[0]}
         spread = [list(deviations(study, sizes, here, copy).values()) for copy in copies]
-        allowed[doubtful] = np.maximum(rounding, FACTOR * np.max(spread, axis=(0, 1)))
+        allowed[doubtful] = np.maximum(rounding, ROUNDING_FACTOR * np.max(spread, axis=(0, 1)))
     return Agreement(deviation, names[table.argmax(0)], allowed)
 
 
@@ -153,7 +153,7 @@ def deviations(
     infinities, infinite where one value is not finite and the other is. Rounding may move what counts samples by one
     sample. An outcome is right or wrong.
     """
-    counts, gaps = counted(study), {}
+    counts, gaps = sample_counts(study), {}
     for name, there in stored.items():
         here = np.asarray(computed[name], dtype=there.dtype)
         if name == "outcome":
@@ -167,7 +167,7 @@ def deviations(
     return gaps
 
 
-def counted(study: Study) -> dict[str, float]:
+def sample_counts(study: Study) -> dict[str, float]:
     """What one sample more or less changes, for each variable that counts samples."""
     clock = study.loop
     sample = {"s": clock.sample_time, "1": 1.0 / clock.steps}
@@ -176,7 +176,7 @@ def counted(study: Study) -> dict[str, float]:
     return samples | dict.fromkeys(("failed_at", "settled_at"), (1.0 + 1e-6) * clock.sample_time)
 
 
-def typical(values: np.ndarray) -> float:
+def typical_size(values: np.ndarray) -> float:
     """The median magnitude of what is finite; the smallest normal number where nothing is."""
     finite = np.abs(values[np.isfinite(values)])
     return max(float(np.median(finite)) if finite.size else 0.0, np.finfo(float).tiny)

@@ -18,9 +18,9 @@ from dssc_jax.backend import compiled_programs
 from dssc_jax.core.numerics import stream
 from dssc_jax.study import Study
 
-compiled_programs.keep()  # before the first program is compiled
+compiled_programs.keep_programs()  # before the first program is compiled
 
-EDGE = 2.0**-53  # keeps quantiles of unbounded laws finite
+OUTERMOST_LEVEL = 2.0**-53  # keeps quantiles of unbounded laws finite
 SOBOL_BITS = 30  # of a coordinate; scipy's fast_forward knows words of 32 bits only
 
 
@@ -101,7 +101,7 @@ def replicated_latin(study: Study, streams: tuple[int, ...], indices: np.ndarray
     return latin_design(config.seed, streams, config.replicates, config.draws)[indices]
 
 
-DESIGNS: dict[str, Callable[[Study, tuple[int, ...], np.ndarray], np.ndarray]] = {
+SAMPLING_DESIGNS: dict[str, Callable[[Study, tuple[int, ...], np.ndarray], np.ndarray]] = {
     "random": random_points,
     "sobol": replicated_sobol,
     "lhs": replicated_latin,
@@ -124,12 +124,12 @@ def unit_points(study: Study, indices: np.ndarray) -> np.ndarray:
     streams = tuple(stream(name) for name in names)
     if len(set(streams)) != len(streams):
         raise ValueError(f"two factors share a random stream; rename one of {names}")
-    return inside(DESIGNS[study.config.sampling](study, streams, np.asarray(indices)))
+    return inside(SAMPLING_DESIGNS[study.config.sampling](study, streams, np.asarray(indices)))
 
 
 def inside(points: np.ndarray) -> np.ndarray:
     """Points moved off the faces of the unit cube, where quantiles may be infinite."""
-    return np.clip(points, EDGE, 1.0 - EDGE)
+    return np.clip(points, OUTERMOST_LEVEL, 1.0 - OUTERMOST_LEVEL)
 
 
 def values_at(study: Study, points: np.ndarray) -> dict[str, np.ndarray]:

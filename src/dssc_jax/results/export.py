@@ -31,7 +31,7 @@ class Format(StrEnum):
     NETCDF = "netcdf"
 
 
-NAMES = {Format.CSV: "draws.csv", Format.PARQUET: "draws.parquet", Format.NETCDF: "result.nc"}
+FILE_NAMES = {Format.CSV: "draws.csv", Format.PARQUET: "draws.parquet", Format.NETCDF: "result.nc"}
 NEEDS = {Format.CSV: (), Format.PARQUET: ("pyarrow",), Format.NETCDF: ("h5netcdf", "h5py")}
 
 
@@ -60,7 +60,7 @@ def export(result: Result, to: Format | str, out: str | Path | None = None) -> l
         require(package, form)
     if out is None and result.path is None:
         raise ConfigError("out", "is needed for a result that has no folder")
-    path = Path(out) if out is not None else Path(result.path or "") / NAMES[form]
+    path = Path(out) if out is not None else Path(result.path or "") / FILE_NAMES[form]
     writers = {Format.CSV: write_csv, Format.PARQUET: write_parquet, Format.NETCDF: write_netcdf}
     written = [into_place(path, lambda partial: writers[form](result, partial))]
     if form is Format.CSV:
@@ -160,7 +160,7 @@ def write_parquet(result: Result, path: Path) -> None:
         for piece in pieces(result):
             table = pa.Table.from_pandas(piece, preserve_index=False)
             fields = [f.with_metadata({k: str(v) for k, v in about[f.name].items()}) for f in table.schema]
-            whole = {**(table.schema.metadata or {}), **identity(result)}
+            whole = {**(table.schema.metadata or {}), **provenance(result)}
             table = table.cast(pa.schema(fields, metadata=whole))
             writer = writer or parquet.ParquetWriter(path, table.schema)
             writer.write_table(table)
@@ -171,13 +171,13 @@ def write_parquet(result: Result, path: Path) -> None:
 
 def write_netcdf(result: Result, path: Path) -> None:
     """The dataset, compressed."""
-    data = result.dataset.copy().assign_attrs(identity(result))
+    data = result.dataset.copy().assign_attrs(provenance(result))
     codes = np.asarray(list(outcome_codes(result.study)), dtype=data["outcome"].dtype)
     data["outcome"].attrs["flag_values"] = codes  # CF: of the variable's own type
     data.to_netcdf(path, engine="h5netcdf", encoding={name: {"zlib": True, "complevel": 4} for name in data.data_vars})
 
 
-def identity(result: Result) -> dict[str, str]:
+def provenance(result: Result) -> dict[str, str]:
     """What a file must say to be traced back: the study as run, and its hash."""
     versions = result.manifest.get("versions", {})
     return {

@@ -20,7 +20,7 @@ SCHEMA, WITHOUT_DIGESTS = 2, 1
 SEAL = "digest"
 DATA, MANIFEST, SUMMARY, PARTIAL = "data.zarr", "manifest.json", "summary.json", ".partial"
 ANALYSES = ("margin", "compare")
-TABLES = ("study", "layout", "versions", "device", "times")
+MANIFEST_TABLES = ("study", "layout", "versions", "device", "times")
 TIMES = ("seconds", "compile_seconds", "rate")
 """What every finished run tells of its time."""
 
@@ -112,7 +112,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         )
     if manifest["schema"] == SCHEMA or SEAL in manifest:
         manifest = unsealed(path, manifest)
-    for name in TABLES:
+    for name in MANIFEST_TABLES:
         if not isinstance(manifest.get(name), dict):
             raise ConfigError(str(path), f"is damaged: {name} is not a table")
     require_sound(path, manifest)

@@ -23,7 +23,7 @@ ERRORS = ("error_rms", "position_error_rms")  # of a plant of one channel, and o
 GIVEN = "with a rho that keeps sliding"
 """What a certificate presumes beside the loop that it names."""
 
-DESIGNS = {"sobol": "scrambled Sobol", "lhs": "Latin hypercube"}
+DESIGN_NAMES = {"sobol": "scrambled Sobol", "lhs": "Latin hypercube"}
 
 
 @dataclass
@@ -78,7 +78,9 @@ class Result:
         config, stopping = self.study.config, self.manifest.get("stopping")
         if stopping:
             return DataDriven(stopping["look"])
-        return FixedCount() if config.sampling == "random" else Replicated(config.replicates, DESIGNS[config.sampling])
+        if config.sampling == "random":
+            return FixedCount()
+        return Replicated(config.replicates, DESIGN_NAMES[config.sampling])
 
     def summary(self, confidence: float = CONFIDENCE) -> dict[str, Any]:
         """Failures, probability and interval of every sweep point, of each requirement too; quantiles of the metrics.

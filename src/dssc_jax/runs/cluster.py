@@ -29,7 +29,7 @@ from dssc_jax.results.store import Store
 from dssc_jax.study import Study
 
 GO_ON = "what was finished is kept, --resume goes on from there"
-LOCAL = "local:"
+LOCAL_SCHEME = "local:"
 OPTION = "--cluster"
 CONNECT = 30.0  # s for the scheduler to answer
 DEAF = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"  # Ctrl-C reaches all; the first process ends them
@@ -159,7 +159,7 @@ class Cluster:
         job = Job(json.dumps(study.table), str(target.folder.resolve()), target.layout.block, local)
         workers = len(self._present)
         shares = []
-        for share in self._done(job, ranges(target.pending, workers)):
+        for share in self._done(job, block_ranges(target.pending, workers)):
             shares.append(share)
             advance(share.lanes)
         about = {"address": self.address, "workers": workers, "lost": self.lost}
@@ -196,7 +196,7 @@ class Cluster:
             raise ConfigError(OPTION, f"no worker for {PATIENCE:g} s; {GO_ON}")
 
 
-def ranges(blocks: list[Block], workers: int) -> list[list[Block]]:
+def block_ranges(blocks: list[Block], workers: int) -> list[list[Block]]:
     """Blocks in ranges that make a task each."""
     size = min(max(len(blocks) // (TASKS * max(workers, 1)), 1), MOST_BLOCKS)
     return [blocks[i : i + size] for i in range(0, len(blocks), size)]
@@ -250,8 +250,8 @@ def parsed(address: str) -> int:
     Raises:
         ConfigError: it is neither.
     """
-    if address.startswith(LOCAL):
-        count = address.removeprefix(LOCAL)
+    if address.startswith(LOCAL_SCHEME):
+        count = address.removeprefix(LOCAL_SCHEME)
         if count.isascii() and count.isdecimal() and 1 <= int(count) <= 1024:
             return int(count)
     elif "://" in address:

@@ -20,7 +20,7 @@ from dssc_jax.study import Study
 
 Rule: TypeAlias = UntilWidth | AcceptReject
 
-MOST = 100_000  # draws, unless told otherwise
+MOST_DRAWS = 100_000  # draws, unless told otherwise
 BATCH = 1024  # draws computed at once
 UNDECIDED = "undecided"
 
@@ -30,7 +30,7 @@ def run_until(
     rule: Rule,
     out: str | Path | None = None,
     *,
-    most: int = MOST,
+    most: int = MOST_DRAWS,
     progress: ProgressCallback | None = None,
 ) -> Result:
     """Simulate draws until the rule is content, at a geometric sequence of looks.

@@ -131,7 +131,7 @@ def as_trajectory(study: Study, draw: int, values: Mapping[str, float], ended: R
         name: np.where(gone, np.nan, column) if gone.any() else column
         for name, column in trajectory_columns(study, recorded).items()
     }
-    described = {name: describe(name, study.loop) for name in columns}
+    described = {name: column_attributes(name, study.loop) for name in columns}
     code = int(ended.outcome)
     return xr.Dataset(
         {name: (("t",), column, described[name]) for name, column in columns.items()},
@@ -171,7 +171,7 @@ def trajectory_columns(study: Study, recorded: Recorded) -> dict[str, np.ndarray
     return columns | {name: values.astype(float) for name, values in seen.items()}
 
 
-def describe(name: str, loop: Loop) -> dict[str, str]:
+def column_attributes(name: str, loop: Loop) -> dict[str, str]:
     """Attributes of a trajectory's column; a user's own info field has none."""
     channel, _, rest = name.partition("_")
     if channel not in loop.channels or not channel:

@@ -8,7 +8,15 @@ import numpy as np
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Arrays, computing
-from dssc_jax.engine.reference import Agreement, Lanes, agreement, computed_again, deviations, stored_lanes, typical
+from dssc_jax.engine.reference import (
+    Agreement,
+    Lanes,
+    agreement,
+    computed_again,
+    deviations,
+    stored_lanes,
+    typical_size,
+)
 from dssc_jax.results.manifest import WITHOUT_DIGESTS, machinery_differences
 from dssc_jax.results.result import Result
 from dssc_jax.study.code import recorded
@@ -123,7 +131,7 @@ def single_precision(result: Result, lanes: Lanes, computed: Arrays) -> SinglePr
     """Lanes in float32 beside the same lanes in float64."""
     study = result.study.override({"loop.precision": 64})
     exact = computed_again(study, lanes)
-    sizes = {name: typical(result.dataset[name].values) for name in exact}
+    sizes = {name: typical_size(result.dataset[name].values) for name in exact}
     gaps = deviations(study, sizes, exact, {name: computed[name].astype(exact[name].dtype) for name in exact})
     largest = np.max([gap for name, gap in gaps.items() if name != "outcome"], axis=0)
     differs = int(np.count_nonzero(exact["outcome"] != computed["outcome"]))

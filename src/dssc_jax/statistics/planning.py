@@ -52,7 +52,7 @@ def worst_case_draws(error: float, confidence: float = CONFIDENCE) -> int:
     return math.ceil(math.log(1.0 - confidence) / math.log1p(-error))
 
 
-def reach(failures: ArrayLike, draws: ArrayLike, confidence: float = CONFIDENCE) -> np.ndarray:
+def half_length(failures: ArrayLike, draws: ArrayLike, confidence: float = CONFIDENCE) -> np.ndarray:
     """How far the exact interval extends from the share of failures, on its longer side; shape of the arguments."""
     share = np.asarray(failures) / np.asarray(draws)
     return np.abs(clopper_pearson(failures, draws, confidence) - share[..., None]).max(-1)
@@ -64,7 +64,7 @@ def reach_probability(draws: int, error: float, probability: float, confidence: 
 
     fewest, most = stats.binom.interval(1.0 - NEGLIGIBLE, draws, probability)
     failures = np.arange(fewest, most + 1)
-    return float(stats.binom.pmf(failures, draws, probability)[reach(failures, draws, confidence) <= error].sum())
+    return float(stats.binom.pmf(failures, draws, probability)[half_length(failures, draws, confidence) <= error].sum())
 
 
 def expected_draws(error: float, probability: float, confidence: float = CONFIDENCE) -> int:
@@ -81,7 +81,7 @@ def expected_draws(error: float, probability: float, confidence: float = CONFIDE
         2181
     """
     require_share(error=error, probability=probability, confidence=confidence)
-    return first(lambda draws: bool(reach(probability * draws, draws, confidence) <= error))
+    return first(lambda draws: bool(half_length(probability * draws, draws, confidence) <= error))
 
 
 def assured_draws(error: float, probability: float, confidence: float = CONFIDENCE) -> int:
@@ -111,7 +111,7 @@ def assured_draws(error: float, probability: float, confidence: float = CONFIDEN
         def short(draws: int) -> bool:
             below = 4 * math.isqrt(draws) if 3 * failures > draws else 0
             counts = np.arange(max(failures - below, 0), failures + 1)
-            return bool(reach(counts, draws, confidence).max() <= error)
+            return bool(half_length(counts, draws, confidence).max() <= error)
 
         return first(short, max(2 * failures, 1))
 

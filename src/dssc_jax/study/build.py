@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import jax
 from pydantic import BaseModel, ValidationError
 
-from dssc_jax.closed_loop.metrics import Measure, available
+from dssc_jax.closed_loop.metrics import Measure, available_metrics
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.closed_loop.sample import Loop, LoopParams, Settled, initial_state, step
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
@@ -115,7 +115,7 @@ def build(table: dict[str, Any]) -> Parts:
     check_axes(config, numbers)
     check_swept_parts(table, config, channels)
     known = kinds_of(config)
-    names = available(*info_fields(loop, template), known)
+    names = available_metrics(*info_fields(loop, template), known)
     measures, requirements = measured(config, names, known, plant.model)
     check_settled(loop, measures)
     return Parts(config, loop, template, numbers, measures, requirements)

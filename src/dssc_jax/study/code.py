@@ -11,7 +11,7 @@ NAMING = ("kind", "metric", "names")
 """Keys under which a study's tables may name a module's object."""
 
 
-def named(table: Mapping[str, Any]) -> tuple[str, ...]:
+def code_names(table: Mapping[str, Any]) -> tuple[str, ...]:
     """Every ``module:object`` in a study's table, sorted; valid or not, the table may be anything."""
     names: set[str] = set()
     waiting: list[Any] = [table]
@@ -28,7 +28,7 @@ def named(table: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(sorted(names))
 
 
-def located(name: str) -> Path | None:
+def code_file(name: str) -> Path | None:
     """The file of a ``module:object``'s module; None where there is none.
 
     The packages above the module are not imported either, as ``importlib.util.find_spec`` of a dotted name would.
@@ -46,7 +46,7 @@ def located(name: str) -> Path | None:
 
 def recorded(table: Mapping[str, Any]) -> dict[str, dict[str, str | None]]:
     """File and digest of each module that a study names, by ``module:object``; for JSON."""
-    return {name: digested(located(name)) for name in named(table)}
+    return {name: digested(code_file(name)) for name in code_names(table)}
 
 
 def digested(file: Path | None) -> dict[str, str | None]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from dssc_jax.core.errors import ConfigError, nearest
 
-SMALLEST = 1e-8  # least eigenvalue of the correlation matrix
+LEAST_EIGENVALUE = 1e-8  # least eigenvalue of the correlation matrix
 
 
 def gaussian(rank: float) -> float:
@@ -85,7 +85,7 @@ def require_positive_definite(table: Mapping[str, float], names: tuple[str, ...]
     """
     correlations = matrix(table, names)
     values, vectors = np.linalg.eigh(correlations)
-    if values[0] > SMALLEST:
+    if values[0] > LEAST_EIGENVALUE:
         return
     blame = correlations * np.outer(vectors[:, 0], vectors[:, 0])
 

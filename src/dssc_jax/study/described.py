@@ -11,26 +11,26 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from dssc_jax.closed_loop.metrics import Metric, Scope, available
+from dssc_jax.closed_loop.metrics import Metric, Scope, available_metrics
 from dssc_jax.closed_loop.sample import Loop
 from dssc_jax.core.contracts import NoParams, Plant
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.study.build import clock, info_fields, validate_fixed
-from dssc_jax.study.code import describe_code, named
+from dssc_jax.study.code import code_names, describe_code
 from dssc_jax.study.components import Number
 from dssc_jax.study.laws import Law, parse_law
 from dssc_jax.study.measuring import KNOWN, kinds_of, measured
 from dssc_jax.study.study import Study
 
 FLAG = "--trust-code (in Python: dj.load(folder, trust_code=True))"
-STRICT = ConfigDict(extra="forbid")
+NO_EXTRA_FIELDS = ConfigDict(extra="forbid")
 
 
 class DescribedNumber(BaseModel):
     """A number of the loop as JSON: its value or law, and what it means."""
 
-    model_config = STRICT
+    model_config = NO_EXTRA_FIELDS
     value: float | dict[str, list[float]]
     unit: str
     meaning: str
@@ -39,7 +39,7 @@ class DescribedNumber(BaseModel):
 class OwnMetric(BaseModel):
     """A metric of the study's own code: what it means, and of what it is."""
 
-    model_config = STRICT
+    model_config = NO_EXTRA_FIELDS
     unit: str
     meaning: str
     needs: tuple[str, ...]
@@ -53,7 +53,7 @@ class Description(BaseModel):
     are what Theorem 1 says at every point of the sweep.
     """
 
-    model_config = STRICT
+    model_config = NO_EXTRA_FIELDS
     channels: tuple[str, ...]
     angles: tuple[str, ...]
     numbers: dict[str, DescribedNumber]
@@ -121,7 +121,7 @@ class Described(Study):
         known = KNOWN | own
         try:
             config = validate_fixed(dict(table))
-            names = available(description.fields, description.seen, known)
+            names = available_metrics(description.fields, description.seen, known)
             measures, requirements = measured(config, names, known, plant)
         except ConfigError as error:
             raise error.within(source) from None
@@ -208,7 +208,7 @@ def received(about: Mapping[str, Any], source: str, trust_code: bool = False) ->
         ConfigError: it is not valid; or it names code, and was written before descriptions were kept.
     """
     table = about["study"]
-    if trust_code or not named(table):
+    if trust_code or not code_names(table):
         return Study.from_table(table, source)
     code, content = about.get("code"), about.get("described")
     if not isinstance(code, dict) or content is None:

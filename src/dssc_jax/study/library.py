@@ -4,12 +4,12 @@ from pathlib import Path
 
 from dssc_jax.core.errors import ConfigError, nearest
 
-LONGEST = 255
+LONGEST_NAME = 255
 PACKAGED = Path(__file__).parents[1] / "_studies"
 CHECKOUT = Path(__file__).parents[3] / "studies"
 
 
-def folders() -> list[Path]:
+def study_folders() -> list[Path]:
     """Folders that hold studies, nearest first."""
     existing: list[Path] = []
     for folder in (Path.cwd() / "studies", PACKAGED, CHECKOUT):
@@ -18,10 +18,10 @@ def folders() -> list[Path]:
     return existing
 
 
-def available() -> dict[str, Path]:
+def available_studies() -> dict[str, Path]:
     """Every study by name; the nearest folder wins."""
     files: dict[str, Path] = {}
-    for folder in folders():
+    for folder in study_folders():
         for path in sorted(folder.glob("*.toml")):
             files.setdefault(path.stem, path)
     return files
@@ -34,11 +34,11 @@ def find(name: str) -> Path:
         ConfigError: there is none.
     """
     path = Path(name)
-    if len(path.name) > LONGEST:
-        raise ConfigError(f"{name[:40]}...", f"is longer than a file's name can be ({LONGEST} characters)")
+    if len(path.name) > LONGEST_NAME:
+        raise ConfigError(f"{name[:40]}...", f"is longer than a file's name can be ({LONGEST_NAME} characters)")
     if path.exists() or path.suffix == ".toml" or path.parent != Path():
         return path
-    known = available()
+    known = available_studies()
     if name in known:
         return known[name]
     if name.replace("-", "_") in known:

@@ -13,14 +13,14 @@ from dssc_jax.study.laws import is_number
 STRICT = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
-def finite(value: Any) -> float:
+def finite_number(value: Any) -> float:
     """A finite number."""
     if not is_number(value):
         raise ValueError(f"must be a finite number, got {value!r}")
     return float(value)
 
 
-Finite = Annotated[float, BeforeValidator(finite)]
+Finite = Annotated[float, BeforeValidator(finite_number)]
 
 
 class SettledTable(BaseModel):

@@ -14,8 +14,8 @@ from dssc_jax.study.laws import is_law
 
 LARGEST = 2**20  # bytes of a study file
 DEEPEST = 32  # tables within tables, and names in a dotted name
-NAMES = rf"(?:[^\s.=,\[\]{{}}]++[ \t]*+\.[ \t]*+){{{DEEPEST}}}"
-LONG_NAME = re.compile(rf"^[ \t\[]*+{NAMES}|[{{,][ \t]*+{NAMES}", re.MULTILINE)
+DOTTED_NAME = rf"(?:[^\s.=,\[\]{{}}]++[ \t]*+\.[ \t]*+){{{DEEPEST}}}"
+LONG_NAME = re.compile(rf"^[ \t\[]*+{DOTTED_NAME}|[{{,][ \t]*+{DOTTED_NAME}", re.MULTILINE)
 """Found before parsing: the parser's time grows with the square of a dotted name's length."""
 
 

@@ -15,7 +15,7 @@ from dssc_jax.models.controllers.differentiators import (
     HIGH_GAIN_OBSERVER,
     LEAD_FILTER,
     LEVANT,
-    NONE,
+    NO_DIFFERENTIATOR,
     HighGainParams,
     LeadFilterParams,
     LevantParams,
@@ -104,7 +104,7 @@ def test_gradients_are_finite(table, second):
 
 
 def test_none_passes_the_measured_velocity():
-    assert NONE.step(None, (), Measurement(1.0, -0.5), 0.01) == ((), Measurement(1.0, -0.5))
+    assert NO_DIFFERENTIATOR.step(None, (), Measurement(1.0, -0.5), 0.01) == ((), Measurement(1.0, -0.5))
 
 
 @pytest.mark.parametrize("chosen", [LEAD, OBSERVER, EXACT])

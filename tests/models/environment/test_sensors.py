@@ -10,7 +10,15 @@ from scipy import signal
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Measurement
-from dssc_jax.models.environment.sensors import IDEAL, LAG, MOST_DELAY, NOISY, SENSORS, LagParams, NoisyParams
+from dssc_jax.models.environment.sensors import (
+    IDEAL,
+    MOST_DELAY,
+    NOISY,
+    SENSOR_LAG,
+    SENSORS,
+    NoisyParams,
+    SensorLagParams,
+)
 from dssc_jax.study.components import parse_component
 from dssc_jax.study.laws import Law
 from tests.contracts import assert_contract
@@ -143,7 +151,7 @@ def test_gradients_are_finite():
 
 def shown(mu, y, y_dot, dt=DT):
     """What a lagged sensor delivers."""
-    return np.asarray(path(LAG, LagParams(mu), y, y_dot, jax.random.key(0), dt))
+    return np.asarray(path(SENSOR_LAG, SensorLagParams(mu), y, y_dot, jax.random.key(0), dt))
 
 
 @pytest.mark.parametrize("mu", [1e-6, 1e-3, 0.02, 5.0])
@@ -182,7 +190,7 @@ def test_lag_does_not_depend_on_the_sampling_of_a_line():
 
 def test_gradients_of_the_lag_are_finite():
     def seen(mu, y):
-        return path(LAG, LagParams(mu), y * jnp.arange(6.0), jnp.ones(6), jax.random.key(0)).sum()
+        return path(SENSOR_LAG, SensorLagParams(mu), y * jnp.arange(6.0), jnp.ones(6), jax.random.key(0)).sum()
 
     for mu in (1e-3, 0.02, 10.0):
         slope, by_y = jax.jit(jax.grad(seen, argnums=(0, 1)))(mu, 1.0)

@@ -170,7 +170,7 @@ def levant_step(
     return LevantState(measurement.y + s * s * sign(b), velocity), Measurement(measurement.y, velocity)
 
 
-NONE = Differentiator(
+NO_DIFFERENTIATOR = Differentiator(
     NoParams,
     init=lambda params, measurement: (),
     step=lambda params, state, measurement, dt: (state, measurement),
@@ -180,7 +180,7 @@ HIGH_GAIN_OBSERVER = Differentiator(HighGainParams, high_gain_init, high_gain_st
 LEVANT = Differentiator(LevantParams, levant_init, levant_step)
 
 DIFFERENTIATORS: Registry = {
-    "none": single(NONE, "the measured velocity"),
+    "none": single(NO_DIFFERENTIATOR, "the measured velocity"),
     "lead_filter": single(LEAD_FILTER, "s y/(tau_f s + 1), exact for y linear between samples"),
     "high_gain_observer": single(HIGH_GAIN_OBSERVER, "two estimates with poles of order 1/epsilon, backward Euler"),
     "levant": single(LEVANT, "robust exact differentiator of first order, implicit: no chatter"),

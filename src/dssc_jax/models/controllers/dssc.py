@@ -20,7 +20,7 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Entry, Slot
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, State, TrackingError, tracking_error
 from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS, Constant, StateFunctions
-from dssc_jax.models.controllers.modulation import MODULATIONS, Signals
+from dssc_jax.models.controllers.modulation import MODULATIONS, ModulationSignals
 from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
 
 
@@ -160,7 +160,7 @@ def dssc(update: Update) -> Controller:
         error: TrackingError = tracking_error(measurement, reference, gains.l0)
         at: StateFunctions = gains.functions.at(error.sigma, error.e, gains.l0)
         u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, 1.0 / at.tau_m)
-        signals = Signals(
+        signals = ModulationSignals(
             u_av=state.u_av,
             u_nominal=u_nominal,
             y=measurement.y,

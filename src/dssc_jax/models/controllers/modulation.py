@@ -15,7 +15,7 @@ from dssc_jax.core.signals import Scalar
 from dssc_jax.core.zero_dynamics import ZeroDynamics, norm_observer
 
 
-class Signals(NamedTuple):
+class ModulationSignals(NamedTuple):
     """What the norm bound (34) is made of, at one sample."""
 
     u_av: Scalar
@@ -38,7 +38,7 @@ class ConstantModulation(NamedTuple):
         """No state."""
         return ()
 
-    def at(self, state: tuple[()], signals: Signals, dt: Scalar) -> tuple[tuple[()], Scalar]:
+    def at(self, state: tuple[()], signals: ModulationSignals, dt: Scalar) -> tuple[tuple[()], Scalar]:
         """Rho itself."""
         return state, self.rho
 
@@ -84,7 +84,7 @@ class NormBound(NamedTuple):
         """eta_bar at t = 0 [m/s^2]."""
         return self.eta_bar_initial
 
-    def at(self, state: Scalar, signals: Signals, dt: Scalar) -> tuple[Scalar, Scalar]:
+    def at(self, state: Scalar, signals: ModulationSignals, dt: Scalar) -> tuple[Scalar, Scalar]:
         """(33) and (34); the observer by implicit Euler, which keeps eta_bar >= 0 at every step size.
 
         Between samples |C_eta eta| may exceed eta_bar by O(T_s): delta_rho has to cover that.

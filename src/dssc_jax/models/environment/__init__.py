@@ -23,10 +23,10 @@ TRAJECTORIES: Registry = {
     "waypoints": single(WAYPOINTS, "georeferenced waypoints, flown at bounded speed"),
 }
 DISTURBANCES: Registry = {
-    "none": single(disturbances.NONE, "no disturbance"),
+    "none": single(disturbances.NO_DISTURBANCE, "no disturbance"),
     "constant": single(disturbances.CONSTANT, "a constant"),
     "step": single(disturbances.STEP, "a step at a given time"),
-    "sine": single(disturbances.SINE, "amplitude sin(2 pi t/period + phase)"),
+    "sine": single(disturbances.SINE_DISTURBANCE, "amplitude sin(2 pi t/period + phase)"),
     "spline": single(disturbances.SPLINE, "a cubic spline of given knots: any signal of bounded amplitude and slope"),
     "filtered_noise": single(disturbances.FILTERED_NOISE, "Gauss-Markov noise, exactly sampled"),
     "partition": single(disturbances.PARTITION, "d_1 + d_2 + d_3 of (30), attaining the bounds of (A1)-(A3)"),

@@ -28,7 +28,7 @@ class StepParams(NamedTuple):
     at: Annotated[Scalar, Quantity("s", "time of the step", at_least=0.0)] = 0.0
 
 
-class SineParams(NamedTuple):
+class SineDisturbanceParams(NamedTuple):
     """amplitude sin(2 pi t/period + phase)."""
 
     amplitude: Annotated[Scalar, Quantity("m/s", "amplitude")]
@@ -75,7 +75,7 @@ class PartitionParams(NamedTuple):
     period: Annotated[Scalar, Quantity("s", "period of the time-varying parts", above=0.0)] = 10.0
 
 
-def held(params: Any, state: Scalar, measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
+def held_value(params: Any, state: Scalar, measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
     """The value held over the sample."""
     return state
 
@@ -85,12 +85,12 @@ def step_mean(params: StepParams, state: Scalar, key: jax.Array, t: Scalar, dt: 
     return params.value * begun(params.at, t, dt)
 
 
-def sine_value(params: SineParams, state: Any, measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
+def sine_value(params: SineDisturbanceParams, state: Any, measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
     """The sine at t."""
     return params.amplitude * jnp.sin(2.0 * math.pi / params.period * t + params.phase)
 
 
-def some_knots(params: SplineParams) -> SplineParams:
+def check_knots(params: SplineParams) -> SplineParams:
     """Check that there are knots.
 
     Raises:
@@ -129,10 +129,10 @@ def partition_value(params: PartitionParams, state: Any, measurement: Measuremen
     return growth * sigma + stiffness * measurement.y + drift + params.value
 
 
-NONE = Disturbance(NoParams, stateless, unchanged, lambda params, state, measurement, sigma, t: 0.0)
+NO_DISTURBANCE = Disturbance(NoParams, stateless, unchanged, lambda params, state, measurement, sigma, t: 0.0)
 CONSTANT = Disturbance(ConstantParams, stateless, unchanged, lambda params, state, measurement, sigma, t: params.value)
-STEP = Disturbance(StepParams, lambda params, key: 0.0, step_mean, held)
-SINE = Disturbance(SineParams, stateless, unchanged, sine_value)
-SPLINE = Disturbance(SplineParams, stateless, unchanged, spline_value, some_knots)
-FILTERED_NOISE = Disturbance(NoiseParams, noise_init, noise_step, held)
+STEP = Disturbance(StepParams, lambda params, key: 0.0, step_mean, held_value)
+SINE_DISTURBANCE = Disturbance(SineDisturbanceParams, stateless, unchanged, sine_value)
+SPLINE = Disturbance(SplineParams, stateless, unchanged, spline_value, check_knots)
+FILTERED_NOISE = Disturbance(NoiseParams, noise_init, noise_step, held_value)
 PARTITION = Disturbance(PartitionParams, stateless, unchanged, partition_value)

@@ -18,7 +18,7 @@ POSITION_STD = Quantity("m", "standard deviation of the noise on y", at_least=0.
 VELOCITY_STD = Quantity("m/s", "standard deviation of the noise on y'", at_least=0.0)
 POSITION_BIAS = Quantity("m", "constant error of y")
 VELOCITY_BIAS = Quantity("m/s", "constant error of y'")
-DELAY = Quantity("1", "delay, in controller samples", at_least=0.0, at_most=float(MOST_DELAY), law=False)
+DELAY_SAMPLES = Quantity("1", "delay, in controller samples", at_least=0.0, at_most=float(MOST_DELAY), law=False)
 PERIOD = Quantity("1", "controller samples from one reading to the next", at_least=1.0, law=False)
 
 
@@ -33,11 +33,11 @@ class NoisyParams(NamedTuple):
     velocity_std: Annotated[Scalar, VELOCITY_STD] = 0.0
     position_bias: Annotated[Scalar, POSITION_BIAS] = 0.0
     velocity_bias: Annotated[Scalar, VELOCITY_BIAS] = 0.0
-    delay_samples: Annotated[Scalar, DELAY] = 0.0
+    delay_samples: Annotated[Scalar, DELAY_SAMPLES] = 0.0
     period_samples: Annotated[Scalar, PERIOD] = 1.0
 
 
-class LagParams(NamedTuple):
+class SensorLagParams(NamedTuple):
     """A sensor that follows: y and y' each through 1/(mu s + 1)."""
 
     mu: Annotated[Scalar, Quantity("s", "time constant of the sensor's lag", above=0.0)]
@@ -121,13 +121,13 @@ def noisy_step(
     return NoisyState(jnp.where(due, 1.0, state.age + 1.0), held, tuple(queue)), delivered
 
 
-def lag_init(params: LagParams, measurement: Measurement, key: jax.Array) -> LagState:
+def lag_init(params: SensorLagParams, measurement: Measurement, key: jax.Array) -> LagState:
     """The plant stood at its first measurement before."""
     return LagState(measurement, measurement)
 
 
 def lag_step(
-    params: LagParams, state: LagState, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
+    params: SensorLagParams, state: LagState, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
 ) -> tuple[LagState, Measurement]:
     """Exact solution of mu z' = y - z over dt, for y linear between the samples: a small mu is no delay.
 
@@ -158,10 +158,10 @@ IDEAL = Sensor(
     step=lambda params, state, measurement, key, t, dt: (state, measurement),
 )
 NOISY = Sensor(NoisyParams, noisy_init, noisy_step, prepare)
-LAG = Sensor(LagParams, lag_init, lag_step)
+SENSOR_LAG = Sensor(SensorLagParams, lag_init, lag_step)
 
 SENSORS: Registry = {
     "ideal": single(IDEAL, "the plant's own y and y'"),
-    "lag": single(LAG, "y and y' each through 1/(mu s + 1)"),
+    "lag": single(SENSOR_LAG, "y and y' each through 1/(mu s + 1)"),
     "noisy": single(NOISY, "white noise, constant errors, delay, and a sampling period of its own"),
 }

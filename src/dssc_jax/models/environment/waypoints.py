@@ -28,16 +28,19 @@ if TYPE_CHECKING:
 SEMI_MAJOR_AXIS, FLATTENING = 6378137.0, 1.0 / 298.257223563  # a [m] and f of WGS 84 (TR8350.2, table 3.1)
 STANDARD_GRAVITY = 9.80665  # g_n [m/s^2] (3rd CGPM, 1901)
 LATERAL_LIMIT = 0.5 * STANDARD_GRAVITY  # greatest acceleration across the path [m/s^2]: a tilt of 27 degrees (assumed)
-LOCAL = 1e4  # reach of the local frame [m] (assumed): the ground is 8 m below the tangent plane there
+FRAME_RADIUS = 1e4  # reach of the local frame [m] (assumed): the ground is 8 m below the tangent plane there
 SAME = 0.01  # consecutive waypoints nearer than this [m] are the same (assumed; the precision of RTK positioning)
-STEP, FEWEST, MOST = 0.02, 256, 65536  # a segment of the table [s], and how many there are at least and at most
+SEGMENT_TIME = 0.02  # of the table [s]
+FEWEST_SEGMENTS, MOST_SEGMENTS = 256, 65536
 PARTS = 128  # of a leg, on which its length and curvature are taken
 RAMP = 1.875  # peak slope of 10 x^3 - 15 x^4 + 6 x^5 on [0, 1]
 GAUSS = np.polynomial.legendre.leggauss(5)
 
 LATITUDE = Quantity("deg", "WGS 84 latitude", at_least=-90.0, at_most=90.0, law=False)
 LONGITUDE = Quantity("deg", "WGS 84 longitude", at_least=-180.0, at_most=180.0, law=False)
-ALTITUDE = Quantity("m", "height above the first point's ground", at_least=-LOCAL, at_most=LOCAL, law=False)
+ALTITUDE = Quantity(
+    "m", "height above the first point's ground", at_least=-FRAME_RADIUS, at_most=FRAME_RADIUS, law=False
+)
 
 
 class WaypointParams(NamedTuple):
@@ -93,7 +96,7 @@ def enu(params: WaypointParams) -> np.ndarray:
     return offset @ np.stack([east, np.cross(up, east), up], axis=-1)
 
 
-def check(params: WaypointParams) -> None:
+def check_path(params: WaypointParams) -> None:
     """Every rule that the waypoints obey before there is a path; raises ConfigError."""
     count = len(params.latitude_deg)
     if count < 2:
@@ -110,9 +113,9 @@ def check(params: WaypointParams) -> None:
                 raise ConfigError(f"{name}.{i}" if many else name, rule)
     points = enu(params)
     far, near = np.linalg.norm(points, axis=1), np.linalg.norm(np.diff(points, axis=0), axis=1)
-    if far.max() > LOCAL:
+    if far.max() > FRAME_RADIUS:
         i = int(far.argmax())
-        rule = f"waypoint {i} must be within {LOCAL / 1e3:g} km of waypoint 0, got {far[i] / 1e3:.4g} km"
+        rule = f"waypoint {i} must be within {FRAME_RADIUS / 1e3:g} km of waypoint 0, got {far[i] / 1e3:.4g} km"
         raise ConfigError(f"{'latitude_deg' if abs(points[i, 1]) > abs(points[i, 0]) else 'longitude_deg'}.{i}", rule)
     if near.min() < SAME:
         i = int(near.argmin())
@@ -129,7 +132,7 @@ def spline(params: WaypointParams) -> CubicSpline:
     return CubicSpline(chord, np.column_stack([points, yaw]), bc_type="natural")
 
 
-def stretch(path: CubicSpline, u: np.ndarray) -> np.ndarray:
+def path_speed(path: CubicSpline, u: np.ndarray) -> np.ndarray:
     """|dr/du|: how long a unit of u is on the path."""
     return np.linalg.norm(path(u, 1)[..., :3], axis=-1)
 
@@ -137,7 +140,7 @@ def stretch(path: CubicSpline, u: np.ndarray) -> np.ndarray:
 def length(path: CubicSpline, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Length of the path between start and end [m], by Gauss's rule of five points (intervals are short)."""
     half = 0.5 * (end - start)
-    return half * (stretch(path, start[:, None] + np.outer(half, 1.0 + GAUSS[0])) @ GAUSS[1])
+    return half * (path_speed(path, start[:, None] + np.outer(half, 1.0 + GAUSS[0])) @ GAUSS[1])
 
 
 def check_speed(params: WaypointParams, path: CubicSpline, u: np.ndarray, total: float) -> None:
@@ -185,13 +188,13 @@ def quintics(y: np.ndarray, y_dot: np.ndarray, y_ddot: np.ndarray, step: float) 
     return np.concatenate([np.concatenate([low, high], axis=-1), hold])
 
 
-def located(path: CubicSpline, u: np.ndarray, s: np.ndarray, far: np.ndarray) -> np.ndarray:
+def at_length(path: CubicSpline, u: np.ndarray, s: np.ndarray, far: np.ndarray) -> np.ndarray:
     """The u at which the path is ``far`` long [m], by Newton's method from the grid (u, s)."""
     k = np.clip(np.searchsorted(s, far, side="right") - 1, 0, len(u) - 2)
     reached = u[k] + (far - s[k]) / (s[k + 1] - s[k]) * (u[k + 1] - u[k])
     for _ in range(4):
         missing = far - s[k] - length(path, u[k], reached)
-        reached = np.clip(reached + missing / stretch(path, reached), u[k], u[k + 1])
+        reached = np.clip(reached + missing / path_speed(path, reached), u[k], u[k + 1])
     return reached
 
 
@@ -212,18 +215,18 @@ def curve(params: WaypointParams) -> Curve:
     Raises:
         ConfigError: too few, repeated or scattered waypoints, numbers out of range, or an impossible speed.
     """
-    check(params)
+    check_path(params)
     path, cruise = spline(params), float(params.speed)
     u = np.interp(np.arange(PARTS * (len(path.x) - 1) + 1) / PARTS, np.arange(len(path.x)), path.x)
     s = np.concatenate([[0.0], np.cumsum(length(path, u[:-1], u[1:]))])
     check_speed(params, path, u, s[-1])
     ramp, flight = RAMP * cruise / float(params.acceleration), s[-1] / cruise
-    count = int(np.clip(math.ceil((flight + ramp) / STEP), FEWEST, MOST))
+    count = int(np.clip(math.ceil((flight + ramp) / SEGMENT_TIME), FEWEST_SEGMENTS, MOST_SEGMENTS))
     ramp = max(ramp, 8.0 * (flight + ramp) / count)  # no ramp is too short for the table's steps
     duration = flight + ramp
     far, speed, gain = travel(np.linspace(0.0, duration, count + 1), s[-1], cruise, ramp)
-    v = located(path, u, s, far)
-    size, slope, bend = stretch(path, v), path(v, 1), path(v, 2)
+    v = at_length(path, u, s, far)
+    size, slope, bend = path_speed(path, v), path(v, 1), path(v, 2)
     v_dot = speed / size
     v_ddot = (gain - np.sum(slope[:, :3] * bend[:, :3], axis=1) / size * v_dot**2) / size
     y_ddot = bend * v_dot[:, None] ** 2 + slope * v_ddot[:, None]

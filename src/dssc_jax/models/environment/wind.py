@@ -37,7 +37,7 @@ Z = Quantity("m/s", "wind velocity along z, up")
 START = Quantity("s", "time at which the wind begins", at_least=0.0)
 
 
-class ConstantParams(NamedTuple):
+class ConstantWindParams(NamedTuple):
     """A constant wind from the time ``at`` on."""
 
     x: Annotated[Scalar, X]
@@ -68,7 +68,7 @@ class GustParams(NamedTuple):
     mean_z: Annotated[Scalar, Quantity("m/s", "mean wind along z, up")] = 0.0
 
 
-class SplineParams(NamedTuple):
+class SplineWindParams(NamedTuple):
     """Cubic splines with knots ``interval`` apart, the first at ``at``: any wind of bounded speed and acceleration.
 
     Each component is at most its largest |knot|, and its rate the largest step from one knot to the next, over the
@@ -133,12 +133,12 @@ def calm(params: Any, key: jax.Array) -> Vec3:
     return Vec3(0.0, 0.0, 0.0)
 
 
-def held(params: Any, state: Vec3, t: Scalar) -> Vec3:
+def held_wind(params: Any, state: Vec3, t: Scalar) -> Vec3:
     """The wind held over the sample."""
     return state
 
 
-def constant_step(params: ConstantParams, state: Vec3, key: jax.Array, t: Scalar, dt: Scalar) -> Vec3:
+def constant_step(params: ConstantWindParams, state: Vec3, key: jax.Array, t: Scalar, dt: Scalar) -> Vec3:
     """Mean over [t, t + dt): a jump within a sample does not spoil the integrator's order."""
     return Vec3(params.x, params.y, params.z) * begun(params.at, t, dt)
 
@@ -179,7 +179,7 @@ def gust_value(params: GustParams, state: Any, t: Scalar) -> Vec3:
     return Vec3(params.mean_x, params.mean_y, params.mean_z) + Vec3(params.x, params.y, params.z) * swell
 
 
-def some_knots(params: SplineParams) -> SplineParams:
+def check_wind_knots(params: SplineWindParams) -> SplineWindParams:
     """Check that there are knots.
 
     Raises:
@@ -190,7 +190,7 @@ def some_knots(params: SplineParams) -> SplineParams:
     return params
 
 
-def spline_value(params: SplineParams, state: Any, t: Scalar) -> Vec3:
+def spline_wind(params: SplineWindParams, state: Any, t: Scalar) -> Vec3:
     """The splines at t; a component without knots is 0."""
     place = (t - params.at) / params.interval
     return Vec3(*(cubic_spline(knots, place) for knots in (params.x, params.y, params.z)))
@@ -291,18 +291,18 @@ def dryden_value(params: DrydenParams, state: DrydenState, t: Scalar) -> Vec3:
     return Vec3(along * c - across * s, along * s + across * c, law.sigma_w * state.w.output) * state.on
 
 
-NONE = Wind(NoParams, stateless, unchanged, lambda params, state, t: Vec3(0.0, 0.0, 0.0))
-CONSTANT = Wind(ConstantParams, calm, constant_step, held)
-PIECEWISE = Wind(PiecewiseParams, calm, piecewise_step, held, check_table)
+NO_WIND = Wind(NoParams, stateless, unchanged, lambda params, state, t: Vec3(0.0, 0.0, 0.0))
+CONSTANT_WIND = Wind(ConstantWindParams, calm, constant_step, held_wind)
+PIECEWISE = Wind(PiecewiseParams, calm, piecewise_step, held_wind, check_table)
 GUST = Wind(GustParams, stateless, unchanged, gust_value)
-SPLINE = Wind(SplineParams, stateless, unchanged, spline_value, some_knots)
+SPLINE_WIND = Wind(SplineWindParams, stateless, unchanged, spline_wind, check_wind_knots)
 DRYDEN = Wind(DrydenParams, dryden_init, dryden_step, dryden_value)
 
 WINDS: Registry = {
-    "none": single(NONE, "no wind"),
-    "constant": single(CONSTANT, "a constant velocity from a given time on"),
+    "none": single(NO_WIND, "no wind"),
+    "constant": single(CONSTANT_WIND, "a constant velocity from a given time on"),
     "piecewise": single(PIECEWISE, "a table of velocities with jumps"),
     "gust": single(GUST, "a 1-cosine gust on a constant mean"),
-    "spline": single(SPLINE, "cubic splines of given knots: any wind of bounded speed and acceleration"),
+    "spline": single(SPLINE_WIND, "cubic splines of given knots: any wind of bounded speed and acceleration"),
     "dryden": single(DRYDEN, "mean wind and Dryden turbulence of MIL-F-8785C at low altitude, exactly sampled"),
 }

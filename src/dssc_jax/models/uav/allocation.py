@@ -12,7 +12,7 @@ from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
 from dssc_jax.models.uav.vehicle import Vehicle
 
-ROUNDING = 1e-12  # relative to the largest entry of a column
+NEGLIGIBLE_ENTRY = 1e-12  # relative to the largest entry of a column
 
 
 class Thrusts(NamedTuple):
@@ -43,7 +43,7 @@ def pseudo_inverse(vehicle: Vehicle) -> tuple[tuple[float, ...], ...]:
             "spins", f"rotor_angles and spins must span thrust and three moments (yaw included), got rank {rank} of 4"
         )
     inverse = np.linalg.pinv(matrix)
-    inverse[np.abs(inverse) < ROUNDING * np.abs(inverse).max(axis=0)] = 0.0
+    inverse[np.abs(inverse) < NEGLIGIBLE_ENTRY * np.abs(inverse).max(axis=0)] = 0.0
     return tuple(tuple(float(value) for value in row) for row in inverse)
 
 

@@ -9,7 +9,7 @@ from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
 
 GRAVITY = 9.81  # m/s^2
-ROUNDING = 1e-15  # cos(pi/2) is 6e-17
+NEGLIGIBLE = 1e-15  # cos(pi/2) is 6e-17
 
 
 class Vehicle(NamedTuple):
@@ -53,7 +53,7 @@ class Vehicle(NamedTuple):
     def directions(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """x and y of every rotor for an arm of length 1; what is 0 but for rounding is 0."""
         x, y = ([f(angle) for angle in self.rotor_angles] for f in (math.cos, math.sin))
-        return tuple(0.0 if abs(v) < ROUNDING else v for v in x), tuple(0.0 if abs(v) < ROUNDING else v for v in y)
+        return tuple(0.0 if abs(v) < NEGLIGIBLE else v for v in x), tuple(0.0 if abs(v) < NEGLIGIBLE else v for v in y)
 
 
 def ring(rotors: int) -> tuple[float, ...]:

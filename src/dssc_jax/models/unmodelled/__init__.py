@@ -2,13 +2,13 @@
 
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.models.unmodelled.delay import DELAY
-from dssc_jax.models.unmodelled.lag import LAG, NONE
+from dssc_jax.models.unmodelled.lag import LAG, NO_DYNAMICS
 from dssc_jax.models.unmodelled.rate_limit import RATE_LIMIT
 from dssc_jax.models.unmodelled.saturation import SATURATION
 from dssc_jax.models.unmodelled.transfer_function import TRANSFER_FUNCTION
 
 UNMODELLED: Registry = {
-    "none": single(NONE, "the command reaches the plant unchanged"),
+    "none": single(NO_DYNAMICS, "the command reaches the plant unchanged"),
     "lag": LAG,
     "transfer_function": single(TRANSFER_FUNCTION, "any stable proper G(mu s) with G(0) = 1, of order 1 to 6"),
     "delay": single(DELAY, "a pure delay of any real number of controller samples"),

@@ -10,14 +10,16 @@ from dssc_jax.core.numerics import dot
 from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.signals import Scalar
 
-MOST = 200  # samples: the state holds a scalar for each, and every scalar is copied at every sample
+MOST_SAMPLES = 200  # samples: the state holds a scalar for each, and every scalar is copied at every sample
 
 
 class DelayParams(NamedTuple):
     """The delay, and the longest one that the memory reaches."""
 
     samples: Annotated[Scalar, Quantity("1", "delay, in controller samples", at_least=0.0)]
-    memory: Annotated[float, Quantity("1", "longest delay, in samples", at_least=1.0, at_most=MOST, law=False)] = 20.0
+    memory: Annotated[
+        float, Quantity("1", "longest delay, in samples", at_least=1.0, at_most=MOST_SAMPLES, law=False)
+    ] = 20.0
 
 
 class DelayState(NamedTuple):

@@ -53,7 +53,7 @@ def lag(order: Order) -> Unmodelled:
     )
 
 
-NONE = Unmodelled(
+NO_DYNAMICS = Unmodelled(
     NoParams,
     init=lambda params: (),
     step=lambda params, state, command, dt: state,

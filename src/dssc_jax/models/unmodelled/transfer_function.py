@@ -62,7 +62,7 @@ class Realisation(NamedTuple):
     doublings: tuple[Matrix, ...]
 
 
-def scaled(denominator: Sequence[float]) -> tuple[float, np.ndarray]:
+def time_scaled(denominator: Sequence[float]) -> tuple[float, np.ndarray]:
     """Unit of time over mu, and the denominator's coefficients in it: the first and the last are 1, shape (n + 1,)."""
     ratios = np.asarray(denominator, dtype=float) / denominator[0]
     unit = ratios[-1] ** (1.0 / (len(ratios) - 1))
@@ -72,13 +72,13 @@ def scaled(denominator: Sequence[float]) -> tuple[float, np.ndarray]:
 def decay(denominator: Sequence[float]) -> float:
     """Rate of the slowest pole, over the poles' geometric mean; NaN where there is no finite one."""
     with np.errstate(all="ignore"):
-        _, coefficients = scaled(denominator)
+        _, coefficients = time_scaled(denominator)
         if not np.all(np.isfinite(coefficients)):
             return np.nan
         return -float(np.max(np.linalg.eigvals(companion(tuple(coefficients[:-1]))).real))
 
 
-def rows(matrix: np.ndarray) -> Matrix:
+def as_rows(matrix: np.ndarray) -> Matrix:
     """A matrix as plain numbers."""
     return tuple(map(tuple, matrix.tolist()))
 
@@ -88,7 +88,7 @@ def realised(numerator: tuple[float, ...], denominator: tuple[float, ...]) -> Re
     """G as matrices, with the exponentials that its step needs."""
     from scipy.linalg import expm
 
-    unit, poles = scaled(denominator)
+    unit, poles = time_scaled(denominator)
     zeros = np.zeros(len(poles))
     zeros[: len(numerator)] = np.asarray(numerator) / denominator[0] / unit ** np.arange(len(numerator))
     a = companion(tuple(poles[:-1]))
@@ -98,7 +98,7 @@ def realised(numerator: tuple[float, ...], denominator: tuple[float, ...]) -> Re
         doublings.append(expm(quantum * 2.0 ** len(doublings) * a))
     c = zeros - zeros[-1] * poles
     return Realisation(
-        unit, rows(a), tuple(c[:-1].tolist()), float(zeros[-1]), float(quantum), tuple(map(rows, doublings))
+        unit, as_rows(a), tuple(c[:-1].tolist()), float(zeros[-1]), float(quantum), tuple(map(as_rows, doublings))
     )
 
 
