@@ -56,8 +56,7 @@ from dssc_jax.engine.batching import Engine
 from dssc_jax.study.library import find
 study = dj.Study.load(find("mu_robustness")).without_sweep()
 engine = Engine(study, 512, devices=1)
-engine({name: np.ones(512) for name in engine.names}, np.arange(512))()
-entry = engine._run.as_text().partition("ENTRY")[2]
+entry = engine.compiled().as_text().partition("ENTRY")[2]
 print(entry.count(" while("), entry.count("xla_cpu_small_call"))
 """
     assert python(code).stdout.split() == ["0", "1"]

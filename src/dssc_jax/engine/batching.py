@@ -31,7 +31,7 @@ from dssc_jax.study import Study
 LANES = 64  # of a tile that one kernel advances: its state and temporaries stay in the second-level cache
 LANES_OF_KERNELS = 512  # of a tile that many kernels advance, so that calling them costs little
 TILE = "tile"  # name of the axis over the lanes of a tile
-VECTOR = 8  # lanes in a 512-bit vector of float64: every tile is a multiple of it
+STEP = 16  # every tile is a multiple of it: of 8, a 512-bit vector, the compiler may contract other products
 BLOCK = 16384  # lanes
 PROBES = 16  # draws that are simulated twice to find in-loop noise
 VERSIONS = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy", "xarray", "zarr")
@@ -154,7 +154,7 @@ class Engine:
         usable = jax.devices()[: self.devices]
         share = -(-self.lanes // len(usable))
         wanted = min(self.tile, share) if self.tile else best_tile(usable, share)
-        self._tile = -(-wanted // VECTOR) * VECTOR
+        self._tile = -(-wanted // STEP) * STEP
         tiles = -(-self.lanes // self._tile)
         self._tiles = -(-tiles // len(usable)) * len(usable)
         self._mesh = Mesh(np.array(usable), ("device",))
@@ -182,10 +182,9 @@ class Engine:
                 for name in self.names
             }
             index = np.pad(indices, (0, padding), mode="edge").astype(np.uint32).reshape(self._tiles, self._tile)
-            if self._run is None:
-                self._run = self._compile(shaped, index)
+            run = self.compiled()
             began = time.perf_counter()
-            out = self._run(shaped, index)
+            out = run(shaped, index)
 
         def finish() -> Arrays:
             arrays = {name: np.asarray(array).reshape(-1)[:count] for name, array in out.items()}
@@ -196,7 +195,16 @@ class Engine:
 
         return finish
 
-    def _compile(self, values: dict[str, np.ndarray], index: np.ndarray):
+    def compiled(self) -> Any:
+        """The compiled program of a batch, for JAX's inspection of it too; compiled once, on first use."""
+        if self._run is None:
+            shape = self._tiles, self._tile
+            with arithmetic(self.study.config.loop.precision):
+                number = jax.ShapeDtypeStruct(shape, jnp.result_type(float))
+                self._run = self._compile(dict.fromkeys(self.names, number), jax.ShapeDtypeStruct(shape, jnp.uint32))
+        return self._run
+
+    def _compile(self, values: dict[str, jax.ShapeDtypeStruct], index: jax.ShapeDtypeStruct) -> Any:
         began = time.perf_counter()
         lane = self.program(self.study)
 

@@ -100,7 +100,7 @@ def test_a_draw_that_ends_early_leaves_the_others_their_derivatives():
 
 def taken(evaluator):
     """Results of eight lanes, and the bytes that the compiled program takes beside them."""
-    return eight(evaluator), evaluator.engine._run.memory_analysis().temp_size_in_bytes
+    return eight(evaluator), evaluator.engine.compiled().memory_analysis().temp_size_in_bytes
 
 
 def test_reverse_mode_agrees_and_its_memory_is_bounded(monkeypatch):
