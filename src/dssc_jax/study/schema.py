@@ -27,21 +27,23 @@ class SettledTable(BaseModel):
     """``[loop.settled]``: when a draw is over before its time."""
 
     model_config = STRICT
-    error: Finite = Field(gt=0.0)
-    hold: Finite = Field(gt=0.0)
-    after: Finite = Field(default=0.0, ge=0.0)
+    error: Finite = Field(gt=0.0, description="largest |e| of a settled loop [m]")
+    hold: Finite = Field(gt=0.0, description="time for which |e| must stay below it [s]")
+    after: Finite = Field(default=0.0, ge=0.0, description="time from which on a draw may settle [s]")
 
 
 class LoopTable(BaseModel):
     """``[loop]``: the clock."""
 
     model_config = STRICT
-    duration: Finite = Field(gt=0.0)
-    sample_time: Finite = Field(gt=0.0)
-    substeps: int = Field(default=1, ge=1, le=1000)
-    integrator: Literal["rk4", "euler"] = Integrator.RK4.value
-    precision: Literal[32, 64] = 64
-    settled: SettledTable | None = None
+    duration: Finite = Field(gt=0.0, description="simulated time [s]")
+    sample_time: Finite = Field(gt=0.0, description="period of the controller, T_s [s]")
+    substeps: int = Field(default=1, ge=1, le=1000, description="integrator's steps in each sample")
+    integrator: Literal["rk4", "euler"] = Field(
+        default=Integrator.RK4.value, description="method of the plant's integration"
+    )
+    precision: Literal[32, 64] = Field(default=64, description="bits of the simulation's numbers")
+    settled: SettledTable | None = Field(default=None, description="rule that ends a draw which has settled")
 
     @model_validator(mode="after")
     def _clock(self) -> "LoopTable":
@@ -67,20 +69,24 @@ class MetricsTable(BaseModel):
     """``[metrics]``: the window of the metrics that every run reports."""
 
     model_config = STRICT
-    after: Finite = Field(default=0.0, ge=0.0)
-    settling_band: Finite = Field(default=0.05, gt=0.0)
-    names: list[str] | None = None
+    after: Finite = Field(default=0.0, ge=0.0, description="start of the window [s]")
+    settling_band: Finite = Field(default=0.05, gt=0.0, description="|e| below which the loop counts as settled [m]")
+    names: list[str] | None = Field(default=None, description="metrics to report; absent: the usual ones")
 
 
 class RequirementTable(BaseModel):
     """``[[requirement]]``: a bound of a metric. Field names are the file's."""
 
     model_config = STRICT
-    metric: str
-    after: Finite | None = Field(default=None, ge=0.0)
-    settling_band: Finite | None = Field(default=None, gt=0.0)
-    max: Finite | None = None
-    min: Finite | None = None
+    metric: str = Field(description="the bounded metric")
+    after: Finite | None = Field(
+        default=None, ge=0.0, description="start of its window [s]; absent: that of `[metrics]`"
+    )
+    settling_band: Finite | None = Field(
+        default=None, gt=0.0, description="its settling band [m]; absent: that of `[metrics]`"
+    )
+    max: Finite | None = Field(default=None, description="upper bound")
+    min: Finite | None = Field(default=None, description="lower bound")
 
     @model_validator(mode="after")
     def _one_bound(self) -> "RequirementTable":
@@ -93,8 +99,8 @@ class PlotTable(BaseModel):
     """``[plot]``: what the sweep's figure shows."""
 
     model_config = STRICT
-    metric: str | None = None
-    slope: bool = False
+    metric: str | None = Field(default=None, description="the metric to show; absent: that of the first requirement")
+    slope: bool = Field(default=False, description="whether to fit a slope in double-logarithmic axes")
 
 
 MOST_VALUES, MOST_LANES = 10**6, 10**9
@@ -169,53 +175,77 @@ class TuneTable(BaseModel):
     """
 
     model_config = STRICT
-    parameters: dict[str, Annotated[tuple[float, float], BeforeValidator(parse_range)]] = {}
-    certified: bool = False
-    free: dict[str, Annotated[tuple[float, float] | float, BeforeValidator(parse_free)]] = {}
-    objective: dict[str, Finite]
-    aggregate: Literal["mean", "cvar", "worst"] = "cvar"
-    level: Finite = Field(default=0.95, gt=0.0, lt=1.0)
-    limits: dict[str, Annotated[float | str, BeforeValidator(parse_limit)]] = {}
-    slack: Finite | None = Field(default=None, ge=0.0, le=10.0)
-    optimiser: str = "adam"
-    derivatives: Literal["forward", "reverse"] = "forward"
-    smoothing: Finite | None = Field(default=None, gt=0.0)
-    learning_rate: Finite = Field(default=0.1, gt=0.0)
-    schedule: Literal["cosine", "constant"] = "cosine"
-    steps: int = Field(default=100, ge=1, le=100_000)
-    draws: int = Field(default=128, ge=2, le=10**6)
-    batch: int | None = Field(default=None, ge=2)
-    validation: int = Field(default=128, ge=2, le=10**6)
-    patience: int = Field(default=8, ge=1)
-    seed: int | None = Field(default=None, ge=0, lt=2**32)
+    parameters: dict[str, Annotated[tuple[float, float], BeforeValidator(parse_range)]] = Field(
+        default={}, description="interval of each number that is tuned"
+    )
+    certified: bool = Field(default=False, description="whether Theorem 1 chooses the gains")
+    free: dict[str, Annotated[tuple[float, float] | float, BeforeValidator(parse_free)]] = Field(
+        default={}, description="free parameter of the theorem: its interval, or its fixed value"
+    )
+    objective: dict[str, Finite] = Field(description="weight of each metric in the objective")
+    aggregate: Literal["mean", "cvar", "worst"] = Field(default="cvar", description="how draws are combined")
+    level: Finite = Field(default=0.95, gt=0.0, lt=1.0, description="level of `cvar`")
+    limits: dict[str, Annotated[float | str, BeforeValidator(parse_limit)]] = Field(
+        default={}, description="bound of other metrics; `start`: their value at the start"
+    )
+    slack: Finite | None = Field(
+        default=None, ge=0.0, le=10.0, description="relative slack that every inequality of Theorem 1 keeps"
+    )
+    optimiser: str = Field(default="adam", description="search method")
+    derivatives: Literal["forward", "reverse"] = Field(
+        default="forward", description="mode of automatic differentiation"
+    )
+    smoothing: Finite | None = Field(
+        default=None, gt=0.0, description="first width of the smoothed sign in the derivatives [m/s]"
+    )
+    learning_rate: Finite = Field(
+        default=0.1, gt=0.0, description="step length, in the scaled logarithm of the numbers"
+    )
+    schedule: Literal["cosine", "constant"] = Field(default="cosine", description="course of the learning rate")
+    steps: int = Field(default=100, ge=1, le=100_000, description="iterations at most")
+    draws: int = Field(default=128, ge=2, le=10**6, description="training draws")
+    batch: int | None = Field(default=None, ge=2, description="training draws of one iteration; absent: all")
+    validation: int = Field(default=128, ge=2, le=10**6, description="draws that choose the best iterate")
+    patience: int = Field(default=8, ge=1, description="validations without progress before the search ends")
+    seed: int | None = Field(
+        default=None, ge=0, lt=2**32, description="seed of the training draws; absent: the study's plus one"
+    )
 
 
 class StudyTable(BaseModel):
     """The whole file. Tables of models stay as they are here; the registries know their fields."""
 
     model_config = STRICT
-    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")
-    description: str = ""
-    seed: int = Field(default=0, ge=0, lt=2**32)
-    draws: int = Field(default=1, ge=1, le=10**8)
-    sampling: Literal["random", "sobol", "lhs"] = "random"
-    replicates: int = Field(default=8, ge=8, le=1024)
-    correlation: dict[str, Finite] = {}
-    loop: LoopTable
-    plant: dict[str, Any]
-    controller: dict[str, Any]
-    reference: dict[str, Any] = {"kind": "zero"}
-    sensor: dict[str, Any] = {"kind": "ideal"}
-    differentiator: dict[str, Any] = {"kind": "none"}
-    unmodelled: dict[str, Any] = {"kind": "none"}
-    disturbance: dict[str, Any] = {"kind": "none"}
-    wind: dict[str, Any] = {"kind": "none"}
-    compare: dict[str, dict[str, Any]] = {}
-    metrics: MetricsTable = MetricsTable()
-    requirement: list[RequirementTable] = []
-    tune: TuneTable | None = None
-    sweep: dict[str, Annotated[tuple[float, ...], BeforeValidator(parse_axis)]] = {}
-    plot: PlotTable = PlotTable()
+    name: str = Field(
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$", description="name of the study and of its results folder"
+    )
+    description: str = Field(default="", description="one line for people")
+    seed: int = Field(default=0, ge=0, lt=2**32, description="seed of all random numbers")
+    draws: int = Field(default=1, ge=1, le=10**8, description="draws at each point of the sweep")
+    sampling: Literal["random", "sobol", "lhs"] = Field(default="random", description="design of the draws")
+    replicates: int = Field(
+        default=8, ge=8, le=1024, description="independent randomisations of a Sobol or Latin-hypercube design"
+    )
+    correlation: dict[str, Finite] = Field(
+        default={}, description='rank correlation of two uncertain numbers, as `"a, b" = 0.5`'
+    )
+    loop: LoopTable = Field(description="clock and precision")
+    plant: dict[str, Any] = Field(description="model of the plant")
+    controller: dict[str, Any] = Field(description="controller and its gains")
+    reference: dict[str, Any] = Field(default={"kind": "zero"}, description="desired output")
+    sensor: dict[str, Any] = Field(default={"kind": "ideal"}, description="model of the sensors")
+    differentiator: dict[str, Any] = Field(default={"kind": "none"}, description="estimator of the output's derivative")
+    unmodelled: dict[str, Any] = Field(default={"kind": "none"}, description="dynamics between command and plant")
+    disturbance: dict[str, Any] = Field(default={"kind": "none"}, description="disturbance at the plant's input")
+    wind: dict[str, Any] = Field(default={"kind": "none"}, description="wind, for a vehicle")
+    compare: dict[str, dict[str, Any]] = Field(default={}, description="gains of other controllers, for `compare`")
+    metrics: MetricsTable = Field(default=MetricsTable(), description="metrics and their window")
+    requirement: list[RequirementTable] = Field(default=[], description="bounds that a draw must keep")
+    tune: TuneTable | None = Field(default=None, description="problem of `tune`")
+    sweep: dict[str, Annotated[tuple[float, ...], BeforeValidator(parse_axis)]] = Field(
+        default={}, description="values of swept numbers"
+    )
+    plot: PlotTable = Field(default=PlotTable(), description="figure of a sweep")
 
     @model_validator(mode="after")
     def _size(self) -> "StudyTable":
@@ -232,15 +262,15 @@ class StudyTable(BaseModel):
             return self
         share, rest = divmod(self.draws, self.replicates)
         if self.sampling == "lhs" and (rest or share < 2):
-            nearest = self.replicates * max(2, round(self.draws / self.replicates))
+            closest = self.replicates * max(2, round(self.draws / self.replicates))
             raise ValueError(
                 f"with sampling = 'lhs' draws must be a multiple of replicates = {self.replicates}, at least two a "
-                f"replicate, got {self.draws}; the nearest is {nearest}"
+                f"replicate, got {self.draws}; the nearest is {closest}"
             )
         if self.sampling == "sobol" and (rest or share < 2 or share & (share - 1)):
-            nearest = self.replicates * 2 ** max(1, round(math.log2(self.draws / self.replicates)))
+            closest = self.replicates * 2 ** max(1, round(math.log2(self.draws / self.replicates)))
             raise ValueError(
                 f"with sampling = 'sobol' draws must be replicates times a power of two, {self.replicates} * 2^m with "
-                f"m >= 1, got {self.draws}; the nearest is {nearest}"
+                f"m >= 1, got {self.draws}; the nearest is {closest}"
             )
         return self
