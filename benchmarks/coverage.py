@@ -269,7 +269,7 @@ def told(found: list[np.ndarray | str]) -> tuple[float, str]:
 
 
 def main(words: list[str]) -> int:
-    rows = ["| statement | problem | covered | wholly below |", "|---|---|---|---|"]
+    rows = ["| statement | problem | covered | entirely below |", "|---|---|---|---|"]
     lowest = 1.0
     for (name, (kind, trial)), first in zip(CASES.items(), count(0, REPETITIONS), strict=False):
         if words and not any(word in f"{kind} {name}" for word in words):

@@ -151,8 +151,8 @@ def main() -> int:
         "",
         "## kill -9",
         "",
-        f"A sweep of {blocks} blocks, killed at a random moment of its time (every other one: while it writes blocks) "
-        f"and gone on with `--resume`: **{good} of {chosen.rounds}** bit-identical to the uninterrupted run.",
+        f"A sweep of {blocks} blocks is killed at a random moment (in every other round: while it writes blocks) and "
+        f"resumed with `--resume`: **{good} of {chosen.rounds}** are bit-identical to the uninterrupted run.",
         "",
         "| killed | rounds |",
         "|---|---|",
@@ -160,7 +160,7 @@ def main() -> int:
         "",
         "## A full disk",
         "",
-        "| size of the disk | exit code | said | after making room, `--resume` is bit-identical |",
+        "| size of the disk | exit code | message | `--resume` after freeing space is bit-identical |",
         "|---|---|---|---|",
         *(f"| {size} kB | {code} | {said} | {'yes' if same else 'no'} |" for size, code, said, same in disks),
     ]

@@ -225,7 +225,7 @@ def compiled_table() -> str:
         f"Triton {triton.__version__}, compute capability {ARCHITECTURE / 10:.1f}, {LANES} lanes and {WARPS} warp "
         "a program. A thread has 255 registers of 4 bytes at most.",
         "",
-        "| study | precision | numbers of a lane's state | registers a thread | bytes of stack | compiling [s] |",
+        "| study | precision | numbers of a lane's state | registers per thread | bytes of stack | compilation [s] |",
         "|---|---|---|---|---|---|",
     ]
     for name, case in CASES.items():

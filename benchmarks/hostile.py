@@ -175,17 +175,17 @@ def main() -> int:
         "",
         f"## {chosen.studies} mutated study files",
         "",
-        "A mutation that leaves the file valid is not simulated. Every other must end in exit 2 with one line, in "
-        f"under {SLOW:g} s of processor time, and nothing written.",
+        "A mutation that leaves the file valid is not simulated. Every other mutation must end with exit code 2 and "
+        f"one line, in under {SLOW:g} s of processor time, and must write nothing.",
         "",
         *rows(mutated),
         "",
         f"## {chosen.folders} damaged results folders",
         "",
         "Files are cut, emptied, replaced, exchanged and copied over each other; values of the manifest, of digests "
-        "and of Zarr's metadata are changed, taken away and put in. Each folder is replayed, verified, exported and "
-        "resumed. It must be refused with one line and stay as it is, or give the very same result, where the harm "
-        "does not matter or `--resume` has mended it.",
+        "and of Zarr's metadata are changed, removed and inserted. Each folder is replayed, verified, exported and "
+        "resumed. It must either be refused with one line and remain unchanged, or give exactly the same result "
+        "because the damage is harmless or `--resume` has repaired it.",
         "",
         *rows(harmed),
     ]

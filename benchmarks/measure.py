@@ -179,7 +179,7 @@ def main() -> None:
         "",
         "| what | measured |",
         "|---|---|",
-        f"| draw samples a second, float64, all cores, without compilation | {speed[64] / 1e6:.0f} million |",
+        f"| draw samples per second, float64, all cores, without compilation | {speed[64] / 1e6:.0f} million |",
         f"| the same, float32 | {speed[32] / 1e6:.0f} million |",
         f"| 100,000 draws of 60 s at 5 ms: time, compilation included | {seconds:.1f} s |",
         f"| the same: peak memory of the process | {gigabytes:.2f} GB |",

@@ -291,28 +291,30 @@ def best_lines(controllers: dict[str, list[Trade]]) -> list[str]:
 
 
 GUIDE = """\
-`dssc-jax tune STUDY` chooses the numbers that `[tune.parameters]` names, each inside its interval, so that the
-aggregate of the draws' costs is small: their mean, the mean of the worst share (`cvar`), or a soft worst case. Limits
-bound the mean of a metric; `"start"` is what the start has on the same draws. Requirements count as limits too. The
-search descends on training draws, chooses on validation draws, and is judged on the study's own draws, which nothing
-was tuned on. With `certified = true` the free parameters of Table 1 are varied instead, and every point is a certified
+`dssc-jax tune STUDY` tunes the numbers in `[tune.parameters]`, each within its interval. It minimises an aggregate of
+the draws' costs: their mean, the mean of the worst share (`cvar`), or a soft worst case. Limits bound the mean of a
+metric; `"start"` sets the limit to the value of the initial gains on the same draws. Requirements are limits too. The
+search uses training draws, selects on validation draws, and is judged on the study's own draws, which were not used
+for tuning. With `certified = true` the free parameters of Table 1 are varied instead, and every point is a certified
 design that passes the strict check.
 
-`optimiser` is a descent of optax under an augmented Lagrangian (`adam` unless said, with mini-batches of `batch` draws
-and a learning-rate schedule if wanted), `sqp`, which takes far fewer steps where every one sees all training draws, or
-`differential_evolution`. With `slack = 0.05` the numbers of Table 1 may be tuned themselves: each of Theorem 1's
-inequalities then has to hold with 5 % to spare, and every point passes the strict check too.
+`optimiser` selects the search. The descents of optax (default: `adam`) run under an augmented Lagrangian, with
+mini-batches of `batch` draws and an optional learning-rate schedule. `sqp` needs far fewer steps, but each step uses
+all training draws. The third choice is `differential_evolution`. With `slack = 0.05` the numbers of Table 1
+themselves may be tuned: each inequality of Theorem 1 must then hold with a margin of 5 %, and every point passes the
+strict check too.
 
-Derivatives are exact almost everywhere: the implicit scheme's clip is differentiated as it is. They are compared with
-central differences before every search; where fewer than half agree, or fewer than half tell what a step of the search
-does, differential evolution takes over. Where a loop chatters, `smoothing` [m/s] helps: the program with derivatives
-has x/(|x| + w) in the place of the sign, its width w falls from there to 0, and only the exact loop validates and
-judges. `derivatives = "forward"` simulates each draw once for each number, with its tangent; `"reverse"` once, with a
-pass back for each metric, and is for many numbers. Its memory grows with the square root of the duration.
+Derivatives are exact almost everywhere: the implicit scheme's clip is differentiated without smoothing. Before every
+search they are compared with central differences. If fewer than half agree, or fewer than half predict the effect of
+a step of the search, differential evolution is used instead. If a loop chatters, `smoothing` [m/s] helps: the program
+with derivatives uses x/(|x| + w) instead of the sign, the width w decreases from this value to 0, and only the exact
+loop is used for validation and the final judgement. `derivatives = "forward"` simulates each draw once for each
+number, with its tangent. `"reverse"` simulates it once, with one backward pass for each metric, and suits many
+numbers. Its memory grows with the square root of the duration.
 
-`dssc-jax falsify STUDY` hunts the worst draw within the support of the laws; the disturbance and wind of kind `spline`
-make signals of bounded amplitude and slope a part of the draw. `tune --robust` adds the worst draw that it finds to
-what must be met, and tunes again.
+`dssc-jax falsify STUDY` searches for the worst draw within the support of the laws. With disturbance and wind of kind
+`spline`, signals of bounded amplitude and slope are part of the draw. `tune --robust` adds the worst draw found to
+the draws that must meet the requirements, and tunes again.
 """
 
 
@@ -351,15 +353,16 @@ def main() -> None:
         "",
         "## Error, command variation and lag margin",
         "",
-        "Each controller starts from the gains that correspond to DSSC's at the article's (Table 2), and may move l0 "
-        f"and its two usual gains by a factor of {FACTOR:g} either way: {flat.steps} steps (UAV: {whole.steps}) at "
-        f"most of `sqp` on {budget.train} draws for each limit, and where one limit's search ends the next one's "
-        "begins. Limits are of the variation of the whole command u + u_n, which no controller can hide in its "
-        "nominal part, in shares of what DSSC has with the article's gains; it holds the motion that the reference "
-        f"asks for. {budget.fresh} fresh draws decide on {MISSION:g} s. The error is the mean of the worst 5 % of "
-        "its rms, 'whole' the variation of the whole command in the same shares, 'robust' that of u alone. The lag is "
-        "the one of order two that 95 % of all draws survive, with confidence 95 %, their error "
-        "below 5 m in the second half.",
+        "Each controller starts from the gains that correspond to the article's gains of DSSC (Table 2). The search "
+        f"may change l0 and its two usual gains by a factor of {FACTOR:g} in either direction: {flat.steps} steps "
+        f"(UAV: {whole.steps}) at most of `sqp` on {budget.train} draws for each limit, where each search starts "
+        "from the end of the previous one. The limits apply to the variation of the whole command u + u_n, so that "
+        "no controller can hide variation in its nominal part. They are relative to the variation of DSSC with the "
+        f"article's gains, and the variation includes the motion that the reference requires. {budget.fresh} fresh "
+        f"draws are used for the evaluation over {MISSION:g} s. The error is the mean of the worst 5 % of its rms, "
+        "'whole' is the relative variation of the whole command, and 'robust' is the variation of u alone. The lag "
+        "is of order two; 95 % of all draws, with confidence 95 %, survive it with an error below 5 m in the second "
+        "half.",
         "",
         *front_lines(fronts),
         "![error against command variation and lag margin](figures/pareto.png)",

@@ -75,21 +75,21 @@ def remarks(settings: dict[str, Runs]) -> list[str]:
     waves = {name: fast_part(same[name], "x_u", SECONDS) for name in ("DSSC", "STA")}
     near = max(gap(same["DSSC"], same["STA"], f"{axis}_u", SECONDS) for axis in AXES)
     return [
-        "* **Two readings of kappa_m.** It is not printed for this comparison. As the STA's equivalent kappa_m = "
-        f"kappa1/kappa2 = {KAPPA_1 / KAPPA_2:.4g}; but the article lists what differs from Case 1, and kappa_m = "
-        f"{CASE_1:g} is not on that list. With kappa1/kappa2 DSSC swings as much as the clipped STA (high-frequency "
-        f"rms over rho in x, y: {swing}); with {CASE_1:g} it is calm ({calm}), and Fig. 5 comes out. Such a DSSC "
-        f"is the equivalent of kappa2 = kappa1/kappa_m = {KAPPA_1 / CASE_1:.2g}, not of {KAPPA_2:g}, and it tracks "
-        f"worse: rms of e after 40 s {price[0]}, against {price[1]}.",
+        "* **Two readings of kappa_m.** The article does not print it for this comparison. Equivalence with the STA "
+        f"gives kappa_m = kappa1/kappa2 = {KAPPA_1 / KAPPA_2:.4g}, but the article lists the differences from Case 1, "
+        f"and kappa_m = {CASE_1:g} is not on that list. With kappa1/kappa2, DSSC oscillates as much as the clipped "
+        f"STA (high-frequency rms over rho in x, y: {swing}); with {CASE_1:g} it is calm ({calm}), and Fig. 5 is "
+        f"reproduced. Such a DSSC is equivalent to kappa2 = kappa1/kappa_m = {KAPPA_1 / CASE_1:.2g}, not of "
+        f"{KAPPA_2:g}, and it tracks worse: rms of e after 40 s {price[0]}, against {price[1]}.",
         f"* **The bound.** The unlimited STA: {ended(printed['STA'])} (it may integrate at 50 m/s^2). DSSC with rho = "
         f"100 m/s: {ended(printed['DSSC wide'])} with kappa1/kappa2, {ended(kept['DSSC wide'])} with {CASE_1:g}.",
-        "* **psi and z** have no attitude loop in their way; without a rotors' lag the implicit STA slides there.",
+        "* **psi and z** are not behind an attitude loop; without rotor lag the implicit STA slides there.",
         f"* **Small kappa2.** At 0.5 the STA's command has {factors[0]:.0f} (x) and {factors[1]:.0f} (y) times the "
-        "high-frequency rms of DSSC's, which delta = 2 in k_o smooths; so they are not alike. The price is error: "
-        f"rms after 20 s of {errors['DSSC'][0]:.2g} (x) and {errors['DSSC'][1]:.2g} m (y) against "
-        f"{errors['STA'][0]:.2g} and {errors['STA'][1]:.2g} m. With delta = 0.0025 in k_o as in tau_m, which is row 4 "
-        f"of Table 2, DSSC oscillates in x by {waves['DSSC']:.2g} m/s and the STA by {waves['STA']:.2g}, out of "
-        f"phase, hence a difference of {near:.2g} times the rms on the worst axis.",
+        "high-frequency rms of DSSC's, which delta = 2 in k_o smooths, so the two are not similar. The price is a "
+        f"larger error: its rms after 20 s is {errors['DSSC'][0]:.2g} (x) and {errors['DSSC'][1]:.2g} m (y) "
+        f"against {errors['STA'][0]:.2g} and {errors['STA'][1]:.2g} m. With delta = 0.0025 in k_o as in tau_m, which "
+        f"is row 4 of Table 2, DSSC oscillates in x by {waves['DSSC']:.2g} m/s and the STA by {waves['STA']:.2g}, out "
+        f"of phase, hence a difference of {near:.2g} times the rms on the worst axis.",
     ]
 
 
@@ -105,15 +105,15 @@ def why(cycles: dict[str, tuple[balance.Cycle, balance.Cycle]]) -> list[str]:
         f"At sigma = 0 the law (22) is a PI controller with K_P = 1/(k_o tau_av) = {PROPORTIONAL:.3g} 1/s and K_I = "
         f"K_P/tau_m = {PROPORTIONAL / TAU_M:.2g} 1/s^2. In series with the attitude loop 60/(s^2 + 15 s + 60) and the "
         f"velocity loop it has a pair of poles at {poles[0].real:.3g} ± {abs(poles[0].imag):.3g} i 1/s. It is stable "
-        f"for tau_m(0) > {least:.3g} s only, that is kappa_m > {least / 0.0025:.3g} at delta = 0.0025, or kappa2 < "
-        f"{KAPPA_1 * 0.0025 / least:.2g} at kappa1 = {KAPPA_1:g}. So DSSC oscillates in x and y for every kappa_m "
-        "that is in question, and kappa_m decides how much: tau_m grows with |sigma|^(1/2), the cycle stops growing "
-        "where tau_m is long enough, and unless the amplitude of u is then below rho, rho is what stops it. While u "
-        "stays below rho the amplitude of sigma is proportional to kappa_m^-2 and the period hardly changes.",
+        f"for tau_m(0) > {least:.3g} s only, that is, for kappa_m > {least / 0.0025:.3g} at delta = 0.0025, or kappa2 "
+        f"< {KAPPA_1 * 0.0025 / least:.2g} at kappa1 = {KAPPA_1:g}. So DSSC oscillates in x and y for every kappa_m "
+        "considered, and kappa_m determines the amplitude: tau_m grows with |sigma|^(1/2), and the oscillation stops "
+        "growing when tau_m is long enough or when u reaches rho. While u stays below rho, the amplitude of sigma is "
+        "proportional to kappa_m^-2 and the period hardly changes.",
         "",
-        "Harmonic balance, with the sampled controller and its limits as the element, against flights that start on "
-        "the reference (x axis; fundamentals; the clipped STA acts as a relay). For kappa_m above 1 the cycle "
-        "is too small to be seen beside what the reference asks for.",
+        "The table compares harmonic balance, with the sampled controller and its limits as the nonlinear element, "
+        "with flights that start on the reference (x axis; fundamentals; the clipped STA acts as a relay). For "
+        "kappa_m above 1 the limit cycle is too small to distinguish from the motion that the reference requires.",
         "",
         *table(
             (
@@ -141,14 +141,14 @@ def conclusion(values: Columns, flights: dict[tuple[str, str], Flights]) -> str:
         order = sorted(rank, key=lambda name, rank=rank: -abs(rank[name]))[:3]
         strongest.append(f"{axis}: " + ", ".join(f"{name.removeprefix('plant.')} {rank[name]:.2f}" for name in order))
     return (
-        "**What the advantage hangs on: kappa_m.** DSSC oscillates less than half of what the clipped STA does in x "
-        f"in a share of {ends[0]} of the draws with kappa_m below {CLASSES[1]:g}, where kappa1/kappa2 = 0.006 lies, "
-        f"and {ends[1]} of those from {CLASSES[-2]:g} on, where Case 1's {CASE_1:g} lies; in between its oscillation "
-        "is slower rather than smaller (last table). Rank correlation (Spearman) of the ratio of both oscillations "
-        f"with the drawn numbers, the three largest: {'; '.join(strongest)}. In psi and z the rotors' lag counts "
-        "beside it, since without lag there is nothing there for the STA to oscillate with. The bound decides which "
-        "vehicle survives: the STA needs it nearly always, DSSC where kappa_m is small. So does the term 1/tau_m in "
-        "u_n: it loses the vehicle where kappa_m is small and calms it where kappa_m is large."
+        "**The advantage depends on kappa_m.** In x, DSSC oscillates less than half as much as the clipped STA in a "
+        f"share of {ends[0]} of the draws with kappa_m below {CLASSES[1]:g}, where kappa1/kappa2 = 0.006 lies, "
+        f"and {ends[1]} of those from {CLASSES[-2]:g} on, where Case 1's {CASE_1:g} lies; in between, its oscillation "
+        "is slower rather than smaller (last table). The three largest rank correlations (Spearman) of the ratio of "
+        f"both oscillations with the drawn numbers are: {'; '.join(strongest)}. In psi and z the rotor lag also "
+        "matters, because without lag the STA does not oscillate there. The bound decides which vehicle survives: "
+        "the STA needs it nearly always, DSSC only if kappa_m is small. So does the term 1/tau_m in u_n: the vehicle "
+        "is lost with it if kappa_m is small, and oscillates less if kappa_m is large."
     )
 
 
@@ -179,9 +179,9 @@ def page(found: Findings, seconds: float) -> str:
         "",
         f"Regenerated by `python -m benchmarks.paper` in {seconds:.0f} s. Machine: {machine()}.",
         "",
-        "Numbers come in the order x, y, z, psi; lengths in m, angles in rad. The high-frequency rms of a signal is "
-        f"that of the signal less its centred moving average over {SMOOTH:g} s. No parameter of a loop was adjusted to "
-        "a claim. The STA is the implicit form unless the table says otherwise.",
+        "Numbers are in the order x, y, z, psi, with lengths in m and angles in rad. The high-frequency rms of a "
+        f"signal is the rms of the signal minus its centred moving average over {SMOOTH:g} s. No parameter of a "
+        "loop was adjusted to match a claim. The STA is the implicit form unless the table says otherwise.",
         "",
         *table(
             ("the article", "the number that stands for it", "measured", "holds?"),
@@ -192,12 +192,12 @@ def page(found: Findings, seconds: float) -> str:
         "",
         "![commands and errors of both models](figures/paper_fig3.png)",
         "",
-        "The constant d of Case 2 is no equivalent of Case 1's wind, as the article says: the two differ after 20 s. "
-        f"Standing still, the vehicle is accelerated by {text(wind_drag())} m/s^2 (x, y, z) by the wind, while d is "
-        "-0.8, 0.8 and 0.2; neither was tuned to the other. No residual oscillation of the inner loops is seen in "
-        "the full model's command: in x, y, z its fast part is that of the simplified model. psi differs before 20 s "
-        "because its inner loop (s + 0.2)/(s^2 + s + 0.2) is not the 1/(s + 1) of the nominal control; its command "
-        "follows the reference's slow swing.",
+        "The constant d of Case 2 is not equivalent to Case 1's wind, as the article says, and the two cases differ "
+        f"after 20 s. The wind accelerates the vehicle at rest by {text(wind_drag())} m/s^2 (x, y, z), while d is "
+        "-0.8, 0.8 and 0.2; neither was tuned to match the other. The full model's command shows no residual "
+        "oscillation of the inner loops: in x, y, z its high-frequency part equals that of the simplified model. psi "
+        "differs before 20 s because its inner loop (s + 0.2)/(s^2 + s + 0.2) is not the 1/(s + 1) of the nominal "
+        "control; its command follows the slow oscillation of the reference.",
         "",
         "![k_o and tau_m of both models](figures/paper_fig4.png)",
         "",
@@ -211,21 +211,21 @@ def page(found: Findings, seconds: float) -> str:
         "",
         *why(found.cycles),
         "",
-        "### Which set-up does what Fig. 5 shows",
+        "### Which set-up reproduces Fig. 5",
         "",
-        "High-frequency rms over rho, from 30 s on, of the command less the reference's own y_m' + y_m''. DSSC with "
-        "kappa1 = 0.6025 and kappa2 = 100 against the STA clipped to rho; as in Fig. 5 where DSSC stays below 0.1 "
-        "while the STA is above 0.1 and has more than twice as much.",
+        "The table gives the high-frequency rms over rho, from 30 s on, of the command minus the reference's own "
+        "y_m' + y_m''. It compares DSSC with kappa1 = 0.6025 and kappa2 = 100 with the STA clipped to rho. The "
+        "result counts as Fig. 5 if DSSC stays below 0.1 while the STA is above 0.1 and more than twice as large.",
         "",
         *table(("set-up", "DSSC", "STA clipped", "as Fig. 5 on"), found.searched),
         "",
-        "### What the conclusion hangs on",
+        "### What the conclusion depends on",
         "",
-        f"{DRAWS} draws, the same for every set-up, of what the article does not print: {laws()}. The inner loops "
-        "keep the nominal mass and inertia. Flights of 60 s without wind; oscillation is the high-frequency rms as "
-        "above, in m/s and rad/s: median [5 %, 95 %] of the flights that were not lost. Shares come with their 95 % "
-        "Clopper-Pearson interval; the last column pairs each draw of DSSC with the clipped STA in the same inner "
-        "loop (x, y, z, psi; a lost flight is the worst).",
+        f"{DRAWS} draws, the same for every set-up, of the parameters that the article does not print: {laws()}. The "
+        "inner loops keep the nominal mass and inertia. Flights of 60 s without wind; oscillation is the "
+        "high-frequency rms as above, in m/s and rad/s: median [5 %, 95 %] of the flights that were not lost. Shares "
+        "come with their 95 % Clopper-Pearson interval; the last column pairs each draw of DSSC with the clipped STA "
+        "in the same inner loop (x, y, z, psi; a lost flight is the worst).",
         "",
         conclusion(found.values, found.flights),
         "",
@@ -234,8 +234,8 @@ def page(found: Findings, seconds: float) -> str:
         *table(("set-up", "lost", *AXES, "less than half of the STA's"), setup_rows(found.flights)),
         "",
         f"By kappa_m, DSSC at the article's bounds: medians over rho, with a moving average over {SMOOTH:g} s, which "
-        f"follows slow oscillations, and over {SLOW:g} s, which does not; shares of draws in which it oscillates less "
-        "than half of what the clipped STA does; shares of flights lost.",
+        f"removes slow oscillations, and over {SLOW:g} s, which does not; shares of draws in which it oscillates less "
+        "than half as much as the clipped STA; shares of flights lost.",
         "",
         *table(
             (
@@ -252,8 +252,8 @@ def page(found: Findings, seconds: float) -> str:
         "",
         "## The field test's set-up (Fig. 6 and 7)",
         "",
-        "Path, turbulence and inner loops are assumed, so only shapes compare; 80 s are the first lap. The article "
-        "kept the STA's gain in z at a lower level, which it does not print; here all gains are the same.",
+        "Path, turbulence and inner loops are assumed, so only the shapes can be compared; the first lap takes 80 s. "
+        "The article used a lower gain of the STA in z, which it does not print; here all gains are the same.",
         "",
         "![path and errors](figures/paper_fig6_fig7.png)",
         "",
@@ -263,14 +263,13 @@ def page(found: Findings, seconds: float) -> str:
         "",
         "## Uncertain vehicle, wind and noise",
         "",
-        f"`studies/uav_robustness.toml` at its own laws: {found.answer}. Over the rotors' time constant:",
+        f"`studies/uav_robustness.toml` with its own laws: {found.answer}. Over the rotors' time constant:",
         "",
         "![robustness](figures/paper_robustness.png)",
         "",
-        "Noise matters most. In (22) the gain 1/(k_o tau_av) at the sampled sigma multiplies that sigma's own "
-        "increment; noise makes the mean of the product differ from zero, and the tracking error settles at an offset. "
-        "Case 2, x axis, d = 0, white noise of 0.06 m/s on the velocity, median of 64 draws of the largest |e| after "
-        "40 s:",
+        "Noise matters most. In (22) the gain 1/(k_o tau_av) at the sampled sigma multiplies the increment of the "
+        "same sigma. Noise makes the mean of this product nonzero, so the tracking error settles at an offset. Case "
+        "2, x axis, d = 0, white noise of 0.06 m/s on the velocity, median of 64 draws of the largest |e| after 40 s:",
         "",
         *table(("functions", "T_s", "largest error"), found.noise),
     ]
