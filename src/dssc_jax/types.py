@@ -1,4 +1,4 @@
-"""What a model of one's own is made of, in one place: contracts, signals, quantities and registry rows."""
+"""The types needed to write a model: contracts, signals, quantities and registry rows."""
 
 from dssc_jax.core.contracts import (
     Controller,

@@ -1,1 +1,1 @@
-"""What touches the inside of JAX: compiler settings, rewritten programs, kernels."""
+"""Code that depends on JAX internals: compiler settings, program rewriting, kernels."""

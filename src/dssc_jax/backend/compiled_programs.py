@@ -1,11 +1,12 @@
-"""Compiled programs, kept in the user's cache directory, so that the second process that needs one only reads it.
+"""A cache of compiled programs in the user's cache directory, shared by all processes.
 
-JAX has such a cache, but one that believes its files: half of a program warns at every start, and another program under
-its name is run, which ends the process. Here every file begins with the digest of its name and content. What does not
-match is deleted with one line, and compiled again. A file is moved to its place in one piece, so that processes need
-not wait for each other.
+JAX's own cache trusts its files: a truncated program causes a warning at every start, and a different program under
+the same name is run, which ends the process. Here every file begins with the digest of its name and content. A file
+that does not match is deleted with a one-line message, and the program is compiled again. Files are moved into place
+atomically, so processes need not wait for each other.
 
-Setting the environment variable ``DSSC_JAX_CACHE=off`` keeps nothing; whoever has given JAX a cache keeps that.
+The environment variable ``DSSC_JAX_CACHE=off`` disables the cache. A cache that the user has configured for JAX takes
+precedence.
 """
 
 import hashlib
@@ -25,18 +26,18 @@ DIGEST = hashlib.sha256().digest_size
 
 
 class ProgramCache:
-    """A folder of programs by name, as JAX asks for them.
+    """A folder of programs by name, with the interface that JAX requires.
 
     Args:
-        folder: Where; made when a program is put in.
-        most: Bytes that it may hold.
+        folder: The folder; created when a program is stored.
+        most: Maximum size in bytes.
     """
 
     def __init__(self, folder: Path, most: int = CACHE_SIZE) -> None:
         self._path, self.most = folder, most
 
     def get(self, key: str) -> bytes | None:
-        """The program of a name; None where there is none, or where the file holds anything else."""
+        """The program of a name; None if there is none, or if the file does not match."""
         file = self._file(key)
         try:
             content = file.read_bytes()
@@ -51,7 +52,7 @@ class ProgramCache:
         return None
 
     def put(self, key: str, value: bytes) -> None:
-        """Keep a program under its name."""
+        """Store a program under its name."""
         self._path.mkdir(parents=True, exist_ok=True)
         partial = self._path / f"{uuid4().hex}.partial"
         try:
@@ -66,7 +67,7 @@ class ProgramCache:
         return self._path / f"{key}.program"
 
     def _make_room(self) -> None:
-        """Delete the files that have not been read for the longest time, whoever wrote them."""
+        """Delete the files that have not been read for the longest time."""
         with os.scandir(self._path) as entries:
             known = [
                 (about.stat().st_mtime_ns, about.stat().st_size, about.path) for about in entries if about.is_file()
@@ -80,15 +81,15 @@ class ProgramCache:
 
 
 def digest(key: str, program: bytes) -> bytes:
-    """What binds a program to its name."""
+    """The digest that binds a program to its name."""
     return hashlib.sha256(key.encode() + b"\n" + program).digest()
 
 
 def keep_programs() -> None:
-    """Have JAX keep compiled programs here, unless the user has given it a cache or wants none.
+    """Make JAX store compiled programs here, unless the user has configured or disabled its cache.
 
-    JAX has no public way to say how a cache is read. In a version where the function that makes it is gone, nothing is
-    kept: rather no cache than one that is believed.
+    JAX has no public interface to change how a cache is read. If a version lacks the function that creates it, there
+    is no cache: no cache is better than one that trusts its files.
     """
     folder = xla.cache_directory()
     off = os.environ.get(CACHE_VARIABLE, "").lower() in xla.OFF

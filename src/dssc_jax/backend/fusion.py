@@ -1,9 +1,9 @@
-"""Shared values of a batched step are computed once, which XLA:CPU alone does not do.
+"""Rewriting of batched programs so that shared values are computed once, which XLA:CPU does not ensure.
 
-XLA:CPU fuses a chain of elementwise operations into one kernel for each of its results, and computes what several
-results share again in every kernel. Here such a value gets a buffer of its own as soon as computing it again would cost
-more than reading it. The border is a call that the compiler may not inline: what crosses it is a buffer, and within a
-loop that is compiled as a whole (see :mod:`dssc_jax.backend.xla`) the call itself costs nothing.
+XLA:CPU fuses a chain of elementwise operations into one kernel for each of its results, and recomputes in every
+kernel the values that several results share. Here such a value gets its own buffer if recomputing it would cost more
+than reading it. The boundary is a call that the compiler may not inline. A value that crosses it is stored in a
+buffer. Within a loop that is compiled as a whole (see :mod:`dssc_jax.backend.xla`) the call itself costs nothing.
 """
 
 from collections import Counter
@@ -27,11 +27,11 @@ REPEATED = {
     *("add", "sub", "mul", "neg", "abs", "sign", "square", "integer_pow", "floor", "ceil", "round", "is_finite"),
     *("max", "min", "clamp", "select_n", "lt", "le", "gt", "ge", "eq", "ne", "and", "or", "not"),
 }
-"""Operations that XLA repeats rather than keep their result; the others, division and roots among them, it keeps."""
+"""Operations that XLA repeats instead of storing their results; it stores the others, including division and roots."""
 
 
 def shared_once(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The same function, whose shared values are kept; of arrays with one batch axis, without side effects."""
+    """The same function with its shared values buffered; for arrays with one batch axis, without side effects."""
 
     def once(*args: Any) -> Any:
         program, shape = jax.make_jaxpr(function, return_shape=True)(*args)
@@ -42,7 +42,7 @@ def shared_once(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def rewritten(program: ClosedJaxpr) -> ClosedJaxpr:
-    """The same program: calls inlined, equal expressions merged, shared values kept; so in the bodies of its loops."""
+    """The same program with calls inlined, equal expressions merged and shared values buffered, also in its loops."""
     inputs = program.in_avals
     flat = jax.make_jaxpr(lambda *args: Merged().run(program, args))(*inputs)
     return jax.make_jaxpr(lambda *args: keeping(flat, args))(*inputs)
@@ -50,12 +50,12 @@ def rewritten(program: ClosedJaxpr) -> ClosedJaxpr:
 
 @jax.jit
 def itself(value: jax.Array) -> jax.Array:
-    """The value."""
+    """Return the value."""
     return value
 
 
 def kept(value: jax.Array) -> jax.Array:
-    """The value, in a buffer of its own."""
+    """Return the value, in its own buffer."""
     with set_xla_metadata(inlineable="false"):
         return itself(value)
 
@@ -73,14 +73,14 @@ class VariableValues:
         return [atom.val if isinstance(atom, Literal) else self.values[atom] for atom in atoms]
 
     def write(self, variables: Sequence[Var], values: Sequence[Any]) -> None:
-        """Set what an equation defines."""
+        """Set the variables that an equation defines."""
         self.values.update(zip(variables, values, strict=True))
 
 
 class Merged:
-    """Evaluation with calls inlined; an expression that stands twice is evaluated once.
+    """Evaluation with calls inlined; equal expressions are evaluated once.
 
-    What is compared by object is kept with the results, so that no later object takes over its id.
+    Objects compared by identity are kept with the results, so that no later object reuses their id.
     """
 
     def __init__(self) -> None:
@@ -97,7 +97,7 @@ class Merged:
         return scope.read(program.jaxpr.outvars)
 
     def results(self, eqn: JaxprEqn, operands: list[Any]) -> list[Any]:
-        """What one equation defines."""
+        """The values that one equation defines."""
         if eqn.primitive.name in LOOP_PRIMITIVES or eqn.effects:
             params = {
                 name: rewritten(value) if name in BODIES and isinstance(value, ClosedJaxpr) else value
@@ -111,10 +111,11 @@ class Merged:
 
 
 def content_key(value: Any) -> Hashable:
-    """Equal for operands and parameters that are surely equal.
+    """A key that is equal only for equal operands and parameters.
 
-    Arrays and numbers are compared by type and bytes, containers part by part, names by value; all else, traced values
-    and programs among it, by object. (Printed text would not do: NumPy shortens it.)
+    Arrays and numbers are compared by type and bytes, containers element by element, names by value, and everything
+    else, including traced values and programs, by identity. (Printed text is not suitable, because NumPy abbreviates
+    it.)
     """
     if value is None or isinstance(value, str | bytes | Enum | np.dtype):
         return type(value), value
@@ -156,7 +157,7 @@ def variables_of(eqn: JaxprEqn) -> set[Var]:
 
 
 def keeping(program: ClosedJaxpr, args: Sequence[Any]) -> list[Any]:
-    """Results of a program without calls, its shared values kept where that is cheaper than computing them again."""
+    """Results of a program without calls; shared values are buffered if that is cheaper than recomputing them."""
     scope, equations = VariableValues(program, args), needed(program.jaxpr)
     keep = worth_keeping(equations, {atom for atom in program.jaxpr.outvars if isinstance(atom, Var)})
     for eqn in equations:
@@ -169,11 +170,12 @@ def keeping(program: ClosedJaxpr, args: Sequence[Any]) -> list[Any]:
 def worth_keeping(equations: Sequence[JaxprEqn], results: set[Var]) -> set[Var]:
     """Variables that several kernels read and that cost too much to compute in each of them.
 
-    A kernel is named by the value that it stores. Backwards, a variable belongs to the kernels of its readers; what
-    only one kernel reads is computed within it. Forwards, operations are counted from the last stored values.
+    A kernel is identified by the value that it stores. A backward pass assigns a variable to the kernels of its
+    readers; a variable read by only one kernel is computed within it. A forward pass counts operations from the last
+    stored values.
 
-    Of arrays XLA itself keeps what is not :data:`REPEATED`; of single numbers, which kernels broadcast, nothing: the
-    sine of the time would be computed in each kernel that reads the reference.
+    XLA itself stores arrays whose operation is not in :data:`REPEATED`. It stores no scalars, which kernels
+    broadcast: the sine of the time would be computed in each kernel that reads the reference.
     """
     again = repeated_work(equations, results)
     kernels: dict[Var, set[Var]] = {variable: {variable} for variable in results}
@@ -194,7 +196,7 @@ def worth_keeping(equations: Sequence[JaxprEqn], results: set[Var]) -> set[Var]:
 
 
 def repeated_work(equations: Sequence[JaxprEqn], results: set[Var]) -> dict[Var, int]:
-    """Operations to compute each variable from the values that several others read."""
+    """Number of operations to compute each variable from the values that several others read."""
     uses = Counter(results) + Counter(variable for eqn in equations for variable in variables_of(eqn))
     again: dict[Var, int] = {}
     left: dict[Var, int] = Counter()
@@ -208,5 +210,5 @@ def repeated_work(equations: Sequence[JaxprEqn], results: set[Var]) -> dict[Var,
 
 
 def size(variable: Var) -> int:
-    """Numbers in a variable's array."""
+    """Number of elements in a variable's array."""
     return getattr(variable.aval, "size", 1)

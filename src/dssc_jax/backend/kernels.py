@@ -1,15 +1,15 @@
-"""A batch of lanes as one GPU kernel, whose state stays in registers for the whole run.
+"""GPU kernels that simulate a batch of lanes with the state in registers for the whole run.
 
-A plain loop over time launches kernels at every sample and carries the state of all lanes through memory. Here each
-program of a Pallas grid loads the numbers of a warp of lanes, runs the lanes from start to end, and stores what was
-found. The kernel is what JAX traces of the lane program itself: there is no second copy of the physics.
+A plain loop over time launches kernels at every sample and keeps the state of all lanes in memory. Here each program
+of a Pallas grid loads the numbers of a warp of lanes, runs the lanes from start to end, and stores the results. The
+kernel is traced from the lane program itself, so the physics is not duplicated.
 
-On the way three things are rewritten, because Triton, which compiles it, reads them differently:
+Three things are rewritten, because Triton, which compiles the kernel, treats them differently:
 
 * a weakly typed float64 (the sine of a plain number) would be computed in float32;
-* its minimum and maximum drop a NaN, which would hide a diverged draw from the loop;
-* random keys have no form there. Where no random number is drawn they are unused, and dropped; otherwise the program
-  does not fit, and the engine keeps the loop over time.
+* its minimum and maximum ignore NaN, which would hide a diverged draw from the loop;
+* it has no random keys. If no random number is drawn, they are unused and removed; otherwise the program is
+unsuitable, and the engine keeps the loop over time.
 """
 
 import os
@@ -38,7 +38,7 @@ ELEMENTWISE = {
     "is_finite", "le", "log", "log1p", "lt", "mul", "ne", "neg", "not", "or", "pow", "rem", "rsqrt", "select_n", "sign",
     "sin", "sinh", "sqrt", "square", "stop_gradient", "sub", "tan", "tanh", "xor",
 }  # fmt: skip
-"""Primitives that Triton has, and that act on every lane by itself."""
+"""Primitives that Triton supports and that act on every lane separately."""
 
 ORDERED = {"max": jnp.greater_equal, "min": jnp.less_equal}
 
@@ -47,7 +47,7 @@ Batch = Callable[[dict[str, jax.Array], jax.Array], Any]
 
 
 class Form(StrEnum):
-    """How a batch advances: all lanes sample by sample, or a Pallas kernel that takes a warp of them to the end."""
+    """How a batch advances: all lanes sample by sample, or each warp of lanes to the end in a Pallas kernel."""
 
     SCAN = "scan"
     PALLAS = "pallas"
@@ -65,10 +65,10 @@ class KernelWarning(UserWarning):
 
 
 def requested(choice: str = "") -> str:
-    """``scan``, or what was asked for: as an argument, or in the environment.
+    """The requested form, from the argument or the environment; default ``scan``.
 
     Raises:
-        ConfigError: there is no such form.
+        ConfigError: There is no such form.
     """
     choice = choice or os.environ.get(KERNEL_VARIABLE) or Form.SCAN
     if choice not in (*Form, "auto"):
@@ -77,24 +77,24 @@ def requested(choice: str = "") -> str:
 
 
 def requested_settings() -> list[str]:
-    """What the environment asks for, as a manifest keeps it; nothing where it does not."""
+    """The environment's setting, for the manifest; empty if there is none."""
     return [f"{KERNEL_VARIABLE}={requested()}"] if os.environ.get(KERNEL_VARIABLE) else []
 
 
 def compiled(choice: str, compile_for: Callable[[Batch], Any], scan: Batch, batch: Batch) -> Any:
-    """A batch, compiled in the form of choice; ``auto``: as a kernel on a GPU wherever it can be one.
+    """Compile a batch in the chosen form; ``auto`` selects the kernel on a GPU if possible.
 
     Args:
-        choice: What :func:`requested` gave.
+        choice: The result of :func:`requested`.
         compile_for: Compiles a batch.
-        scan: The batch as it advances sample by sample.
-        batch: The batch as it is written.
+        scan: The batch in the form that advances sample by sample.
+        batch: The batch as written.
 
     Raises:
-        Unfit: a kernel was asked for, and the batch cannot be one.
+        Unfit: A kernel was requested, but the batch cannot run as one.
 
     Warns:
-        KernelWarning: it was not asked for, and the batch cannot be one.
+        KernelWarning: ``auto`` was requested, but the batch cannot run as a kernel.
     """
     if choice == Form.PALLAS:
         return compile_for(in_registers(batch))
@@ -108,14 +108,14 @@ def compiled(choice: str, compile_for: Callable[[Batch], Any], scan: Batch, batc
 
 
 def in_registers(batch: Batch, interpret: bool | None = None) -> Batch:
-    """The same batch as a Pallas kernel of :data:`LANES` lanes a program.
+    """The same batch as a Pallas kernel with :data:`LANES` lanes per program.
 
     Args:
-        batch: What is computed of lanes that do not see each other.
-        interpret: Run it by XLA instead of Triton; None: where there is no GPU.
+        batch: The computation for independent lanes.
+        interpret: Run it by XLA instead of Triton; None: if there is no GPU.
 
     Raises:
-        Unfit: when it is traced: the program draws random numbers, or does what only arrays can.
+        Unfit: When traced, if the program draws random numbers or needs array operations.
     """
     import jax.experimental.pallas as pl  # not at import: most runs need neither
     from jax.experimental.pallas import triton
@@ -154,14 +154,15 @@ def in_registers(batch: Batch, interpret: bool | None = None) -> Batch:
 
 
 def power_of_two(count: int) -> int:
-    """The least that is not below ``count``: no other length exists in Triton."""
+    """The smallest power of two that is not below ``count``; Triton has no other lengths."""
     return 1 << max(count - 1, 0).bit_length()
 
 
 def joined(columns: list[jax.Array]) -> jax.Array:
     """2^m columns as one array of shape (LANES, 2^m), two at a time: Triton's way.
 
-    One store in place of many, since the time to compile grows with the stores times the square of the program.
+    One store replaces many, because the compile time grows with the number of stores times the square of the program
+    size.
     """
     while len(columns) > 1:
         half = len(columns) // 2
@@ -171,10 +172,10 @@ def joined(columns: list[jax.Array]) -> jax.Array:
 
 
 def translated(program: ClosedJaxpr, arguments: Sequence[Any]) -> list[Any]:
-    """Trace a program again, as Triton needs it; nested ones become part of it.
+    """Trace a program again in the form Triton needs; nested programs are inlined.
 
     Raises:
-        Unfit: it cannot be said in the primitives of :data:`ELEMENTWISE` and loops over them.
+        Unfit: It cannot be expressed in the primitives of :data:`ELEMENTWISE` and loops over them.
     """
     if any(np.ndim(constant) for constant in program.consts):
         raise Unfit(f"the loop holds an array of shape {max(map(np.shape, program.consts))}")
@@ -215,22 +216,22 @@ def applied(equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
 
 
 def typed(atom: Any, value: Any) -> Any:
-    """The value of a variable or literal; the literal's with the type that it has there."""
+    """The value of a variable or literal; a literal has its type in the program."""
     return np.asarray(value, jax.typeof(value).dtype)[()] if isinstance(atom, Literal) else value
 
 
 def strong(x: Any) -> Any:
-    """The same value, of a type that does not yield to others'."""
+    """The same value with a strong type, which is not promoted to others."""
     return lax.convert_element_type(x, x.dtype) if getattr(x, "weak_type", False) else x
 
 
 def extreme(before: Callable[[Any, Any], Any], x: Any, y: Any) -> Any:
-    """The one that comes before the other; NaN where one of them is."""
+    """The minimum or maximum; NaN if either is NaN."""
     return jnp.where(before(x, y) | (x != x), x, y)
 
 
 def scan(equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
-    """A loop of known length that carries numbers only: its body takes and gives what the whole loop does."""
+    """A loop of known length that carries numbers only; its body has the inputs and outputs of the whole loop."""
     body: ClosedJaxpr = equation.params["jaxpr"]
     if shapes(x.aval for x in (*equation.invars, *equation.outvars)) != shapes((*body.in_avals, *body.out_avals)):
         raise Unfit("the loop keeps its samples")
@@ -243,7 +244,7 @@ def scan(equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
 
 
 def while_loop(equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
-    """A loop that the lanes of a warp leave together."""
+    """A loop that all lanes of a warp leave together."""
     goes_on, body = equation.params["cond_jaxpr"], equation.params["body_jaxpr"]
     constants, carry = split_before_last(len(equation.outvars), operands)
     condition_constants, constants = split_before_last(len(body.in_avals) - len(carry), constants)
@@ -265,4 +266,4 @@ def split_before_last(count: int, values: list[Any]) -> tuple[list[Any], list[An
 
 
 LOOP_TRANSLATIONS = {"scan": scan, "while": while_loop}
-"""Loops by what any version of JAX says of them: programs, and what goes in and comes out."""
+"""Loops, handled through data available in every supported version of JAX: programs, inputs and outputs."""

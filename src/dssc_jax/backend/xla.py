@@ -1,12 +1,13 @@
-"""CPU compiler settings, put into the environment before the XLA backend starts.
+"""CPU compiler settings, written to the environment before the XLA backend starts.
 
 XLA:CPU runs a loop as a sequence of small kernels, each looked up, checked and called by an interpreter; a closed-loop
-step has hundreds. A loop whose body touches few bytes it compiles as a whole into one kernel instead. The limit is
-1 kB; here it is raised to what a tile of draws needs. With that, 512-bit vectors where the processor has them, and
-:mod:`dssc_jax.backend.fusion`, a step costs several times less. One host device a core lets the engine shard a batch.
-XLA reads the flags once, when its backend starts: they cannot be given later nor for one function alone.
+step has hundreds. XLA compiles a loop as a whole into one kernel if its body touches few bytes. The limit is 1 kB;
+here it is raised to the size that a tile of draws needs. With this setting, 512-bit vectors if the processor supports
+them, and :mod:`dssc_jax.backend.fusion`, a step costs several times less. One host device per core lets the engine
+shard a batch. XLA reads the flags once, when its backend starts, so they cannot be set later or for a single
+function.
 
-Setting the environment variable ``DSSC_JAX_XLA=off`` leaves the compiler alone.
+The environment variable ``DSSC_JAX_XLA=off`` leaves the compiler settings unchanged.
 """
 
 import os
@@ -42,12 +43,12 @@ def wanted_flags() -> tuple[str, ...]:
 
 
 def flags_for(devices: int) -> str:
-    """``XLA_FLAGS`` of a process like this one, with another number of host devices."""
+    """``XLA_FLAGS`` for a process like this one, with another number of host devices."""
     return " ".join([*code_generation(), f"{DEVICE_COUNT}={devices}"])
 
 
 def missing_flags() -> tuple[str, ...]:
-    """Those of :func:`wanted_flags` whose name does not stand in ``XLA_FLAGS`` yet; a user's own value wins."""
+    """Those of :func:`wanted_flags` whose name is not in ``XLA_FLAGS`` yet; a user's own value takes precedence."""
     present = {flag.partition("=")[0] for flag in os.environ.get("XLA_FLAGS", "").split()}
     return tuple(flag for flag in wanted_flags() if flag.partition("=")[0] not in present)
 
@@ -69,7 +70,7 @@ def backend_started() -> bool:
 
 
 def processor() -> str:
-    """A name for what this processor can do: a program compiled for another one must not be read back."""
+    """A name for this processor's features: programs compiled for other processors must not be loaded."""
     try:
         with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as lines:
             known = [line for line in lines.read(2**14).splitlines() if line.startswith(("model name", "flags"))][:2]
@@ -79,7 +80,7 @@ def processor() -> str:
 
 
 def cache_directory() -> Path | None:
-    """Where compiled programs are kept; None where the user's cache directory cannot be written."""
+    """The folder of compiled programs; None if the user's cache directory is not writable."""
     try:
         home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     except RuntimeError:  # no home
@@ -92,7 +93,7 @@ def configure() -> None:
     """Add the missing flags to ``XLA_FLAGS``; called once, when the package is imported.
 
     Warns:
-        LateSettingsWarning: when the backend runs already, without these flags.
+        LateSettingsWarning: The backend already runs without these flags.
     """
     if os.environ.get(FLAGS_VARIABLE, "").lower() in OFF:
         return

@@ -1,1 +1,1 @@
-"""One draw of the closed loop: samples, time loops, metrics, requirements."""
+"""Simulation of one draw of the closed loop: samples, time loops, metrics, requirements."""

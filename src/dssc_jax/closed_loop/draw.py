@@ -1,4 +1,4 @@
-"""One draw from its first sample to its last: streaming metrics, early ends, and the outcome."""
+"""Simulation of one draw from its first to its last sample: streaming metrics, early ends, and the outcome."""
 
 from collections.abc import Callable
 from functools import partial
@@ -18,8 +18,8 @@ class Run(NamedTuple):
     """A finished draw.
 
     Args:
-        metrics: Over the whole run, or until the draw settled; NaN where it ended early.
-        slacks: Of the requirements; -inf where it ended early.
+        metrics: Metrics over the whole run, or until the draw settled; NaN if it ended early.
+        slacks: Slacks of the requirements; -inf if it ended early.
         outcome: An :class:`~dssc_jax.core.signals.Outcome`.
         failed_at: Time of the step that ended it early [s]; NaN: none.
         settled_at: Time at which it ended because it had settled [s]; NaN: none.
@@ -33,15 +33,15 @@ class Run(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """The carry of a time loop; it holds the sample's index, since an array of them would grow with the duration.
+    """The carry of a time loop; it contains the sample index, because an array of indices would grow with the duration.
 
     Args:
         k: Index of the next sample.
-        state: Of the loop.
-        accumulators: Of the metrics.
-        outcome: So far.
+        state: State of the loop.
+        accumulators: Accumulators of the metrics.
+        outcome: The outcome so far.
         steps: Samples that the draw has completed.
-        in_band: Samples in a row, up to the last, at which every error was small enough to settle; empty for a loop
+        in_band: Number of consecutive samples, up to the last, with errors small enough to settle; empty for a loop
             without :class:`~dssc_jax.closed_loop.sample.Settled`.
     """
 
@@ -62,7 +62,7 @@ def initial_progress(loop: Loop, params: LoopParams, key: jax.Array, measures: t
 
 
 def count_in_band(loop: Loop, in_band: Any, instant: Instant, k: Scalar) -> Any:
-    """Samples in a row with small errors, sample k included."""
+    """Number of consecutive samples with small errors, including sample k."""
     if loop.settled is None:
         return in_band
     small = k >= round(loop.settled.after / loop.sample_time)
@@ -80,15 +80,15 @@ def is_running(loop: Loop, at: Progress) -> Scalar:
 def sampler(
     loop: Loop, params: LoopParams, key: jax.Array, measures: tuple[Measure, ...], freeze: bool
 ) -> Callable[[Progress], tuple[Progress, Recorded]]:
-    """The function that advances a draw by one sample.
+    """Return the function that advances a draw by one sample.
 
     Args:
         loop: The models and the clock.
         params: Their parameters.
         key: The draw's own random key.
-        measures: What to measure.
-        freeze: Whether a draw that has ended keeps its last state and accumulators, so that what follows is finite.
-            Without it they run on; the draw's outcome and number of samples stay in either case.
+        measures: The metrics to compute.
+        freeze: Whether an ended draw keeps its last state and accumulators, so that later values are finite.
+            Otherwise they continue; the draw's outcome and number of samples are kept in either case.
     """
 
     def sample(at: Progress) -> tuple[Progress, Recorded]:
@@ -114,9 +114,10 @@ def sampler(
 def samples_a_turn(loop: Loop) -> int:
     """Samples by which one iteration of the compiled loop advances.
 
-    An iteration writes its results into the buffers that it reads, so what is written while its old value is still
-    needed is copied. Two samples an iteration copy less than half as often, which saves a loop of one channel a tenth
-    of its time or more. For several channels the copies hardly count, and two samples take twice as long to compile.
+    An iteration writes its results into the buffers that it reads, so a value written while its old value is still
+    needed is copied. With two samples per iteration, copies are less than half as frequent, which saves a loop of one
+    channel a tenth of its time or more. For several channels the copies hardly matter, and two samples double the
+    compile time.
     """
     return 2 if len(loop.channels) == 1 and loop.steps % 2 == 0 else 1
 
@@ -130,21 +131,21 @@ def simulate(
     together: str | None = None,
     segment: int | None = None,
 ) -> Run:
-    """Simulate one draw without recording it: memory does not grow with the duration.
+    """Simulate one draw without recording it; memory does not grow with the duration.
 
-    A draw ends early at the sample whose state is not finite or at which the plant's model breaks. Its metrics are NaN
-    and its slacks -inf, whatever the time loop computes afterwards. A draw that has settled keeps the metrics that it
-    has. See :func:`sampler` for what happens to the state of a draw that has ended: it is frozen where derivatives may
-    be taken (``together`` is None) and where draws may settle.
+    A draw ends early at the sample whose state is not finite or at which the plant's model is no longer valid. Its
+    metrics are NaN and its slacks -inf, regardless of later values in the time loop. A settled draw keeps its
+    metrics. The state of an ended draw is frozen (see :func:`sampler`) if derivatives may be taken (``together`` is
+    None) or if draws may settle.
 
     Args:
         loop: The models and the clock.
         params: Their parameters.
         key: The draw's own random key.
-        measures: What to measure.
-        requirements: Bounds of some of the measures.
-        together: Name of the mapped axis of the draws that are simulated together: time stops when all of them have
-            ended. None: time runs to its end, as derivatives need it.
+        measures: The metrics to compute.
+        requirements: Bounds on some of the metrics.
+        together: Name of the mapped axis of the draws that are simulated together; the time loop stops when all of
+            them have ended. None: the loop has its full length, as derivatives require.
         segment: See :func:`dssc_jax.closed_loop.time_loops.scan_segments`; for ``together`` = None only.
     """
     sample = sampler(loop, params, key, measures, freeze=together is None or loop.settled is not None)
@@ -168,7 +169,7 @@ def simulate_recorded(
     requirements: tuple[Requirement, ...] = (),
     every: int = 1,
 ) -> tuple[Run, Recorded]:
-    """Simulate one draw and record its trajectory; a draw that has ended stays at its last state.
+    """Simulate one draw and record its trajectory; an ended draw stays at its last state.
 
     Args:
         loop: As of :func:`simulate`.
@@ -187,7 +188,7 @@ def simulate_recorded(
 
 
 def conclude(loop: Loop, measures: tuple[Measure, ...], requirements: tuple[Requirement, ...], end: Progress) -> Run:
-    """Metrics, slacks and outcome of a draw from the carry at its end."""
+    """Compute metrics, slacks and outcome of a draw from the carry at its end."""
     ok = end.outcome == Outcome.OK
     completed = loop.steps if loop.settled is None else end.steps
     metrics = values(measures, end.accumulators, completed, loop.sample_time)

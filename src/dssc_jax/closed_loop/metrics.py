@@ -1,7 +1,7 @@
-"""Metrics of a run in streaming form: memory does not grow with the duration.
+"""Metrics in streaming form, whose memory does not grow with the duration.
 
-A metric is where its accumulator starts, and two pure functions, ``update`` and ``value``. It counts samples at
-t >= ``after`` only.
+A metric consists of the start of its accumulator and two pure functions, ``update`` and ``value``. Only samples at t
+>= ``after`` count.
 """
 
 import math
@@ -20,10 +20,10 @@ from dssc_jax.core.signals import Info, Scalar
 
 
 class Sample(NamedTuple):
-    """What a metric sees of one sample instant.
+    """The signals of one channel at a sample instant, for metrics.
 
-    ``k`` is the sample's index, ``u`` the controller's robust part and ``u_previous`` that of the sample before (of
-    the first sample: itself); ``k_p`` is the draw's own input gain.
+    ``k`` is the sample index, ``u`` the robust command and ``u_previous`` its previous value (at the first sample:
+    ``u``); ``k_p`` is the draw's own input gain.
     """
 
     k: Scalar
@@ -38,7 +38,7 @@ class Sample(NamedTuple):
 
 
 class Instant(NamedTuple):
-    """One sample instant of the whole loop: every channel, and what the plant's monitor saw."""
+    """One sample instant of the whole loop: every channel, and the output of the plant's monitor."""
 
     t: Scalar
     dt: Scalar
@@ -47,7 +47,7 @@ class Instant(NamedTuple):
 
 
 class Scope(StrEnum):
-    """What a metric is of: each channel, or the vehicle as a whole."""
+    """Scope of a metric: each channel, or the vehicle as a whole."""
 
     CHANNEL = "channel"
     VEHICLE = "vehicle"
@@ -62,7 +62,7 @@ class Window:
 
 
 class Span(NamedTuple):
-    """What a finished accumulator is evaluated over: samples in the run, samples in the window, and T_s [s]."""
+    """Data for the final value of an accumulator: samples in the run, samples in the window, and T_s [s]."""
 
     steps: Scalar
     inside: Scalar
@@ -76,12 +76,12 @@ class Metric(NamedTuple):
         unit: SI unit.
         meaning: Long name.
         update: ``(accumulator, sample, window) -> accumulator`` for a sample within the window; a metric of the
-            vehicle gets the :class:`Instant`.
+            vehicle receives the :class:`Instant`.
         value: ``(accumulator, window, span) -> value``.
-        needs: Fields of the controller's (the vehicle's) info without which the metric does not exist.
-        scope: Whether it is of a channel or of the vehicle.
+        needs: Fields of the controller's (the vehicle's) info that the metric requires.
+        scope: Whether the metric describes a channel or the vehicle.
         start: The accumulator before the first sample: a number, or a ``NamedTuple`` of numbers.
-        counted: Whether the value counts samples, as a time or as a share: rounding moves it by whole samples.
+        counted: Whether the value counts samples, as a time or as a share; rounding changes it by whole samples.
     """
 
     unit: str
@@ -120,7 +120,7 @@ def root_mean(acc: Scalar, window: Window, span: Span) -> Scalar:
 
 
 class Stretch(NamedTuple):
-    """Samples in the uninterrupted stretch that lasts, and in the longest one so far."""
+    """Number of samples in the current uninterrupted stretch, and in the longest one so far."""
 
     lasting: Scalar = 0.0
     longest: Scalar = 0.0
@@ -137,7 +137,7 @@ def stretch(of: Callable[[Any], Scalar]) -> Callable[[Stretch, Any, Window], Str
 
 
 def longest(acc: Stretch, window: Window, span: Span) -> Scalar:
-    """Time that the longest stretch takes."""
+    """Duration of the longest stretch."""
     return acc.longest * span.sample_time
 
 
@@ -147,7 +147,7 @@ def last_outside(acc: Scalar, sample: Sample, window: Window) -> Scalar:
 
 
 def settling(acc: Scalar, window: Window, span: Span) -> Scalar:
-    """Time from the window's start to the end of the last sample outside; infinite where that is the run's last."""
+    """Time from the window's start to the end of the last sample outside; infinite if that ends the run."""
     time = jnp.maximum(acc * span.sample_time - window.after, 0.0)
     return jnp.where(acc >= span.steps, jnp.inf, time)
 
@@ -155,8 +155,8 @@ def settling(acc: Scalar, window: Window, span: Span) -> Scalar:
 def sampling_ratio(sample: Sample) -> Scalar:
     """(k_p T_s/(k_o tau_av)) (1 + T_s/(2 tau_m))/2: above 1 the sampled loop chatters or diverges.
 
-    Exact stability limit of constant functions on sigma' = k_p u; for state-dependent ones, that of the values
-    at the sample. k_p is the draw's own, so that its largest value over draws is the one at k_max.
+    The stability limit is exact for constant functions and sigma' = k_p u; state-dependent functions enter with their
+    values at the sample. k_p is the draw's own, so the largest ratio over the draws occurs at k_max.
     """
     info = sample.info
     proportional = sample.k_p * sample.dt / (info.k_o * info.tau_av)
@@ -170,12 +170,12 @@ def position_error(instant: Instant) -> Scalar:
 
 
 def rotor_limited(instant: Instant) -> Scalar:
-    """1 where a rotor is at its limit, else 0."""
+    """1 if a rotor is at its limit, else 0."""
     return as_float(instant.plant.rotor_limited, instant.plant.tilt)
 
 
 def as_float(flag: Scalar, like: Scalar) -> Scalar:
-    """1 where the flag holds, else 0."""
+    """1 if the flag holds, else 0."""
     return jnp.where(flag, jnp.ones_like(like), jnp.zeros_like(like))
 
 
@@ -249,7 +249,7 @@ METRICS: dict[str, Metric] = {
     ),
 }
 BRIEF = ("error_rms", "error_max", "command_tv", "command_max", "outside_sliding", "sampling_ratio")
-"""Metrics of each channel that a plant of several reports unless the study names others."""
+"""Metrics of each channel that a plant with several channels reports unless the study lists others."""
 
 
 @dataclass(frozen=True)
@@ -261,9 +261,9 @@ class Measure:
         kind: The metric's name.
         window: The samples that count.
         channel: Index of the channel; None: the vehicle.
-        own: The streaming form of a kind that is not in :data:`METRICS`.
+        own: The streaming form, for a kind that is not in :data:`METRICS`.
         angular: Whether the channel's output is an angle.
-        channel_name: The channel's name; empty for the vehicle, and for a plant whose only channel has none.
+        channel_name: The channel's name; empty for the vehicle and for the single channel of a SISO plant.
     """
 
     name: str
@@ -290,12 +290,12 @@ class Measure:
         return angular_unit(self.metric.unit) if self.angular else self.metric.unit
 
     def of(self, instant: Instant) -> Any:
-        """What the metric is updated with."""
+        """The argument with which the metric is updated."""
         return instant if self.channel is None else instant.channels[self.channel]
 
 
 def suffixed(kind: str, channel: str) -> str:
-    """A metric's name with that of its channel, if the channel has one."""
+    """A metric's name followed by that of its channel, if the channel has one."""
     return f"{kind}_{channel}" if channel else kind
 
 
@@ -305,9 +305,9 @@ def available_metrics(
     """Metrics that a loop can have: name -> kind and channel.
 
     Args:
-        channels: Fields of the controller's info by channel; a plant of one channel has the empty name.
+        channels: Fields of the controller's info by channel; a single channel has the empty name.
         vehicle: Fields of the plant's own info.
-        metrics: Every kind there is.
+        metrics: All kinds of metric.
     """
     kinds: dict[str, tuple[str, int | None]] = {}
     for kind, metric in metrics.items():

@@ -1,4 +1,4 @@
-"""Measures of performance that are computed only where a study names them: each costs time at every sample."""
+"""Performance metrics that are computed only if a study lists them, because each costs time at every sample."""
 
 import math
 from typing import NamedTuple
@@ -35,7 +35,7 @@ class Beyond(NamedTuple):
 
 
 def beyond(acc: Beyond, sample: Sample, window: Window) -> Beyond:
-    """Largest error beyond zero, seen from where the window began."""
+    """Largest error beyond zero, relative to its sign at the start of the window."""
     side = jnp.where(acc.side == 0.0, sign(sample.e), acc.side)
     return Beyond(side, jnp.maximum(acc.largest, -side * sample.e))
 
@@ -51,7 +51,7 @@ class Bands(NamedTuple):
 
 
 def bands(acc: Bands, sample: Sample, window: Window) -> Bands:
-    """Part the command by a first-order low-pass filter that starts at the window's first command."""
+    """Split the command by a first-order low-pass filter that starts at the window's first command."""
     share = -jnp.expm1(-CUTOFF * sample.dt)
     slow = jnp.where(acc.samples == 0.0, sample.u, acc.slow + share * (sample.u - acc.slow))
     fast = sample.u - slow
@@ -59,14 +59,14 @@ def bands(acc: Bands, sample: Sample, window: Window) -> Bands:
 
 
 def fast_share(acc: Bands, window: Window, span: Span) -> Scalar:
-    """Energy of the fast part over that of both, the slow one taken about its mean; 0 for a constant command."""
+    """Energy of the fast part over that of both parts, the slow one about its mean; 0 for a constant command."""
     about_mean = jnp.maximum(acc.squares - acc.total * acc.total / span.inside, 0.0)
     whole = acc.fast + about_mean
     return jnp.where(whole > 0.0, acc.fast / jnp.where(whole > 0.0, whole, 1.0), 0.0)
 
 
 class Path(NamedTuple):
-    """Samples so far, the last whole command, and the way that it has gone [m/s]."""
+    """Samples so far, the last whole command, and its total variation so far [m/s]."""
 
     samples: Scalar = 0.0
     last: Scalar = 0.0
@@ -74,7 +74,7 @@ class Path(NamedTuple):
 
 
 def path(acc: Path, sample: Sample, window: Window) -> Path:
-    """Add the step to this sample's u + u_n; the window's first one has none."""
+    """Add the change to this sample's u + u_n; the window's first sample has none."""
     step = jnp.where(acc.samples == 0.0, 0.0, jnp.abs(sample.u_total - acc.last))
     return Path(acc.samples + 1.0, sample.u_total, acc.length + step)
 
@@ -87,7 +87,7 @@ class Trend(NamedTuple):
 
 
 def trend(acc: Trend, sample: Sample, window: Window) -> Trend:
-    """ln |sigma|, floored at the least normal number."""
+    """Add ln |sigma|, floored at the smallest normal number."""
     level = jnp.log(jnp.maximum(jnp.abs(sample.sigma), jnp.finfo(jnp.result_type(float)).tiny))
     return Trend(acc.total + level, acc.moment + sample.k * level)
 

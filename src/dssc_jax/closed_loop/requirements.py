@@ -1,4 +1,4 @@
-"""Requirements on a run: their slacks, negative where violated, and the outcome code that follows."""
+"""Requirements on metrics: their slacks, negative if violated, and the resulting outcome code."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from dssc_jax.core.signals import Outcome, Scalar
 
 @dataclass(frozen=True)
 class Requirement:
-    """A bound of one measure. Exactly one of ``maximum`` and ``minimum`` is set, in the metric's unit."""
+    """A bound on one measure. Exactly one of ``maximum`` and ``minimum`` is set, in the metric's unit."""
 
     measure: Measure
     maximum: float | None = None
@@ -21,7 +21,7 @@ class Requirement:
 
     @property
     def label(self) -> str:
-        """Its name among the study's requirements: the measure's; a lower bound says so."""
+        """Name among the study's requirements: that of the measure, marked if it is a lower bound."""
         return self.measure.name if self.maximum is not None else f"{self.measure.name}_min"
 
     @property
@@ -31,12 +31,12 @@ class Requirement:
 
     @property
     def bound(self) -> float:
-        """The bound, whichever it is."""
+        """The upper or lower bound."""
         return self.maximum if self.maximum is not None else self.minimum  # type: ignore[return-value]
 
     @property
     def scale(self) -> float:
-        """What slacks are taken relative to where requirements are compared: |bound|, or 1 where that is 0."""
+        """Scale of slacks when requirements are compared: |bound|, or 1 if that is 0."""
         return abs(self.bound) or 1.0
 
     @property
@@ -48,14 +48,14 @@ class Requirement:
         return f"{self.measure.label}{after} {side} {unit}".removesuffix(" 1")
 
     def slack(self, value: Scalar) -> Scalar:
-        """Distance to the bound, in the metric's unit: negative where the requirement fails."""
+        """Signed distance to the bound, in the metric's unit: negative if the requirement is violated."""
         if self.maximum is not None:
             return self.maximum - value
         return value - self.minimum  # type: ignore[operator]
 
 
 def violated(slack: Any) -> Any:
-    """Whether a slack says that its requirement is violated; one that is no number does.
+    """Whether a requirement is violated according to its slack; NaN counts as violated.
 
     Args:
         slack: A traced value or a NumPy array, any shape.
@@ -67,14 +67,14 @@ def violated(slack: Any) -> Any:
 
 
 def ended_early(outcome: Any) -> Any:
-    """Whether a draw ended early, and so violates every requirement; from its outcome code, or codes of any shape."""
+    """Whether a draw ended early, and so violates every requirement, from outcome codes of any shape."""
     return (outcome != Outcome.OK) & (outcome < Outcome.REQUIREMENT)
 
 
 def judge(
     requirements: tuple[Requirement, ...], values: dict[str, Scalar], ended: Scalar
 ) -> tuple[Scalar, dict[str, Scalar]]:
-    """Outcome code (int32) and the slack of each requirement; -inf where the draw ended early.
+    """Outcome code (int32) and the slack of each requirement; -inf if the draw ended early.
 
     Args:
         requirements: The requirements; the first violated one, in this order, gives the code.
@@ -92,9 +92,9 @@ def judge(
 
 
 def worst_slack(requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Smallest slack of all requirements, each relative to its bound: negative where a draw fails.
+    """Smallest slack of all requirements, each relative to its bound: negative if a draw fails.
 
-    A draw that ended early, or whose metric is no number, has -inf; without requirements every other one has +inf.
+    A draw that ended early, or whose metric is NaN, has -inf; without requirements all other draws have +inf.
 
     Args:
         requirements: The requirements.

@@ -1,4 +1,4 @@
-"""One sample of the closed loop of one draw: measure, control, integrate plant and unmodelled dynamics."""
+"""One sample of the closed loop for one draw: measure, control, integrate plant and unmodelled dynamics."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -42,7 +42,8 @@ UNROLLED = 2  # substeps at most that are traced one by one
 class LoopParams(NamedTuple):
     """Parameters of every part of the loop; any number may be traced.
 
-    Those of controller, sensor, differentiator, unmodelled dynamics and disturbance are tuples, one a channel.
+    Those of controller, sensor, differentiator, unmodelled dynamics and disturbance are tuples with one element per
+    channel.
     """
 
     plant: Any
@@ -56,11 +57,11 @@ class LoopParams(NamedTuple):
 
 
 class Settled(NamedTuple):
-    """When a draw counts as settled and ends: from ``after`` on, |e| <= ``error`` in every channel for ``hold``.
+    """When a draw counts as settled and ends: after ``after``, |e| <= ``error`` in every channel for ``hold``.
 
     Args:
-        error: Bound of |e| [m; rad for psi].
-        hold: Time for which the bound has to hold [s].
+        error: Bound on |e| [m; rad for psi].
+        hold: Time for which the bound must hold [s].
         after: Time before which no error counts [s].
     """
 
@@ -74,11 +75,11 @@ class Loop:
     """The static part of the loop, chosen before tracing: a model in each named slot, and the clock.
 
     Args:
-        channels: Names of the channels; one empty name for a plant of one.
+        channels: Names of the channels; one empty name for a plant with one channel.
         sample_time: T_s [s].
         steps: Number of samples.
         substeps: Integrator steps between two samples.
-        settled: When a draw ends before its time; None: never.
+        settled: Rule for ending a settled draw; None: never.
     """
 
     plant: Plant
@@ -98,16 +99,16 @@ class Loop:
 
     @cached_property
     def mimo_plant(self) -> Plant[Measurements, Signals]:
-        """The plant with tuples at its border, one value a channel, however many channels it has."""
+        """The plant with tuples as signals, one value per channel, for any number of channels."""
         return self.plant if len(self.channels) > 1 else as_mimo_plant(self.plant)
 
     @cached_property
     def mimo_reference(self) -> Reference[ReferencePoints]:
-        """The reference with a tuple of points, one a channel, however many channels there are."""
+        """The reference with a tuple of points, one per channel, for any number of channels."""
         return self.reference if len(self.channels) > 1 else as_mimo_reference(self.reference)
 
     def key(self, draw: jax.Array, slot: str, channel: str = "") -> jax.Array:
-        """The random stream of a slot in a channel, of the draw's key."""
+        """The random key of a slot in a channel, from the draw's key."""
         return jax.random.fold_in(draw, stream(f"{slot}.{channel}" if channel else slot))
 
 
@@ -131,14 +132,14 @@ class LoopState(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """One sample as a trajectory shows it.
+    """One sample of a recorded trajectory.
 
     Args:
-        instant: What metrics read.
+        instant: The input of the metrics.
         measurements: The plant's own, before sensors.
         references: The desired outputs.
         finite: Whether the state after the sample is finite.
-        broken: Whether the plant's model has ended there.
+        broken: Whether the plant's model is no longer valid.
     """
 
     instant: Instant
@@ -149,7 +150,7 @@ class Recorded(NamedTuple):
 
 
 def as_arrays(tree: Any) -> Any:
-    """Every leaf as an array of the working precision, so that the scan's carry keeps its types."""
+    """Convert every leaf to an array of the working precision, so that the scan's carry keeps its types."""
     return jax.tree.map(lambda x: jnp.asarray(x, dtype=jnp.result_type(float)), tree)
 
 
@@ -198,7 +199,7 @@ def integrate_sample(
     """Plant and unmodelled dynamics after one sample, with the commands held constant (zero-order hold).
 
     The unmodelled dynamics are evaluated at the start, middle and end of a substep, where the integrator needs them.
-    Up to :data:`UNROLLED` substeps are traced one by one; of more, only one is, to keep compilation short.
+    Up to :data:`UNROLLED` substeps are unrolled; otherwise only one is traced, to keep compilation short.
     """
     h = loop.sample_time / loop.substeps
     integrate = INTEGRATORS[loop.integrator]
@@ -234,7 +235,7 @@ def integrate_sample(
 
 
 def actuate(loop: Loop, params: LoopParams, unmodelled: tuple[State, ...], commands: Signals) -> Signals:
-    """The commands as they reach the plant, through the unmodelled dynamics."""
+    """The commands after the unmodelled dynamics, as received by the plant."""
     parts = zip(loop.unmodelled, params.unmodelled, unmodelled, commands, strict=True)
     return tuple(model.output(p, z, u) for model, p, z, u in parts)
 
@@ -254,7 +255,7 @@ def plant_input(
 
 
 def all_finite(state: LoopState) -> Scalar:
-    """Whether the sum of squares of the whole state is finite: squares are what metrics accumulate."""
+    """Whether the sum of squares of the whole state is finite (metrics accumulate squares)."""
     return jnp.isfinite(sum(jnp.square(leaf) for leaf in jax.tree.leaves(state)))
 
 

@@ -1,4 +1,4 @@
-"""Time loops with early ends, recording or checkpoints; the carry has the index ``k`` of the next sample."""
+"""Time loops with early ends, recording or checkpoints; the carry contains the index ``k`` of the next sample."""
 
 from collections.abc import Callable
 from typing import Protocol, TypeVar
@@ -12,7 +12,7 @@ CHECK_INTERVAL = 64  # samples between two checks whether any draw is still runn
 
 
 class Carry(Protocol):
-    """What a time loop carries from sample to sample."""
+    """The state of a time loop between samples."""
 
     @property
     def k(self) -> Scalar:
@@ -29,13 +29,13 @@ def until_all_ended(
 ) -> C:
     """Advance sample by sample until ``steps`` are done, or no draw of the mapped axis ``together`` is running.
 
-    All draws of the axis share the check, so that time and what depends on it alone stay scalars.
+    All draws of the axis share the check, so time and values that depend only on time stay scalars.
 
     Args:
         sample: Advances the carry by one sample.
         running: Whether a draw has not ended.
         begin: The carry at the start.
-        steps: Samples in all.
+        steps: Total number of samples.
         together: Name of the mapped axis.
         turn: Samples by which one iteration of the compiled loop advances; ``steps`` and :data:`CHECK_INTERVAL` are
             multiples of it.
@@ -68,9 +68,9 @@ def scan_segments(sample: Callable[[C], C], begin: C, steps: int, segment: int |
     Args:
         sample: Advances the carry by one sample.
         begin: The carry at the start.
-        steps: Samples in all.
-        segment: Samples of a segment. Reverse mode stores the carry at the start of each segment, and computes the
-            samples within it again. None: it stores every carry.
+        steps: Total number of samples.
+        segment: Samples of a segment. Reverse mode stores the carry at the start of each segment and recomputes the
+            samples within it. None: it stores every carry.
     """
 
     def ahead(at: C, count: int) -> C:
@@ -87,10 +87,10 @@ def scan_recorded(sample: Callable[[C], tuple[C, R]], begin: C, steps: int, ever
     """Advance sample by sample to the end, and record every ``every``-th sample.
 
     Args:
-        sample: Advances the carry by one sample, and gives its record.
+        sample: Advances the carry by one sample, and returns its record.
         begin: The carry at the start.
-        steps: Samples in all.
-        every: One sample of so many is recorded, the first included.
+        steps: Total number of samples.
+        every: Record every ``every``-th sample, starting with the first.
 
     Returns:
         The carry at the end, and the records with leaves of shape (ceil(steps/every),).

@@ -1,1 +1,1 @@
-"""What everything stands on: quantities, signals, contracts of models, errors, and numerics."""
+"""The foundation of the package: quantities, signals, contracts of models, errors, and numerics."""

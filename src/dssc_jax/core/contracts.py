@@ -1,8 +1,8 @@
-"""The contracts of models.
+"""The contracts that models implement: types of plants, controllers, references, sensors and disturbances.
 
 A model is a ``NamedTuple`` of pure functions for one draw, without a batch axis, and the ``NamedTuple`` type
-of its parameters. It is chosen before tracing; its parameters may be traced. Every parameter field is
-annotated with a :class:`~dssc_jax.core.quantities.Quantity`, from which study files are validated.
+of its parameters. The model is chosen before tracing; its parameters may be traced. Every parameter field is
+annotated with a :class:`~dssc_jax.core.quantities.Quantity`, which is used to validate study files.
 """
 
 from collections.abc import Callable
@@ -35,12 +35,12 @@ class NoParams(NamedTuple):
 
 
 def as_given(params: Params) -> Params:
-    """Prepare nothing."""
+    """Return the parameters unchanged."""
     return params
 
 
 def no_constraint(params: Params, state: State) -> State:
-    """Project nothing: every state is admissible."""
+    """Return the state unchanged: every state is admissible."""
     return state
 
 
@@ -60,20 +60,20 @@ def stateless(params: Params, key: jax.Array) -> tuple[()]:
 
 
 def unchanged(params: Params, state: State, key: jax.Array, t: Scalar, dt: Scalar) -> State:
-    """Advance a state that no sample changes."""
+    """Return the state unchanged."""
     return state
 
 
 def ignore_sample(params: Params, state: State, command: Scalar, dt: Scalar) -> State:
-    """Leave the state of continuous dynamics alone at a sample instant."""
+    """Return the state unchanged, as continuous dynamics do at a sample instant."""
     return state
 
 
 class Plant(NamedTuple, Generic[Output, Signal]):
     """A plant of relative degree two from each command to its output.
 
-    A plant of several channels (MIMO, as the UAV) names them; its measurement, input gain and input are tuples in that
-    order. Those of a plant of one channel (SISO) are plain values.
+    A plant with several channels (MIMO, such as the UAV) lists their names; its measurement, input gain and input are
+    tuples in that order. Those of a plant with one channel (SISO) are plain values.
 
     Args:
         params: NamedTuple type of the parameters.
@@ -83,11 +83,12 @@ class Plant(NamedTuple, Generic[Output, Signal]):
         input_gain: ``(params) -> k_p``, the high-frequency gain from command to y'' [1/s].
         velocities: Names of the state's fields that semi-implicit Euler advances first.
         prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
-        channels: Names of the channels; none for a plant of one.
+        channels: Names of the channels; empty for a plant with one channel.
         angles: Channels whose output is an angle: its error is wrapped to (-pi, pi].
         project: ``(params, state) -> state`` after each integrator step, back onto the state's manifold.
-        monitor: ``(params, state, input) -> info`` at each sample, a NamedTuple for metrics and people.
-        broken: ``(params, state) -> bool``: the model ends here (a singular attitude), the draw is frozen.
+        monitor: ``(params, state, input) -> info`` at each sample, a NamedTuple for metrics and plots.
+        broken: ``(params, state) -> bool``: whether the model is no longer valid (a singular attitude); the draw is
+            then frozen.
     """
 
     params: type
@@ -105,7 +106,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
 
 
 def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Signals]:
-    """A plant of one channel with tuples of one value at its border, as a plant of several has them."""
+    """Adapt a plant with one channel to the interface of several: its signals become tuples of one value."""
 
     def plain(drive: PlantInput[Signals]) -> PlantInput[Scalar]:
         (command,), (disturbance,) = drive.command, drive.disturbance
@@ -141,8 +142,8 @@ class Controller(NamedTuple):
     Args:
         gains: NamedTuple type of the gains; must have the field ``l0``.
         init: ``(gains, measurement, reference) -> state`` from the first sample.
-        step: ``(gains, state, measurement, reference, dt) -> (state, command, info)``. ``info`` is a NamedTuple
-            of scalars for people and metrics, and is never fed back.
+        step: ``(gains, state, measurement, reference, dt) -> (state, command, info)``. ``info`` is a NamedTuple of
+            scalars for metrics and plots, and is never fed back.
         prepare: As in :class:`Plant`.
     """
 
@@ -160,7 +161,7 @@ class Controller(NamedTuple):
 class Reference(NamedTuple, Generic[Desired]):
     """A desired trajectory: ``at(params, t) -> ReferencePoint``; for several channels, a tuple with one each.
 
-    ``defaults`` is an instance of the parameters that stands where a table is silent.
+    ``defaults`` is an instance of the parameters with the values that a table does not give.
     """
 
     params: type
@@ -170,7 +171,7 @@ class Reference(NamedTuple, Generic[Desired]):
 
 
 def as_mimo_reference(reference: Reference[ReferencePoint]) -> Reference[ReferencePoints]:
-    """A reference of one channel whose point stands in a tuple, as that of several channels does."""
+    """Adapt a reference with one channel to the interface of several: its point becomes a tuple of one point."""
     return Reference(reference.params, lambda params, t: (reference.at(params, t),), reference.prepare)
 
 
@@ -227,7 +228,7 @@ class Sensor(NamedTuple):
 
 
 class Differentiator(NamedTuple):
-    """Makes y' of y where only y is measured; stands between sensor and controller.
+    """A differentiator between sensor and controller: it estimates y' if only y is measured.
 
     Args:
         params: NamedTuple type of the parameters.
@@ -247,11 +248,11 @@ class Unmodelled(NamedTuple):
 
     Args:
         params: NamedTuple type of the parameters.
-        init: ``(params) -> state`` at rest.
+        init: ``(params) -> state``, at rest.
         step: ``(params, state, command, dt) -> state`` with the command held over dt.
-        output: ``(params, state, command) -> command`` that reaches the plant.
+        output: ``(params, state, command) -> command`` received by the plant.
         prepare: As in :class:`Plant`.
-        sample: ``(params, state, command, dt) -> state`` once a sample of length dt, when its command is given.
+        sample: ``(params, state, command, dt) -> state`` once per sample of length dt, at the time of its command.
     """
 
     params: type

@@ -1,4 +1,4 @@
-"""The error of bad input: said before anything is traced, in one line."""
+"""``ConfigError``, the error for bad input: a one-line message raised before tracing."""
 
 import difflib
 from collections.abc import Iterable, Iterator
@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 
 class ConfigError(ValueError):
-    """Bad input: where it stands, the rule it breaks and the value found.
+    """Bad input: its location, the rule it violates and the value found.
 
     Args:
         where: File and dotted path of the field, e.g. ``study.toml: plant.k_p``.
@@ -21,11 +21,11 @@ class ConfigError(ValueError):
         return ConfigError, (self.where, self.rule)
 
     def within(self, place: str) -> "ConfigError":
-        """The same error with ``place`` (a file, usually) in front of its path."""
+        """Return the same error with ``place`` (usually a file) in front of its path."""
         return ConfigError(f"{place}: {self.where}" if self.where else place, self.rule)
 
     def within_path(self, path: str) -> "ConfigError":
-        """The same error with the dotted ``path`` of the table in front of the field's name."""
+        """Return the same error with the dotted ``path`` of the table in front of the field's name."""
         return ConfigError(".".join(part for part in (path, self.where) if part), self.rule)
 
 
@@ -34,7 +34,7 @@ def errors_under(path: str) -> Iterator[None]:
     """Put the dotted ``path`` of a table in front of the field's name in every error raised inside.
 
     Raises:
-        ConfigError: the one raised inside, with the longer path.
+        ConfigError: The error raised inside, with the longer path.
     """
     try:
         yield
@@ -43,7 +43,7 @@ def errors_under(path: str) -> Iterator[None]:
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:
-    """The end of a message about an unknown name: the nearest valid one, or all of them."""
+    """Return the end of a message about an unknown name: the nearest valid name, or all valid names."""
     names = sorted(map(str, valid))
     near = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
     if not near:  # the last part of a dotted path is what people remember

@@ -1,4 +1,4 @@
-"""One fixed step of a state made of scalars, by the chosen method."""
+"""Fixed-step integrators for states made of scalars."""
 
 from collections.abc import Callable
 from enum import StrEnum
@@ -14,19 +14,19 @@ VectorField = Callable[[S, int], S]
 
 
 class Integrator(StrEnum):
-    """Fixed-step methods between two samples."""
+    """Fixed-step integration methods between two samples."""
 
     RK4 = "rk4"
     EULER = "euler"
 
 
 def advance(state: S, rate: S, h: Scalar) -> S:
-    """State + h rate, leaf by leaf."""
+    """Return state + h rate, leaf by leaf."""
     return jax.tree.map(lambda x, dx: x + h * dx, state, rate)
 
 
 def rk4(derivative: VectorField, state: S, h: Scalar, velocities: tuple[str, ...]) -> S:
-    """The classical Runge-Kutta method of order 4; ``velocities`` plays no part."""
+    """The classical Runge-Kutta method of order 4; ``velocities`` is not used."""
     del velocities
     k1 = derivative(state, 0)
     k2 = derivative(advance(state, k1, 0.5 * h), 1)
@@ -37,7 +37,7 @@ def rk4(derivative: VectorField, state: S, h: Scalar, velocities: tuple[str, ...
 
 
 def semi_implicit_euler(derivative: VectorField, state: S, h: Scalar, velocities: tuple[str, ...]) -> S:
-    """Velocities first, then everything else with the new velocities; order 1, symplectic on oscillators."""
+    """Advance velocities first, then everything else with the new velocities; order 1, symplectic on oscillators."""
     kicked = advance(state, derivative(state, 0), h)
     middle = state._replace(**{name: getattr(kicked, name) for name in velocities})  # type: ignore[attr-defined]
     drifted = advance(middle, derivative(middle, 0), h)

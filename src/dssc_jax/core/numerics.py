@@ -1,4 +1,4 @@
-"""Functions that are safe where the plain ones are not. Each says why."""
+"""Numerically safe versions of common functions; each docstring gives the reason."""
 
 import math
 import zlib
@@ -17,7 +17,7 @@ SERIES_TERMS = 13  # 0.05^13 / 15 < 1e-17
 
 @contextmanager
 def arithmetic(precision: int = 64) -> Iterator[None]:
-    """JAX computes with so many bits; a number that overflows them is an outcome, of which NumPy need not warn."""
+    """Set JAX's precision in bits, and silence NumPy's overflow warnings: an overflow is an outcome."""
     with jax.enable_x64(precision == 64), np.errstate(all="ignore"):
         yield
 
@@ -32,7 +32,7 @@ def root_abs(x: Scalar, floor: float = 0.0) -> Scalar:
 def over_log_defect(x: Scalar) -> Scalar:
     """x^2 / (x - ln(1 + x)) for x >= 0, whose singularity at 0 is removable: the limit is 2.
 
-    Below 0.05 the difference cancels; there 1/2 - x/3 + x^2/4 - ... stands for (x - ln(1 + x))/x^2.
+    Below 0.05 the difference cancels; the series 1/2 - x/3 + x^2/4 - ... then replaces (x - ln(1 + x))/x^2.
     """
     small = x < SERIES_BELOW
     near = jnp.where(small, x, 0.0)
@@ -68,7 +68,7 @@ def polynomial(coefficients: Sequence[float], x: Scalar) -> Scalar:
 
 
 def arc(opposite: Scalar, adjacent: Scalar) -> Scalar:
-    """The angle in [0, pi/4] of a right triangle, 0 <= opposite <= adjacent and adjacent > 0, with one division less.
+    """The angle in [0, pi/4] of a right triangle, 0 <= opposite <= adjacent and adjacent > 0, with one division fewer.
 
     Reduction beyond 0.66, by pi/4 + atan((x - 1)/(x + 1)), and the rational approximation are those of S. L. Moshier's
     Cephes library (atan.c, 1984-2000); the ratio itself is never formed.
@@ -81,7 +81,7 @@ def arc(opposite: Scalar, adjacent: Scalar) -> Scalar:
 
 
 def atan(x: Scalar) -> Scalar:
-    """The arctangent in a form that vectorises, within 2 ulp: XLA:CPU calls a scalar routine for its own."""
+    """The arctangent in a form that vectorises, within 2 ulp; XLA:CPU's own calls a scalar routine."""
     magnitude = jnp.abs(x)
     steep = magnitude > 1.0
     angle = arc(jnp.where(steep, 1.0, magnitude), jnp.where(steep, magnitude, 1.0))
@@ -106,19 +106,19 @@ def wrap_angle(angle: Scalar) -> Scalar:
 
 
 def begun(at: Scalar, t: Scalar, dt: Scalar) -> Scalar:
-    """Share of the sample [t, t + dt) that comes after ``at``: what begins within it is held as its mean."""
+    """Share of the sample [t, t + dt) after ``at``: a signal that begins within a sample is held at its mean."""
     return jnp.clip((t + dt - at) / dt, 0.0, 1.0)
 
 
 def stream(name: str) -> int:
-    """The number of a named factor's own random stream: adding a factor does not move the others."""
+    """The index of a named factor's random stream; adding a factor does not change the draws of the others."""
     return zlib.crc32(name.encode())
 
 
 def dot(left: Sequence[Scalar], right: Sequence[Scalar]) -> Scalar:
-    """Sum of products of two short tuples, spelled out: scalars in a step compile to scalar arithmetic.
+    """Sum of products of two short tuples, written out because scalars compile to scalar arithmetic.
 
-    Where a plain number on the left is 0 or 1 known before tracing, its product is left out or is the other factor.
+    If a number on the left is known to be 0 or 1 before tracing, its product is omitted or is the other factor.
     """
     total: Scalar = 0.0
     for a, b in zip(left, right, strict=True):
@@ -131,8 +131,8 @@ def dot(left: Sequence[Scalar], right: Sequence[Scalar]) -> Scalar:
 def cubic_spline(coefficients: Sequence[Scalar], x: Scalar) -> Scalar:
     """The sum of c_i B(x - i) with the cubic B-spline B of support (-2, 2) and knots at the whole numbers.
 
-    It lies between the smallest and the largest of (0, c_0, c_1, ..., 0), and its slope between the least and the
-    greatest difference of two that follow each other.
+    Its value lies between the smallest and the largest of (0, c_0, c_1, ..., 0), and its slope between the smallest
+    and the largest difference of consecutive coefficients.
 
     Reference:
         C. de Boor, A Practical Guide to Splines, revised ed. (2001), chapters IX to XI.
@@ -146,13 +146,14 @@ def cubic_spline(coefficients: Sequence[Scalar], x: Scalar) -> Scalar:
 
 
 def standard_normals(key: jax.Array, count: int) -> tuple[Scalar, ...]:
-    """Independent standard normal numbers: in float64 those of ``jax.random.normal(key, (count,))``, one by one.
+    """Independent standard normal numbers; in float64 equal to ``jax.random.normal(key, (count,))``.
 
-    In float32 they are the same numbers but for rounding: the leading bits of the uniform number behind each. So the
-    precision of a study does not change its noise. (``jax.random.normal`` in float32 draws other numbers.)
+    In float32 they are the same numbers up to rounding, from the leading bits of the underlying uniform numbers. The
+    precision of a study therefore does not change its noise. (``jax.random.normal`` in float32 draws different
+    numbers.)
 
-    In a batch, each is an array over the lanes, which vectors of the processor run along; the array of all would be
-    run along its short last axis. A number's bits are those of the key that its index is folded into.
+    In a batch, each number is an array over the lanes and is vectorised along them; a single array of all numbers
+    would be vectorised along its short last axis. The bits of a number come from the key folded with its index.
     """
     real = jnp.result_type(float)
     lowest = np.nextafter(np.array(-1.0, real), np.array(0.0, real))

@@ -1,4 +1,4 @@
-"""What the numbers of a model mean: unit, meaning and admissible interval."""
+"""``Quantity``: unit, meaning and admissible interval of a model's number."""
 
 import re
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ class Quantity:
         at_least: Inclusive lower bound.
         below: Exclusive upper bound.
         at_most: Inclusive upper bound.
-        law: Whether a probability law may stand in place of the number.
+        law: Whether a probability law may replace the number.
     """
 
     unit: str
@@ -28,7 +28,7 @@ class Quantity:
     law: bool = True
 
     def violated_by(self, low: float, high: float) -> str | None:
-        """The rule that the interval [low, high] breaks, or None."""
+        """Return the rule that the interval [low, high] violates, or None."""
         if self.above is not None and not low > self.above:
             return f"must be > {self.above:g}"
         if self.at_least is not None and not low >= self.at_least:
@@ -41,16 +41,16 @@ class Quantity:
 
 
 def extent(value: Any) -> tuple[float, float]:
-    """Lowest and highest value that a number, or a law that stands for it, can take."""
+    """Lowest and highest value of a number or of the law that replaces it."""
     support = getattr(value, "support", None)
     return support if support is not None else (float(value), float(value))
 
 
 def nominal(value: Any) -> float:
-    """A number, or the median of the law that stands for it."""
+    """A number, or the median of the law that replaces it."""
     return float(getattr(value, "median", value))
 
 
 def angular_unit(unit: str) -> str:
-    """A channel's unit where its output is an angle: rad in place of a leading metre."""
+    """The unit of a channel whose output is an angle: a leading metre becomes rad."""
     return re.sub(r"^m\b", "rad", unit)

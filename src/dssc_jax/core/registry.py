@@ -1,4 +1,4 @@
-"""Registries: the kinds of model that a study may name, their options, and the slots that parts of a model fill."""
+"""Registries of the model kinds available in a study, their options, and slots for parts of a model."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -9,13 +9,13 @@ from typing import Any, NamedTuple, TypeAlias
 class Slot:
     """Marks a parameter field that holds a part chosen by ``kind`` from ``registry``.
 
-    A part is a ``NamedTuple`` of numbers with methods; its type tells the step what to compute, so that nothing
-    is decided while tracing.
+    A part is a ``NamedTuple`` of numbers with methods. Its type determines what the step computes, so no decision
+    depends on traced values.
 
     Args:
-        registry: The kinds that may stand here.
-        number: The kind that a bare number stands for (its first field takes it).
-        default: The kind when the table names none; without one, ``kind`` is required.
+        registry: The admissible kinds.
+        number: The kind that a bare number selects; the number becomes its first field.
+        default: The kind if the table gives none; without a default, ``kind`` is required.
     """
 
     registry: "Registry"
@@ -24,14 +24,14 @@ class Slot:
 
 
 class Entry(NamedTuple):
-    """One registry row: a model, or a family of which an option picks the member.
+    """One registry row: a model, or a family of models from which an option selects a member.
 
     Args:
-        members: The model for each value of the option; a single model stands under the key ``None``.
+        members: The model for each value of the option; a single model has the key ``None``.
         option: Name of the option's field, e.g. ``discretisation``.
-        default: The option's value when the table does not give it.
+        default: The option's value if the table does not give it.
         summary: One line for ``dssc-jax info``.
-        base: The table that the study's own is laid over.
+        base: The table that the study's own table overrides.
     """
 
     members: dict[Any, Any]

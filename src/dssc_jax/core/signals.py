@@ -15,11 +15,11 @@ State: TypeAlias = Any
 Info: TypeAlias = Any
 
 ProgressCallback: TypeAlias = Callable[[int, int], None]
-"""Called with what is done so far, in lanes or steps, and with how much there is in all."""
+"""Called with the number of finished lanes or steps and the total number."""
 
 
 class Measurement(NamedTuple):
-    """What the controller sees of the plant: output ``y`` [m] and its derivative ``y_dot`` [m/s]."""
+    """The plant's measurement: output ``y`` [m] and its derivative ``y_dot`` [m/s]."""
 
     y: Scalar
     y_dot: Scalar
@@ -34,16 +34,16 @@ class ReferencePoint(NamedTuple):
 
 
 Signals: TypeAlias = tuple[Scalar, ...]
-"""One value a channel."""
+"""One value per channel."""
 
 Measurements: TypeAlias = tuple[Measurement, ...]
-"""One measurement a channel."""
+"""One measurement per channel."""
 
 ReferencePoints: TypeAlias = tuple[ReferencePoint, ...]
-"""One desired point a channel."""
+"""One desired point per channel."""
 
 Signal = TypeVar("Signal", bound=Scalar | Signals)
-"""A scalar for a plant of one channel (SISO), a tuple of scalars for one of several (MIMO)."""
+"""A scalar for a plant with one channel (SISO), a tuple of scalars for several (MIMO)."""
 
 
 class Command(NamedTuple):
@@ -59,10 +59,10 @@ class Command(NamedTuple):
 
 
 class PlantInput(NamedTuple, Generic[Signal]):
-    """What drives the plant: the command u_p after unmodelled dynamics, and the matched disturbance d [m/s].
+    """The plant's input: the command u_p after unmodelled dynamics, and the matched disturbance d [m/s].
 
-    Both are scalars for a plant of one channel, and tuples in the order of its channels otherwise; ``wind`` is a
-    ``Vec3`` [m/s] for plants that fly.
+    Both are scalars for a plant with one channel, and tuples in the order of the channels otherwise; ``wind`` is a
+    ``Vec3`` [m/s] for flying plants.
     """
 
     command: Signal
@@ -73,8 +73,7 @@ class PlantInput(NamedTuple, Generic[Signal]):
 class Outcome(IntEnum):
     """How a draw ended.
 
-    ``REQUIREMENT + i``: it ran to its end, and requirement i (from 0) is the first in the study's order that it
-    violates.
+    ``REQUIREMENT + i``: the draw completed, and requirement i (from 0) is the first violated one in the study's order.
     """
 
     OK = 0

@@ -1,6 +1,6 @@
 """Vectors, matrices and quaternions of scalars, with operators.
 
-Arrays of three inside a step cost up to half of the speed; tuples of scalars compile to scalar arithmetic, and
+Arrays of length three inside a step cost up to half of the speed. Tuples of scalars compile to scalar arithmetic, and
 with operators ``R @ force / mass - gravity`` still reads like the equation.
 """
 

@@ -1,4 +1,4 @@
-"""The zero dynamics eta' = A_eta eta + B_eta y' of (5): what plant and norm observer both need to know of it."""
+"""The zero dynamics eta' = A_eta eta + B_eta y' of (5), for plant and norm observer."""
 
 from typing import Annotated, NamedTuple
 
@@ -12,8 +12,8 @@ from dssc_jax.core.signals import Scalar
 class ZeroDynamics(NamedTuple):
     """A_eta in controllable canonical form and C_eta.
 
-    ``a = (a_0, ..., a_{m-1})`` are the coefficients of s^m + a_{m-1} s^{m-1} + ... + a_0, rising powers: the last
-    row of A_eta is -a. ``c`` is the row C_eta in the same order.
+    ``a = (a_0, ..., a_{m-1})`` are the coefficients of s^m + a_{m-1} s^{m-1} + ... + a_0 in ascending powers; the
+    last row of A_eta is -a. ``c`` is the row C_eta in the same order.
     """
 
     a: Annotated[tuple[Scalar, ...], Quantity("1/s^(m-i)", "characteristic coefficients of A_eta, rising powers")]
@@ -21,7 +21,7 @@ class ZeroDynamics(NamedTuple):
 
 
 def companion(a: tuple[float, ...]) -> np.ndarray:
-    """A_eta, (m, m), of its characteristic coefficients in rising powers."""
+    """A_eta, (m, m), from its characteristic coefficients in ascending powers."""
     m = len(a)
     matrix = np.eye(m, k=1)
     matrix[-1] = -np.asarray(a, dtype=float)
@@ -34,11 +34,11 @@ def is_hurwitz(a: tuple[float, ...]) -> bool:
 
 
 def kharitonov(low: tuple[float, ...], high: tuple[float, ...]) -> list[tuple[float, ...]]:
-    """The four polynomials whose stability decides that of the whole box of coefficients.
+    """Kharitonov's four polynomials, whose stability implies that of the whole box of coefficients.
 
     Reference:
-        V. L. Kharitonov, Differential Equations 14 (1979) 1483-1485. Coefficients in rising powers; the leading
-        one is 1 and belongs to both ends.
+        V. L. Kharitonov, Differential Equations 14 (1979) 1483-1485. Coefficients in ascending powers; the leading
+        one is 1 at both ends.
     """
     patterns = ("llhh", "hhll", "lhhl", "hllh")
     return [tuple(low[i] if p[i % 4] == "l" else high[i] for i in range(len(low))) for p in patterns]

@@ -1,4 +1,4 @@
-"""Theorem 1 and Table 1 of the article as a tool: from bounds to gains, and to a certificate of any gains."""
+"""Design with Theorem 1 and Table 1 of the article: gains from bounds, and certificates for given gains."""
 
 from dssc_jax.design.bounds import Bounds, Constants, derive
 from dssc_jax.design.certificate import Certificate, certified, check

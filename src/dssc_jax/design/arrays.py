@@ -1,4 +1,4 @@
-"""Formulas that take numbers, NumPy arrays or traced values alike."""
+"""Helpers for formulas that accept numbers, NumPy arrays or traced values."""
 
 from types import ModuleType
 from typing import Any, TypeAlias
@@ -12,7 +12,7 @@ Numeric: TypeAlias = Any
 
 
 def namespace(*values: Numeric) -> ModuleType:
-    """``jax.numpy`` where a value is JAX's, else NumPy, which computes in float64 whatever JAX's precision."""
+    """``jax.numpy`` if a value is JAX's, else NumPy, which uses float64 for every precision of JAX."""
     return jnp if any(isinstance(value, jax.Array) for value in values) else np
 
 
@@ -22,6 +22,6 @@ def greater(first: Numeric, second: Numeric) -> Numeric:
 
 
 def ratio_where(condition: Numeric, numerator: Numeric, denominator: Numeric) -> Numeric:
-    """numerator/denominator where the condition holds, else NaN; the denominator may vanish elsewhere."""
+    """numerator/denominator if the condition holds, else NaN; the denominator may vanish elsewhere."""
     xp = namespace(condition, numerator, denominator)
     return xp.where(condition, numerator / xp.where(condition, denominator, 1.0), xp.nan)

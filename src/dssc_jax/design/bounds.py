@@ -1,6 +1,6 @@
-"""What is known of plant, disturbance, nominal control and reference (A0)-(A4), and the constants that follow.
+"""Bounds of plant, disturbance, nominal control and reference (A0)-(A4), and the derived constants.
 
-Formulas here and in the rest of the package take numbers, arrays or traced values alike.
+Formulas here and in the rest of the package accept numbers, arrays or traced values.
 """
 
 from functools import cache
@@ -93,7 +93,7 @@ class Bounds(NamedTuple):
     zero_dynamics: ZeroDynamics | None = None
 
     def prepare(self) -> "Bounds":
-        """Check what spans several fields.
+        """Check rules that span several fields.
 
         Raises:
             ConfigError: k_min > k_max, or A_eta is not Hurwitz.
@@ -111,7 +111,7 @@ class Bounds(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """What the theorem's inequalities are made of; k_p at k_max."""
+    """The constants in the theorem's inequalities; k_p at k_max."""
 
     kd1_bar: Annotated[Numeric, Quantity("1/(m s)", "bound of |beta_1/sigma| growing with |e| (69)")]
     kd2_bar: Annotated[Numeric, Quantity("1/m", "bound of |beta_1/sigma| growing with |sigma| (69)")]
@@ -129,8 +129,8 @@ class Constants(NamedTuple):
 def derive(bounds: Bounds, l0: Numeric) -> Constants:
     """The constants of Appendix E, with y = e + y_m and y' = -l0 e + sigma + y_m'.
 
-    kappa_e follows from the derivative of (64): the article misplaces a factor l0 and drops k_p on du_p/de.
-    In beta_m the terms l0 y_m'' of sigma_m'' and of (l0 - a_p) y_m'' cancel, of which the article makes no use.
+    kappa_e follows from the derivative of (64): the article misplaces a factor l0 and omits k_p on du_p/de.
+    In beta_m the terms l0 y_m'' of sigma_m'' and of (l0 - a_p) y_m'' cancel, which the article does not use.
 
     Args:
         bounds: The bounds.

@@ -1,4 +1,4 @@
-"""The certificate: Table 1, the Lyapunov matrices, positive functions, the small gain, and what follows from them."""
+"""The certificate of a design: Table 1, Lyapunov matrices, positive functions, small gain, and guarantees."""
 
 from typing import Any, NamedTuple
 
@@ -27,15 +27,16 @@ class Lyapunov(NamedTuple):
 
 
 class Certificate(NamedTuple):
-    """What can be said of a design under its bounds.
+    """The results of checking a design under its bounds.
 
     Args:
         inequalities: Table 1, row by row.
-        constants: What the inequalities are made of.
+        constants: The constants in the inequalities.
         lyapunov: P, Q - 2 eps I and the functions.
-        small_gain: The least phi_b in three readings.
-        phi_b: The design's own.
-        guarantee: Decay rate and residual sets; infinite, and a rate of 0, where Q or the small gain is not proved.
+        small_gain: The smallest phi_b by three formulas.
+        phi_b: The phi_b of the design.
+        guarantee: Decay rate and residual sets; the rate is 0 and the sets are infinite if Q or the small gain is not
+            proved.
         practice: Sampling period and modulation that the design needs.
         interconnected: Whether the small-gain condition holds, as derived.
     """
@@ -60,7 +61,7 @@ class Certificate(NamedTuple):
         return self.table and self.interconnected
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON, NaN and infinity still to be replaced."""
+        """For JSON; NaN and infinity must still be replaced."""
         rows = [
             {
                 "name": i.name,
@@ -93,11 +94,11 @@ def check(parameters: Parameters, bounds: Bounds) -> Certificate:
     """Check a design under its bounds, over the whole interval of k_p.
 
     Args:
-        parameters: The parameters in question, plain numbers.
-        bounds: What is known of plant, disturbance, nominal control and reference.
+        parameters: The parameters, plain numbers.
+        bounds: Bounds of plant, disturbance, nominal control and reference.
 
     Returns:
-        Each inequality with its slack, as derived and as printed, and what they guarantee together.
+        Each inequality with its slack, as derived and as printed, and the resulting guarantee.
 
     Raises:
         ConfigError: a number is out of its range, or the bounds contradict themselves.
@@ -136,12 +137,12 @@ def check(parameters: Parameters, bounds: Bounds) -> Certificate:
 
 
 def as_floats(numbers: Any) -> Any:
-    """A tuple whose numbers are Python's own."""
+    """The same tuple with Python numbers."""
     return type(numbers)(*(value if isinstance(value, str) else float(value) for value in numbers))
 
 
 def certified(parameters: Parameters, bounds: Bounds) -> Numeric:
-    """Whether Theorem 1 holds, for many designs at once: what :attr:`Certificate.certified` says of each.
+    """Whether Theorem 1 holds, for many designs at once; see :attr:`Certificate.certified`.
 
     Args:
         parameters: Arrays, traced or not, of shapes that broadcast.

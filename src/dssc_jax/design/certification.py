@@ -1,9 +1,9 @@
-"""Whether Theorem 1 certifies a study's loop, at every point of its sweep.
+"""Certification of a study's loop by Theorem 1 at every point of its sweep.
 
 The bounds (A0)-(A4) follow from the study: the interval of k_p and a_p from their laws, the disturbance's constants
 from its kind, those of the reference and of the nominal control from theirs. The certificate is that of the loop in
-continuous time, without unmodelled dynamics and sensors, and with a rho that keeps sliding: what else the study
-holds is what the simulation is for.
+continuous time, without unmodelled dynamics and sensors, and with a rho that maintains sliding. The simulation covers
+everything else in the study.
 """
 
 import math
@@ -30,21 +30,21 @@ OUTSIDE = {
     "differentiator": "it takes y' as it is",
     "controller.rho": "it takes sliding for granted",
 }
-"""Numbers of which the theorem says nothing, and why."""
+"""Numbers that the theorem does not cover, with the reason."""
 LIMITS = ("unmodelled.rate", "unmodelled.limit")  # unmodelled dynamics whose absence is an infinite number
 REFINEMENTS, REFINED = 2, 33  # of the walk's cell in which the certificate is lost: 1/1024 of it
 
 
 class NotCovered(Exception):
-    """The theorem does not speak of this loop; the message says why."""
+    """The theorem does not cover this loop; the message gives the reason."""
 
 
 class Mark(NamedTuple):
-    """What the theorem says of a study.
+    """The theorem's result for a study.
 
     Args:
-        certified: True or False for each point, of the shape of the sweep's axes; None where it does not speak.
-        reason: Why it does not speak; empty where it does.
+        certified: True or False for each point, with the shape of the sweep's axes; None if it does not apply.
+        reason: Why it does not apply; empty if it applies.
     """
 
     certified: np.ndarray | None
@@ -52,11 +52,11 @@ class Mark(NamedTuple):
 
 
 class Reach(NamedTuple):
-    """How far the theorem certifies a loop as one of its numbers is walked.
+    """How far the theorem certifies a loop as one of its numbers varies.
 
     Args:
-        value: The last value that is certified, for all draws at once; None where none is.
-        text: What the theorem says of the number, in words.
+        value: The last certified value, for all draws at once; None if there is none.
+        text: The theorem's result for the number, in words.
     """
 
     value: float | None
@@ -74,13 +74,13 @@ class Ends(NamedTuple):
         return np.maximum(np.abs(getattr(self.low, name)), np.abs(getattr(self.high, name)))
 
     def part(self, name: str, index: int | None = None) -> "Ends":
-        """The ends of a part."""
+        """The lowest and highest values of a part."""
         low, high = getattr(self.low, name), getattr(self.high, name)
         return Ends(low, high) if index is None else Ends(low[index], high[index])
 
 
 def mark(study: Study) -> Mark:
-    """Whether each point of a study's sweep is certified; of one whose code is not loaded, what was found with it."""
+    """Whether each point of a study's sweep is certified; the stored result if the study's code is not loaded."""
     if isinstance(study, Described):
         verdicts = study.description.certified
         return Mark(None if verdicts is None else np.asarray(verdicts, dtype=bool), study.description.silence)
@@ -94,15 +94,16 @@ def mark(study: Study) -> Mark:
 
 
 def reach(study: Study, name: str, values: np.ndarray) -> Reach:
-    """How far Theorem 1 certifies a study as one number takes the place of its law, or of its own value.
+    """How far Theorem 1 certifies a study as given values of one number replace its law or its own value.
 
-    Of unmodelled dynamics the theorem knows their absence only: a lag mu s W(mu s) u (Section V-A2) depends on u', and
-    therefore is no disturbance of the class (A0)-(A3), however small mu; nor is what a limit takes from the command.
+    The theorem assumes that there are no unmodelled dynamics. A lag mu s W(mu s) u (Section V-A2) depends on u' and
+    is therefore not a disturbance of the class (A0)-(A3), however small mu is; nor is the effect of a limit on the
+    command.
 
     Args:
-        study: The study; its own sweep is left aside.
+        study: The study; its own sweep is ignored.
         name: Dotted name of the number.
-        values: Where it is walked, from its safe end, shape (n,).
+        values: Values of the number, from its safe end, shape (n,).
     """
     part = name.partition(".")[0]
     if part == "unmodelled":
@@ -119,7 +120,7 @@ def reach(study: Study, name: str, values: np.ndarray) -> Reach:
 
 
 def certified_up_to(study: Study, name: str, values: np.ndarray) -> Reach:
-    """:func:`reach` of a number that the theorem speaks of."""
+    """:func:`reach` for a number that the theorem covers."""
     along = marks_over_spread if name == SPREAD else marks_along
     holds, reason = along(study, name, values)
     if holds is None:
@@ -149,7 +150,7 @@ def marks_along(study: Study, name: str, values: np.ndarray) -> Mark:
 
 
 def marks_over_spread(study: Study, name: str, values: np.ndarray) -> Mark:
-    """Marks of a study whose laws are so many times as wide: their ends move about the median.
+    """Marks of a study whose laws are widened by a factor: their ends move about the median.
 
     A law of unbounded support stays unbounded; one that leaves its number's range is not certified.
     """
@@ -167,7 +168,7 @@ def marks_over_spread(study: Study, name: str, values: np.ndarray) -> Mark:
 
 
 def widened(study: Study, share: float) -> dict[str, Any]:
-    """What takes the place of each law of bounded support: a uniform one over its moved ends."""
+    """Replacements of the laws with bounded support: uniform laws between the moved ends."""
     changes: dict[str, Any] = {}
     for name, law in study.laws.items():
         if np.all(np.isfinite(law.support)):
@@ -180,7 +181,7 @@ def design_of(study: Study) -> tuple[Parameters, Bounds]:
     """The parameters of Table 1 and the bounds of a study's loop, over its sweep.
 
     Raises:
-        NotCovered: the plant is not (5)-(8), the functions are not those of Table 1, or something has no bound.
+        NotCovered: The plant is not (5)-(8), the functions are not those of Table 1, or a number has no bound.
     """
     ends = ends_of(study)
     if study.loop.plant is not NORMAL_FORM:
@@ -199,7 +200,7 @@ def design_of(study: Study) -> tuple[Parameters, Bounds]:
 
 
 def is_gain(name: str) -> bool:
-    """Whether a dotted name is one of the functions' or l0."""
+    """Whether a dotted name belongs to the functions or is l0."""
     return name.startswith("controller.functions.") or name == "controller.l0"
 
 
@@ -261,7 +262,7 @@ def reference_bounds(model: Reference, ends: Ends) -> dict[str, Any]:
 
 
 def disturbance_bounds(model: Disturbance, ends: Ends) -> dict[str, Any]:
-    """The constants of (A0.b)-(A3). A step is constant but for its instant, after which the theorem starts anew."""
+    """The constants of (A0.b)-(A3). A step is constant except at its time, after which the theorem applies again."""
     low = ends.low
     if model is disturbances.NO_DISTURBANCE:
         return {}

@@ -1,4 +1,4 @@
-"""How far a certificate reaches, and the free parameters that serve a goal best."""
+"""Limits of a certificate, and optimisation of the free parameters for a goal."""
 
 from collections.abc import Callable, Mapping
 from enum import StrEnum
@@ -23,12 +23,12 @@ DISTURBANCE_FIELDS = ("k_d1", "k_d2", "k_d3", "k_d4", "k_d5", "alpha_d2", "alpha
 
 
 class Limits(NamedTuple):
-    """How far single bounds can go until the certificate of a fixed design ends.
+    """How far single bounds can change before the certificate of a fixed design is lost.
 
     Args:
-        phi_b: Least phi_b, the other parameters kept.
-        disturbance: Largest common factor on the disturbance bounds; infinite where they do not matter.
-        k_min: Least k_min [1/s].
+        phi_b: Smallest phi_b, with the other parameters fixed.
+        disturbance: Largest common factor on the disturbance bounds; infinite if they do not matter.
+        k_min: Smallest k_min [1/s].
         k_max: Largest k_max [1/s].
         a_max: Largest a_max [1/s].
     """
@@ -41,7 +41,7 @@ class Limits(NamedTuple):
 
 
 def limits(p: Parameters, bounds: Bounds) -> Limits:
-    """The limits of a certified design, each with everything else as it is; NaN for one that is not certified.
+    """The limits of a certified design, each with everything else fixed; NaN for an uncertified design.
 
     Example:
         >>> from dssc_jax.design import synthesise
@@ -74,7 +74,7 @@ def scaled_bounds(bounds: Bounds, factor: float) -> Bounds:
 def last_true(holds: Callable[[float], bool], far: float) -> float:
     """The factor between 1 and ``far`` up to which a condition holds, by bisection of its logarithm.
 
-    NaN where it does not hold at 1; infinity, or 0, where it still does at ``far``.
+    NaN if it does not hold at 1; infinity, or 0, if it still holds at ``far``.
     """
     if not holds(1.0):
         return float("nan")
@@ -88,7 +88,7 @@ def last_true(holds: Callable[[float], bool], far: float) -> float:
 
 
 class Criterion(StrEnum):
-    """What the free parameters are chosen for."""
+    """Criteria for the choice of the free parameters."""
 
     RESIDUAL = "residual"
     DECAY_RATE = "decay_rate"
@@ -102,16 +102,16 @@ OBJECTIVES: dict[Criterion, Callable[[Parameters, Bounds], np.ndarray]] = {
     Criterion.GAIN: lambda p, bounds: (p.kappa_c**2 + p.kappa_d) * (p.phi_a / p.delta + p.phi_b),
     Criterion.PHI_B: lambda p, bounds: p.phi_b,
 }
-"""Each is to be made small; the gain is the synthesised proportional one at sigma = e = 0."""
+"""Each is minimised; the gain is the synthesised proportional gain at sigma = e = 0."""
 
 
 class DesignGoal(NamedTuple):
-    """What a design is optimised for.
+    """The goal of an optimised design.
 
     Args:
-        criterion: What is made small, or for the decay rate large.
-        residual: Required bound of the guaranteed |e| [m].
-        sample_time: Least sampling period at which the design must run, at half the sampling limit of the origin [s].
+        criterion: The quantity to minimise; the decay rate is maximised.
+        residual: Required bound on the guaranteed |e| [m].
+        sample_time: Smallest sampling period that the design must permit, at half the sampling limit of the origin [s].
     """
 
     criterion: Criterion = Criterion.RESIDUAL
@@ -125,28 +125,28 @@ RANGES: dict[str, tuple[float, float]] = {
     "eps_1": (0.05, 50.0),
     "eps_3": (0.01, 1000.0),
 }
-"""Where the optimiser looks unless the goal says otherwise (assumed)."""
+"""Default ranges of the optimiser (assumed)."""
 
 
 def optimise(
     bounds: Bounds, free: Free, goal: DesignGoal, ranges: Mapping[str, tuple[float, float]] = RANGES, seed: int = 0
 ) -> Free:
-    """The free parameters of Table 1 that serve a goal best, by differential evolution on their logarithms.
+    """Optimise the free parameters of Table 1 for a goal, by differential evolution on their logarithms.
 
     Every candidate is a design of the strict recipe.
 
     Args:
         bounds: What is known.
-        free: Values of what is not varied.
-        goal: What is wanted.
+        free: Values of the parameters that are not varied.
+        goal: The goal.
         ranges: Lower and upper end of each varied field of ``free``.
-        seed: Of the search.
+        seed: Seed of the search.
 
     Returns:
-        ``free`` with the best values.
+        ``free`` with the optimal values.
 
     Raises:
-        ConfigError: a range is not one, or no design in the ranges meets the goal: says how near the nearest comes.
+        ConfigError: A range is invalid, or no design in the ranges meets the goal; reports the nearest design.
 
     Example:
         >>> bounds = Bounds(k_min=0.9, k_max=1.1, a_max=1.0, alpha_d3=0.1)
@@ -193,7 +193,7 @@ def optimise(
 
 
 def edges(free: Free, ranges: Mapping[str, tuple[float, float]] = RANGES) -> tuple[str, ...]:
-    """Which parameters lie at an end of their range, in words: within :data:`AT_EDGE` of its logarithmic length."""
+    """Describe the parameters at an end of their range: within :data:`AT_EDGE` of its logarithmic length."""
     edges = []
     for name, (low, high) in ranges.items():
         share = float(np.log(getattr(free, name) / low) / np.log(high / low))
@@ -204,7 +204,7 @@ def edges(free: Free, ranges: Mapping[str, tuple[float, float]] = RANGES) -> tup
 
 
 def shortfall(p: Parameters, bounds: Bounds, goal: DesignGoal) -> np.ndarray:
-    """By how many powers of e a design misses the goal's limits; 0 where it meets them."""
+    """By how many powers of e a design misses the goal's limits; 0 if it meets them."""
     missed = np.zeros(np.shape(p.phi_b))
     if np.isfinite(goal.residual):
         missed = missed + np.maximum(np.log(np.clip(guarantee(p, bounds).e, 1e-300, 1e300) / goal.residual), 0.0)
@@ -214,7 +214,7 @@ def shortfall(p: Parameters, bounds: Bounds, goal: DesignGoal) -> np.ndarray:
 
 
 def infeasible(bounds: Bounds, nearest: Free, goal: DesignGoal) -> str:
-    """Which limit cannot be met, and how near the nearest design comes."""
+    """Describe the limit that cannot be met, and the nearest design."""
     p = synthesise(bounds, nearest)
     e, period = float(guarantee(p, bounds).e), float(practice(p, bounds).sample_time_origin)
     wanted = [

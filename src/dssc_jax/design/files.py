@@ -1,4 +1,4 @@
-"""Design files: ``[bounds]``, and ``[parameters]`` to check, or ``[free]`` and ``[goal]`` from which they follow."""
+"""Design files: ``[bounds]`` with ``[parameters]`` to check, or with ``[free]`` and ``[goal]`` for synthesis."""
 
 import json
 from pathlib import Path
@@ -15,7 +15,7 @@ from dssc_jax.study.schema import STRICT, finite_number
 from dssc_jax.study.tables import read_toml
 
 FREE_DEFAULTS = Free(l0=1.0, phi_a=0.1, eps=0.5, delta=1.0, eps_1=1.0, eps_2=0.1, eps_3=1.0)
-"""Values of what [free] does not give and the goal does not vary (assumed)."""
+"""Values of parameters that [free] does not give and the goal does not vary (assumed)."""
 REQUIRED_FREE = set(Free._fields) - set(Free._field_defaults)
 RUNNABLE = 1e-3  # s; sampling period that a design must allow where no goal is given
 
@@ -32,16 +32,16 @@ Range = Annotated[tuple[float, float], BeforeValidator(interval_of)]
 
 
 class DesignFile(NamedTuple):
-    """What a design file says, and the parameters that follow.
+    """The content of a design file, and the resulting parameters.
 
     Args:
-        name: Of the file, or as it says.
-        bounds: What is known.
+        name: The name in the file, or the file's name.
+        bounds: The bounds.
         parameters: Given, synthesised or optimised.
-        free: The free parameters that they were synthesised from, if they were.
-        goal: What the free parameters were optimised for, if they were.
-        modulation: How the loop is meant to reach sliding, if it is said.
-        edges: What was optimised and ended at an end of its range, in words.
+        free: The free parameters of the synthesis, if there was one.
+        goal: The goal of the optimisation, if there was one.
+        modulation: How the loop reaches sliding, if the file gives it.
+        edges: Optimised parameters at an end of their range, in words.
     """
 
     name: str
@@ -54,7 +54,7 @@ class DesignFile(NamedTuple):
 
 
 class GoalTable(BaseModel):
-    """``[goal]``: what the free parameters are chosen for."""
+    """``[goal]``: the goal for the choice of the free parameters."""
 
     model_config = STRICT
     criterion: str | None = None
@@ -71,12 +71,13 @@ def load_design(path: str | Path, *, complete: bool = True) -> DesignFile:
 
     Args:
         path: A TOML file with ``[bounds]`` and ``[parameters]`` or ``[free]``; ``recipe`` is ``strict`` (default) or
-            ``printed`` and belongs to ``[free]``. With ``[goal]``, what ``[free]`` does not fix is optimised.
-        complete: Whether ``[free]`` without ``[goal]`` has to name every parameter; otherwise the rest is optimised
+            ``printed`` and belongs to ``[free]``. With ``[goal]``, parameters that ``[free]`` does not fix are
+            optimised.
+        complete: Whether ``[free]`` without ``[goal]`` must give every parameter; otherwise the rest is optimised
             for the smallest guaranteed residual at a sampling period of 1 ms, and ``[free]`` may be absent.
 
     Raises:
-        ConfigError: file, dotted path, rule and value of the first thing that is wrong.
+        ConfigError: File, dotted path, rule and value of the first error.
     """
     try:
         return parse_design(read_toml(path), Path(path).stem, complete)
@@ -117,9 +118,9 @@ def parse_design(table: dict[str, Any], name: str, complete: bool = True) -> Des
 
 
 def sought(table: dict[str, Any], bounds: Bounds) -> tuple[Free, DesignGoal, tuple[str, ...]]:
-    """The free parameters that serve the goal, and which of them ended at an end of their range.
+    """Find the free parameters for the goal, and those at an end of their range.
 
-    Those that ``[free]`` gives are kept, the others varied.
+    Parameters given in ``[free]`` are fixed, the others are varied.
     """
     try:
         wanted = GoalTable.model_validate(as_table(table.get("goal", {}), "goal"))
@@ -143,13 +144,13 @@ def sought(table: dict[str, Any], bounds: Bounds) -> tuple[Free, DesignGoal, tup
 
 
 def default_criterion(bounds: Bounds) -> str:
-    """The smallest residual; the fastest decay where nothing drives the loop away from zero."""
+    """The smallest residual, or the fastest decay if nothing drives the loop away from zero."""
     driven = derive(bounds, 1.0).beta_m > 0.0 or (bounds.zero_dynamics is not None and bounds.y_m_dot > 0.0)
     return (Criterion.RESIDUAL if driven else Criterion.DECAY_RATE).value
 
 
 def parsed_numbers(table: dict[str, Any], kind: type, path: str) -> Any:
-    """A table of plain numbers, none too large or too small to compute with, as an instance of its parameter type."""
+    """Parse a table of plain numbers of usable size into an instance of its parameter type."""
     if path not in table:
         raise ConfigError(path, "is required and missing")
     with errors_under(path):
@@ -159,7 +160,7 @@ def parsed_numbers(table: dict[str, Any], kind: type, path: str) -> Any:
 
 
 def to_toml(design_file: DesignFile) -> str:
-    """A design file with the parameters as numbers, and the table of a study that flies them."""
+    """A design file with the parameters as numbers, and the table for a study that uses them."""
     numbers = design_file.bounds._asdict().items()
     bounds = {name: value for name, value in numbers if name != "zero_dynamics" and value != 0.0}
     quoted = json.dumps(design_file.name, ensure_ascii=False).replace("\x7f", "\\u007f")
@@ -175,7 +176,7 @@ def to_toml(design_file: DesignFile) -> str:
 
 
 def functions_toml(parameters: Parameters) -> str:
-    """The controller's table in a study that flies the parameters; k_o = 1 is a choice, only k_o tau_av matters."""
+    """The controller's table in a study that uses the parameters; k_o = 1 is arbitrary, only k_o tau_av matters."""
     names = {name: "epsilon" if name == "eps" else name for name in Parameters._fields if name != "l0"}
     fields = ", ".join(f"{names[name]} = {getattr(parameters, name)!r}" for name in names)
     return (

@@ -52,7 +52,7 @@ class Alphas(NamedTuple):
 
 
 def alphas(p: Parameters, bounds: Bounds, constants: Constants, sigma: Numeric, e: Numeric) -> Alphas:
-    """rho_1 and rho_2 at (sigma, e); the article drops k_p on the integral terms of rho_2."""
+    """rho_1 and rho_2 at (sigma, e); the article omits k_p on the integral terms of rho_2."""
     first = constants.kd1_bar * abs(e) + constants.kd2_bar * abs(sigma) + constants.kd3_bar
     second = constants.k_sigma + bounds.k_max * (bounds.c_isigma * abs(sigma) + bounds.c_ie * abs(e))
     return Alphas(first / p.phi_b, second / p.phi_b**2)
@@ -93,7 +93,7 @@ def smallest_of_q(p: Parameters, k_p: Numeric, gain: Numeric, alpha_1: Numeric, 
 def worst_of_q(p: Parameters, bounds: Bounds, k_p: Numeric, sigma: Numeric, e: Numeric) -> Numeric:
     """Smallest eigenvalue of Q - 2 eps I over |alpha_1| <= rho_1, |alpha_2| <= rho_2.
 
-    It is concave in (alpha_1, alpha_2), in which the matrix is affine, so that the four vertices suffice.
+    The matrix is affine in (alpha_1, alpha_2), so the eigenvalue is concave and the four vertices suffice.
     """
     limit = alphas(p, bounds, derive(bounds, p.l0), sigma, e)
     gain = kappa_1(p, sigma, e)
@@ -108,7 +108,7 @@ def worst_of_q(p: Parameters, bounds: Bounds, k_p: Numeric, sigma: Numeric, e: N
 def attack_q(p: Parameters, bounds: Bounds) -> float:
     """Smallest eigenvalue of Q - 2 eps I found over a grid of all sigma, e, and k_p; for plain numbers.
 
-    |sigma| and |e| run to 10^6 of the scale at which they matter in kappa.
+    |sigma| and |e| range up to 10^6 times the scale at which they matter in kappa.
     """
     scale = np.concatenate([[0.0], np.logspace(-3, 6, POINTS - 1)])
     sigma = scale[:, None, None] * p.kappa_c / p.kappa_a
@@ -122,9 +122,9 @@ def q_coefficients(p: Parameters, bounds: Bounds) -> tuple[Numeric, ...]:
 
     2 eps k_q > (2 eps alpha_1 - alpha_2)^2 at the worst vertex (rho_1, -rho_2), where each of its terms is at its
     worst, reads f kappa_1 - rho^2 - 4 eps gamma k_p rho_1 - 8 eps^2 rho_2 - 8 eps^2 gamma k_p - 4 eps^2 > 0 with
-    rho = 2 eps rho_1 + rho_2: a polynomial of second degree. Where all of its coefficients are positive it is
-    positive. Divided by f every subtracted term falls with k_p, hence k_min suffices. This asks for less than
-    Table 1, which bounds rho_1 and rho_2 by rho.
+    rho = 2 eps rho_1 + rho_2: a polynomial of second degree. If all its coefficients are positive, it is positive.
+    Divided by f, every subtracted term falls with k_p, so k_min suffices. This condition is weaker than Table 1,
+    which bounds rho_1 and rho_2 by rho.
 
     Returns:
         The coefficients of sigma^2, |sigma e|, e^2, |sigma|, |e| and 1, at k_min.
@@ -157,7 +157,7 @@ def functions_are_positive(p: Parameters) -> Numeric:
     """Whether k_o tau_av > 0 and tau_m > 0 are proved for all sigma, e.
 
     (28) is positive term by term. For (29), eps kappa phi_b > kappa_b (l0 |e| + |sigma|) suffices, coefficient by
-    coefficient: phi_b >= l0/eps and kappa_a >= kappa_b/(eps phi_b), which asks for less than Table 1's
-    kappa_a > kappa_b/l0; kappa_c, kappa_d and gamma make it strict.
+    coefficient: phi_b >= l0/eps and kappa_a >= kappa_b/(eps phi_b), which is weaker than Table 1's kappa_a >
+        kappa_b/l0; kappa_c, kappa_d and gamma make it strict.
     """
     return (p.eps * p.phi_b >= p.l0) & (p.kappa_a * p.eps * p.phi_b >= p.kappa_b)

@@ -1,7 +1,8 @@
-"""From the theorem to a running loop: the sampling period and the modulation that a design needs.
+"""The sampling period and the modulation that a design needs in practice.
 
-The theorem is about continuous time and a modulation that dominates the disturbance. What is bounded here is bounded
-where the loop lives in the end, in the guaranteed residual set; a start far away needs more of either.
+The theorem assumes continuous time and a modulation that dominates the disturbance. The bounds here hold in the
+guaranteed residual set, where the loop eventually stays; a start far away needs faster sampling or a larger
+modulation.
 """
 
 from typing import Annotated, NamedTuple
@@ -16,10 +17,10 @@ RATIO = 0.5  # share of the sampling limit that the proposed periods use
 
 
 class Practice(NamedTuple):
-    """What a running loop needs.
+    """Practical requirements of a design.
 
-    What concerns the residual set is NaN where none is guaranteed; ``u_av`` and ``drift`` also where the bounds do not
-    tell: a disturbance without ``alpha_d``, or an integral in the nominal control.
+    Values for the residual set are NaN if none is guaranteed. ``u_av`` and ``drift`` are also NaN if the bounds do
+    not determine them: a disturbance without ``alpha_d``, or an integral in the nominal control.
 
     Args:
         sample_time_origin: Sampling period for half the sampling limit at sigma = e = 0 and k_p = k_max [s].
@@ -27,7 +28,7 @@ class Practice(NamedTuple):
         proportional_gain: Bound of 1/(k_o tau_av), the synthesised proportional gain, over that set [1].
         u_av: Bound of |u_av| over that set [m/s].
         drift: Bound of |sigma' + sigma/tau_m| over that set [m/s^2]. By (20) k_o u_eq = k_o u_av + sigma' +
-            sigma/tau_m in sliding, so that the sliding condition is met by rho > u_av + drift/k_o.
+            sigma/tau_m in sliding, so rho > u_av + drift/k_o satisfies the sliding condition.
     """
 
     sample_time_origin: Numeric
@@ -38,12 +39,12 @@ class Practice(NamedTuple):
 
 
 def practice(p: Parameters, bounds: Bounds, promised: Guarantee | None = None) -> Practice:
-    """Sampling periods by the sampling limit of the synthesised law, and what a constant rho has to dominate.
+    """Sampling periods from the sampling limit of the synthesised law, and the bounds that rho must dominate.
 
     Args:
         p: The parameters.
-        bounds: What is known.
-        promised: The guarantee, where it is known already.
+        bounds: The bounds.
+        promised: The guarantee, if it is already known.
     """
     reached = finite_guarantee(guarantee(p, bounds) if promised is None else promised)
     inside = proportional_gain(p, reached.sigma, reached.e)
@@ -56,7 +57,7 @@ def practice(p: Parameters, bounds: Bounds, promised: Guarantee | None = None) -
 
 
 def finite_guarantee(reached: Guarantee) -> Guarantee:
-    """NaN in place of infinity, which would make NaN of 0 times itself."""
+    """NaN in place of infinity, whose product with 0 would be NaN."""
     xp = namespace(*reached)
     return Guarantee(*(xp.where(xp.isfinite(value), value, xp.nan) for value in reached))
 
@@ -74,7 +75,7 @@ def predictor_pole(p: Parameters) -> Numeric:
     """Bound of 1/tau_m of (29) over all (sigma, e).
 
     Its part of d kappa_1/d e is at most kappa_b/kappa_a, that of kappa_2 at most the largest phi_1/sigma times the
-    largest kappa_2/kappa_1. NaN where kappa_a = 0: then nothing bounds it.
+    largest kappa_2/kappa_1. NaN if kappa_a = 0: then nothing bounds it.
     """
     largest_share = 2.0 * p.eps + p.gamma / (p.kappa_c**2 + p.kappa_d)
     return ratio_where(p.kappa_a > 0.0, p.kappa_b, p.kappa_a) + (p.phi_a / p.delta + p.phi_b) * largest_share
@@ -118,14 +119,14 @@ def output_norm(bounds: Bounds) -> float:
 
 
 class Modulation(NamedTuple):
-    """How the loop is meant to reach sliding."""
+    """Modulation with which the loop reaches sliding."""
 
     k_o: Annotated[float, positive("1/s", "constant predictor gain k_o")]
     delta_rho: Annotated[float, positive("m/s^2", "margin delta_rho of (33)")]
     sigma_tilde: Annotated[float, known("m/s", "|sigma - sigma_hat| at the start")] = 0.0
 
     def needed_rho(self, practice: Practice) -> Numeric:
-        """Constant rho that keeps sliding in the residual set with the margin delta_rho [m/s]."""
+        """Constant rho that maintains sliding in the residual set with the margin delta_rho [m/s]."""
         return practice.u_av + (practice.drift + self.delta_rho) / self.k_o
 
     @property

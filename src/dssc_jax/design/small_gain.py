@@ -1,10 +1,10 @@
-"""Theorem 1's small-gain condition, and the numbers that it guarantees: decay rate and residual sets.
+"""Theorem 1's small-gain condition, and the guaranteed decay rate and residual sets.
 
 With W_eta = (x_eta^T P_eta x_eta)^(1/2), x_eta = (eta, e), and W_v = (zeta^T P zeta)^(1/2), (60) and (58) are
 W_eta' <= -k_eta1 W_eta + k_eta2 W_v + k_eta3 |y_m'| and W_v' <= -k_v1 W_v + k_v2 W_eta + k_v3 beta_m. The linear
 comparison system is stable, and decays to the residual set, if and only if k_v1 k_eta1 > k_v2 k_eta2.
 
-k_p enters through P alone, and the extremes over [k_min, k_max] are attained at its ends. Stability and residuals
+k_p enters only through P, and the extremes over [k_min, k_max] are attained at its ends. Stability and residuals
 depend on P's condition number only, and its derivative with respect to x = gamma k_p has the sign of
 x - 1 - 8 eps^2: it falls, then rises. The decay rate exceeds r if and only if r < k_eta1 and
 eps phi_b lmin(P) - r det P - (k_v2 k_eta2 lmin(P)/(k_eta1 - r)) lmax(P) > 0, where k_v2 k_eta2 lmin(P) does not
@@ -22,10 +22,10 @@ RESOLVED = 1e-9  # smallest ratio of eigenvalues of P_eta that float64 resolves 
 
 
 class ErrorDynamics(NamedTuple):
-    """The solution P_eta of A_xeta^T P_eta + P_eta A_xeta = -2 I, as far as the theorem needs it (59).
+    """Properties of the solution P_eta of A_xeta^T P_eta + P_eta A_xeta = -2 I (59).
 
     Args:
-        spread: Its eigenvalues.
+        spread: Smallest and largest eigenvalue.
         input: |P_eta B_sigma|.
         reference: |P_eta B_m|.
     """
@@ -38,8 +38,8 @@ class ErrorDynamics(NamedTuple):
 def error_dynamics(bounds: Bounds, l0: Numeric) -> ErrorDynamics:
     """P_eta for A_xeta = [[A_eta, -l0 B_eta], [0, -l0]], B_sigma = [B_eta; 1], B_m = [B_eta; 0].
 
-    For a plant of order two it is 1/l0. Where it is too ill-conditioned for its smaller eigenvalue to be known, that is
-    NaN, and nothing is certified.
+    For a plant of order two it is 1/l0. If it is too ill-conditioned to compute its smaller eigenvalue, that
+    eigenvalue is NaN and nothing is certified.
     """
     if bounds.zero_dynamics is None:
         return ErrorDynamics(Spread(1.0 / l0, 1.0 / l0), 1.0 / l0, 0.0 * l0)
@@ -84,12 +84,12 @@ def worst_condition(p: Parameters, bounds: Bounds) -> Numeric:
 
 
 class SmallGain(NamedTuple):
-    """The least phi_b of the small-gain condition in its three readings.
+    """The smallest phi_b of the small-gain condition by three formulas.
 
     Args:
-        derived: The linear comparison system is stable for phi_b above it, from (58) and (60). This one certifies.
+        derived: From (58) and (60); the linear comparison system is stable for larger phi_b. Used for the certificate.
         theorem: 4 gamma_1 gamma_2 <= phi_b^2 of Appendix G with the derived gains: twice as much.
-        printed: The last bound of Appendix D, with 1/4 where 4 belongs and mixed powers of eigenvalues.
+        printed: The last bound of Appendix D, with 1/4 instead of 4 and mixed powers of eigenvalues.
     """
 
     derived: Numeric
@@ -98,10 +98,10 @@ class SmallGain(NamedTuple):
 
 
 def small_gain(p: Parameters, bounds: Bounds) -> SmallGain:
-    """The least phi_b for which the interconnection of tracking error and sliding motion is stable.
+    """The smallest phi_b for which the interconnection of tracking error and sliding motion is stable.
 
-    phi_b^2 > |P_eta B_sigma| |P B| (kappa_e + |C_eta A_eta|) cond(P) cond(P_eta)/eps. Nothing on its right depends
-    on phi_b: enlarging phi_b always meets it.
+    phi_b^2 > |P_eta B_sigma| |P B| (kappa_e + |C_eta A_eta|) cond(P) cond(P_eta)/eps. The right side does not depend
+    on phi_b, so a sufficiently large phi_b always satisfies it.
     """
     c, eta = derive(bounds, p.l0), error_dynamics(bounds, p.l0)
     shared = eta.input * norm_of_pb(p.eps) * eta.spread.condition / p.eps
@@ -113,7 +113,7 @@ def small_gain(p: Parameters, bounds: Bounds) -> SmallGain:
 
 
 def small_gain_holds(p: Parameters, bounds: Bounds) -> Numeric:
-    """Whether phi_b exceeds the derived bound by more than its rounding, that of P's determinant included."""
+    """Whether phi_b exceeds the derived bound by more than its rounding error, including that of P's determinant."""
     bound = small_gain(p, bounds).derived
     determinant = p.gamma * bounds.k_min - 4.0 * p.eps**2
     cancelled = ULPS * (p.gamma * bounds.k_min + 4.0 * p.eps**2) / abs(determinant)
@@ -132,13 +132,13 @@ class Gains(NamedTuple):
 
 
 def comparison_gains(p: Parameters, c: Constants, eta: ErrorDynamics, lyapunov_of: Spread) -> Gains:
-    """The coefficients, with the article's mixed powers of eigenvalues put right.
+    """The coefficients, with corrected powers of the eigenvalues.
 
     Args:
         p: The parameters.
         c: Their constants.
         eta: P_eta.
-        lyapunov_of: Eigenvalues of P at the k_p in question.
+        lyapunov_of: Eigenvalues of P at this k_p.
     """
     pb = norm_of_pb(p.eps)
     return Gains(
@@ -152,7 +152,7 @@ def comparison_gains(p: Parameters, c: Constants, eta: ErrorDynamics, lyapunov_o
 
 
 class Guarantee(NamedTuple):
-    """What Theorem 1 promises, with its constants; infinite, and a rate of 0, where the small gain fails.
+    """The guarantee of Theorem 1 with its constants; a rate of 0 and infinite bounds if the small gain fails.
 
     Args:
         decay_rate: Rate at which W_eta and W_v decay to the residual set [1/s].
@@ -172,15 +172,15 @@ class Guarantee(NamedTuple):
 
 
 NOTHING = Guarantee(0.0, float("inf"), float("inf"), float("inf"), float("inf"), float("inf"))
-"""What is guaranteed where the theorem does not apply."""
+"""The guarantee if the theorem does not apply."""
 
 
 def guarantee(p: Parameters, bounds: Bounds) -> Guarantee:
-    """Residual sets and decay rate of Theorem 1, the worst over the interval of k_p.
+    """Residual sets and decay rate of Theorem 1 in the worst case over the interval of k_p.
 
     Args:
-        p: The parameters; Table 1 must hold for the numbers to mean anything.
-        bounds: What is known. The reference needs a bounded third derivative and u_m a bounded first one, neither
+        p: The parameters; the numbers are meaningful only if Table 1 holds.
+        bounds: The bounds. The reference needs a bounded third derivative and u_m a bounded first derivative, neither
             of which the article assumes.
 
     Example:

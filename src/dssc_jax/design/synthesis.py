@@ -1,4 +1,4 @@
-"""From bounds and free parameters to a certified design."""
+"""Synthesis of a certified design from bounds and free parameters."""
 
 from enum import StrEnum
 from typing import Annotated, NamedTuple
@@ -11,11 +11,11 @@ from dssc_jax.design.table1 import Parameters, over_phi_b
 
 
 class Recipe(StrEnum):
-    """How parameters follow from the bounds.
+    """Recipes for parameters from bounds.
 
     ``strict`` meets every inequality over the whole interval of k_p, and the small gain, with a chosen slack.
-    ``printed`` is Table 1's own column of parameters at k_min, which meets those of kappa_c and kappa_d with
-    equality only, and leaves the small gain to chance.
+    ``printed`` is Table 1's own column of parameters at k_min, which satisfies the inequalities of kappa_c and
+    kappa_d only with equality and does not ensure the small gain.
     """
 
     STRICT = "strict"
@@ -38,18 +38,18 @@ class Free(NamedTuple):
 def synthesise(bounds: Bounds, free: Free, recipe: Recipe = Recipe.STRICT) -> Parameters:
     """Parameters of Table 1 from bounds and free parameters.
 
-    gamma makes f(k_min) = 1 + eps_1. The strict recipe takes max(1, 2 eps) for the factor m, which meets the
-    derived and the printed inequalities, leaves the relative slack on kappa_c and kappa_d, and raises phi_b above
-    l0/eps + eps_3 where the small gain needs it.
+    gamma is chosen so that f(k_min) = 1 + eps_1. The strict recipe uses max(1, 2 eps) for the factor m, which
+    satisfies the derived and the printed inequalities. It leaves the relative slack on kappa_c and kappa_d, and
+    raises phi_b above l0/eps + eps_3 if the small gain requires it.
 
     Args:
-        bounds: What is known.
+        bounds: The bounds.
         free: l0, phi_a, eps, delta, eps_1, eps_2, eps_3 > 0 and the slack.
         recipe: See :class:`Recipe`.
 
     Raises:
-        ConfigError: the bounds contradict themselves, a free parameter is not positive, or both together make a
-            parameter too large or too small to compute with.
+        ConfigError: The bounds contradict themselves, a free parameter is not positive, or a resulting parameter is
+            too large or too small to compute with.
 
     Example:
         >>> bounds = Bounds(k_min=0.9, k_max=1.1, a_max=1.0, alpha_d3=0.1)

@@ -1,4 +1,4 @@
-"""Table 1: parameters from bounds, and its design inequalities with their slacks.
+"""Table 1: its parameters, and its design inequalities with their slacks.
 
 k_p is uncertain: every inequality must hold for all k_p in [k_min, k_max]. With
 f(k_p) = 4 eps k_p (gamma k_p - 4 eps^2) > 1 at k_min, f rises and the bounds of kappa_c and kappa_d fall with k_p,
@@ -16,7 +16,7 @@ ULPS = 16.0 * 2.0**-52  # a few roundings of the terms that cancel in f
 
 
 class Parameters(NamedTuple):
-    """The parameters of Table 1 that the inequalities speak of, and delta."""
+    """The parameters in the inequalities of Table 1, and delta."""
 
     l0: Annotated[Numeric, positive("1/s", "error pole l_0")]
     phi_a: Annotated[Numeric, positive("(m/s)^(1/2)", "square-root part phi_a")]
@@ -31,7 +31,7 @@ class Parameters(NamedTuple):
 
 
 class InequalityState(StrEnum):
-    """What an inequality's slack says; ``not_evaluable`` where its bound has no meaning because f <= 1 or f <= 0."""
+    """State of an inequality; ``not_evaluable`` if its bound has no meaning because f <= 1 or f <= 0."""
 
     SATISFIED = "satisfied"
     BOUNDARY = "boundary"
@@ -43,10 +43,10 @@ class Inequality(NamedTuple):
     """One strict inequality ``value > bound``.
 
     Args:
-        name: What it bounds.
-        equation: Where it stands in the article.
+        name: The bounded quantity.
+        equation: Its location in the article.
         value: Left side.
-        bound: Right side as derived; NaN where it has no meaning.
+        bound: Right side as derived; NaN if it has no meaning.
         printed_bound: Right side as printed; NaN likewise.
         rounding: Relative rounding error of the bound.
     """
@@ -60,27 +60,27 @@ class Inequality(NamedTuple):
 
     @property
     def slack(self) -> Numeric:
-        """Value less the derived bound; NaN where that has no meaning."""
+        """Value minus the derived bound; NaN if that has no meaning."""
         return self.value - self.bound
 
     @property
     def printed_slack(self) -> Numeric:
-        """Value less the printed bound."""
+        """Value minus the printed bound."""
         return self.value - self.printed_bound
 
     @property
     def tolerance(self) -> Numeric:
-        """Slacks of at most this size are equality."""
+        """Slacks up to this size count as equality."""
         return self.rounding * greater(abs(self.value), abs(self.bound))
 
     @property
     def satisfied(self) -> Numeric:
-        """Whether it holds strictly; False where it has no meaning. For arrays, element by element."""
+        """Whether it holds strictly; False if it has no meaning. For arrays, element by element."""
         return self.slack > self.tolerance
 
     @property
     def state(self) -> InequalityState:
-        """Violated, boundary and satisfied told apart at rounding; for plain numbers."""
+        """Violated, boundary or satisfied, up to rounding; for plain numbers."""
         if self.bound != self.bound:
             return InequalityState.NOT_EVALUABLE
         if abs(self.slack) <= self.tolerance:
@@ -99,13 +99,13 @@ def f_rounding(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Numeric:
 
 
 def kappa_c_bound(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Numeric:
-    """(8 eps^2 + 2 gamma k_p)/(f - 1); NaN where f <= 1, where it would turn negative and pass unseen."""
+    """(8 eps^2 + 2 gamma k_p)/(f - 1); NaN if f <= 1, where it would be negative and always satisfied."""
     excess = f(k_p, eps, gamma) - 1.0
     return ratio_where(excess > f_rounding(k_p, eps, gamma), 8.0 * eps**2 + 2.0 * gamma * k_p, excess)
 
 
 def kappa_d_bound(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Numeric:
-    """(8 eps^2 gamma k_p + 4 eps^2)/f; NaN where f <= 0."""
+    """(8 eps^2 gamma k_p + 4 eps^2)/f; NaN if f <= 0."""
     value = f(k_p, eps, gamma)
     return ratio_where(value > f_rounding(k_p, eps, gamma), 8.0 * eps**2 * gamma * k_p + 4.0 * eps**2, value)
 
@@ -113,8 +113,8 @@ def kappa_d_bound(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Numeric:
 def over_phi_b(first: Numeric, second: Numeric, factor: Numeric, phi_b: Numeric) -> Numeric:
     """(first m phi_b + second)/phi_b^2, the form of the bounds of kappa_a, kappa_b and of kappa_c's second branch.
 
-    The factor m is 2 eps as derived, since rho = 2 eps rho_1 + rho_2; the article prints 1, enough for
-    eps <= 1/2 only.
+    The factor m is 2 eps as derived, since rho = 2 eps rho_1 + rho_2; the article prints 1, which suffices only for
+    eps <= 1/2.
     """
     return (first * factor * phi_b + second) / phi_b**2
 
@@ -124,7 +124,7 @@ def inequalities(p: Parameters, bounds: Bounds) -> tuple[Inequality, ...]:
 
     Args:
         p: The parameters; numbers or arrays of shapes that broadcast.
-        bounds: What is known of plant, disturbance, nominal control and reference.
+        bounds: Bounds of plant, disturbance, nominal control and reference.
     """
     constants = derive(bounds, p.l0)
     k_p, k_max = bounds.k_min, bounds.k_max

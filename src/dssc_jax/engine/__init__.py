@@ -1,1 +1,1 @@
-"""Draws by the thousand: sampling, layout, batches, and evaluation at given values."""
+"""The simulation engine: sampling, layout, batches, and evaluation at given values."""

@@ -1,9 +1,9 @@
-"""The only place that batches: tile, vmap, map, shard, chunk.
+"""Batching of lanes: tile, vmap, map, shard, chunk. No other module adds batch axes.
 
 A lane is one draw at one sweep point. A block is the unit of work and of storage: a box of the grid
-(sweep axes..., draw), computed as one batch of lanes. A batch is cut into tiles whose state stays in cache; tiles
-are mapped in sequence, and shared out over the devices. Lanes do not see each other, so results do not depend on
-any of these sizes.
+(sweep axes..., draw), computed as one batch of lanes. A batch is divided into tiles whose state stays in cache; tiles
+are mapped in sequence and distributed over the devices. Lanes are independent, so results do not depend on any of
+these sizes.
 """
 
 import itertools
@@ -40,15 +40,15 @@ Arrays = dict[Any, np.ndarray]
 """Arrays by name; derivatives by :class:`dssc_jax.engine.evaluation.Derivative`."""
 
 Lane = Callable[[dict[str, jax.Array], jax.Array], dict[str, Scalar]]
-"""(each of the lane's own numbers, draw index) -> what is computed of the lane."""
+"""(each of the lane's own numbers, draw index) -> the results of the lane."""
 
 
 def simulated(study: Study, together: str | None = TILE, segment: int | None = None) -> Lane:
-    """A lane's metrics, slacks, outcome and the time at which it ended early.
+    """Compute a lane's metrics, slacks, outcome and the time of its early end.
 
     Args:
         study: What to simulate.
-        together: See :func:`dssc_jax.closed_loop.draw.simulate`; None where derivatives are taken.
+        together: See :func:`dssc_jax.closed_loop.draw.simulate`; None if derivatives are taken.
         segment: See :func:`dssc_jax.closed_loop.time_loops.scan_segments`.
     """
 
@@ -69,7 +69,7 @@ class Layout:
 
     Args:
         shape: Points of each axis, then draws.
-        block: Shape of a block; those at the far edges may be cut.
+        block: Shape of a block; blocks at the far edges may be smaller.
     """
 
     shape: tuple[int, ...]
@@ -79,7 +79,7 @@ class Layout:
     def of(cls, study: Study, lanes: int = BLOCK) -> "Layout":
         """Blocks of at most ``lanes`` lanes: whole trailing dimensions, and a part of the next.
 
-        Where one block holds the whole grid, it leaves room for more draws.
+        If one block contains the whole grid, it leaves room for more draws.
         """
         shape = (*(len(values) for values in study.axes.values()), study.config.draws)
         block, room = [], lanes
@@ -91,7 +91,7 @@ class Layout:
 
     @classmethod
     def from_dict(cls, stored: Mapping[str, Any]) -> "Layout":
-        """The layout that :meth:`to_dict` gave."""
+        """The layout from the result of :meth:`to_dict`."""
         return cls(tuple(stored["shape"]), tuple(stored["block"]))
 
     def to_dict(self) -> dict[str, list[int]]:
@@ -104,7 +104,7 @@ class Layout:
         return math.prod(map(min, self.shape, self.block))
 
     def index(self, block: tuple[slice, ...]) -> tuple[int, ...]:
-        """The place of a block, or of what is a part of one, among the blocks."""
+        """The index of a block, or of the block that contains a part, among the blocks."""
         return tuple(part.start // size for part, size in zip(block, self.block, strict=True))
 
     def blocks(self) -> list[tuple[slice, ...]]:
@@ -133,11 +133,11 @@ class Engine:
     Args:
         study: What to simulate.
         lanes: Lanes of a batch; smaller ones are padded.
-        tile: Lanes of a tile; None: chosen by the batch.
-        devices: Devices to share tiles over; None: all.
-        program: What is computed of each lane.
-        kernel: ``scan``, ``pallas`` or ``auto``; empty: as the environment says, or ``scan``.
-        extra: Numbers that the program takes of each lane beside those of the study.
+        tile: Lanes of a tile; None: chosen from the size of the batch.
+        devices: Devices over which to distribute tiles; None: all.
+        program: The program to run for each lane.
+        kernel: ``scan``, ``pallas`` or ``auto``; empty: the value of the environment variable, or ``scan``.
+        extra: Numbers of each lane that the program needs in addition to those of the study.
     """
 
     study: Study
@@ -167,7 +167,7 @@ class Engine:
         return [*self.study.axes, *self.study.laws, *self.extra]
 
     def __call__(self, values: Mapping[str, np.ndarray], indices: np.ndarray) -> Callable[[], Arrays]:
-        """Start a batch; the result of the returned function is ready when it is called.
+        """Start a batch and return a function that waits for its results.
 
         Args:
             values: For each of ``names`` an array of shape (n,), n <= lanes.
@@ -228,11 +228,11 @@ class Engine:
 
     @property
     def rate(self) -> float:
-        """Draws times samples a second, without compilation."""
+        """Draws times samples per second, without compilation."""
         return self.clock.lanes * self.study.loop.steps / self.clock.run_seconds if self.clock.run_seconds else 0.0
 
     def times(self, began: float) -> dict[str, float]:
-        """What a manifest says of the time spent since ``began`` of ``time.perf_counter``."""
+        """Times for the manifest, since ``began`` of ``time.perf_counter``."""
         return {
             "seconds": time.perf_counter() - began,
             "compile_seconds": self.clock.compile_seconds,
@@ -248,9 +248,10 @@ def on_cpu(devices: Iterable[Any]) -> bool:
 
 
 def best_tile(devices: Sequence[Any], share: int) -> int:
-    """Lanes of a tile, as measured; the loop with one degree of freedom and the UAV want the same.
+    """Best number of lanes of a tile, as measured; the same for the loop with one degree of freedom and the UAV.
 
-    Never fewer where a tile is one kernel: the compiler unrolls shorter loops, which costs it long and the kernel more.
+    Never fewer if a tile is one kernel: the compiler unrolls shorter loops, which slows both compilation and the
+    kernel.
 
     Args:
         devices: Devices in use.
@@ -291,7 +292,7 @@ def lanes_in(block: tuple[slice, ...]) -> int:
 
 
 def computing() -> dict[str, Any]:
-    """What a result's last digits depend on beside the study: versions, device, compiler settings."""
+    """Factors other than the study that affect a result's last digits: versions, device, compiler settings."""
     device = jax.devices()[0]
     return {
         "versions": {"python": platform.python_version(), **{name: version(name) for name in VERSIONS}},
@@ -301,7 +302,7 @@ def computing() -> dict[str, Any]:
 
 
 def execute(engine: Engine, blocks: list[tuple[slice, ...]]) -> Iterator[tuple[tuple[slice, ...], Arrays, Arrays]]:
-    """Compute blocks in turn; each is started before the one before it is handed out.
+    """Compute blocks in turn; each is started before the previous one is yielded.
 
     Yields:
         The block, its results with the block's shape, and the drawn values of its range of draws.
@@ -335,7 +336,7 @@ def evaluate(engine: Engine, values: Arrays, indices: np.ndarray) -> Arrays:
 
 
 def is_noisy(engine: Engine) -> bool:
-    """Whether a draw's result depends on its index beyond its values: noise of sensors, wind or disturbances."""
+    """Whether a draw's result depends on its index apart from its values: noise of sensors, wind or disturbances."""
     values = draw(engine.study, np.arange(PROBES) % engine.study.config.draws)
     same, other = (evaluate(engine, values, np.arange(first, first + PROBES)) for first in (0, PROBES))
     return any(not np.array_equal(same[name], other[name], equal_nan=True) for name in same)

@@ -1,4 +1,4 @@
-"""Simulate draws of a study at any values of chosen numbers by one compiled program, with derivatives if wanted."""
+"""Evaluation of a study at any values of chosen numbers by one compiled program, optionally with derivatives."""
 
 import math
 from collections import OrderedDict
@@ -30,16 +30,16 @@ class Derivative(NamedTuple):
 
 @dataclass
 class Evaluator:
-    """A study whose ``extents`` are given anew with every batch.
+    """A compiled study in which every batch sets new values of the numbers in ``extents``.
 
     Args:
         study: The study; its own sweep is left aside.
-        extents: Lowest and highest value of each number to come, checked like the ends of a sweep; a value takes the
-            place of the number's law.
-        lanes: Lanes of a batch at most.
+        extents: Lowest and highest future value of each number, checked like the ends of a sweep; a value replaces
+            the number's law.
+        lanes: Maximum number of lanes of a batch.
 
     Raises:
-        ConfigError: a name is no number of the loop, or an end is not admissible.
+        ConfigError: A name is not a number of the loop, or an end is not admissible.
     """
 
     study: Study
@@ -57,7 +57,7 @@ class Evaluator:
         return Engine(self.swept, self.lanes)
 
     def drawn(self, draws: slice) -> Arrays:
-        """Values of the laws that are left, for a range of draws."""
+        """Values of the remaining laws, for a range of draws."""
         return drawn(self.swept, draws)
 
     def __call__(self, indices: np.ndarray, values: Mapping[str, np.ndarray]) -> Arrays:
@@ -74,10 +74,10 @@ class Evaluator:
 class GradientEvaluator(Evaluator):
     """An evaluator that also computes the derivative of every metric and slack with respect to some of the numbers.
 
-    The derivatives are further results, whose keys are :class:`Derivative`. Forward mode computes each lane once for
-    each number, along that number's tangent; memory does not grow with the duration. Reverse mode takes one backward
-    pass for each metric and slack, however many numbers there are; it stores the state at about sqrt(steps) samples and
-    computes those between again.
+    The derivatives are additional results with keys of type :class:`Derivative`. Forward mode computes each lane once
+    for each number, along that number's tangent; memory does not grow with the duration. Reverse mode takes one
+    backward pass for each metric and slack, however many numbers there are; it stores the state at about sqrt(steps)
+    samples and recomputes those between.
 
     Args:
         names: The numbers.
@@ -98,7 +98,7 @@ class GradientEvaluator(Evaluator):
         return Engine(self.swept, lanes, program=partial(forward_mode, names=self.names), extra=(DIRECTION,))
 
     def __call__(self, indices: np.ndarray, values: Mapping[str, np.ndarray]) -> Arrays:
-        """Results of each lane, as of :class:`Evaluator`, and their derivatives."""
+        """Results of each lane, as in :class:`Evaluator`, and their derivatives."""
         if self.reverse:
             return super().__call__(indices, values)
         count, size = len(indices), len(self.names)
@@ -127,12 +127,12 @@ def metrics_and_slacks(
 
 
 def with_derivatives(results: Mapping[str, Scalar], slopes: Mapping[Derivative, Scalar]) -> dict[Any, Scalar]:
-    """Results and derivatives as one pytree; in a plain dict JAX would sort the keys, which do not compare."""
+    """Results and derivatives as one pytree; JAX would sort the keys of a plain dict, which are not comparable."""
     return OrderedDict([*results.items(), *slopes.items()])
 
 
 def forward_mode(study: Study, names: Sequence[str]) -> Lane:
-    """The program in forward mode; each lane differentiates by the number that its ``DIRECTION`` points to."""
+    """The program in forward mode; each lane differentiates by the number that its ``DIRECTION`` selects."""
     plain = simulated(study)
 
     def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
@@ -160,10 +160,10 @@ def reverse_mode(study: Study, names: Sequence[str]) -> Lane:
 
 
 def require_independent(study: Study, purpose: str) -> None:
-    """Require independent draws, for statements that order statistics and exact tests make of them.
+    """Require independent draws, as order statistics and exact tests do.
 
     Raises:
-        ConfigError: the study's draws are points of a design.
+        ConfigError: The study's draws are points of a design.
     """
     kind = study.config.sampling
     if kind != "random":

@@ -1,9 +1,9 @@
-"""What stored results are held against: the lane as it is written, by plain JAX, and what rounding does to it.
+"""The plain reference program, for checking stored results, and the sensitivity of lanes to rounding.
 
-The engine rewrites a lane before it is compiled, and an error in that would be repeated by a check that runs the same
-program. Here the untouched lane runs under ``jit(vmap(...))`` alone. Two programs round differently, so their results
-differ by a few roundings, and a loop that chatters or diverges amplifies these. How much a lane amplifies them is
-measured: it runs again with every number changed in its last bits.
+The engine rewrites a lane before compilation. A check with the same program would repeat an error in that step, so
+here the original lane runs under ``jit(vmap(...))`` only. Two programs round differently. Their results differ by a
+few rounding errors, which a loop that chatters or diverges amplifies. To measure this amplification, a lane runs
+again with every number changed in its last bits.
 """
 
 from collections.abc import Iterable, Mapping
@@ -20,11 +20,11 @@ from dssc_jax.study import Study
 from dssc_jax.study.laws import Law
 
 TOLERANCE = {64: 1e-9, 32: 2e-3}
-"""Relative deviation by precision that another program, compiler or machine explains in any loop that does not amplify
-rounding: they contract multiply-adds differently."""
+"""Relative deviation, by precision, that different programs, compilers or machines can cause in a loop that does not
+amplify rounding: they contract multiply-adds differently."""
 
 SHIFT = {64: 2.0**-48, 32: 2.0**-20}
-"""Relative change of every number that shows what rounding does to a lane: some roundings of its precision."""
+"""Relative change of every number for measuring a lane's sensitivity to rounding: a few rounding errors."""
 
 COPIES = 4  # of a lane, moved in different directions
 ROUNDING_FACTOR = 100.0  # deviation over that of the copies: rounding acts in every operation
@@ -36,19 +36,19 @@ VERDICTS = {
     "differs": "DIFFERS from the stored values by more than rounding explains (relative deviation {:.1g})",
     "undecided": "proves nothing, since rounding alone changes the result (relative deviation {:.1g})",
 }
-"""What a verdict says of values that were computed again, with the largest relative deviation."""
+"""Text of each verdict on recomputed values, with the largest relative deviation."""
 
 Lanes = tuple[np.ndarray, ...]
 """Lanes of a result: their index along every swept parameter and along the draws, shape (n,) each."""
 
 
 class Agreement(NamedTuple):
-    """How stored lanes agree with computed ones.
+    """Agreement of stored lanes with recomputed ones.
 
     Args:
         deviation: Largest relative deviation of a value in each lane, shape (n,); infinite where outcomes differ.
-        variable: Which value that is, shape (n,).
-        allowed: What rounding explains in each lane, shape (n,).
+        variable: Name of that value, shape (n,).
+        allowed: Deviation that rounding explains in each lane, shape (n,).
     """
 
     deviation: np.ndarray
@@ -57,12 +57,12 @@ class Agreement(NamedTuple):
 
     @property
     def decided(self) -> np.ndarray:
-        """Whether each lane is evidence: rounding hardly moves it."""
+        """Whether each lane is evidence, that is, hardly sensitive to rounding."""
         return self.allowed <= UNDECIDED_BEYOND
 
     @property
     def verdict(self) -> str:
-        """``agrees``; ``differs`` where rounding does not explain a deviation; ``undecided``: no lane is evidence."""
+        """``agrees``; ``differs`` if rounding does not explain a deviation; ``undecided`` if no lane is evidence."""
         if np.any(self.decided & (self.deviation > self.allowed)):
             return "differs"
         return "agrees" if self.decided.any() else "undecided"
@@ -73,7 +73,7 @@ def plain_results(study: Study, values: Mapping[str, np.ndarray], draws: np.ndar
 
     Args:
         study: The study.
-        values: Numbers that stand in place of the study's, shape (n,) each; its laws and swept ones at least.
+        values: Numbers that replace those of the study, shape (n,) each; at least its laws and swept numbers.
         draws: Index of each lane's draw, shape (n,).
     """
     with jax.enable_x64(study.config.loop.precision == 64):
@@ -95,7 +95,7 @@ def computed_again(study: Study, lanes: Lanes) -> Arrays:
 
 
 def moved(study: Study, lanes: Lanes) -> list[Arrays]:
-    """Copies of the lanes, by the plain program, every number moved in its last bits."""
+    """Results of copies of the lanes by the plain program, with every number changed in its last bits."""
     constant = {
         name: np.full(len(lanes[-1]), number.value)
         for name, number in study.numbers.items()
@@ -120,12 +120,12 @@ def stored_lanes(dataset: xr.Dataset, names: Iterable[str], lanes: Lanes) -> Arr
 
 
 def agreement(study: Study, dataset: xr.Dataset, lanes: Lanes, computed: Mapping[str, np.ndarray]) -> Agreement:
-    """How the stored lanes of a result agree with computed ones.
+    """Compare the stored lanes of a result with recomputed ones.
 
     Args:
         study: The study.
         dataset: The result.
-        lanes: Which.
+        lanes: The lanes.
         computed: Variables of the result as another program computed them, shape (n,) each.
     """
     stored = stored_lanes(dataset, computed, lanes)
@@ -150,8 +150,8 @@ def deviations(
     """Deviation of each of the stored variables, shape (n,) each.
 
     It is relative to the stored value or to the variable's typical size, whichever is larger; 0 for equal NaN and
-    infinities, infinite where one value is not finite and the other is. Rounding may move what counts samples by one
-    sample. An outcome is right or wrong.
+    infinities, infinite where one value is not finite and the other is. Rounding may change a count of samples by
+    one. An outcome is either equal or not.
     """
     counts, gaps = sample_counts(study), {}
     for name, there in stored.items():
@@ -168,7 +168,7 @@ def deviations(
 
 
 def sample_counts(study: Study) -> dict[str, float]:
-    """What one sample more or less changes, for each variable that counts samples."""
+    """The effect of one sample more or less, for each variable that counts samples."""
     clock = study.loop
     sample = {"s": clock.sample_time, "1": 1.0 / clock.steps}
     samples = {m.name: (1.0 + 1e-6) * sample[m.metric.unit] for m in study.measures if m.metric.counted}
@@ -177,6 +177,6 @@ def sample_counts(study: Study) -> dict[str, float]:
 
 
 def typical_size(values: np.ndarray) -> float:
-    """The median magnitude of what is finite; the smallest normal number where nothing is."""
+    """The median magnitude of the finite values; the smallest normal number if there are none."""
     finite = np.abs(values[np.isfinite(values)])
     return max(float(np.median(finite)) if finite.size else 0.0, np.finfo(float).tiny)

@@ -1,8 +1,9 @@
-"""Draw i of a study: a point of the unit cube, and the values that the laws make of it.
+"""Sampling: draw i as a point of the unit cube, and its mapping to values of the laws.
 
-Random draws depend on (seed, i) only, never on the number of draws, the chunk or the device, and a factor's on its
-own name only. The points of the other designs are shared out over independent replicates, draw i to replicate i mod R:
-Sobol points can be extended (but another law moves them all), those of a Latin hypercube cannot.
+Random draws depend on (seed, i) only, never on the number of draws, the chunk or the device; a factor's draws also
+depend on its name, but not on other factors. The points of the other designs are distributed over independent
+replicates: draw i belongs to replicate i mod R. Sobol points can be extended (but an additional law changes all of
+them); those of a Latin hypercube cannot.
 """
 
 import warnings
@@ -51,12 +52,12 @@ def random_points(study: Study, streams: tuple[int, ...], indices: np.ndarray) -
 
 
 def generator(*words: int) -> np.random.Generator:
-    """A host generator of its own for each tuple of numbers."""
+    """A separate host generator for each tuple of numbers."""
     return np.random.default_rng(np.random.SeedSequence(words))
 
 
 def sobol_points(dimension: int, first: int, last: int, words: Sequence[int]) -> np.ndarray:
-    """Points first .. last - 1 of a Sobol sequence whose scrambling is drawn from ``words``, in their cells' middle.
+    """Points first .. last - 1, at cell centres, of a Sobol sequence whose scrambling is drawn from ``words``.
 
     Returns:
         Shape (last - first, dimension).
@@ -72,7 +73,7 @@ def sobol_points(dimension: int, first: int, last: int, words: Sequence[int]) ->
 
 
 def replicated_sobol(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
-    """Scrambled Sobol points, the first one kept; every replicate has a scrambling of its own."""
+    """Scrambled Sobol points, including the first; every replicate has its own scrambling."""
     points = np.empty((len(indices), len(streams)))
     position, replicate = np.divmod(indices, study.config.replicates)
     for r in np.unique(replicate):
@@ -96,7 +97,7 @@ def latin_design(seed: int, streams: tuple[int, ...], replicates: int, draws: in
 
 
 def replicated_latin(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
-    """Points of Latin hypercubes, one a replicate. They depend on the number of draws."""
+    """Points of Latin hypercubes, one per replicate. They depend on the number of draws."""
     config = study.config
     return latin_design(config.seed, streams, config.replicates, config.draws)[indices]
 
@@ -109,14 +110,14 @@ SAMPLING_DESIGNS: dict[str, Callable[[Study, tuple[int, ...], np.ndarray], np.nd
 
 
 def unit_points(study: Study, indices: np.ndarray) -> np.ndarray:
-    """Points of the open unit cube, a column a factor, by the study's design.
+    """Points of the open unit cube by the study's design, with one column per factor.
 
     Args:
         study: The study.
         indices: Draw indices, shape (n,).
 
     Returns:
-        Shape (n, number of laws), float64 whatever the study's precision.
+        Shape (n, number of laws), float64 for every precision of the study.
     """
     names = list(study.laws)
     if not names:
@@ -128,16 +129,16 @@ def unit_points(study: Study, indices: np.ndarray) -> np.ndarray:
 
 
 def inside(points: np.ndarray) -> np.ndarray:
-    """Points moved off the faces of the unit cube, where quantiles may be infinite."""
+    """Points moved away from the faces of the unit cube, where quantiles may be infinite."""
     return np.clip(points, OUTERMOST_LEVEL, 1.0 - OUTERMOST_LEVEL)
 
 
 def values_at(study: Study, points: np.ndarray) -> dict[str, np.ndarray]:
-    """Values of the uncertain numbers at points of the unit cube; correlated ones through a Gaussian copula.
+    """Values of the uncertain numbers at points of the unit cube; correlated numbers through a Gaussian copula.
 
     Args:
         study: The study.
-        points: Independent uniform coordinates, a column a law, shape (n, laws).
+        points: Independent uniform coordinates, one column per law, shape (n, laws).
 
     Returns:
         For each factor an array of shape (n,), float64.

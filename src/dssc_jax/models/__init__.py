@@ -1,1 +1,1 @@
-"""The models of a loop's slots: pure functions of one draw. They never import each other."""
+"""Models for the slots of a loop: pure functions of one draw that never import each other."""

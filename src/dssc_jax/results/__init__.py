@@ -1,1 +1,1 @@
-"""What a run leaves: the dataset's schema, its files, the result and its summary."""
+"""Results of a run: the dataset's schema, its files, the result and its summary."""

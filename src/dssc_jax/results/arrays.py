@@ -1,4 +1,4 @@
-"""The Zarr arrays of a results folder: laid out for a study, checked against what their study lays out, extended."""
+"""The Zarr arrays of a results folder: creation for a study, checks against the study, extension."""
 
 import json
 from functools import cache
@@ -29,7 +29,7 @@ Extent = tuple[tuple[int, ...], tuple[int, ...]]
 
 
 def lay_out(folder: Path, study: Study, layout: Layout) -> zarr.Group:
-    """Every array of the store, empty."""
+    """Create every array of the store, empty."""
     group = zarr.open_group(folder / DATA, mode="w", zarr_format=3, attributes={**dataset_attributes(study)})
     for name, values in coordinate_values(study).items():
         create(group, name, coordinates(study)[name], (values.shape, values.shape))[...] = values
@@ -45,7 +45,7 @@ def extent(variable: Variable, layout: Layout) -> Extent:
 
 
 def create(group: zarr.Group, name: str, variable: Variable, extent: Extent, overwrite: bool = False) -> zarr.Array:
-    """One array with its dimensions and attributes, and a checksum in every chunk."""
+    """Create one array with its dimensions and attributes, and a checksum in every chunk."""
     shape, chunks = extent
     return group.create_array(
         name,
@@ -75,13 +75,13 @@ def open_group(folder: Path, mode: str) -> zarr.Group:
 
 @cache
 def blank(dtype: str) -> dict[str, Any]:
-    """What the Zarr in use says of an array that :func:`create` makes of a type."""
+    """Default metadata, in the installed version of Zarr, of an array created by :func:`create` with a type."""
     group = zarr.open_group(MemoryStore(), mode="w", zarr_format=3)
     return create(group, "blank", Variable(("draw",), dtype, {}), ((1,), (1,))).metadata.to_dict()
 
 
 def metadata(variable: Variable, extent: Extent) -> str:
-    """All metadata that a variable's array is laid out with, see :func:`as_json`."""
+    """All metadata of a variable's array when created, see :func:`as_json`."""
     shape, chunks = extent
     own = {
         "shape": shape,
@@ -93,22 +93,22 @@ def metadata(variable: Variable, extent: Extent) -> str:
 
 
 def as_json(content: dict[str, Any]) -> str:
-    """Metadata in a form that can be compared."""
+    """Metadata as JSON text, for comparison."""
     return json.dumps(content, sort_keys=True, default=str)
 
 
 def checked(group: zarr.Group, place: Path, variable: Variable, extent: Extent, growing: bool = False) -> zarr.Array:
-    """One array, all of whose metadata are as they were laid out.
+    """Open one array and require that all its metadata are those of its creation.
 
     Args:
         group: The group.
-        place: Where the array is.
-        variable: What it holds.
+        place: Path of the array.
+        variable: The variable it contains.
         extent: Its shape and chunks.
-        growing: It may have any number of draws yet.
+        growing: Whether it may have a different number of draws.
 
     Raises:
-        ConfigError: it is absent or otherwise.
+        ConfigError: It is absent or different.
     """
     shape, chunks = extent
     try:
@@ -133,10 +133,10 @@ def checked_arrays(
         study: The study as run.
         layout: Its blocks.
         mode: ``r`` to read, ``r+`` to write.
-        growing: Arrays may have any number of draws yet.
+        growing: Whether arrays may have a different number of draws.
 
     Raises:
-        ConfigError: one is absent or not as it was laid out, or there is another one.
+        ConfigError: One is absent or differs from its creation, or there is an additional one.
     """
     group = open_group(folder, mode)
     about = zarr.open_group(MemoryStore(), mode="w", zarr_format=3, attributes={**dataset_attributes(study)})
@@ -153,7 +153,7 @@ def checked_arrays(
 
 
 def require_coordinates(folder: Path, study: Study) -> None:
-    """Require that the store's coordinates, which others read, are those of the study.
+    """Require that the store's coordinates, which other programs read, are those of the study.
 
     Raises:
         ConfigError: one is not.
@@ -165,7 +165,7 @@ def require_coordinates(folder: Path, study: Study) -> None:
 
 
 def is_coordinate(group: zarr.Group, place: Path, variable: Variable, values: np.ndarray) -> bool:
-    """Whether a coordinate reads well and holds these values."""
+    """Whether a coordinate can be read and has these values."""
     try:
         return np.array_equal(np.asarray(checked(group, place, variable, (values.shape, values.shape))), values)
     except Exception:  # zarr and its codecs raise errors of many kinds
@@ -173,10 +173,10 @@ def is_coordinate(group: zarr.Group, place: Path, variable: Variable, values: np
 
 
 def laid_out(folder: Path, study: Study, layout: Layout) -> bool:
-    """Whether an earlier run, of any number of draws, came as far as laying out the whole store.
+    """Whether an earlier run, of any number of draws, has created the whole store.
 
     Raises:
-        ConfigError: it did, and the store is damaged since.
+        ConfigError: It has, but the store is damaged.
     """
     try:
         checked_arrays(folder, study, layout, growing=True)
@@ -188,7 +188,7 @@ def laid_out(folder: Path, study: Study, layout: Layout) -> bool:
 
 
 def reshape(folder: Path, study: Study, layout: Layout) -> None:
-    """Give every array the study's number of draws, and the coordinates their values; nothing that exists is lost."""
+    """Extend every array to the study's number of draws, and set the coordinates; existing values are kept."""
     for name, array in checked_arrays(folder, study, layout, "r+", growing=True).items():
         shape, _ = extent(variables(study)[name], layout)
         if array.shape != shape:

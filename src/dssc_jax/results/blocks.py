@@ -1,7 +1,7 @@
-"""The Zarr arrays of a results folder, block by block, each block being one chunk of every variable.
+"""Block-wise reading and writing of a results folder; each block is one chunk of every variable.
 
-A chunk is written beside its place and moved there; the block's digests follow. A block is complete where its chunks
-hold the values that its digests are of.
+A chunk is written to a temporary file and moved to its final name; the block's digests follow. A block is complete if
+the values of its chunks match its digests.
 """
 
 from collections.abc import Iterator, Mapping
@@ -24,7 +24,7 @@ Block = tuple[slice, ...]
 
 @contextmanager
 def writing(folder: Path) -> Iterator[None]:
-    """Report a full disk, or whatever else prevents writing, in one line.
+    """Report a full disk, or any other error that prevents writing, in one line.
 
     Raises:
         ConfigError: the folder cannot be written.
@@ -39,17 +39,17 @@ def writing(folder: Path) -> Iterator[None]:
 
 
 class Chunks:
-    """The arrays of a results folder, block by block. Any number of processes may write, each its own blocks.
+    """The arrays of a results folder, block by block. Any number of processes may write, each to its own blocks.
 
     Args:
-        folder: The results folder, laid out.
+        folder: The results folder with its arrays.
         study: The study as run.
         layout: Its blocks.
         mode: ``r`` to read, ``r+`` to write.
-        growing: Arrays may have any number of draws yet.
+        growing: Whether arrays may have a different number of draws.
 
     Raises:
-        ConfigError: an array is absent or not as it was laid out.
+        ConfigError: An array is absent or differs from its creation.
     """
 
     def __init__(self, folder: Path, study: Study, layout: Layout, mode: str = "r", growing: bool = False) -> None:
@@ -58,7 +58,7 @@ class Chunks:
         self.drawn = list(study.laws)
 
     def write(self, block: Block, results: Arrays, drawn: Arrays) -> None:
-        """Write a block, or the end of one that has grown; its digests last."""
+        """Write a block, or the new end of an extended one, and then its digests."""
         values, sums = results | drawn, {}
         with writing(self.folder):
             for name in self._held(block):
@@ -69,13 +69,13 @@ class Chunks:
             add_piece(self.folder, self.layout.index(block), Piece((block[-1].start, block[-1].stop), sums))
 
     def pending(self) -> tuple[list[Block], list[Path]]:
-        """What is still to be computed: whole blocks, or the draws that are missing at a block's end.
+        """The work that remains: whole blocks, or the missing draws at the end of a block.
 
         Returns:
-            The blocks, and the files of those of which nothing is kept.
+            The blocks, and the files of blocks that are not kept.
 
         Raises:
-            ConfigError: a folder stands where a chunk, or its digests, should be.
+            ConfigError: There is a folder in place of a chunk or its digests.
         """
         blocks: list[Block] = []
         useless: list[Path] = []
@@ -93,10 +93,10 @@ class Chunks:
         return blocks, useless
 
     def read(self, dataset: xr.Dataset) -> None:
-        """Fill a dataset with what stands here.
+        """Fill a dataset with the stored values.
 
         Raises:
-            ConfigError: a variable does not read.
+            ConfigError: A variable cannot be read.
         """
         for name, array in self.arrays.items():
             try:
@@ -108,7 +108,7 @@ class Chunks:
         """Require every block's digests.
 
         Raises:
-            ConfigError: some are absent: the run did not finish.
+            ConfigError: Some are absent, because the run did not finish.
         """
         blocks = self.layout.blocks()
         missing = sum(lanes_in(rest_of(block, self._pieces(block))) for block in blocks)
@@ -116,14 +116,14 @@ class Chunks:
             raise incomplete(self.folder, missing, sum(map(lanes_in, blocks)))
 
     def require_written(self, dataset: xr.Dataset, seal: str | None) -> None:
-        """Require that a dataset holds what was written.
+        """Require that a dataset equals the written data.
 
         Args:
-            dataset: What was read.
-            seal: The digest over all blocks; None of a run that has not finished.
+            dataset: The dataset that was read.
+            seal: The digest over all blocks; None for an unfinished run.
 
         Raises:
-            ConfigError: it does not.
+            ConfigError: It does not.
         """
         values = {name: dataset[name].values for name in self.arrays}
         for block in self.layout.blocks():
@@ -135,19 +135,19 @@ class Chunks:
             raise ConfigError(str(self.folder / DIGESTS), f"is damaged: these are not the run's digests; {MEND}")
 
     def _pieces(self, block: Block) -> list[Piece]:
-        """A block's digests, which reach without a gap from its first draw on; none where they do not."""
+        """A block's digests, if they cover its draws from the first without a gap; else none."""
         pieces = pieces_of(self.folder, self.layout.index(block))
         ends = [block[-1].start, *(piece.draws[1] for piece in pieces)]
         sound = [piece.draws[0] for piece in pieces] == ends[:-1] and ends == sorted({*ends})
         return pieces if sound and ends[-1] <= block[-1].stop else []
 
     def _altered(self, block: Block, pieces: list[Piece], values: Mapping[str, Any]) -> str:
-        """The first variable that does not hold what was written; empty where all do.
+        """The first variable that differs from the written data; empty if there is none.
 
         Args:
             block: The block.
             pieces: Its digests.
-            values: Each variable, by whatever takes the block as an index.
+            values: Each variable as an object that can be indexed by the block.
         """
         for piece in pieces:
             part = (*block[:-1], slice(*piece.draws))
@@ -161,7 +161,7 @@ class Chunks:
         return ""
 
     def _held(self, block: Block) -> list[str]:
-        """The variables of a block; drawn numbers, which have no other dimension, stand in the first of their draws."""
+        """The variables of a block; drawn numbers belong to the first block of their draws."""
         first = all(part.start == 0 for part in block[:-1])
         return [name for name in self.arrays if first or name not in self.drawn]
 
@@ -174,10 +174,10 @@ class Chunks:
 
 
 def rest_of(block: Block, pieces: list[Piece]) -> Block:
-    """The part of a block that its digests do not reach."""
+    """The part of a block that its digests do not cover."""
     return (*block[:-1], slice(pieces[-1].draws[1] if pieces else block[-1].start, block[-1].stop))
 
 
 def incomplete(folder: Path, missing: int, total: int) -> ConfigError:
-    """The error of a run that did not finish."""
+    """The error for a run that did not finish."""
     return ConfigError(str(folder), f"is not complete: {missing} of {total} lanes are missing; finish with --resume")

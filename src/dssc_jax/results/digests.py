@@ -1,8 +1,8 @@
-"""Digests of what a results folder holds, block by block: nothing is read from another's place, nor once it is altered.
+"""Digests of the blocks of a results folder, which detect altered and misplaced data.
 
-Each block has a small JSON file that says where it belongs and gives the SHA-256 digest of every variable's values. It
-is written after the block's chunks, and therefore marks the block as complete. Any number of processes may write, each
-for its own blocks. A digest over all of them stands in the manifest of a finished run.
+Each block has a small JSON file with the block's position and the SHA-256 digest of every variable's values. It is
+written after the block's chunks and therefore marks the block as complete. Any number of processes may write, each
+for its own blocks. The manifest of a finished run contains a digest over all blocks.
 """
 
 import hashlib
@@ -22,10 +22,10 @@ Index = tuple[int, ...]
 
 
 class Piece(NamedTuple):
-    """What a block holds of a range of draws; a block that grew has several.
+    """The digests of a range of draws in a block; an extended block has several.
 
     Args:
-        draws: First draw, and the one after the last.
+        draws: The first draw, and the last draw plus one.
         sums: Digest of each variable's values.
     """
 
@@ -34,11 +34,11 @@ class Piece(NamedTuple):
 
 
 def sum_of(values: np.ndarray, about: str = "") -> str:
-    """Digest of an array: of its shape, type and values, whatever the machine's order of bytes.
+    """Digest of an array's shape, type and values, independent of the machine's byte order.
 
     Args:
         values: The array.
-        about: What else the digest shall bind.
+        about: Further text to include in the digest.
     """
     plain = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
     head = f"{values.shape} {plain.dtype.str} {about}\n"
@@ -46,10 +46,10 @@ def sum_of(values: np.ndarray, about: str = "") -> str:
 
 
 def file_of(folder: Path, index: Index) -> Path:
-    """Where a block's digests stand.
+    """The file of a block's digests.
 
     Raises:
-        ConfigError: a folder stands in their place.
+        ConfigError: There is a folder in its place.
     """
     file = folder / DIGESTS / f"{'.'.join(map(str, index))}.json"
     if file.is_dir():
@@ -58,7 +58,7 @@ def file_of(folder: Path, index: Index) -> Path:
 
 
 def content_of(folder: Path, index: Index) -> Any:
-    """What stands there; None where that is nothing, or no JSON."""
+    """The content of that file; None if it is absent or not JSON."""
     try:
         return json.loads(file_of(folder, index).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
@@ -66,7 +66,7 @@ def content_of(folder: Path, index: Index) -> Any:
 
 
 def pieces_of(folder: Path, index: Index) -> list[Piece]:
-    """A block's digests; none where they are absent, damaged, or another block's."""
+    """A block's digests; none if they are absent, damaged, or those of another block."""
     content = content_of(folder, index)
     try:
         if content["block"] != list(index):
@@ -78,7 +78,7 @@ def pieces_of(folder: Path, index: Index) -> list[Piece]:
 
 
 def add_piece(folder: Path, index: Index, piece: Piece) -> None:
-    """Write a block's digests: of what it held before the piece, and of the piece."""
+    """Write a block's digests: the previous ones, and those of the piece."""
     before = [other for other in pieces_of(folder, index) if other.draws[1] <= piece.draws[0]]
     (folder / DIGESTS).mkdir(exist_ok=True)
     write_json(file_of(folder, index), {"block": index, "pieces": [*before, piece]}, durable=False)

@@ -1,4 +1,4 @@
-"""A result as others read it: a table of draws in CSV or Parquet, the dataset in netCDF; units and meanings kept."""
+"""Export of a result: a table of draws as CSV or Parquet, or the dataset as netCDF, with units and meanings."""
 
 import importlib
 import json
@@ -24,7 +24,7 @@ CSVW = "http://www.w3.org/ns/csvw"
 
 
 class Format(StrEnum):
-    """What a result can be exported to."""
+    """Export formats."""
 
     CSV = "csv"
     PARQUET = "parquet"
@@ -38,8 +38,8 @@ NEEDS = {Format.CSV: (), Format.PARQUET: ("pyarrow",), Format.NETCDF: ("h5netcdf
 def export(result: Result, to: Format | str, out: str | Path | None = None) -> list[Path]:
     """Write a result for other programs.
 
-    ``csv`` and ``parquet`` are a table with one row a lane: swept values, draw, drawn numbers, metrics, slacks and
-    how it ended. Units and long names stand in Parquet's column metadata; beside a CSV in ``<file>-metadata.json``,
+    ``csv`` and ``parquet`` are a table with one row per lane: swept values, draw, drawn numbers, metrics, slacks and
+    outcome. Units and long names are in Parquet's column metadata; for CSV in a separate ``<file>-metadata.json``,
     which follows the W3C's "CSV on the Web". ``netcdf`` is the dataset itself, with CF attributes.
 
     Args:
@@ -83,7 +83,7 @@ def require(package: str, form: Format) -> None:
 
 
 def into_place(path: Path, write: Callable[[Path], Any]) -> Path:
-    """Write beside the file and move it there, so that no half of one is left.
+    """Write to a temporary file and move it to its final name, so that no partial file remains.
 
     Raises:
         ConfigError: it cannot be written.
@@ -107,7 +107,7 @@ def columns(result: Result) -> dict[str, dict[str, Any]]:
 
 
 def pieces(result: Result) -> Iterable["pd.DataFrame"]:
-    """The table of draws, a part at a time."""
+    """The table of draws, in parts."""
     import pandas as pd
 
     study, data = result.study, result.dataset
@@ -124,14 +124,14 @@ def pieces(result: Result) -> Iterable["pd.DataFrame"]:
 
 
 def write_csv(result: Result, path: Path) -> None:
-    """Numbers are written with as many digits as restore them exactly; a value that is not there is empty."""
+    """Write a CSV file with enough digits to restore numbers exactly; missing values are empty."""
     with path.open("w", encoding="utf-8", newline="") as file:
         for number, piece in enumerate(pieces(result)):
             piece.to_csv(file, index=False, header=number == 0, lineterminator="\n")
 
 
 def csv_metadata(result: Result, name: str) -> dict[str, Any]:
-    """The table's description after "CSV on the Web"."""
+    """The table's description according to "CSV on the Web"."""
     kinds = {"draw": "integer", "outcome": "integer", MEANING: "string"}
     described = []
     for column, about in columns(result).items():
@@ -150,7 +150,7 @@ def csv_metadata(result: Result, name: str) -> dict[str, Any]:
 
 
 def write_parquet(result: Result, path: Path) -> None:
-    """One row group a piece; attributes are column metadata, the study is file metadata."""
+    """Write a Parquet file: one row group per part, attributes as column metadata, the study as file metadata."""
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -170,7 +170,7 @@ def write_parquet(result: Result, path: Path) -> None:
 
 
 def write_netcdf(result: Result, path: Path) -> None:
-    """The dataset, compressed."""
+    """Write the dataset as compressed netCDF."""
     data = result.dataset.copy().assign_attrs(provenance(result))
     codes = np.asarray(list(outcome_codes(result.study)), dtype=data["outcome"].dtype)
     data["outcome"].attrs["flag_values"] = codes  # CF: of the variable's own type
@@ -178,7 +178,7 @@ def write_netcdf(result: Result, path: Path) -> None:
 
 
 def provenance(result: Result) -> dict[str, str]:
-    """What a file must say to be traced back: the study as run, and its hash."""
+    """Metadata for tracing a file back: the study as run, and its hash."""
     versions = result.manifest.get("versions", {})
     return {
         **{name: str(value) for name, value in result.dataset.attrs.items()},

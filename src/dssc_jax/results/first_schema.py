@@ -1,4 +1,4 @@
-"""Reading results folders of the first schema, which had no digests and called slacks margins."""
+"""Reading of results folders of the first schema, which had no digests and called slacks margins."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from dssc_jax.study import Study
 
 
 def read_first_schema(folder: Path, study: Study, layout: Layout) -> xr.Dataset:
-    """The dataset of a folder of the first schema. Only types, shapes, chunks and checksums of its arrays are checked.
+    """The dataset of a folder of the first schema. Checks only types, shapes, chunks and checksums of its arrays.
 
     Raises:
         ConfigError: an array is damaged, or the run did not finish.

@@ -1,4 +1,4 @@
-"""One writer a results folder: a lock of the operating system, which dies with its process and cannot go stale."""
+"""A lock that allows one writer per results folder; the operating system releases it when the process ends."""
 
 import json
 import os
@@ -14,13 +14,13 @@ LOCK, HOLDER = ".lock", ".writer.json"
 
 
 def take(folder: Path) -> FileLock:
-    """Take a folder's lock, until ``release`` or the end of the process, however it ends.
+    """Take a folder's lock, until ``release`` or the end of the process.
 
     Args:
         folder: An existing folder.
 
     Raises:
-        ConfigError: somebody else holds it, and who that is.
+        ConfigError: Another process holds it; the message says which.
     """
     lock = FileLock(folder / LOCK)
     try:
@@ -43,7 +43,7 @@ def take(folder: Path) -> FileLock:
 
 
 def holder(folder: Path) -> str:
-    """Who took the lock last, in words."""
+    """Describe the process that last took the lock."""
     try:
         about = json.loads((folder / HOLDER).read_text(encoding="utf-8"))
         return f"process {about['process']} on {about['host']} since {about['since']}"

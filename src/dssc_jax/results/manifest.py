@@ -1,4 +1,4 @@
-"""What manifest.json says of a run: read with care, compared with the run that wants to go on from it."""
+"""The manifest of a run: writing, validation when read, and comparison with a resumed run."""
 
 import json
 import os
@@ -22,7 +22,7 @@ DATA, MANIFEST, SUMMARY, PARTIAL = "data.zarr", "manifest.json", "summary.json",
 ANALYSES = ("margin", "compare")
 MANIFEST_TABLES = ("study", "layout", "versions", "device", "times")
 TIMES = ("seconds", "compile_seconds", "rate")
-"""What every finished run tells of its time."""
+"""Timing fields of every finished run."""
 
 STOPPED = ("rule", "most", "verdict", "look", "looks")
 CLUSTER = ("workers", "lost")
@@ -30,21 +30,21 @@ COMPUTING = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy")
 """Packages whose version may change a result in its last digits."""
 
 EXTENSIBLE = ("random", "sobol")
-"""Kinds of sampling whose draw i does not depend on the number of draws."""
+"""Kinds of sampling in which draw i does not depend on the number of draws."""
 
 
 def write_json(path: Path, content: Any, durable: bool = True) -> None:
-    """Replace a JSON file as :func:`write_text` does."""
+    """Replace a JSON file atomically, as :func:`write_text` does."""
     write_text(path, [json.dumps(content, indent=2), "\n"], durable)
 
 
 def write_text(path: Path, parts: Iterable[str], durable: bool = True) -> None:
-    """Replace a file in one move, so that no reader sees half of it.
+    """Replace a file atomically, so that no reader sees a partial file.
 
     Args:
         path: The file. Several processes may write it at once; the last one wins.
-        parts: What it shall hold.
-        durable: Have the disk keep it before it is moved, so that not even a power cut leaves half of it.
+        parts: The new content.
+        durable: Flush it to disk before the move, so that not even a power cut leaves a partial file.
     """
     partial = path.with_name(f"{path.name}.{uuid4().hex}{PARTIAL}")
     try:
@@ -60,19 +60,19 @@ def write_text(path: Path, parts: Iterable[str], durable: bool = True) -> None:
 
 
 def write_sealed(path: Path, content: dict[str, Any]) -> None:
-    """Write a JSON file with the digest of all that it holds."""
+    """Write a JSON file with a digest of its content."""
     write_json(path, content | {SEAL: hash_of(content)})
 
 
 def unsealed(path: Path, content: dict[str, Any]) -> dict[str, Any]:
-    """What :func:`write_sealed` was given.
+    """The content that was passed to :func:`write_sealed`.
 
     Args:
         path: The file, for messages.
-        content: What it holds now.
+        content: Its current content.
 
     Raises:
-        ConfigError: it is something else.
+        ConfigError: The content does not match its digest.
     """
     inner = dict(content)
     if inner.pop(SEAL, None) != hash_of(inner):
@@ -89,7 +89,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     """The manifest of a results folder.
 
     Raises:
-        ConfigError: there is none, it is damaged, or it is of another schema version.
+        ConfigError: There is none, it is damaged, or it has another schema version.
     """
     path = folder / MANIFEST
     try:
@@ -126,10 +126,10 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 def require_sound(path: Path, manifest: dict[str, Any]) -> None:
-    """Require what a summary takes from a manifest beside its study: numbers where it computes, tables where it reads.
+    """Require valid fields, of the right types, for everything besides the study that a summary reads from a manifest.
 
     Raises:
-        ConfigError: the field, and what it must be.
+        ConfigError: A field is invalid; the message gives it and the rule.
     """
     for name, value in manifest["times"].items():
         if not is_number(value):
@@ -150,23 +150,23 @@ def require_fields(path: Path, name: str, table: Any, fields: tuple[str, ...]) -
     """Require a table with these fields.
 
     Raises:
-        ConfigError: it is none, or lacks one.
+        ConfigError: It is not a table, or lacks a field.
     """
     if not isinstance(table, dict) or not table.keys() >= set(fields):
         raise ConfigError(str(path), f"is damaged: {name} must be a table with {', '.join(fields)}, got {table!r}")
 
 
 def stored_layout(folder: Path, study: Study, manifest: dict[str, Any], draws: int | None = None) -> Layout:
-    """The study's grid in the blocks that a manifest tells.
+    """The study's grid with the blocks given in a manifest.
 
     Args:
         folder: The results folder, for messages.
         study: The study.
         manifest: The manifest.
-        draws: How many draws the manifest's own study has; None: as many as the study.
+        draws: Number of draws of the manifest's own study; None: that of the study.
 
     Raises:
-        ConfigError: the manifest's layout is not that of its study.
+        ConfigError: The manifest's layout does not match its study.
     """
     whole = Layout.of(study).shape
     expected = [*whole[:-1], whole[-1] if draws is None else draws]
@@ -179,7 +179,7 @@ def stored_layout(folder: Path, study: Study, manifest: dict[str, Any], draws: i
 
 
 def differences(old: Any, new: Any, path: str = "") -> list[str]:
-    """Where two tables differ, a line each."""
+    """Differences between two tables, one line each."""
     if isinstance(old, dict) and isinstance(new, dict):
         lines = []
         for name in sorted(old.keys() | new.keys()):
@@ -197,10 +197,10 @@ def require_same_study(folder: Path, manifest: dict[str, Any], study: Study, res
     """Require that a folder's study is this one; a resumed run may ask for more draws.
 
     Returns:
-        Whether it does.
+        Whether it asks for more draws.
 
     Raises:
-        ConfigError: another study, with the differences; or draws that cannot be added.
+        ConfigError: The study is different (the message gives the differences), or draws cannot be added.
     """
     old, new = manifest["study"], study.table
     if resume and manifest.get("stopping"):
@@ -229,7 +229,7 @@ def require_same_study(folder: Path, manifest: dict[str, Any], study: Study, res
 
 
 def about_code(study: Study) -> dict[str, Any]:
-    """What a folder says of the code that its study names: files, digests, and what its reader needs to know of it."""
+    """Manifest entries on the code that a study refers to: files, digests, and descriptions for readers."""
     if isinstance(study, Described):
         return {"code": study.code, "described": study.description.model_dump(mode="json")}
     code = recorded(study.table)
@@ -237,7 +237,7 @@ def about_code(study: Study) -> dict[str, Any]:
 
 
 def machinery_differences(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
-    """Where two manifests differ in what decides a result's last digits: versions, device, compiler, one's own code."""
+    """Differences between two manifests that affect a result's last digits: versions, device, compiler, user's code."""
     there, here = (
         {
             "versions": {name: manifest.get("versions", {}).get(name) for name in COMPUTING},
@@ -251,10 +251,10 @@ def machinery_differences(old: dict[str, Any], new: dict[str, Any]) -> list[str]
 
 
 def require_same_machinery(folder: Path, old: dict[str, Any], new: dict[str, Any]) -> None:
-    """Require that what computes the rest of a run is what computed its beginning.
+    """Require that versions, device and compiler settings are those with which a run began.
 
     Raises:
-        ConfigError: another version, device or compiler setting, which may round differently.
+        ConfigError: A version, device or compiler setting differs, which may change rounding.
     """
     lines = machinery_differences(old, new)
     if lines:

@@ -1,4 +1,4 @@
-"""The shape of a result: its variables with dimensions, types, units and meanings, following CF conventions."""
+"""The schema of a result: its variables with dimensions, types, units and meanings, following CF conventions."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ ENDINGS = {
     Outcome.NON_FINITE: "does not stay finite",
     Outcome.SINGULAR_ATTITUDE: "reaches a singular attitude",
 }
-"""How a draw ends that violates no requirement, or did not come to its end."""
+"""Outcomes other than a violated requirement."""
 OUTCOME = "how the draw ended; of violated requirements the first in the study's order"
 NOT_COMPUTED = -1  # outcome of a lane whose block is not done
 
@@ -24,7 +24,7 @@ NOT_COMPUTED = -1  # outcome of a lane whose block is not done
 def outcome_codes(study: Study) -> dict[int, str]:
     """Every outcome code that the study's draws can have, with its meaning.
 
-    A code names only the first violated requirement, in the study's order; the slacks tell of each.
+    A code gives only the first violated requirement, in the study's order; the slacks show all of them.
     """
     requirements = {Outcome.REQUIREMENT + i: f"first_violated_{r.label}" for i, r in enumerate(study.requirements)}
     broken = {int(Outcome.SINGULAR_ATTITUDE): "singular_attitude"} if len(study.loop.channels) > 1 else {}
@@ -37,7 +37,7 @@ def outcome_codes(study: Study) -> dict[int, str]:
 
 
 def verdict(study: Study, outcome: int, slacks: Mapping[str, Any]) -> str:
-    """How a draw ended, in words: every requirement that it violates, where it ran to its end."""
+    """Describe how a draw ended, with every violated requirement if it completed."""
     if outcome < Outcome.REQUIREMENT:
         return ENDINGS[Outcome(outcome)]
     broken = (requirement.text for requirement in study.requirements if violated(slacks[requirement.name]))
@@ -54,7 +54,7 @@ class Variable:
 
 
 def variables(study: Study) -> dict[str, Variable]:
-    """Every variable of the study's dataset. ``outcome`` stands last: its presence marks a block as complete."""
+    """Every variable of the study's dataset. ``outcome`` is last: its presence marks a block as complete."""
     grid = (*study.axes, "draw")
     real = f"float{study.config.loop.precision}"
     described = {}
@@ -84,7 +84,7 @@ def variables(study: Study) -> dict[str, Variable]:
 
 
 def coordinates(study: Study) -> dict[str, Variable]:
-    """The dataset's coordinates, one an axis, and the draw's index."""
+    """The dataset's coordinates: one per axis, and the draw index."""
     described = {}
     for name in study.axes:
         quantity = study.quantities[name]
@@ -99,7 +99,7 @@ def coordinate_values(study: Study) -> dict[str, np.ndarray]:
 
 
 def dataset_attributes(study: Study) -> dict[str, str]:
-    """The dataset's own attributes, after the CF conventions."""
+    """The dataset's own attributes, following the CF conventions."""
     described = {"comment": study.config.description} if study.config.description else {}
     return {"Conventions": "CF-1.11", "title": study.name, "source": "dssc_jax", **described}
 
@@ -124,7 +124,7 @@ def in_memory(study: Study) -> xr.Dataset:
 def put(
     dataset: xr.Dataset, box: tuple[slice, ...], results: Mapping[str, np.ndarray], drawn: Mapping[str, np.ndarray]
 ) -> None:
-    """Put a block of the grid, and the drawn values of its range of draws, into a dataset of :func:`in_memory`."""
+    """Copy a block of the grid, and the drawn values of its draws, into a dataset of :func:`in_memory`."""
     for name, array in results.items():
         dataset[name].values[box] = array
     for name, column in drawn.items():

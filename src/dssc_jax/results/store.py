@@ -1,4 +1,4 @@
-"""A results folder: a Zarr store of all draws, manifest.json and summary.json; filled by one run, read by anybody."""
+"""A results folder: a Zarr store of all draws, manifest.json and summary.json."""
 
 import shutil
 from collections.abc import Iterable
@@ -32,21 +32,21 @@ from dssc_jax.results.schema import in_memory
 from dssc_jax.study import Study, received
 
 OWN = (lock.LOCK, lock.HOLDER)
-"""What a run that was killed at its very beginning leaves behind, beside the beginning of a manifest."""
+"""Files that a run killed at its very beginning leaves, in addition to a partial manifest."""
 
 
 class Store:
     """A results folder being filled by one run, which holds its lock.
 
     Args:
-        folder: Where; made when absent.
+        folder: The folder; created if absent.
         study: The study as run.
-        manifest: What manifest.json says until the run is complete, the layout included.
-        resume: Keep what an earlier run of the same study finished; the study may ask for more draws.
+        manifest: Content of manifest.json until the run is complete, including the layout.
+        resume: Keep the finished blocks of an earlier run of the same study; the study may have more draws.
 
     Raises:
-        ConfigError: the folder holds another study's results, or something that is no result, or somebody is
-            writing it, or it cannot be written.
+        ConfigError: The folder contains another study's results or something else, another process is writing to it,
+            or it cannot be written.
     """
 
     def __init__(self, folder: Path, study: Study, manifest: dict[str, Any], resume: bool = False) -> None:
@@ -78,12 +78,12 @@ class Store:
 
     @property
     def finished(self) -> bool:
-        """Whether there is nothing left to do, and the manifest says so."""
+        """Whether the run is complete and recorded as complete in the manifest."""
         return bool(self.manifest.get("complete")) and not self.pending
 
     @property
     def layout(self) -> Layout:
-        """The blocks; a resumed run keeps those it began with."""
+        """The blocks; a resumed run keeps its original layout."""
         return self.chunks.layout
 
     def _occupied(self) -> bool:
@@ -106,7 +106,7 @@ class Store:
         self.chunks = Chunks(self.folder, self.study, layout, "r+")
 
     def _go_on(self, old: dict[str, Any], new: dict[str, Any], more: bool) -> bool:
-        """Take up what is there; False where the run before did not come as far as laying out its store."""
+        """Continue an earlier run; False if that run had not created its store."""
         if old["schema"] == WITHOUT_DIGESTS:
             rule = (
                 "was written without digests, by an earlier version: it can be read, and started over without --resume"
@@ -137,17 +137,17 @@ class Store:
         return True
 
     def _require_sealed(self, manifest: dict[str, Any], layout: Layout) -> None:
-        """Require that a run which has finished still has the digests that it ended with."""
+        """Require that a finished run still has its final digests."""
         if manifest.get(DIGESTS, over_all(self.folder, layout)) != over_all(self.folder, layout):
             raise ConfigError(str(self.folder / DIGESTS), "is damaged: these are not the run's digests; start over")
 
     def _clear(self) -> None:
-        """Take away what writers that were killed left half written."""
+        """Remove partial files of killed writers."""
         for partial in self.folder.rglob(f"*{PARTIAL}"):
             partial.unlink(missing_ok=True)
 
     def complete(self, about: dict[str, Any]) -> None:
-        """Record that every block is there, and what the manifest says further of the finished run."""
+        """Record that every block is complete, with further manifest entries of the finished run."""
         self._require_sealed(self.manifest, self.layout)  # what was mended is what had been there
         self.manifest = self.manifest | about | {DIGESTS: over_all(self.folder, self.layout), "complete": True}
         with writing(self.folder):
@@ -157,7 +157,7 @@ class Store:
         """Dataset and manifest, once the run is complete.
 
         Raises:
-            ConfigError: what is on the disk is not what was written.
+            ConfigError: The data on disk differ from the written data.
         """
         return read_dataset(self.folder, self.study, self.manifest), self.manifest
 
@@ -171,7 +171,7 @@ def read(folder: Path, trust_code: bool = False) -> tuple[Study, xr.Dataset, dic
     """Study, dataset and manifest of a results folder.
 
     Raises:
-        ConfigError: it is no results folder, it is damaged, or its run did not finish.
+        ConfigError: It is not a results folder, it is damaged, or its run did not finish.
     """
     manifest = read_manifest(folder)
     study = received(manifest, str(folder / MANIFEST), trust_code)
@@ -182,7 +182,7 @@ def read_dataset(folder: Path, study: Study, manifest: dict[str, Any]) -> xr.Dat
     """The dataset of a results folder, whose study and manifest are known.
 
     Raises:
-        ConfigError: it is damaged, or its run did not finish.
+        ConfigError: It is damaged, or its run did not finish.
     """
     layout = stored_layout(folder, study, manifest)
     if manifest["schema"] == WITHOUT_DIGESTS:

@@ -1,4 +1,4 @@
-"""What the draws say of every point of a sweep: failures, each requirement by itself, quantiles of the metrics."""
+"""Summary of every point of a sweep: failures, each requirement separately, quantiles of the metrics."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,18 +21,18 @@ Row = dict[str, Any]
 
 
 class Statements(NamedTuple):
-    """How statements about probability laws are made.
+    """Method and confidence of statistical statements.
 
     Args:
-        method: The interval that fits the draws.
-        confidence: At which each statement holds by itself.
+        method: The interval for this kind of draws.
+        confidence: Confidence of each statement individually.
     """
 
     method: Method
     confidence: float
 
     def shares(self, happened: np.ndarray) -> dict[str, list[Any]]:
-        """Columns of how often something happened, from draws of shape (points, draws)."""
+        """Columns with the frequency of an event, from draws of shape (points, draws)."""
         failures = np.count_nonzero(happened, axis=-1)
         return {
             "failures": failures.tolist(),
@@ -52,15 +52,15 @@ class Statements(NamedTuple):
 
 
 def points(study: Study, dataset: xr.Dataset, method: Method, confidence: float) -> Iterator[Row]:
-    """Every point of a study's sweep in plain numbers, the last axis running fastest; of a run the only one.
+    """Summarise every point of a study's sweep, the last axis varying fastest; a run has a single point.
 
-    They are made a batch at a time: cost goes by lanes, however many points share them, and few points are in memory.
+    Points are processed in batches: the cost depends on the number of lanes only, and few points are in memory.
 
     Args:
         study: The study.
         dataset: Its draws, as :class:`dssc_jax.results.result.Result` has them.
-        method: How intervals follow from the draws.
-        confidence: Of each interval by itself.
+        method: The method of the intervals.
+        confidence: Confidence of each interval individually.
     """
     say, draws = Statements(method, confidence), dataset.sizes["draw"]
     names = ["outcome", *(r.name for r in study.requirements), *(measure.name for measure in study.measures)]
@@ -86,8 +86,8 @@ def some_points(
         study: The study.
         lanes: Outcome, margins and metrics by name, shape (points, draws).
         at: Swept values of each point.
-        certified: What the theorem says of each.
-        say: How statements are made.
+        certified: Whether the theorem certifies each point.
+        say: Method and confidence of the statements.
     """
     outcome = lanes["outcome"]
     count, draws = outcome.shape
@@ -118,7 +118,7 @@ def some_points(
 
 
 def lines(summary: Mapping[str, Any]) -> Iterator[str]:
-    """A summary as JSON, line by line: each entry, and each of the points, which may be an iterator, has its own."""
+    """A summary as JSON, line by line: each entry and each point (points may be an iterator) has its own line."""
     start = "{"
     for name, value in summary.items():
         yield f"{start}{json.dumps(name)}: "
@@ -137,9 +137,9 @@ def lines(summary: Mapping[str, Any]) -> Iterator[str]:
 def requirements(
     study: Study, violations: Mapping[str, np.ndarray], early: np.ndarray, say: Statements
 ) -> list[list[Row]]:
-    """Each requirement at every point, whatever the others say.
+    """Each requirement at every point, regardless of the others.
 
-    ``alone`` counts the draws that ran to their end and violate this requirement only.
+    ``alone`` counts the completed draws that violate only this requirement.
     """
     together = np.sum(list(violations.values()), axis=0)
     statements = []
@@ -152,7 +152,7 @@ def requirements(
 
 
 def overlaps(violations: Mapping[str, np.ndarray], early: np.ndarray) -> dict[tuple[str, str], list[int]]:
-    """For every pair of requirements, how many draws of each point ran to their end and violate both."""
+    """For every pair of requirements, the number of completed draws of each point that violate both."""
     return {
         (a, b): np.count_nonzero(violations[a] & violations[b] & ~early, axis=-1).tolist()
         for a, b in combinations(violations, 2)
@@ -160,23 +160,23 @@ def overlaps(violations: Mapping[str, np.ndarray], early: np.ndarray) -> dict[tu
 
 
 def rows(columns: Mapping[str, Sequence[Any]]) -> list[Row]:
-    """A table's rows from its columns."""
+    """Convert columns of a table to rows."""
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
 def side_by_side(parts: Sequence[Sequence[Any]], count: int) -> list[list[Any]]:
-    """What there is at each of so many points, from what each part has there."""
+    """Collect the entries of all parts for each point."""
     return [[part[i] for part in parts] for i in range(count)]
 
 
 def nullable(values: np.ndarray) -> list[Any]:
-    """Numbers for JSON, which has no infinity: None where a value is not finite."""
+    """Numbers for JSON, which has no infinity: None if a value is not finite."""
     objects = np.array(values, dtype=object)
     objects[~np.isfinite(values)] = None
     return objects.tolist()
 
 
 def most_violated(point: Mapping[str, Any]) -> str:
-    """The requirement that most draws of a point violate, with their number; ``-`` where all draws meet all of them."""
+    """The requirement violated by most draws of a point, with their number; ``-`` if no draw violates any."""
     worst = max(point["requirements"], key=lambda requirement: requirement["failures"], default=None)
     return f"{worst['name']} ({worst['failures']})" if worst and worst["failures"] else "-"

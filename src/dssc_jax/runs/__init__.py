@@ -1,1 +1,1 @@
-"""What runs a study: in one piece, until its draws decide, one draw alone, again, or on a cluster."""
+"""Running studies: run, run until a stopping rule, simulate and replay one draw, verify, cluster."""

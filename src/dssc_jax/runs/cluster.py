@@ -1,7 +1,7 @@
-"""The same run on many processes or machines, by dask.distributed: each task computes and writes a range of blocks.
+"""Runs on several processes or machines by dask.distributed; each task computes and writes a range of blocks.
 
-A worker compiles once and writes its own chunks of the one results folder, which all must see. Blocks do not depend
-on each other, and what is written twice is written alike: a worker that dies loses nothing but time.
+A worker compiles once and writes its own chunks to the common results folder, which all workers must be able to
+access. Blocks are independent, and writing one twice gives the same data, so a worker that dies costs only time.
 """
 
 import importlib
@@ -40,13 +40,13 @@ TASKS, MOST_BLOCKS = 8, 16  # tasks a worker at least, blocks a task at most
 
 @dataclass(frozen=True)
 class Job:
-    """What a worker must know; it is sent with every task and kept by the worker.
+    """The data that a worker needs; sent with every task and cached by the worker.
 
     Args:
         table: The study's table as JSON.
         folder: The results folder, absolute.
         block: Shape of its blocks.
-        local: Folder that the study's ``module:object`` names may come from.
+        local: Folder from which the study's ``module:object`` names may be imported.
     """
 
     table: str
@@ -57,7 +57,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Share:
-    """What a worker has done in one task.
+    """The work done by a worker in one task.
 
     Args:
         worker: Its address.
@@ -79,7 +79,7 @@ _one_at_a_time = Lock()
 
 @lru_cache(maxsize=1)
 def prepared(job: Job) -> tuple[Engine, Chunks]:
-    """A worker's engine and its way to the folder, made once a job."""
+    """A worker's engine and its access to the folder, created once per job."""
     if job.local and job.local not in sys.path:
         sys.path.insert(0, job.local)
     study = Study.from_table(json.loads(job.table))
@@ -88,7 +88,7 @@ def prepared(job: Job) -> tuple[Engine, Chunks]:
 
 
 def compute(job: Job, blocks: list[Block]) -> Share:
-    """One task: compute blocks and write them, on the worker."""
+    """Run one task on the worker: compute blocks and write them."""
     from distributed import get_worker
 
     with _one_at_a_time:  # a worker with several threads still has one device to share
@@ -109,7 +109,7 @@ class Cluster:
 
     Args:
         client: A ``distributed.Client`` connected to it.
-        address: As the user gave it.
+        address: The address given by the user.
         notify: Called with a line of text when a worker is lost or joins.
     """
 
@@ -123,10 +123,10 @@ class Cluster:
         return set(self.client.nthreads())
 
     def machinery(self) -> dict[str, Any]:
-        """What the workers compute with; they must agree.
+        """Versions, device and compiler settings of the workers, which must agree.
 
         Raises:
-            ConfigError: they do not, or cannot import this package.
+            ConfigError: They differ, or cannot import this package.
         """
         try:
             machines = self.client.run(computing)
@@ -141,19 +141,19 @@ class Cluster:
         return here
 
     def fill(self, study: Study, target: Store, advance: Callable[[int], None], local: str | None) -> dict[str, Any]:
-        """Compute what a folder lacks.
+        """Compute the missing blocks of a folder.
 
         Args:
             study: The study.
             target: The folder, locked by this process.
-            advance: Called with the number of lanes of every task that is done.
+            advance: Called with the number of lanes of every finished task.
             local: See :class:`Job`.
 
         Returns:
-            What the manifest says of it: ``times`` and ``cluster``.
+            Entries for the manifest: ``times`` and ``cluster``.
 
         Raises:
-            ConfigError: the scheduler or all workers are gone for good, or a worker cannot write.
+            ConfigError: The scheduler or all workers are permanently lost, or a worker cannot write.
         """
         began = time.perf_counter()
         job = Job(json.dumps(study.table), str(target.folder.resolve()), target.layout.block, local)
@@ -197,13 +197,13 @@ class Cluster:
 
 
 def block_ranges(blocks: list[Block], workers: int) -> list[list[Block]]:
-    """Blocks in ranges that make a task each."""
+    """Divide blocks into ranges, one per task."""
     size = min(max(len(blocks) // (TASKS * max(workers, 1)), 1), MOST_BLOCKS)
     return [blocks[i : i + size] for i in range(0, len(blocks), size)]
 
 
 def summed(shares: list[Share], steps: int, seconds: float) -> dict[str, Any]:
-    """The times of a run: rates of the workers add up, compilations go on side by side."""
+    """The times of a run: the workers' rates add up, and their compilations run in parallel."""
     lanes, busy = {}, {}
     for share in shares:
         lanes[share.worker] = lanes.get(share.worker, 0) + share.lanes
@@ -219,14 +219,14 @@ def summed(shares: list[Share], steps: int, seconds: float) -> dict[str, Any]:
 
 @contextmanager
 def connected(address: str, notify: Callable[[str], None]) -> Iterator[Cluster]:
-    """Workers at an address, or workers of one's own for as long as the context lasts.
+    """Connect to workers at an address, or start local workers for the duration of the context.
 
     Args:
         address: ``tcp://host:port`` of a scheduler, or ``local:N`` for N processes on this machine.
-        tell: See :class:`Cluster`.
+        notify: See :class:`Cluster`.
 
     Raises:
-        ConfigError: the address is wrong, nobody answers, or dask.distributed is not installed.
+        ConfigError: The address is wrong, there is no answer, or dask.distributed is not installed.
     """
     count = parsed(address)
     try:
@@ -248,7 +248,7 @@ def parsed(address: str) -> int:
     """Number of processes of ``local:N``, 0 for the address of a scheduler.
 
     Raises:
-        ConfigError: it is neither.
+        ConfigError: It is neither.
     """
     if address.startswith(LOCAL_SCHEME):
         count = address.removeprefix(LOCAL_SCHEME)
@@ -260,7 +260,7 @@ def parsed(address: str) -> int:
 
 
 def local_cluster(count: int) -> Any:
-    """Processes on this machine, started afresh, never forked: JAX has threads. They listen to this machine only."""
+    """Start processes on this machine, spawned and never forked because JAX has threads, with local access only."""
     distributed, dask = importlib.import_module("distributed"), importlib.import_module("dask")
     dask.config.set({"distributed.worker.multiprocessing-method": "spawn"})
     here = {"host": "127.0.0.1", "dashboard": False}
@@ -284,7 +284,7 @@ def worker_environment(index: int, count: int) -> dict[str, str]:
 
 
 def visible_gpus() -> list[str]:
-    """The GPUs that a process may use, found without starting JAX, which would take hold of one."""
+    """The GPUs that a process may use, found without starting JAX, which would occupy one."""
     allowed = os.environ.get("CUDA_VISIBLE_DEVICES")
     if allowed is not None:
         return [name for name in allowed.split(",") if name]

@@ -1,4 +1,4 @@
-"""A study run: every draw at every point of its sweep, in memory or into a folder, here or on a cluster."""
+"""``run``: simulate every draw at every point of a sweep, in memory or into a folder, locally or on a cluster."""
 
 import math
 import time
@@ -23,7 +23,7 @@ from dssc_jax.study.correlation import gaussian
 
 
 def about_run(study: Study, layout: Layout, machinery: Mapping[str, Any]) -> dict[str, Any]:
-    """The manifest before the run: what, with which versions, on which machine."""
+    """The manifest before the run: study, versions and machine."""
     return {
         "schema": SCHEMA,
         "study": study.table,
@@ -47,7 +47,7 @@ def about_run(study: Study, layout: Layout, machinery: Mapping[str, Any]) -> dic
 
 
 def about_sampling(study: Study) -> dict[str, Any]:
-    """The design of the draws, and the correlations among them: ranks as given, and those of the normal variables."""
+    """The sampling design and the correlations: rank correlations as given, and those of the normal variables."""
     config = study.config
     return {
         "kind": config.sampling,
@@ -73,20 +73,21 @@ def run(
 
     Args:
         study: The study; one with a ``[sweep]`` is swept, see :meth:`Study.without_sweep`.
-        out: Results folder to fill as the run goes on; None keeps the result in memory.
-        resume: Keep what an earlier run of the same study left in ``out``, and compute what is missing; the study
-            may ask for more draws than it did then.
+        out: Results folder to fill during the run; None keeps the result in memory.
+        resume: Keep the results of an earlier run of the same study in ``out``, and compute the missing ones; the
+            study may have more draws than before.
         progress: Called with the lanes done and all lanes after each block.
-        block: Lanes of a block at most; None: the engine's choice. Results do not depend on it, nor on the rest.
+        block: Maximum number of lanes of a block; None: the engine's choice. Results depend neither on it nor on the
+            following arguments.
         tile: Lanes of a tile.
         devices: Number of devices to use.
         cluster: ``tcp://host:port`` of a dask scheduler or ``local:N``; every worker must see ``out``. Devices and
             tiles are then the workers' own choice.
         notify: Called with a line of text when a worker of the cluster is lost or joins.
-        local: Folder where a cluster's workers, too, look for the study's ``module:object`` names.
+        local: Folder in which a cluster's workers also look for the study's ``module:object`` names.
 
     Raises:
-        ConfigError: ``out`` holds something else, is being written, or cannot be written; or the cluster is lost.
+        ConfigError: ``out`` contains something else, is being written, or cannot be written; or the cluster is lost.
     """
     layout = Layout.of(study, block) if block else Layout.of(study)
     if out is None:
@@ -113,7 +114,7 @@ def run(
 def fill(
     study: Study, target: Store, advance: Callable[[int], None], tile: int | None, devices: int | None
 ) -> dict[str, Any]:
-    """Compute what a folder lacks, in this process; what the manifest says of it."""
+    """Compute the missing blocks of a folder in this process, and return the times for the manifest."""
     began = time.perf_counter()
     engine = Engine(study, target.layout.lanes, tile, devices)
     for box, results, values in execute(engine, target.pending):
@@ -123,12 +124,12 @@ def fill(
 
 
 class LanesDone:
-    """Counts the lanes that are done, and passes the count on.
+    """Counter of finished lanes that reports to a progress callback.
 
     Args:
-        progress: Called with the lanes done and all lanes; None: nobody is.
+        progress: Called with the lanes done and all lanes; None: no callback.
         layout: All lanes.
-        pending: Those that are not done at the beginning.
+        pending: The blocks that are not finished at the beginning.
     """
 
     def __init__(self, progress: ProgressCallback | None, layout: Layout, pending: list[tuple[slice, ...]]) -> None:
@@ -137,14 +138,14 @@ class LanesDone:
         self(0)
 
     def __call__(self, lanes: int) -> None:
-        """So many more are done."""
+        """Add a number of finished lanes."""
         self.done += lanes
         if self.progress:
             self.progress(self.done, self.total)
 
 
 def in_one_piece(study: Study, manifest: dict[str, Any], engine: Engine, progress: ProgressCallback | None) -> Result:
-    """A run that is kept in memory."""
+    """Run a study in memory."""
     began = time.perf_counter()
     layout = Layout.from_dict(manifest["layout"])
     dataset, advance = in_memory(study), LanesDone(progress, layout, layout.blocks())

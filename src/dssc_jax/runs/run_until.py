@@ -1,4 +1,4 @@
-"""Runs whose number of draws the draws themselves decide; the result is that of the study with the final number."""
+"""``run_until``: runs with a sequential stopping rule; the result has the final number of draws of the study."""
 
 import time
 from pathlib import Path
@@ -33,21 +33,21 @@ def run_until(
     most: int = MOST_DRAWS,
     progress: ProgressCallback | None = None,
 ) -> Result:
-    """Simulate draws until the rule is content, at a geometric sequence of looks.
+    """Simulate draws until a stopping rule is satisfied, at a geometric sequence of looks.
 
-    The intervals of the result are valid although the draws decided when to stop; its manifest says that they did,
-    and how. Draw i is the same as in any other run of the study.
+    The intervals of the result remain valid under the stopping rule, which its manifest records. Draw i is the same
+    as in any other run of the study.
 
     Args:
-        study: The study, without a sweep; its own number of draws does not matter.
+        study: The study, without a sweep; its own number of draws is ignored.
         rule: When to stop.
         out: Results folder, written at the end; None keeps the result in memory.
-        most: Draws at which to stop undecided.
+        most: Maximum number of draws, after which the run stops undecided.
         progress: Called with the draws done and ``most``.
 
     Raises:
-        ConfigError: the study is swept or its draws are not independent, ``most`` is out of range, or ``out`` holds
-            something else.
+        ConfigError: The study is swept or its draws are not independent, ``most`` is out of range, or ``out``
+            contains something else.
     """
     require_sequential(study)
     if most < FIRST:
@@ -110,10 +110,10 @@ def require_sequential(study: Study) -> None:
 
 
 def require_same_rule(folder: Path, study: Study, rule: Rule, most: int) -> None:
-    """Require that the folder is free, or holds a result of the same study and rule.
+    """Require that the folder is empty, or contains a result of the same study and rule.
 
     Raises:
-        ConfigError: otherwise; before anything is simulated.
+        ConfigError: Otherwise; raised before anything is simulated.
     """
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return

@@ -1,4 +1,4 @@
-"""One draw as a trajectory: of a study (simulate), or of a result and checked against it (replay)."""
+"""Trajectories of single draws: ``simulate`` for a study, ``replay`` for a stored result, with a check."""
 
 from collections.abc import Callable, Mapping
 
@@ -51,7 +51,7 @@ def lane_values(study: Study, draw: int, point: Mapping[str, float]) -> dict[str
     """Every number that differs between lanes, for one lane.
 
     Raises:
-        ConfigError: the draw is not among the study's, or a point's name is no swept parameter.
+        ConfigError: The draw is not in the study, or a name in ``point`` is not a swept parameter.
     """
     if not 0 <= draw < study.config.draws:
         raise ConfigError(study.source, f"draw must be in 0 .. {study.config.draws - 1}, got {draw}")
@@ -66,17 +66,17 @@ def lane_values(study: Study, draw: int, point: Mapping[str, float]) -> dict[str
 
 
 def simulate(study: Study, draw: int = 0, *, point: Mapping[str, float] | None = None, every: int = 1) -> xr.Dataset:
-    """One draw as a trajectory.
+    """Simulate one draw and return its trajectory.
 
     Args:
-        study: The study. Without ``point`` a sweep is left aside.
+        study: The study. Without ``point``, a sweep is ignored.
         draw: Index of the draw.
         point: Value of each swept parameter.
         every: Keep every ``every``-th sample.
 
     Returns:
         Dimension ``t`` [s]; variables y, y_dot, y_ref, e, sigma, u, u_total and the fields of the controller's
-        info. Attributes hold the drawn values and how the draw ended.
+        info. Attributes contain the drawn values and how the draw ended.
 
     Raises:
         ConfigError: draw, point or every is out of range.
@@ -85,14 +85,14 @@ def simulate(study: Study, draw: int = 0, *, point: Mapping[str, float] | None =
 
 
 def recorder(study: Study, every: int = 1) -> Callable[[int, Mapping[str, float]], xr.Dataset]:
-    """Trajectories of one draw after another by one compiled program.
+    """Return a function that computes trajectories of several draws with one compiled program.
 
     Args:
-        study: The study, sweep and all.
+        study: The study, including its sweep.
         every: Keep every ``every``-th sample.
 
     Returns:
-        ``(draw, point) -> trajectory`` as :func:`simulate` describes it.
+        ``(draw, point) -> trajectory``, as in :func:`simulate`.
 
     Raises:
         ConfigError: every is out of range; when called, draw or point is.
@@ -125,7 +125,7 @@ def recorder(study: Study, every: int = 1) -> Callable[[int, Mapping[str, float]
 
 
 def as_trajectory(study: Study, draw: int, values: Mapping[str, float], ended: Run, recorded: Recorded) -> xr.Dataset:
-    """What the loop recorded of one draw, with units, meanings and how it ended."""
+    """The recorded signals of one draw as a dataset, with units, meanings and how the draw ended."""
     gone = recorded.instant.t >= np.fmin(ended.failed_at, ended.settled_at)  # from there on it is frozen
     columns = {
         name: np.where(gone, np.nan, column) if gone.any() else column
@@ -151,7 +151,7 @@ def as_trajectory(study: Study, draw: int, values: Mapping[str, float], ended: R
 
 
 def trajectory_columns(study: Study, recorded: Recorded) -> dict[str, np.ndarray]:
-    """Every signal over time; prefixed by the channel for a plant of several."""
+    """Every signal over time; prefixed by the channel for a plant with several channels."""
     columns = {}
     instant = recorded.instant
     parts = zip(study.loop.channels, recorded.measurements, recorded.references, instant.channels, strict=True)
@@ -172,7 +172,7 @@ def trajectory_columns(study: Study, recorded: Recorded) -> dict[str, np.ndarray
 
 
 def column_attributes(name: str, loop: Loop) -> dict[str, str]:
-    """Attributes of a trajectory's column; a user's own info field has none."""
+    """Attributes of a trajectory's column; a user's info field has none."""
     channel, _, rest = name.partition("_")
     if channel not in loop.channels or not channel:
         unit, meaning = UNITS.get(name, ("", name))
@@ -183,19 +183,19 @@ def column_attributes(name: str, loop: Loop) -> dict[str, str]:
 
 
 def replay(result: Result, draw: int, *, point: Mapping[str, float] | None = None, every: int = 1) -> xr.Dataset:
-    """One draw of a result as a trajectory, checked against what the result holds of it.
+    """Simulate one draw of a result again and compare it with the stored values.
 
     Args:
         result: A loaded or fresh result.
         draw: Index of the draw.
-        point: Value of each swept parameter, taken to the nearest of the sweep; None: where the draw fails by
-            most, or its first point.
+        point: Value of each swept parameter, rounded to the nearest value of the sweep; None: the point at which the
+            draw's slack is smallest, or the first point.
         every: Keep every ``every``-th sample.
 
     Returns:
-        As :func:`simulate`. The attribute ``agreement`` tells how the metrics of this trajectory, which the plain
-        program computes, agree with the stored ones (see :class:`dssc_jax.engine.reference.Agreement`); ``deviation``
-        is the largest relative deviation.
+        As in :func:`simulate`. The attribute ``agreement`` is the verdict on the metrics of this trajectory, computed
+        by the plain program, compared with the stored ones (see :class:`dssc_jax.engine.reference.Agreement`);
+        ``deviation`` is the largest relative deviation.
 
     Raises:
         ConfigError: draw or point is not in the result.
@@ -220,7 +220,7 @@ def replay(result: Result, draw: int, *, point: Mapping[str, float] | None = Non
 
 
 def agreement_of(result: Result, run: xr.Dataset) -> Agreement:
-    """How a trajectory's draw agrees with what a result holds of it."""
+    """Compare a trajectory's draw with the stored values of a result."""
     study = result.study
     lanes = [np.array([axis.index(run.attrs[name])]) for name, axis in study.axes.items()]
     names = (name for name in variables(study) if name in run.attrs)
@@ -229,7 +229,7 @@ def agreement_of(result: Result, run: xr.Dataset) -> Agreement:
 
 
 def nearest_index(values: tuple[float, ...], wanted: float | None) -> int:
-    """Index of the value nearest to the wanted one; 0 without a wish."""
+    """Index of the value nearest to the requested one; 0 if None is requested."""
     return 0 if wanted is None else int(np.argmin(np.abs(np.asarray(values) - wanted)))
 
 

@@ -1,4 +1,4 @@
-"""Is a stored result what its study says? A random handful of lanes, computed again by the plain program."""
+"""Verification of a stored result by recomputing random lanes with the plain program."""
 
 import secrets
 from dataclasses import asdict, dataclass
@@ -26,12 +26,12 @@ LANES, MOST_LANES = 16, 16384
 
 @dataclass(frozen=True)
 class SinglePrecision:
-    """What float32 alone does to a result: its lanes beside the same lanes, with the same noise, in float64.
+    """The effect of float32 on a result: its lanes compared with the same lanes, with the same noise, in float64.
 
     Args:
         outcomes: Lanes whose outcome differs.
-        median: Median over the lanes of their largest relative deviation.
-        largest: The largest of them; infinite where one lane ends early and the other does not.
+        median: Median over the lanes of the largest relative deviation of each.
+        largest: Maximum over the lanes; infinite if one lane ends early and its counterpart does not.
     """
 
     outcomes: int
@@ -41,20 +41,20 @@ class SinglePrecision:
 
 @dataclass(frozen=True)
 class Verification:
-    """What computing a handful of lanes again has shown.
+    """The result of recomputing random lanes.
 
     Args:
-        lanes: How many.
-        seed: Which: the same seed picks the same ones.
+        lanes: Number of lanes.
+        seed: The same seed selects the same lanes.
         deviation: Largest deviation of a value, relative to it or to its variable's median magnitude, whichever is
-            larger; infinite where an outcome differs. Lanes that are no evidence do not count, unless none is.
-        worst: Where that is: variable, draw, swept values, stored and computed value; None where all agree.
+            larger; infinite if an outcome differs. Lanes that are not evidence are ignored, unless none is.
+        worst: Its location: variable, draw, swept values, stored and computed value; None if all agree.
         verdict: ``agrees``; ``differs`` where rounding does not explain a deviation; ``undecided`` where every lane
             amplifies rounding so much that none is evidence.
-        undecided: Lanes that are no evidence.
-        otherwise: How this machinery differs from the one that computed the result.
-        digests: Whether the result was written with digests, so that altered files are noticed before this.
-        single_precision: What float32 does to a result in single precision; else None.
+        undecided: Number of lanes that are not evidence.
+        otherwise: Differences of versions, device and compiler settings from those of the run.
+        digests: Whether the result was written with digests, which detect altered files in advance.
+        single_precision: The effect of float32 for a result in single precision; else None.
     """
 
     lanes: int
@@ -69,7 +69,7 @@ class Verification:
 
     @property
     def verified(self) -> bool:
-        """Whether the stored lanes are what the study says."""
+        """Whether the stored lanes agree with the study."""
         return self.verdict == "agrees"
 
     def to_dict(self) -> dict[str, Any]:
@@ -78,14 +78,14 @@ class Verification:
 
 
 def verify(result: Result, draws: int = LANES, seed: int | None = None) -> Verification:
-    """Compute random lanes of a result again and compare them with what is stored.
+    """Recompute random lanes of a result and compare them with the stored values.
 
-    They are computed by the lane as it is written, in plain JAX, and not by the program that made the result.
+    They are computed by the plain program, not by the program that produced the result.
 
     Args:
         result: A loaded result.
-        draws: How many lanes, i.e. draws at random sweep points; all of them where the result has fewer.
-        seed: Picks the lanes; None: anew each time.
+        draws: Number of lanes, i.e. draws at random sweep points; all lanes if the result has fewer.
+        seed: Selects the lanes; None: different lanes each time.
 
     Raises:
         ConfigError: draws or seed is out of range.
@@ -119,7 +119,7 @@ def verify(result: Result, draws: int = LANES, seed: int | None = None) -> Verif
 
 
 def worst(result: Result, lanes: Lanes, computed: Arrays, compared: Agreement, at: int) -> dict[str, Any]:
-    """The value that deviates most, and where it stands."""
+    """The value with the largest deviation, and its location."""
     name, study = str(compared.variable[at]), result.study
     point = {axis: values[i[at]] for (axis, values), i in zip(study.axes.items(), lanes, strict=False)}
     stored = stored_lanes(result.dataset, [name], lanes)[name]
@@ -128,7 +128,7 @@ def worst(result: Result, lanes: Lanes, computed: Arrays, compared: Agreement, a
 
 
 def single_precision(result: Result, lanes: Lanes, computed: Arrays) -> SinglePrecision:
-    """Lanes in float32 beside the same lanes in float64."""
+    """Compare lanes in float32 with the same lanes in float64."""
     study = result.study.override({"loop.precision": 64})
     exact = computed_again(study, lanes)
     sizes = {name: typical_size(result.dataset[name].values) for name in exact}

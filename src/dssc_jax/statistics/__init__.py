@@ -1,4 +1,4 @@
-"""Statements about probability laws that hold at the confidence they print."""
+"""Statistics: intervals, tests and sample sizes with guaranteed confidence."""
 
 from dssc_jax.statistics.order import quantile_interval, tolerance_limits, wilks_draws, wilks_order
 from dssc_jax.statistics.paired import (

@@ -1,4 +1,4 @@
-"""What the order statistics of independent draws say of any law: intervals of quantiles, and tolerance limits."""
+"""Intervals of quantiles and tolerance limits from order statistics, valid for any law."""
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
@@ -20,7 +20,7 @@ def binomial_quantile(level: float, draws: int, probability: float) -> int:
 
 
 def first(holds: Callable[[int], bool], start: int = 1) -> int:
-    """The smallest whole number, ``start`` at least, that a condition holds for; it holds for all larger ones."""
+    """The smallest integer, at least ``start``, for which a condition holds; it must hold for all larger ones."""
     if holds(start):
         return start
     step = 1
@@ -34,12 +34,12 @@ def first(holds: Callable[[int], bool], start: int = 1) -> int:
 
 
 def ranked(values: np.ndarray) -> np.ndarray:
-    """Values in rising order along the last axis; a draw without a value (NaN) counts as +inf."""
+    """Values in ascending order along the last axis; a draw without a value (NaN) counts as +inf."""
     return np.sort(np.where(np.isnan(values), np.inf, values))
 
 
 def at_rank(ordered: np.ndarray, rank: int) -> np.ndarray:
-    """The order statistic X_(rank) along the last axis, counted from 1; infinite beyond the draws."""
+    """The order statistic X_(rank) along the last axis, counted from 1; infinite beyond the number of draws."""
     if 1 <= rank <= ordered.shape[-1]:
         return ordered[..., rank - 1]
     return np.full(ordered.shape[:-1], -np.inf if rank < 1 else np.inf)
@@ -79,15 +79,15 @@ def quantile_ranks(draws: int, level: float, confidence: float = CONFIDENCE) -> 
 
 
 def quantile_interval(values: np.ndarray, level: float, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Two order statistics that enclose a quantile of any law, whatever its shape.
+    """Two order statistics that enclose a quantile of any law.
 
     Args:
         values: Independent, identically distributed draws, shape (n,); NaN counts as +inf.
         level: p of the quantile, in (0, 1).
-        confidence: Coverage, in (0, 1); the true one is at least that.
+        confidence: Nominal coverage, in (0, 1); the actual coverage is at least this.
 
     Returns:
-        Lower and upper end; infinite where n draws are too few for it.
+        Lower and upper end; infinite if n draws are too few.
 
     Raises:
         ValueError: an argument is out of range.
@@ -114,9 +114,9 @@ def wilks_draws(content: float, confidence: float = CONFIDENCE, order: int = 1, 
     """Fewest draws whose k-th extremes are tolerance limits.
 
     Args:
-        content: p, the share of the law that lies within, in (0, 1).
-        confidence: How sure, in (0, 1).
-        order: k >= 1; a higher one costs draws and gives a limit that scatters less.
+        content: p, the share of the law within the limits, in (0, 1).
+        confidence: Confidence level, in (0, 1).
+        order: k >= 1; a higher order needs more draws and gives a limit that scatters less.
         sides: 1 for a lower or an upper limit, 2 for both at once.
 
     Raises:
@@ -136,7 +136,7 @@ def wilks_draws(content: float, confidence: float = CONFIDENCE, order: int = 1, 
 
 
 def wilks_order(draws: int, content: float, confidence: float = CONFIDENCE, sides: int = 1) -> int:
-    """The highest order k whose extremes are tolerance limits with so many draws; 0: they are too few for any."""
+    """The highest order k whose extremes are tolerance limits for this number of draws; 0: too few draws."""
     require_share(content=content, confidence=confidence)
     order = binomial_quantile(1.0 - confidence, draws, 1.0 - content) // sides + 1
     while order > 0 and wilks_confidence(draws, content, order, sides) < confidence:
@@ -147,16 +147,16 @@ def wilks_order(draws: int, content: float, confidence: float = CONFIDENCE, side
 def tolerance_limits(
     values: np.ndarray, content: float, confidence: float = CONFIDENCE, side: str = "both"
 ) -> tuple[float, float]:
-    """Limits within which at least ``content`` of any law lies, with the given confidence.
+    """Tolerance limits that contain at least ``content`` of any law, with the given confidence.
 
     Args:
         values: Independent, identically distributed draws, shape (n,); NaN counts as +inf.
         content: Share of the law, in (0, 1).
-        confidence: How sure, in (0, 1).
+        confidence: Confidence level, in (0, 1).
         side: ``lower``, ``upper`` or ``both``; the other end is infinite.
 
     Returns:
-        Lower and upper limit; infinite where n draws are too few.
+        Lower and upper limit; infinite if n draws are too few.
 
     Raises:
         ValueError: an argument is out of range.

@@ -1,4 +1,4 @@
-"""Two systems on the same independent draws: what one may say of their difference."""
+"""Paired comparison of two systems on the same independent draws."""
 
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ class FailureDifference(NamedTuple):
         draws: All draws.
         difference: The estimate (only_a - only_b)/draws.
         interval: Its two-sided interval.
-        p_value: Of the exact McNemar test that both fail equally often.
+        p_value: P-value of the exact McNemar test that both fail equally often.
     """
 
     only_a: int
@@ -36,12 +36,12 @@ class MetricDifference(NamedTuple):
     """A quantile of the draw-by-draw difference of a metric, a minus b.
 
     Args:
-        level: Which quantile; 1/2: the median.
+        level: Level of the quantile; 1/2: the median.
         difference: Its estimate, an order statistic.
         interval: Its order-statistic interval.
-        only_a: Draws on which a alone has no value; they count as +inf.
-        only_b: Draws on which b alone has none; -inf.
-        neither: Draws on which neither has one; they count as a tie.
+        only_a: Draws on which only a has no value; they count as +inf.
+        only_b: Draws on which only b has no value; they count as -inf.
+        neither: Draws on which neither has a value; they count as a tie.
     """
 
     level: float
@@ -53,7 +53,7 @@ class MetricDifference(NamedTuple):
 
 
 def mcnemar(only_a: int, only_b: int) -> float:
-    """Two-sided p-value of the exact McNemar test: the draws that tell the two apart fall either way like a coin.
+    """Two-sided p-value of the exact McNemar test: under the hypothesis, discordant draws are fair coin tosses.
 
     Args:
         only_a: Draws on which a alone failed.
@@ -67,7 +67,7 @@ def mcnemar(only_a: int, only_b: int) -> float:
         0.021484375
 
     Reference:
-        Q. McNemar, Psychometrika 12 (1947) 153-157, with the binomial law in place of the normal one.
+        Q. McNemar, Psychometrika 12 (1947) 153-157, with the binomial law instead of the normal law.
     """
     if min(only_a, only_b) < 0:
         raise ValueError(f"counts must not be negative, got {only_a} and {only_b}")
@@ -83,8 +83,8 @@ def difference_interval(
 
     The difference is theta (2 pi - 1): theta is the probability that the two differ, pi that it is a who fails when
     they do. Both get exact (Clopper-Pearson) intervals, that of pi given the number of discordant draws, and the
-    error of both together is at most 1 - confidence (Bonferroni). Where they hardly differ, what counts is pi, hence
-    its larger share.
+    error of both together is at most 1 - confidence (Bonferroni). If the two hardly differ, pi matters most, so it
+    receives the larger share of the error.
 
     Args:
         only_a: Draws on which a alone failed, any shape.
@@ -96,7 +96,7 @@ def difference_interval(
         Shape (..., 2): lower and upper bound, in [-1, 1].
 
     Raises:
-        ValueError: the counts do not fit.
+        ValueError: The counts are inconsistent.
 
     Example:
         >>> difference_interval(30, 10, 1000).round(4)
@@ -140,13 +140,13 @@ def compare_metrics(
 ) -> MetricDifference:
     """A quantile, by default the median, of a metric's difference a - b on the same independent draws.
 
-    No draw is dropped: where one of the two ended early it is infinitely worse, where both did they tie. Order
-    statistics bear infinite values and any law; a mean with Student's t would bear neither.
+    No draw is dropped: if one of the two ended early it is infinitely worse; if both did, they tie. Order statistics
+    handle infinite values and any law; a mean with Student's t handles neither.
 
     Args:
-        a: The metric under a, shape (n,); NaN where the draw has no value. Small values are good ones.
+        a: The metric under a, shape (n,); NaN if the draw has no value. Smaller values are better.
         b: The same under b.
-        level: Which quantile, in (0, 1).
+        level: Level of the quantile, in (0, 1).
         confidence: Coverage of the interval.
 
     Raises:

@@ -1,4 +1,4 @@
-"""How many draws a question needs, before any is simulated."""
+"""Sample-size planning: the number of draws that a question needs."""
 
 import math
 from typing import NamedTuple
@@ -14,7 +14,7 @@ NEGLIGIBLE = 1e-9  # probability of the counts that a sum leaves out
 
 
 class Answer(NamedTuple):
-    """A number of draws, the question that it answers, and the statement that one may make after them."""
+    """A number of draws, the question it answers, and the statement that it permits."""
 
     question: str
     draws: int
@@ -22,7 +22,7 @@ class Answer(NamedTuple):
 
 
 def chernoff_draws(error: float, confidence: float = CONFIDENCE) -> int:
-    """Draws after which a share is within ``error`` of its probability, whatever that is: n >= ln(2/d)/(2 e^2).
+    """Draws after which a share is within ``error`` of any probability: n >= ln(2/d)/(2 e^2).
 
     Example:
         >>> chernoff_draws(0.01, 0.99)
@@ -37,9 +37,9 @@ def chernoff_draws(error: float, confidence: float = CONFIDENCE) -> int:
 
 
 def worst_case_draws(error: float, confidence: float = CONFIDENCE) -> int:
-    """Draws whose worst one is exceeded with probability at most ``error``: n >= ln(1/d)/ln(1/(1-e)).
+    """Number of draws whose worst value is exceeded with probability at most ``error``: n >= ln(1/d)/ln(1/(1-e)).
 
-    The same number of draws without a failure demonstrates a failure probability of at most ``error``.
+    If none of these draws fails, they demonstrate a failure probability of at most ``error``.
 
     Example:
         >>> worst_case_draws(0.01, 0.99)
@@ -53,7 +53,7 @@ def worst_case_draws(error: float, confidence: float = CONFIDENCE) -> int:
 
 
 def half_length(failures: ArrayLike, draws: ArrayLike, confidence: float = CONFIDENCE) -> np.ndarray:
-    """How far the exact interval extends from the share of failures, on its longer side; shape of the arguments."""
+    """Distance of the exact interval's farther end from the share of failures; shape of the arguments."""
     share = np.asarray(failures) / np.asarray(draws)
     return np.abs(clopper_pearson(failures, draws, confidence) - share[..., None]).max(-1)
 
@@ -68,10 +68,10 @@ def reach_probability(draws: int, error: float, probability: float, confidence: 
 
 
 def expected_draws(error: float, probability: float, confidence: float = CONFIDENCE) -> int:
-    """Draws after which the exact interval reaches at most ``error``, if failures come at their expected number.
+    """Draws after which the exact interval reaches at most ``error``, for the expected number of failures.
 
-    That number, probability times draws, need not be whole here. In about half of all cases there are more failures and
-    the interval reaches further; :func:`assured_draws` counts with them.
+    The expected number, probability times draws, need not be an integer here. In about half of all cases there are
+    more failures and the interval reaches further; :func:`assured_draws` accounts for them.
 
     Raises:
         ValueError: an argument is out of range.
@@ -85,16 +85,16 @@ def expected_draws(error: float, probability: float, confidence: float = CONFIDE
 
 
 def assured_draws(error: float, probability: float, confidence: float = CONFIDENCE) -> int:
-    """Draws from which on the exact interval reaches at most ``error`` with a probability of ``confidence`` or more.
+    """Number of draws after which the exact interval reaches at most ``error`` with probability ``confidence``.
 
-    With n_k draws, and not with fewer, the interval is short enough at every number of failures up to k. From n_k
-    to n_(k+1) - 1 draws the probability of such a number falls, at n_(k+1) it jumps up: a saw. The answer is the first
-    n_k from which on every tooth ends high enough. (Some smaller numbers of draws may do by chance of the saw.)
+    With n_k draws, and not with fewer, the interval is short enough at every number of failures up to k. From n_k to
+    n_(k+1) - 1 draws the probability of such a number falls, and at n_(k+1) it jumps up, like a sawtooth. The answer
+    is the first n_k after which every tooth ends high enough. (Some smaller numbers of draws may also suffice.)
 
     Args:
         error: In (0, 1).
-        probability: The failure probability that one expects, in (0, 1).
-        confidence: Of the interval, and of its reach; in (0, 1).
+        probability: The expected failure probability, in (0, 1).
+        confidence: Confidence of the interval and of its reach, in (0, 1).
 
     Raises:
         ValueError: an argument is out of range.
@@ -106,7 +106,7 @@ def assured_draws(error: float, probability: float, confidence: float = CONFIDEN
     require_share(error=error, probability=probability, confidence=confidence)
 
     def tooth(failures: int) -> int:
-        """n_k; near one half the longest interval is that of somewhat fewer failures."""
+        """Return n_k; near one half the longest interval is that of slightly fewer failures."""
 
         def short(draws: int) -> bool:
             below = 4 * math.isqrt(draws) if 3 * failures > draws else 0
@@ -120,12 +120,12 @@ def assured_draws(error: float, probability: float, confidence: float = CONFIDEN
 
 
 def plan(error: float, confidence: float = CONFIDENCE, probability: float | None = None) -> list[Answer]:
-    """How many draws, for each question that one may have.
+    """Number of draws for each type of question.
 
     Args:
         error: e: the accuracy of a probability, or the share of the law that may lie beyond a limit; in (0, 1).
         confidence: In (0, 1).
-        probability: The failure probability that one expects; None: no such question.
+        probability: The expected failure probability; None: omit these questions.
 
     Raises:
         ValueError: an argument is out of range.

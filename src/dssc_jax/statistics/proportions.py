@@ -1,4 +1,4 @@
-"""Failure probabilities: the interval that fits how the draws were made and how their number was chosen."""
+"""Intervals of failure probabilities, for each sampling design and stopping rule."""
 
 import math
 from typing import NamedTuple, TypeAlias
@@ -54,21 +54,21 @@ def clopper_pearson(failures: ArrayLike, draws: ArrayLike, confidence: float = C
 
 
 def look_error(look: int, error: float) -> float:
-    """Error spent at the j-th look, a_j = 6 a/(pi^2 j^2): all looks together spend no more than a."""
+    """Error probability spent at the j-th look, a_j = 6 a/(pi^2 j^2): all looks together spend at most a."""
     return 6.0 * error / (math.pi * look) ** 2
 
 
 def unseen(draws: ArrayLike, confidence: float = CONFIDENCE) -> np.ndarray:
-    """ln(2/a)/n: so probable may be what n independent draws have not shown, at the interval's upper tail."""
+    """ln(2/a)/n: upper limit of the probability of an event that n independent draws have not shown."""
     return math.log(2.0 / (1.0 - confidence)) / np.asarray(draws)
 
 
 class FixedCount(NamedTuple):
-    """Independent draws whose number was fixed beforehand."""
+    """Independent draws whose number was fixed in advance."""
 
     @property
     def independent(self) -> bool:
-        """Whether the draws are."""
+        """Whether the draws are independent."""
         return True
 
     @property
@@ -77,7 +77,7 @@ class FixedCount(NamedTuple):
         return "Clopper-Pearson"
 
     def level(self, confidence: float) -> float:
-        """The confidence at which one statement is to be made."""
+        """The confidence of a single statement."""
         return confidence
 
     def interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
@@ -89,9 +89,9 @@ FIXED = FixedCount()
 
 
 class DataDriven(NamedTuple):
-    """Independent draws that ended at the j-th look because of what they showed.
+    """Independent draws that a stopping rule ended at the j-th look.
 
-    Whatever made the look the last one, the interval covers: those of all looks hold together.
+    The interval is valid for any stopping rule, because those of all looks hold jointly.
 
     Args:
         look: j >= 1.
@@ -101,7 +101,7 @@ class DataDriven(NamedTuple):
 
     @property
     def independent(self) -> bool:
-        """Whether the draws are."""
+        """Whether the draws are independent."""
         return True
 
     @property
@@ -110,7 +110,7 @@ class DataDriven(NamedTuple):
         return f"sequential Clopper-Pearson, data-driven stop at look {self.look}"
 
     def level(self, confidence: float) -> float:
-        """The confidence at which a statement at this look is to be made."""
+        """The confidence of a statement at this look."""
         return 1.0 - look_error(self.look, 1.0 - confidence)
 
     def interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
@@ -123,7 +123,7 @@ class Replicated(NamedTuple):
 
     Args:
         replicates: R >= 2.
-        design: What is replicated, for people.
+        design: Name of the replicated design.
     """
 
     replicates: int
@@ -131,7 +131,7 @@ class Replicated(NamedTuple):
 
     @property
     def independent(self) -> bool:
-        """Whether the draws are."""
+        """Whether the draws are independent."""
         return False
 
     @property
@@ -142,8 +142,8 @@ class Replicated(NamedTuple):
     def interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
         """Intervals from failures of shape (..., n), shape (..., 2).
 
-        Student's t over the replicates' shares, widened on both sides by :func:`unseen`: where all replicates agree, on
-        no failure for one, t alone has width 0.
+        Student's t over the replicates' shares, widened on both sides by :func:`unseen`: if all replicates agree, for
+        example on no failure, t alone has width 0.
         """
         low, high = np.moveaxis(replicate_interval(failed, self.replicates, confidence), -1, 0)
         open_left = unseen(failed.shape[-1], confidence)
@@ -166,7 +166,7 @@ def replicate_interval(values: np.ndarray, replicates: int, confidence: float = 
         Shape (..., 2).
 
     Raises:
-        ValueError: n is no multiple of R.
+        ValueError: n is not a multiple of R.
     """
     if replicates < 2 or values.shape[-1] % replicates:
         raise ValueError(f"{values.shape[-1]} values cannot be shared out over {replicates} replicates")
@@ -209,11 +209,11 @@ def lognormal_interval(values: np.ndarray, confidence: float = CONFIDENCE) -> tu
 
 
 def describe_probability(failed: np.ndarray, method: Method = FIXED, confidence: float = CONFIDENCE) -> str:
-    """One line for people. No failure in n is told by its upper bound, never as 0.
+    """Describe a failure probability in one line; no failure in n draws gives an upper bound, never 0.
 
     Args:
         failed: Whether each draw failed, shape (n,).
-        method: How its interval is made.
+        method: The method of the interval.
         confidence: Coverage of the interval.
     """
     failures, draws = int(np.count_nonzero(failed)), failed.size

@@ -1,7 +1,8 @@
-"""Stopping when the draws have said enough, without losing the confidence that is printed.
+"""Sequential stopping rules that preserve the stated confidence.
 
-Looking at a fixed-n interval again and again until it is narrow covers far less than it says. Here the looks are at
-a geometric sequence n_1 < n_2 < ..., the error is shared out over them, and the interval printed is that of the look.
+Checking a fixed-n interval repeatedly until it is narrow reduces its coverage far below the nominal value. Here the
+looks form a geometric sequence n_1 < n_2 < ..., the error probability is divided among them, and the printed interval
+is that of the last look.
 """
 
 import math
@@ -13,7 +14,7 @@ FIRST, RATIO = 100, 1.5  # draws of the first look, and each look's multiple of 
 
 
 def looks(most: int) -> list[int]:
-    """Numbers of draws at which one looks: a geometric sequence that ends with ``most``."""
+    """Numbers of draws at the looks: a geometric sequence that ends with ``most``."""
     numbers, draws = [], FIRST
     while draws < most:
         numbers.append(draws)
@@ -26,14 +27,14 @@ class UntilWidth:
     """Stop when the interval of the failure probability is narrow enough.
 
     Args:
-        width: Upper less lower bound, in (0, 1).
+        width: Upper minus lower bound, in (0, 1).
         confidence: Coverage of the interval.
 
     Raises:
         ValueError: an argument is out of range.
 
     Reference:
-        H. Robbins, Annals of Mathematical Statistics 41 (1970) 1397-1409, on sharing out the error over looks.
+        H. Robbins, Annals of Mathematical Statistics 41 (1970) 1397-1409, on dividing the error among looks.
     """
 
     width: float
@@ -44,16 +45,16 @@ class UntilWidth:
 
     @property
     def text(self) -> str:
-        """The rule, for people."""
+        """Text of the rule."""
         return f"until the {100 * self.confidence:g} % interval is no wider than {self.width:g}"
 
     @property
     def slug(self) -> str:
-        """The rule, for the name of a folder."""
+        """The rule as part of a folder name."""
         return f"width-{self.width:g}"
 
     def verdict(self, failures: int, draws: int, look: int) -> str | None:
-        """``narrow`` when it is; None: go on."""
+        """``narrow`` if it is; None: continue."""
         low, high = clopper_pearson(failures, draws, 1.0 - look_error(look, 1.0 - self.confidence))
         return "narrow" if high - low <= self.width else None
 
@@ -63,11 +64,12 @@ class AcceptReject:
     """Wald's sequential test of p <= ``accept`` against p >= ``reject``.
 
     The likelihood ratio of the two is compared with 1/a and a: the probability of accepting a loop that is to be
-    rejected, or of rejecting one that is to be accepted, is at most a = 1 - confidence, whenever one looks (Ville).
+    rejected, or of rejecting one that is to be accepted, is at most a = 1 - confidence, for any times of the looks
+    (Ville).
 
     Args:
-        accept: Failure probability that is good enough, in (0, reject).
-        reject: Failure probability that is too high, in (accept, 1).
+        accept: Acceptable failure probability, in (0, reject).
+        reject: Unacceptable failure probability, in (accept, 1).
         confidence: 1 - a.
 
     Raises:
@@ -88,7 +90,7 @@ class AcceptReject:
 
     @property
     def text(self) -> str:
-        """The rule, for people."""
+        """Text of the rule."""
         return (
             f"until a failure probability <= {self.accept:g} is accepted, or one >= {self.reject:g} rejected, "
             f"with confidence {self.confidence:g}"
@@ -96,11 +98,11 @@ class AcceptReject:
 
     @property
     def slug(self) -> str:
-        """The rule, for the name of a folder."""
+        """The rule as part of a folder name."""
         return f"accept-{self.accept:g}-reject-{self.reject:g}"
 
     def verdict(self, failures: int, draws: int, look: int) -> str | None:
-        """``accepted``, ``rejected``, or None: go on. The test needs no sharing out over looks."""
+        """``accepted``, ``rejected``, or None: continue. The test needs no division of the error among looks."""
         ratio = failures * math.log(self.reject / self.accept)
         ratio += (draws - failures) * (math.log1p(-self.reject) - math.log1p(-self.accept))
         bound = -math.log(1.0 - self.confidence)

@@ -1,4 +1,4 @@
-"""Study files: from TOML to a validated closed loop with its laws, axes and requirements."""
+"""Studies: reading a TOML file into a validated closed loop with its laws, axes and requirements."""
 
 from dssc_jax.study.described import Described, received
 from dssc_jax.study.laws import Law

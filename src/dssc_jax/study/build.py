@@ -1,4 +1,4 @@
-"""Build the closed loop from a study's tables: look up models, parse numbers, fill channels."""
+"""Construction of the closed loop from a study's tables: look up models, parse numbers, fill channels."""
 
 import copy
 from collections.abc import Iterable, Mapping
@@ -82,7 +82,7 @@ def build(table: dict[str, Any]) -> Parts:
     """Look up and parse every part of a study.
 
     Raises:
-        ConfigError: dotted path, rule and value of the first thing that is wrong.
+        ConfigError: Dotted path, rule and value of the first error.
     """
     config = validate_fixed(table)
     plant = parse_whole(config.plant, "plant")
@@ -122,7 +122,7 @@ def build(table: dict[str, Any]) -> Parts:
 
 
 def by_name(numbers: Iterable[Number]) -> dict[str, Number]:
-    """The numbers by name; one that several channels share is a single number with a place in each."""
+    """The numbers by name; a number shared by several channels is a single number with a path in each."""
     merged_numbers: dict[str, Number] = {}
     for number in numbers:
         others = merged_numbers[number.name].paths if number.name in merged_numbers else ()
@@ -131,7 +131,7 @@ def by_name(numbers: Iterable[Number]) -> dict[str, Number]:
 
 
 def clock(config: StudyTable) -> dict[str, Any]:
-    """The loop's fields about time: sampling, integration, and when a draw is over."""
+    """The loop's fields about time: sampling, integration, and the end of settled draws."""
     loop = config.loop
     return {
         "sample_time": loop.sample_time,
@@ -143,7 +143,7 @@ def clock(config: StudyTable) -> dict[str, Any]:
 
 
 def check_settled(loop: Loop, measures: tuple[Measure, ...]) -> None:
-    """Require that every window has begun before a draw may be over."""
+    """Require that every window begins before a draw may end as settled."""
     latest = max(measures, key=lambda measure: measure.window.after)
     if loop.settled and loop.settled.after < latest.window.after:
         rule = f"must be >= {latest.window.after:g} s, where the window of {latest.name} begins"
@@ -151,7 +151,7 @@ def check_settled(loop: Loop, measures: tuple[Measure, ...]) -> None:
 
 
 def parse_whole(table: dict[str, Any], slot: str, several: bool = False) -> Component:
-    """The component of a slot that the loop has once.
+    """Parse the component of a slot that the loop has once.
 
     Args:
         table: The slot's table.
@@ -164,9 +164,9 @@ def parse_whole(table: dict[str, Any], slot: str, several: bool = False) -> Comp
 
 
 def parse_channels(table: dict[str, Any], slot: str, channels: tuple[str, ...]) -> list[Component]:
-    """One component a channel. A table ``[controller.x]`` overrides what ``[controller]`` says for all.
+    """Parse one component per channel. A table ``[controller.x]`` overrides ``[controller]``, which applies to all.
 
-    A number that a channel does not override is one number for all channels: one draw of its law, one axis.
+    A number that no channel overrides is one number for all channels: one draw of its law, one axis.
     """
     common = {name: value for name, value in table.items() if name not in channels}
     components = []
@@ -183,7 +183,7 @@ def parse_channels(table: dict[str, Any], slot: str, channels: tuple[str, ...]) 
 
 
 def info_fields(loop: Loop, template: LoopParams) -> tuple[dict[str, tuple[str, ...]], tuple[str, ...]]:
-    """Names in each controller's info and in the plant's, found without computing anything."""
+    """Field names of each controller's info and of the plant's, found without computing anything."""
     params = jax.tree.map(
         lambda leaf: leaf.median if isinstance(leaf, Law) else leaf, template, is_leaf=lambda x: isinstance(x, Law)
     )
@@ -222,7 +222,7 @@ def check_axes(config: StudyTable, numbers: Mapping[str, Number]) -> None:
 
 
 def nearest_number(name: str, config: StudyTable, numbers: Mapping[str, Number]) -> str:
-    """The end of the message about an unknown number: that its part has no numbers, or the nearest name."""
+    """Return the end of the message about an unknown number: its part has no numbers, or the nearest name."""
     slot = name.partition(".")[0]
     table = getattr(config, slot) if slot in REGISTRIES.keys() & StudyTable.model_fields.keys() else None
     if table is not None and not any(known.startswith(f"{slot}.") for known in numbers):
@@ -231,7 +231,7 @@ def nearest_number(name: str, config: StudyTable, numbers: Mapping[str, Number])
 
 
 def check_swept_parts(table: dict[str, Any], config: StudyTable, channels: tuple[str, ...]) -> None:
-    """Require that rules that span several fields of a part hold for all swept values.
+    """Require that the rules spanning several fields of a part hold for all swept values.
 
     The parts are parsed once more, with a law of the swept values in place of each swept number.
 

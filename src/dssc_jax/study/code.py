@@ -1,4 +1,4 @@
-"""Code that a study names as ``module:object``: which modules, and from which files. Nothing here imports them."""
+"""Code that a study refers to as ``module:object``: its modules and files, found without importing them."""
 
 import hashlib
 import importlib.util
@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 NAMING = ("kind", "metric", "names")
-"""Keys under which a study's tables may name a module's object."""
+"""Keys of a study's tables that may refer to a module's object."""
 
 
 def code_names(table: Mapping[str, Any]) -> tuple[str, ...]:
-    """Every ``module:object`` in a study's table, sorted; valid or not, the table may be anything."""
+    """Every ``module:object`` in a study's table, sorted; the table need not be valid."""
     names: set[str] = set()
     waiting: list[Any] = [table]
     while waiting:
@@ -29,7 +29,7 @@ def code_names(table: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def code_file(name: str) -> Path | None:
-    """The file of a ``module:object``'s module; None where there is none.
+    """The file of a ``module:object``'s module; None if there is none.
 
     The packages above the module are not imported either, as ``importlib.util.find_spec`` of a dotted name would.
     """
@@ -45,7 +45,7 @@ def code_file(name: str) -> Path | None:
 
 
 def recorded(table: Mapping[str, Any]) -> dict[str, dict[str, str | None]]:
-    """File and digest of each module that a study names, by ``module:object``; for JSON."""
+    """File and digest of each module that a study refers to, by ``module:object``; for JSON."""
     return {name: digested(code_file(name)) for name in code_names(table)}
 
 
@@ -57,11 +57,11 @@ def digested(file: Path | None) -> dict[str, str | None]:
 
 
 def describe_code(table: Mapping[str, Any], then: Mapping[str, Any] | None = None) -> str:
-    """Each piece of code that a study names and the file it comes from, in words; empty where it names none.
+    """Describe each piece of code that a study refers to and its file; empty if there is none.
 
     Args:
         table: The study's table.
-        then: What :func:`recorded` said when the study was run; None: nothing was recorded.
+        then: The result of :func:`recorded` when the study was run; None: nothing was recorded.
     """
     lines = []
     for name, now in recorded(table).items():

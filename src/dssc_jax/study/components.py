@@ -1,8 +1,8 @@
-"""Parse a study file's tables into models and parameters.
+"""Parsing of a study file's tables into models and parameters.
 
-The parameter types of the models are the schema: their annotations say which quantity a field is, which slot,
-and what stands when it is absent. A validated table becomes the chosen model and an instance of its parameter
-type, whose leaves are numbers and laws.
+The parameter types of the models are the schema: their annotations give each field's quantity or slot and its
+default. A validated table becomes the chosen model and an instance of its parameter type, whose leaves are numbers
+and laws.
 """
 
 import contextlib
@@ -27,13 +27,13 @@ from dssc_jax.study.tables import merged
 
 @dataclass(frozen=True)
 class Number:
-    """A number of the loop, from which sweeps, laws, units and messages follow.
+    """A number of the loop, the source for sweeps, laws, units and messages.
 
     Args:
-        name: What the study calls it, dotted; where a slot was given as a bare number, the name of the slot.
-        paths: Where the parameters hold it, dotted; several where channels share it.
+        name: Its dotted name in the study; if a slot was given as a bare number, the name of the slot.
+        paths: Its dotted paths in the parameters; several if channels share it.
         quantity: Unit, meaning and admissible interval.
-        value: The number, or the law that stands for it.
+        value: The number, or the law that replaces it.
     """
 
     name: str
@@ -42,13 +42,13 @@ class Number:
     value: float | Law
 
     def under(self, path: str, name: str) -> "Number":
-        """The number of a part as that of the whole, which holds the part at ``path`` and calls it ``name``."""
+        """The number of a part as a number of the whole, which contains the part at ``path`` under ``name``."""
         return replace(self, name=dotted(name, self.name), paths=tuple(dotted(path, own) for own in self.paths))
 
 
 @dataclass(frozen=True)
 class Component:
-    """A chosen model with its parameters, whose leaves are numbers and laws, and a record of each of its numbers."""
+    """A chosen model with its parameters, whose leaves are numbers and laws, and a record of each number."""
 
     kind: str
     model: Any
@@ -57,12 +57,12 @@ class Component:
 
 
 def dotted(*parts: str) -> str:
-    """Parts of a dotted name, joined; empty ones are left out."""
+    """Join the parts of a dotted name; empty parts are omitted."""
     return ".".join(part for part in parts if part)
 
 
 def parse_number(value: Any, quantity: Quantity) -> float | Law:
-    """A number or a law within the quantity's interval.
+    """Parse a number or a law within the quantity's interval.
 
     Raises:
         ValueError: the rule that is broken, and the value found.
@@ -89,7 +89,7 @@ def parse_number(value: Any, quantity: Quantity) -> float | Law:
 
 
 def parse_numbers(value: Any, quantity: Quantity) -> tuple[float | Law, ...]:
-    """A list of numbers or laws."""
+    """Parse a list of numbers or laws."""
     if not isinstance(value, list | tuple):
         raise ValueError(f"must be a list of numbers ({quantity.meaning} [{quantity.unit}]), got {value!r}")
     return tuple(parse_number(item, quantity) for item in value)
@@ -97,7 +97,7 @@ def parse_numbers(value: Any, quantity: Quantity) -> tuple[float | Law, ...]:
 
 @dataclass(frozen=True)
 class FieldSpec:
-    """What one field of a parameter type holds."""
+    """The content of one field of a parameter type."""
 
     mark: Quantity | Slot | None
     core: Any
@@ -105,17 +105,17 @@ class FieldSpec:
 
     @property
     def many(self) -> bool:
-        """A list of numbers."""
+        """Whether the field is a list of numbers."""
         return typing.get_origin(self.core) is tuple
 
     @property
     def nested(self) -> bool:
-        """Another parameter type of fixed kind."""
+        """Whether the field is another parameter type of fixed kind."""
         return self.mark is None and hasattr(self.core, "_fields")
 
     @property
     def part(self) -> bool:
-        """A table of its own: of a kind that the study chooses, or of a fixed one."""
+        """Whether the field is a separate table, of a kind chosen by the study or of a fixed kind."""
         return isinstance(self.mark, Slot) or self.nested
 
     @property
@@ -125,7 +125,7 @@ class FieldSpec:
 
     @property
     def derived(self) -> bool:
-        """Not for tables: the model's ``prepare`` fills it."""
+        """Whether the model's ``prepare`` fills the field, which is then not allowed in tables."""
         return self.mark is None and not self.nested and self.enum is None and self.core is not bool
 
 
@@ -161,7 +161,7 @@ def number_type(quantity: Quantity, many: bool, optional: bool) -> Any:
 
 @cache
 def table_model(params: type) -> type[BaseModel]:
-    """The pydantic model of a table's plain fields; slots and nested tables are parsed on their own."""
+    """The pydantic model of a table's plain fields; slots and nested tables are parsed separately."""
     fields: dict[str, Any] = {}
     for name, spec in field_specs(params).items():
         if spec.part or spec.derived:
@@ -174,7 +174,7 @@ def table_model(params: type) -> type[BaseModel]:
 
 
 def explain(error: ValidationError, names: typing.Iterable[str]) -> ConfigError:
-    """The first of pydantic's complaints as one line: path, rule, value, nearest name."""
+    """The first validation error as one line: path, rule, value, nearest name."""
     first = error.errors()[0]
     path = ".".join(str(part) for part in first["loc"])
     value = first.get("input")
@@ -193,7 +193,7 @@ def explain(error: ValidationError, names: typing.Iterable[str]) -> ConfigError:
 
 
 def imported(name: str, place: str) -> Any:
-    """A user's own object by its dotted name ``package.module:object``.
+    """Import a user's object by its name ``package.module:object``.
 
     Raises:
         ConfigError: it cannot be imported.
@@ -207,7 +207,7 @@ def imported(name: str, place: str) -> Any:
 
 
 def lookup(kind: Any, registry: Registry) -> Entry:
-    """The registry row of a kind, or a user's own model by its dotted name ``package.module:object``."""
+    """The registry row of a kind, or a user's own model by its name ``package.module:object``."""
     if not isinstance(kind, str):
         raise ConfigError("kind", f"must be a name, got {kind!r}")
     if kind in registry:
@@ -227,7 +227,7 @@ def lookup(kind: Any, registry: Registry) -> Entry:
 
 
 def member_of(entry: Entry, table: dict[str, Any]) -> Any:
-    """The member of an entry that the table's option picks."""
+    """The member of an entry that the table's option selects."""
     if entry.option is None:
         return entry.members[None]
     choice = table.get(entry.option, entry.default)
@@ -251,16 +251,16 @@ def as_table(value: Any, path: str = "") -> dict[str, Any]:
 
 
 def parse_component(value: Any, registry: Registry, path: str = "", default: str | None = None) -> Component:
-    """The model that a table names, with its parameters.
+    """Parse a table into a model with its parameters.
 
     Args:
         value: The table.
-        registry: The kinds that it may name.
-        path: Where the table stands, for messages.
-        default: The kind of a table that names none.
+        registry: The admissible kinds.
+        path: Path of the table, for messages.
+        default: The kind if the table gives none.
 
     Raises:
-        ConfigError: with the path, the rule and the value of the first thing that is wrong.
+        ConfigError: With the path, the rule and the value of the first error.
     """
     with errors_under(path):
         table = as_table(value)
@@ -288,11 +288,11 @@ def parse_params(
     Args:
         table: The table.
         params: The parameter type.
-        preset: An instance whose values stand where the table has none.
-        choices: Further names that are valid beside the fields, for messages.
+        preset: An instance with the values that the table does not give.
+        choices: Valid names in addition to the fields, for messages.
 
     Raises:
-        ConfigError: with the path within the table, the rule and the value of the first thing that is wrong.
+        ConfigError: With the path within the table, the rule and the value of the first error.
     """
     specs = field_specs(params)
     defaults = getattr(params, "_field_defaults", {}) if preset is None else preset._asdict()
@@ -315,10 +315,10 @@ def parse_params(
 def parse_part(
     name: str, spec: FieldSpec, table: dict[str, Any], defaults: dict[str, Any]
 ) -> tuple[Any, tuple[Number, ...]]:
-    """The parameters and numbers of the part in a field; None where both table and defaults leave it out.
+    """The parameters and numbers of the part in a field; None if neither table nor defaults give it.
 
     Raises:
-        ConfigError: as :func:`parse_params`, with the path within the part.
+        ConfigError: As in :func:`parse_params`, with the path within the part.
     """
     slot = spec.mark if isinstance(spec.mark, Slot) else None
     preset, value = defaults.get(name), table.get(name, {})
@@ -345,7 +345,7 @@ def parse_plain(
     """The fields of a parameter type that are numbers, lists of numbers, or choices.
 
     Raises:
-        ConfigError: as :func:`parse_params`; names outside the fields are unknown.
+        ConfigError: As in :func:`parse_params`; names that are not fields are unknown.
     """
     specs, model = field_specs(params), table_model(params)
     given_defaults = {name: defaults[name] for name in model.model_fields if name in defaults}

@@ -1,7 +1,7 @@
-"""Correlated uncertain numbers: ``[correlation]`` gives rank correlations, a Gaussian copula carries them.
+"""Correlated uncertain numbers: rank correlations from ``[correlation]``, realised by a Gaussian copula.
 
-Each number keeps its own law. The table's numbers are Spearman's rank correlations; a pair of normal variables with
-rank correlation r has the linear correlation 2 sin(pi r/6). Numbers of no pair stay independent.
+Each number keeps its own law. The table gives Spearman's rank correlations. A pair of normal variables with rank
+correlation r has the linear correlation 2 sin(pi r/6). Numbers that are in no pair remain independent.
 """
 
 import math
@@ -36,12 +36,12 @@ def split_pair(pair: str) -> tuple[str, str]:
 
 
 def paired(table: Mapping[str, float]) -> tuple[str, ...]:
-    """Names that stand in some pair, in the table's order."""
+    """Names that occur in a pair, in the table's order."""
     return tuple(dict.fromkeys(name for pair in table for name in split_pair(pair)))
 
 
 def require_correlation(table: Mapping[str, float], laws: Collection[str], swept: Collection[str]) -> None:
-    """Require that ``[correlation]`` can be.
+    """Require that ``[correlation]`` is valid.
 
     Args:
         table: Rank correlations by pair.
@@ -49,7 +49,7 @@ def require_correlation(table: Mapping[str, float], laws: Collection[str], swept
         swept: Names of the axes.
 
     Raises:
-        ConfigError: a pair is none, names something else, is given twice, or the numbers fit no law.
+        ConfigError: A pair is malformed, contains an unknown name or occurs twice, or no law has these correlations.
     """
     seen: set[frozenset[str]] = set()
     for pair, rank in table.items():
@@ -69,7 +69,7 @@ def require_correlation(table: Mapping[str, float], laws: Collection[str], swept
 
 
 def matrix(table: Mapping[str, float], names: tuple[str, ...]) -> np.ndarray:
-    """Correlation matrix of the normal variables behind ``names``."""
+    """Correlation matrix of the normal variables for ``names``."""
     correlations = np.eye(len(names))
     for pair, rank in table.items():
         i, j = (names.index(name) for name in split_pair(pair))
@@ -78,10 +78,10 @@ def matrix(table: Mapping[str, float], names: tuple[str, ...]) -> np.ndarray:
 
 
 def require_positive_definite(table: Mapping[str, float], names: tuple[str, ...]) -> None:
-    """Require that numbers with these correlations exist.
+    """Require that the correlation matrix is positive definite.
 
     Raises:
-        ConfigError: they do not; it names the pair with the largest share in the smallest eigenvalue.
+        ConfigError: It is not; the message names the pair with the largest share in the smallest eigenvalue.
     """
     correlations = matrix(table, names)
     values, vectors = np.linalg.eigh(correlations)

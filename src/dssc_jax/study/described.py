@@ -1,7 +1,7 @@
-"""A study whose code is not loaded: what a results folder says of it stands in for the models.
+"""A study whose code is not loaded; descriptions stored in the results folder replace its models.
 
-Whoever reads a result needs names, units and meanings, no models. A folder whose study names ``module:object`` keeps
-them beside the study, so that reading it runs nobody's code.
+Reading a result requires names, units and meanings, but no models. A folder whose study refers to ``module:object``
+stores them with the study, so that reading it does not run anyone's code.
 """
 
 from collections.abc import Mapping
@@ -28,7 +28,7 @@ NO_EXTRA_FIELDS = ConfigDict(extra="forbid")
 
 
 class DescribedNumber(BaseModel):
-    """A number of the loop as JSON: its value or law, and what it means."""
+    """A number of the loop as JSON: its value or law, and its meaning."""
 
     model_config = NO_EXTRA_FIELDS
     value: float | dict[str, list[float]]
@@ -37,7 +37,7 @@ class DescribedNumber(BaseModel):
 
 
 class OwnMetric(BaseModel):
-    """A metric of the study's own code: what it means, and of what it is."""
+    """A metric from the study's own code: its meaning and scope."""
 
     model_config = NO_EXTRA_FIELDS
     unit: str
@@ -47,10 +47,10 @@ class OwnMetric(BaseModel):
 
 
 class Description(BaseModel):
-    """What only the models know of a study, and its reader needs.
+    """Information about a study that only the models provide and readers need.
 
-    ``fields`` are the names in each channel's info, ``seen`` those in the plant's own; ``certified`` and ``silence``
-    are what Theorem 1 says at every point of the sweep.
+    ``fields`` are the names in each channel's info, ``seen`` those in the plant's info. ``certified`` and ``silence``
+    are the results of Theorem 1 at every point of the sweep.
     """
 
     model_config = NO_EXTRA_FIELDS
@@ -66,10 +66,10 @@ class Description(BaseModel):
 
 @dataclass(frozen=True)
 class Unloaded:
-    """Stands where models would; whoever needs one learns which code was not loaded.
+    """Placeholder for a model; using it raises an error that names the code that was not loaded.
 
     Args:
-        error: What to say.
+        error: The error to raise.
     """
 
     error: ConfigError
@@ -80,18 +80,18 @@ class Unloaded:
         raise self.error
 
     def __call__(self, *_: Any) -> Any:
-        """Nothing can be computed."""
+        """Raise the error, since nothing can be computed."""
         raise self.error
 
 
 @dataclass(frozen=True)
 class Described(Study):
-    """A study by its description. It is read like any other; it cannot be simulated or changed.
+    """A study from its description, which can be read like any other but not simulated or changed.
 
     Args:
-        code: File and digest of each module that the study names, as they were when it was run.
+        code: File and digest, at the time of the run, of each module that the study refers to.
         description: The rest.
-        refusal: What whoever would simulate it is told.
+        refusal: The message when a simulation is requested.
     """
 
     code: dict[str, Any]
@@ -100,7 +100,7 @@ class Described(Study):
 
     @classmethod
     def of(cls, table: Mapping[str, Any], source: str, code: Any, content: Any) -> "Described":
-        """A study from its table and what :func:`describe` said of it.
+        """Build a study from its table and the result of :func:`describe`.
 
         Raises:
             ConfigError: they do not fit, or are damaged.
@@ -145,7 +145,7 @@ class Described(Study):
         )
 
     def override(self, changes: Mapping[str, Any]) -> Study:
-        """Refused: other values need the models.
+        """Always refuse, because other values need the models.
 
         Raises:
             ConfigError: always.
@@ -154,7 +154,7 @@ class Described(Study):
 
 
 def numbers_of(description: Description) -> dict[str, Number]:
-    """Every number of the loop; its place is unknown without the models."""
+    """Every number of the loop; its paths are unknown without the models."""
     return {
         name: Number(
             name,
@@ -167,12 +167,12 @@ def numbers_of(description: Description) -> dict[str, Number]:
 
 
 def describe(study: Study, certified: np.ndarray | None, silence: str) -> dict[str, Any]:
-    """What :meth:`Described.of` needs beside a study's table, for JSON.
+    """The data that :meth:`Described.of` needs in addition to a study's table, for JSON.
 
     Args:
         study: The study, with its models.
-        certified: Whether Theorem 1 holds at each point of the sweep; None where it does not speak.
-        silence: Why it does not.
+        certified: Whether Theorem 1 holds at each point of the sweep; None if it does not apply.
+        silence: Why it does not apply.
     """
     numbers = {}
     for name, number in study.numbers.items():
@@ -197,15 +197,15 @@ def describe(study: Study, certified: np.ndarray | None, silence: str) -> dict[s
 
 
 def received(about: Mapping[str, Any], source: str, trust_code: bool = False) -> Study:
-    """The study of a folder, which may come from anybody: the code that it names is loaded on request only.
+    """The study of a folder, which may come from anyone: the code it refers to is loaded only on request.
 
     Args:
-        about: The folder's manifest: ``study``, and where that names code ``code`` and ``described``.
-        source: Where it stands, for messages.
-        trust_code: Import what the study names.
+        about: The folder's manifest: ``study`` and, if that refers to code, ``code`` and ``described``.
+        source: Its location, for messages.
+        trust_code: Import the code that the study refers to.
 
     Raises:
-        ConfigError: it is not valid; or it names code, and was written before descriptions were kept.
+        ConfigError: It is not valid, or it refers to code and was written before descriptions were stored.
     """
     table = about["study"]
     if trust_code or not code_names(table):

@@ -1,6 +1,6 @@
 """Probability laws of uncertain numbers: ``{ uniform = [0.8, 1.2] }`` in place of a number.
 
-A law maps the unit interval to its values, so that random, Sobol and Latin-hypercube points serve alike.
+A law maps the unit interval to its values, so that random, Sobol and Latin-hypercube points can all be used.
 """
 
 import math
@@ -21,9 +21,9 @@ class LawKind:
     """A family of laws.
 
     Args:
-        signature: The arguments as one writes them.
-        counts: How many arguments it takes; None for one or more.
-        rule: The rule that arguments must keep, in words, and its test.
+        signature: The arguments as written in a study file.
+        counts: The number of arguments; None for one or more.
+        rule: The rule that arguments must satisfy, in words, and its test.
         support: Lowest and highest value.
         quantile: Inverse of the distribution function at levels in (0, 1).
     """
@@ -64,7 +64,7 @@ def beta_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
 
 
 def choice_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
-    """One of the values, each as likely."""
+    """One of the values, each equally likely."""
     return np.asarray(a)[np.minimum((u * len(a)).astype(int), len(a) - 1)]
 
 
@@ -135,12 +135,12 @@ LAWS: dict[str, LawKind] = {
 LOGARITHMIC = ("loguniform", "lognormal")
 CASES = ("choice",)
 SPREAD = "spread"
-"""Name under which all laws together are widened, in place of a number's dotted name."""
+"""The name, in place of a number's dotted name, for widening all laws together."""
 
 
 @dataclass(frozen=True)
 class Law:
-    """A law that stands for a number.
+    """A law that replaces a number.
 
     Args:
         kind: Name in :data:`LAWS`.
@@ -165,9 +165,9 @@ class Law:
         return float(self.quantile(np.asarray(0.5)))
 
     def spread(self, values: np.ndarray, share: np.ndarray | float) -> np.ndarray:
-        """Values moved to ``share`` times their distance from the median; cases to choose from stay as they are.
+        """Scale the distance of values from the median by ``share``; the values of a choice are unchanged.
 
-        The distance is that of the logarithms where the law is one of a logarithm.
+        For logarithmic laws, the distance is that of the logarithms.
         """
         if self.kind in CASES:
             return np.asarray(values)
@@ -180,7 +180,7 @@ class Law:
 
 
 def is_number(value: Any) -> bool:
-    """A finite int or float, and not a bool."""
+    """Whether a value is a finite int or float, and not a bool."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     try:
@@ -190,12 +190,12 @@ def is_number(value: Any) -> bool:
 
 
 def is_law(value: Any) -> bool:
-    """A table of one known law."""
+    """Whether a value is a table with one known law."""
     return isinstance(value, dict) and len(value) == 1 and next(iter(value)) in LAWS
 
 
 def parse_law(table: dict[str, Any]) -> Law:
-    """A law from its table.
+    """Parse a law from its table.
 
     Raises:
         ValueError: the rule that is broken, and the value found.

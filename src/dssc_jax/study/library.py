@@ -1,4 +1,4 @@
-"""Where study files are found by name: the current folder's ``studies``, and those that come with the package."""
+"""Lookup of study files by name: in the current folder's ``studies``, and among those in the package."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ CHECKOUT = Path(__file__).parents[3] / "studies"
 
 
 def study_folders() -> list[Path]:
-    """Folders that hold studies, nearest first."""
+    """Folders with studies, nearest first."""
     existing: list[Path] = []
     for folder in (Path.cwd() / "studies", PACKAGED, CHECKOUT):
         if folder.is_dir() and folder.resolve() not in [other.resolve() for other in existing]:
@@ -19,7 +19,7 @@ def study_folders() -> list[Path]:
 
 
 def available_studies() -> dict[str, Path]:
-    """Every study by name; the nearest folder wins."""
+    """Every study by name; the nearest folder takes precedence."""
     files: dict[str, Path] = {}
     for folder in study_folders():
         for path in sorted(folder.glob("*.toml")):
@@ -31,7 +31,7 @@ def find(name: str) -> Path:
     """The file of a study given by path or by name.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: There is none.
     """
     path = Path(name)
     if len(path.name) > LONGEST_NAME:

@@ -1,4 +1,4 @@
-"""Parse the metrics and requirements of a study."""
+"""Parsing of a study's metrics and requirements."""
 
 from collections.abc import Mapping
 
@@ -14,10 +14,10 @@ KNOWN = METRICS | PERFORMANCE
 
 
 def kinds_of(config: StudyTable) -> dict[str, Metric]:
-    """Every metric by name: the package's, and a user's own that the study names as ``package.module:object``.
+    """Every metric by name: the package's, and those that the study refers to as ``package.module:object``.
 
     Raises:
-        ConfigError: one cannot be imported, is no metric, or takes the name of another.
+        ConfigError: One cannot be imported, is not a metric, or has the name of another.
     """
     metrics = dict(KNOWN)
     named = [(f"metrics.names.{i}", name) for i, name in enumerate(config.metrics.names or ())]
@@ -34,23 +34,23 @@ def kinds_of(config: StudyTable) -> dict[str, Metric]:
 
 
 def short(name: str) -> str:
-    """A metric's name in results: a user's own goes by its object's name alone."""
+    """A metric's name in results: a user's metric has the name of its object."""
     return name.rpartition(":")[2]
 
 
 def measured(
     config: StudyTable, names: dict[str, tuple[str, int | None]], known: Mapping[str, Metric], plant: Plant
 ) -> tuple[tuple[Measure, ...], tuple[Requirement, ...]]:
-    """The metrics over the study's window, and one more for each requirement with its own.
+    """The metrics over the study's window, and one more for each requirement with its own window.
 
     Args:
         config: The study's tables.
         names: Metrics that the loop can have: name -> kind and channel.
-        known: Every kind there is.
-        plant: Whose channels are measured.
+        known: All kinds of metric.
+        plant: The plant whose channels are measured.
 
     Raises:
-        ConfigError: a metric is unknown or not to be had here, there is none, or a window holds no sample.
+        ConfigError: A metric is unknown or not available here, there is none, or a window contains no sample.
     """
     channels = plant.channels or ("",)
     several = len(channels) > 1

@@ -1,4 +1,4 @@
-"""The study file's fixed tables: what pydantic validates before any model is looked up."""
+"""The fixed tables of the study file, validated by pydantic before any model is looked up."""
 
 import math
 from typing import Annotated, Any, Literal
@@ -24,7 +24,7 @@ Finite = Annotated[float, BeforeValidator(finite_number)]
 
 
 class SettledTable(BaseModel):
-    """``[loop.settled]``: when a draw is over before its time."""
+    """``[loop.settled]``: when a settled draw ends before its full duration."""
 
     model_config = STRICT
     error: Finite = Field(gt=0.0, description="largest |e| of a settled loop [m]")
@@ -75,7 +75,7 @@ class MetricsTable(BaseModel):
 
 
 class RequirementTable(BaseModel):
-    """``[[requirement]]``: a bound of a metric. Field names are the file's."""
+    """``[[requirement]]``: a bound on a metric. Field names are those of the file."""
 
     model_config = STRICT
     metric: str = Field(description="the bounded metric")
@@ -96,7 +96,7 @@ class RequirementTable(BaseModel):
 
 
 class PlotTable(BaseModel):
-    """``[plot]``: what the sweep's figure shows."""
+    """``[plot]``: the content of the sweep's figure."""
 
     model_config = STRICT
     metric: str | None = Field(default=None, description="the metric to show; absent: that of the first requirement")
@@ -152,7 +152,7 @@ def parse_range(value: Any) -> tuple[float, float]:
 
 
 def parse_free(value: Any) -> tuple[float, float] | float:
-    """A free parameter's interval, or the positive number at which it stays."""
+    """A free parameter's interval, or the positive number at which it is fixed."""
     if isinstance(value, list | tuple):
         return parse_range(value)
     if not is_number(value) or not value > 0:
@@ -168,10 +168,10 @@ def parse_limit(value: Any) -> float | str:
 
 
 class TuneTable(BaseModel):
-    """``[tune]``: which numbers are chosen, for what, within which limits, and how they are sought.
+    """``[tune]``: the numbers to tune, their objective and limits, and the search.
 
-    ``slack`` is the relative slack that Theorem 1's inequalities must keep; ``smoothing`` [m/s] the first width of the
-    smoothed sign in the derivatives' program; ``derivatives`` says how they are computed.
+    ``slack`` is the relative slack that Theorem 1's inequalities must keep. ``smoothing`` [m/s] is the initial width
+    of the smoothed sign in the program for derivatives. ``derivatives`` is the method for computing them.
     """
 
     model_config = STRICT
@@ -213,7 +213,7 @@ class TuneTable(BaseModel):
 
 
 class StudyTable(BaseModel):
-    """The whole file. Tables of models stay as they are here; the registries know their fields."""
+    """The whole file. Tables of models are not validated here; the registries define their fields."""
 
     model_config = STRICT
     name: str = Field(

@@ -1,4 +1,4 @@
-"""A study: a validated question, and the closed loop that answers it for one draw."""
+"""``Study``: a validated study file and the closed loop that it describes."""
 
 import hashlib
 import json
@@ -34,14 +34,14 @@ class Study:
     """A validated study.
 
     Args:
-        table: The study file's content, overrides included; what the manifest keeps.
-        source: Where it came from, for messages.
+        table: The study file's content, including overrides, as stored in the manifest.
+        source: Its origin, for messages.
         config: The fixed tables.
         loop: The models in their slots, and the clock.
-        template: Parameters of the loop; leaves are numbers, and laws where a number is uncertain.
-        numbers: Every number of the loop by dotted name: meaning, value or law, and its places in the template.
-        measures: What is measured.
-        requirements: What is required.
+        template: Parameters of the loop; leaves are numbers, or laws for uncertain numbers.
+        numbers: Every number of the loop by dotted name: meaning, value or law, and its paths in the template.
+        measures: The metrics to compute.
+        requirements: The requirements.
     """
 
     table: dict[str, Any]
@@ -55,22 +55,22 @@ class Study:
 
     @classmethod
     def load(cls, path: str | Path) -> "Study":
-        """Read and validate a study file, which is one's own: models that it names as ``module:object`` are imported.
+        """Read and validate a study file; models that it refers to as ``module:object`` are imported.
 
         Args:
             path: A TOML file.
 
         Raises:
-            ConfigError: file, dotted path, rule and value of the first thing that is wrong.
+            ConfigError: File, dotted path, rule and value of the first error.
         """
         return cls.from_table(read_toml(path), str(path))
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any], source: str = "study") -> "Study":
-        """A study from the content of a study file; models that it names as ``module:object`` are imported.
+        """Build a study from the content of a study file; models it refers to as ``module:object`` are imported.
 
         Raises:
-            ConfigError: as :meth:`load`.
+            ConfigError: As in :meth:`load`.
         """
         content = changed(table, {}, source)
         try:
@@ -82,15 +82,15 @@ class Study:
             raise error.within(source) from None
 
     def override(self, changes: Mapping[str, Any]) -> "Study":
-        """The study with other values, by dotted name: ``{"controller.functions.tau_av": 0.05}``.
+        """Return the study with other values, by dotted name: ``{"controller.functions.tau_av": 0.05}``.
 
         Raises:
-            ConfigError: a name leads nowhere, or the changed study is not valid.
+            ConfigError: A name does not exist, or the changed study is not valid.
         """
         return Study.from_table(changed(self.table, changes, self.source), self.source)
 
     def without_sweep(self) -> "Study":
-        """The study at its own values."""
+        """Return the study without its sweep."""
         return self.override({"sweep": {}}) if self.config.sweep else self
 
     @property
@@ -115,12 +115,12 @@ class Study:
 
     @property
     def correlation(self) -> np.ndarray:
-        """Correlation matrix of the normal variables behind :attr:`correlated`."""
+        """Correlation matrix of the normal variables for :attr:`correlated`."""
         return matrix(self.config.correlation, self.correlated)
 
     @property
     def hash(self) -> str:
-        """Hash of everything that decides the result."""
+        """Hash of everything that determines the result."""
         return hash_of(self.table)
 
     @property
@@ -135,7 +135,7 @@ class Study:
     def params(self, values: Mapping[str, Scalar]) -> LoopParams:
         """The loop's parameters with ``values`` (traced or not) in place of laws and swept numbers.
 
-        A leaf that is no number of the study, a thing computed from such numbers, goes by its own dotted path.
+        A leaf that is not a number of the study but is computed from such numbers is given by its own dotted path.
         """
         names = {path: name for name, number in self.numbers.items() for path in number.paths}
         flat, tree = tree_flatten_with_path(self.template, is_leaf=lambda leaf: isinstance(leaf, Law))

@@ -1,4 +1,4 @@
-"""Study files as plain tables: reading, overriding by dotted name, laying one over another."""
+"""Study files as plain tables: reading, overriding by dotted name, merging."""
 
 import copy
 import re
@@ -16,7 +16,7 @@ LARGEST = 2**20  # bytes of a study file
 DEEPEST = 32  # tables within tables, and names in a dotted name
 DOTTED_NAME = rf"(?:[^\s.=,\[\]{{}}]++[ \t]*+\.[ \t]*+){{{DEEPEST}}}"
 LONG_NAME = re.compile(rf"^[ \t\[]*+{DOTTED_NAME}|[{{,][ \t]*+{DOTTED_NAME}", re.MULTILINE)
-"""Found before parsing: the parser's time grows with the square of a dotted name's length."""
+"""Detected before parsing, because the parser's time grows with the square of a dotted name's length."""
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
@@ -48,10 +48,10 @@ def read_toml(path: str | Path) -> dict[str, Any]:
 
 
 def require_shallow(table: Mapping[str, Any]) -> None:
-    """Require that tables and lists do not nest without end.
+    """Require that tables and lists are not nested too deeply.
 
     Raises:
-        ConfigError: they do.
+        ConfigError: They are.
     """
     level: list[Any] = [table]
     for _ in range(DEEPEST):
@@ -72,15 +72,15 @@ def to_toml(table: Mapping[str, Any]) -> str:
 
 
 def is_index(part: str) -> bool:
-    """A plain decimal number."""
+    """Whether a part of a name is a plain decimal number."""
     return part.isascii() and part.isdecimal() and len(part) < 10
 
 
 def set_dotted(table: dict[str, Any], name: str, value: Any) -> None:
-    """Set ``table[a][b][c]`` for the name ``a.b.c``; missing tables are made, list items go by index.
+    """Set ``table[a][b][c]`` for the name ``a.b.c``; missing tables are created, list items are given by index.
 
     Raises:
-        ConfigError: the name passes through a number, or beyond a list's end.
+        ConfigError: The name passes through a number, or beyond a list's end.
     """
     first, _, rest = name.partition(".")
     if first in ("sweep", "correlation") and rest:  # the names in these tables are dotted themselves
@@ -123,7 +123,7 @@ def changed(table: Mapping[str, Any], changes: Mapping[str, Any], source: str) -
 
 
 def merged(common: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    """``common`` with ``own`` on top, table by table; a table of another kind, or a law, replaces the common one."""
+    """``common`` overridden by ``own``, table by table; a table of another kind, or a law, replaces the common one."""
     result = dict(common)
     for name, value in own.items():
         below = result.get(name)
@@ -136,7 +136,7 @@ def merged(common: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
 
 
 def has_dotted(table: dict[str, Any], name: str) -> bool:
-    """Whether a table holds the dotted name, or a part of it that is no table."""
+    """Whether a table contains the dotted name, or a part of it that is not a table."""
     here: Any = table
     for part in name.split("."):
         if not isinstance(here, dict):

@@ -1,4 +1,4 @@
-"""Controllers. A new one is one file and one row here; it inherits every protocol test."""
+"""Registry of controllers; a new one is one file and one row here, covered by the protocol tests."""
 
 from dssc_jax.core.registry import Registry
 from dssc_jax.models.controllers.differentiators import DIFFERENTIATORS

@@ -1,8 +1,8 @@
-"""Differentiators: y' from sampled y, between sensor and controller, where only y is measured.
+"""Differentiators that estimate y' from sampled y, for channels where only y is measured.
 
-Each starts matched to the first y with velocity zero, whatever the first measurement's velocity: only y is
-known. A step estimates y' at the sample just taken. Each is exact on y = c0 + c1 t once its transient is over,
-and none is unstable at any dt. An angle must not be wrapped.
+Each starts at the first y with velocity zero and ignores the velocity of the first measurement, because only y is
+known. A step estimates y' at the current sample. Each is exact on y = c0 + c1 t after its transient, and stable at
+every dt. Angles must not be wrapped.
 
 References:
     A. Levant, "Robust exact differentiation via sliding mode technique", Automatica 34 (1998).
@@ -148,9 +148,9 @@ def levant_step(
 
     With x = z0+ - y, b = z0 + dt z1 - y and xi in Sgn x: x + dt lambda_1 (L |x|)^(1/2) sgn x + dt^2 lambda_0 L xi = b.
     For |b| <= dt^2 lambda_0 L the solution is x = 0, and z1+ is the backward difference of y: no chatter, and no
-    rounding that adds up. Once reached, this sliding stays: b is then a second difference of y, at most
-    L dt^2 < lambda_0 L dt^2. The error is at most L dt/2, the least possible from samples. Outside of it
-    s = |x|^(1/2) solves a quadratic.
+    rounding that adds up. Once reached, sliding persists: b is then a second difference of y, at most
+    L dt^2 < lambda_0 L dt^2. The error is at most L dt/2, the least possible from samples. Outside of sliding, s =
+    |x|^(1/2) solves a quadratic.
 
     Args:
         params: Bound of y'' and gains.

@@ -1,6 +1,6 @@
-"""Dynamic Smooth Sliding Control (14)-(18), and SSC as its case of constant functions.
+"""Dynamic Smooth Sliding Control (14)-(18), and SSC as its special case with constant functions.
 
-The implicit (backward Euler) form has a closed solution and is the default. With a = T_s/tau_av, b = T_s/tau_m
+The implicit (backward Euler) form has a closed-form solution and is the default. With a = T_s/tau_av, b = T_s/tau_m
 and c = T_s k_o/((1+a)(1+b)) the set-valued u_0 in rho Sgn(sigma_tilde+) is solved exactly by a clip. While the
 clip is inactive sigma_hat+ = sigma to rounding and the command obeys the synthesised law (22) in backward-Euler
 form; explicit Euler chatters at every step size and is unstable for T_s > 2 tau_m or T_s > 2 tau_av.
@@ -35,7 +35,7 @@ class PredictorStart(StrEnum):
 class DsscGains(NamedTuple):
     """Gains of DSSC: the state-dependent functions, the modulation and the nominal control.
 
-    ``sign_width`` makes x/(|x| + w) of sgn(x), for derivatives without corners; absent, or 0: the sign itself.
+    ``sign_width`` w replaces sgn(x) by x/(|x| + w), for smooth derivatives; if absent or 0, the sign is used.
     """
 
     l0: Annotated[Scalar, L0]
@@ -47,7 +47,7 @@ class DsscGains(NamedTuple):
 
 
 class DsscState(NamedTuple):
-    """Averaged control u_av [m/s], predictor sigma_hat [m/s], the last sample's sigma [m/s], modulation's state."""
+    """Averaged control u_av [m/s], predictor sigma_hat [m/s], previous sigma [m/s], state of the modulation."""
 
     u_av: Scalar
     sigma_hat: Scalar
@@ -56,11 +56,11 @@ class DsscState(NamedTuple):
 
 
 class DsscInfo(NamedTuple):
-    """What the loop may report of one sample.
+    """Values reported at each sample.
 
     ``sliding_margin`` is rho - |u_eq| [m/s] with u_eq = d_0/k_o of (20), discretised: in the implicit form the u_0
-    that brings sigma_tilde to 0 within the sample; in the explicit one, which never gets there, (20) with the
-    difference of the last two sigma. The sliding condition rho > |d_0|/k_o holds where it is not negative.
+    that brings sigma_tilde to 0 within the sample; in the explicit form, which never reaches 0, (20) with the
+    difference of the last two sigma. The sliding condition rho > |d_0|/k_o holds if the margin is not negative.
     """
 
     sigma_tilde: Scalar
@@ -88,9 +88,9 @@ Update: TypeAlias = Callable[[Scalar, DsscState, Scalar, StateFunctions, Scalar,
 
 
 def smoothed_rest(free: Scalar, c: Scalar, rho: Scalar, width: Scalar) -> Scalar:
-    """What is left of ``free`` after u_0: the x with x + c rho x/(|x| + width) = free, in closed form.
+    """The rest of ``free`` after u_0: the solution x of x + c rho x/(|x| + width) = free, in closed form.
 
-    Smooth where width > 0; with width 0 it is what the clip leaves, free - clip(free, -c rho, c rho).
+    Smooth for width > 0; for width 0 it equals free - clip(free, -c rho, c rho).
     """
     size = jnp.abs(free)
     b = width + c * rho - size
@@ -104,9 +104,9 @@ def smoothed_rest(free: Scalar, c: Scalar, rho: Scalar, width: Scalar) -> Scalar
 def implicit_update(
     sigma: Scalar, state: DsscState, rho: Scalar, at: StateFunctions, dt: Scalar, width: Scalar | None
 ) -> Sampled:
-    """Backward Euler of (15)-(18), solved exactly; the ratios stay finite where tau_av or tau_m vanish.
+    """Backward Euler for (15)-(18), solved exactly; the ratios stay finite if tau_av or tau_m vanishes.
 
-    The change u_0 - u_av is clipped, not u_0: in sliding nothing of the size of u_av is then subtracted.
+    The change u_0 - u_av is clipped instead of u_0, to avoid subtracting numbers of the size of u_av in sliding.
     """
     u_av, sigma_hat = state.u_av, state.sigma_hat
     keep = at.tau_av / (at.tau_av + dt)  # 1/(1+a)
@@ -128,7 +128,7 @@ def implicit_update(
 def explicit_update(
     sigma: Scalar, state: DsscState, rho: Scalar, at: StateFunctions, dt: Scalar, width: Scalar | None
 ) -> Sampled:
-    """Forward Euler of (15)-(18) with sgn 0 = 0: the naive form, kept for comparison."""
+    """Forward Euler for (15)-(18) with sgn 0 = 0, for comparison."""
     u_0 = rho * smoothed_sign(sigma - state.sigma_hat, width)
     change = u_0 - state.u_av
     u_eq = ((sigma - state.sigma) / dt + sigma / at.tau_m) / at.k_o + state.u_av
@@ -145,7 +145,7 @@ def smoothed_sign(x: Scalar, width: Scalar | None) -> Scalar:
 
 
 def init(gains: DsscGains, measurement: Measurement, reference: ReferencePoint) -> DsscState:
-    """u_av = 0; sigma_hat = 0, or sigma of the first sample. It matters: a start at 0 adds about sigma/(k_o tau_av)."""
+    """u_av = 0, and sigma_hat = 0 or the first sigma; a start at 0 adds about sigma/(k_o tau_av) to the command."""
     sigma = tracking_error(measurement, reference, gains.l0).sigma
     matched = gains.predictor_start == PredictorStart.MATCHED
     return DsscState(0.0, sigma if matched else 0.0, sigma, gains.rho.init())

@@ -1,8 +1,8 @@
 """The state-dependent functions k_o, tau_av, tau_m of (sigma, e): the rows of Table 2, Section V and Table 1.
 
 Each row is a NamedTuple of its constants with one method, ``at(sigma, e, l0)``. In sliding only the product
-k_o tau_av and tau_m matter (22); rows that fix the product alone take one of k_o or tau_av, and the other
-follows. r = |sigma|^(1/2) throughout.
+k_o tau_av and tau_m matter (22); rows that define only the product take one of k_o or tau_av, and the other follows.
+r = |sigma|^(1/2) throughout.
 """
 
 from typing import Annotated, Any, NamedTuple
@@ -32,7 +32,7 @@ class StateFunctions(NamedTuple):
 
 
 def split(product: Scalar, tau_m: Scalar, k_o: Scalar | None, tau_av: Scalar | None) -> StateFunctions:
-    """The functions from k_o tau_av and whichever factor is given."""
+    """The functions from k_o tau_av and the given factor."""
     if k_o is not None:
         return StateFunctions(k_o, product / k_o, tau_m)
     assert tau_av is not None  # held by one_factor, before tracing
@@ -43,7 +43,7 @@ def one_factor(gains: Any) -> Any:
     """Require that exactly one of k_o and tau_av is given.
 
     Raises:
-        ConfigError: both or neither are.
+        ConfigError: Both or neither are given.
     """
     if (gains.k_o is None) == (gains.tau_av is None):
         given = "neither" if gains.k_o is None else "both"
@@ -130,7 +130,7 @@ class SquareRoot(NamedTuple):
 
 
 class Field(NamedTuple):
-    """The functions of the field test (Section V-C). Here, and here only, kappa_2 multiplies sgn itself."""
+    """The functions of the field test (Section V-C). Only here, kappa_2 multiplies sgn itself."""
 
     k_o: Annotated[Scalar, K_O]
     kappa1: Annotated[Scalar, KAPPA_1]
@@ -175,7 +175,7 @@ class Vgsta(NamedTuple):
     """The functions of Table 1, which synthesise an approximation of the variable-gain STA.
 
     tau_m > 0 for every (sigma, e) needs phi_b > l_0/eps and kappa_a >= kappa_b/l_0, two of Table 1's inequalities;
-    outside of them the predictor can be unstable, and the draws show it.
+    otherwise the predictor can be unstable, which the draws then show.
     """
 
     phi_a: Annotated[Scalar, Quantity("(m/s)^(1/2)", "square-root part phi_a", at_least=0.0)]

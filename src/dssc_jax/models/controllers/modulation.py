@@ -16,7 +16,7 @@ from dssc_jax.core.zero_dynamics import ZeroDynamics, norm_observer
 
 
 class ModulationSignals(NamedTuple):
-    """What the norm bound (34) is made of, at one sample."""
+    """The signals in the norm bound (34), at one sample."""
 
     u_av: Scalar
     u_nominal: Scalar
@@ -44,10 +44,10 @@ class ConstantModulation(NamedTuple):
 
 
 class NormBound(NamedTuple):
-    """rho of (33)-(34): it dominates |d_0|/k_o, modulo the norm observer's initial transient.
+    """rho of (33)-(34), which dominates |d_0|/k_o up to the norm observer's initial transient.
 
-    The bound of the disturbance (A0.b) is alpha_d + alpha_y |y| + alpha_y_dot |y'|. ``zero_dynamics`` is what the
-    controller believes of (A_eta, C_eta); the observer's rate and gain follow from it before tracing.
+    The bound of the disturbance (A0.b) is alpha_d + alpha_y |y| + alpha_y_dot |y'|. ``zero_dynamics`` is the
+    controller's model of (A_eta, C_eta); the observer's rate and gain follow from it before tracing.
     """
 
     k_p_max: Annotated[Scalar, Quantity("1/s", "upper bound of k_p", above=0.0)]
@@ -87,7 +87,7 @@ class NormBound(NamedTuple):
     def at(self, state: Scalar, signals: ModulationSignals, dt: Scalar) -> tuple[Scalar, Scalar]:
         """(33) and (34); the observer by implicit Euler, which keeps eta_bar >= 0 at every step size.
 
-        Between samples |C_eta eta| may exceed eta_bar by O(T_s): delta_rho has to cover that.
+        Between samples |C_eta eta| may exceed eta_bar by O(T_s), which delta_rho must cover.
         """
         assert self.observer_rate is not None  # held by prepare
         assert self.observer_gain is not None

@@ -1,4 +1,4 @@
-"""The nominal control (37), which every controller shares."""
+"""The nominal control (37), shared by all controllers."""
 
 from typing import Annotated, NamedTuple
 
@@ -24,9 +24,9 @@ def nominal_control(
     """u_n of (37) [m/s]; zero without nominal gains.
 
     c_e = (a_n - l0) l0/k_n, c_sigma = (l0 - a_n + 1/tau_m)/k_n, c_m1 = -a_n/k_n, c_m2 = -1/k_n. The article
-    prints the last two for k_n = 1 only. With exact parameters what is left is
-    sigma' = k_p u + k_p d - sigma/tau_m. The term 1/tau_m is an explicit, held feedback: it needs
-    T_s (1/tau_m + |l0 - a_n|) < 2 whatever the controller's discretisation.
+    prints the last two for k_n = 1 only. With exact parameters it leaves sigma' = k_p u + k_p d - sigma/tau_m. The
+    term 1/tau_m is an explicit, held feedback: it needs T_s (1/tau_m + |l0 - a_n|) < 2 for every discretisation of
+    the controller.
 
     Args:
         nominal: Nominal gains, or None.

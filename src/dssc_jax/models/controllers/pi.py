@@ -25,7 +25,7 @@ class PiState(NamedTuple):
 
 
 class PiInfo(NamedTuple):
-    """The integral term's share of the command [m/s]."""
+    """The integral part of the command [m/s]."""
 
     integral: Scalar
 
@@ -36,7 +36,7 @@ def init(gains: PiGains, measurement: Measurement, reference: ReferencePoint) ->
 
 
 def pi(implicit: bool) -> Controller:
-    """PI whose integral holds the present sample already (backward Euler), or not yet (forward Euler)."""
+    """The PI controller; its integral includes the current sample (backward Euler) or not (forward Euler)."""
 
     def step(
         gains: PiGains, state: PiState, measurement: Measurement, reference: ReferencePoint, dt: Scalar

@@ -27,7 +27,7 @@ class SmcInfo(NamedTuple):
 
 
 class NoInfo(NamedTuple):
-    """The explicit relay never slides within a sample: there is no margin to tell."""
+    """No values: the explicit relay never slides within a sample, so it has no margin."""
 
 
 def init(gains: SmcGains, measurement: Measurement, reference: ReferencePoint) -> tuple[()]:
@@ -36,7 +36,7 @@ def init(gains: SmcGains, measurement: Measurement, reference: ReferencePoint) -
 
 
 def smc(implicit: bool) -> Controller:
-    """The relay solved implicitly, u = -clip(sigma/(T_s k_n), -K, K), or switched by the sample's sign."""
+    """The relay in implicit form, u = -clip(sigma/(T_s k_n), -K, K), or switched by the sign of the sample."""
 
     def step(
         gains: SmcGains, state: tuple[()], measurement: Measurement, reference: ReferencePoint, dt: Scalar

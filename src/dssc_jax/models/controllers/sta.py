@@ -27,7 +27,7 @@ LIMIT = Quantity("m/s", "limit of |u|", above=0.0)
 
 
 class StaGains(NamedTuple):
-    """Gains of the STA; ``limit`` clips the command, the integrator goes on."""
+    """Gains of the STA; ``limit`` clips the command but not the integrator."""
 
     l0: Annotated[Scalar, L0]
     kappa1: Annotated[Scalar, KAPPA_1]
@@ -44,7 +44,7 @@ class IntegralState(NamedTuple):
 
 
 class IntegralInfo(NamedTuple):
-    """The integral term's share of the command [m/s]."""
+    """The integral part of the command [m/s]."""
 
     integral: Scalar
 

@@ -1,11 +1,11 @@
 """The variable-gain super-twisting algorithm u = -kappa_1 phi_1 - int kappa_2 phi_1 phi_1' dt.
 
-phi_1 = phi_a sigma/(r + delta) + phi_b sigma (26), r = |sigma|^(1/2); delta = 0 is the VGSTA proper, with
+phi_1 = phi_a sigma/(r + delta) + phi_b sigma (26), r = |sigma|^(1/2); delta = 0 gives the exact VGSTA, with
 kappa_3 = phi_b when phi_a = 1. kappa_1, kappa_2 as in Table 1.
 
-The implicit form evaluates the gains, and the factors of (26) that delta brings in, at the sampled (sigma, e),
-as DSSC does. With s = |x+|^(1/2) backward Euler is then a quadratic in s; for constant gains, phi_b = 0 and
-delta = 0 it is the implicit STA.
+The implicit form evaluates the gains, and the factors of (26) that depend on delta, at the sampled (sigma, e), as
+DSSC does. With s = |x+|^(1/2) backward Euler is then a quadratic in s; for constant gains, phi_b = 0 and delta = 0 it
+equals the implicit STA.
 """
 
 from collections.abc import Callable
@@ -63,7 +63,7 @@ Update: TypeAlias = Callable[[Scalar, Scalar, Shape, VariableGains, Scalar, Scal
 def explicit_update(
     x: Scalar, v: Scalar, shape: Shape, at: VariableGains, k_n: Scalar, h: Scalar
 ) -> tuple[Scalar, Scalar]:
-    """Forward Euler: (w, v+). phi_1 phi_1' is even in s but for its sign, hence bounded at 0."""
+    """Forward Euler: (w, v+). Apart from its sign, phi_1 phi_1' is even in s, hence bounded at 0."""
     s = root_abs(x)
     phi_1 = (shape.a + shape.b * s) * s * sign(x)
     phi_2 = (shape.a + shape.b * s) * (0.5 * shape.a_slope + shape.b * s) * sign(x)

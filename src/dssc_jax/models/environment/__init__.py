@@ -1,4 +1,4 @@
-"""What surrounds the loop: desired trajectories, sensors, disturbances, wind. A new one is one file and one row."""
+"""Registries of the loop's environment: references, sensors, disturbances, wind."""
 
 from dssc_jax.core.contracts import Reference
 from dssc_jax.core.registry import Registry, single

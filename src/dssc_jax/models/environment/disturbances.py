@@ -39,8 +39,9 @@ class SineDisturbanceParams(NamedTuple):
 class SplineParams(NamedTuple):
     """A cubic spline with knots ``interval`` apart, the first at ``at``: any signal of bounded amplitude and slope.
 
-    d = sum of knots[i] B((t - at)/interval - i) with the cubic B-spline B: |d| is at most the largest |knot|, and |d'|
-    the largest step from one to the next, over the interval. It begins and ends at 0, two intervals outside.
+    d = sum of knots[i] B((t - at)/interval - i) with the cubic B-spline B: |d| is at most the largest |knot|, and
+    |d'| is at most the largest difference of consecutive knots divided by the interval. It begins and ends at 0, two
+    intervals outside the knots.
     """
 
     knots: Annotated[tuple[Scalar, ...], Quantity("m/s", "coefficient of the spline at a knot")]
@@ -56,7 +57,7 @@ class NoiseParams(NamedTuple):
 
 
 class PartitionParams(NamedTuple):
-    """A member of the class (30) with the bounds of (A1)-(A3), attained.
+    """A member of the class (30) that attains the bounds of (A1)-(A3).
 
     With omega = 2 pi/period and s = sin(omega t):
     d_1 = (k_d1 |y| + k_d2 |y'| + k_d3) sigma;
@@ -81,7 +82,7 @@ def held_value(params: Any, state: Scalar, measurement: Measurement, sigma: Scal
 
 
 def step_mean(params: StepParams, state: Scalar, key: jax.Array, t: Scalar, dt: Scalar) -> Scalar:
-    """Mean of the step over [t, t + dt): the impulse of a jump within a sample is right, its instant to O(T_s)."""
+    """Mean of the step over [t, t + dt): the impulse of a jump within a sample is exact, its time to O(T_s)."""
     return params.value * begun(params.at, t, dt)
 
 
@@ -107,7 +108,7 @@ def spline_value(params: SplineParams, state: Any, measurement: Measurement, sig
 
 
 def noise_init(params: NoiseParams, key: jax.Array) -> Scalar:
-    """A draw from the stationary law, so that there is no initial transient."""
+    """A draw from the stationary law, to avoid an initial transient."""
     return params.std * standard_normal(key)
 
 

@@ -49,7 +49,7 @@ MISSION = {
 
 
 def mission(axis: Axis) -> Reference:
-    """One axis of the mission, whose numbers are the article's."""
+    """One axis of the mission, with the article's numbers."""
     return Reference(NoParams, lambda params, t: sine_at(MISSION[axis], t))
 
 
@@ -90,7 +90,7 @@ def resting(position: tuple[Scalar, ...], yaw: Scalar) -> Flight:
 
 
 def steps_at(params: StepsParams, t: Scalar) -> Flight:
-    """Zero before the step, the given point from then on; samples of t = k T_s are exact to rounding."""
+    """Zero before the step, the given point afterwards; exact to rounding at samples t = k T_s."""
     on = jnp.where(t >= params.at * (1.0 - 1e-12), 1.0, 0.0)
     return resting(tuple(on * value for value in params.position), on * params.yaw)
 

@@ -1,4 +1,4 @@
-"""Sensors: one for each channel, between plant and controller, evaluated once a controller sample."""
+"""Sensors between plant and controller: one per channel, evaluated once per controller sample."""
 
 from typing import Annotated, Any, NamedTuple
 
@@ -23,10 +23,10 @@ PERIOD = Quantity("1", "controller samples from one reading to the next", at_lea
 
 
 class NoisyParams(NamedTuple):
-    """A sensor with white Gaussian noise, constant errors, a delay and a sampling period of its own.
+    """A sensor with white Gaussian noise, constant errors, a delay and its own sampling period.
 
-    The two counts of samples decide the shape of the state: whole numbers, known before tracing. On a channel
-    whose output is an angle, read rad for m.
+    The two counts of samples determine the shape of the state, so they are integers known before tracing. If a
+    channel's output is an angle, units have rad instead of m.
     """
 
     position_std: Annotated[Scalar, POSITION_STD] = 0.0
@@ -38,20 +38,20 @@ class NoisyParams(NamedTuple):
 
 
 class SensorLagParams(NamedTuple):
-    """A sensor that follows: y and y' each through 1/(mu s + 1)."""
+    """A sensor with a lag: y and y' each through 1/(mu s + 1)."""
 
     mu: Annotated[Scalar, Quantity("s", "time constant of the sensor's lag", above=0.0)]
 
 
 class LagState(NamedTuple):
-    """The measurement of the sample before, and what the sensor showed of it."""
+    """The previous measurement and the previous reading."""
 
     true: Measurement
     shown: Measurement
 
 
 class NoisyState(NamedTuple):
-    """The last reading with its age in controller samples, and what is under way, oldest first."""
+    """The last reading with its age in controller samples, and the readings in the delay queue, oldest first."""
 
     age: Scalar
     held: Measurement
@@ -92,7 +92,7 @@ def reading(params: NoisyParams, measurement: Measurement, key: jax.Array) -> Me
 
 
 def noisy_init(params: NoisyParams, measurement: Measurement, key: jax.Array) -> NoisyState:
-    """The plant stood at its first measurement before: one reading of it fills the queue, a new one is due."""
+    """Assume a constant past: one reading of the first measurement fills the queue, and a new one is due."""
     first = reading(params, measurement, key)
     period = whole("period_samples", params.period_samples)
     return NoisyState(float(period), first, (first,) * whole("delay_samples", params.delay_samples))
@@ -101,7 +101,7 @@ def noisy_init(params: NoisyParams, measurement: Measurement, key: jax.Array) ->
 def noisy_step(
     params: NoisyParams, state: NoisyState, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
 ) -> tuple[NoisyState, Measurement]:
-    """Read if a reading is due, hold it otherwise; deliver what was read or held ``delay_samples`` ago.
+    """Take a reading if one is due, else hold the last one; return the reading of ``delay_samples`` ago.
 
     Args:
         params: Noise, constant errors, delay and period.
@@ -122,7 +122,7 @@ def noisy_step(
 
 
 def lag_init(params: SensorLagParams, measurement: Measurement, key: jax.Array) -> LagState:
-    """The plant stood at its first measurement before."""
+    """Start at the first measurement, as after a constant past."""
     return LagState(measurement, measurement)
 
 

@@ -1,7 +1,8 @@
-"""The field test's trajectory (Section V-C): georeferenced waypoints to a twice differentiable curve in time.
+"""The field test's trajectory (Section V-C): a twice differentiable curve through georeferenced waypoints.
 
-Once, on the host: WGS 84 to local east, north, up (ENU); a cubic spline through the waypoints; a motion along it, rest
-to rest at bounded speed; a table of that motion in quintics on equal time steps. While simulating: one row of it.
+The host computes a table once: it converts WGS 84 to local east, north, up (ENU), fits a cubic spline through the
+waypoints, plans a rest-to-rest motion along it at bounded speed, and stores the motion as quintics on equal time
+steps. The simulation evaluates one row of the table at a time.
 
 References:
     NIMA TR8350.2, Department of Defense World Geodetic System 1984, 3rd ed., 2000 (ellipsoid, geodetic to ECEF).
@@ -46,9 +47,9 @@ ALTITUDE = Quantity(
 class WaypointParams(NamedTuple):
     """Waypoints in the order of flight; the first is the origin of east (x) and north (y), the ground there of up (z).
 
-    Yaw is measured from east towards north, as psi of the model (no compass heading), and turns the shorter way from
-    one waypoint to the next; None is zero throughout. Heights are ellipsoidal differences; the ground is put on the
-    ellipsoid, which shortens lengths by 1.6e-7 for each metre of its true height.
+    Yaw is measured from east towards north, as psi of the model (not a compass heading), and turns the shorter way
+    from one waypoint to the next; None means zero throughout. Heights are ellipsoidal differences. The ground is
+    assumed to lie on the ellipsoid, which shortens lengths by 1.6e-7 for each metre of its true height.
     """
 
     latitude_deg: Annotated[tuple[Scalar, ...], LATITUDE]
@@ -65,7 +66,7 @@ class Curve(NamedTuple):
     Args:
         step: Duration of a segment [s].
         coefficients: Shape (segments + 1, 4, 6): x, y, z [m] and psi [rad] in ascending powers of the time within
-            the segment over ``step``; the last row holds the last waypoint.
+            the segment over ``step``; the last row is the last waypoint.
     """
 
     step: Scalar
@@ -97,7 +98,7 @@ def enu(params: WaypointParams) -> np.ndarray:
 
 
 def check_path(params: WaypointParams) -> None:
-    """Every rule that the waypoints obey before there is a path; raises ConfigError."""
+    """Check the waypoints before a path is computed; raises ConfigError."""
     count = len(params.latitude_deg)
     if count < 2:
         raise ConfigError("latitude_deg", f"must hold at least two waypoints, got {count}")
@@ -133,7 +134,7 @@ def spline(params: WaypointParams) -> CubicSpline:
 
 
 def path_speed(path: CubicSpline, u: np.ndarray) -> np.ndarray:
-    """|dr/du|: how long a unit of u is on the path."""
+    """|dr/du|: length of the path per unit of u."""
     return np.linalg.norm(path(u, 1)[..., :3], axis=-1)
 
 
@@ -144,7 +145,7 @@ def length(path: CubicSpline, start: np.ndarray, end: np.ndarray) -> np.ndarray:
 
 
 def check_speed(params: WaypointParams, path: CubicSpline, u: np.ndarray, total: float) -> None:
-    """The path can be flown at the speed: it is long enough, and bends gently enough; raises ConfigError."""
+    """Check that the path can be flown at the speed: it must be long and smooth enough; raises ConfigError."""
     slope, bend = path(u, 1)[:, :3], path(u, 2)[:, :3]
     size = np.maximum(np.linalg.norm(slope, axis=1), np.finfo(float).tiny)
     turn = np.sum(slope[1:] * slope[:-1], axis=1) / size[1:] / size[:-1]
@@ -189,7 +190,7 @@ def quintics(y: np.ndarray, y_dot: np.ndarray, y_ddot: np.ndarray, step: float) 
 
 
 def at_length(path: CubicSpline, u: np.ndarray, s: np.ndarray, far: np.ndarray) -> np.ndarray:
-    """The u at which the path is ``far`` long [m], by Newton's method from the grid (u, s)."""
+    """The u at which the path has the length ``far`` [m], by Newton's method from the grid (u, s)."""
     k = np.clip(np.searchsorted(s, far, side="right") - 1, 0, len(u) - 2)
     reached = u[k] + (far - s[k]) / (s[k + 1] - s[k]) * (u[k + 1] - u[k])
     for _ in range(4):
@@ -199,7 +200,7 @@ def at_length(path: CubicSpline, u: np.ndarray, s: np.ndarray, far: np.ndarray) 
 
 
 def slowed(step: float, coefficients: np.ndarray, params: WaypointParams) -> float:
-    """The step with which the table itself, between its nodes too, keeps both bounds (1e-5 more, usually)."""
+    """The step with which the table keeps both bounds, also between its nodes (usually longer by 1e-5)."""
     powers = np.vander(np.linspace(0.0, 1.0, 17), 5, increasing=True).T
     slope = polyder(coefficients[:, :3], axis=-1)
     velocity, gain = slope @ powers / step, polyder(slope, axis=-1) @ powers[:4] / step**2
@@ -210,7 +211,7 @@ def slowed(step: float, coefficients: np.ndarray, params: WaypointParams) -> flo
 
 
 def curve(params: WaypointParams) -> Curve:
-    """The motion along the path, on the host and before tracing: the table that :func:`at` evaluates.
+    """Compute the motion along the path, on the host and before tracing: the table that :func:`at` evaluates.
 
     Raises:
         ConfigError: too few, repeated or scattered waypoints, numbers out of range, or an impossible speed.
@@ -258,4 +259,4 @@ SOCCER_FIELD = WaypointParams(
     acceleration=1.0,
     yaw_deg=(0.0, 15.0, 45.0, 90.0, 75.0, 60.0, 30.0, 0.0, -30.0, -45.0, -30.0, 0.0, 30.0, 45.0, 0.0),
 )
-"""Made up, not the field test's data: a lap of a 105 m by 68 m field, a smaller one and a diagonal at 5 to 8 m."""
+"""Invented waypoints, not the field test's: a lap of a 105 m by 68 m field, a smaller one, a diagonal, at 5 to 8 m."""

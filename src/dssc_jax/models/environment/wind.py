@@ -1,6 +1,7 @@
-"""Wind velocity in the inertial frame, z up: constant, piecewise, a gust, splines, Dryden turbulence on a mean wind.
+"""Wind velocity in the inertial frame, z up: constant, piecewise, gust, splines, Dryden turbulence with a mean wind.
 
-What jumps or is random is held over a sample, a jump within one as its mean; the gust is evaluated at every stage.
+Jumps and random values are held over a sample, with the mean over the sample in which a jump occurs. The gust is
+evaluated at every stage of the integrator.
 
 References:
     MIL-F-8785C, Military Specification: Flying Qualities of Piloted Airplanes, 1980, section 3.7: turbulence in the
@@ -47,7 +48,7 @@ class ConstantWindParams(NamedTuple):
 
 
 class PiecewiseParams(NamedTuple):
-    """Row i of the table holds from ``times[i]`` to the next time, the last one for ever; before the first, no wind."""
+    """Row i of the table holds from ``times[i]`` to the next time, the last row for ever; before the first, no wind."""
 
     times: Annotated[tuple[Scalar, ...], Quantity("s", "time at which the row begins", at_least=0.0)]
     x: Annotated[tuple[Scalar, ...], X]
@@ -56,7 +57,7 @@ class PiecewiseParams(NamedTuple):
 
 
 class GustParams(NamedTuple):
-    """A 1-cosine gust of peak (x, y, z) on a constant mean: the peak is passed at ``at + duration/2``."""
+    """A 1-cosine gust of peak (x, y, z) on a constant mean; the peak is at ``at + duration/2``."""
 
     x: Annotated[Scalar, Quantity("m/s", "peak of the gust along x")]
     y: Annotated[Scalar, Quantity("m/s", "peak of the gust along y")]
@@ -71,8 +72,8 @@ class GustParams(NamedTuple):
 class SplineWindParams(NamedTuple):
     """Cubic splines with knots ``interval`` apart, the first at ``at``: any wind of bounded speed and acceleration.
 
-    Each component is at most its largest |knot|, and its rate the largest step from one knot to the next, over the
-    interval. The wind begins and ends at 0, two intervals outside.
+    Each component is at most its largest |knot|. Its rate is at most the largest difference of consecutive knots
+    divided by the interval. The wind begins and ends at 0, two intervals outside the knots.
     """
 
     interval: Annotated[Scalar, Quantity("s", "time between two knots", above=0.0)]
@@ -83,10 +84,10 @@ class SplineWindParams(NamedTuple):
 
 
 class DrydenParams(NamedTuple):
-    """Dryden turbulence of the low-altitude model on a mean wind.
+    """Dryden turbulence of the low-altitude model with a mean wind.
 
-    ``altitude`` sets mean wind, intensities and scale lengths; they do not follow the vehicle. ``airspeed`` turns
-    lengths into times: the vehicle passes through a frozen field at that speed (about the wind's own in hover).
+    ``altitude`` sets mean wind, intensities and scale lengths; they do not follow the vehicle. ``airspeed`` converts
+    lengths to times: the vehicle passes through a frozen field at that speed (about the wind speed in hover).
     """
 
     speed: Annotated[Scalar, Quantity("m/s", "mean wind speed at 20 ft (6.1 m), W20", at_least=0.0)]
@@ -120,7 +121,7 @@ class Transverse(NamedTuple):
 
 
 class DrydenState(NamedTuple):
-    """What is held over a sample: u over sigma_u, the filters of v and w, and the share of the sample with wind."""
+    """Values held over a sample: u over sigma_u, the filters of v and w, and the share of the sample with wind."""
 
     u: Scalar
     v: Transverse
@@ -197,7 +198,7 @@ def spline_wind(params: SplineWindParams, state: Any, t: Scalar) -> Vec3:
 
 
 def dryden_law(params: DrydenParams) -> DrydenLaw:
-    """The low-altitude model at the parameters' height, whose formulas take it in feet.
+    """The low-altitude model at the given height; its formulas use feet.
 
     Mean W20 ln(h/z_0)/ln(20 ft/z_0) with z_0 = 0.15 ft; L_w = h, L_u = L_v = h/(0.177 + 0.000823 h)^1.2,
     sigma_w = 0.1 W20, sigma_u = sigma_v = sigma_w/(0.177 + 0.000823 h)^0.4, times ``turbulence``.
@@ -230,7 +231,7 @@ def sinh_excess(h: Scalar) -> Scalar:
 
 
 def noise_factor(h: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """Cholesky factor of the noise that :class:`Transverse` gathers over h = V dt/L.
+    """Cholesky factor of the noise that :class:`Transverse` accumulates over h = V dt/L.
 
     The covariance is that of int_0^h (1, s) exp(-s) dW: with S = exp(-h) sinh h, Q_aa = S,
     Q_ab = (exp(-h) (sinh h - h) - h exp(-h) expm1(-h))/2, and det Q = exp(-2 h) (sinh^2 h - h^2)/4. Every term is
@@ -247,7 +248,7 @@ def noise_factor(h: Scalar) -> tuple[Scalar, Scalar, Scalar]:
 
 
 def transverse_init(n1: Scalar, n2: Scalar) -> Transverse:
-    """A draw from the stationary law, of covariance ((1/2, 1/4), (1/4, 1/4)), of two normal numbers."""
+    """A draw from the stationary law, of covariance ((1/2, 1/4), (1/4, 1/4)), from two normal numbers."""
     return Transverse(math.sqrt(0.5) * n1, math.sqrt(0.125) * (n1 + n2))
 
 
@@ -259,18 +260,19 @@ def transverse_step(state: Transverse, h: Scalar, n1: Scalar, n2: Scalar) -> Tra
 
 
 def dryden_init(params: DrydenParams, key: jax.Array) -> DrydenState:
-    """A draw from the stationary law, so that there is no initial transient."""
+    """A draw from the stationary law, to avoid an initial transient."""
     n = standard_normals(key, 5)
     return DrydenState(n[0], transverse_init(n[1], n[2]), transverse_init(n[3], n[4]), 0.0)
 
 
 def dryden_step(params: DrydenParams, state: DrydenState, key: jax.Array, t: Scalar, dt: Scalar) -> DrydenState:
-    """Exact sampling of the filters driven by white noise; before ``at`` they run unseen.
+    """Exact sampling of the filters driven by white noise; before ``at`` they run without effect.
 
     H_u = sigma_u sqrt(2 L_u/(pi V))/(1 + L_u s/V) and, for v and w,
-    H = sigma sqrt(L/(pi V)) (1 + sqrt(3) L s/V)/(1 + L s/V)^2. Their squared moduli are the specification's one-sided
-    spectra in omega [rad/s], of integral sigma^2 over omega > 0: so the noise has the autocovariance pi delta(t).
-    The autocorrelations are exp(-T) and exp(-T) (1 - T/2), T = V tau/L: integral scales are L_u, L_v/2 and L_w/2.
+    H = sigma sqrt(L/(pi V)) (1 + sqrt(3) L s/V)/(1 + L s/V)^2. Their squared moduli are the one-sided spectra of the
+    specification in omega [rad/s], with integral sigma^2 over omega > 0; the noise therefore has the autocovariance
+    pi delta(t). The autocorrelations are exp(-T) and exp(-T) (1 - T/2), T = V tau/L: integral scales are L_u, L_v/2
+    and L_w/2.
     """
     law = dryden_law(params)
     n = standard_normals(key, 5)

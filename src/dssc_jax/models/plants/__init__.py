@@ -1,4 +1,4 @@
-"""Plants. A new one is one file and one row here."""
+"""Registry of plants; a new one is one file and one row here."""
 
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.models.plants.normal_form import NORMAL_FORM

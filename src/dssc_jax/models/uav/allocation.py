@@ -16,7 +16,7 @@ NEGLIGIBLE_ENTRY = 1e-12  # relative to the largest entry of a column
 
 
 class Thrusts(NamedTuple):
-    """Commanded thrusts f_i [N], and whether any of them is at a limit."""
+    """Commanded thrusts f_i [N], and whether any is at a limit."""
 
     each: tuple[Scalar, ...]
     limited: Scalar
@@ -30,7 +30,7 @@ def geometry(vehicle: Vehicle) -> np.ndarray:
 
 
 def pseudo_inverse(vehicle: Vehicle) -> tuple[tuple[float, ...], ...]:
-    """Rows (f, M_x, M_y, M_z) -> f_i, one a rotor.
+    """Rows (f, M_x, M_y, M_z) -> f_i, one per rotor.
 
     Raises:
         ConfigError: the rotors cannot produce thrust and all three moments.

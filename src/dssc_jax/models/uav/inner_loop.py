@@ -1,6 +1,6 @@
 """Inner loops: state-feedback linearisation with integral action, from velocity commands to thrust and moment.
 
-The article names them and gives gains, not formulas; this is a reconstruction:
+The article gives their gains but not their formulas; this is a reconstruction:
 
     a = k_d (u - v) + k_p int (u - v)                                        for x, y, z
     theta_d = atan((a_x cos psi + a_y sin psi)/(a_z + g))
@@ -9,7 +9,7 @@ The article names them and gives gains, not formulas; this is a reconstruction:
     phi'' = 60 (phi_d - phi) - 15 phi', theta'' likewise, psi'' = k_d (u_psi - psi') + k_p int (u_psi - psi')
     M_net = J W euler'' + J W' euler' + Omega x J Omega,   Omega = W euler'
 
-with R = R_z(psi) R_y(theta) R_x(phi). It knows mass and inertia as it believes them, not as a draw has them.
+with R = R_z(psi) R_y(theta) R_x(phi). The inner loops use nominal values of mass and inertia, not those of the draw.
 """
 
 from enum import StrEnum
@@ -29,7 +29,7 @@ LEAST_LIFT = 0.1 * GRAVITY  # a_z + g is bounded below by g/10
 
 @jax.tree_util.register_static
 class ThrustRule(StrEnum):
-    """Thrust from the wanted acceleration: its vertical part kept, or its norm."""
+    """Thrust from the desired acceleration: keep its vertical part, or use its norm."""
 
     PROJECTION = "projection"
     NORM = "norm"
@@ -37,10 +37,10 @@ class ThrustRule(StrEnum):
 
 @jax.tree_util.register_static
 class AttitudeReference(StrEnum):
-    """Whether phi_d, theta_d are taken as constants, or their rates are fed forward.
+    """Whether phi_d, theta_d are treated as constants, or their rates are fed forward.
 
-    With a held command the rates are those of -k_d v: feed-forward acts as extra stiffness, and slow velocity loops
-    become 0.8/(s + 0.8) where plain ones are 1/(s + 1).
+    With a held command the rates are those of -k_d v: feed-forward acts as additional stiffness, and velocity loops
+    slow down from 1/(s + 1) to 0.8/(s + 0.8).
     """
 
     PLAIN = "plain"
@@ -76,7 +76,7 @@ class Euler(NamedTuple):
 
 
 class Trig(NamedTuple):
-    """Cosines and sines of the Euler angles, read off the rotation matrix; ``secant`` is 1/cos theta."""
+    """Cosines and sines of the Euler angles, from the rotation matrix; ``secant`` is 1/cos theta."""
 
     cphi: Scalar
     sphi: Scalar
@@ -88,7 +88,7 @@ class Trig(NamedTuple):
 
 
 class Lean(NamedTuple):
-    """Opposite and adjacent sides of the wanted pitch (forward, up) and roll (left, slant) [m/s^2]."""
+    """Opposite and adjacent sides of the desired pitch (forward, up) and roll (left, slant) [m/s^2]."""
 
     forward: Scalar
     up: Scalar
@@ -97,7 +97,7 @@ class Lean(NamedTuple):
 
 
 class Demand(NamedTuple):
-    """What the inner loops want: thrust [N] and moment [N m], the rates of their integrals; was a_z bounded?"""
+    """Demand of the inner loops: thrust [N], moment [N m], rates of the integrals, and whether a_z was bounded."""
 
     thrust: Scalar
     moment: Vec3
@@ -138,7 +138,7 @@ def euler_rates(at: Trig, rate: Vec3) -> Euler:
 
 
 def lean(acceleration: Vec3, heading: tuple[Scalar, Scalar]) -> Lean:
-    """Sides of phi_d and theta_d for a wanted acceleration whose z part holds g already, at (cos psi, sin psi)."""
+    """Sides of phi_d and theta_d for a desired acceleration whose z part includes g, at (cos psi, sin psi)."""
     cpsi, spsi = heading
     forward = acceleration.x * cpsi + acceleration.y * spsi
     left = acceleration.x * spsi - acceleration.y * cpsi
@@ -153,7 +153,7 @@ def wanted_tilt(acceleration: Vec3, heading: tuple[Scalar, Scalar]) -> tuple[Sca
 
 
 def tilt_error(acceleration: Vec3, at: Trig) -> tuple[Scalar, Scalar]:
-    """(phi_d - phi, theta_d - theta) [rad], each one angle of a turned triangle; upright: a flip has ended the draw."""
+    """(phi_d - phi, theta_d - theta) [rad], each one angle of a rotated triangle; upright, as a flip ends the draw."""
     forward, up, left, slant = lean(acceleration, (at.cpsi, at.spsi))
     return (
         atan2(left * at.cphi - slant * at.sphi, slant * at.cphi + left * at.sphi),
@@ -195,8 +195,8 @@ def demand(
 
     Args:
         gains: Gains and variants.
-        mass: M as the inner loop believes it [kg].
-        inertia: J as it believes it [kg m^2].
+        mass: Nominal M of the inner loop [kg].
+        inertia: Nominal J of the inner loop [kg m^2].
         velocity: v, inertial [m/s].
         rotation: R, body to inertial.
         rate: Body rate Omega [rad/s].

@@ -1,4 +1,4 @@
-"""The complete UAV as a plant of four channels: velocity commands in, position and yaw out (1), Section V-B."""
+"""The complete UAV as a plant with four channels, from velocity commands to position and yaw (1), Section V-B."""
 
 import math
 from typing import Annotated, Any, NamedTuple
@@ -28,7 +28,7 @@ VEHICLES: Registry = {
 
 
 class Believed(NamedTuple):
-    """What the inner loop believes; absent numbers are the vehicle's own, or the medians of their laws."""
+    """Nominal values of the inner loop; absent numbers are the vehicle's own, or the medians of their laws."""
 
     mass: Annotated[Scalar | None, Quantity("kg", "believed mass M_n", above=0.0)] = None
     inertia: Annotated[tuple[Scalar, ...] | None, Quantity("kg m^2", "believed total inertia J", above=0.0)] = None
@@ -36,7 +36,7 @@ class Believed(NamedTuple):
 
 
 class InnerModel(NamedTuple):
-    """The vehicle as the inner loop has it: M [kg], diagonal of J [kg m^2], k_T [N s^2/rad^2]."""
+    """The inner loop's model of the vehicle: M [kg], diagonal of J [kg m^2], k_T [N s^2/rad^2]."""
 
     mass: Scalar
     inertia: Vec3
@@ -56,7 +56,7 @@ class UavParams(NamedTuple):
 
     @property
     def inner_model(self) -> InnerModel:
-        """The beliefs, complete once :func:`prepare` has filled them."""
+        """The nominal values, complete after :func:`prepare`."""
         mass, inertia, thrust_coefficient = self.believed
         assert mass is not None
         assert inertia is not None
@@ -65,7 +65,7 @@ class UavParams(NamedTuple):
 
 
 class UavState(NamedTuple):
-    """Body, inner-loop integrals and, with a motor lag, the rotor speeds |thetadot_i| [rad/s]."""
+    """State of the body, inner-loop integrals and, with a motor lag, rotor speeds |thetadot_i| [rad/s]."""
 
     position: Vec3
     velocity: Vec3
@@ -76,7 +76,7 @@ class UavState(NamedTuple):
 
 
 class UavInfo(NamedTuple):
-    """What metrics and trajectories see of the vehicle: Euler angles [rad], tilt [rad] and what is limited."""
+    """Values of the vehicle for metrics and trajectories: Euler angles [rad], tilt [rad] and active limits."""
 
     phi: Scalar
     theta: Scalar
@@ -88,7 +88,7 @@ class UavInfo(NamedTuple):
 
 
 def init(params: UavParams) -> UavState:
-    """At rest in attitude; rotors at hover speed, where they have a lag."""
+    """Attitude at rest; rotors with a lag are at hover speed."""
     vehicle = params.vehicle
     zero = Vec3(0.0, 0.0, 0.0)
     speeds = ()
@@ -146,7 +146,7 @@ def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar)
 
 
 def project(params: UavParams, state: UavState) -> UavState:
-    """Bring the quaternion back to unit length: integrators drift."""
+    """Normalise the quaternion, because integrators drift."""
     return state._replace(attitude=state.attitude.normalised())
 
 
@@ -168,7 +168,7 @@ def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
 
 
 def broken(params: UavParams, state: UavState) -> Scalar:
-    """A flip, or an attitude at which the Euler angles of the inner loop become singular."""
+    """Whether the vehicle has flipped or the Euler angles of the inner loop are near their singularity."""
     return state.attitude.matrix().c.z < LEAST_UPRIGHT
 
 
@@ -179,7 +179,7 @@ def input_gain(params: UavParams) -> tuple[Scalar, ...]:
 
 
 def prepare(params: UavParams) -> UavParams:
-    """Check the vehicle, and derive allocation and beliefs from its nominal numbers.
+    """Check the vehicle, and derive allocation and nominal values from its numbers.
 
     Raises:
         ConfigError: the vehicle is impossible, or its rotors cannot produce yaw.

@@ -1,4 +1,4 @@
-"""Rigid body with spinning rotors: Newton and Euler, the attitude as a quaternion (1), Appendix A."""
+"""Rigid-body dynamics with spinning rotors and quaternion attitude (1), Appendix A."""
 
 from typing import NamedTuple
 
@@ -19,7 +19,8 @@ class BodyState(NamedTuple):
 def gyroscopic_torque(rate: Vec3, rotor_inertia: Scalar, spin: Scalar, spin_up: Scalar) -> Vec3:
     """tau_dist = -d/dt(h e3) - Omega x (h e3) with h = I_z sum thetadot_i [N m].
 
-    The article prints the opposite sign; with s_i = -sgn(thetadot_i) only this one conserves R (J Omega + h e3).
+    The article prints the opposite sign; with s_i = -sgn(thetadot_i) only the sign used here conserves R (J Omega + h
+    e3).
 
     Args:
         rate: Body rate Omega [rad/s].

@@ -1,4 +1,4 @@
-"""Vehicle parameters as data: the article's quadrotor and the hexacopter that it flew (Section V-B, Appendix A)."""
+"""Vehicle parameters: the article's quadrotor and the hexacopter of its field test (Section V-B, Appendix A)."""
 
 import math
 from typing import Annotated, NamedTuple
@@ -47,11 +47,11 @@ class Vehicle(NamedTuple):
 
     @property
     def thrust_limit(self) -> Scalar:
-        """f_max; 2 M g/n_r unless the vehicle says otherwise (assumed) [N]."""
+        """f_max; 2 M g/n_r (assumed) unless the vehicle defines it [N]."""
         return 2.0 * self.mass * GRAVITY / self.rotors if self.max_thrust is None else self.max_thrust
 
     def directions(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """x and y of every rotor for an arm of length 1; what is 0 but for rounding is 0."""
+        """x and y of every rotor for an arm of length 1; values that are 0 up to rounding are 0."""
         x, y = ([f(angle) for angle in self.rotor_angles] for f in (math.cos, math.sin))
         return tuple(0.0 if abs(v) < NEGLIGIBLE else v for v in x), tuple(0.0 if abs(v) < NEGLIGIBLE else v for v in y)
 
@@ -62,7 +62,7 @@ def ring(rotors: int) -> tuple[float, ...]:
 
 
 def alternating(rotors: int) -> tuple[float, ...]:
-    """Spin signs +1, -1, ...; with four rotors on a ring, other orders of the same signs lose yaw."""
+    """Spin signs +1, -1, ...; with four rotors on a ring, other orders of these signs lose yaw control."""
     return tuple(1.0 if i % 2 == 0 else -1.0 for i in range(rotors))
 
 
@@ -82,11 +82,11 @@ QUADROTOR = Vehicle(
 """The article's simulated vehicle (Section V-B)."""
 
 HEXACOPTER = QUADROTOR._replace(rotor_angles=ring(6), spins=alternating(6))
-"""The same body with six rotors, like the DJI M600 Pro that the article flew; rotors as the quadrotor's (assumed)."""
+"""The same body with six rotors, like the article's DJI M600 Pro; rotors as those of the quadrotor (assumed)."""
 
 
 def check_vehicle(vehicle: Vehicle) -> None:
-    """Check what spans several fields, for every value within the laws' supports.
+    """Check rules that span several fields, for every value within the laws' supports.
 
     Raises:
         ConfigError: with the field, the rule and the value.

@@ -1,4 +1,4 @@
-"""Unmodelled dynamics in series with the plant input. A new one is one file and one row here."""
+"""Registry of unmodelled dynamics in series with the plant input; a new one is one file and one row here."""
 
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.models.unmodelled.delay import DELAY

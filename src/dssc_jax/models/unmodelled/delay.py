@@ -1,4 +1,4 @@
-"""A pure delay in series with the plant input, of any real number of controller samples."""
+"""A pure delay of a real number of controller samples, in series with the plant input."""
 
 from typing import Annotated, NamedTuple
 
@@ -14,7 +14,7 @@ MOST_SAMPLES = 200  # samples: the state holds a scalar for each, and every scal
 
 
 class DelayParams(NamedTuple):
-    """The delay, and the longest one that the memory reaches."""
+    """The delay, and the length of the memory."""
 
     samples: Annotated[Scalar, Quantity("1", "delay, in controller samples", at_least=0.0)]
     memory: Annotated[
@@ -23,7 +23,7 @@ class DelayParams(NamedTuple):
 
 
 class DelayState(NamedTuple):
-    """The commands of this sample and those before, newest first, and what reaches the plant during this one."""
+    """The current and previous commands, newest first, and the plant's input during the current sample."""
 
     commands: tuple[Scalar, ...]
     delayed: Scalar
@@ -33,7 +33,7 @@ def prepare(params: DelayParams) -> DelayParams:
     """Check the delay against the memory.
 
     Raises:
-        ConfigError: the delay can be longer, or the memory is no whole number.
+        ConfigError: The delay can exceed the memory, or the memory is not an integer.
     """
     if not float(params.memory).is_integer():
         raise ConfigError("memory", f"must be a whole number of samples, got {params.memory:g}")
@@ -44,12 +44,12 @@ def prepare(params: DelayParams) -> DelayParams:
 
 
 def init(params: DelayParams) -> DelayState:
-    """Nothing was commanded before t = 0."""
+    """Commands before t = 0 are zero."""
     return DelayState((0.0,) * (int(params.memory) + 1), 0.0)
 
 
 def sample(params: DelayParams, state: DelayState, command: Scalar, dt: Scalar) -> DelayState:
-    """Take in a command. A delay of n + f samples acts through its mean over the sample: (1 - f) u_n + f u_(n+1)."""
+    """Store a command. A delay of n + f samples acts through its mean over the sample: (1 - f) u_n + f u_(n+1)."""
     commands = (command, *state.commands[:-1])
     weights = [jnp.maximum(0.0, 1.0 - jnp.abs(params.samples - age)) for age in range(len(commands))]
     return DelayState(commands, dot(weights, commands))

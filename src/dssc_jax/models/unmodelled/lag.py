@@ -1,7 +1,7 @@
-"""Lags 1/(mu s + 1)^order in series with the plant input, the examples of Section V-A2, and no dynamics at all.
+"""Lags 1/(mu s + 1)^order in series with the plant input (the examples of Section V-A2), or no dynamics.
 
-The command is held between samples, so the lag is advanced by its exact solution: no step is too long for a
-small mu.
+The command is held between samples and the lag is advanced by its exact solution, so a small mu does not limit the
+step.
 """
 
 from enum import IntEnum

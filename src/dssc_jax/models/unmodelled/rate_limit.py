@@ -1,4 +1,4 @@
-"""A rate limit in series with the plant input: what reaches the plant follows the command no faster than that."""
+"""A rate limit in series with the plant input."""
 
 from typing import Annotated, NamedTuple
 
@@ -9,7 +9,7 @@ from dssc_jax.core.signals import Scalar
 
 
 class RateLimitParams(NamedTuple):
-    """The largest slope; an ideal actuator has an infinite one."""
+    """The largest slope; infinite for an ideal actuator."""
 
     rate: Annotated[Scalar, Quantity("m/s^2", "largest slope of the plant input", above=0.0)]
 

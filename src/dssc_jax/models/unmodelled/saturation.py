@@ -9,7 +9,7 @@ from dssc_jax.core.signals import Scalar
 
 
 class SaturationParams(NamedTuple):
-    """The largest magnitude; an ideal actuator has an infinite one."""
+    """The largest magnitude; infinite for an ideal actuator."""
 
     limit: Annotated[Scalar, Quantity("m/s", "largest magnitude of the plant input", above=0.0)]
 

@@ -1,13 +1,15 @@
 """Any stable proper transfer function G(mu s) with G(0) = 1 in series with the plant input (Section V-A2).
 
-The command is held between samples, so G is advanced by its exact solution: no step is too long for a small mu, and
-poles may be complex, repeated or far apart. With s' = mu s and z = (v, s' v, ..., s'^(n-1) v), v = u/denominator,
+The command is held between samples and G is advanced by its exact solution. A small mu therefore does not limit the
+step, and poles may be complex, repeated or far apart. With s' = mu s and z = (v, s' v, ..., s'^(n-1) v), v =
+u/denominator,
 
     mu z' = A z + B u,  y = C z + D u,    z(t + h) = z_oo + exp(A h/mu) (z(t) - z_oo),  z_oo = (u, 0, ..., 0)/a_0.
 
-The coefficients are plain numbers, so exp(A q 2^k) is known before tracing. h/mu is a whole multiple of a short q, of
-whose binary digits each stands for one of these matrices, and a rest, whose exponential is a Taylor polynomial. Its
-derivative with respect to mu is that of the rest: whole parts commute with it.
+The coefficients are plain numbers, so exp(A q 2^k) is known before tracing. h/mu is split into an integer multiple of
+a short q and a remainder. Each binary digit of the integer selects one of these matrices; the exponential of the
+remainder is a Taylor polynomial. The derivative with respect to mu is that of the remainder, since all these matrices
+commute.
 """
 
 from collections.abc import Sequence
@@ -70,7 +72,7 @@ def time_scaled(denominator: Sequence[float]) -> tuple[float, np.ndarray]:
 
 
 def decay(denominator: Sequence[float]) -> float:
-    """Rate of the slowest pole, over the poles' geometric mean; NaN where there is no finite one."""
+    """Rate of the slowest pole, over the poles' geometric mean; NaN if there is no finite rate."""
     with np.errstate(all="ignore"):
         _, coefficients = time_scaled(denominator)
         if not np.all(np.isfinite(coefficients)):
@@ -108,7 +110,7 @@ def of(params: TransferFunctionParams) -> Realisation:
 
 
 def loss(g: Realisation) -> float:
-    """Largest error of what :func:`transition` makes of a first row, by rounding: it grows with poles far apart."""
+    """Largest rounding error of :func:`transition` applied to a first row; it grows as the poles move apart."""
     a, worst = np.array(g.a), 0.0
     for known in map(np.array, g.doublings):
         found = [known[0]]
@@ -119,10 +121,10 @@ def loss(g: Realisation) -> float:
 
 
 def prepare(params: TransferFunctionParams) -> TransferFunctionParams:
-    """Check that G is proper and stable, that G(0) = 1, and that its coefficients leave digits enough.
+    """Check that G is proper and stable, that G(0) = 1, and that its coefficients leave enough digits.
 
     Raises:
-        ConfigError: it is not.
+        ConfigError: A condition does not hold.
     """
     above, below = params.numerator, params.denominator
     if not 2 <= len(below) <= MOST_ORDER + 1:
@@ -177,7 +179,7 @@ def transition(g: Realisation, steps: Scalar) -> tuple[tuple[Scalar, ...], ...]:
 
 
 def init(params: TransferFunctionParams) -> tuple[Scalar, ...]:
-    """At rest: nothing was commanded before t = 0."""
+    """The state at rest: commands before t = 0 are zero."""
     return (0.0,) * (len(params.denominator) - 1)
 
 
@@ -190,7 +192,7 @@ def step(params: TransferFunctionParams, state: tuple[Scalar, ...], command: Sca
 
 
 def output(params: TransferFunctionParams, state: tuple[Scalar, ...], command: Scalar) -> Scalar:
-    """Y = C z + D u."""
+    """Return y = C z + D u."""
     g = of(params)
     return dot((*g.c, g.d), (*state, command))
 
