@@ -23,12 +23,12 @@ DOCS = Path(__file__).parents[1] / "docs"
 STUDY_FILE = """# The study file
 
 Every table and field, generated from the schema (`make pages`). `dssc-jax info KIND` prints one kind in the terminal.
-Numbers are in SI units and radians. A law may stand in place of a number, unless *admissible* says otherwise.
+Numbers are in SI units and radians. A law may replace a number unless *admissible* excludes it.
 """
 COMMANDS = """# Commands
 
 Every command and option, generated from the command line (`make pages`). `dssc-jax COMMAND --help` prints one of them.
-Exit codes: 0 done; 1 a check, verification, tuning or hunt ends with what should not be, or a stopping rule rejects;
+Exit codes: 0 success; 1 a check, verification, tuning or falsification fails, or a stopping rule rejects;
 2 bad input; 130 interrupted.
 """
 
@@ -75,15 +75,15 @@ def summary(model: type[BaseModel]) -> str:
 
 def study_file() -> str:
     """The page of the study file."""
-    head = ("field", "holds", "admissible", "default", "meaning")
+    head = ("field", "type", "admissible", "default", "meaning")
     lines = [STUDY_FILE, "## Top level", "", *table(head, fixed_rows(StudyTable))]
     for name, model in FIXED_TABLES.items():
         lines += [f"## [{name}]", "", summary(model), "", *table(head, fixed_rows(model))]
-    lines += ["## Laws", "", "A law stands in place of a number: `k_p = { uniform = [0.8, 1.2] }`.", ""]
+    lines += ["## Laws", "", "A law replaces a number: `k_p = { uniform = [0.8, 1.2] }`.", ""]
     lines += table(
         ("law", "arguments", "rule"), ((f"`{n}`", f"`{law.signature}`", law.rule[0]) for n, law in LAWS.items())
     )
-    lines += ["## Axes of a sweep", "", f"`[sweep]` takes, for a number's dotted name, one of {', '.join(AXES)}.", ""]
+    lines += ["## Axes of a sweep", "", f"`[sweep]` gives, for a dotted name, one of {', '.join(AXES)}.", ""]
     metrics = [(f"`{name}`", metric.unit, metric.meaning) for name, metric in {**METRICS, **PERFORMANCE}.items()]
     lines += ["## Metrics", "", *table(("metric", "unit", "meaning"), metrics)]
     for slot, registry in registries().items():

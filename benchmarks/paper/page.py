@@ -184,7 +184,7 @@ def page(found: Findings, seconds: float) -> str:
         "loop was adjusted to match a claim. The STA is the implicit form unless the table says otherwise.",
         "",
         *table(
-            ("the article", "the number that stands for it", "measured", "holds?"),
+            ("the article", "quantity", "measured", "holds?"),
             [tuple(claim) for claim in found.claims],
         ),
         "",

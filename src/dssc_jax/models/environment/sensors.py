@@ -163,5 +163,5 @@ SENSOR_LAG = Sensor(SensorLagParams, lag_init, lag_step)
 SENSORS: Registry = {
     "ideal": single(IDEAL, "the plant's own y and y'"),
     "lag": single(SENSOR_LAG, "y and y' each through 1/(mu s + 1)"),
-    "noisy": single(NOISY, "white noise, constant errors, delay, and a sampling period of its own"),
+    "noisy": single(NOISY, "white noise, constant errors, delay, and its own sampling period"),
 }
