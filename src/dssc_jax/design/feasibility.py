@@ -136,7 +136,7 @@ def optimise(
     Every candidate is a design of the strict recipe.
 
     Args:
-        bounds: What is known.
+        bounds: The bounds.
         free: Values of the parameters that are not varied.
         goal: The goal.
         ranges: Lower and upper end of each varied field of ``free``.
