@@ -151,7 +151,7 @@ def optimise(
     Example:
         >>> bounds = Bounds(k_min=0.9, k_max=1.1, a_max=1.0, alpha_d3=0.1)
         >>> start = Free(l0=0.5, phi_a=0.1, eps=0.3, delta=0.5, eps_1=2.0, eps_2=0.1, eps_3=6.0)
-        >>> goal, ranges = Goal(Criterion.GAIN, residual=0.1), {"eps_1": (0.1, 10.0), "eps_3": (1.0, 20.0)}
+        >>> goal, ranges = DesignGoal(Criterion.GAIN, residual=0.1), {"eps_1": (0.1, 10.0), "eps_3": (1.0, 20.0)}
         >>> free = optimise(bounds, start, goal, ranges)
         >>> float(guarantee(synthesise(bounds, free), bounds).e) <= 0.1
         True
