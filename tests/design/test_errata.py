@@ -8,7 +8,7 @@ import pytest
 import sympy as sp
 
 from dssc_jax.core.zero_dynamics import companion
-from dssc_jax.design import Bounds, Free, Recipe, State, check, derive, small_gain, synthesise
+from dssc_jax.design import Bounds, Free, InequalityState, Recipe, check, derive, small_gain, synthesise
 from dssc_jax.design.lyapunov import eigenvalues_of_p
 from dssc_jax.design.small_gain import comparison_gains, error_dynamics
 from dssc_jax.design.table1 import f, kappa_c_bound
@@ -63,9 +63,9 @@ def test_e02_the_recipe_reaches_equality():
     excess = 4 * eps * k_p * (printed * k_p - 4 * eps**2) - 1
     assert zero(excess - e1)
     states = {row.name: row.state for row in check(synthesise(BOUNDS, FREE, Recipe.PRINTED), BOUNDS).inequalities}
-    assert states["kappa_d"] is State.BOUNDARY
+    assert states["kappa_d"] is InequalityState.BOUNDARY
     # where the branches of kappa_c tie, Q - 2 eps I is no more than it has to be
-    assert State.BOUNDARY in {states["kappa_c (Lyapunov)"], states["kappa_c (disturbance)"]}
+    assert InequalityState.BOUNDARY in {states["kappa_c (Lyapunov)"], states["kappa_c (disturbance)"]}
 
 
 def test_e03_the_inequalities_are_decided_at_k_min():

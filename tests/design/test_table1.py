@@ -5,7 +5,7 @@ import pytest
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.zero_dynamics import ZeroDynamics, companion
-from dssc_jax.design import Bounds, Free, Parameters, Recipe, State, check, derive, synthesise
+from dssc_jax.design import Bounds, Free, InequalityState, Parameters, Recipe, check, derive, synthesise
 from dssc_jax.design.bounds import coupling
 from dssc_jax.design.table1 import f, kappa_c_bound, kappa_d_bound
 from tests.design.cases import BOUNDS, FREE, random_case
@@ -21,10 +21,10 @@ def test_the_articles_recipe_reaches_only_equality_for_kappa_c_and_kappa_d():
         certificate = check(synthesise(bounds, FREE, Recipe.PRINTED), bounds)
         found = states(certificate)
         kappa_c = {found.pop("kappa_c (Lyapunov)"), found.pop("kappa_c (disturbance)")}
-        assert State.BOUNDARY in kappa_c
-        assert kappa_c <= {State.BOUNDARY, State.SATISFIED}
-        assert found.pop("kappa_d") is State.BOUNDARY
-        assert set(found.values()) == {State.SATISFIED}
+        assert InequalityState.BOUNDARY in kappa_c
+        assert kappa_c <= {InequalityState.BOUNDARY, InequalityState.SATISFIED}
+        assert found.pop("kappa_d") is InequalityState.BOUNDARY
+        assert set(found.values()) == {InequalityState.SATISFIED}
         assert not certificate.certified
 
 
@@ -52,8 +52,8 @@ def test_a_design_at_the_nominal_gain_fails_below_it():
     """(E3): at k_p = 1 for an interval that starts at 0.8."""
     nominal = synthesise(BOUNDS._replace(k_min=1.0), FREE._replace(eps_1=0.05))
     found = states(check(nominal, BOUNDS))
-    assert found["f"] is State.VIOLATED
-    assert found["kappa_c (Lyapunov)"] is State.NOT_EVALUABLE
+    assert found["f"] is InequalityState.VIOLATED
+    assert found["kappa_c (Lyapunov)"] is InequalityState.NOT_EVALUABLE
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_one_per_cent_below_names_that_inequality(row, changes):
     p = p._replace(**{row.split(" ")[0]: 0.99 * bound})
     if row == "phi_b":  # the other inequalities divide by it
         p = p._replace(kappa_a=1e3, kappa_b=1.0, kappa_c=1e4)
-    failing = {i.name for i in check(p, bounds).inequalities if i.state is not State.SATISFIED}
+    failing = {i.name for i in check(p, bounds).inequalities if i.state is not InequalityState.SATISFIED}
     assert failing == {row}
 
 
@@ -85,8 +85,10 @@ def test_f_one_per_cent_below_takes_the_bound_of_kappa_c_along():
     p = synthesise(BOUNDS, FREE)
     k_p, eps = BOUNDS.k_min, p.eps
     p = p._replace(gamma=(0.99 / (4.0 * eps * k_p) + 4.0 * eps**2) / k_p, kappa_d=1e3)
-    failing = {name: state for name, state in states(check(p, BOUNDS)).items() if state is not State.SATISFIED}
-    assert failing == {"f": State.VIOLATED, "kappa_c (Lyapunov)": State.NOT_EVALUABLE}
+    failing = {
+        name: state for name, state in states(check(p, BOUNDS)).items() if state is not InequalityState.SATISFIED
+    }
+    assert failing == {"f": InequalityState.VIOLATED, "kappa_c (Lyapunov)": InequalityState.NOT_EVALUABLE}
 
 
 def test_the_factor_two_eps():
@@ -97,7 +99,7 @@ def test_the_factor_two_eps():
     printed = printed._replace(kappa_c=1.01 * printed.kappa_c, kappa_d=1.01 * printed.kappa_d)
     row = next(i for i in check(printed, bounds).inequalities if i.name == "kappa_c (disturbance)")
     assert row.printed_slack > 0
-    assert row.state is State.VIOLATED
+    assert row.state is InequalityState.VIOLATED
     assert row.bound == pytest.approx(2 * row.printed_bound, rel=0.01)
     assert check(synthesise(bounds, free), bounds).certified
 

@@ -49,7 +49,7 @@ def rewritten(program: ClosedJaxpr) -> ClosedJaxpr:
 
 
 @jax.jit
-def itself(value: jax.Array) -> jax.Array:
+def barrier(value: jax.Array) -> jax.Array:
     """Return the value."""
     return value
 
@@ -57,7 +57,7 @@ def itself(value: jax.Array) -> jax.Array:
 def kept(value: jax.Array) -> jax.Array:
     """Return the value, in its own buffer."""
     with set_xla_metadata(inlineable="false"):
-        return itself(value)
+        return barrier(value)
 
 
 class VariableValues:

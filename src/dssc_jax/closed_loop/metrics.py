@@ -104,7 +104,7 @@ def total(of: Callable[[Any], Scalar]) -> Callable[[Scalar, Any, Window], Scalar
     return lambda acc, sample, window: acc + of(sample)
 
 
-def as_is(acc: Scalar, window: Window, span: Span) -> Scalar:
+def itself(acc: Scalar, window: Window, span: Span) -> Scalar:
     """The accumulator."""
     return acc
 
@@ -182,16 +182,16 @@ def as_float(flag: Scalar, like: Scalar) -> Scalar:
 SLIDING, SAMPLING, FLYING = ("sliding_margin",), ("k_o", "tau_av", "tau_m"), ("tilt",)
 METRICS: dict[str, Metric] = {
     "error_rms": Metric("m", "rms of the output error e", total(lambda s: s.e * s.e), root_mean),
-    "error_max": Metric("m", "largest |e|", peak(lambda s: s.e), as_is),
+    "error_max": Metric("m", "largest |e|", peak(lambda s: s.e), itself),
     "sigma_rms": Metric("m/s", "rms of sigma", total(lambda s: s.sigma * s.sigma), root_mean),
-    "sigma_max": Metric("m/s", "largest |sigma|", peak(lambda s: s.sigma), as_is),
+    "sigma_max": Metric("m/s", "largest |sigma|", peak(lambda s: s.sigma), itself),
     "settling_time": Metric("s", "time after which |e| stays within the band", last_outside, settling, counted=True),
     "command_tv": Metric(
-        "m/s", "total variation of the robust command u", total(lambda s: jnp.abs(s.u - s.u_previous)), as_is
+        "m/s", "total variation of the robust command u", total(lambda s: jnp.abs(s.u - s.u_previous)), itself
     ),
     "command_rms": Metric("m/s", "rms of the robust command u", total(lambda s: s.u * s.u), root_mean),
-    "command_max": Metric("m/s", "largest |u|", peak(lambda s: s.u), as_is),
-    "total_command_max": Metric("m/s", "largest |u + u_n|", peak(lambda s: s.u_total), as_is),
+    "command_max": Metric("m/s", "largest |u|", peak(lambda s: s.u), itself),
+    "total_command_max": Metric("m/s", "largest |u + u_n|", peak(lambda s: s.u_total), itself),
     "outside_sliding": Metric(
         "1",
         "share of time outside sliding",
@@ -200,7 +200,7 @@ METRICS: dict[str, Metric] = {
         SLIDING,
         counted=True,
     ),
-    "sampling_ratio": Metric("1", "largest sampling ratio", peak(sampling_ratio), as_is, SAMPLING),
+    "sampling_ratio": Metric("1", "largest sampling ratio", peak(sampling_ratio), itself, SAMPLING),
     "sampling_ratio_above_1": Metric(
         "1",
         "share of time with a sampling ratio above 1",
@@ -217,8 +217,8 @@ METRICS: dict[str, Metric] = {
         FLYING,
         Scope.VEHICLE,
     ),
-    "position_error_max": Metric("m", "largest position error", peak(position_error), as_is, FLYING, Scope.VEHICLE),
-    "tilt_max": Metric("rad", "largest tilt of body z", peak(lambda i: i.plant.tilt), as_is, FLYING, Scope.VEHICLE),
+    "position_error_max": Metric("m", "largest position error", peak(position_error), itself, FLYING, Scope.VEHICLE),
+    "tilt_max": Metric("rad", "largest tilt of body z", peak(lambda i: i.plant.tilt), itself, FLYING, Scope.VEHICLE),
     "rotor_limited": Metric(
         "1",
         "share of time with a rotor at its limit",

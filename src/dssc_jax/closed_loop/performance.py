@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from dssc_jax.closed_loop.metrics import Metric, Sample, Scope, Span, Window, as_is, peak, total
+from dssc_jax.closed_loop.metrics import Metric, Sample, Scope, Span, Window, itself, peak, total
 from dssc_jax.core.numerics import sign
 from dssc_jax.core.signals import Scalar
 
@@ -110,7 +110,7 @@ PERFORMANCE: dict[str, Metric] = {
     "command_energy": Metric("m^2/s", "integral of the robust command's square", total(lambda s: s.u * s.u), integral),
     "chattering_index": Metric("1", "share of the robust command above 1 Hz", bands, fast_share, start=Bands()),
     "total_command_tv": Metric("m/s", "total variation of u + u_n", path, lambda acc, *_: acc.length, start=Path()),
-    "roll_max": Metric("rad", "largest |roll|", peak(lambda i: i.plant.phi), as_is, ("phi",), Scope.VEHICLE),
-    "pitch_max": Metric("rad", "largest |pitch|", peak(lambda i: i.plant.theta), as_is, ("theta",), Scope.VEHICLE),
+    "roll_max": Metric("rad", "largest |roll|", peak(lambda i: i.plant.phi), itself, ("phi",), Scope.VEHICLE),
+    "pitch_max": Metric("rad", "largest |pitch|", peak(lambda i: i.plant.theta), itself, ("theta",), Scope.VEHICLE),
     "growth_rate": Metric("1/s", "rate at which |sigma| grows, fitted over the window", trend, slope, start=Trend()),
 }
