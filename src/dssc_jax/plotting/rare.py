@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dssc_jax.plotting.levels import law_axis, level_of
-from dssc_jax.plotting.style import BLUE, GREY, ORANGE, RED, SLIDE, styled, title
+from dssc_jax.plotting.style import BLUE, GREY, ORANGE, RED, SLIDE, set_scale, styled, title
 from dssc_jax.results.analysis import Analysis
 
 ROWS = ("each repeat", "splitting", "plain draws")
@@ -33,22 +33,20 @@ def rare(event: Analysis) -> Figure:
 
 
 def probabilities(ax: Axes, event: Analysis) -> None:
-    """Estimates of a probability, one above the other; what is 0 has no place on a logarithmic axis."""
+    """Estimates of a probability, one above the other; an interval from 0 begins below all of them."""
     summary = event.summary()
-    estimates = np.array(summary["estimates"])
+    plain, estimates = summary["plain"], np.array(summary["estimates"])
     positive = estimates[estimates > 0.0]
+    least = 0.1 * min([*positive, 1.0 / plain["draws"]])
     ax.plot(positive, np.zeros(len(positive)), ".", color=GREY)
-    plain = summary["plain"]
     parts = (summary["splitting"], {"probability": plain["failures"] / plain["draws"], "interval": plain["interval"]})
+    drawn = [positive]
     for row, (part, colour) in enumerate(zip(parts, (BLUE, ORANGE), strict=True), start=1):
-        low, high = part["interval"]
-        ax.plot([max(low, floor(positive, plain["draws"])), high], [row, row], color=colour)
+        ends = np.maximum(part["interval"], least)
+        drawn.append(ends)
+        ax.plot(ends, [row, row], color=colour)
         if part["probability"]:
             ax.plot([part["probability"]], [row], "o", color=colour)
-    ax.set(xscale="log", xlabel="failure probability, 95 % intervals", yticks=range(len(ROWS)), yticklabels=ROWS)
+    set_scale(ax, np.concatenate(drawn))
+    ax.set(xlabel="failure probability, 95 % intervals", yticks=range(len(ROWS)), yticklabels=ROWS)
     ax.set_ylim(len(ROWS) - 0.5, -0.5)
-
-
-def floor(positive: np.ndarray, draws: int) -> float:
-    """Where an interval from 0 begins on a logarithmic axis."""
-    return 0.1 * float(min([*positive, 1.0 / draws]))

@@ -29,14 +29,14 @@ def tables(caption: str, content: Mapping[str, Any]) -> Iterator[h.Element]:
     """Tables of nested plain data: what is single in one, and each group of like rows in one of its own."""
     single = [(name.replace("_", " "), text) for name, value in content.items() if (text := cell(value)) is not None]
     if single:
-        yield table(caption, ("", ""), single, words=2)
+        yield table(caption, ("number", "value"), single, words=2)
     for name, value in content.items():
         rows = rows_of(value)
         label = f"{caption}: {name.replace('_', ' ')}"
         columns = columns_of(rows)
         if columns:
             cells = [(key, *(cell(row.get(column)) or "" for column in columns)) for key, row in rows.items()]
-            yield table(label, ("", *(column.replace("_", " ") for column in columns)), cells)
+            yield table(label, ("name", *(column.replace("_", " ") for column in columns)), cells)
         elif isinstance(value, Mapping):
             yield from tables(label, value)
 
