@@ -154,7 +154,7 @@ def default_out(study: "Study", command: str, *options: Any) -> Path:
     return Path("results") / f"{study.name}-{command}{'-' + study.hash[:8] if altered else ''}"
 
 
-def keep(analysis: "Analysis", folder: Path) -> list[Path]:
+def save_analysis(analysis: "Analysis", folder: Path) -> list[Path]:
     """Write an analysis and its figure into its folder; the figure's files."""
     from dssc_jax.plotting import save_figure
 
@@ -162,7 +162,7 @@ def keep(analysis: "Analysis", folder: Path) -> list[Path]:
     return save_figure(analysis.figure(), folder / "figures", analysis.kind)
 
 
-def tell(
+def output_analysis(
     analysis: "Analysis",
     files: dict[str, Path],
     figures: list[Path],

@@ -6,7 +6,7 @@ import typer
 
 from dssc_jax.analyses.defaults import BISECTIONS, CANDIDATES, POINTS
 from dssc_jax.cli import options as opt
-from dssc_jax.cli.common import DONE, app, default_out, keep, load_study, tell
+from dssc_jax.cli.common import DONE, app, default_out, load_study, output_analysis, save_analysis
 from dssc_jax.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def margin(
         else:
             names = split_names(controllers)
             margins, show = compare_margins(loaded, names, **walk, progress=advance), show_margin_contest
-    tell(margins, {"result": folder}, keep(margins, folder), as_json, show)
+    output_analysis(margins, {"result": folder}, save_analysis(margins, folder), as_json, show)
     return DONE
 
 
@@ -114,7 +114,7 @@ def theory(
     rivals = switching_rivals(loaded)
     with progress_bar(loaded, quiet=as_json, **WALKED) as advance:
         assessment = assess(loaded, **walk, rivals=rivals, progress=advance)
-    tell(assessment, {"result": folder}, keep(assessment, folder), as_json, show_theory)
+    output_analysis(assessment, {"result": folder}, save_analysis(assessment, folder), as_json, show_theory)
     return DONE
 
 
@@ -166,5 +166,5 @@ def compare(
     candidates = usual if tune is None else tune
     with progress_bar(loaded, quiet=as_json, of="runs") as advance:
         comparison = contest(loaded, split_names(controllers), candidates=candidates, progress=advance)
-    tell(comparison, {"result": folder}, keep(comparison, folder), as_json, show_comparison)
+    output_analysis(comparison, {"result": folder}, save_analysis(comparison, folder), as_json, show_comparison)
     return DONE

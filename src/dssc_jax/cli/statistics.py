@@ -7,7 +7,7 @@ import typer
 
 from dssc_jax.analyses.defaults import LEAST_REPEATS, MOVES, PARTICLES, PLAIN, REPEATS
 from dssc_jax.cli import options as opt
-from dssc_jax.cli.common import DONE, app, default_out, keep, load_study, tell
+from dssc_jax.cli.common import DONE, app, default_out, load_study, output_analysis, save_analysis
 from dssc_jax.core.errors import ConfigError
 
 ConfidenceOption = Annotated[float, typer.Option("--confidence", metavar="C", help="Confidence of every statement.")]
@@ -70,7 +70,7 @@ def sensitivity(
     require_free(folder, "sensitivity", loaded)
     with progress_bar(loaded, quiet=as_json) as advance:
         result = indices(loaded, progress=advance)
-    tell(result, {"result": folder}, keep(result, folder), as_json, show_sensitivity)
+    output_analysis(result, {"result": folder}, save_analysis(result, folder), as_json, show_sensitivity)
     return DONE
 
 
@@ -109,5 +109,5 @@ def rare(
     require_free(folder, "rare", loaded)
     with progress_bar(loaded, quiet=as_json, of="simulations") as advance:
         event = estimate(loaded, spent, progress=advance)
-    tell(event, {"result": folder}, keep(event, folder), as_json, show_rare)
+    output_analysis(event, {"result": folder}, save_analysis(event, folder), as_json, show_rare)
     return DONE

@@ -8,7 +8,7 @@ import typer
 
 from dssc_jax.analyses.defaults import BUDGET, ROUNDS
 from dssc_jax.cli import options as opt
-from dssc_jax.cli.common import DONE, FAILS, app, attempt, default_out, keep, load_study, tell
+from dssc_jax.cli.common import DONE, FAILS, app, attempt, default_out, load_study, output_analysis, save_analysis
 
 BudgetOption = Annotated[
     int, typer.Option("--budget", metavar="N", help="Simulations of a hunt; one with derivatives counts for several.")
@@ -47,10 +47,10 @@ def tune(
     require_free(folder, "tune", loaded)
     with progress_bar(loaded, quiet=as_json, of="steps", early="nothing better came") as advance:
         tuned = search(loaded, robust=robust, rounds=rounds, budget=budget, progress=advance)
-    figures = keep(tuned, folder)
+    figures = save_analysis(tuned, folder)
     file = out or folder / "tuned.toml"
     attempt(file, lambda: file.write_text(to_toml(tuned.tuned_study.table), encoding="utf-8"))
-    tell(tuned, {"tuned_study": file, "result": folder}, figures, as_json, show_tuning)
+    output_analysis(tuned, {"tuned_study": file, "result": folder}, figures, as_json, show_tuning)
     return DONE if tuned.met else FAILS
 
 
@@ -81,11 +81,11 @@ def falsify(
     require_free(folder, "falsify", loaded)
     with progress_bar(loaded, quiet=as_json, of="simulations", early="the search found nothing further") as advance:
         falsified = hunt(loaded, budget=budget, seed=search_seed, progress=advance)
-    figures = keep(falsified, folder)
+    figures = save_analysis(falsified, folder)
     file, witness = folder / "witness.toml", folder / "witness"
     file.write_text(to_toml(falsified.witness_study.table), encoding="utf-8")
     shutil.rmtree(witness, ignore_errors=True)
     run(falsified.witness_study, witness)
     files = {"result": folder, "witness_study": file, "replay": witness}
-    tell(falsified, files, figures, as_json, show_falsification)
+    output_analysis(falsified, files, figures, as_json, show_falsification)
     return FAILS if falsified.slack < 0.0 else DONE

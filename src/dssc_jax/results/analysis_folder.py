@@ -76,7 +76,7 @@ def save(
     """
     require_free(folder, kind, study)
     folder.mkdir(parents=True, exist_ok=True)
-    plain, labels = coded(dataset)
+    plain, labels = with_codes(dataset)
     about = {"study": study.table, "hash": study.hash, "source": study.source, "settings": settings, "labels": labels}
     about |= {"sums": sums_of(plain), "schema": SCHEMA, **about_code(study)}
     write_sealed(folder / f"{kind}.json", about)
@@ -85,7 +85,7 @@ def save(
     return folder
 
 
-def coded(dataset: xr.Dataset) -> tuple[xr.Dataset, dict[str, list[str]]]:
+def with_codes(dataset: xr.Dataset) -> tuple[xr.Dataset, dict[str, list[str]]]:
     """A dataset whose coordinates of text are numbers, since Zarr has no stable text; and that text."""
     labels = {str(name): one.values.tolist() for name, one in dataset.coords.items() if one.dtype.kind in "UO"}
     codes = {}
@@ -95,8 +95,8 @@ def coded(dataset: xr.Dataset) -> tuple[xr.Dataset, dict[str, list[str]]]:
     return dataset.assign_coords(codes), labels
 
 
-def named(dataset: xr.Dataset, labels: Mapping[str, list[str]]) -> xr.Dataset:
-    """The dataset that :func:`coded` was given."""
+def with_labels(dataset: xr.Dataset, labels: Mapping[str, list[str]]) -> xr.Dataset:
+    """The dataset that :func:`with_codes` was given."""
     texts = {}
     for name, values in labels.items():
         attributes = {key: value for key, value in dataset[name].attrs.items() if key not in FLAGS}
@@ -169,7 +169,7 @@ def read(folder: Path, kind: str, trust_code: bool = False) -> Stored:
     try:
         dataset = xr.open_zarr(folder / DATA, consolidated=False, zarr_format=3, chunks=None).load()
         whole = summed(dataset) == about["sums"]
-        dataset = named(dataset, about.get("labels", {}))
+        dataset = with_labels(dataset, about.get("labels", {}))
     except Exception as error:  # zarr, its codecs and xarray raise errors of many kinds
         raise ConfigError(str(folder / DATA), f"cannot be read: {' '.join(str(error).split())}") from error
     if not whole:

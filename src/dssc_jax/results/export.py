@@ -40,7 +40,7 @@ DATATYPES = {"i": "integer", "u": "integer", "b": "boolean", "U": "string", "O":
 """Datatypes of "CSV on the Web" by NumPy's kinds."""
 
 
-class Table(NamedTuple):
+class Rows(NamedTuple):
     """A table as it is written.
 
     Args:
@@ -120,12 +120,12 @@ def into_place(path: Path, write: Callable[[Path], Any]) -> Path:
     return path
 
 
-def table_of(result: Result | Analysis) -> Table:
+def table_of(result: Result | Analysis) -> Rows:
     """The table of a result, or of an analysis."""
     return table_of_analysis(result) if isinstance(result, Analysis) else table_of_lanes(result)
 
 
-def table_of_analysis(analysis: Analysis) -> Table:
+def table_of_analysis(analysis: Analysis) -> Rows:
     """A row for each index of the analysis' own dimensions."""
     data, own = analysis.dataset, set(analysis.table)
     part = data[[name for name, one in data.items() if set(one.dims) <= own]]
@@ -135,17 +135,17 @@ def table_of_analysis(analysis: Analysis) -> Table:
         name: dict(data[name].attrs) if name in data.variables else {"long_name": f"index of the {name}"}
         for name in names
     }
-    return Table(columns, {name: DATATYPES[frame[name].to_numpy().dtype.kind] for name in names}, [frame])
+    return Rows(columns, {name: DATATYPES[frame[name].to_numpy().dtype.kind] for name in names}, [frame])
 
 
-def table_of_lanes(result: Result) -> Table:
+def table_of_lanes(result: Result) -> Rows:
     """A row a lane."""
     described = {**coordinates(result.study), **variables(result.study)}
     columns = {name: dict(variable.attributes) for name, variable in described.items()} | {
         MEANING: {"long_name": OUTCOME}
     }
     datatypes = dict.fromkeys(columns, "double") | {"draw": "integer", "outcome": "integer", MEANING: "string"}
-    return Table(columns, datatypes, pieces(result, list(columns)))
+    return Rows(columns, datatypes, pieces(result, list(columns)))
 
 
 def pieces(result: Result, names: list[str]) -> Iterable["pd.DataFrame"]:

@@ -12,7 +12,7 @@ from dssc_jax import plotting
 from dssc_jax.analyses.comparison.compare import require_names, with_controller
 from dssc_jax.analyses.comparison.rivals import Table, controller_table
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
-from dssc_jax.analyses.margins import Margins, joined, margin, parted, settings_of
+from dssc_jax.analyses.margins import Margins, join_margins, margin, margin_settings, part_margins
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.analysis_folder import Stored
@@ -43,7 +43,7 @@ class MarginContest(Analysis):
     @classmethod
     def of(cls, study: Study, margins: dict[str, Margins], tables: dict[str, Table], seconds: float) -> Self:
         """A contest of margins that were found one by one."""
-        return cls(study, joined(margins, "controller", "controller"), margins, tables, seconds)
+        return cls(study, join_margins(margins, "controller", "controller"), margins, tables, seconds)
 
     def pairs(self, confidence: float = CONFIDENCE) -> list[dict[str, Any]]:
         """Every pair a, b: on which share of all draws a goes further, less that on which b does.
@@ -83,7 +83,7 @@ class MarginContest(Analysis):
 
     def settings(self) -> dict[str, Any]:
         """See :class:`Analysis`."""
-        return {"margins": settings_of(self.margins), "tables": self.tables, "seconds": self.seconds}
+        return {"margins": margin_settings(self.margins), "tables": self.tables, "seconds": self.seconds}
 
     @classmethod
     def restored(cls, stored: Stored) -> Self:
@@ -94,7 +94,7 @@ class MarginContest(Analysis):
         def study_of(name: str) -> Study:
             return study if isinstance(study, Described) else with_controller(study, name, tables[name])
 
-        margins = parted(dataset, "controller", settings["margins"], study_of)
+        margins = part_margins(dataset, "controller", settings["margins"], study_of)
         return cls.of(study, margins, tables, settings["seconds"])
 
 

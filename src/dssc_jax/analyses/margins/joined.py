@@ -11,7 +11,7 @@ from dssc_jax.results.analysis_folder import Stored
 from dssc_jax.study import Study
 
 
-def joined(margins: Mapping[str, Margins], dimension: str, meaning: str) -> xr.Dataset:
+def join_margins(margins: Mapping[str, Margins], dimension: str, meaning: str) -> xr.Dataset:
     """One dataset of all, along a new dimension; what one of them does not have is NaN there.
 
     Args:
@@ -26,7 +26,7 @@ def joined(margins: Mapping[str, Margins], dimension: str, meaning: str) -> xr.D
     )  # fmt: skip
 
 
-def settings_of(margins: Mapping[str, Margins]) -> dict[str, Any]:
+def margin_settings(margins: Mapping[str, Margins]) -> dict[str, Any]:
     """What the joined dataset does not tell, for JSON."""
     return {
         name: one.settings()
@@ -35,15 +35,15 @@ def settings_of(margins: Mapping[str, Margins]) -> dict[str, Any]:
     }
 
 
-def parted(
+def part_margins(
     dataset: xr.Dataset, dimension: str, settings: Mapping[str, Any], study_of: Callable[[str], Study]
 ) -> dict[str, Margins]:
     """The margins by name.
 
     Args:
-        dataset: What :func:`joined` returned.
+        dataset: What :func:`join_margins` returned.
         dimension: Its dimension of names.
-        settings: What :func:`settings_of` returned.
+        settings: What :func:`margin_settings` returned.
         study_of: The study of each.
     """
     margins = {}

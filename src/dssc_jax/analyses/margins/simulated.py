@@ -136,7 +136,7 @@ def over_number(
         parts.append(search(slack_of, len(indices), walk, bisections))
         columns.append(laws)
     joined = {name: np.concatenate([part[name] for part in columns]) for name in columns[0]}
-    return Critical(*(np.concatenate(columns, axis=-1) for columns in zip(*parts, strict=True))), joined
+    return Critical(*(np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True))), joined
 
 
 def over_sample_time(

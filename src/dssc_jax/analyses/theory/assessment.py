@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from dssc_jax import plotting
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
-from dssc_jax.analyses.margins import Margins, joined, margin, parted, settings_of
+from dssc_jax.analyses.margins import Margins, join_margins, margin, margin_settings, part_margins
 from dssc_jax.analyses.theory.chattering import FINEST, MU, chattering
 from dssc_jax.analyses.theory.linearised import kind_of
 from dssc_jax.analyses.theory.local import Time, local_margin
@@ -66,7 +66,7 @@ class Assessment(Analysis):
     ) -> Self:
         """An assessment of parts that were found one by one."""
         parts = {PERFORMANCE: performance, **{kind.value: margins for kind, margins in local.items()}}
-        dataset = joined(parts, "margin", "what the margin is of")
+        dataset = join_margins(parts, "margin", "what the margin is of")
         if oscillations:
             names = np.array(list(oscillations))
             axis = xr.DataArray(names, dims="controller", name="controller", attrs={"long_name": "controller"})
@@ -114,7 +114,7 @@ class Assessment(Analysis):
         """See :class:`Analysis`."""
         local = {kind.value: margins for kind, margins in self.local.items()}
         return {
-            "margins": settings_of({PERFORMANCE: self.performance, **local}),
+            "margins": margin_settings({PERFORMANCE: self.performance, **local}),
             OSCILLATIONS: {name: dict(of.attrs) for name, of in self.oscillations.items()},
             **{name: getattr(self, name) for name in ("edge", "not_covered", "seconds")},
         }
@@ -123,7 +123,7 @@ class Assessment(Analysis):
     def restored(cls, stored: Stored) -> Self:
         """See :class:`Analysis`."""
         study, dataset, settings = stored
-        margins = parted(dataset, "margin", settings["margins"], lambda name: study)
+        margins = part_margins(dataset, "margin", settings["margins"], lambda name: study)
         performance = margins.pop(PERFORMANCE)
         oscillations = {
             name: xr.Dataset(dataset[list(OSCILLATION)].sel(controller=name, drop=True).variables, attrs=about)
