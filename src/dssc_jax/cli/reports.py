@@ -39,7 +39,7 @@ def report(
         if out is not None:
             raise ConfigError("--out", "is for one report; the index is written beside the results")
         assert index is not None
-        return tell_index(index, as_json)
+        return output_index(index, as_json)
     from dssc_jax.report import write
 
     began = time.perf_counter()
@@ -55,8 +55,8 @@ def report(
     return DONE
 
 
-def tell_index(root: Path, as_json: bool) -> int:
-    """Write the index of a folder of results, and tell what is in it."""
+def output_index(root: Path, as_json: bool) -> int:
+    """Write the index of a folder of results and analyses, and show what is in it."""
     from dssc_jax.console import show_page
     from dssc_jax.report import write_index
 
