@@ -149,9 +149,9 @@ def front(vehicle: Vehicle, kind: str, budget: Budget, reference: np.ndarray) ->
         start = tuned.values
         means = [tuned.verdict.limits[name][2] for name in limits]
         variation = float(np.max(np.array(means) / reference))
-        robust = float(np.max(vehicle.variation(tuned.study, "command_tv")))
+        robust = float(np.max(vehicle.variation(tuned.tuned_study, "command_tv")))
         within = bool(tuned.facts["feasible"])
-        found.append(Trade(share, tuned.verdict.objective[1], variation, robust, lag_margin(tuned.study), within))
+        found.append(Trade(share, tuned.verdict.objective[1], variation, robust, lag_margin(tuned.tuned_study), within))
         print(f"{vehicle.study.name} {kind}: {found[-1]}, {tuned.facts['seconds']:.0f} s, {start}", flush=True)
     return found
 
@@ -202,7 +202,7 @@ def planted_lines(budget: Budget) -> list[str]:
     failures = dj.run(study.override({"draws": budget.planted, "seed": 5})).summary()["points"][0]["failures"]
     low, high = clopper_pearson(failures, budget.planted)
     programs = Programs.of(study, 1000)
-    found = [hunt(programs, 1000, seed, lambda done, total, text: None) for seed in range(10)]
+    found = [hunt(programs, 1000, seed) for seed in range(10)]
     first = sorted(each.first_failure for each in found if each.first_failure is not None)
     return [
         f"A planted failure in a box of five dimensions: {failures} of {budget.planted:,} random draws fail, a "

@@ -13,7 +13,7 @@ from gain_sets import CONSTANT, SQUARE_ROOT, random_gains
 from dssc_jax import plotting
 from dssc_jax.analyses.comparison import controller_table, with_controller
 from dssc_jax.analyses.margins import Margins
-from dssc_jax.analyses.theory import Beside
+from dssc_jax.analyses.theory import Assessment
 from dssc_jax.console import machine
 
 ROOT = Path(__file__).parents[1]
@@ -80,7 +80,7 @@ draw tolerates.
 `--controllers A,B,...` does the same for several controllers on the same draws, with gains as in
 [comparison](comparison.md). For each pair it reports which controller goes further, with the exact paired test.
 
-`dj.load` loads the result of a `margin` command from its folder and verifies its digests.
+`dj.load` loads the results of `margin` and `theory` from their folders and verifies their digests.
 
 ## Theory and simulation
 
@@ -229,19 +229,19 @@ def chattering() -> list[str]:
     return rows
 
 
-def certified() -> tuple[dict[str, Beside], list[str]]:
+def certified() -> tuple[dict[str, Assessment], list[str]]:
     """The certified loop over three numbers: the theorem, eigenvalues and simulation; over mu oscillations too."""
     study, found, rows = dj.Study.load(CERTIFIED), {}, []
     rivals = {name: with_controller(study, name, controller_table(study, name)) for name in ("sta", "smc")}
     for name, walk in WALKS.items():
-        one = found[name] = dj.theory.beside(study, over=name, **walk, rivals=rivals if name == MU else {})
-        told = one.summary()
+        one = found[name] = dj.theory.assess(study, over=name, **walk, rivals=rivals if name == MU else {})
+        summary = one.summary()
         start, end = walk["bounds"]
-        cells = [f"`{name}` {start:g} to {end:g}", f"{told['certificate']['certified']:.4g}"]
-        for answer in (told["local"]["sampled"], told["performance"]):
+        cells = [f"`{name}` {start:g} to {end:g}", f"{summary['certificate']['certified']:.4g}"]
+        for answer in (summary["local"]["sampled"], summary["performance"]):
             shown = (answer["median"], answer["lower_tolerance"])
             cells.append(", ".join("beyond" if value == end else f"{value:.4g}" for value in shown))
-        cells.append(f"{100 * told['performance']['pass_to_end']:.3g} %")
+        cells.append(f"{100 * summary['performance']['pass_to_end']:.3g} %")
         rows.append(f"| {' | '.join(cells)} |")
     return found, rows
 
@@ -289,12 +289,12 @@ def ended_by(found: Margins) -> str:
 def main() -> None:
     rows = agreement()
     slopes = chattering()
-    beside, reaches = certified()
+    assessments, reaches = certified()
     formed = forms()
     found, table, seconds, processor = performance()
     study, loop = dj.Study.load(STUDY), dj.Study.load(CERTIFIED)
     local = dj.theory.local_margin(study, **PERFORMANCE)
-    over_mu, over_gain = beside[MU], beside["plant.k_p"]
+    over_mu, over_gain = assessments[MU], assessments["plant.k_p"]
     own = over_mu.edge
     assert own is not None
     plotting.write(plotting.theory(over_mu.margins, over_mu.oscillations, own), DOCS / "figures" / "theory.png")

@@ -15,15 +15,16 @@ if TYPE_CHECKING:
     from dssc_jax import design, report
     from dssc_jax import plotting as plot
     from dssc_jax.analyses import theory
-    from dssc_jax.analyses.comparison import Comparison, compare, compare_margins
+    from dssc_jax.analyses.comparison import Comparison, MarginContest, compare, compare_margins
     from dssc_jax.analyses.falsification import Falsified, falsify
     from dssc_jax.analyses.loading import load
     from dssc_jax.analyses.margins import Margins, margin
-    from dssc_jax.analyses.rare_events import rare
-    from dssc_jax.analyses.sensitivity import sensitivity
+    from dssc_jax.analyses.rare_events import RareEvent, rare
+    from dssc_jax.analyses.sensitivity import Sensitivity, sensitivity
     from dssc_jax.analyses.splitting import Splitting
     from dssc_jax.analyses.tuning import Tuned, tune
     from dssc_jax.core.errors import ConfigError
+    from dssc_jax.results.analysis import Analysis
     from dssc_jax.results.export import export
     from dssc_jax.results.result import Result
     from dssc_jax.runs.run import run
@@ -36,11 +37,15 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = [
     "AcceptReject",
+    "Analysis",
     "Comparison",
     "ConfigError",
     "Falsified",
+    "MarginContest",
     "Margins",
+    "RareEvent",
     "Result",
+    "Sensitivity",
     "Splitting",
     "Study",
     "Tuned",
@@ -72,6 +77,10 @@ _HOME = {
     "Result": "dssc_jax.results.result",
     "export": "dssc_jax.results.export",
     "load": "dssc_jax.analyses.loading",
+    "Analysis": "dssc_jax.results.analysis",
+    "MarginContest": "dssc_jax.analyses.comparison",
+    "RareEvent": "dssc_jax.analyses.rare_events",
+    "Sensitivity": "dssc_jax.analyses.sensitivity",
     "Comparison": "dssc_jax.analyses.comparison",
     "compare": "dssc_jax.analyses.comparison",
     "compare_margins": "dssc_jax.analyses.comparison",

@@ -42,8 +42,8 @@ def test_four_branches():
 def test_the_last_particle_form_follows_its_exact_law():
     """p_hat = (1 - 1/N)^J with J ~ Poisson(-N ln p)."""
     particles, p = 20, 3e-2
-    how = dj.Splitting(particles=particles, killed=1, moves=20, repeats=60)
-    found = split(lambda z, _: stats.norm.isf(p) - z[:, 0], 1, (7,), how)
+    settings = dj.Splitting(particles=particles, killed=1, moves=20, repeats=60)
+    found = split(lambda z, _: stats.norm.isf(p) - z[:, 0], 1, (7,), settings)
     np.testing.assert_allclose(found.estimates, (1.0 - 1.0 / particles) ** found.levels, rtol=1e-12)
     law = stats.poisson(-particles * np.log(p))
     assert found.levels.mean() == pytest.approx(law.mean(), abs=3.5 * law.std() / np.sqrt(60))
@@ -103,10 +103,10 @@ def test_plain_draws_contradict_where_the_margin_leads_astray():
 
 def test_a_contradiction_is_told(capsys):
     """In JSON and in the terminal: who contradicts, and whose answer it is."""
-    study = dj.Study.from_table(TABLE)
+    study = dj.Study.from_table(TABLE).override({"plant.a_p": 1.0})
     estimate = split(hidden, 1, (0,), dj.Splitting(particles=60, killed=30, repeats=10))
     assert estimate.contradicted
-    content = RareEvent(study, dj.Splitting(), estimate, False, {}).to_dict()
+    content = RareEvent.of(study, dj.Splitting(), estimate, False).summary()
     assert content["plain"] == {
         "draws": 4096,
         "failures": estimate.plain.failures,
@@ -132,7 +132,7 @@ def test_a_study_agrees_with_plain_draws():
     assert 1e-4 < plain.failed.mean() < 2e-2
     assert max(low, below) < min(high, above)
     assert not found.noisy
-    content = found.to_dict()
+    content = found.summary()
     assert content["where"]["plant.k_p"]["failing"][2] < content["where"]["plant.k_p"]["median"]  # weak gain fails
     engine = Engine(study, 100)
     count = min(100, len(found.estimate.noise))

@@ -112,11 +112,11 @@ def test_a_study_with_a_rare_failure(capsys):
     assert found.outputs["error_rms"] is not None
     assert found.outputs[FAILURE] is None
     assert "of 512 rows carry its variance" in found.reasons[FAILURE]
-    content = json.loads(json.dumps(found.to_dict()))
+    content = json.loads(json.dumps(found.summary()))
     assert content["outputs"][FAILURE] is None
     assert content["reasons"][FAILURE] == found.reasons[FAILURE]
     assert content["reasons"]["error_max"] == "does not vary"
-    show_sensitivity(found, [])
+    show_sensitivity(found.summary(), [])
     assert f"failure: no indices; it {found.reasons[FAILURE]}" in " ".join(capsys.readouterr().out.split())
     (text,) = dj.plot.sensitivity(found).axes[0].texts
     assert " ".join(text.get_text().split()) == f"no indices; it {found.reasons[FAILURE]}"
@@ -129,7 +129,7 @@ def test_an_inert_factor_is_consistent_with_nothing():
     assert found.total[1, 0] == 0.0
 
 
-def test_a_study(tmp_path):
+def test_a_study():
     study = dj.Study.from_table(TABLE).override({"draws": 600})
     told = []
     found = dj.sensitivity(study, progress=lambda done, total: told.append((done, total)))
@@ -140,7 +140,7 @@ def test_a_study(tmp_path):
     assert np.all(rms.total[:, 0] >= rms.first[:, 0] - 0.02)
     failure = found.outputs[FAILURE]
     assert failure.total[:, 0].sum() > failure.first[:, 0].sum()  # a threshold makes factors interact
-    content = json.loads(json.dumps(found.to_dict()))
+    content = json.loads(json.dumps(found.summary()))
     low, high = content["outputs"]["error_rms"]["plant.k_p"]["first_interval"]
     assert low < content["outputs"]["error_rms"]["plant.k_p"]["first"] < high
     assert content["outputs"]["error_max"] is None  # the initial error, whatever the draw

@@ -5,6 +5,7 @@ import re
 
 import pytest
 
+import dssc_jax as dj
 from dssc_jax.cli import guarded
 from tests.cli.conftest import STUDY, last_json
 
@@ -41,7 +42,7 @@ def test_margins_of_several_controllers(study, capsys):
     found = last_json(capsys)
     assert set(found["controllers"]) == {"pi", "soft"}
     assert (found["pairs"][0]["a"], found["pairs"][0]["b"]) == ("pi", "soft")
-    assert (study.parent / "m" / "figures" / "margin.png").exists()
+    assert (study.parent / "m" / "figures" / "margins.png").exists()
     assert guarded([*arguments, "--controllers", "pi,soft", "--out", "m"]) == 0
     assert "share of draws that go further" in capsys.readouterr().out
     assert guarded([*arguments, "--controllers", "pi"]) == 2
@@ -52,7 +53,7 @@ def test_theory(study, capsys):
     arguments = ["theory", str(study), "--over", "plant.k_p=1.2:0.01", "--points", "4", "--bisections", "3"]
     assert guarded([*arguments, "--draws", "8", "--out", "t", "--json"]) == 0
     found = last_json(capsys)
-    assert {"certificate", "performance", "local", "oscillations", "silent"} <= found.keys()
+    assert {"certificate", "performance", "local", "oscillations", "not_covered"} <= found.keys()
     assert found["certificate"]["certified"] is None
     for name in ("theory.json", "figures/theory.png", "figures/theory.svg"):
         assert (study.parent / "t" / name).exists()
@@ -150,8 +151,8 @@ def test_sensitivity_and_rare(study, capsys):
     shown = capsys.readouterr().out
     assert "10 independent repeats" in shown
     assert "of 500 plain draws failed" in shown
-    stored = json.loads((study.parent / "r" / "rare.json").read_text())
+    stored = json.loads((study.parent / "r" / "summary.json").read_text())
     assert stored["plain"].keys() == {"draws", "failures", "interval", "contradicts"}
-    assert stored["inputs"]["plant"]["a_p"] == {"normal": [1.0, 0.1]}
+    assert dj.load(study.parent / "r").study.table["plant"]["a_p"] == {"normal": [1.0, 0.1]}
     assert guarded(["rare", str(study), *spent, "--out", "r"]) == 2  # another study's answer is there
     assert "another study" in capsys.readouterr().err

@@ -6,20 +6,23 @@ signals need nothing of their own. Noise within the loop is that of draw 0.
 """
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import xarray as xr
+from matplotlib.figure import Figure
 from scipy.optimize import differential_evolution
 from scipy.stats import qmc
 
+from dssc_jax import plotting
+from dssc_jax.analyses.defaults import BUDGET, LEAST_BUDGET, MOST_BUDGET
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import BLOCK, Arrays
 from dssc_jax.engine.evaluation import Derivative, Evaluator, GradientEvaluator, worst_slack
-from dssc_jax.results.analysis_folder import save
+from dssc_jax.results.analysis import Analysis
+from dssc_jax.results.analysis_folder import Stored
 from dssc_jax.study import Study
 
 EDGE = 1e-6  # outermost level: where the search ends in the tails of unbounded laws
@@ -29,32 +32,63 @@ APART = 0.25  # least distance of two starts, in the largest coordinate
 STRIDE, LONGER, SHORTER = 0.25, 1.5, 0.3  # first step of a climb, and its factors after success and failure
 DESIGN = ("sampling", "replicates", "correlation")  # what a study says of its draws together
 MEMBERS = 4  # of the evolution, for each coordinate
-LEAST, MOST = 32, 10**7  # simulations
-
-Report = Callable[[int, int, str], None]
 
 
-@dataclass
-class Falsified:
+@dataclass(eq=False)
+class Falsified(Analysis):
     """The worst draw found.
 
+    The dataset has every point that was simulated, along ``point``: its numbers, its ``slack``, the worst requirement's
+    relative to its bound and negative where the draw fails, and ``simulations``, how many were spent until then; one
+    with derivatives counts as one and one more for each derivative.
+
     Args:
-        study: What was searched.
-        witness: Value of each uncertain number.
-        slack: Its signed slack, the worst requirement's relative to its bound: negative where the draw fails.
-        simulations: How many were spent; one with derivatives counts as one and one more for each derivative.
-        first_failure: The simulations after which the first failure was found; None: none was.
-        trail: Every point that was simulated: its numbers, its slack, and the simulations spent until then.
         seconds: What it took.
     """
 
-    study: Study
-    witness: dict[str, float]
-    slack: float
-    simulations: int
-    first_failure: int | None
-    trail: Arrays = field(repr=False)
-    seconds: float = 0.0
+    kind = "falsify"
+    title = "The worst draw"
+    table = ("point",)
+
+    seconds: float
+
+    @classmethod
+    def of(cls, study: Study, values: Arrays, slacks: np.ndarray, spent: np.ndarray, seconds: float) -> Self:
+        """What a search simulated, in its order."""
+        columns = {"slack": (slacks, "1", "signed slack"), "simulations": (spent, "1", "simulations spent until then")}
+        for name, column in values.items():
+            columns[name] = (column, study.quantities[name].unit, study.quantities[name].meaning)
+        described = {
+            name: ("point", column, {"units": unit, "long_name": meaning})
+            for name, (column, unit, meaning) in columns.items()
+        }
+        return cls(study, xr.Dataset(described, attrs={"title": study.name}), seconds)
+
+    @property
+    def worst(self) -> int:
+        """Index of the worst point."""
+        return int(np.argmin(self.dataset["slack"].values))
+
+    @property
+    def witness(self) -> dict[str, float]:
+        """Value of each uncertain number there."""
+        return {name: float(self.dataset[name][self.worst]) for name in self.study.laws}
+
+    @property
+    def slack(self) -> float:
+        """Its slack."""
+        return float(self.dataset["slack"][self.worst])
+
+    @property
+    def simulations(self) -> int:
+        """How many were spent."""
+        return int(self.dataset["simulations"][-1])
+
+    @property
+    def first_failure(self) -> int | None:
+        """The simulations after which the first failure was found; None: none was."""
+        failed = np.flatnonzero(self.dataset["slack"].values < 0.0)
+        return int(self.dataset["simulations"][failed[0]]) if failed.size else None
 
     @property
     def witness_study(self) -> Study:
@@ -62,10 +96,20 @@ class Falsified:
         table = {name: value for name, value in self.study.table.items() if name not in DESIGN}
         return Study.from_table({**table, "draws": 1}, self.study.source).override(self.witness)
 
-    def summary(self) -> dict[str, Any]:
-        """The hunt in plain numbers, for JSON; infinity still to be replaced."""
+    @property
+    def headline(self) -> str:
+        """The answer in a line."""
+        ending = "ends early" if self.slack == -np.inf else f"has a slack of {self.slack:.4g} of its bound"
+        verdict = "fails" if self.slack < 0.0 else "passes"
+        return f"the worst of {self.simulations:,} simulations {verdict}: it {ending}"
+
+    def figure(self) -> Figure:
+        """The answer as a figure."""
+        return plotting.falsification(self)
+
+    def content(self) -> dict[str, Any]:
+        """See :class:`Analysis`."""
         return {
-            "study": self.study.name,
             "requirements": [requirement.text for requirement in self.study.requirements],
             "failed": self.slack < 0.0,
             "slack": self.slack,
@@ -75,19 +119,19 @@ class Falsified:
             "seconds": self.seconds,
         }
 
-    def save(self, folder: str | Path) -> Path:
-        """Write every point and the summary into a folder.
+    def settings(self) -> dict[str, Any]:
+        """See :class:`Analysis`."""
+        return {"seconds": self.seconds}
 
-        Raises:
-            ConfigError: the folder holds something else.
-        """
-        points = xr.Dataset(
-            {name: ("point", values) for name, values in self.trail.items()}, attrs={"title": self.study.name}
-        )
-        return save(Path(folder), "falsify", self.study, points, self.summary())
+    @classmethod
+    def restored(cls, stored: Stored) -> Self:
+        """See :class:`Analysis`."""
+        return cls(stored.study, stored.dataset, **stored.settings)
 
 
-def falsify(study: Study, *, budget: int = 1000, seed: int = 0, report: Report | None = None) -> Falsified:
+def falsify(
+    study: Study, *, budget: int = BUDGET, seed: int = 0, progress: ProgressCallback | None = None
+) -> Falsified:
     """The worst draw within the support of a study's laws, by the worst requirement's signed slack.
 
     A quarter of the budget spreads over the support, half of it climbs from the worst points along projected gradients,
@@ -97,7 +141,7 @@ def falsify(study: Study, *, budget: int = 1000, seed: int = 0, report: Report |
         study: The study; its own sweep is left aside. Unbounded laws end at their 1e-6 quantiles.
         budget: Simulations.
         seed: Of the search.
-        report: Told of the simulations spent.
+        progress: Told of the simulations spent.
 
     Raises:
         ConfigError: nothing is uncertain, nothing is required, or the budget is out of range.
@@ -110,7 +154,7 @@ def falsify(study: Study, *, budget: int = 1000, seed: int = 0, report: Report |
     """
     study = study.without_sweep()
     require_hunt(study, budget)
-    return hunt(Programs.of(study, budget), budget, seed, report or (lambda done, total, text: None))
+    return hunt(Programs.of(study, budget), budget, seed, progress)
 
 
 def require_hunt(study: Study, budget: int) -> None:
@@ -123,8 +167,8 @@ def require_hunt(study: Study, budget: int) -> None:
         raise ConfigError(study.source, "no number is uncertain, so there is no other draw to look for; give laws")
     if not study.requirements:
         raise ConfigError(study.source, "nothing is required, so nothing can fail; give a [[requirement]]")
-    if not LEAST <= budget <= MOST:
-        raise ConfigError("budget", f"must be in {LEAST} .. {MOST}, got {budget}")
+    if not LEAST_BUDGET <= budget <= MOST_BUDGET:
+        raise ConfigError("budget", f"must be in {LEAST_BUDGET} .. {MOST_BUDGET}, got {budget}")
 
 
 class Programs(NamedTuple):
@@ -145,7 +189,7 @@ class Programs(NamedTuple):
 
 def spread(budget: int) -> int:
     """Points that are spread out: a power of two."""
-    return 1 << int(np.log2(max(EXPLORED * budget, LEAST // 2)))
+    return 1 << int(np.log2(max(EXPLORED * budget, LEAST_BUDGET // 2)))
 
 
 def members(budget: int, size: int) -> int:
@@ -158,27 +202,16 @@ def climbers(budget: int, size: int) -> int:
     return max(1, min(STARTS, int(CLIMBED * budget) // (CLIMB * (1 + size))))
 
 
-def hunt(programs: Programs, budget: int, seed: int, report: Report) -> Falsified:
+def hunt(programs: Programs, budget: int, seed: int, progress: ProgressCallback | None = None) -> Falsified:
     """One search; see :func:`falsify`."""
     began = time.perf_counter()
-    found = Hunt(programs, budget, np.random.default_rng(seed), report)
-    found.explore()
-    for way in (found.climb, found.evolve):
-        if found.worst > -np.inf:
-            way()
-    points, slacks, spent = (np.concatenate(parts) for parts in zip(*found.seen, strict=True))
-    values = found.values(points)
-    worst = int(np.argmin(slacks))
-    failed = np.flatnonzero(slacks < 0.0)
-    return Falsified(
-        study=programs.study,
-        witness={name: float(column[worst]) for name, column in values.items()},
-        slack=float(slacks[worst]),
-        simulations=found.spent,
-        first_failure=int(spent[failed[0]]) if failed.size else None,
-        trail={**values, "slack": slacks, "simulations": spent},
-        seconds=time.perf_counter() - began,
-    )
+    search = Hunt(programs, budget, np.random.default_rng(seed), progress)
+    search.explore()
+    for stage in (search.climb, search.evolve):
+        if search.worst > -np.inf:
+            stage()
+    points, slacks, spent = (np.concatenate(parts) for parts in zip(*search.seen, strict=True))
+    return Falsified.of(programs.study, search.values(points), slacks, spent, time.perf_counter() - began)
 
 
 @dataclass
@@ -189,13 +222,13 @@ class Hunt:
         programs: The study, compiled.
         budget: Simulations.
         rng: Of the search.
-        report: Told of the simulations spent.
+        progress: Told of the simulations spent.
     """
 
     programs: Programs
     budget: int
     rng: np.random.Generator
-    report: Report
+    progress: ProgressCallback | None
     spent: int = 0
     worst: float = np.inf
     seen: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=list)
@@ -209,13 +242,14 @@ class Hunt:
         return {name: law.quantile(points[:, i]) for i, (name, law) in enumerate(self.laws.items())}
 
     def simulate(self, points: np.ndarray, evaluator: Evaluator, each: int = 1) -> tuple[np.ndarray, Arrays]:
-        """Margins and results of points; ``each`` is what one of them costs."""
+        """Slacks and results of points; ``each`` is what one of them costs."""
         results = evaluator(np.zeros(len(points), dtype=int), self.values(points))
         slacks = worst_slack(evaluator.swept, results)
         self.seen.append((points, slacks, self.spent + each * np.arange(1, len(points) + 1)))
         self.spent += each * len(points)
         self.worst = min(self.worst, float(slacks.min()))
-        self.report(min(self.spent, self.budget), self.budget, f"worst slack {self.worst:.4g}")
+        if self.progress:
+            self.progress(min(self.spent, self.budget), self.budget)
         return slacks, results
 
     def explore(self) -> None:
@@ -272,8 +306,8 @@ class Hunt:
             rate = (law.quantile(ends[1]) - law.quantile(ends[0])) / (ends[1] - ends[0])
             rows = [results[Derivative(r.name, name)] / r.scale for r in requirements]
             columns.append(np.take_along_axis(np.array(rows), binding[None], 0)[0] * rate)
-        found = np.stack(columns, axis=1)
-        return np.where(np.isfinite(found), found, 0.0)
+        slopes = np.stack(columns, axis=1)
+        return np.where(np.isfinite(slopes), slopes, 0.0)
 
     def evolve(self) -> None:
         """Differential evolution that begins with the worst points so far."""

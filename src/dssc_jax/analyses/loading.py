@@ -1,27 +1,67 @@
 """Whatever a command has left in a folder, as an object again."""
 
-from collections.abc import Callable
+import importlib
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
-from dssc_jax.analyses.comparison import Comparison
-from dssc_jax.analyses.margins import Margins
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.results import result as results
-from dssc_jax.results.manifest import MANIFEST
+from dssc_jax.results.analysis import Analysis
+from dssc_jax.results.analysis_folder import read_about
+from dssc_jax.results.manifest import MANIFEST, read_manifest
 from dssc_jax.results.result import Result
 
-Loaded: TypeAlias = Result | Margins | Comparison
-READERS: dict[str, Callable[[Path, bool], Loaded]] = {
-    MANIFEST: results.load,
-    "margin.json": Margins.load,
-    "compare.json": Comparison.load,
+Loaded: TypeAlias = Result | Analysis
+KINDS = {
+    "margin": "dssc_jax.analyses.margins:Margins",
+    "margins": "dssc_jax.analyses.comparison:MarginContest",
+    "compare": "dssc_jax.analyses.comparison:Comparison",
+    "sensitivity": "dssc_jax.analyses.sensitivity:Sensitivity",
+    "rare": "dssc_jax.analyses.rare_events:RareEvent",
+    "falsify": "dssc_jax.analyses.falsification:Falsified",
+    "tune": "dssc_jax.analyses.tuning:Tuned",
+    "theory": "dssc_jax.analyses.theory:Assessment",
 }
-"""How a folder is read, by the file that tells what it holds."""
+"""The class of each kind of analysis, imported when one is read."""
+
+
+def class_of(kind: str) -> type[Analysis]:
+    """The class of a kind of analysis."""
+    module, _, name = KINDS[kind].partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
+def kind_in(folder: Path) -> str | None:
+    """The kind of analysis that a folder holds; None: a run, or a sweep.
+
+    Raises:
+        ConfigError: it holds none of these.
+    """
+    if not folder.is_dir():
+        raise ConfigError(str(folder), "is no folder")
+    if (folder / MANIFEST).exists():
+        return None
+    for kind in KINDS:
+        if (folder / f"{kind}.json").exists():
+            return kind
+    names = " or ".join(f"{name}.json" for name in KINDS)
+    answers = sorted(file.name for file in folder.glob("*.json"))
+    others = f"; what it has is plain JSON: {', '.join(answers)}" if answers else ""
+    raise ConfigError(str(folder), f"is not a results folder: it has no {MANIFEST} or {names}{others}")
+
+
+def description(folder: Path) -> dict[str, Any]:
+    """What a folder says of what it holds: its manifest, or its analysis' description.
+
+    Raises:
+        ConfigError: it holds nothing that :func:`load` reads, or it is damaged.
+    """
+    kind = kind_in(folder)
+    return read_manifest(folder) if kind is None else read_about(folder, kind)
 
 
 def load(folder: str | Path, trust_code: bool = False) -> Loaded:
-    """Read a folder that ``run``, ``sweep``, ``margin`` or ``compare`` wrote, or a ``save`` of what these return.
+    """Read a folder that a command wrote, or a ``save`` of a result or of an analysis.
 
     Args:
         folder: The folder. Nothing in it is run, see docs/trust.md.
@@ -29,17 +69,11 @@ def load(folder: str | Path, trust_code: bool = False) -> Loaded:
             :func:`dssc_jax.replay`, :func:`dssc_jax.verify`, any change of the study. Nothing else does.
 
     Returns:
-        A :class:`Result`, :class:`Margins` or :class:`Comparison`, equal to the one that was saved.
+        A :class:`Result` of ``run`` and ``sweep``, else an :class:`Analysis`, equal to the one that was saved.
 
     Raises:
         ConfigError: it holds none of these, it is damaged, or its run did not finish.
     """
     path = Path(folder)
-    if not path.is_dir():
-        raise ConfigError(str(path), "is no folder")
-    found = [name for name in READERS if (path / name).exists()]
-    if found:
-        return READERS[found[0]](path, trust_code)
-    answers = sorted(file.name for file in path.glob("*.json"))
-    told = f"; what it has is plain JSON: {', '.join(answers)}" if answers else ""
-    raise ConfigError(str(path), f"is not a results folder: it has no {' or '.join(READERS)}{told}")
+    kind = kind_in(path)
+    return results.load(path, trust_code) if kind is None else class_of(kind).load(path, trust_code)

@@ -10,21 +10,30 @@ whose variance comes from a few rows only, as that of a rare failure does, is re
 """
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
 
+from dssc_jax import plotting
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import stream
 from dssc_jax.core.signals import Outcome, ProgressCallback
 from dssc_jax.engine.batching import BLOCK, Arrays, Engine, evaluate, is_noisy
 from dssc_jax.engine.sampling import inside, sobol_points, values_at
+from dssc_jax.results.analysis import Analysis
+from dssc_jax.results.analysis_folder import Stored
+from dssc_jax.results.result import headline_measure
 from dssc_jax.statistics import CONFIDENCE, replicate_interval, unseen
 from dssc_jax.study import Study
 
 NOISE = "in-loop noise"
 FAILURE = "failure"
+ENDS = {"": "", "_low": ", lower end of its interval", "_high": ", upper end of its interval"}
+"""Suffixes of an index and of the ends of its interval in the dataset."""
 SMALLEST = 256  # rows of A
 REPLICATES = 8
 LEAST = 20  # rows that must carry an output's variance; with fewer an interval of 95 % is of length 0.6 or more
@@ -40,58 +49,115 @@ class Indices(NamedTuple):
     total: np.ndarray
 
 
-@dataclass(frozen=True)
-class Sensitivity:
+@dataclass(eq=False)
+class Sensitivity(Analysis):
     """Sobol indices of a study.
 
+    The dataset has along ``output`` (every metric, and ``failure``) and ``factor`` (the uncertain numbers, then the
+    in-loop noise if there is any): ``first`` and ``total`` with the ends of their intervals, NaN where an output has no
+    indices; along ``output``: ``missing``, how many simulations have no value of it.
+
     Args:
-        study: The study.
         rows: Rows of A.
         simulations: Simulations in all.
-        factors: Names of the uncertain numbers, then the in-loop noise if there is any.
-        outputs: Indices of each metric, and of ``failure``; None where there are none.
         reasons: For each output without indices the reason.
-        missing: For each output how many simulations have no value of it.
         confidence: Of the intervals.
     """
 
-    study: Study
+    kind = "sensitivity"
+    title = "Sobol indices"
+    table = ("output", "factor")
+
     rows: int
     simulations: int
-    factors: tuple[str, ...]
-    outputs: dict[str, Indices | None]
     reasons: dict[str, str]
-    missing: dict[str, int]
     confidence: float
 
-    def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+    @property
+    def factors(self) -> tuple[str, ...]:
+        """Names of the factors."""
+        return tuple(map(str, self.dataset["factor"].values))
+
+    @property
+    def outputs(self) -> dict[str, Indices | None]:
+        """Indices of each output; None where there are none."""
+        names = map(str, self.dataset["output"].values)
+        return {name: None if name in self.reasons else self._indices(name) for name in names}
+
+    def _indices(self, name: str) -> Indices:
+        own = self.dataset.sel(output=name)
+        return Indices(*(np.stack([own[part + end].values for end in ENDS], axis=-1) for part in Indices._fields))
+
+    @property
+    def headline(self) -> str:
+        """The answer in a line."""
+        name = next((one for one in shown_outputs(self.study) if one not in self.reasons), None)
+        if name is None:
+            return f"no indices of {FAILURE}; it {self.reasons[FAILURE]}"
+        total = self.dataset["total"].sel(output=name)
+        first = int(np.argmax(total.values))
+        return f"{name} depends most on {self.factors[first]}: total index {float(total[first]):.3f}"
+
+    def figure(self) -> Figure:
+        """The answer as a figure."""
+        return plotting.sensitivity(self)
+
+    def content(self) -> dict[str, Any]:
+        """See :class:`Analysis`."""
         outputs: dict[str, Any] = {}
-        for name, found in self.outputs.items():
-            outputs[name] = None
-            if found is not None:
-                outputs[name] = {
-                    factor: {
-                        "first": first[0],
-                        "first_interval": list(first[1:]),
-                        "total": total[0],
-                        "total_interval": list(total[1:]),
-                    }
-                    for factor, first, total in zip(
-                        self.factors, found.first.tolist(), found.total.tolist(), strict=True
-                    )
+        for name, indices in self.outputs.items():
+            outputs[name] = indices and {
+                factor: {
+                    "first": first[0],
+                    "first_interval": first[1:],
+                    "total": total[0],
+                    "total_interval": total[1:],
                 }
+                for factor, first, total in zip(self.factors, *indices, strict=True)
+            }
         return {
-            "study": self.study.name,
             "rows": self.rows,
             "simulations": self.simulations,
             "confidence": self.confidence,
             "interval_method": f"Student's t over {REPLICATES} Sobol replicates",
-            "factors": list(self.factors),
+            "factors": self.factors,
+            "headline": shown_outputs(self.study),
             "reasons": self.reasons,
-            "missing": self.missing,
+            "missing": dict(zip(self.outputs, self.dataset["missing"].values.tolist(), strict=True)),
             "outputs": outputs,
         }
+
+    def settings(self) -> dict[str, Any]:
+        """See :class:`Analysis`."""
+        return {name: getattr(self, name) for name in ("rows", "simulations", "reasons", "confidence")}
+
+    @classmethod
+    def restored(cls, stored: Stored) -> Self:
+        """See :class:`Analysis`."""
+        return cls(stored.study, stored.dataset, **stored.settings)
+
+
+def dataset_of(
+    study: Study, factors: Sequence[str], outputs: Mapping[str, Indices | None], missing: Mapping[str, int]
+) -> xr.Dataset:
+    """Indices as a dataset: see :class:`Sensitivity`."""
+    blank = np.full((len(factors), len(ENDS)), np.nan)
+    columns = {}
+    for place, (part, meaning) in enumerate({"first": "first-order index", "total": "total index"}.items()):
+        values = np.stack([indices[place] if indices else blank for indices in outputs.values()])
+        for end, (suffix, side) in enumerate(ENDS.items()):
+            about = {"units": "1", "long_name": meaning + side}
+            columns[part + suffix] = (("output", "factor"), values[..., end], about)
+    about = {"units": "1", "long_name": "simulations without a value"}
+    columns["missing"] = (("output",), np.array(list(missing.values())), about)
+    names = {"output": (list(outputs), "metric, or failure"), "factor": (list(factors), "uncertain number, or noise")}
+    coords = {name: (name, np.array(values), {"long_name": text}) for name, (values, text) in names.items()}
+    return xr.Dataset(columns, coords=coords, attrs={"title": study.name})
+
+
+def shown_outputs(study: Study) -> list[str]:
+    """The outputs that people ask for first: failure, and the metric that the study is about."""
+    return list(dict.fromkeys((FAILURE, headline_measure(study).name)))
 
 
 def saltelli(rows: int, factors: int, words: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -217,15 +283,15 @@ def sensitivity(study: Study, confidence: float = CONFIDENCE, progress: Progress
         samples.append((mixed, own))
     if noisy:
         samples.append((a, others))
-    found: list[Arrays] = []
+    results: list[Arrays] = []
     for points, indices in samples:
-        found.append(evaluate(engine, values_at(study, inside(points)), indices))
+        results.append(evaluate(engine, values_at(study, inside(points)), indices))
         if progress:
-            progress(len(found) * rows, len(samples) * rows)
+            progress(len(results) * rows, len(samples) * rows)
     outputs: dict[str, Indices | None] = {}
     reasons, missing = {}, {}
     for name in [measure.name for measure in study.measures] + [FAILURE]:
-        columns = np.stack([output(results, name) for results in found])
+        columns = np.stack([output(each, name) for each in results])
         missing[name] = int(np.count_nonzero(~np.isfinite(columns)))
         lacking = f"has no value on {missing[name]:,} simulations" if missing[name] else None
         reason = lacking or refusal(columns[0], columns[1])
@@ -233,7 +299,8 @@ def sensitivity(study: Study, confidence: float = CONFIDENCE, progress: Progress
         if reason:
             reasons[name] = reason
     factors = (*names, NOISE) if noisy else tuple(names)
-    return Sensitivity(study, rows, len(samples) * rows, factors, outputs, reasons, missing, confidence)
+    dataset = dataset_of(study, factors, outputs, missing)
+    return Sensitivity(study, dataset, rows, len(samples) * rows, reasons, confidence)
 
 
 def output(results: Arrays, name: str) -> np.ndarray:

@@ -17,13 +17,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dssc_jax.analyses.defaults import LEAST_PARTICLES, LEAST_REPEATS, MOVES, PARTICLES, PLAIN, REPEATS
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import stream
 from dssc_jax.engine.sampling import generator
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson, lognormal_interval
 
 SlackFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Margins, shape (n,), of points (n, d) in standard normal space with noise indices (n,); negative: failure."""
+"""Slacks, shape (n,), of points (n, d) in standard normal space with noise indices (n,); negative: failure."""
 
 FIRST_STEP, LEAST_STEP = 0.7, 0.02  # size of a move in standard normal space; it adapts to what is accepted
 ACCEPTED = 0.35  # share of moves to accept
@@ -47,20 +48,20 @@ class Splitting:
         ConfigError: a number is out of range.
     """
 
-    particles: int = 200
-    killed: int = 100
-    moves: int = 5
-    repeats: int = 20
+    particles: int = PARTICLES
+    killed: int = PARTICLES // 2
+    moves: int = MOVES
+    repeats: int = REPEATS
     smallest: float = 1e-12
-    plain: int = 4096
+    plain: int = PLAIN
 
     def __post_init__(self) -> None:
-        if self.particles < 10 or not 0 < self.killed < self.particles:
-            found = f"{self.particles} and {self.killed}"
-            raise ConfigError("rare", f"needs particles >= 10 and 0 < killed < particles, got {found}")
-        if self.repeats < 10 or self.moves < 1 or not 0.0 < self.smallest < 1.0:
-            found = f"{self.repeats}, {self.moves} and {self.smallest}"
-            raise ConfigError("rare", f"needs repeats >= 10, moves >= 1 and smallest in (0, 1), got {found}")
+        if self.particles < LEAST_PARTICLES or not 0 < self.killed < self.particles:
+            rule = f"needs particles >= {LEAST_PARTICLES} and 0 < killed < particles"
+            raise ConfigError("rare", f"{rule}, got {self.particles} and {self.killed}")
+        if self.repeats < LEAST_REPEATS or self.moves < 1 or not 0.0 < self.smallest < 1.0:
+            rule = f"needs repeats >= {LEAST_REPEATS}, moves >= 1 and smallest in (0, 1)"
+            raise ConfigError("rare", f"{rule}, got {self.repeats}, {self.moves} and {self.smallest}")
         if self.plain < 1:
             raise ConfigError("rare", f"needs plain >= 1, got {self.plain}")
 
@@ -199,7 +200,7 @@ class Estimate:
         return (1.0 - p) / (p * self.variation**2) if p > 0.0 and self.variation > 0.0 else np.inf
 
 
-def split(slack: SlackFunction, dimension: int, words: Sequence[int], how: Splitting = USUAL) -> Estimate:
+def split(slack: SlackFunction, dimension: int, words: Sequence[int], splitting: Splitting = USUAL) -> Estimate:
     """Adaptive multilevel splitting, and plain draws beside it.
 
     All repeats move at once, so that slacks are computed in large batches.
@@ -208,7 +209,7 @@ def split(slack: SlackFunction, dimension: int, words: Sequence[int], how: Split
         slack: The slacks; -inf where there is none.
         dimension: d of the standard normal space.
         words: Seeds of the random numbers.
-        how: How much to spend.
+        splitting: How much to spend.
 
     Reference:
         A. Guyader, N. Hengartner, E. Matzner-Lober, Applied Mathematics and Optimization 64 (2011) 171-196;
@@ -216,20 +217,20 @@ def split(slack: SlackFunction, dimension: int, words: Sequence[int], how: Split
         I. Papaioannou et al., Probabilistic Engineering Mechanics 41 (2015) 89-103.
     """
     counter = Counter(slack)
-    repeats = [started(generator(*words, index), dimension, how, counter) for index in range(how.repeats)]
-    for repeat, slacks in zip(repeats, np.split(counter.of(repeats, slice(None)), how.repeats), strict=True):
+    repeats = [started(generator(*words, index), dimension, splitting, counter) for index in range(splitting.repeats)]
+    for repeat, slacks in zip(repeats, np.split(counter.of(repeats, slice(None)), splitting.repeats), strict=True):
         repeat.slacks = slacks
     for _ in range(MOST_LEVELS):
-        moving = [(repeat, *raised(repeat, how)) for repeat in repeats if not done(repeat, how)]
+        moving = [(repeat, *raised(repeat, splitting)) for repeat in repeats if not done(repeat, splitting)]
         moving = [(repeat, level, clones) for repeat, level, clones in moving if len(clones)]
         if not moving:
             break
-        for _ in range(how.moves):
+        for _ in range(splitting.moves):
             move(moving, counter)
     failing = [repeat.slacks < 0.0 for repeat in repeats]
     simulations = counter.simulations
-    points = generator(*words, stream("plain")).standard_normal((how.plain, dimension))
-    plain = Plain(how.plain, points[counter(points, counter.fresh(how.plain)) < 0.0])
+    points = generator(*words, stream("plain")).standard_normal((splitting.plain, dimension))
+    plain = Plain(splitting.plain, points[counter(points, counter.fresh(splitting.plain)) < 0.0])
     return Estimate(
         estimates=np.array([0.0 if r.dead else r.estimate * f.mean() for r, f in zip(repeats, failing, strict=True)]),
         levels=np.array([repeat.levels for repeat in repeats]),
@@ -252,32 +253,32 @@ class Counter:
         return np.arange(self.indices - count, self.indices)
 
     def __call__(self, points: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        """Margins; what has none fails."""
+        """Slacks; what has none fails."""
         self.simulations += len(points)
-        found = self.slack(points, noise)
-        return np.where(np.isnan(found), -np.inf, found)
+        slacks = self.slack(points, noise)
+        return np.where(np.isnan(slacks), -np.inf, slacks)
 
     def of(self, repeats: list[Repeat], particles: slice) -> np.ndarray:
-        """Margins of particles of all repeats, in one batch."""
+        """Slacks of particles of all repeats, in one batch."""
         return self(
             np.concatenate([repeat.points[particles] for repeat in repeats]),
             np.concatenate([repeat.noise[particles] for repeat in repeats]),
         )
 
 
-def started(rng: np.random.Generator, dimension: int, how: Splitting, counter: Counter) -> Repeat:
+def started(rng: np.random.Generator, dimension: int, splitting: Splitting, counter: Counter) -> Repeat:
     """A repeat before its first level."""
-    points = rng.standard_normal((how.particles, dimension))
-    return Repeat(rng, points, counter.fresh(how.particles), np.full(how.particles, np.nan))
+    points = rng.standard_normal((splitting.particles, dimension))
+    return Repeat(rng, points, counter.fresh(splitting.particles), np.full(splitting.particles, np.nan))
 
 
-def done(repeat: Repeat, how: Splitting) -> bool:
+def done(repeat: Repeat, splitting: Splitting) -> bool:
     """Whether the next level would lie at failure or beyond; also marks repeats that are too small to go on with."""
-    repeat.dead = repeat.dead or repeat.estimate < how.smallest
-    return repeat.dead or bool(np.partition(repeat.slacks, -how.killed)[-how.killed] < 0.0)
+    repeat.dead = repeat.dead or repeat.estimate < splitting.smallest
+    return repeat.dead or bool(np.partition(repeat.slacks, -splitting.killed)[-splitting.killed] < 0.0)
 
 
-def raised(repeat: Repeat, how: Splitting) -> tuple[float, np.ndarray]:
+def raised(repeat: Repeat, splitting: Splitting) -> tuple[float, np.ndarray]:
     """The next level, and the particles that clones of the others replace.
 
     Ties die together. Particles that fail already are never killed, hence the level is 0 at least: at the last one
@@ -286,7 +287,7 @@ def raised(repeat: Repeat, how: Splitting) -> tuple[float, np.ndarray]:
     Returns:
         The level, which clones must stay below, and the clones' positions; none where nobody survives.
     """
-    level = float(np.partition(repeat.slacks, -how.killed)[-how.killed])
+    level = float(np.partition(repeat.slacks, -splitting.killed)[-splitting.killed])
     dying = repeat.slacks >= level
     survivors = np.flatnonzero(~dying)
     if not len(survivors):
@@ -315,12 +316,12 @@ def move(moving: list[tuple[Repeat, float, np.ndarray]], counter: Counter) -> No
         indices.append(np.where(redrawn, counter.fresh(len(clones)), repeat.noise[clones]))
     slacks = counter(np.concatenate(proposals), np.concatenate(indices))
     ends = np.cumsum([len(clones) for *_, clones in moving])[:-1]
-    for (repeat, level, clones), points, noise, found in zip(
+    for (repeat, level, clones), points, noise, reached in zip(
         moving, proposals, indices, np.split(slacks, ends), strict=True
     ):
-        accepted = found < level
+        accepted = reached < level
         repeat.points[clones[accepted]] = points[accepted]
         repeat.noise[clones[accepted]] = noise[accepted]
-        repeat.slacks[clones[accepted]] = found[accepted]
+        repeat.slacks[clones[accepted]] = reached[accepted]
         weight = len(clones) / len(repeat.slacks)
         repeat.step = float(np.clip(repeat.step * np.exp(weight * (accepted.mean() - ACCEPTED)), LEAST_STEP, 1.0))

@@ -11,6 +11,8 @@ import typer
 from dssc_jax.core.errors import ConfigError
 
 if TYPE_CHECKING:
+    from dssc_jax.analyses.loading import Loaded
+    from dssc_jax.results.analysis import Analysis
     from dssc_jax.results.result import Result
     from dssc_jax.study import Study
 
@@ -111,11 +113,24 @@ def load_result(folder: Path, trust_code: bool = False, local: bool = False) -> 
     from dssc_jax.results.result import load
 
     if trust_code:
-        about = read_manifest(folder)
-        if local:
-            sys.path.insert(0, str(Path(str(about.get("source", ""))).resolve().parent))
-        show_code("result", about["study"], about.get("code"))
+        trust(read_manifest(folder), local)
     return load(folder, trust_code)
+
+
+def load_any(folder: Path, trust_code: bool = False, local: bool = False) -> "Loaded":
+    """A stored result, or analysis, which may come from anybody; the rest as :func:`load_result`."""
+    from dssc_jax.analyses.loading import description, load
+
+    if trust_code:
+        trust(description(folder), local)
+    return load(folder, trust_code)
+
+
+def trust(about: dict[str, Any], local: bool) -> None:
+    """Say which code of a stored study is about to run, and find it where that was asked for."""
+    if local:
+        sys.path.insert(0, str(Path(str(about.get("source", ""))).resolve().parent))
+    show_code("result", about["study"], about.get("code"))
 
 
 def show_code(what: str, table: dict[str, Any], then: dict[str, Any] | None = None) -> None:
@@ -137,6 +152,39 @@ def default_out(study: "Study", command: str, *options: Any) -> Path:
     """results/NAME-COMMAND, with the study's hash where an option is given that alters what is asked."""
     altered = any(option not in (None, []) for option in options)
     return Path("results") / f"{study.name}-{command}{'-' + study.hash[:8] if altered else ''}"
+
+
+def save_analysis(analysis: "Analysis", folder: Path) -> list[Path]:
+    """Write an analysis and its figure into its folder; the figure's files."""
+    from dssc_jax.plotting import save_figure
+
+    analysis.save(folder)
+    return save_figure(analysis.figure(), folder / "figures", analysis.kind)
+
+
+def output_analysis(
+    analysis: "Analysis",
+    files: dict[str, Path],
+    figures: list[Path],
+    as_json: bool,
+    show: Callable[[dict[str, Any], list[Path]], None],
+) -> None:
+    """Print an analysis.
+
+    Args:
+        analysis: The analysis.
+        files: What else was written, by the name that programs know it by.
+        figures: Its figure's files.
+        as_json: Tell programs, not people.
+        show: Tells people.
+    """
+    import json
+
+    summary = analysis.summary() | {name: str(path) for name, path in files.items()}
+    if as_json:
+        print(json.dumps(summary, allow_nan=False))
+    else:
+        show(summary, [*files.values(), *figures])
 
 
 def attempt(path: Path, write: Callable[[], Any]) -> None:

@@ -39,4 +39,5 @@ Point = Annotated[
 Csv = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write the trajectory as CSV.")]
 Figure = Annotated[Path | None, typer.Option("--figure", metavar="FILE", help="Write a figure (PNG, SVG, PDF).")]
 Every = Annotated[int, typer.Option("--every", metavar="K", min=1, help="Keep every K-th sample.")]
+Stored = Annotated[Path, typer.Argument(metavar="FOLDER", help="The folder of a result, or of an analysis.")]
 Result = Annotated[Path, typer.Argument(metavar="RESULT", help="A results folder.")]

@@ -8,14 +8,16 @@ from typing import Annotated
 import typer
 
 from dssc_jax.cli import options as opt
-from dssc_jax.cli.common import DONE, app, attempt, load_result
+from dssc_jax.cli.common import DONE, app, attempt, load_any
 from dssc_jax.core.errors import ConfigError
 
 
 @app.command()
 def report(
-    result: Annotated[Path | None, typer.Argument(metavar="[RESULT]", help="A results folder.")] = None,
-    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="The page [RESULT/report.html].")] = None,
+    result: Annotated[
+        Path | None, typer.Argument(metavar="[FOLDER]", help="The folder of a result, or of an analysis.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="The page [FOLDER/report.html].")] = None,
     worst: Annotated[int, typer.Option("--worst", metavar="N", min=0, help="How many worst draws to show.")] = 3,
     index: Annotated[
         Path | None, typer.Option("--index", metavar="DIR", help="Write DIR/index.html over the results in DIR.")
@@ -24,10 +26,10 @@ def report(
     trust_code: opt.TrustCode = False,
     allow_local: opt.Local = False,
 ) -> int:
-    """Write a result as one HTML page.
+    """Write a result, or an analysis, as one HTML page.
 
-    The page needs neither network nor JavaScript and prints well. The worst draws are simulated again for it; those of
-    a study that names code of its own with --trust-code only.
+    The page needs neither network nor JavaScript and prints well. A result's worst draws are simulated again for it;
+    those of a study that names code of its own with --trust-code only.
 
     With --index, a page over all the results in a folder instead; reports that are missing or out of date are made.
     """
@@ -37,12 +39,12 @@ def report(
         if out is not None:
             raise ConfigError("--out", "is for one report; the index is written beside the results")
         assert index is not None
-        return tell_index(index, as_json)
+        return output_index(index, as_json)
     from dssc_jax.report import write
 
     began = time.perf_counter()
-    page, found = out or result / "report.html", load_result(result, trust_code, allow_local)
-    attempt(page, lambda: write(found, page, worst))
+    page, loaded = out or result / "report.html", load_any(result, trust_code, allow_local)
+    attempt(page, lambda: write(loaded, page, worst))
     size, seconds = page.stat().st_size, time.perf_counter() - began
     if as_json:
         print(json.dumps({"report": str(page), "bytes": size, "seconds": seconds}))
@@ -53,8 +55,8 @@ def report(
     return DONE
 
 
-def tell_index(root: Path, as_json: bool) -> int:
-    """Write the index of a folder of results, and tell what is in it."""
+def output_index(root: Path, as_json: bool) -> int:
+    """Write the index of a folder of results and analyses, and show what is in it."""
     from dssc_jax.console import show_page
     from dssc_jax.report import write_index
 

@@ -1,18 +1,15 @@
 """Commands on how robust a loop is: margin, theory, compare."""
 
-import json
-from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dssc_jax.analyses.defaults import BISECTIONS, CANDIDATES, POINTS
 from dssc_jax.cli import options as opt
-from dssc_jax.cli.common import DONE, app, default_out, load_study
+from dssc_jax.cli.common import DONE, app, default_out, load_study, output_analysis, save_analysis
 from dssc_jax.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from dssc_jax.analyses.comparison import MarginContest
     from dssc_jax.study import Study
 
 WalkOption = Annotated[
@@ -40,8 +37,8 @@ def margin(
     study: opt.Study,
     over: WalkOption,
     log: LogOption = False,
-    points: PointsOption = 17,
-    bisections: BisectionsOption = 14,
+    points: PointsOption = POINTS,
+    bisections: BisectionsOption = BISECTIONS,
     controllers: Annotated[
         str | None, typer.Option("--controllers", metavar="A,B,..", help="Of each of these, on the same draws.")
     ] = None,
@@ -60,45 +57,25 @@ def margin(
     Prints the median, the value up to which 95 % of all draws pass with 95 % confidence (Wilks), the share of draws
     without a critical value between the bounds, the share that passes again beyond a failure, and what Theorem 1 says.
     """
-    from dssc_jax import plotting
+    from dssc_jax.analyses.comparison import compare_margins
     from dssc_jax.analyses.margins import margin as find
-    from dssc_jax.console import jsonable, progress_bar, show_margin_contest, show_margins
+    from dssc_jax.console import progress_bar, show_margin_contest, show_margins
     from dssc_jax.results.analysis_folder import require_free
 
     name, bounds = parse_bounds(over)
-    walk = {"over": name, "bounds": bounds, "log": log, "points": points, "bisections": bisections}
-    loaded = load_study(study, settings, draws, seed, allow_local)
-    command = f"margin-{name}" if controllers is None else f"margins-{name}"
-    folder = out or default_out(loaded, command, settings, draws, seed)
+    walk: dict[str, Any] = {"over": name, "bounds": bounds, "log": log, "points": points, "bisections": bisections}
+    loaded = load_study(study, settings, draws, seed, allow_local).without_sweep()
+    kind = "margin" if controllers is None else "margins"
+    folder = out or default_out(loaded, f"{kind}-{name}", settings, draws, seed)
+    require_free(folder, kind, loaded)
     with progress_bar(loaded, quiet=as_json, **WALKED) as advance:
         if controllers is None:
-            require_free(folder, "margin")
-            found = find(loaded, **walk, progress=advance)
-            figure, show = plotting.margin(found), show_margins
+            margins, show = find(loaded, **walk, progress=advance), show_margins
         else:
-            found = compare_margins_of(loaded, controllers, folder, walk, advance)
-            figure, show = plotting.theory(found.margins), show_margin_contest
-    found.save(folder)
-    figures = plotting.save_figure(figure, folder / "figures", "margin")
-    summary = found.summary() | {"result": str(folder)}
-    if as_json:
-        print(json.dumps(jsonable(summary), allow_nan=False))
-    else:
-        show(summary, [folder, *figures])
+            names = split_names(controllers)
+            margins, show = compare_margins(loaded, names, **walk, progress=advance), show_margin_contest
+    output_analysis(margins, {"result": folder}, save_analysis(margins, folder), as_json, show)
     return DONE
-
-
-def compare_margins_of(
-    study: "Study", controllers: str, folder: Path, walk: dict[str, Any], progress: Callable[..., None]
-) -> "MarginContest":
-    """Margins of several controllers; their folder is checked before anything is simulated."""
-    from dssc_jax.analyses.comparison import compare_margins
-    from dssc_jax.results.analysis_folder import require_free
-
-    names = split_names(controllers)
-    for name in names:
-        require_free(folder / name, "margin")
-    return compare_margins(study, names, **walk, progress=progress)
 
 
 def split_names(text: str) -> list[str]:
@@ -111,8 +88,8 @@ def theory(
     study: opt.Study,
     over: WalkOption,
     log: LogOption = False,
-    points: PointsOption = 17,
-    bisections: BisectionsOption = 14,
+    points: PointsOption = POINTS,
+    bisections: BisectionsOption = BISECTIONS,
     settings: opt.Set = None,
     draws: opt.Draws = None,
     seed: opt.Seed = None,
@@ -125,34 +102,19 @@ def theory(
     Theorem 1 where it speaks, the linearised loop's local margin, describing functions (over unmodelled.mu), and the
     simulated margin. They answer different questions; where one of them does not apply, the answer says why.
     """
-    from dssc_jax import plotting
-    from dssc_jax.analyses.theory import beside
-    from dssc_jax.cli.statistics import keep, place
+    from dssc_jax.analyses.theory import assess
     from dssc_jax.console import progress_bar, show_theory
+    from dssc_jax.results.analysis_folder import require_free
 
     name, bounds = parse_bounds(over)
-    loaded = load_study(study, settings, draws, seed, allow_local)
+    walk: dict[str, Any] = {"over": name, "bounds": bounds, "log": log, "points": points, "bisections": bisections}
+    loaded = load_study(study, settings, draws, seed, allow_local).without_sweep()
     folder = out or default_out(loaded, f"theory-{name}", settings, draws, seed)
-    path = place(folder, "theory.json", loaded)
+    require_free(folder, "theory", loaded)
     rivals = switching_rivals(loaded)
     with progress_bar(loaded, quiet=as_json, **WALKED) as advance:
-        found = beside(
-            loaded,
-            over=name,
-            bounds=bounds,
-            log=log,
-            points=points,
-            bisections=bisections,
-            rivals=rivals,
-            progress=advance,
-        )
-    content = keep(path, found.summary(), loaded)
-    figure = plotting.theory(found.margins, found.oscillations, found.edge)
-    figures = plotting.save_figure(figure, folder / "figures", "theory")
-    if as_json:
-        print(json.dumps(content, allow_nan=False))
-    else:
-        show_theory(content, [path, *figures])
+        assessment = assess(loaded, **walk, rivals=rivals, progress=advance)
+    output_analysis(assessment, {"result": folder}, save_analysis(assessment, folder), as_json, show_theory)
     return DONE
 
 
@@ -160,13 +122,13 @@ def switching_rivals(study: "Study") -> dict[str, "Study"]:
     """The study under the laws that have a describing function, where their gains follow from it."""
     from dssc_jax.analyses.comparison import controller_table, with_controller
 
-    found = {}
+    rivals = {}
     for name in SWITCHING:
         try:
-            found[name] = with_controller(study, name, controller_table(study, name))
+            rivals[name] = with_controller(study, name, controller_table(study, name))
         except ConfigError:
             continue
-    return found
+    return rivals
 
 
 @app.command()
@@ -176,7 +138,8 @@ def compare(
         str, typer.Option("--controllers", metavar="A,B,..", help="Kinds, or names of the study's [compare.NAME].")
     ],
     tune: Annotated[
-        int | None, typer.Option("--tune", metavar="N", help="Candidates tried for each controller; 0: none [64].")
+        int | None,
+        typer.Option("--tune", metavar="N", help=f"Candidates tried for each controller; 0: none [{CANDIDATES}]."),
     ] = None,
     settings: opt.Set = None,
     draws: opt.Draws = None,
@@ -192,24 +155,16 @@ def compare(
     Prints failure probabilities, and for every pair the difference with its interval and an exact paired test. What is
     tuned is tuned on draws of its own. Plants of several channels are not tuned.
     """
-    from dssc_jax import plotting
     from dssc_jax.analyses.comparison import compare as contest
-    from dssc_jax.analyses.comparison.tuning import CANDIDATES
-    from dssc_jax.console import jsonable, progress_bar, show_comparison
+    from dssc_jax.console import progress_bar, show_comparison
     from dssc_jax.results.analysis_folder import require_free
 
-    loaded = load_study(study, settings, draws, seed, allow_local)
+    loaded = load_study(study, settings, draws, seed, allow_local).without_sweep()
     folder = out or default_out(loaded, "compare", settings, draws, seed)
-    require_free(folder, "compare")
-    names = split_names(controllers)
+    require_free(folder, "compare", loaded)
     usual = CANDIDATES if len(loaded.loop.channels) == 1 else 0
+    candidates = usual if tune is None else tune
     with progress_bar(loaded, quiet=as_json, of="runs") as advance:
-        found = contest(loaded, names, candidates=usual if tune is None else tune, progress=advance)
-    found.save(folder)
-    figures = plotting.save_figure(plotting.comparison(found), folder / "figures", "compare")
-    summary = found.summary() | {"result": str(folder)}
-    if as_json:
-        print(json.dumps(jsonable(summary), allow_nan=False))
-    else:
-        show_comparison(summary, [folder, *figures])
+        comparison = contest(loaded, split_names(controllers), candidates=candidates, progress=advance)
+    output_analysis(comparison, {"result": folder}, save_analysis(comparison, folder), as_json, show_comparison)
     return DONE

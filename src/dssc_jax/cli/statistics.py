@@ -1,17 +1,14 @@
 """Commands of statistics: plan, sensitivity, rare."""
 
 import json
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
+from dssc_jax.analyses.defaults import LEAST_REPEATS, MOVES, PARTICLES, PLAIN, REPEATS
 from dssc_jax.cli import options as opt
-from dssc_jax.cli.common import DONE, app, default_out, load_study
+from dssc_jax.cli.common import DONE, app, default_out, load_study, output_analysis, save_analysis
 from dssc_jax.core.errors import ConfigError
-
-if TYPE_CHECKING:
-    from dssc_jax.study import Study
 
 ConfidenceOption = Annotated[float, typer.Option("--confidence", metavar="C", help="Confidence of every statement.")]
 
@@ -64,34 +61,31 @@ def sensitivity(
     needs. The draws, rounded down to a power of two, are the rows of a sample that is simulated once for each uncertain
     number and twice more. The study's [sweep] is left aside.
     """
-    from dssc_jax import plotting
     from dssc_jax.analyses.sensitivity import sensitivity as indices
     from dssc_jax.console import progress_bar, show_sensitivity
+    from dssc_jax.results.analysis_folder import require_free
 
-    found = load_study(study, settings, draws, seed, allow_local).without_sweep()
-    folder = out or default_out(found, "sensitivity", settings, draws, seed)
-    path = place(folder, "sensitivity.json", found)
-    with progress_bar(found, quiet=as_json) as advance:
-        result = indices(found, progress=advance)
-    content = keep(path, result.to_dict(), found)
-    figures = plotting.save_figure(plotting.sensitivity(result), folder / "figures", "sensitivity")
-    if as_json:
-        print(json.dumps(content, allow_nan=False))
-    else:
-        show_sensitivity(result, [path, *figures])
+    loaded = load_study(study, settings, draws, seed, allow_local).without_sweep()
+    folder = out or default_out(loaded, "sensitivity", settings, draws, seed)
+    require_free(folder, "sensitivity", loaded)
+    with progress_bar(loaded, quiet=as_json) as advance:
+        result = indices(loaded, progress=advance)
+    output_analysis(result, {"result": folder}, save_analysis(result, folder), as_json, show_sensitivity)
     return DONE
 
 
 @app.command()
 def rare(
     study: opt.Study,
-    particles: Annotated[int, typer.Option("--particles", metavar="N", help="Particles of each repeat.")] = 200,
+    particles: Annotated[int, typer.Option("--particles", metavar="N", help="Particles of each repeat.")] = PARTICLES,
     killed: Annotated[
         int | None, typer.Option("--killed", metavar="K", help="Particles killed at each level [N/2].")
     ] = None,
-    moves: Annotated[int, typer.Option("--moves", metavar="M", help="Steps of a clone at each level.")] = 5,
-    repeats: Annotated[int, typer.Option("--repeats", metavar="R", help="Independent repeats, at least 10.")] = 20,
-    plain: Annotated[int, typer.Option("--plain", metavar="N", help="Plain draws, which may contradict.")] = 4096,
+    moves: Annotated[int, typer.Option("--moves", metavar="M", help="Steps of a clone at each level.")] = MOVES,
+    repeats: Annotated[
+        int, typer.Option("--repeats", metavar="R", help=f"Independent repeats, at least {LEAST_REPEATS}.")
+    ] = REPEATS,
+    plain: Annotated[int, typer.Option("--plain", metavar="N", help="Plain draws, which may contradict.")] = PLAIN,
     settings: opt.Set = None,
     seed: opt.Seed = None,
     out: opt.Out = None,
@@ -106,38 +100,14 @@ def rare(
     """
     from dssc_jax.analyses.rare_events import rare as estimate
     from dssc_jax.analyses.splitting import Splitting
-    from dssc_jax.console import counter, show_rare
+    from dssc_jax.console import progress_bar, show_rare
+    from dssc_jax.results.analysis_folder import require_free
 
-    found = load_study(study, settings, None, seed, allow_local).without_sweep()
-    how = Splitting(particles, particles // 2 if killed is None else killed, moves, repeats, plain=plain)
-    path = place(out or default_out(found, "rare", settings, seed), "rare.json", found)
-    with counter(found, quiet=as_json) as advance:
-        result = estimate(found, how, progress=advance)
-    content = keep(path, result.to_dict(), found)
-    if as_json:
-        print(json.dumps(content, allow_nan=False))
-    else:
-        show_rare(content, [path])
+    loaded = load_study(study, settings, None, seed, allow_local).without_sweep()
+    spent = Splitting(particles, particles // 2 if killed is None else killed, moves, repeats, plain=plain)
+    folder = out or default_out(loaded, "rare", settings, seed)
+    require_free(folder, "rare", loaded)
+    with progress_bar(loaded, quiet=as_json, of="simulations") as advance:
+        event = estimate(loaded, spent, progress=advance)
+    output_analysis(event, {"result": folder}, save_analysis(event, folder), as_json, show_rare)
     return DONE
-
-
-def place(folder: Path, name: str, study: "Study") -> Path:
-    """Where an answer goes; checked before anything is simulated.
-
-    Raises:
-        ConfigError: something else is there.
-    """
-    from dssc_jax.results.analysis_folder import require_place
-
-    require_place(folder / name, study)
-    return folder / name
-
-
-def keep(path: Path, content: dict[str, Any], study: "Study") -> dict[str, Any]:
-    """Write an answer with the study that it answers for."""
-    from dssc_jax.console import jsonable
-    from dssc_jax.results.analysis_folder import write_answer
-
-    plain = {**jsonable(content), "result": str(path.parent)}
-    write_answer(path, plain, study)
-    return plain

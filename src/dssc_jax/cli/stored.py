@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from dssc_jax.cli import options as opt
-from dssc_jax.cli.common import DONE, FAILS, app, load_result
+from dssc_jax.cli.common import DONE, FAILS, app, load_any, load_result
 
 
 @app.command()
@@ -37,21 +37,22 @@ def verify(
 
 @app.command()
 def export(
-    result: opt.Result,
+    result: opt.Stored,
     to: Annotated[str, typer.Option("--to", metavar="FORMAT", help="csv, parquet or netcdf.")],
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="The file [draws.csv, ... in RESULT].")
+        Path | None, typer.Option("--out", metavar="FILE", help="The file [draws.csv, ... in FOLDER].")
     ] = None,
     as_json: opt.Json = False,
 ) -> int:
-    """Write a result for other programs, with units and meanings.
+    """Write a result or an analysis for other programs, with units and meanings.
 
-    csv and parquet: a table with one row a draw and sweep point. netcdf: the dataset, with CF attributes.
+    csv and parquet: a table, of a result with one row a draw and sweep point, of an analysis with one row of its own
+    kind (a draw, a controller's draw, a factor, a simulated point, ...). netcdf: the dataset, with CF attributes.
     """
     from dssc_jax.console import show_files
     from dssc_jax.results.export import export as export_result
 
-    written = export_result(load_result(result), to, out)
+    written = export_result(load_any(result), to, out)
     if as_json:
         print(json.dumps({"result": str(result), "files": list(map(str, written))}))
     else:

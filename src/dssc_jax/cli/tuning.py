@@ -1,14 +1,14 @@
 """Commands that search: tune, falsify."""
 
-import json
 import shutil
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from dssc_jax.analyses.defaults import BUDGET, ROUNDS
 from dssc_jax.cli import options as opt
-from dssc_jax.cli.common import DONE, FAILS, app, attempt, default_out, load_study
+from dssc_jax.cli.common import DONE, FAILS, app, attempt, default_out, load_study, output_analysis, save_analysis
 
 BudgetOption = Annotated[
     int, typer.Option("--budget", metavar="N", help="Simulations of a hunt; one with derivatives counts for several.")
@@ -21,8 +21,8 @@ def tune(
     robust: Annotated[
         bool, typer.Option("--robust", help="Hunt the result's worst case, add it to the draws, tune again.")
     ] = False,
-    rounds: Annotated[int, typer.Option("--rounds", metavar="N", help="Rounds of --robust at most.")] = 5,
-    budget: BudgetOption = 1000,
+    rounds: Annotated[int, typer.Option("--rounds", metavar="N", help="Rounds of --robust at most.")] = ROUNDS,
+    budget: BudgetOption = BUDGET,
     settings: opt.Set = None,
     draws: opt.Draws = None,
     seed: opt.Seed = None,
@@ -37,33 +37,27 @@ def tune(
     Training draws are descended on, validation draws choose, and the study's own draws, on which nothing was tuned,
     decide: exit 1 where a limit or requirement is not met on the validation draws, or a hunt still finds a failure.
     """
-    from dssc_jax import plotting
     from dssc_jax.analyses.tuning import tune as search
-    from dssc_jax.console import jsonable, progress_bar, show_tuning
+    from dssc_jax.console import progress_bar, show_tuning
     from dssc_jax.results.analysis_folder import require_free
     from dssc_jax.study.tables import to_toml
 
-    loaded = load_study(study, settings, draws, seed, allow_local)
+    loaded = load_study(study, settings, draws, seed, allow_local).without_sweep()
     folder = default_out(loaded, "tune", settings, draws, seed)
-    require_free(folder, "tune")
+    require_free(folder, "tune", loaded)
     with progress_bar(loaded, quiet=as_json, of="steps", early="nothing better came") as advance:
-        found = search(loaded, robust=robust, rounds=rounds, budget=budget, report=advance)
-    found.save(folder)
-    figures = plotting.save_figure(plotting.tuning(found), folder / "figures", "tune")
+        tuned = search(loaded, robust=robust, rounds=rounds, budget=budget, progress=advance)
+    figures = save_analysis(tuned, folder)
     file = out or folder / "tuned.toml"
-    attempt(file, lambda: file.write_text(to_toml(found.study.table), encoding="utf-8"))
-    summary = found.summary() | {"result": str(folder), "tuned_study": str(file)}
-    if as_json:
-        print(json.dumps(jsonable(summary), allow_nan=False))
-    else:
-        show_tuning(summary, [file, folder, *figures])
-    return DONE if found.met else FAILS
+    attempt(file, lambda: file.write_text(to_toml(tuned.tuned_study.table), encoding="utf-8"))
+    output_analysis(tuned, {"tuned_study": file, "result": folder}, figures, as_json, show_tuning)
+    return DONE if tuned.met else FAILS
 
 
 @app.command()
 def falsify(
     study: opt.Study,
-    budget: BudgetOption = 1000,
+    budget: BudgetOption = BUDGET,
     search_seed: Annotated[int, typer.Option("--search-seed", metavar="S", min=0, help="Seed of the search.")] = 0,
     settings: opt.Set = None,
     seed: opt.Seed = None,
@@ -77,24 +71,21 @@ def falsify(
     draw (the folder witness, for `replay`).
     """
     from dssc_jax.analyses.falsification import falsify as hunt
-    from dssc_jax.console import jsonable, progress_bar, show_falsification
+    from dssc_jax.console import progress_bar, show_falsification
     from dssc_jax.results.analysis_folder import require_free
     from dssc_jax.runs.run import run
     from dssc_jax.study.tables import to_toml
 
-    loaded = load_study(study, settings, None, seed, allow_local)
+    loaded = load_study(study, settings, None, seed, allow_local).without_sweep()
     folder = out or default_out(loaded, "falsify", settings, seed)
-    require_free(folder, "falsify")
+    require_free(folder, "falsify", loaded)
     with progress_bar(loaded, quiet=as_json, of="simulations", early="the search found nothing further") as advance:
-        found = hunt(loaded, budget=budget, seed=search_seed, report=advance)
-    found.save(folder)
+        falsified = hunt(loaded, budget=budget, seed=search_seed, progress=advance)
+    figures = save_analysis(falsified, folder)
     file, witness = folder / "witness.toml", folder / "witness"
-    file.write_text(to_toml(found.witness_study.table), encoding="utf-8")
+    file.write_text(to_toml(falsified.witness_study.table), encoding="utf-8")
     shutil.rmtree(witness, ignore_errors=True)
-    run(found.witness_study, witness)
-    summary = found.summary() | {"result": str(folder), "witness_study": str(file), "replay": str(witness)}
-    if as_json:
-        print(json.dumps(jsonable(summary), allow_nan=False))
-    else:
-        show_falsification(summary, [folder, file, witness])
-    return FAILS if found.slack < 0.0 else DONE
+    run(falsified.witness_study, witness)
+    files = {"result": folder, "witness_study": file, "replay": witness}
+    output_analysis(falsified, files, figures, as_json, show_falsification)
+    return FAILS if falsified.slack < 0.0 else DONE

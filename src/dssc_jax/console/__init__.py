@@ -6,8 +6,6 @@ from dssc_jax.console.margins import show_margin_contest, show_margins, show_the
 from dssc_jax.console.results import show_draw, show_figures, show_result, show_verification
 from dssc_jax.console.searches import show_falsification, show_tuning
 from dssc_jax.console.terminal import (
-    counter,
-    jsonable,
     notify,
     output,
     progress_bar,
@@ -15,9 +13,9 @@ from dssc_jax.console.terminal import (
     show_page,
     show_table,
 )
+from dssc_jax.results.summary import jsonable
 
 __all__ = [
-    "counter",
     "environment",
     "jsonable",
     "machine",

@@ -2,17 +2,12 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from rich.markup import escape
 
-from dssc_jax.analyses.sensitivity import FAILURE
-from dssc_jax.console.terminal import output, show_files, show_pairs, show_table
-from dssc_jax.results.result import headline_measure
-
-if TYPE_CHECKING:
-    from dssc_jax.analyses.sensitivity import Sensitivity
+from dssc_jax.console.terminal import number_text, output, show_files, show_pairs, show_table
 
 
 def show_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
@@ -28,8 +23,9 @@ def show_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
         for name, own in contest["controllers"].items():
             low, high = own["interval"]
             share = f"{own['probability']:.4g}" if own["failures"] else f"<= {high:.3g}"
-            middle = f"{own['median'][metric]:.4g}" if metric in own["median"] else "none"
-            rows.append((name, f"{own['failures']}/{summary['draws']}", share, f"[{low:.3g}, {high:.3g}]", middle))
+            counted = f"{own['failures']}/{summary['draws']}"
+            middle = number_text(own["median"].get(metric), ".4g")
+            rows.append((name, counted, share, f"[{low:.3g}, {high:.3g}]", middle))
         show_table((gains, "failures", "probability", "95 % interval", f"median {metric}"), rows)
         show_pairs(contest["pairs"], "failure probability, paired", "exact McNemar")
     if summary["tuned"]:
@@ -37,21 +33,21 @@ def show_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
     show_files(files)
 
 
-def show_sensitivity(result: "Sensitivity", files: list[Path]) -> None:
-    """Indices of failure and of the study's headline metric; the file has those of all."""
+def show_sensitivity(summary: Mapping[str, Any], files: list[Path]) -> None:
+    """Indices of failure and of the study's headline metric; the folder has those of all."""
     console = output()
     console.print(
-        f"[bold]{escape(result.study.name)}[/bold]  Sobol indices, {result.simulations} simulations on {result.rows} "
-        f"rows; {100 * result.confidence:g} % intervals"
+        f"[bold]{escape(summary['study'])}[/bold]  Sobol indices, {summary['simulations']} simulations on "
+        f"{summary['rows']} rows; {100 * summary['confidence']:g} % intervals"
     )
-    for name in dict.fromkeys((FAILURE, headline_measure(result.study).name)):
-        found = result.outputs[name]
-        if found is None:
-            console.print(f"{name}: no indices; it {result.reasons[name]}", markup=False, soft_wrap=True)
+    for name in summary["headline"]:
+        indices = summary["outputs"][name]
+        if indices is None:
+            console.print(f"{name}: no indices; it {summary['reasons'][name]}", markup=False, soft_wrap=True)
             continue
         rows = [
-            (factor, interval_text(*first), interval_text(*total))
-            for factor, first, total in zip(result.factors, found.first, found.total, strict=True)
+            (factor, *(interval_text(own[part], *own[f"{part}_interval"]) for part in ("first", "total")))
+            for factor, own in indices.items()
         ]
         show_table((name, "first order: alone", "total: with all interactions"), rows)
     show_files(files)
@@ -62,42 +58,42 @@ def interval_text(value: float, low: float, high: float) -> str:
     return f"{value:.3f} [{low:.3f}, {high:.3f}]{'  consistent with 0' if low <= 0.0 else ''}"
 
 
-def show_rare(found: Mapping[str, Any], files: list[Path]) -> None:
+def show_rare(summary: Mapping[str, Any], files: list[Path]) -> None:
     """The probability of a rare failure, what it cost, and where failures are."""
     console = output()
-    low, high = found["interval"]
-    level = f"{100 * found['confidence']:g} % {found['interval_method']}"
-    console.print(f"[bold]{escape(found['study'])}[/bold]  required: {escape('; '.join(found['requirements']))}")
-    if found["splitting"]["probability"] == 0.0:
+    low, high = summary["interval"]
+    level = f"{100 * summary['confidence']:g} % {summary['interval_method']}"
+    console.print(f"[bold]{escape(summary['study'])}[/bold]  required: {escape('; '.join(summary['requirements']))}")
+    if summary["splitting"]["probability"] == 0.0:
         console.print("no repeat reached a failure; the splitting then says nothing of its probability", markup=False)
-    plain = found["plain"]
+    plain = summary["plain"]
     if plain["contradicts"]:
-        below, above = found["splitting"]["interval"]
+        below, above = summary["splitting"]["interval"]
         console.print(
-            f"warning: plain draws contradict the splitting, which found {found['splitting']['probability']:.3g} in "
+            f"warning: plain draws contradict the splitting, which found {summary['splitting']['probability']:.3g} in "
             f"[{below:.3g}, {above:.3g}]: it missed a way to failure, or its chains did not mix. The answer is that of "
             "the plain draws",
             style="bold yellow",
             markup=False,
         )
-    value = f"{found['probability']:.3g} in [{low:.3g}, {high:.3g}]" if found["probability"] else f"<= {high:.3g}"
+    value = f"{summary['probability']:.3g} in [{low:.3g}, {high:.3g}]" if summary["probability"] else f"<= {high:.3g}"
     console.print(f"failure probability {value} ({level})", markup=False)
     console.print(
-        f"beside it {plain['failures']:,} of {plain['draws']:,} plain draws failed; a failure that the margin does not "
+        f"beside it {plain['failures']:,} of {plain['draws']:,} plain draws failed; a failure that the slack does not "
         f"lead to may be as probable as {plain['interval'][1]:.3g}",
         markup=False,
     )
-    if found["splitting"]["probability"] > 0.0:
+    if summary["splitting"]["probability"] > 0.0:
         console.print(
-            f"coefficient of variation {found['variation']:.2g} by {found['simulations']:,} simulations; plain draws "
-            f"would take {found['plain_draws'] or np.inf:,.0f}",
+            f"coefficient of variation {summary['variation']:.2g} by {summary['simulations']:,} simulations; plain "
+            f"draws would take {summary['plain_draws'] or np.inf:,.0f}",
             markup=False,
         )
         rows = [
             (name, f"{about['median']:.4g}", *(f"{value:.4g}" for value in about["failing"]))
-            for name, about in found["where"].items()
+            for name, about in summary["where"].items()
         ]
         show_table(("number", "median", "failing: 5 %", "median", "95 %"), rows)
-    if found["in_loop_noise"]:
+    if summary["in_loop_noise"]:
         console.print("in-loop noise: half of the moves redraw it; a failure that only rare noise causes costs more")
     show_files(files)

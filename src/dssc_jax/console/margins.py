@@ -1,4 +1,4 @@
-"""Margins as a person sees them: of one loop, of several controllers, and beside theory."""
+"""Margins as a person sees them: of one loop, of several controllers, and with what theory says."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Any
 
 from rich.markup import escape
 
-from dssc_jax.console.terminal import output, show_files, show_pairs, show_table
+from dssc_jax.console.terminal import number_text, output, show_files, show_pairs, show_table
 from dssc_jax.statistics import wilks_draws
 
 BEFORE = "before the start"
@@ -81,30 +81,25 @@ def show_margin_contest(summary: Mapping[str, Any], files: list[Path]) -> None:
     show_files(files)
 
 
-def show_theory(found: Mapping[str, Any], files: list[Path]) -> None:
+def show_theory(summary: Mapping[str, Any], files: list[Path]) -> None:
     """The answers of theory and of simulation, a row each, with the question that each one answers."""
     console = output()
-    (start, end), draws = found["bounds"], found["draws"]
-    console.print(f"[bold]{escape(found['study'])}[/bold]  {draws} draws, {escape(found['parameter'])}")
+    (start, end), draws = summary["bounds"], summary["draws"]
+    console.print(f"[bold]{escape(summary['study'])}[/bold]  {draws} draws, {escape(summary['parameter'])}")
     rows = [
         (name, value_text(own["median"], end), tolerance_text(own, draws, end), "; ".join(own["criterion"]))
-        for name, own in {**found["local"], "simulated": found["performance"]}.items()
+        for name, own in {**summary["local"], "simulated": summary["performance"]}.items()
     ]
-    head = ("margin", f"median [{found['unit']}]", "95 % of draws pass up to", "criterion")
+    head = ("margin", f"median [{summary['unit']}]", "95 % of draws pass up to", "criterion")
     show_table(head, rows, f"walk from {start:g} to {end:g}")
     rows = [
-        (name, f"{of['mu'][k]:.3g}", f"{of['amplitude'][k]:.3g}", number_or_none(of["predicted"][k]))
-        for name, of in found["oscillations"].items()
+        (name, f"{of['mu'][k]:.3g}", f"{of['amplitude'][k]:.3g}", number_text(of["predicted"][k]))
+        for name, of in summary["oscillations"].items()
         for k in (0, len(of["mu"]) // 2, -1)
     ]
     if rows:
         show_table(("oscillation", "mu [s]", "amplitude of sigma [m/s]", "by describing function"), rows)
-    console.print(found["certificate"]["text"], markup=False, soft_wrap=True)
-    for name, why in found["silent"].items():
-        console.print(f"{name}: {why}", markup=False, soft_wrap=True)
+    console.print(summary["certificate"]["text"], markup=False, soft_wrap=True)
+    for name, reason in summary["not_covered"].items():
+        console.print(f"{name}: {reason}", markup=False, soft_wrap=True)
     show_files(files)
-
-
-def number_or_none(value: float | None) -> str:
-    """A number, or that there is none."""
-    return "none" if value is None else f"{value:.3g}"

@@ -1,17 +1,18 @@
 """What every command prints with: tables, progress, plain data as JSON has it."""
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
+
+from dssc_jax.core.signals import ProgressCallback
 
 if TYPE_CHECKING:
     from dssc_jax.study import Study
@@ -34,7 +35,7 @@ def notify(text: str) -> None:
 
 
 @contextmanager
-def progress_bar(study: "Study", quiet: bool, of: str = "draws", early: str = "") -> Iterator[Callable[..., None]]:
+def progress_bar(study: "Study", quiet: bool, of: str = "draws", early: str = "") -> Iterator[ProgressCallback]:
     """A bar with the time left, on stderr; ``quiet`` shows it only where stderr is a terminal.
 
     Args:
@@ -44,7 +45,7 @@ def progress_bar(study: "Study", quiet: bool, of: str = "draws", early: str = ""
         early: Why work ends before all of it is done, where it may.
 
     Yields:
-        Takes what is done, what is to do, and a line on what was found so far, if any.
+        What is told of the progress; where nobody knows how much there is to do, the bar only counts.
     """
     console = errors()
     columns = (
@@ -59,12 +60,11 @@ def progress_bar(study: "Study", quiet: bool, of: str = "draws", early: str = ""
     task = bar.add_task(f"{study.name} (compiling)", total=None)
     counted = most = 0
 
-    def advance(done: int, total: int, note: str = "") -> None:
+    def advance(done: int, total: int | None) -> None:
         nonlocal counted, most
-        counted, most = done, total
+        counted, most = done, done if total is None else total
         bar.start()  # not before the first call: bad input shows no bar
-        text = f"{study.name} {note}".strip() if done else f"{study.name} (compiling)"
-        bar.update(task, completed=done, total=total, description=text)
+        bar.update(task, completed=done, total=total, description=study.name if done else f"{study.name} (compiling)")
 
     try:
         yield advance
@@ -75,25 +75,6 @@ def progress_bar(study: "Study", quiet: bool, of: str = "draws", early: str = ""
             bar.stop()
     if counted < most and not bar.disable:
         notify(f"{study.name} stopped early after {counted:,} of at most {most:,} {of}: {early}")
-
-
-@contextmanager
-def counter(study: "Study", quiet: bool) -> Iterator[Callable[[int], None]]:
-    """The simulations done so far, on stderr, for work whose end nobody knows."""
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), TextColumn("{task.completed:,.0f} simulations"), TimeElapsedColumn())
-    bar = Progress(*columns, console=console, disable=quiet and not console.is_terminal)
-    task = bar.add_task(study.name, total=None)
-
-    def advance(done: int) -> None:
-        bar.start()
-        bar.update(task, completed=done)
-
-    try:
-        yield advance
-    finally:
-        if bar.live.is_started:
-            bar.stop()
 
 
 def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | None = None) -> None:
@@ -126,11 +107,6 @@ def show_page(page: Path, note: str) -> None:
     output().print(f"wrote {page} ({note})", soft_wrap=True, markup=False)
 
 
-def jsonable(content: Any) -> Any:
-    """Plain data as JSON has it: NaN and infinity become null."""
-    if isinstance(content, Mapping):
-        return {name: jsonable(value) for name, value in content.items()}
-    if isinstance(content, list | tuple):
-        return [jsonable(value) for value in content]
-    value = content.item() if isinstance(content, np.generic) else content
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+def number_text(value: float | None, form: str = ".3g", missing: str = "none") -> str:
+    """A number, or that there is none."""
+    return missing if value is None else format(value, form)

@@ -14,8 +14,8 @@ State: TypeAlias = Any
 
 Info: TypeAlias = Any
 
-ProgressCallback: TypeAlias = Callable[[int, int], None]
-"""Called with the number of finished lanes or steps and the total number."""
+ProgressCallback: TypeAlias = Callable[[int, int | None], None]
+"""Called with the number of finished lanes or steps and the total number; None: the total is not known."""
 
 
 class Measurement(NamedTuple):

@@ -12,11 +12,12 @@ from dssc_jax.plotting.comparisons import comparison
 from dssc_jax.plotting.draws import distribution, factor, failures
 from dssc_jax.plotting.indices import sensitivity
 from dssc_jax.plotting.margins import margin
+from dssc_jax.plotting.rare import rare
+from dssc_jax.plotting.searches import falsification, tuning
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, STYLE, write
 from dssc_jax.plotting.sweeps import fitted_slope, probability, sweep, typical
 from dssc_jax.plotting.theory import theory
 from dssc_jax.plotting.trajectories import signals, trajectory
-from dssc_jax.plotting.tuning import tuning
 from dssc_jax.results.result import Result
 
 __all__ = [
@@ -31,9 +32,11 @@ __all__ = [
     "distribution",
     "factor",
     "failures",
+    "falsification",
     "fitted_slope",
     "margin",
     "probability",
+    "rare",
     "save_all",
     "save_figure",
     "sensitivity",

@@ -1,6 +1,6 @@
 """The figure of a comparison: every controller's failure probability, and the paired differences."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -8,21 +8,19 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from dssc_jax.plotting.style import BLUE, GREY, ORANGE, SLIDE, styled, title
-
-if TYPE_CHECKING:
-    from dssc_jax.analyses.comparison import Comparison
+from dssc_jax.results.analysis import Analysis
 
 APART = 0.18  # between given and tuned gains of one controller
 
 
 @styled
-def comparison(found: "Comparison") -> Figure:
+def comparison(compared: Analysis) -> Figure:
     """Failure probabilities with their intervals, and differences to the first controller, paired draw by draw.
 
     Args:
-        found: What :func:`dssc_jax.compare` returned.
+        compared: What :func:`dssc_jax.compare` returned.
     """
-    summary = found.summary()
+    summary = compared.summary()
     names = list(summary["controllers"])
     figure = Figure(figsize=(SLIDE[0], max(SLIDE[1], 1.6 + 0.5 * len(names))), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)

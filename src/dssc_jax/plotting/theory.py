@@ -1,8 +1,8 @@
-"""Theory beside simulation: local and performance margins, and chattering predicted and simulated."""
+"""Theory and simulation: local and performance margins, and chattering predicted and simulated."""
 
 from collections.abc import Mapping
 from itertools import cycle
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -10,11 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from dssc_jax.plotting.margins import certificate
+from dssc_jax.plotting.margins import certificate, set_walk
 from dssc_jax.plotting.style import BLUE, GREY, ORANGE, PANEL, RED, SKY, SLIDE, VIOLET, styled
-
-if TYPE_CHECKING:
-    from dssc_jax.analyses.margins import Margins
+from dssc_jax.results.analysis import Analysis
 
 COLOURS = (BLUE, RED, ORANGE, VIOLET, SKY, "black")
 NOTHING = 1e-2  # of the push [1/s]: a deviation that dies away is not drawn
@@ -22,7 +20,7 @@ NOTHING = 1e-2  # of the push [1/s]: a deviation that dies away is not drawn
 
 @styled
 def theory(
-    margins: Mapping[str, "Margins"],
+    margins: Mapping[str, Analysis],
     oscillations: Mapping[str, xr.Dataset] | None = None,
     local: float | None = None,
 ) -> Figure:
@@ -40,14 +38,15 @@ def theory(
     size = (SLIDE[0] if oscillations else PANEL[0] + 1.4, SLIDE[1] + 0.9)
     figure = Figure(figsize=size, layout="constrained")
     left, *others = np.atleast_1d(figure.subplots(1, 2 if oscillations else 1))
-    for colour, (name, found) in zip(cycle(COLOURS), margins.items(), strict=False):
-        cumulative(left, found, name, colour)
-    first = next(iter(margins.values()))
-    left.set(xscale="log" if first.walk.log else "linear", ylim=(-0.03, 1.03))
-    left.set_xlim(first.walk.start, first.walk.end)
-    certificate(left, first.certificate, first.walk)
-    left.set(xlabel=f"critical {first.parameter} [{first.dataset['critical'].attrs['units']}]")
-    side = "below" if first.walk.end > first.walk.start else "above"
+    summaries = {name: one.summary() for name, one in margins.items()}
+    for colour, (name, one) in zip(cycle(COLOURS), margins.items(), strict=False):
+        cumulative(left, one, summaries[name], name, colour)
+    first = next(iter(summaries.values()))
+    left.set_ylim(-0.03, 1.03)
+    set_walk(left, first)
+    certificate(left, first)
+    left.set(xlabel=f"critical {first['parameter']} [{first['unit']}]")
+    side = "below" if first["bounds"][1] > first["bounds"][0] else "above"
     left.set_ylabel(f"share of draws at or {side}")
     left.yaxis.set_major_formatter(PercentFormatter(1.0))
     left.legend(frameon=False, fontsize=11)
@@ -59,12 +58,12 @@ def theory(
 
 def beyond(ax: Axes, oscillations: Mapping[str, xr.Dataset], local: float | None) -> None:
     """Amplitudes over the lag's time constant, simulated and predicted."""
-    for colour, (name, found) in zip(cycle(COLOURS), oscillations.items(), strict=False):
-        mu = found["unmodelled.mu"].values
-        amplitude = np.where(found["amplitude"] > NOTHING * found.attrs["push"], found["amplitude"], np.nan)
+    for colour, (name, one) in zip(cycle(COLOURS), oscillations.items(), strict=False):
+        mu = one["unmodelled.mu"].values
+        amplitude = np.where(one["amplitude"] > NOTHING * one.attrs["push"], one["amplitude"], np.nan)
         ax.loglog(mu, amplitude, "o", color=colour, label=f"{name}, simulated")
-        if not np.isnan(found["predicted"]).all():
-            ax.loglog(mu, found["predicted"], color=colour, label=f"{name}, describing function")
+        if not np.isnan(one["predicted"]).all():
+            ax.loglog(mu, one["predicted"], color=colour, label=f"{name}, describing function")
     if local is not None:
         ax.axvline(local, color=GREY, linestyle="--", label=f"local margin {local:.3g} s")
     ax.set(xlabel="time constant $\\mu$ of the lag [s]", ylabel=r"amplitude of $\sigma$ that is left [m/s]")
@@ -72,14 +71,13 @@ def beyond(ax: Axes, oscillations: Mapping[str, xr.Dataset], local: float | None
     ax.set_title("beyond the local margin")
 
 
-def cumulative(ax: Axes, found: "Margins", name: str, colour: str) -> None:
+def cumulative(ax: Axes, margins: Analysis, summary: Mapping[str, Any], name: str, colour: str) -> None:
     """Distribution function of critical values; censored draws keep it from reaching 0 or 1."""
-    critical, censoring = found.dataset["critical"].values, found.dataset["censoring"].values
+    critical, censoring = margins.dataset["critical"].values, margins.dataset["censoring"].values
+    start, end = summary["bounds"]
     steps = np.sort(critical[censoring == 0])
-    steps = steps if found.walk.end > found.walk.start else steps[::-1]
-    start = np.count_nonzero(censoring < 0)
-    share = (start + np.arange(len(steps) + 1)) / critical.size
-    x = np.concatenate([[found.walk.start], steps, [found.walk.end]])
-    linearised = "linearised" in " ".join(found.criterion)
-    style = "-" if not linearised else "--" if "sampled" in " ".join(found.criterion) else ":"
+    steps = steps if end > start else steps[::-1]
+    share = (np.count_nonzero(censoring < 0) + np.arange(len(steps) + 1)) / critical.size
+    x, criterion = np.concatenate([[start], steps, [end]]), " ".join(summary["criterion"])
+    style = "-" if "linearised" not in criterion else "--" if "sampled" in criterion else ":"
     ax.step(x, np.concatenate([share, share[-1:]]), where="post", color=colour, linestyle=style, label=name)

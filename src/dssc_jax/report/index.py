@@ -1,4 +1,4 @@
-"""A page over many runs: what a folder of results holds, each with its report."""
+"""A page over many results and analyses: what a folder holds, each with its report."""
 
 import os
 from collections.abc import Callable, Iterator
@@ -8,20 +8,25 @@ from urllib.parse import quote
 
 import htpy as h
 
+from dssc_jax.analyses.loading import KINDS, description, kind_in, load
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.report.elements import counted, interval, probability, table
 from dssc_jax.report.page import REPORT, page, save, write
 from dssc_jax.report.study_sections import moment
 from dssc_jax.results import store
-from dssc_jax.results.result import load
+from dssc_jax.results.analysis import Analysis
 
 INDEX = "index.html"
+MARKS = {store.MANIFEST, *(f"{kind}.json" for kind in KINDS)}
+"""Files that tell what a folder holds."""
 
 
 class Row(NamedTuple):
-    """One results folder; ``trouble`` tells why its numbers cannot be shown."""
+    """One folder of a result or an analysis; ``trouble`` tells why its numbers cannot be shown."""
 
     folder: Path
+    kind: str = ""
+    answer: str = ""
     study: str = ""
     started: str = ""
     size: str = ""
@@ -32,25 +37,29 @@ class Row(NamedTuple):
 
 
 def folders(root: Path) -> Iterator[Path]:
-    """Every results folder below ``root``, and the folders right in it that lead to none."""
+    """Every folder of a result or an analysis below ``root``, and the folders right in it that lead to none."""
     for child in sorted(path for path in root.iterdir() if path.is_dir()):
-        found = []
+        places = []
         for place, inner, files in os.walk(child):
-            if store.MANIFEST in files:
-                found.append(Path(place))
-            inner[:] = [] if store.MANIFEST in files else sorted(set(inner) - {store.DATA})
-        yield from found or [child]
+            whole = not MARKS.isdisjoint(files)
+            if whole:
+                places.append(Path(place))
+            inner[:] = [] if whole else sorted(set(inner) - {store.DATA})
+        yield from places or [child]
 
 
 def row_of(folder: Path, made: Callable[[Path], None]) -> Row:
     """What the index says of a folder, once its report is there; one that is missing, or older, is made."""
     row = Row(folder)
     try:
-        manifest = store.read_manifest(folder)
-        row = row._replace(study=str(manifest["study"].get("name", "")), started=str(manifest.get("started", "")))
+        kind, about = kind_in(folder), description(folder)
+        row = row._replace(study=str(about["study"].get("name", "")), started=str(about.get("started", "")))
         result, page = load(folder), folder / REPORT
-        if not page.exists() or page.stat().st_mtime < (folder / store.MANIFEST).stat().st_mtime:
+        mark = store.MANIFEST if kind is None else f"{kind}.json"
+        if not page.exists() or page.stat().st_mtime < (folder / mark).stat().st_mtime:
             made(write(result, page))
+        if isinstance(result, Analysis):
+            return row._replace(kind=result.title, answer=result.headline)
         return row._replace(**numbers(result.summary()["points"]))
     except ConfigError as error:
         return row._replace(trouble=error.rule)
@@ -77,7 +86,7 @@ def write_index(root: str | Path, made: Callable[[Path], None] = lambda page: No
     """Write ``index.html`` over the results below ``root``; reports that are missing or out of date are made first.
 
     Args:
-        root: A folder of results folders.
+        root: A folder of folders of results and analyses.
         made: Told of each report that was made.
 
     Returns:
@@ -100,26 +109,37 @@ def html(root: Path, rows: list[Row]) -> str:
     good = sorted((row for row in rows if not row.trouble), key=lambda row: row.worst)
     good = sorted(sorted(good, key=lambda row: row.started, reverse=True), key=lambda row: row.study)
     bad = [row for row in rows if row.trouble]
+    runs, analyses = [row for row in good if not row.kind], [row for row in good if row.kind]
     body: list[h.Node] = []
-    if good:
+
+    def link(row: Row) -> h.Element:
+        return h.a(href=quote(os.fsencode((row.folder / REPORT).relative_to(root))))[row.study]
+
+    if runs:
         cells = [
             (
-                h.a(href=quote(os.fsencode((row.folder / REPORT).relative_to(root))))[row.study],
+                link(row),
                 moment(row.started),
                 h.code[str(row.folder.relative_to(root))],
                 row.size,
                 row.probability,
                 row.interval,
             )
-            for row in good
+            for row in runs
         ]
         head = ("study", "started", "folder", "size", "failure probability", "95 % interval")
         body.append(section("runs", "Runs", table("A sweep shows its best and its worst point", head, cells, words=4)))
+    if analyses:
+        cells = [(link(row), row.kind, h.code[str(row.folder.relative_to(root))], row.answer) for row in analyses]
+        head = ("study", "analysis", "folder", "answer")
+        body.append(section("analyses", "Analyses", table("Each analysis with its answer", head, cells, words=4)))
     if bad:
         troubled = [(h.code[str(row.folder.relative_to(root))], row.study, row.trouble) for row in bad]
         caption = "Folders without a result that can be shown"
         body.append(section("damaged", "Not shown", table(caption, ("folder", "study", "why"), troubled, words=3)))
-    lead = f"{counted(len(good), 'run')} in {root.resolve().name}" if good else f"No result in {root.resolve().name}"
+    counts = [f"{len(runs):,} {'run' if len(runs) == 1 else 'runs'}"] if runs else []
+    counts += [f"{len(analyses):,} {'analysis' if len(analyses) == 1 else 'analyses'}"] if analyses else []
+    lead = f"{' and '.join(counts) or 'No result'} in {root.resolve().name}"
     return page(f"Results in {root.resolve().name}", [h.h1["Results"], h.p(".lead")[lead]], body, [])
 
 

@@ -1,6 +1,6 @@
 """The page: its sections in order, and the file that holds it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -8,10 +8,12 @@ from pathlib import Path
 import htpy as h
 from markupsafe import Markup
 
-from dssc_jax.report import result_sections, study_sections
+from dssc_jax.report import analysis_sections, result_sections, study_sections
 from dssc_jax.report.elements import Section, facts
-from dssc_jax.report.subject import WORST, Subject
+from dssc_jax.report.subject import WORST, AnalysisSubject, Subject
+from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.result import Result
+from dssc_jax.study import Study
 
 REPORT = "report.html"
 STYLE = Path(__file__).with_name("style.css")
@@ -31,29 +33,53 @@ SECTIONS: tuple[Callable[[Subject], Section | None], ...] = (
 """A section is a function of the subject; None where it has nothing to say."""
 
 
-def html(result: Result, worst: int = WORST) -> str:
-    """The report of a result.
+ANALYSIS_SECTIONS: tuple[Callable[[AnalysisSubject], Section | None], ...] = (
+    analysis_sections.answer,
+    analysis_sections.numbers,
+    study_sections.loop,
+    study_sections.laws,
+    analysis_sections.dataset,
+    analysis_sections.provenance,
+)
+"""Those of an analysis."""
+
+
+def html(result: Result | Analysis, worst: int = WORST) -> str:
+    """The report of a result, or of an analysis.
 
     Args:
-        result: A loaded or fresh result.
-        worst: How many of the worst draws are simulated again and shown; 0 needs no simulator.
+        result: A loaded or fresh one.
+        worst: How many of a result's worst draws are simulated again and shown; 0 needs no simulator.
     """
+    if isinstance(result, Analysis):
+        return html_of_analysis(result)
     about = Subject(result, worst)
-    sections = [section for make in SECTIONS if (section := make(about)) is not None]
-    study = result.study
     short, long = result_sections.verdict(about)
-    contents = [(section.key, section.heading) for section in sections]
+    verdict = facts([("failure probability", [h.strong[short], h.span[long]])], "verdict")
+    sections = [make(about) for make in SECTIONS]
+    return report(result.study, "Robustness report", verdict, sections)
+
+
+def html_of_analysis(analysis: Analysis) -> str:
+    """The report of an analysis."""
+    about = AnalysisSubject(analysis)
+    sections = [make(about) for make in ANALYSIS_SECTIONS]
+    return report(analysis.study, analysis.title, h.p(".lead")[analysis.headline], sections)
+
+
+def report(study: Study, kind: str, verdict: h.Node, sections: Sequence[Section | None]) -> str:
+    """A report of any kind; sections that have nothing to say are left out."""
+    made = [section for section in sections if section is not None]
     head = [
-        h.p(".kind")["Robustness report"],
+        h.p(".kind")[kind],
         h.h1[study.name],
         study.config.description and h.p(".lead")[study.config.description],
-        facts([("failure probability", [h.strong[short], h.span[long]])], "verdict"),
+        verdict,
     ]
     body = [
-        h.section(aria_labelledby=section.key)[h.h2(id=section.key)[section.heading], section.body]
-        for section in sections
+        h.section(aria_labelledby=section.key)[h.h2(id=section.key)[section.heading], section.body] for section in made
     ]
-    return page(result_sections.title_of(study), head, body, contents)
+    return page(f"{study.name}: {kind.lower()}", head, body, [(section.key, section.heading) for section in made])
 
 
 def page(title: str, head: h.Node, body: h.Node, contents: list[tuple[str, str]]) -> str:
@@ -81,11 +107,11 @@ def page(title: str, head: h.Node, body: h.Node, contents: list[tuple[str, str]]
     )
 
 
-def write(result: Result, path: str | Path, worst: int = WORST) -> Path:
-    """Write the report of a result.
+def write(result: Result | Analysis, path: str | Path, worst: int = WORST) -> Path:
+    """Write the report of a result, or of an analysis.
 
     Args:
-        result: A loaded or fresh result.
+        result: A loaded or fresh one.
         path: The file.
         worst: As for :func:`html`.
     """

@@ -31,7 +31,7 @@ from dssc_jax.results.result import Result, headline
 from dssc_jax.results.schema import ENDINGS, outcome_codes
 from dssc_jax.results.summary import most_violated
 from dssc_jax.statistics.order import upper_quantiles
-from dssc_jax.study import Described, Study
+from dssc_jax.study import Described
 
 MOST_ROWS, MOST_FACTORS = 400, 24
 CERTIFIED = {None: "-", True: "yes", False: "no"}
@@ -283,8 +283,3 @@ def verdict(about: Subject) -> tuple[str, str]:
     best, most = (pick(found, key=lambda point: point["probability"]) for pick in (min, max))
     text = " to ".join(probability(point["probability"], point["interval"]) for point in (best, most))
     return text, f"from the best to the worst of {counted(len(found), 'point')}, {best['draws']:,} draws each"
-
-
-def title_of(study: Study) -> str:
-    """The page's title."""
-    return f"{study.name}: robustness report"

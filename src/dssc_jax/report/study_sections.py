@@ -10,7 +10,7 @@ import tomli_w
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.report.diagram import diagram
 from dssc_jax.report.elements import Section, counted, facts, figure, folded, number, scrolled, table, with_unit
-from dssc_jax.report.subject import Subject
+from dssc_jax.report.subject import About, Subject
 from dssc_jax.study import Law, Study
 from dssc_jax.study.laws import LOGARITHMIC
 
@@ -51,14 +51,14 @@ def sentence(requirement: Requirement) -> h.Node:
     return [f"{metric.meaning}{channel}{window}: {side} ", h.strong[bound]]
 
 
-def loop(about: Subject) -> Section:
+def loop(about: About) -> Section:
     """The block diagram."""
     study = about.result.study
     caption = "The loop that is simulated. ~ marks numbers that a law gives, ⇄ numbers that are swept."
     return Section("loop", "The loop", figure(scrolled("Block diagram", diagram(study)), caption))
 
 
-def laws(about: Subject) -> Section | None:
+def laws(about: About) -> Section | None:
     """Every uncertain number with its law."""
     study = about.result.study
     if not study.laws:
@@ -116,11 +116,14 @@ def provenance(about: Subject) -> Section:
         ("machine", f"{device.get('count', '?')} of {device.get('kind', '?')} ({device.get('platform', '?')})"),
         ("versions", versions),
     ]
-    text = tomli_w.dumps(without_none(study.table))
     again = ["Save it as a file and give it to ", h.code["dssc-jax run"], " or ", h.code["dssc-jax sweep"], "."]
-    listing = [h.p[again], h.pre(tabindex="0")[h.code[text]]]
-    body = [facts(pairs, "facts wide"), folded("The study file", listing, on_paper=True)]
-    return Section("provenance", "Provenance", body)
+    return Section("provenance", "Provenance", [facts(pairs, "facts wide"), listing(study, again)])
+
+
+def listing(study: Study, again: h.Node) -> h.Element:
+    """The study file, and what to do with it."""
+    text = tomli_w.dumps(without_none(study.table))
+    return folded("The study file", [h.p[again], h.pre(tabindex="0")[h.code[text]]], on_paper=True)
 
 
 def part(manifest: dict[str, Any], name: str) -> dict[str, Any]:

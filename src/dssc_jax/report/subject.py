@@ -2,16 +2,51 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import xarray as xr
 
+from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.result import Result, headline
 from dssc_jax.runs.trajectory import agreement_of, recorder
-from dssc_jax.study import Described
+from dssc_jax.study import Described, Study
 
 WORST = 3  # draws that are shown over time
+
+
+class Studied(Protocol):
+    """A result, or an analysis: it has a study."""
+
+    @property
+    def study(self) -> Study:
+        """What was studied."""
+        ...
+
+
+class About(Protocol):
+    """What a report of any kind is about."""
+
+    @property
+    def result(self) -> Studied:
+        """The result, or the analysis."""
+        ...
+
+
+@dataclass(frozen=True)
+class AnalysisSubject:
+    """An analysis with what several sections need of it.
+
+    Args:
+        result: The analysis.
+    """
+
+    result: Analysis
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """The analysis in plain numbers."""
+        return self.result.summary()
 
 
 @dataclass(frozen=True)

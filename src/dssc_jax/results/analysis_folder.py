@@ -1,4 +1,4 @@
-"""What an analysis that is no run of a study's grid leaves: a folder with a dataset, or an answer in one file."""
+"""The folder of an analysis that is no run of a study's grid: a sealed description, a dataset, a summary."""
 
 import hashlib
 import json
@@ -15,8 +15,13 @@ from dssc_jax.results.manifest import DATA, SCHEMA, SEAL, SUMMARY, about_code, u
 from dssc_jax.study import Study, hash_of, received
 from dssc_jax.study.tables import require_shallow
 
-NEEDED = {"study": dict, "hash": str, "source": str, "how": dict, "sums": dict}
-"""What the file of an analysis says beside its dataset, and of which type."""
+FIRST_NAMES = {"settings": "how"}
+"""What the first version called parts of the description."""
+
+NEEDED = {"study": dict, "hash": str, "source": str, "settings": dict, "sums": dict}
+"""What the description says beside the dataset, and of which type."""
+
+FLAGS = ("flag_values", "flag_meanings")
 
 
 class Stored(NamedTuple):
@@ -24,54 +29,79 @@ class Stored(NamedTuple):
 
     Args:
         study: What was analysed.
-        dataset: Every draw.
-        how: What else :func:`save` was given.
+        dataset: Its numbers.
+        settings: What else :func:`save` was given.
     """
 
     study: Study
     dataset: xr.Dataset
-    how: dict[str, Any]
+    settings: dict[str, Any]
 
 
-def require_free(folder: Path, kind: str) -> None:
-    """Require that a folder is absent, empty, or holds an analysis of this kind.
+def require_free(folder: Path, kind: str, study: Study) -> None:
+    """Require that a folder is absent, empty, or holds an analysis of this kind and study.
 
     Raises:
         ConfigError: it holds something else.
     """
-    if folder.exists() and not (folder.is_dir() and ((folder / f"{kind}.json").exists() or not any(folder.iterdir()))):
+    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+        return
+    path = folder / f"{kind}.json"
+    if not path.exists():
         raise ConfigError(str(folder), f"holds something other than a {kind} analysis; nothing was written")
+    try:
+        same = json.loads(path.read_text(encoding="utf-8"))["hash"] == study.hash
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        same = False
+    if not same:
+        rule = f"holds the {kind} analysis of another study; choose another --out, nothing was written"
+        raise ConfigError(str(folder), rule)
 
 
 def save(
-    folder: Path,
-    kind: str,
-    study: Study,
-    dataset: xr.Dataset,
-    summary: dict[str, Any],
-    how: dict[str, Any] | None = None,
+    folder: Path, kind: str, study: Study, dataset: xr.Dataset, summary: dict[str, Any], settings: dict[str, Any]
 ) -> Path:
-    """Write the folder of an analysis; one of the same kind is written anew.
+    """Write the folder of an analysis; one of the same kind and study is written anew.
 
     Args:
         folder: Made when absent.
         kind: Which analysis, e.g. ``margin``.
         study: What was analysed.
-        dataset: Every draw.
+        dataset: Its numbers.
         summary: What they say together.
-        how: What else its reader needs.
+        settings: What else its reader needs.
 
     Raises:
         ConfigError: the folder holds something else.
     """
-    require_free(folder, kind)
+    require_free(folder, kind, study)
     folder.mkdir(parents=True, exist_ok=True)
-    about = {"study": study.table, "hash": study.hash, "source": study.source, "how": how or {}}
-    about |= {"sums": sums_of(dataset), "schema": SCHEMA, **about_code(study)}
+    plain, labels = with_codes(dataset)
+    about = {"study": study.table, "hash": study.hash, "source": study.source, "settings": settings, "labels": labels}
+    about |= {"sums": sums_of(plain), "schema": SCHEMA, **about_code(study)}
     write_sealed(folder / f"{kind}.json", about)
-    dataset.to_zarr(folder / DATA, mode="w", consolidated=False, zarr_format=3)
+    plain.to_zarr(folder / DATA, mode="w", consolidated=False, zarr_format=3)
     write_json(folder / SUMMARY, summary)
     return folder
+
+
+def with_codes(dataset: xr.Dataset) -> tuple[xr.Dataset, dict[str, list[str]]]:
+    """A dataset whose coordinates of text are numbers, since Zarr has no stable text; and that text."""
+    labels = {str(name): one.values.tolist() for name, one in dataset.coords.items() if one.dtype.kind in "UO"}
+    codes = {}
+    for name, texts in labels.items():
+        flags = (list(range(len(texts))), " ".join(text.replace(" ", "_") for text in texts))
+        codes[name] = (name, np.arange(len(texts)), dataset[name].attrs | dict(zip(FLAGS, flags, strict=True)))
+    return dataset.assign_coords(codes), labels
+
+
+def with_labels(dataset: xr.Dataset, labels: Mapping[str, list[str]]) -> xr.Dataset:
+    """The dataset that :func:`with_codes` was given."""
+    texts = {}
+    for name, values in labels.items():
+        attributes = {key: value for key, value in dataset[name].attrs.items() if key not in FLAGS}
+        texts[name] = (name, np.array(values), attributes)
+    return dataset.assign_coords(texts)
 
 
 def sums_of(dataset: xr.Dataset) -> dict[str, str]:
@@ -80,26 +110,21 @@ def sums_of(dataset: xr.Dataset) -> dict[str, str]:
     def about(attributes: Mapping[Any, Any]) -> str:
         return json.dumps(attributes, sort_keys=True, default=np.ndarray.tolist)
 
-    found = {str(name): sum_of(one.values, f"{one.dims} {about(one.attrs)}") for name, one in dataset.variables.items()}
-    return found | {"": hashlib.sha256(about(dataset.attrs).encode()).hexdigest()}
+    sums = {str(name): sum_of(one.values, f"{one.dims} {about(one.attrs)}") for name, one in dataset.variables.items()}
+    return sums | {"": hashlib.sha256(about(dataset.attrs).encode()).hexdigest()}
 
 
 def plain_sums_of(dataset: xr.Dataset) -> dict[str, str]:
     """The sums of a file without a digest of its own, from before attributes were summed."""
-    found = {}
+    sums = {}
     for name, one in dataset.variables.items():
         head = f"{one.dims} {one.shape} {one.dtype.str}".encode()
-        found[str(name)] = hashlib.sha256(head + np.ascontiguousarray(one.values).tobytes()).hexdigest()
-    return found
+        sums[str(name)] = hashlib.sha256(head + np.ascontiguousarray(one.values).tobytes()).hexdigest()
+    return sums
 
 
-def read(folder: Path, kind: str, trust_code: bool = False) -> Stored:
-    """Read what :func:`save` wrote.
-
-    Args:
-        folder: The folder.
-        kind: Which analysis.
-        trust_code: Import the models that its study names as ``module:object``.
+def read_about(folder: Path, kind: str) -> dict[str, Any]:
+    """The description of an analysis, checked.
 
     Raises:
         ConfigError: it is not there, it is damaged, or somebody has altered it.
@@ -113,52 +138,40 @@ def read(folder: Path, kind: str, trust_code: bool = False) -> Stored:
     except (ValueError, RecursionError) as error:
         raise ConfigError(str(path), f"is damaged, not valid JSON: {error}") from error
     about = about if isinstance(about, dict) else {}
+    if SEAL in about or "schema" in about:
+        about = unsealed(path, about)
+    about |= {name: about[first] for name, first in FIRST_NAMES.items() if name not in about and first in about}
     lacking = [name for name, of in NEEDED.items() if not isinstance(about.get(name), of)]
     if lacking:
         raise ConfigError(str(path), f"is damaged, or of another version: it has no {', '.join(lacking)}")
-    digested = SEAL in about or "schema" in about
-    if digested:
-        about = unsealed(path, about)
     try:
         require_shallow(about["study"])
     except ConfigError as error:
         raise error.within(str(path)) from None
     if hash_of(about["study"]) != about["hash"]:
         raise ConfigError(str(path), "is damaged: the study in it is not the one that its hash is of")
+    return about
+
+
+def read(folder: Path, kind: str, trust_code: bool = False) -> Stored:
+    """Read what :func:`save` wrote.
+
+    Args:
+        folder: The folder.
+        kind: Which analysis.
+        trust_code: Import the models that its study names as ``module:object``.
+
+    Raises:
+        ConfigError: it is not there, it is damaged, or somebody has altered it.
+    """
+    about = read_about(folder, kind)
+    summed = sums_of if "schema" in about else plain_sums_of
     try:
         dataset = xr.open_zarr(folder / DATA, consolidated=False, zarr_format=3, chunks=None).load()
-        whole = (sums_of if digested else plain_sums_of)(dataset) == about["sums"]
+        whole = summed(dataset) == about["sums"]
+        dataset = with_labels(dataset, about.get("labels", {}))
     except Exception as error:  # zarr, its codecs and xarray raise errors of many kinds
         raise ConfigError(str(folder / DATA), f"cannot be read: {' '.join(str(error).split())}") from error
     if not whole:
         raise ConfigError(str(folder / DATA), "is damaged: it does not hold what was written; run the analysis again")
-    return Stored(received(about, about["source"], trust_code), dataset, about["how"])
-
-
-def require_place(path: Path, study: Study) -> None:
-    """Require that an answer of the study may be written.
-
-    Raises:
-        ConfigError: the file holds something else, or its folder is a file.
-    """
-    if path.parent.exists() and not path.parent.is_dir():
-        raise ConfigError(str(path.parent), "is a file, not a results folder; nothing was written")
-    if path.exists():
-        try:
-            same = json.loads(path.read_text(encoding="utf-8"))["hash"] == study.hash
-        except (ValueError, KeyError, TypeError):
-            same = False
-        if not same:
-            raise ConfigError(str(path), "holds the answer to another study; choose another --out, nothing was written")
-
-
-def write_answer(path: Path, content: dict[str, Any], study: Study) -> None:
-    """Write an analysis that has no dataset, with the study that it is of.
-
-    Args:
-        path: A JSON file that :func:`require_place` has passed; its folder is made when absent.
-        content: The answer.
-        study: What it answers for.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_json(path, {**content, "hash": study.hash, "source": study.source, "inputs": study.table})
+    return Stored(received(about, about["source"], trust_code), dataset, about["settings"])

@@ -5,13 +5,15 @@ import json
 import os
 from collections.abc import Callable, Iterable
 from enum import StrEnum
+from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Layout, lanes_of
+from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.result import Result
 from dssc_jax.results.schema import OUTCOME, coordinates, outcome_codes, variables
 
@@ -32,20 +34,38 @@ class Format(StrEnum):
 
 
 FILE_NAMES = {Format.CSV: "draws.csv", Format.PARQUET: "draws.parquet", Format.NETCDF: "result.nc"}
+ANALYSIS_FILES = {Format.CSV: "table.csv", Format.PARQUET: "table.parquet", Format.NETCDF: "dataset.nc"}
 NEEDS = {Format.CSV: (), Format.PARQUET: ("pyarrow",), Format.NETCDF: ("h5netcdf", "h5py")}
+DATATYPES = {"i": "integer", "u": "integer", "b": "boolean", "U": "string", "O": "string", "f": "double"}
+"""Datatypes of "CSV on the Web" by NumPy's kinds."""
 
 
-def export(result: Result, to: Format | str, out: str | Path | None = None) -> list[Path]:
-    """Write a result for other programs.
-
-    ``csv`` and ``parquet`` are a table with one row per lane: swept values, draw, drawn numbers, metrics, slacks and
-    outcome. Units and long names are in Parquet's column metadata; for CSV in a separate ``<file>-metadata.json``,
-    which follows the W3C's "CSV on the Web". ``netcdf`` is the dataset itself, with CF attributes.
+class Rows(NamedTuple):
+    """A table as it is written.
 
     Args:
-        result: A loaded or fresh result.
+        columns: Attributes of the columns, in order.
+        datatypes: Of each column.
+        pieces: The rows, a part at a time.
+    """
+
+    columns: dict[str, dict[str, Any]]
+    datatypes: dict[str, str]
+    pieces: Iterable["pd.DataFrame"]
+
+
+def export(result: Result | Analysis, to: Format | str, out: str | Path | None = None) -> list[Path]:
+    """Write a result or an analysis for other programs.
+
+    ``csv`` and ``parquet`` are a table, of a result with one row a lane: swept values, draw, drawn numbers, metrics,
+    slacks and how it ended; of an analysis with a row for each index of its own dimensions. Units and long names stand
+    in Parquet's column metadata; beside a CSV in ``<file>-metadata.json``, which follows the W3C's "CSV on the Web".
+    ``netcdf`` is the dataset itself, with CF attributes.
+
+    Args:
+        result: A loaded or fresh one.
         to: One of :class:`Format`.
-        out: The file; None: in the results folder.
+        out: The file; None: in its folder.
 
     Returns:
         The files written.
@@ -60,7 +80,8 @@ def export(result: Result, to: Format | str, out: str | Path | None = None) -> l
         require(package, form)
     if out is None and result.path is None:
         raise ConfigError("out", "is needed for a result that has no folder")
-    path = Path(out) if out is not None else Path(result.path or "") / FILE_NAMES[form]
+    names = ANALYSIS_FILES if isinstance(result, Analysis) else FILE_NAMES
+    path = Path(out) if out is not None else Path(result.path or "") / names[form]
     writers = {Format.CSV: write_csv, Format.PARQUET: write_parquet, Format.NETCDF: write_netcdf}
     written = [into_place(path, lambda partial: writers[form](result, partial))]
     if form is Format.CSV:
@@ -99,15 +120,36 @@ def into_place(path: Path, write: Callable[[Path], Any]) -> Path:
     return path
 
 
-def columns(result: Result) -> dict[str, dict[str, Any]]:
-    """Attributes of the table's columns, in order."""
+def table_of(result: Result | Analysis) -> Rows:
+    """The table of a result, or of an analysis."""
+    return table_of_analysis(result) if isinstance(result, Analysis) else table_of_lanes(result)
+
+
+def table_of_analysis(analysis: Analysis) -> Rows:
+    """A row for each index of the analysis' own dimensions."""
+    data, own = analysis.dataset, set(analysis.table)
+    part = data[[name for name, one in data.items() if set(one.dims) <= own]]
+    frame = part.to_dataframe(dim_order=list(analysis.table)).reset_index()
+    names = list(map(str, frame.columns))
+    columns = {
+        name: dict(data[name].attrs) if name in data.variables else {"long_name": f"index of the {name}"}
+        for name in names
+    }
+    return Rows(columns, {name: DATATYPES[frame[name].to_numpy().dtype.kind] for name in names}, [frame])
+
+
+def table_of_lanes(result: Result) -> Rows:
+    """A row a lane."""
     described = {**coordinates(result.study), **variables(result.study)}
-    attributes = {name: dict(variable.attributes) for name, variable in described.items()}
-    return {**attributes, MEANING: {"long_name": OUTCOME}}
+    columns = {name: dict(variable.attributes) for name, variable in described.items()} | {
+        MEANING: {"long_name": OUTCOME}
+    }
+    datatypes = dict.fromkeys(columns, "double") | {"draw": "integer", "outcome": "integer", MEANING: "string"}
+    return Rows(columns, datatypes, pieces(result, list(columns)))
 
 
-def pieces(result: Result) -> Iterable["pd.DataFrame"]:
-    """The table of draws, in parts."""
+def pieces(result: Result, names: list[str]) -> Iterable["pd.DataFrame"]:
+    """The table of lanes, a part at a time."""
     import pandas as pd
 
     study, data = result.study, result.dataset
@@ -120,24 +162,23 @@ def pieces(result: Result) -> Iterable["pd.DataFrame"]:
         meaning = pd.Categorical.from_codes(
             np.searchsorted(list(codes), table["outcome"]), categories=list(codes.values())
         )
-        yield pd.DataFrame(table | {MEANING: meaning}, columns=list(columns(result)))
+        yield pd.DataFrame(table | {MEANING: meaning}, columns=names)
 
 
-def write_csv(result: Result, path: Path) -> None:
-    """Write a CSV file with enough digits to restore numbers exactly; missing values are empty."""
+def write_csv(result: Result | Analysis, path: Path) -> None:
+    """Numbers are written with as many digits as restore them exactly; a value that is not there is empty."""
     with path.open("w", encoding="utf-8", newline="") as file:
-        for number, piece in enumerate(pieces(result)):
+        for number, piece in enumerate(table_of(result).pieces):
             piece.to_csv(file, index=False, header=number == 0, lineterminator="\n")
 
 
-def csv_metadata(result: Result, name: str) -> dict[str, Any]:
-    """The table's description according to "CSV on the Web"."""
-    kinds = {"draw": "integer", "outcome": "integer", MEANING: "string"}
-    described = []
-    for column, about in columns(result).items():
+def csv_metadata(result: Result | Analysis, name: str) -> dict[str, Any]:
+    """The table's description after "CSV on the Web"."""
+    table, described = table_of(result), []
+    for column, about in table.columns.items():
         unit = {"schema:unitText": about["units"]} if "units" in about else {}
         law = {"dc:source": about["law"]} if "law" in about else {}
-        entry = {"name": column, "datatype": kinds.get(column, "double"), "dc:description": about["long_name"]}
+        entry = {"name": column, "datatype": table.datatypes[column], "dc:description": about["long_name"]}
         described.append(entry | unit | law)
     return {
         "@context": CSVW,
@@ -149,17 +190,17 @@ def csv_metadata(result: Result, name: str) -> dict[str, Any]:
     }
 
 
-def write_parquet(result: Result, path: Path) -> None:
-    """Write a Parquet file: one row group per part, attributes as column metadata, the study as file metadata."""
+def write_parquet(result: Result | Analysis, path: Path) -> None:
+    """One row group a piece; attributes are column metadata, the study is file metadata."""
     import pyarrow as pa
     from pyarrow import parquet
 
-    about = columns(result)
+    rows = table_of(result)
     writer = None
     try:
-        for piece in pieces(result):
+        for piece in rows.pieces:
             table = pa.Table.from_pandas(piece, preserve_index=False)
-            fields = [f.with_metadata({k: str(v) for k, v in about[f.name].items()}) for f in table.schema]
+            fields = [f.with_metadata({k: str(v) for k, v in rows.columns[f.name].items()}) for f in table.schema]
             whole = {**(table.schema.metadata or {}), **provenance(result)}
             table = table.cast(pa.schema(fields, metadata=whole))
             writer = writer or parquet.ParquetWriter(path, table.schema)
@@ -169,20 +210,23 @@ def write_parquet(result: Result, path: Path) -> None:
             writer.close()
 
 
-def write_netcdf(result: Result, path: Path) -> None:
-    """Write the dataset as compressed netCDF."""
+def write_netcdf(result: Result | Analysis, path: Path) -> None:
+    """The dataset, compressed."""
     data = result.dataset.copy().assign_attrs(provenance(result))
-    codes = np.asarray(list(outcome_codes(result.study)), dtype=data["outcome"].dtype)
-    data["outcome"].attrs["flag_values"] = codes  # CF: of the variable's own type
+    for one in data.variables.values():
+        if "flag_values" in one.attrs and one.dtype.kind in "iu":
+            one.attrs["flag_values"] = np.asarray(one.attrs["flag_values"], dtype=one.dtype)  # CF: of its own type
     data.to_netcdf(path, engine="h5netcdf", encoding={name: {"zlib": True, "complevel": 4} for name in data.data_vars})
 
 
-def provenance(result: Result) -> dict[str, str]:
-    """Metadata for tracing a file back: the study as run, and its hash."""
-    versions = result.manifest.get("versions", {})
+def provenance(result: Result | Analysis) -> dict[str, str]:
+    """What a file must say to be traced back: the study as run, and its hash."""
+    manifest = {} if isinstance(result, Analysis) else result.manifest
+    made = [f"computed with dssc_jax {manifest.get('versions', {}).get('dssc_jax') or version('dssc_jax')}"]
+    made += [str(manifest["started"])] if "started" in manifest else []
     return {
         **{name: str(value) for name, value in result.dataset.attrs.items()},
         "study": json.dumps(result.study.table),
         "study_hash": result.study.hash,
-        "history": f"computed with dssc_jax {versions.get('dssc_jax')}, {result.manifest.get('started')}",
+        "history": ", ".join(made),
     }

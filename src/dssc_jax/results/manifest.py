@@ -19,7 +19,6 @@ from dssc_jax.study.tables import require_shallow
 SCHEMA, WITHOUT_DIGESTS = 2, 1
 SEAL = "digest"
 DATA, MANIFEST, SUMMARY, PARTIAL = "data.zarr", "manifest.json", "summary.json", ".partial"
-ANALYSES = ("margin", "compare")
 MANIFEST_TABLES = ("study", "layout", "versions", "device", "times")
 TIMES = ("seconds", "compile_seconds", "rate")
 """Timing fields of every finished run."""
@@ -95,8 +94,9 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     try:
         manifest = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        others = [kind for kind in ANALYSES if (folder / f"{kind}.json").exists()]
-        hint = f"; it holds what `{others[0]}` wrote, which dj.load reads" if others else ""
+        others = sorted(other.stem for other in folder.glob("*.json") if other.name != SUMMARY)
+        analysis = others and (folder / DATA).exists()
+        hint = f"; it holds what `{others[0]}` wrote, which dj.load reads" if analysis else ""
         raise ConfigError(
             str(folder), f"is not a results folder: {MANIFEST} cannot be read ({error.strerror}){hint}"
         ) from error

@@ -36,28 +36,31 @@ class Result:
             swept parameters and ``draw``.
         manifest: Study, versions, device, counts and times.
         path: The results folder, once there is one.
-        silence: Why the dataset has no coordinate ``certified``, which tells for each point of the sweep whether
-            Theorem 1 holds for the loop without unmodelled dynamics, sensors and sampling, and with a rho that keeps
-            sliding; empty where it has one.
     """
 
     study: Study
     dataset: xr.Dataset
     manifest: dict[str, Any] = field(default_factory=dict)
     path: Path | None = None
-    silence: str = field(init=False)
 
-    def __post_init__(self) -> None:
-        certified, self.silence = certification.mark(self.study)
-        if certified is not None and "certified" not in self.dataset:
+    @classmethod
+    def of(cls, study: Study, dataset: xr.Dataset, manifest: dict[str, Any], path: Path | None = None) -> "Result":
+        """A result with what Theorem 1 says of the study beside it.
+
+        Where the theorem speaks, the dataset's coordinate ``certified`` tells for each point of the sweep whether it
+        holds for the loop without unmodelled dynamics, sensors and sampling, and with a rho that keeps sliding.
+        """
+        certified = certification.mark(study).certified
+        if certified is not None:
             about = {"long_name": "certified by Theorem 1"}
-            self.dataset = self.dataset.assign_coords(certified=(tuple(self.study.axes), certified, about))
+            dataset = dataset.assign_coords(certified=(tuple(study.axes), certified, about))
+        return cls(study, dataset, manifest, path)
 
     @property
     def certificate(self) -> str:
         """What Theorem 1 says of the loop, in a line."""
         if "certified" not in self.dataset:
-            return f"not certified: {self.silence}"
+            return f"not certified: {certification.mark(self.study).reason}"
         certified = self.dataset["certified"].values
         if not certified.ndim:
             return f"certified by Theorem 1, {GIVEN}" if certified else "not certified by Theorem 1"
@@ -153,7 +156,7 @@ def load(folder: str | Path, trust_code: bool = False) -> Result:
     Raises:
         ConfigError: it is no results folder, it is damaged, or its run did not finish.
     """
-    return Result(*store.read(Path(folder), trust_code), Path(folder))
+    return Result.of(*store.read(Path(folder), trust_code), Path(folder))
 
 
 def headline(result: Result) -> Measure:

@@ -180,3 +180,15 @@ def most_violated(point: Mapping[str, Any]) -> str:
     """The requirement violated by most draws of a point, with their number; ``-`` if no draw violates any."""
     worst = max(point["requirements"], key=lambda requirement: requirement["failures"], default=None)
     return f"{worst['name']} ({worst['failures']})" if worst and worst["failures"] else "-"
+
+
+def jsonable(content: Any) -> Any:
+    """Plain data as JSON has it: arrays become lists; NaN and infinity become None."""
+    if isinstance(content, Mapping):
+        return {str(name): jsonable(value) for name, value in content.items()}
+    if isinstance(content, np.ndarray):
+        return jsonable(content.tolist())
+    if isinstance(content, list | tuple):
+        return [jsonable(value) for value in content]
+    value = content.item() if isinstance(content, np.generic) else content
+    return None if isinstance(value, float) and not np.isfinite(value) else value

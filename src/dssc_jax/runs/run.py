@@ -106,7 +106,7 @@ def run(
             else:
                 about = fill(study, target, advance, tile, devices)
             target.complete(about)
-        result = Result(study, *target.read(), Path(out))
+        result = Result.of(study, *target.read(), Path(out))
         target.summarise(result.lines())
     return result
 
@@ -152,4 +152,4 @@ def in_one_piece(study: Study, manifest: dict[str, Any], engine: Engine, progres
     for box, results, values in execute(engine, layout.blocks()):
         put(dataset, box, results, values)
         advance(lanes_in(box))
-    return Result(study, dataset, manifest | {"complete": True, "times": engine.times(began)})
+    return Result.of(study, dataset, manifest | {"complete": True, "times": engine.times(began)})

@@ -92,7 +92,7 @@ def run_until(
             "looks": seen,
         },
     }
-    result = Result(final, dataset, manifest)
+    result = Result.of(final, dataset, manifest)
     if out is not None:
         result.save(out)
     return result

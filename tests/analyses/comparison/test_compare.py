@@ -59,7 +59,7 @@ def test_pairs(found):
     for pair in pairs:
         expected = compare_failures(*(failed.sel(controller=pair[side]).values for side in "ab"))
         assert pair["difference"] == expected.difference
-        assert pair["interval"] == expected.interval
+        assert pair["interval"] == list(expected.interval)
         assert pair["p_value"] == expected.p_value
         low, high = pair["metrics"]["error_rms"]["interval"]
         assert low <= pair["metrics"]["error_rms"]["difference"] <= high
@@ -122,7 +122,7 @@ def test_a_saved_comparison_is_the_same_again(found, tmp_path):
 def test_a_damaged_comparison_is_told(found, tmp_path):
     found.save(tmp_path)
     about = json.loads((tmp_path / "compare.json").read_text())
-    about["how"]["given"]["variables"].append("nothing")
+    about["settings"]["given"]["variables"].append("nothing")
     write_sealed(tmp_path / "compare.json", {name: about[name] for name in about if name != "digest"})
     with pytest.raises(dj.ConfigError, match="damaged, or of another version"):
         dj.load(tmp_path)

@@ -7,7 +7,7 @@ from dssc_jax.analyses.margins import Censoring, Walk, search
 
 
 def crossing(at):
-    """A margin that turns negative at a draw's own value."""
+    """A slack that turns negative at a draw's own value."""
     at = np.asarray(at)
     return lambda which, values: at[which] - values
 
@@ -33,15 +33,15 @@ def test_walks_downwards():
 
 def test_censored_draws_keep_their_side():
     found = search(crossing([-1.0, 0.5, 2.0]), 3, Walk(0.0, 1.0))
-    assert found.censoring.tolist() == [Censoring.BEFORE, Censoring.FOUND, Censoring.BEYOND]
+    assert found.censoring.tolist() == [Censoring.BEFORE, Censoring.INSIDE, Censoring.BEYOND]
     assert np.isnan(found.value).tolist() == [True, False, True]
 
 
 def test_an_island_of_failure_is_reported_and_its_near_shore_taken():
-    def margin_of(which, values):
+    def slack_of(which, values):
         return np.abs(values - 0.5) - 0.2  # fails between 0.3 and 0.7
 
-    found = search(margin_of, 1, Walk(0.0, 1.0, points=11), bisections=30)
+    found = search(slack_of, 1, Walk(0.0, 1.0, points=11), bisections=30)
     assert found.non_monotone.all()
     assert found.value == pytest.approx(0.3, abs=1e-9)
 
@@ -55,15 +55,15 @@ def test_passing_only_far_out_is_not_monotone_either():
 def test_no_bisection_without_a_crossing():
     asked = []
 
-    def margin_of(which, values):
+    def slack_of(which, values):
         asked.append(len(which))
         return np.ones(len(which))
 
-    search(margin_of, 4, Walk(0.0, 1.0, points=3))
+    search(slack_of, 4, Walk(0.0, 1.0, points=3))
     assert asked == [4, 4, 4]
 
 
-def test_a_margin_that_is_no_number_fails():
+def test_a_slack_that_is_no_number_fails():
     found = search(lambda which, values: np.where(values > 0.5, np.nan, 1.0), 1, Walk(0.0, 1.0, points=5))
     assert found.value == pytest.approx(0.5)
 

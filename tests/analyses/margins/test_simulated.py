@@ -126,7 +126,7 @@ def test_sample_time(study):
     found = dj.margin(few, over="loop.sample_time", bounds=(0.02, 0.6), log=True, points=3)
     grid = found.dataset["value"].values
     verdicts = [dj.run(few.override({"loop.sample_time": float(t)})).dataset["outcome"].values == 0 for t in grid]
-    assert np.array_equal(verdicts, found.dataset["margin"].values >= 0)
+    assert np.array_equal(verdicts, found.dataset["slack"].values >= 0)
     assert 0 < np.sum(verdicts) < np.size(verdicts)
     assert set(found.dataset["critical"].dropna("draw").values) <= set(grid)
 
@@ -142,7 +142,7 @@ def test_spread_is_a_run_under_wider_laws(study):
         half = {"plant.k_p": (1.0, 0.3), "unmodelled.mu": (0.015, 0.005), "disturbance.value": (0.3, 0.2)}
         wider = {name: {"uniform": [at - share * by, at + share * by]} for name, (at, by) in half.items()}
         failed = dj.run(few.override(wider)).failed.values
-        assert np.array_equal(failed, found.dataset["margin"].values[index] < 0.0), share
+        assert np.array_equal(failed, found.dataset["slack"].values[index] < 0.0), share
     assert found.dataset["critical"].attrs["units"] == "1"
 
 
@@ -170,8 +170,8 @@ def test_bad_spread(study, changes, bounds, rule):
 def test_no_requirement_means_staying_finite(study):
     free = study.override({"requirement": [], "draws": 8})
     found = dj.margin(free, over="plant.a_p", bounds=(1.0, -300.0), points=4, bisections=4)
-    assert np.isposinf(found.dataset["margin"].values[0]).all()
-    assert np.isneginf(found.dataset["margin"].values[-1]).all()
+    assert np.isposinf(found.dataset["slack"].values[0]).all()
+    assert np.isneginf(found.dataset["slack"].values[-1]).all()
     assert found.summary()["criterion"] == ["the draw stays finite"]
 
 
@@ -246,15 +246,29 @@ def changed(path, change, seal=True):
     (write_sealed if seal else write_json)(path, content)
 
 
+def inner(content):
+    """What the description says beside the dataset."""
+    return content["settings"]
+
+
 @pytest.mark.parametrize(
     ("change", "rule"),
     [
         (lambda path: path.write_text(path.read_text()[:200]), "not valid JSON"),
         (lambda path: path.write_text("[]"), "has no study, hash"),
         (lambda path: changed(path, lambda all: all["study"].update(seed=5)), "not the one that its hash is of"),
-        (lambda path: changed(path, lambda all: all["how"].pop("walk")), "damaged, or of another version: KeyError"),
-        (lambda path: changed(path, lambda all: all["how"]["walk"].update(stop=1.0)), "another version: TypeError"),
-        (lambda path: changed(path, lambda all: all["how"]["walk"].update(end=2.0), seal=False), "its content is not"),
+        (
+            lambda path: changed(path, lambda all: inner(all).pop("walk")),
+            "damaged, or of another version: KeyError",
+        ),
+        (
+            lambda path: changed(path, lambda all: inner(all)["walk"].update(stop=1.0)),
+            "another version: TypeError",
+        ),
+        (
+            lambda path: changed(path, lambda all: inner(all)["walk"].update(end=2.0), seal=False),
+            "its content is not",
+        ),
         (lambda path: changed(path, lambda all: all.pop("digest"), seal=False), "its content is not"),
     ],
 )
@@ -295,8 +309,8 @@ def test_margins_without_digests_are_read(over_mu, tmp_path):
     over_mu.save(tmp_path)
     path = tmp_path / "margin.json"
     about = json.loads(path.read_text())
-    first = {name: about[name] for name in ("study", "hash", "source", "how")}
-    first["how"].pop("certificate")
+    first = {name: about[name] for name in ("study", "hash", "source")}
+    first["how"] = {name: value for name, value in about["settings"].items() if name != "certificate"}
     write_json(path, first | {"sums": plain_sums_of(over_mu.dataset)})
     assert dj.load(tmp_path).summary() == over_mu.summary()
 
@@ -304,10 +318,13 @@ def test_margins_without_digests_are_read(over_mu, tmp_path):
 def test_what_is_no_analysis_is_told(over_mu, tmp_path):
     with pytest.raises(dj.ConfigError, match="is no folder"):
         dj.load(tmp_path / "nowhere")
-    with pytest.raises(dj.ConfigError, match=r"no manifest.json or margin.json or compare.json"):
+    with pytest.raises(dj.ConfigError, match=r"no manifest.json or margin.json or .*compare.json"):
         dj.load(tmp_path)
-    (tmp_path / "rare.json").write_text("{}")
-    with pytest.raises(dj.ConfigError, match=r"plain JSON: rare.json"):
+    (tmp_path / "answer.json").write_text("{}")
+    with pytest.raises(dj.ConfigError, match=r"plain JSON: answer.json"):
+        dj.load(tmp_path)
+    (tmp_path / "rare.json").write_text("{}")  # as earlier versions wrote it
+    with pytest.raises(dj.ConfigError, match="damaged, or of another version"):
         dj.load(tmp_path)
     over_mu.save(tmp_path / "m")
     with pytest.raises(dj.ConfigError, match="it holds what `margin` wrote"):

@@ -32,7 +32,7 @@ def test_the_verdict_is_that_of_two_runs(study, tuned):
     """Start and result on the study's own draws, by `run` of both studies."""
     found = tuned.verdict
     assert found.draws == 48
-    assert found.objective == pytest.approx((cvar(study), cvar(tuned.study)), rel=1e-9)
+    assert found.objective == pytest.approx((cvar(study), cvar(tuned.tuned_study)), rel=1e-9)
     assert found.reduction > 0.05
     assert found.reduction_interval[0] < found.reduction < found.reduction_interval[1]
     assert found.difference[2] < 0.0
@@ -71,7 +71,7 @@ def test_the_sign_is_smoothed_less_and_less(study, optimiser, monkeypatch):
     assert widths[-1] == 0.0
     assert widths == sorted(widths, reverse=True)
     assert found.verdict.reduction > 0.0
-    assert "controller.sign_width" not in found.study.leaves()
+    assert "controller.sign_width" not in found.tuned_study.leaves()
 
 
 def test_quadratic_programming_needs_fewer_steps(study, tuned):
@@ -93,7 +93,7 @@ def test_slacks_of_the_theorem_as_constraints():
     study = dj.Study.from_table(CERTIFIED).override({**start, **roomy, "loop.sample_time": 0.005, "tune": table})
     found = dj.tune(study)
     assert found.met
-    assert mark(found.study).certified
+    assert mark(found.tuned_study).certified
     assert found.verdict.objective[1] < found.verdict.objective[0]
     with pytest.raises(dj.ConfigError, match="slack: the start is infeasible: slack of kappa_c"):
         dj.tune(study.override({"controller.functions.kappa_c": roomy["controller.functions.kappa_c"] / 1.6}))
@@ -109,7 +109,7 @@ def test_certified_iterates(monkeypatch):
     origin = found.plan.mirror.origin.tobytes()
     assert len(checked) >= 10
     assert set(visited) <= {origin, *checked}
-    assert mark(found.study).certified
+    assert mark(found.tuned_study).certified
     assert found.verdict.objective[1] < found.verdict.objective[0]
 
 
@@ -140,7 +140,7 @@ def test_counterexamples(study):
     slacks = [hunt["slack"] for hunt in found.facts["counterexamples"]]
     assert slacks[0] < 0.0 <= slacks[-1]
     assert found.met
-    interval = dj.run(found.study.override({"draws": 2000})).summary()["points"][0]["interval"]
+    interval = dj.run(found.tuned_study.override({"draws": 2000})).summary()["points"][0]["interval"]
     assert interval[1] < 0.01
 
 

@@ -3,18 +3,22 @@
 import itertools
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import Any, Self
 
+import numpy as np
 import xarray as xr
+from matplotlib.figure import Figure
 
+from dssc_jax import plotting
 from dssc_jax.analyses.comparison.rivals import Table, controller_table
 from dssc_jax.analyses.comparison.tuning import Tuning, tuned, with_gains
+from dssc_jax.analyses.defaults import TUNING_DRAWS
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Outcome, ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
-from dssc_jax.results.analysis_folder import read, save
+from dssc_jax.results.analysis import Analysis
+from dssc_jax.results.analysis_folder import Stored
 from dssc_jax.results.result import headline_measure
 from dssc_jax.runs import run as running
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson, compare_failures, compare_metrics
@@ -37,152 +41,153 @@ class Contest:
     @classmethod
     def of(cls, study: Study, tables: dict[str, Table], progress: Callable[[], None]) -> "Contest":
         """Run every controller."""
-        found = []
+        parts: list[xr.Dataset] = []
         for name, table in tables.items():
-            found.append(running.run(with_controller(study, name, table)).dataset)
+            parts.append(running.run(with_controller(study, name, table)).dataset)
             progress()
-        drawn = [name for name in found[0] if all("law" in other.get(name, other["outcome"]).attrs for other in found)]
-        shared = [name for name in found[0] if name not in drawn and all(name in other for other in found)]
-        axis = xr.DataArray(list(tables), dims="controller", name="controller")
-        parts: list[xr.Dataset] = [other[shared] for other in found]
-        dataset = xr.concat(parts, dim=axis, join="exact").assign(found[0][drawn])
-        dataset["failed"] = (dataset["outcome"] != Outcome.OK).assign_attrs(long_name="the draw failed")
+        first = parts[0]
+        drawn = [name for name in first if all("law" in other.get(name, other["outcome"]).attrs for other in parts)]
+        shared = [name for name in first if name not in drawn and all(name in other for other in parts)]
+        axis = named_axis(list(tables))
+        dataset = xr.concat([other[shared] for other in parts], dim=axis, join="exact").assign(first[drawn])
+        failed = dataset["outcome"] != Outcome.OK
+        dataset["failed"] = (failed.dims, failed.values, {"long_name": "the draw failed"})
         return cls(tables, dataset)
 
-    @property
-    def content(self) -> dict[str, Any]:
+    def settings(self) -> dict[str, Any]:
         """What the dataset alone does not tell, for JSON."""
         return {"tables": self.tables, "variables": [str(name) for name in self.dataset]}
 
     @classmethod
-    def stored(cls, content: dict[str, Any], dataset: xr.Dataset) -> "Contest":
-        """A contest from :attr:`content` and its controllers' part of the dataset."""
-        named = dataset.assign_coords(controller=list(content["tables"]))
-        return cls(content["tables"], named[content["variables"]])
+    def stored(cls, settings: dict[str, Any], dataset: xr.Dataset) -> "Contest":
+        """A contest from :meth:`settings` and its controllers' part of the dataset."""
+        tables = settings["tables"]
+        return cls(tables, dataset.assign_coords(controller=named_axis(list(tables)))[settings["variables"]])
 
-    @property
-    def metrics(self) -> list[str]:
-        """Metrics of all controllers: what is no margin, no outcome and no drawn number."""
-        skipped = ("slack_", "outcome", "failed")
-        variables = [str(name) for name in self.dataset if "law" not in self.dataset[name].attrs]
-        return [name for name in variables if not name.startswith(skipped)]
+    def metrics(self, study: Study) -> list[str]:
+        """The study's metrics that all controllers have."""
+        return [measure.name for measure in study.measures if measure.name in self.dataset]
 
-    def pairs(self, confidence: float = CONFIDENCE) -> list[dict[str, Any]]:
+    def pairs(self, study: Study, confidence: float = CONFIDENCE) -> list[dict[str, Any]]:
         """Every pair a, b: failure probability of a minus that of b, and the median of each metric's difference."""
-        found = []
+        pairs = []
         for a, b in itertools.combinations(self.tables, 2):
             left, right = (self.dataset.sel(controller=name) for name in (a, b))
             failures = compare_failures(left["failed"].values, right["failed"].values, confidence)
             metrics = {}
-            for name in self.metrics:
+            for name in self.metrics(study):
                 difference = compare_metrics(left[name].values, right[name].values, confidence=confidence)
                 metrics[name] = {"difference": difference.difference, "interval": list(difference.interval)}
-            found.append({"a": a, "b": b, **failures._asdict(), "metrics": metrics})
-        return found
+            pairs.append({"a": a, "b": b, **failures._asdict(), "metrics": metrics})
+        return pairs
 
-    def summary(self, confidence: float = CONFIDENCE) -> dict[str, Any]:
+    def content(self, study: Study, confidence: float = CONFIDENCE) -> dict[str, Any]:
         """The controllers one by one, and in pairs."""
         controllers = {}
         for name, table in self.tables.items():
             own = self.dataset.sel(controller=name)
             failures, draws = int(own["failed"].sum()), own.sizes["draw"]
-            middle = {metric: upper_quantiles(own[metric].values, [0.5])[0] for metric in self.metrics}
             controllers[name] = {
                 "controller": table,
                 "failures": failures,
                 "probability": failures / draws,
-                "interval": clopper_pearson(failures, draws, confidence).tolist(),
-                "median": middle,
+                "interval": clopper_pearson(failures, draws, confidence),
+                "median": {one: upper_quantiles(own[one].values, [0.5])[0] for one in self.metrics(study)},
             }
-        return {"controllers": controllers, "pairs": self.pairs(confidence)}
+        return {"controllers": controllers, "pairs": self.pairs(study, confidence)}
 
 
-@dataclass
-class Comparison:
+def named_axis(names: list[str]) -> xr.DataArray:
+    """The coordinate of controllers."""
+    return xr.DataArray(np.array(names), dims="controller", name="controller", attrs={"long_name": "controller"})
+
+
+@dataclass(eq=False)
+class Comparison(Analysis):
     """Controllers compared with the gains that correspond, and with gains tuned on equal budgets.
 
+    The dataset has every draw of every controller; those with tuned gains are called NAME_tuned.
+
     Args:
-        study: The study.
         given: With the gains that stand in the study, or follow from it.
         tuned: With the best gains found within the budget; None: nothing was tuned.
         budget: That budget.
         seconds: What it took.
     """
 
-    study: Study
+    kind = "compare"
+    title = "Controllers compared"
+    table = ("controller", "draw")
+
     given: Contest
     tuned: Contest | None = None
     budget: Tuning | None = None
-    seconds: float = field(default=0.0)
+    seconds: float = 0.0
 
-    def summary(self, confidence: float = CONFIDENCE) -> dict[str, Any]:
-        """The comparison in plain numbers, for JSON; ``tuned`` is like the whole, or None."""
+    @classmethod
+    def of(
+        cls,
+        study: Study,
+        given: Contest,
+        tuned: Contest | None = None,
+        budget: Tuning | None = None,
+        seconds: float = 0.0,
+    ) -> Self:
+        """A comparison of one or both contests."""
+        if tuned is None:
+            return cls(study, given.dataset, given, seconds=seconds)
+        names = named_axis([f"{name}_tuned" for name in tuned.tables])
+        dataset = xr.concat(
+            [given.dataset, tuned.dataset.assign_coords(controller=names)],
+            dim="controller", data_vars="minimal", coords="minimal", compat="override", join="outer",
+        )  # fmt: skip
+        return cls(study, dataset, given, tuned, budget, seconds)
+
+    @property
+    def headline(self) -> str:
+        """The answer in a line."""
+        failures = self.given.dataset["failed"].sum("draw")
+        counts = (f"{name} {int(failures.sel(controller=name))}" for name in self.given.tables)
+        return f"failures in {self.given.dataset.sizes['draw']:,} draws: {', '.join(counts)}"
+
+    def figure(self) -> Figure:
+        """The answer as a figure."""
+        return plotting.comparison(self)
+
+    def content(self) -> dict[str, Any]:
+        """See :class:`Analysis`."""
         tuned = None
         if self.tuned is not None and self.budget is not None:
-            tuned = {"budget": self.budget.text, **self.tuned.summary(confidence)}
+            tuned = {"budget": self.budget.text, **self.tuned.content(self.study)}
         return {
-            "study": self.study.name,
             "draws": self.study.config.draws,
-            "confidence": confidence,
+            "confidence": CONFIDENCE,
             "requirements": [requirement.text for requirement in self.study.requirements],
             "headline": headline_measure(self.study).name,
-            **self.given.summary(confidence),
+            **self.given.content(self.study),
             "tuned": tuned,
             "seconds": self.seconds,
         }
 
-    @property
-    def dataset(self) -> xr.Dataset:
-        """Every draw of every controller; those with tuned gains are called NAME_tuned."""
-        if self.tuned is None:
-            return self.given.dataset
-        names = [f"{name}_tuned" for name in self.tuned.tables]
-        parts = [self.given.dataset, self.tuned.dataset.assign_coords(controller=names)]
-        return xr.concat(
-            parts, dim="controller", data_vars="minimal", coords="minimal", compat="override", join="outer"
-        )
-
-    def save(self, folder: str | Path) -> Path:
-        """Write dataset and summary into a folder.
-
-        Raises:
-            ConfigError: the folder holds something else.
-        """
-        names = [str(name) for name in self.dataset["controller"].values]
-        codes = (
-            "controller",
-            list(range(len(names))),
-            {"flag_meanings": " ".join(names)},
-        )  # Zarr's strings are unstable
-        how = {
-            "given": self.given.content,
-            "tuned": self.tuned.content if self.tuned else None,
+    def settings(self) -> dict[str, Any]:
+        """See :class:`Analysis`."""
+        return {
+            "given": self.given.settings(),
+            "tuned": self.tuned.settings() if self.tuned else None,
             "budget": asdict(self.budget) if self.budget else None,
             "seconds": self.seconds,
         }
-        coded = self.dataset.assign_coords(controller=codes)
-        return save(Path(folder), "compare", self.study, coded, self.summary(), how)
 
     @classmethod
-    def load(cls, folder: str | Path, trust_code: bool = False) -> "Comparison":
-        """Read what :meth:`save`, or the command ``compare``, wrote.
-
-        Args:
-            folder: The folder.
-            trust_code: Import the models that its study names as ``module:object``.
-
-        Raises:
-            ConfigError: it is no comparison, or it is damaged.
-        """
-        study, dataset, how = read(Path(folder), "compare", trust_code)
-        try:
-            count = len(how["given"]["tables"])
-            given = Contest.stored(how["given"], dataset.isel(controller=slice(count)))
-            better = how["tuned"] and Contest.stored(how["tuned"], dataset.isel(controller=slice(count, None)))
-            budget = how["budget"] and Tuning(**how["budget"])
-            return cls(study, given, better, budget, how["seconds"])
-        except (KeyError, TypeError, ValueError) as error:
-            raise ConfigError(str(folder), f"compare.json is damaged, or of another version: {error!r}") from error
+    def restored(cls, stored: Stored) -> Self:
+        """See :class:`Analysis`."""
+        study, dataset, settings = stored
+        count = len(settings["given"]["tables"])
+        given = Contest.stored(settings["given"], dataset.isel(controller=slice(count)))
+        rest = dataset.isel(controller=slice(count, None))
+        tuned = Contest.stored(settings["tuned"], rest) if settings["tuned"] else None
+        budget = Tuning(**settings["budget"]) if settings["budget"] else None
+        return cls.of(study, given, tuned, budget, settings["seconds"])
 
 
 def with_controller(study: Study, name: str, table: Table) -> Study:
@@ -214,7 +219,7 @@ def compare(
     controllers: Sequence[str],
     *,
     candidates: int = 0,
-    tuning_draws: int = 64,
+    tuning_draws: int = TUNING_DRAWS,
     progress: ProgressCallback | None = None,
 ) -> Comparison:
     """Controllers on common draws and common noise.
@@ -232,13 +237,14 @@ def compare(
     Example:
         >>> import dssc_jax as dj
         >>> study = dj.Study.load("studies/mu_robustness.toml").override({"draws": 16, "loop.duration": 45.0})
-        >>> found = dj.compare(study, ["dssc", "sta"])
-        >>> [(pair["a"], pair["b"]) for pair in found.summary()["pairs"]]
+        >>> comparison = dj.compare(study, ["dssc", "sta"])
+        >>> [(pair["a"], pair["b"]) for pair in comparison.summary()["pairs"]]
         [('dssc', 'sta')]
     """
     began = time.perf_counter()
     names = require_names(controllers)
     require_independent(study, "a comparison")
+    study = study.without_sweep()
     tables = {name: controller_table(study, name) for name in names}
     studies = {name: with_controller(study, name, table) for name, table in tables.items()}
     steps = itertools.count(1)
@@ -254,7 +260,7 @@ def compare(
         raise ConfigError("candidates", "a plant of several channels is not tuned here; give the gains, and 0")
     given = Contest.of(study, tables, step)
     if budget is None:
-        return Comparison(study, given, seconds=time.perf_counter() - began)
+        return Comparison.of(study, given, seconds=time.perf_counter() - began)
     better = {}
     for name, of in studies.items():
         try:
@@ -264,4 +270,4 @@ def compare(
         except ConfigError as error:
             raise error.within_path(f"compare.{name}") from None
         step()
-    return Comparison(study, given, Contest.of(study, better, step), budget, time.perf_counter() - began)
+    return Comparison.of(study, given, Contest.of(study, better, step), budget, time.perf_counter() - began)

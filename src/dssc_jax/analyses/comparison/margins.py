@@ -4,65 +4,98 @@ import itertools
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
+from matplotlib.figure import Figure
+
+from dssc_jax import plotting
 from dssc_jax.analyses.comparison.compare import require_names, with_controller
-from dssc_jax.analyses.comparison.rivals import controller_table
-from dssc_jax.analyses.margins import Margins, margin
-from dssc_jax.analyses.margins.search import BISECTIONS, POINTS
+from dssc_jax.analyses.comparison.rivals import Table, controller_table
+from dssc_jax.analyses.defaults import BISECTIONS, POINTS
+from dssc_jax.analyses.margins import Margins, join_margins, margin, margin_settings, part_margins
 from dssc_jax.core.signals import ProgressCallback
-from dssc_jax.results.analysis_folder import require_free
+from dssc_jax.results.analysis import Analysis
+from dssc_jax.results.analysis_folder import Stored
 from dssc_jax.statistics import CONFIDENCE, compare_failures
-from dssc_jax.study import Study
+from dssc_jax.study import Described, Study
 
 
-@dataclass(frozen=True)
-class MarginContest:
+@dataclass(eq=False)
+class MarginContest(Analysis):
     """Margins of controllers over one number, draw by draw on common draws.
+
+    The dataset is that of :class:`dssc_jax.analyses.margins.Margins`, with a dimension ``controller`` more.
 
     Args:
         margins: By controller.
+        tables: ``[controller]`` of each.
         seconds: What it took.
     """
 
+    kind = "margins"
+    title = "Robustness margins of several controllers"
+    table = ("controller", "draw")
+
     margins: dict[str, Margins]
+    tables: dict[str, Table]
     seconds: float
+
+    @classmethod
+    def of(cls, study: Study, margins: dict[str, Margins], tables: dict[str, Table], seconds: float) -> Self:
+        """A contest of margins that were found one by one."""
+        return cls(study, join_margins(margins, "controller", "controller"), margins, tables, seconds)
 
     def pairs(self, confidence: float = CONFIDENCE) -> list[dict[str, Any]]:
         """Every pair a, b: on which share of all draws a goes further, less that on which b does.
 
         With the exact interval and test of paired draws. Draws on which both are censored alike are ties.
         """
-        found = []
+        pairs = []
         for a, b in itertools.combinations(self.margins, 2):
             left, right = self.margins[a].reached, self.margins[b].reached
-            told = compare_failures(left > right, right > left, confidence)
-            further = {"a_further": told.only_a, "b_further": told.only_b, "draws": told.draws}
-            statement = {"difference": told.difference, "interval": list(told.interval), "p_value": told.p_value}
-            found.append({"a": a, "b": b, **further, **statement})
-        return found
+            paired = compare_failures(left > right, right > left, confidence)
+            further = {"a_further": paired.only_a, "b_further": paired.only_b, "draws": paired.draws}
+            statement = {"difference": paired.difference, "interval": list(paired.interval), "p_value": paired.p_value}
+            pairs.append({"a": a, "b": b, **further, **statement})
+        return pairs
 
-    def summary(self, confidence: float = CONFIDENCE) -> dict[str, Any]:
-        """The contest in plain numbers, for JSON."""
+    @property
+    def headline(self) -> str:
+        """The answer in a line."""
+        medians = ((name, margins.median) for name, margins in self.margins.items())
+        values = (f"{name} {'before the start' if value is None else f'{value:.4g}'}" for name, value in medians)
+        return f"median critical {next(iter(self.margins.values())).parameter}: {', '.join(values)}"
+
+    def figure(self) -> Figure:
+        """The answer as a figure."""
+        return plotting.theory(self.margins)
+
+    def content(self) -> dict[str, Any]:
+        """See :class:`Analysis`."""
         first = next(iter(self.margins.values())).summary()
         return {
-            **{name: first[name] for name in ("study", "parameter", "unit", "draws", "bounds", "criterion")},
-            "confidence": confidence,
-            "controllers": {name: found.summary() for name, found in self.margins.items()},
-            "pairs": self.pairs(confidence),
+            **{name: first[name] for name in ("parameter", "unit", "draws", "bounds", "criterion")},
+            "confidence": CONFIDENCE,
+            "controllers": {name: margins.summary() for name, margins in self.margins.items()},
+            "pairs": self.pairs(),
             "seconds": self.seconds,
         }
 
-    def save(self, folder: str | Path) -> list[Path]:
-        """Write each controller's margins into a folder of its own, which :func:`dssc_jax.load` reads.
+    def settings(self) -> dict[str, Any]:
+        """See :class:`Analysis`."""
+        return {"margins": margin_settings(self.margins), "tables": self.tables, "seconds": self.seconds}
 
-        Raises:
-            ConfigError: one of them holds something else.
-        """
-        for name in self.margins:
-            require_free(Path(folder) / name, "margin")
-        return [found.save(Path(folder) / name) for name, found in self.margins.items()]
+    @classmethod
+    def restored(cls, stored: Stored) -> Self:
+        """See :class:`Analysis`."""
+        study, dataset, settings = stored
+        tables = settings["tables"]
+
+        def study_of(name: str) -> Study:
+            return study if isinstance(study, Described) else with_controller(study, name, tables[name])
+
+        margins = part_margins(dataset, "controller", settings["margins"], study_of)
+        return cls.of(study, margins, tables, settings["seconds"])
 
 
 def compare_margins(
@@ -92,17 +125,18 @@ def compare_margins(
         ConfigError: a name is unknown or given twice, a controller does not fit, or :func:`dssc_jax.margin` says so.
     """
     began = time.perf_counter()
-    names = require_names(controllers)
-    studies = {name: with_controller(study, name, controller_table(study, name)) for name in names}
+    study, names = study.without_sweep(), require_names(controllers)
+    tables = {name: controller_table(study, name) for name in names}
+    studies = {name: with_controller(study, name, table) for name, table in tables.items()}
     each = (points + bisections) * study.config.draws
-    found: dict[str, Margins] = {}
+    walk = {"over": over, "bounds": bounds, "log": log, "points": points, "bisections": bisections}
+    margins: dict[str, Margins] = {}
 
-    def advance(done: int, total: int) -> None:
+    def advance(done: int, total: int | None) -> None:
+        del total
         if progress:
-            progress(len(found) * each + done, len(names) * each)
+            progress(len(margins) * each + done, len(names) * each)
 
-    for name, of in studies.items():
-        found[name] = margin(
-            of, over=over, bounds=bounds, log=log, points=points, bisections=bisections, progress=advance
-        )
-    return MarginContest(found, time.perf_counter() - began)
+    for name, own in studies.items():
+        margins[name] = margin(own, **walk, progress=advance)
+    return MarginContest.of(study, margins, tables, time.perf_counter() - began)

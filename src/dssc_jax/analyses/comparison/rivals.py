@@ -82,8 +82,8 @@ def pi(gains: DsscGains) -> Table:
 
 def sta(gains: DsscGains) -> Table:
     """Table 2, row 2."""
-    found = super_twisting(gains.functions)
-    return {"kappa1": float(found.kappa1), "kappa2": float(found.kappa2), "k_n": input_gain(gains)}
+    twisting = super_twisting(gains.functions)
+    return {"kappa1": float(twisting.kappa1), "kappa2": float(twisting.kappa2), "k_n": input_gain(gains)}
 
 
 def vgsta(gains: DsscGains) -> Table:
@@ -92,9 +92,9 @@ def vgsta(gains: DsscGains) -> Table:
     if isinstance(gains.functions, Vgsta):
         numbers = {name: getattr(gains.functions, name) for name in names}
     else:
-        found = super_twisting(gains.functions)
+        twisting = super_twisting(gains.functions)
         numbers = dict.fromkeys(names, 0.0)
-        numbers |= {"phi_a": 1.0, "kappa_d": found.kappa1, "gamma": found.kappa2, "delta": found.delta}
+        numbers |= {"phi_a": 1.0, "kappa_d": twisting.kappa1, "gamma": twisting.kappa2, "delta": twisting.delta}
     return {name: float(value) for name, value in numbers.items()} | {"k_n": input_gain(gains)}
 
 

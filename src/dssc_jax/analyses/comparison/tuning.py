@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
+from dssc_jax.analyses.defaults import CANDIDATES, MOST_CANDIDATES, TUNING_DRAWS
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Outcome
 from dssc_jax.engine.batching import BLOCK
@@ -16,8 +17,6 @@ from dssc_jax.study import Study
 from dssc_jax.study.laws import is_number
 from dssc_jax.study.tables import set_dotted
 
-CANDIDATES, DRAWS = 64, 64
-MOST = 100_000  # candidates, or draws of each
 FACTOR = 10.0  # ranges reach from a tenth to ten times the gain that stands in the study
 STATE_DEPENDENT = {
     "constant": ("k_o", "tau_m"),
@@ -46,15 +45,15 @@ class Tuning:
     seed: int
 
     @classmethod
-    def of(cls, study: Study, candidates: int = CANDIDATES, draws: int = DRAWS) -> "Tuning":
+    def of(cls, study: Study, candidates: int = CANDIDATES, draws: int = TUNING_DRAWS) -> "Tuning":
         """A budget whose draws are not the study's.
 
         Raises:
             ConfigError: a count is out of range.
         """
         for name, count in (("candidates", candidates), ("tuning draws", draws)):
-            if not 1 <= count <= MOST:
-                raise ConfigError(name, f"must be in 1 .. {MOST}, got {count}")
+            if not 1 <= count <= MOST_CANDIDATES:
+                raise ConfigError(name, f"must be in 1 .. {MOST_CANDIDATES}, got {count}")
         return cls(candidates, draws, (study.config.seed + 1) % 2**32)
 
     @property
@@ -62,7 +61,7 @@ class Tuning:
         """The budget as one reads it."""
         return (
             f"{self.candidates} candidates (the given gains, then scrambled Sobol points in the logarithm) on "
-            f"{self.draws} draws of seed {self.seed}; fewest failures, then the largest median of the worst margin"
+            f"{self.draws} draws of seed {self.seed}; fewest failures, then the largest median of the worst slack"
         )
 
 
@@ -77,14 +76,14 @@ def ranges(study: Study, given: Mapping[str, Any]) -> dict[str, tuple[float, flo
     Raises:
         ConfigError: a range is none.
     """
-    found = {}
+    extents = {}
     for name, extent in given.items():
         numbers = isinstance(extent, list) and len(extent) == 2 and all(is_number(value) for value in extent)
         if not numbers or not 0.0 < extent[0] < extent[1]:
             raise ConfigError(f"tune.{name}", f"must be [lo, hi] with 0 < lo < hi, got {extent!r}")
-        found[f"controller.{name}"] = (float(extent[0]), float(extent[1]))
-    if found:
-        return found
+        extents[f"controller.{name}"] = (float(extent[0]), float(extent[1]))
+    if extents:
+        return extents
     table = study.config.controller
     kind = table["kind"]
     if kind in ("dssc", "ssc"):
@@ -136,11 +135,11 @@ def tuned(study: Study, budget: Tuning, given: Mapping[str, Any]) -> dict[str, f
 
 
 def merit(study: Study, results: Mapping[str, np.ndarray]) -> np.ndarray:
-    """The worst margin of each lane; without requirements the first metric, of which less is better."""
+    """The worst slack of each lane; without requirements the first metric, of which less is better."""
     if study.requirements or not study.measures:
         return worst_slack(study, dict(results))
-    found = results[study.measures[0].name]
-    return np.where(np.isnan(found), -np.inf, -found)
+    values = results[study.measures[0].name]
+    return np.where(np.isnan(values), -np.inf, -values)
 
 
 def points(study: Study, extents: Mapping[str, tuple[float, float]], budget: Tuning) -> dict[str, np.ndarray]:

@@ -5,8 +5,19 @@ before the first failure, bracketed on a grid and narrowed by bisection, all dra
 way, or fails from the start, is censored: it stays in every statistic, beyond the end or before the start.
 """
 
+from dssc_jax.analyses.margins.joined import join_margins, margin_settings, part_margins
 from dssc_jax.analyses.margins.result import Margins
 from dssc_jax.analyses.margins.search import Censoring, Critical, Walk, search
 from dssc_jax.analyses.margins.simulated import margin
 
-__all__ = ["Censoring", "Critical", "Margins", "Walk", "margin", "search"]
+__all__ = [
+    "Censoring",
+    "Critical",
+    "Margins",
+    "Walk",
+    "join_margins",
+    "margin",
+    "margin_settings",
+    "part_margins",
+    "search",
+]

@@ -1,18 +1,20 @@
 """What the critical values of a study's draws say together."""
 
 from collections.abc import Mapping
-from dataclasses import InitVar, dataclass, field
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Self
 
 import numpy as np
 import xarray as xr
+from matplotlib.figure import Figure
 
+from dssc_jax import plotting
 from dssc_jax.analyses.margins.search import CLOCK, Censoring, Critical, Walk
-from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.design.certification import Reach, reach
-from dssc_jax.results.analysis_folder import read, save
+from dssc_jax.results.analysis import Analysis
+from dssc_jax.results.analysis_folder import Stored
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson
 from dssc_jax.statistics.order import binomial_quantile
 from dssc_jax.study import Described, Study
@@ -24,35 +26,35 @@ UNNAMED = {
 }
 """What can be walked beside the loop's own numbers."""
 CONTENT = 0.95  # share of draws that the lower tolerance limit speaks of
+WALKED = ("start", "end", "log", "points", "parted")
+FIRST_NAMES = {"margin": "slack"}
+"""What the first version called variables of the dataset."""
 
 
-@dataclass
-class Margins:
+@dataclass(eq=False)
+class Margins(Analysis):
     """The critical values of a study's draws.
 
+    The dataset has along ``draw``: ``critical``, ``censoring``, ``non_monotone`` and every drawn number; along
+    ``value`` and ``draw``: ``slack``, that of the worst requirement relative to its bound.
+
     Args:
-        study: The study.
         parameter: The number that was walked.
         walk: The way it went.
-        dataset: Along ``draw``: ``critical``, ``censoring``, ``non_monotone`` and every drawn number; along ``value``
-            and ``draw``: ``margin``, that of the worst requirement relative to its bound.
         criterion: What a draw must keep in order to pass, in words.
         times: Seconds in all, and compiling.
-        certificate: How far Theorem 1 certifies the loop on the same walk, for all draws at once.
-        stored: The certificate of a study whose code is not loaded; else it follows from the study.
+        stored: How far Theorem 1 certifies a study whose code is not loaded; else it follows from the study.
     """
 
-    study: Study
+    kind = "margin"
+    title = "Robustness margins"
+    table = ("draw",)
+
     parameter: str
     walk: Walk
-    dataset: xr.Dataset
     criterion: tuple[str, ...]
     times: dict[str, float] = field(default_factory=dict)
-    certificate: Reach = field(init=False)
-    stored: InitVar[Reach | None] = None
-
-    def __post_init__(self, stored: Reach | None) -> None:
-        self.certificate = stored or reach(self.study, self.parameter, self.walk.grid)
+    stored: Reach | None = None
 
     @classmethod
     def of(
@@ -60,30 +62,37 @@ class Margins:
         study: Study,
         parameter: str,
         walk: Walk,
-        found: Critical,
+        critical: Critical,
         drawn: Mapping[str, np.ndarray],
         times: Mapping[str, float],
         criterion: tuple[str, ...],
-    ) -> "Margins":
-        """The margins that a search found, with the drawn numbers beside them."""
+        unit: str = "1",
+    ) -> Self:
+        """The margins that a search ended with, with the drawn numbers beside them; ``unit`` is the slack's."""
         quantity = study.quantities.get(parameter) or UNNAMED[parameter]
         about = {"units": quantity.unit, "long_name": quantity.meaning}
-        codes = {"flag_values": [code.value for code in Censoring], "flag_meanings": "before found beyond"}
+        codes = {"flag_values": [code.value for code in Censoring], "flag_meanings": "before inside beyond"}
         columns = {
-            "critical": (found.value, {**about, "long_name": f"critical {quantity.meaning}"}),
-            "censoring": (found.censoring, codes),
-            "non_monotone": (found.non_monotone, {"long_name": "passes again beyond a failure"}),
+            "critical": (critical.value, {**about, "long_name": f"critical {quantity.meaning}"}),
+            "censoring": (critical.censoring, {"long_name": "side of the walk on which the value lies", **codes}),
+            "non_monotone": (critical.non_monotone, {"long_name": "passes again beyond a failure"}),
         }
         for name, values in drawn.items():
             law = study.quantities[name]
             columns[name] = (values, {"units": law.unit, "long_name": law.meaning})
+        index = ("draw", np.arange(study.config.draws), {"long_name": "draw index"})
         data = xr.Dataset(
             {name: (("draw",), values, attributes) for name, (values, attributes) in columns.items()},
-            coords={"draw": np.arange(study.config.draws), "value": (("value",), walk.grid, about)},
+            coords={"draw": index, "value": (("value",), walk.grid, about)},
             attrs={"title": study.name, "parameter": parameter},
         )
-        data["margin"] = (("value", "draw"), found.margin, {"units": "1", "long_name": "signed margin"})
-        return cls(study, parameter, walk, data, criterion, dict(times))
+        data["slack"] = (("value", "draw"), critical.slack, {"units": unit, "long_name": "signed slack"})
+        return cls(study, data, parameter, walk, criterion, dict(times))
+
+    @cached_property
+    def certificate(self) -> Reach:
+        """How far Theorem 1 certifies the loop on the same walk, for all draws at once."""
+        return self.stored or reach(self.study, self.parameter, self.walk.grid)
 
     @property
     def reached(self) -> np.ndarray:
@@ -91,14 +100,19 @@ class Margins:
         critical, censoring = self.dataset["critical"].values, self.dataset["censoring"].values
         direction = 1.0 if self.walk.end > self.walk.start else -1.0
         outside = np.where(censoring == Censoring.BEYOND, np.inf, -np.inf)
-        return np.where(censoring == Censoring.FOUND, direction * critical, outside)
+        return np.where(censoring == Censoring.INSIDE, direction * critical, outside)
 
     def at_rank(self, rank: int) -> float | None:
         """The rank-th critical value from the safe end; the walk's end where it lies beyond, None before its start."""
-        found = np.sort(self.reached)[rank - 1]
-        if np.isposinf(found):
+        value = np.sort(self.reached)[rank - 1]
+        if np.isposinf(value):
             return self.walk.end
-        return None if np.isneginf(found) else float(found if self.walk.end > self.walk.start else -found)
+        return None if np.isneginf(value) else float(value if self.walk.end > self.walk.start else -value)
+
+    @property
+    def median(self) -> float | None:
+        """The median critical value, as :meth:`at_rank` gives it."""
+        return self.at_rank((self.dataset.sizes["draw"] + 1) // 2)
 
     def lower_tolerance(self, content: float = CONTENT, confidence: float = CONFIDENCE) -> float | None:
         """The value up to which a share ``content`` of all draws passes, with confidence (Wilks).
@@ -120,33 +134,47 @@ class Margins:
         Returns:
             Dimension ``value``; variables ``probability``, ``lower``, ``upper``.
         """
-        margin = self.dataset["margin"]
-        failures, draws = (margin < 0.0).sum("draw").values, margin.sizes["draw"]
-        band = clopper_pearson(failures, draws, 1.0 - (1.0 - confidence) / margin.sizes["value"])
+        slack = self.dataset["slack"]
+        failures, draws = (slack < 0.0).sum("draw").values, slack.sizes["draw"]
+        band = clopper_pearson(failures, draws, 1.0 - (1.0 - confidence) / slack.sizes["value"])
         columns = {"probability": failures / draws, "lower": band[:, 0], "upper": band[:, 1]}
         return xr.Dataset(
             {name: (("value",), column) for name, column in columns.items()},
-            coords={"value": margin["value"]},
+            coords={"value": slack["value"]},
             attrs={"confidence": confidence, "band": "simultaneous: Bonferroni over Clopper-Pearson"},
         )
 
-    def summary(self) -> dict[str, Any]:
-        """The margins in plain numbers, for JSON."""
-        data, draws = self.dataset, self.dataset.sizes["draw"]
-        censoring, curve = data["censoring"].values, self.degradation()
+    @property
+    def headline(self) -> str:
+        """The answer in a line."""
+        unit = self.dataset["critical"].attrs["units"]
+        middle, lower = (
+            "before the start" if value is None else f"{value:.4g}{'' if unit == '1' else f' {unit}'}"
+            for value in (self.median, self.lower_tolerance())
+        )
+        return f"median critical {self.parameter}: {middle}; 95 % of all draws pass up to: {lower}"
+
+    def figure(self) -> Figure:
+        """The answer as a figure."""
+        return plotting.margin(self)
+
+    def content(self) -> dict[str, Any]:
+        """See :class:`Analysis`."""
+        data, curve = self.dataset, self.degradation()
+        censoring = data["censoring"].values
         return {
-            "study": self.study.name,
             "parameter": self.parameter,
             "unit": data["critical"].attrs["units"],
-            "draws": draws,
+            "draws": data.sizes["draw"],
             "bounds": [self.walk.start, self.walk.end],
-            "criterion": list(self.criterion),
-            "critical": [None if np.isnan(value) else float(value) for value in data["critical"].values],
-            "median": self.at_rank((draws + 1) // 2),
+            "log": self.walk.log,
+            "criterion": self.criterion,
+            "critical": data["critical"].values,
+            "median": self.median,
             "lower_tolerance": self.lower_tolerance(),
             "content": CONTENT,
             "confidence": CONFIDENCE,
-            "censored": float(np.mean(censoring != Censoring.FOUND)),
+            "censored": float(np.mean(censoring != Censoring.INSIDE)),
             "fail_at_start": float(np.mean(censoring == Censoring.BEFORE)),
             "pass_to_end": float(np.mean(censoring == Censoring.BEYOND)),
             "non_monotone": float(data["non_monotone"].mean()),
@@ -154,37 +182,26 @@ class Margins:
             "certificate": self.certificate.text,
             "degradation": {
                 "band": curve.attrs["band"],
-                **{name: curve[name].values.tolist() for name in ("value", "probability", "lower", "upper")},
+                **{name: curve[name].values for name in ("value", "probability", "lower", "upper")},
             },
             **self.times,
         }
 
-    def save(self, folder: str | Path) -> Path:
-        """Write dataset and summary into a folder.
-
-        Raises:
-            ConfigError: the folder holds something else.
-        """
-        walk = {name: getattr(self.walk, name) for name in ("start", "end", "log", "points", "parted")}
-        how = {"parameter": self.parameter, "walk": walk, "criterion": list(self.criterion), "times": self.times}
-        how["certificate"] = self.certificate._asdict()
-        return save(Path(folder), "margin", self.study, self.dataset, self.summary(), how)
+    def settings(self) -> dict[str, Any]:
+        """See :class:`Analysis`."""
+        return {
+            "parameter": self.parameter,
+            "walk": {name: getattr(self.walk, name) for name in WALKED},
+            "criterion": list(self.criterion),
+            "times": self.times,
+            "certificate": self.certificate._asdict(),
+        }
 
     @classmethod
-    def load(cls, folder: str | Path, trust_code: bool = False) -> "Margins":
-        """Read what :meth:`save`, or the command ``margin``, wrote.
-
-        Args:
-            folder: The folder.
-            trust_code: Import the models that its study names as ``module:object``.
-
-        Raises:
-            ConfigError: it is no margin analysis, or it is damaged.
-        """
-        study, dataset, how = read(Path(folder), "margin", trust_code)
-        try:
-            stored = Reach(**how["certificate"]) if isinstance(study, Described) else None
-            walk, criterion = Walk(**how["walk"]), tuple(how["criterion"])
-            return cls(study, how["parameter"], walk, dataset, criterion, how["times"], stored)
-        except (KeyError, TypeError) as error:
-            raise ConfigError(str(folder), f"margin.json is damaged, or of another version: {error!r}") from error
+    def restored(cls, stored: Stored) -> Self:
+        """See :class:`Analysis`."""
+        study, dataset, settings = stored
+        dataset = dataset.rename({old: new for old, new in FIRST_NAMES.items() if old in dataset})
+        certificate = Reach(**settings["certificate"]) if isinstance(study, Described) else None
+        walk, criterion = Walk(**settings["walk"]), tuple(settings["criterion"])
+        return cls(study, dataset, settings["parameter"], walk, criterion, settings["times"], certificate)

@@ -7,18 +7,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-POINTS, BISECTIONS = 17, 14
+from dssc_jax.analyses.defaults import BISECTIONS, POINTS
+
 CLOCK = "loop.sample_time"
 
-MarginOf = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""(indices of some of the draws, a value for each) -> signed margins, negative where the draw fails."""
+SlackOf = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""(indices of some of the draws, a value for each) -> signed slacks, negative where the draw fails."""
 
 
 class Censoring(IntEnum):
-    """Where a critical value lies: found between the bounds, before the first, or beyond the second."""
+    """Where a critical value lies: before the first bound, inside, or beyond the second."""
 
     BEFORE = -1
-    FOUND = 0
+    INSIDE = 0
     BEYOND = 1
 
 
@@ -62,20 +63,20 @@ class Critical(NamedTuple):
         value: The critical value; NaN where censored. Shape (n,).
         censoring: A :class:`Censoring` code.
         non_monotone: The draw passes again beyond a value at which it fails.
-        margin: Signed margins on the grid, shape (points, n).
+        slack: Signed slacks on the grid, shape (points, n).
     """
 
     value: np.ndarray
     censoring: np.ndarray
     non_monotone: np.ndarray
-    margin: np.ndarray
+    slack: np.ndarray
 
 
-def search(margin_of: MarginOf, draws: int, walk: Walk, bisections: int = BISECTIONS) -> Critical:
+def search(slack_of: SlackOf, draws: int, walk: Walk, bisections: int = BISECTIONS) -> Critical:
     """Critical values of all draws at once.
 
     Args:
-        margin_of: The signed margin of chosen draws at chosen values.
+        slack_of: The signed slack of chosen draws at chosen values.
         draws: Number of draws.
         walk: Where to look.
         bisections: Halvings of the grid's cell that holds the first failure.
@@ -84,18 +85,18 @@ def search(margin_of: MarginOf, draws: int, walk: Walk, bisections: int = BISECT
         Critical values at which the draw passes, with a failure at most a cell/2^bisections further on.
     """
     everyone = np.arange(draws)
-    margin = np.stack([margin_of(everyone, np.full(draws, value)) for value in walk.grid])
-    passed = margin >= 0.0
+    slack = np.stack([slack_of(everyone, np.full(draws, value)) for value in walk.grid])
+    passed = slack >= 0.0
     first = np.where(passed.all(axis=0), walk.points, np.argmin(passed, axis=0))
     censoring = np.where(first == 0, Censoring.BEFORE, np.where(first == walk.points, Censoring.BEYOND, 0))
-    inside = np.flatnonzero(censoring == Censoring.FOUND)
+    inside = np.flatnonzero(censoring == Censoring.INSIDE)
     cells = walk.points - 1
     good, bad = (first[inside] - 1) / cells, first[inside] / cells
     for _ in range(bisections if inside.size else 0):
         middle = 0.5 * (good + bad)
-        ok = margin_of(inside, walk.at(middle)) >= 0.0
+        ok = slack_of(inside, walk.at(middle)) >= 0.0
         good, bad = np.where(ok, middle, good), np.where(ok, bad, middle)
     value = np.full(draws, np.nan)
     value[inside] = walk.at(good)
     again = passed & (np.arange(walk.points)[:, None] > first)
-    return Critical(value, censoring, np.any(again, axis=0), margin)
+    return Critical(value, censoring, np.any(again, axis=0), slack)

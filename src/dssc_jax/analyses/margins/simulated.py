@@ -6,16 +6,15 @@ from collections.abc import Callable
 
 import numpy as np
 
+from dssc_jax.analyses.defaults import BISECTIONS, MOST_BISECTIONS, MOST_POINTS, POINTS
 from dssc_jax.analyses.margins.result import Margins
-from dssc_jax.analyses.margins.search import BISECTIONS, CLOCK, POINTS, Critical, Walk, search
+from dssc_jax.analyses.margins.search import CLOCK, Critical, Walk, search
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import BLOCK, Arrays, Clock, Engine, Layout, drawn, execute
 from dssc_jax.engine.evaluation import Evaluator, require_independent, worst_slack
 from dssc_jax.study import Study
 from dssc_jax.study.laws import CASES, SPREAD
-
-MOST_POINTS, MOST_BISECTIONS = 1000, 52
 
 
 def margin(
@@ -53,8 +52,8 @@ def margin(
         >>> import dssc_jax as dj
         >>> study = dj.Study.load("studies/mu_robustness.toml").override({"draws": 8, "loop.duration": 45.0})
         >>> swift = study.override({"controller.functions.tau_av": 0.003})
-        >>> found = dj.margin(swift, over="unmodelled.mu", bounds=(0.02, 2.0), log=True, points=5, bisections=4)
-        >>> found.summary()["censored"]
+        >>> margins = dj.margin(swift, over="unmodelled.mu", bounds=(0.02, 2.0), log=True, points=5, bisections=4)
+        >>> margins.summary()["censored"]
         0.0
     """
     require_independent(study, "a margin")
@@ -123,21 +122,21 @@ def over_number(
     extents = {} if over == SPREAD else {over: (walk.start, walk.end)}
     evaluator = Evaluator(study, extents, min(draws, BLOCK))
     evaluator.engine.clock = clock
-    found, columns = [], []
+    parts, columns = [], []
     for begin in range(0, draws, evaluator.lanes):
         indices = np.arange(begin, min(begin + evaluator.lanes, draws))
         laws = evaluator.drawn(slice(begin, begin + len(indices)))
 
-        def margin_of(which: np.ndarray, values: np.ndarray, indices=indices, laws=laws) -> np.ndarray:
+        def slack_of(which: np.ndarray, values: np.ndarray, indices=indices, laws=laws) -> np.ndarray:
             chosen = {name: column[which] for name, column in laws.items()}
             worst = worst_slack(evaluator.swept, evaluator(indices[which], place(chosen, values)))
             progress(clock.lanes, evaluations * draws)
             return worst
 
-        found.append(search(margin_of, len(indices), walk, bisections))
+        parts.append(search(slack_of, len(indices), walk, bisections))
         columns.append(laws)
     joined = {name: np.concatenate([part[name] for part in columns]) for name in columns[0]}
-    return Critical(*(np.concatenate(parts, axis=-1) for parts in zip(*found, strict=True))), joined
+    return Critical(*(np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True))), joined
 
 
 def over_sample_time(
@@ -154,7 +153,7 @@ def over_sample_time(
     studies = {value: study.override({over: float(value)}) for value in walk.grid}  # all checked before the first runs
     columns: Arrays = {}
 
-    def margin_of(which: np.ndarray, values: np.ndarray) -> np.ndarray:
+    def slack_of(which: np.ndarray, values: np.ndarray) -> np.ndarray:
         at = studies[values[0]]
         layout = Layout.of(at)
         engine = Engine(at, layout.lanes, clock=clock)
@@ -163,4 +162,4 @@ def over_sample_time(
         progress(clock.lanes, len(studies) * len(which))
         return np.concatenate([worst_slack(at, results) for _, results, _ in parts])
 
-    return search(margin_of, study.config.draws, walk, bisections=0), columns
+    return search(slack_of, study.config.draws, walk, bisections=0), columns

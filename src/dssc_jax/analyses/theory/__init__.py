@@ -4,19 +4,19 @@ A local margin is about deviations that stay small; a simulated margin is about 
 questions and are never mixed: each result says by what criterion it was found.
 """
 
-from dssc_jax.analyses.theory.beside import Beside, beside
+from dssc_jax.analyses.theory.assessment import Assessment, assess
 from dssc_jax.analyses.theory.chattering import chattering
 from dssc_jax.analyses.theory.describing import LimitCycle, limit_cycle
 from dssc_jax.analyses.theory.linearised import Linearised, at_rest, open_loop, synthesised_gains
 from dssc_jax.analyses.theory.local import Time, local_margin, spectrum
 
 __all__ = [
-    "Beside",
+    "Assessment",
     "LimitCycle",
     "Linearised",
     "Time",
+    "assess",
     "at_rest",
-    "beside",
     "chattering",
     "limit_cycle",
     "local_margin",

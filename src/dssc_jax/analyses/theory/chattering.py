@@ -46,14 +46,14 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
         "metrics": {"after": after, "names": ["sigma_max"]},
         "sweep": {MU: [float(value) for value in values]},
     }
-    found = running.run(rest.override({**middle, **changes})).dataset["sigma_max"].values[:, 0]
+    largest = running.run(rest.override({**middle, **changes})).dataset["sigma_max"].values[:, 0]
     known = kind_of(study, "controller") in ("sta", "smc")
     cycles = [limit_cycle(rest, {MU: value}) if known else None for value in values]
     predicted = [(cycle.amplitude, cycle.frequency) if cycle else (np.nan, np.nan) for cycle in cycles]
     amplitude, frequency = np.array(predicted).T
     return xr.Dataset(
         {
-            "amplitude": ((MU,), found, {"units": "m/s", "long_name": "largest |sigma| of what is left"}),
+            "amplitude": ((MU,), largest, {"units": "m/s", "long_name": "largest |sigma| of what is left"}),
             "predicted": ((MU,), amplitude, {"units": "m/s", "long_name": "amplitude by describing function"}),
             "frequency": ((MU,), frequency, {"units": "rad/s", "long_name": "frequency by describing function"}),
         },

@@ -98,8 +98,8 @@ def solve(response: Linearised, balance: Balance) -> LimitCycle | None:
 
     fastest = np.abs(np.linalg.eigvals(response.a)).max()
     scan = np.geomspace(fastest / SPAN, fastest * SPAN, SCANNED)
-    found = np.array([residual(w) for w in scan])
-    crossings = np.flatnonzero(found[:-1] * found[1:] < 0.0)
+    residuals = np.array([residual(w) for w in scan])
+    crossings = np.flatnonzero(residuals[:-1] * residuals[1:] < 0.0)
     if not crossings.size:
         return None
     low, high = scan[crossings[-1]], scan[crossings[-1] + 1]

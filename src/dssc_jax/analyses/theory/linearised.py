@@ -54,9 +54,9 @@ def require_smooth(study: Study) -> None:
     kind = kind_of(study, "controller")
     explicit = kind in ("dssc", "ssc") and study.config.controller.get("discretisation") == "explicit"
     if kind in SET_VALUED or explicit:
-        found = f"the explicit form of {kind}" if explicit else kind
+        law = f"the explicit form of {kind}" if explicit else kind
         raise ConfigError(
-            f"{study.source}: controller.kind", f"{found} switches at the origin and has no linearisation there"
+            f"{study.source}: controller.kind", f"{law} switches at the origin and has no linearisation there"
         )
 
 

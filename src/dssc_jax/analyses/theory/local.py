@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dssc_jax.analyses.defaults import BISECTIONS, POINTS
 from dssc_jax.analyses.margins import Margins, Walk, search
-from dssc_jax.analyses.margins.search import BISECTIONS, POINTS
 from dssc_jax.analyses.margins.simulated import checked, placed, require_spread
 from dssc_jax.analyses.theory.linearised import (
     SMOOTH,
@@ -93,7 +93,7 @@ def local_margin(
         kind: Sampled or continuous.
 
     Returns:
-        Margins whose signed margin is the rate [1/s] at which the slowest deviation decays.
+        Margins whose slack is the rate [1/s] at which the slowest deviation decays.
 
     Raises:
         ConfigError: the loop has no linearisation, or the number or a bound is not admissible.
@@ -118,6 +118,6 @@ def local_margin(
             return -np.max(np.real(eigenvalues), axis=-1)
         return -np.log(np.max(np.abs(eigenvalues), axis=-1)) / swept.loop.sample_time
 
-    found = search(decay, draws, walk, bisections)
+    critical = search(decay, draws, walk, bisections)
     times = {"seconds": time.perf_counter() - began, "compile_seconds": 0.0}
-    return Margins.of(study, over, walk, found, laws, times, (CRITERION[kind],))
+    return Margins.of(study, over, walk, critical, laws, times, (CRITERION[kind],), unit="1/s")

@@ -35,7 +35,7 @@ class Theorem:
     Args:
         study: The study, whose controller has the functions of Table 1.
         fixed: Values of the free parameters that are not varied.
-        asked: What asked for the theorem.
+        option: What asks for the theorem, for messages.
 
     Raises:
         ConfigError: the theorem does not speak of this loop, or its bounds are not to be had beforehand.
@@ -43,7 +43,7 @@ class Theorem:
 
     study: Study
     fixed: Mapping[str, float]
-    asked: str = "tune.certified"
+    option: str = "tune.certified"
     parameters: Parameters = field(init=False)
     ends: certification.Ends = field(init=False)
 
@@ -54,12 +54,12 @@ class Theorem:
             raise ConfigError("controller.nominal.predictor_term", f"cannot be certified while tuning: {rule}")
         try:
             self.parameters, bounds = certification.design_of(self.study)
-        except certification.NotCovered as silence:
-            raise ConfigError(self.asked, f"Theorem 1 does not speak of this loop: {silence}") from None
+        except certification.NotCovered as error:
+            raise ConfigError(self.option, f"Theorem 1 does not speak of this loop: {error}") from None
         try:
             bounds.prepare()
         except ConfigError as error:
-            raise ConfigError(self.asked, f"the loop's bounds are no bounds: {error}") from None
+            raise ConfigError(self.option, f"the loop's bounds are no bounds: {error}") from None
         self.ends = certification.ends_of(self.study)
 
     def free(self, tuned: Mapping[str, Any]) -> Free:
@@ -72,8 +72,8 @@ class Theorem:
         free = self.free(tuned)
         _, bounds = self.at({dotted("l0"): free.l0})  # of which those of the nominal control depend on l0
         parameters = design(bounds, free)
-        beside = {name: value for name, value in tuned.items() if not name.startswith(PREFIX)}
-        return beside | {dotted(name): value for name, value in parameters._asdict().items()}
+        others = {name: value for name, value in tuned.items() if not name.startswith(PREFIX)}
+        return others | {dotted(name): value for name, value in parameters._asdict().items()}
 
     def at(self, numbers: Mapping[str, Any]) -> tuple[Parameters, Bounds]:
         """Parameters and bounds at the loop's numbers as they are simulated; those not among them are the study's."""
@@ -98,13 +98,13 @@ class Theorem:
         parameters, bounds = self.at(numbers)
         rows = [(row.name, row.value, row.bound) for row in inequalities(parameters, bounds)]
         rows.append((SMALL_GAIN, parameters.phi_b, small_gain(parameters, bounds).derived))
-        found = {}
+        excess = {}
         for name, value, bound in rows:
             known = jnp.isfinite(bound)
             least = jnp.where(known, bound, 0.0)
             missed = ((1.0 + slack) * least - value) / (jnp.abs(least) + jnp.abs(value))
-            found[SLACK + name] = jnp.where(known, missed, 1.0)
-        return found
+            excess[SLACK + name] = jnp.where(known, missed, 1.0)
+        return excess
 
 
 def split(free: Mapping[str, tuple[float, float] | float]) -> tuple[dict[str, tuple[float, float]], dict[str, float]]:

@@ -7,10 +7,9 @@ import numpy as np
 import optax
 
 from dssc_jax.analyses.tuning.problem import Point, Problem
-from dssc_jax.analyses.tuning.progress import FINEST, Report, Search, headroom
+from dssc_jax.analyses.tuning.progress import FINEST, PENALTY, UPDATE, Search, headroom
+from dssc_jax.core.signals import ProgressCallback
 
-PENALTY = 20.0  # of the augmented Lagrangian, for objective and excess relative to their scales
-UPDATE = 5  # steps between two looks at the validation draws, after which multipliers move
 LAST = 0.01  # share of the learning rate that the cosine schedule ends with
 HALVINGS = 8
 CLIFF = 0.5  # a step may not worsen the objective by more, relative to the start's: beyond lies a loop that chatters
@@ -55,7 +54,7 @@ class Multipliers:
             self.gaps = {name: max(0.0, excess - seen[name]) for name, excess in validation.merit.excess.items()}
 
 
-def descend(problem: Problem, first: tuple[Point, Point], report: Report) -> Search:
+def descend(problem: Problem, first: tuple[Point, Point], progress: ProgressCallback | None) -> Search:
     """Descent by gradients of single batches; the best point is chosen on the validation draws.
 
     A step after which the point is not certified, a draw of the batch ends early, or objective or violation have leapt
@@ -64,7 +63,7 @@ def descend(problem: Problem, first: tuple[Point, Point], report: Report) -> Sea
     Args:
         problem: The problem, begun.
         first: The start on training and validation draws.
-        report: Told after each step.
+        progress: Told after each step.
     """
     table = problem.plan.table
     rate: Any = table.learning_rate
@@ -73,8 +72,8 @@ def descend(problem: Problem, first: tuple[Point, Point], report: Report) -> Sea
     optimiser = optax.chain(optax.clip_by_global_norm(1.0), getattr(optax, table.optimiser)(rate))
     multipliers = Multipliers(abs(first[0].merit.objective) or 1.0)
     rng = np.random.default_rng(problem.plan.seed)
-    found, here, waited = Search(first[1]), first[0], 0
-    found.look(problem, 0, *first)
+    search, here, waited = Search(first[1]), first[0], 0
+    search.look(problem, 0, *first)
     with jax.enable_x64(True):
         state = optimiser.init(here.z)
     for step in range(1, table.steps + 1):
@@ -84,17 +83,18 @@ def descend(problem: Problem, first: tuple[Point, Point], report: Report) -> Sea
             change, state = optimiser.update(multipliers.gradient(here), state, here.z)
         batch = rng.choice(problem.train, table.batch, replace=False) if table.batch else problem.train
         here, halvings = reach(problem, here, np.asarray(change), batch, CLIFF * multipliers.scale)
-        found.shortened += halvings
+        search.shortened += halvings
         if step % UPDATE == 0 or step == table.steps:
             validation = problem.seen(here.z)
             multipliers.move(here, validation)
-            better = found.look(problem, step, here, validation)
+            better = search.look(problem, step, here, validation)
             waited = 0 if better else waited + 1
-        report(step, table.steps, found.text())
+        if progress:
+            progress(step, table.steps)
         if waited >= table.patience:
-            found.stopped = f"no better on the validation draws for {waited} looks"
+            search.stopped = f"no better on the validation draws for {waited} looks"
             break
-    return found
+    return search
 
 
 def falling(first: float, done: float) -> float:

@@ -4,16 +4,15 @@ import numpy as np
 from scipy.optimize import differential_evolution
 
 from dssc_jax.analyses.tuning.problem import Point, Problem
-from dssc_jax.analyses.tuning.progress import REACH, UNFIT, Report, Search
+from dssc_jax.analyses.tuning.progress import PENALTY, REACH, UNFIT, UPDATE, Search
+from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import BLOCK
 from dssc_jax.engine.evaluation import Evaluator
 
-PENALTY = 20.0  # of a violation, relative to the objective's scale
-UPDATE = 5  # generations between two looks at the validation draws
 POPULATION = 8  # members a coordinate
 
 
-def evolve(problem: Problem, first: tuple[Point, Point], report: Report) -> Search:
+def evolve(problem: Problem, first: tuple[Point, Point], progress: ProgressCallback | None) -> Search:
     """Differential evolution on the training draws, for objectives whose derivatives say nothing.
 
     A generation is one batch. It gets as many generations as a descent gets steps.
@@ -26,8 +25,8 @@ def evolve(problem: Problem, first: tuple[Point, Point], report: Report) -> Sear
     goal, scale = problem.goal_on(problem.train), abs(first[0].merit.objective) or 1.0
     lanes = len(problem.train) + len(problem.extra)
     evaluator = Evaluator(problem.plain.study, problem.plain.extents, min(BLOCK, POPULATION * size * lanes))
-    found, done = Search(first[1]), 0
-    found.look(problem, 0, *first)
+    search, done = Search(first[1]), 0
+    search.look(problem, 0, *first)
 
     def cost(columns: np.ndarray) -> np.ndarray:
         z = np.atleast_2d(columns.T)
@@ -41,21 +40,22 @@ def evolve(problem: Problem, first: tuple[Point, Point], report: Report) -> Sear
         return values
 
     def look(z: np.ndarray) -> None:
-        found.look(problem, done, problem.seen(z, problem.train), problem.seen(z))
+        search.look(problem, done, problem.seen(z, problem.train), problem.seen(z))
 
-    def told(z: np.ndarray, convergence: float) -> bool:
+    def after_generation(z: np.ndarray, convergence: float) -> bool:
         nonlocal done
         done += 1
         if done % UPDATE == 0:
             look(z)
-        report(min(done, table.steps), table.steps, found.text())
+        if progress:
+            progress(min(done, table.steps), table.steps)
         return False
 
     box = [(-REACH, REACH)] * size
     ended = differential_evolution(
         cost, box, x0=np.clip(first[0].z, -REACH, REACH), rng=plan.seed, popsize=POPULATION, maxiter=table.steps,
-        polish=False, vectorized=True, updating="deferred", callback=told,
+        polish=False, vectorized=True, updating="deferred", callback=after_generation,
     )  # fmt: skip
     if done % UPDATE:
         look(ended.x)
-    return found
+    return search

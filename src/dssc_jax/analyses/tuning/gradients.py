@@ -13,7 +13,7 @@ STRIDE, HALF = 0.03, 0.5  # a step as a search takes it, and to which share of i
 AGREEMENT = 1e-4  # relative
 NOISE = 1e-8  # relative to the value: rounding of a difference, some 1e-16/STEP, with three powers of ten of room
 KINK = 1e-3  # relative jump of the slope between both sides; curvature alone changes it by about STEP
-SHOWN = 5  # disagreements told
+SHOWN = 5  # disagreements kept
 EDGE = 0.05  # share of an interval's logarithm that is left out at both ends
 
 
@@ -132,15 +132,15 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> Agreement:
         long.append((far - near).T / (2.0 * STRIDE))
     lasted = np.isfinite(results["failed_at"].reshape(len(shifts), points)).sum(0) == 0
     exact, value, above, below, long = (np.stack(parts)[:, lasted] for parts in (exact, value, above, below, long))
-    found = compare(exact, value, above, below)
-    told = np.abs(exact - long) <= HALF * np.maximum(np.abs(exact), np.abs(long)) + NOISE * np.abs(value)
+    comparison = compare(exact, value, above, below)
+    telling = np.abs(exact - long) <= HALF * np.maximum(np.abs(exact), np.abs(long)) + NOISE * np.abs(value)
     metrics, where = list(problem.plan.measures), np.flatnonzero(lasted)
-    share = np.mean(found.kink, axis=1) if len(where) else np.zeros((len(metrics), size))
+    share = np.mean(comparison.kink, axis=1) if len(where) else np.zeros((len(metrics), size))
     at = {name: column[lasted] for name, column in mirror.tuned(centre).items()}
     return Agreement(
         points=points,
-        compared=found.exact.size,
-        telling=float(np.mean(told)) if told.size else 0.0,
+        compared=comparison.exact.size,
+        telling=float(np.mean(telling)) if telling.size else 0.0,
         ended=points - len(where),
         kinked={
             m: dict(zip(mirror.names, map(float, row), strict=True)) for m, row in zip(metrics, share, strict=True)
@@ -150,10 +150,10 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> Agreement:
                 "metric": metrics[place[0]],
                 "number": mirror.names[place[2]],
                 "at": {name: float(column[place[1]]) for name, column in at.items()},
-                "derivative": float(found.exact[place]),
-                "difference": float(found.central[place]),
+                "derivative": float(comparison.exact[place]),
+                "difference": float(comparison.central[place]),
             }
-            for place in found.worst()
+            for place in comparison.worst()
         ],
-        **found.shares,
+        **comparison.shares,
     )

@@ -69,8 +69,8 @@ class Mirror:
         """The loop's numbers at one traced point of shape (n,)."""
         low, high = self.ends
         values = jnp.exp(low + (high - low) * jax.nn.sigmoid(z))
-        found = self.expand({name: values[i] for i, name in enumerate(self.names)})
-        return {name: jnp.asarray(value) for name, value in found.items()}
+        numbers = self.expand({name: values[i] for i, name in enumerate(self.names)})
+        return {name: jnp.asarray(value) for name, value in numbers.items()}
 
 
 @partial(jax.jit, static_argnums=0)

@@ -64,7 +64,7 @@ class Plan:
         if table.batch is not None and table.batch > table.draws:
             raise ConfigError("tune.batch", f"must be <= draws = {table.draws}, got {table.batch}")
         require_independent(study, "a tuning's verdict")
-        seed = (study.config.seed + 1) % 2**32 if table.seed is None else table.seed
+        seed = seed_of(study, table)
         if seed == study.config.seed:
             raise ConfigError("tune.seed", f"must not be the study's own, whose draws decide, got {seed}")
         require_metrics(study, table)
@@ -119,6 +119,11 @@ class Plan:
             if name.rpartition(":")[2] == measure.kind:
                 return name
         return measure.kind
+
+
+def seed_of(study: Study, table: TuneTable) -> int:
+    """The seed of the draws that train and validate."""
+    return (study.config.seed + 1) % 2**32 if table.seed is None else table.seed
 
 
 def require_metrics(study: Study, table: TuneTable) -> None:

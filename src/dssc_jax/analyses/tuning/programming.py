@@ -6,14 +6,14 @@ import numpy as np
 from scipy.optimize import minimize
 
 from dssc_jax.analyses.tuning.problem import Point, Problem
-from dssc_jax.analyses.tuning.progress import FINEST, REACH, UNFIT, Report, Search, headroom
+from dssc_jax.analyses.tuning.progress import FINEST, PENALTY, REACH, UNFIT, Search, headroom
+from dssc_jax.core.signals import ProgressCallback
 
 STAGES = 4  # between two of them the width of the sign and the limits' headroom move
-PENALTY = 20.0  # of the largest excess, for objectives relative to the start's: more than the multipliers' sum
 CONVERGED = 1e-5  # change of the relative objective at which a stage ends
 
 
-def program(problem: Problem, first: tuple[Point, Point], report: Report) -> Search:
+def program(problem: Problem, first: tuple[Point, Point], progress: ProgressCallback | None) -> Search:
     """SLSQP on the training draws; validation draws choose among its iterates.
 
     The largest excess is a coordinate of its own, so that limits in straight lines never contradict each other. What a
@@ -24,17 +24,17 @@ def program(problem: Problem, first: tuple[Point, Point], report: Report) -> Sea
         D. Kraft, "A software package for sequential quadratic programming", DFVLR-FB 88-28 (1988); the elastic mode is
         from J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), section 18.5.
     """
-    way = Way(problem, Search(first[1]), first[0], report)
-    way.found.look(problem, 0, *first)
+    iteration = Iteration(problem, Search(first[1]), first[0], progress)
+    iteration.search.look(problem, 0, *first)
     width, steps = problem.plan.table.smoothing, problem.plan.table.steps
     for stage in range(1, STAGES + 1):
         if width is not None:
             problem.width = width * FINEST ** ((stage - 1) / (STAGES - 2)) if stage < STAGES else 0.0
-        way.go(steps if width is None else stage * steps // STAGES)
-        short = way.widen()
-        if way.done >= steps or (width is None and not short):
+        iteration.go(steps if width is None else stage * steps // STAGES)
+        short = iteration.widen()
+        if iteration.done >= steps or (width is None and not short):
             break
-    return way.found
+    return iteration.search
 
 
 class Waited(Exception):
@@ -42,22 +42,22 @@ class Waited(Exception):
 
 
 @dataclass
-class Way:
+class Iteration:
     """A search on its way; its coordinates are the mirror's, then the largest excess.
 
     Args:
         problem: The problem, begun.
-        found: What was found.
+        search: What was found.
         here: The present iterate.
-        report: Told after each step.
+        progress: Told after each step.
         done: Steps done.
         gaps: What each limit's headroom is larger by.
     """
 
     problem: Problem
-    found: Search
+    search: Search
     here: Point
-    report: Report
+    progress: ProgressCallback | None
     done: int = 0
     gaps: dict[str, float] = field(default_factory=dict)
     _points: dict[bytes, tuple[Point, bool]] = field(default_factory=dict)
@@ -90,9 +90,10 @@ class Way:
         point = self.at(x)[0]
         if not np.array_equal(point.z, self.here.z):
             self.done, self.here, table = self.done + 1, point, self.problem.plan.table
-            better = self.found.look(self.problem, self.done, point, self.problem.seen(point.z))
+            better = self.search.look(self.problem, self.done, point, self.problem.seen(point.z))
             self._waited = 0 if better else self._waited + 1
-            self.report(self.done, table.steps, self.found.text())
+            if self.progress:
+                self.progress(self.done, table.steps)
             if self._waited >= table.patience:
                 raise Waited
         return np.append(point.gradient / self.scale, PENALTY)
@@ -123,9 +124,9 @@ class Way:
                 options={"maxiter": max(1, steps - self.done), "ftol": CONVERGED},
             )  # fmt: skip
         except Waited:
-            self.found.stopped = f"no better on the validation draws for {self._waited} looks"
+            self.search.stopped = f"no better on the validation draws for {self._waited} looks"
         else:
-            self.found.stopped = "all steps done" if self.done >= table.steps else "converged"
+            self.search.stopped = "all steps done" if self.done >= table.steps else "converged"
 
     def widen(self) -> bool:
         """More headroom where only the validation draws exceed a limit; whether there is such a limit."""

@@ -1,6 +1,5 @@
 """What every search notes on its way: the looks at the validation draws, and the best point among them."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,9 +10,8 @@ HEADROOM = 0.01  # by which a search keeps within limits, relative
 UNFIT = 1e6  # cost of a point that is not certified, or whose draws end early
 REACH = 6.0  # |z| at the ends of a search's box: 0.25 % of the interval's logarithm is left out
 FINEST = 1e-3  # width of the sign before it is 0, relative to the first
-
-Report = Callable[[int, int, str], None]
-"""Called with the steps done, the steps in all, and a line of what they found."""
+PENALTY = 20.0  # of an excess, for objective and excess relative to their scales; more than the multipliers' sum
+UPDATE = 5  # steps or generations between two looks at the validation draws
 
 
 @dataclass
@@ -42,11 +40,6 @@ class Search:
         if better or step == 0:
             self.best = validation
         return better
-
-    def text(self) -> str:
-        """The last look, for people."""
-        last, best = self.history[-1], self.best.merit
-        return f"objective {last['objective']:.4g}, best {best.objective:.4g}, violation {best.violation:.2g}"
 
 
 def headroom(limit: str) -> float:

@@ -1,44 +1,85 @@
 """A finished tuning."""
 
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Self, get_type_hints
 
 import numpy as np
 import xarray as xr
+from matplotlib.figure import Figure
 
+from dssc_jax import plotting
+from dssc_jax.analyses.tuning.certified import PREFIX
 from dssc_jax.analyses.tuning.gradients import Agreement
-from dssc_jax.analyses.tuning.plan import Plan
+from dssc_jax.analyses.tuning.plan import Plan, seed_of
 from dssc_jax.analyses.tuning.verdict import Verdict
-from dssc_jax.results.analysis_folder import save
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.design import Free
+from dssc_jax.engine.batching import Arrays
+from dssc_jax.results.analysis import Analysis
+from dssc_jax.results.analysis_folder import Stored
 from dssc_jax.study import Study
+from dssc_jax.study.schema import TuneTable
+from dssc_jax.study.tables import changed
+
+LOOKED = {
+    "step": "step of the search",
+    "objective": "objective on the training draws",
+    "violation": "largest violation of a limit on the training draws, relative",
+    "validation": "objective on the validation draws",
+    "validation_violation": "largest violation of a limit on the validation draws, relative",
+}
+"""What a look notes beside the tuned numbers."""
+COST = "cost_"
 
 
-@dataclass
-class Tuned:
+@dataclass(eq=False)
+class Tuned(Analysis):
     """What a tuning found.
 
+    The dataset has along ``look`` the history: step, objective and violation on training and validation draws, and the
+    tuned numbers; along ``draw`` the cost of every fresh draw, ``cost_start`` and ``cost_tuned``.
+
     Args:
-        plan: What was asked for.
-        study: The study with the tuned numbers in it.
         start: The tuned numbers where the search began, by name.
         values: The tuned numbers found.
-        history: A row for each look on the way, see :class:`dssc_jax.analyses.tuning.search.Search`.
-        gradients: How derivatives compared with differences; None: it was not asked.
+        numbers: The loop's numbers that follow from them.
+        gradients: How derivatives compared with differences; None: they were not compared.
         verdict: What fresh draws say.
-        costs: Cost of every fresh draw, ``start`` and ``tuned``.
         facts: How the search went: method, why it ended, steps shortened, iterates certified, counterexamples, seconds.
     """
 
-    plan: Plan
-    study: Study
+    kind = "tune"
+    title = "Tuned gains"
+    table = ("look",)
+
     start: dict[str, float]
     values: dict[str, float]
-    history: list[dict[str, Any]]
+    numbers: dict[str, float]
     gradients: Agreement | None
     verdict: Verdict
-    costs: dict[str, np.ndarray]
-    facts: dict[str, Any] = field(default_factory=dict)
+    facts: dict[str, Any]
+
+    @property
+    def tuned_study(self) -> Study:
+        """The study with the tuned numbers in it."""
+        return self.study.override(self.numbers)
+
+    @property
+    def plan(self) -> Plan:
+        """The tuning, as its study makes it out."""
+        return Plan.of(self.study)
+
+    @property
+    def history(self) -> list[dict[str, Any]]:
+        """A row for each look."""
+        columns = {str(name): one.values.tolist() for name, one in self.dataset.items() if one.dims == ("look",)}
+        return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+    @property
+    def costs(self) -> Arrays:
+        """Cost of every fresh draw, ``start`` and ``tuned``."""
+        return {name: self.dataset[COST + name].values for name in ("start", "tuned")}
 
     @property
     def met(self) -> bool:
@@ -46,32 +87,72 @@ class Tuned:
         hunts = self.facts["counterexamples"]
         return self.facts["feasible"] and not (hunts and hunts[-1]["slack"] < 0.0)
 
-    def summary(self) -> dict[str, Any]:
-        """The tuning in plain numbers, for JSON; NaN and infinity still to be replaced."""
-        table = self.plan.table
+    @property
+    def headline(self) -> str:
+        """The objective before and after, on fresh draws."""
+        before, after = self.verdict.objective
+        return f"objective {before:.4g} to {after:.4g} on {self.verdict.draws:,} fresh draws"
+
+    def figure(self) -> Figure:
+        """The search, and the fresh draws' costs: :func:`dssc_jax.plotting.tuning`."""
+        return plotting.tuning(self)
+
+    def content(self) -> dict[str, Any]:
+        """See :class:`Analysis`."""
+        table = table_of(self.study)
         return {
-            "study": self.study.name,
             "objective": {"costs": table.objective, "aggregate": table.aggregate, "level": table.level},
             "start": self.start,
             "tuned": self.values,
-            "controller": self.study.config.controller,
+            "controller": changed(self.study.table, self.numbers, self.study.source)["controller"],
             "verdict": self.verdict.to_dict(),
             "gradients": self.gradients and {**self.gradients._asdict(), "text": self.gradients.text},
-            "draws": {"train": table.draws, "validation": table.validation, "seed": self.plan.seed},
+            "draws": {"train": table.draws, "validation": table.validation, "seed": seed_of(self.study, table)},
             **self.facts,
         }
 
-    @property
-    def dataset(self) -> xr.Dataset:
-        """The history along ``look``, and the costs of the fresh draws along ``draw``."""
-        columns = {name: ("look", [row[name] for row in self.history]) for name in self.history[0]}
-        costs = {f"cost_{name}": ("draw", values) for name, values in self.costs.items()}
-        return xr.Dataset({**columns, **costs}, attrs={"title": self.study.name})
+    def settings(self) -> dict[str, Any]:
+        """See :class:`Analysis`."""
+        return {
+            **{name: getattr(self, name) for name in ("start", "values", "numbers", "facts")},
+            "gradients": self.gradients and self.gradients._asdict(),
+            "verdict": self.verdict._asdict(),
+        }
 
-    def save(self, folder: str | Path) -> Path:
-        """Write dataset and summary into a folder.
+    @classmethod
+    def restored(cls, stored: Stored) -> Self:
+        """See :class:`Analysis`."""
+        settings = dict(stored.settings)
+        gradients, verdict = settings.pop("gradients"), settings.pop("verdict")
+        agreement = None if gradients is None else Agreement(**gradients)
+        own = Verdict(**{name: as_tuples(value) for name, value in verdict.items()})
+        return cls(stored.study, stored.dataset, **settings, gradients=agreement, verdict=own)
 
-        Raises:
-            ConfigError: the folder holds something else.
-        """
-        return save(Path(folder), "tune", self.study, self.dataset, self.summary())
+
+def dataset_of(study: Study, history: Sequence[Mapping[str, Any]], costs: Mapping[str, np.ndarray]) -> xr.Dataset:
+    """History and costs as a dataset: see :class:`Tuned`."""
+    meanings = {name: Quantity("1", text) for name, text in LOOKED.items()} | study.quantities
+    for name, hint in get_type_hints(Free, include_extras=True).items():
+        meanings[PREFIX + name] = hint.__metadata__[0]
+    columns = {name: ("look", np.array([row[name] for row in history]), meanings[name]) for name in history[0]}
+    for name, values in costs.items():
+        columns[COST + name] = ("draw", values, Quantity("1", f"cost of a draw, {name}"))
+    described = {
+        name: (dimension, values, {"units": about.unit, "long_name": about.meaning})
+        for name, (dimension, values, about) in columns.items()
+    }
+    return xr.Dataset(described, attrs={"title": study.name})
+
+
+def table_of(study: Study) -> TuneTable:
+    """The study's ``[tune]``."""
+    table = study.config.tune
+    assert table is not None
+    return table
+
+
+def as_tuples(value: Any) -> Any:
+    """What JSON has made lists of."""
+    if isinstance(value, list):
+        return tuple(map(as_tuples, value))
+    return {name: as_tuples(one) for name, one in value.items()} if isinstance(value, dict) else value

@@ -4,25 +4,31 @@ import time
 
 import numpy as np
 
+from dssc_jax.analyses.defaults import BUDGET, ROUNDS
 from dssc_jax.analyses.falsification import falsify, require_hunt
 from dssc_jax.analyses.tuning.gradients import Agreement, check_gradients
 from dssc_jax.analyses.tuning.plan import EVOLUTION, Plan
 from dssc_jax.analyses.tuning.problem import Problem
-from dssc_jax.analyses.tuning.progress import Report, Search
-from dssc_jax.analyses.tuning.result import Tuned
+from dssc_jax.analyses.tuning.progress import Search
+from dssc_jax.analyses.tuning.result import Tuned, dataset_of
 from dssc_jax.analyses.tuning.search import search
 from dssc_jax.analyses.tuning.verdict import judge
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import Arrays
 from dssc_jax.study import Study
 
 CHECKED = 16  # points of the gradient check before a descent
 USEFUL = 0.5  # share of derivatives that must agree; below it evolution takes over
-ROUNDS, BUDGET = 5, 1000  # of the counterexample loop: rounds at most, simulations of each falsification
 
 
 def tune(
-    study: Study, *, robust: bool = False, rounds: int = ROUNDS, budget: int = BUDGET, report: Report | None = None
+    study: Study,
+    *,
+    robust: bool = False,
+    rounds: int = ROUNDS,
+    budget: int = BUDGET,
+    progress: ProgressCallback | None = None,
 ) -> Tuned:
     """Choose the numbers that the study's ``[tune]`` names.
 
@@ -32,7 +38,7 @@ def tune(
             failure is found.
         rounds: Times at most that this is done.
         budget: Simulations of each hunt.
-        report: Told after each step.
+        progress: Told of the steps done.
 
     Raises:
         ConfigError: what is asked for is not admissible, or the start is not feasible.
@@ -50,39 +56,37 @@ def tune(
         require_falsifiable(plan.study, rounds, budget)
     if plan.theorem is not None:
         require_certified(plan)
-    said = report or (lambda done, total, text: None)
     problem, added, hunts = Problem(plan), {}, []
-    found, gradients = solve(problem, said)
+    outcome, gradients = solve(problem, progress)
     certified = problem.certified
     while robust:
-        worst = falsify(tuned_study(plan, found.best.z), budget=budget, seed=len(hunts))
+        tuned = plan.study.override(numbers_at(plan, outcome.best.z))
+        worst = falsify(tuned, budget=budget, seed=len(hunts))
         hunts.append({"slack": worst.slack, "simulations": worst.simulations, "witness": worst.witness})
         if worst.slack >= 0.0 or len(hunts) == rounds:
             break
         added = joined(added, worst.witness)
         problem = Problem(plan, added)
-        found, gradients = solve(problem, said)
+        outcome, gradients = solve(problem, progress)
         certified += problem.certified
-    mirror = plan.mirror
-    numbers = [{n: float(v[0]) for n, v in mirror.numbers(z[None]).items()} for z in (mirror.origin, found.best.z)]
-    verdict, costs = judge(plan, problem.goal, *numbers)
+    start, numbers = (numbers_at(plan, z) for z in (plan.mirror.origin, outcome.best.z))
+    verdict, costs = judge(plan, problem.goal, start, numbers)
     facts = {
         "method": EVOLUTION if gradients is None or not useful(gradients) else plan.table.optimiser,
-        "stopped": found.stopped,
-        "feasible": found.best.merit.violation == 0.0,
-        "violation": found.best.merit.violation,
-        "shortened": found.shortened,
+        "stopped": outcome.stopped,
+        "feasible": outcome.best.merit.violation == 0.0,
+        "violation": outcome.best.merit.violation,
+        "shortened": outcome.shortened,
         "certified_points": certified if plan.theorem else None,
         "counterexamples": hunts,
         "seconds": time.perf_counter() - began,
     }
-    values = {name: float(value) for name, value in mirror.tuned(found.best.z).items()}
-    return Tuned(
-        plan, tuned_study(plan, found.best.z), mirror.start, values, found.history, gradients, verdict, costs, facts
-    )
+    values = {name: float(value) for name, value in plan.mirror.tuned(outcome.best.z).items()}
+    dataset = dataset_of(plan.study, outcome.history, costs)
+    return Tuned(plan.study, dataset, dict(plan.mirror.start), values, numbers, gradients, verdict, facts)
 
 
-def solve(problem: Problem, report: Report) -> tuple[Search, Agreement | None]:
+def solve(problem: Problem, progress: ProgressCallback | None) -> tuple[Search, Agreement | None]:
     """One search, by descent where derivatives are asked for and useful.
 
     Raises:
@@ -96,7 +100,7 @@ def solve(problem: Problem, report: Report) -> tuple[Search, Agreement | None]:
     gradients = None
     if problem.plan.table.optimiser != EVOLUTION:
         gradients = check_gradients(problem, CHECKED, problem.plan.seed)
-    return search(problem, first, gradients is None or useful(gradients), report), gradients
+    return search(problem, first, gradients is None or useful(gradients), progress), gradients
 
 
 def useful(gradients: Agreement) -> bool:
@@ -104,9 +108,9 @@ def useful(gradients: Agreement) -> bool:
     return min(gradients.useful, gradients.telling) >= USEFUL
 
 
-def tuned_study(plan: Plan, z: np.ndarray) -> Study:
-    """The study with the numbers of a point in it."""
-    return plan.study.override({name: float(value[0]) for name, value in plan.mirror.numbers(z[None]).items()})
+def numbers_at(plan: Plan, z: np.ndarray) -> dict[str, float]:
+    """The loop's numbers at a point."""
+    return {name: float(value[0]) for name, value in plan.mirror.numbers(z[None]).items()}
 
 
 def joined(added: Arrays, witness: dict[str, float]) -> Arrays:
@@ -121,7 +125,7 @@ def require_certified(plan: Plan) -> None:
         ConfigError: it does not.
     """
     assert plan.theorem is not None
-    numbers = {name: float(value[0]) for name, value in plan.mirror.numbers(plan.mirror.origin[None]).items()}
+    numbers = numbers_at(plan, plan.mirror.origin)
     if plan.table.slack is not None:
         missed = {name: float(value) for name, value in plan.theorem.excess(numbers, plan.table.slack).items()}
         worst = max(missed, key=missed.__getitem__)

@@ -114,8 +114,8 @@ def reduction_interval(goal: Goal, before: np.ndarray, after: np.ndarray) -> tup
         a, b = (float(weights(costs, goal.aggregate, goal.level) @ costs) for costs in (first, second))
         return 1.0 - b / a
 
-    found = bootstrap(
+    interval = bootstrap(
         (before, after), reduction, paired=True, vectorized=False, n_resamples=RESAMPLES,
         confidence_level=CONFIDENCE, method="percentile", rng=0,
     ).confidence_interval  # fmt: skip
-    return float(found.low), float(found.high)
+    return float(interval.low), float(interval.high)

@@ -1,0 +1,52 @@
+"""Figure of a rare failure: its probability by every repeat, and where failures lie."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from dssc_jax.plotting.levels import law_axis, level_of
+from dssc_jax.plotting.style import BLUE, GREY, ORANGE, RED, SLIDE, set_scale, styled, title
+from dssc_jax.results.analysis import Analysis
+
+ROWS = ("each repeat", "splitting", "plain draws")
+
+
+@styled
+def rare(event: Analysis) -> Figure:
+    """The repeats' estimates with their mean and the plain draws, and where failures lie within the laws.
+
+    Args:
+        event: What :func:`dssc_jax.rare` returned.
+    """
+    summary = event.summary()
+    figure = Figure(figsize=SLIDE, layout="constrained")
+    left, right = figure.subplots(1, 2)
+    probabilities(left, event)
+    for row, (name, about) in enumerate(summary["where"].items()):
+        if about["failing"] is not None:
+            low, middle, high = level_of(event.study.laws[name], np.array(about["failing"]))
+            right.errorbar([middle], [row], xerr=[[middle - low], [high - middle]], fmt="o", color=RED, capsize=3)
+    law_axis(right, list(summary["where"]), "5 %, median and 95 % of failures")
+    required = "; ".join(summary["requirements"])
+    title(figure, f"{summary['study']}: {required}\n{event.headline}")
+    return figure
+
+
+def probabilities(ax: Axes, event: Analysis) -> None:
+    """Estimates of a probability, one above the other; an interval from 0 begins below all of them."""
+    summary = event.summary()
+    plain, estimates = summary["plain"], np.array(summary["estimates"])
+    positive = estimates[estimates > 0.0]
+    least = 0.1 * min([*positive, 1.0 / plain["draws"]])
+    ax.plot(positive, np.zeros(len(positive)), ".", color=GREY)
+    parts = (summary["splitting"], {"probability": plain["failures"] / plain["draws"], "interval": plain["interval"]})
+    drawn = [positive]
+    for row, (part, colour) in enumerate(zip(parts, (BLUE, ORANGE), strict=True), start=1):
+        ends = np.maximum(part["interval"], least)
+        drawn.append(ends)
+        ax.plot(ends, [row, row], color=colour)
+        if part["probability"]:
+            ax.plot([part["probability"]], [row], "o", color=colour)
+    set_scale(ax, np.concatenate(drawn))
+    ax.set(xlabel="failure probability, 95 % intervals", yticks=range(len(ROWS)), yticklabels=ROWS)
+    ax.set_ylim(len(ROWS) - 0.5, -0.5)

@@ -1,0 +1,88 @@
+"""Figures of searches: a tuning with every fresh draw's cost before and after, and the hunt of the worst draw."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from dssc_jax.plotting.levels import law_axis, level_of
+from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, styled, title
+from dssc_jax.results.analysis import Analysis
+
+
+@styled
+def tuning(tuned: Analysis) -> Figure:
+    """Objective and violation along the search, and the fresh draws' costs.
+
+    Args:
+        tuned: What :func:`dssc_jax.tune` returned.
+    """
+    summary = tuned.summary()
+    figure = Figure(figsize=SLIDE, layout="constrained")
+    left, right = figure.subplots(1, 2)
+    history(left, tuned)
+    costs(right, tuned, summary["verdict"])
+    config = tuned.study.config
+    title(figure, f"{config.description or config.name}: {cost_text(summary['objective'])}")
+    return figure
+
+
+def cost_text(objective: Mapping[str, Any]) -> str:
+    """The objective as one reads it."""
+    weights = objective["costs"].items()
+    total = " + ".join(name if weight == 1.0 else f"{weight:g} {name}" for name, weight in weights)
+    names = {"mean": "mean", "worst": "soft worst", "cvar": f"CVaR {100 * objective['level']:g} %"}
+    return f"{names[objective['aggregate']]} of {total}"
+
+
+def history(ax: Axes, tuned: Analysis) -> None:
+    """Objective on training and validation draws, and the largest violation of a limit."""
+    looks = {name: tuned.dataset[name].values for name in ("step", "objective", "validation", "validation_violation")}
+    ax.plot(looks["step"], looks["objective"], "o-", color=BLUE, label="training draws")
+    ax.plot(looks["step"], looks["validation"], "s--", color=GREEN, label="validation draws")
+    ax.set(xlabel="step", ylabel="objective")
+    right = ax.twinx()
+    right.grid(False)
+    missed = 100.0 * looks["validation_violation"]
+    right.plot(looks["step"], missed, ":", color=RED, label="violation, validation draws")
+    right.set(ylabel="largest violation of a limit [%]", ylim=(0.0, max(5.0, 1.1 * max(missed, default=0.0))))
+    lines = [*ax.get_lines(), *right.get_lines()]
+    ax.legend(lines, [str(line.get_label()) for line in lines], frameon=False, loc="best")
+
+
+def costs(ax: Axes, tuned: Analysis, verdict: Mapping[str, Any]) -> None:
+    """Distribution functions of the fresh draws' costs, and the aggregates."""
+    for name, colour, aggregate in zip(("start", "tuned"), (GREY, ORANGE), verdict["objective"], strict=True):
+        cost = tuned.dataset[f"cost_{name}"].values
+        values = np.sort(np.where(np.isnan(cost), np.inf, cost))
+        ax.step(values, np.arange(1, len(values) + 1) / len(values), where="post", color=colour, label=name)
+        if aggregate is not None:
+            ax.axvline(aggregate, color=colour, linestyle="--", label=f"objective, {name}: {aggregate:.4g}")
+    ax.set(xlabel="cost of a draw", ylabel=f"share of {verdict['draws']} fresh draws", ylim=(-0.03, 1.03))
+    ax.legend(frameon=False, loc="best")
+
+
+@styled
+def falsification(falsified: Analysis) -> Figure:
+    """Slacks along the hunt, and where within its law each of the worst draw's numbers lies.
+
+    Args:
+        falsified: What :func:`dssc_jax.falsify` returned.
+    """
+    summary, data = falsified.summary(), falsified.dataset
+    figure = Figure(figsize=SLIDE, layout="constrained")
+    left, right = figure.subplots(1, 2)
+    slack = np.where(np.isfinite(data["slack"]), data["slack"], np.nan)
+    left.plot(data["simulations"], slack, ".", color=GREY, markersize=4, label="each simulation")
+    left.step(data["simulations"], np.fmin.accumulate(slack), where="post", color=BLUE, label="worst so far")
+    left.axhline(0.0, color=RED, linestyle="--", label="failure below")
+    left.set(xlabel="simulations", ylabel="slack of the worst requirement, relative to its bound")
+    left.legend(frameon=False)
+    laws = falsified.study.laws
+    levels = [level_of(laws[name], np.array([value]))[0] for name, value in summary["witness"].items()]
+    right.plot(levels, range(len(levels)), "o", color=RED)
+    law_axis(right, list(laws), "the worst draw")
+    title(figure, f"{summary['study']}: {falsified.headline}")
+    return figure

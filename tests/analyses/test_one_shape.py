@@ -1,0 +1,198 @@
+"""Every analysis has one shape: it sums itself up, draws itself, is saved, loaded, reported, listed and exported."""
+
+import copy
+import json
+import shutil
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from matplotlib.figure import Figure
+
+import dssc_jax as dj
+from dssc_jax.analyses.loading import KINDS, class_of
+from dssc_jax.cli import guarded
+from dssc_jax.results.analysis_folder import plain_sums_of
+from dssc_jax.results.manifest import write_json, write_sealed
+from tests.loops import LAGGED
+
+TABLE = LAGGED | {
+    "name": "shape",
+    "seed": 2,
+    "draws": 16,
+    "loop": {"duration": 1.5, "sample_time": 0.02},
+    "disturbance": {"kind": "step", "value": {"uniform": [-0.6, 0.6]}, "at": 0.5},
+    "metrics": {"names": ["error_rms", "command_tv"]},
+    "requirement": [{"metric": "error_max", "after": 1.0, "max": 0.34}],
+    "tune": {
+        "parameters": {"controller.l0": [0.3, 4.0]},
+        "objective": {"error_rms": 1.0},
+        "limits": {"command_tv": "start"},
+        "draws": 8,
+        "validation": 8,
+        "steps": 2,
+    },
+}
+WALK = {"over": "unmodelled.mu", "bounds": (0.02, 1.5), "log": True, "points": 4, "bisections": 3}
+SPENT = dj.Splitting(particles=10, killed=5, moves=1, repeats=10, plain=64)
+RUN = {
+    "margin": lambda study: dj.margin(study, **WALK),
+    "margins": lambda study: dj.compare_margins(study, ["dssc", "pi"], **WALK),
+    "compare": lambda study: dj.compare(study, ["dssc", "pi"], candidates=2, tuning_draws=4),
+    "sensitivity": lambda study: dj.sensitivity(study.override({"draws": 256})),
+    "rare": lambda study: dj.rare(study, SPENT),
+    "falsify": lambda study: dj.falsify(study, budget=40),
+    "tune": lambda study: dj.tune(study),
+    "theory": lambda study: dj.theory.assess(study, **WALK, rivals={"pi": study}),
+}
+"""Each kind of analysis, as small as it can be."""
+
+
+@pytest.fixture(scope="module")
+def study():
+    return dj.Study.from_table(copy.deepcopy(TABLE))
+
+
+@pytest.fixture(scope="module", params=sorted(KINDS))
+def analysis(request, study):
+    return RUN[request.param](study)
+
+
+@pytest.fixture(scope="module")
+def folder(analysis, tmp_path_factory):
+    """The analysis, saved; nothing writes to it but what stands beside."""
+    return analysis.save(tmp_path_factory.mktemp("results") / analysis.kind)
+
+
+def test_every_kind_is_here():
+    assert RUN.keys() == KINDS.keys()
+    assert all(class_of(kind).kind == kind for kind in KINDS)
+
+
+def test_it_has_the_shape(analysis, study):
+    assert isinstance(analysis, dj.Analysis)
+    assert isinstance(analysis, class_of(analysis.kind))
+    assert analysis.study.name == study.name
+    summary = analysis.summary()
+    assert json.loads(json.dumps(summary, allow_nan=False)) == summary
+    assert summary["study"] == study.name
+    assert set(analysis.table) <= set(analysis.dataset.dims)
+    assert analysis.headline
+    assert "\n" not in analysis.headline
+
+
+def test_variables_tell_what_they_are(analysis):
+    for name, one in analysis.dataset.variables.items():
+        assert one.attrs.get("long_name"), name
+        assert one.dtype.kind != "f" or "units" in one.attrs, name
+
+
+def test_it_draws_itself(analysis):
+    figure = analysis.figure()
+    assert isinstance(figure, Figure)
+    assert all(ax.has_data() or ax.texts for ax in figure.axes)
+
+
+def test_it_comes_back_equal(analysis, folder):
+    again = dj.load(folder)
+    assert type(again) is type(analysis)
+    assert again.path == folder
+    assert again.summary() == analysis.summary()
+    xr.testing.assert_identical(again.dataset, analysis.dataset)
+    assert again == analysis
+    assert again.headline == analysis.headline
+    assert json.loads((folder / "summary.json").read_text()) == analysis.summary()
+    assert isinstance(again.figure(), Figure)
+    assert again.save(folder) == folder
+
+
+def test_another_is_not_equal(analysis):
+    other = copy.copy(analysis)
+    other.dataset = analysis.dataset.assign_attrs(title="another")
+    assert other != analysis
+    assert analysis != 1
+
+
+def test_it_is_reported_and_listed(folder, analysis, capsys):
+    assert guarded(["report", str(folder), "--json"]) == 0
+    capsys.readouterr()
+    page = (folder / "report.html").read_text()
+    assert analysis.title in page
+    assert "<svg" in page
+    assert guarded(["report", "--index", str(folder.parent), "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["results"]
+    assert (row["trouble"], row["kind"], row["answer"]) == ("", analysis.title, analysis.headline)
+    assert f'href="{analysis.kind}/report.html"' in (folder.parent / "index.html").read_text()
+
+
+def test_it_is_exported(folder, analysis, tmp_path):
+    netcdf, data, about, parquet = [
+        path for form in ("netcdf", "csv", "parquet") for path in dj.export(analysis, form, tmp_path / f"a.{form}")
+    ]
+    with xr.open_dataset(netcdf, engine="h5netcdf", decode_timedelta=False) as found:
+        xr.testing.assert_equal(found, analysis.dataset)
+    rows = int(np.prod([analysis.dataset.sizes[dimension] for dimension in analysis.table]))
+    table = pd.read_csv(data)
+    assert len(table) == len(pd.read_parquet(parquet)) == rows
+    described = {column["name"]: column for column in json.loads(about.read_text())["tableSchema"]["columns"]}
+    assert list(described) == list(table.columns)
+    for name, one in analysis.dataset.data_vars.items():
+        if one.dims == analysis.table and one.dtype.kind == "f":
+            np.testing.assert_array_equal(table[name], one.values.reshape(-1), err_msg=name)
+    assert guarded(["export", str(folder), "--to", "csv", "--json"]) == 0
+    assert (folder / "table.csv").exists()
+
+
+def test_a_damaged_one_is_refused(folder, analysis, tmp_path):
+    for name in ("chunk", "cut", "empty", "forged"):
+        shutil.copytree(folder, tmp_path / name)
+    described = f"{analysis.kind}.json"
+    chunks = sorted((tmp_path / "chunk" / "data.zarr").rglob("c"))
+    shutil.rmtree(next(chunk for chunk in chunks if chunk.is_dir()))
+    (tmp_path / "cut" / described).write_text((folder / described).read_text()[:-40])
+    about = json.loads((folder / described).read_text())
+    del about["digest"]
+    write_sealed(tmp_path / "empty" / described, {**about, "settings": {"nothing": 0}})
+    write_json(tmp_path / "forged" / described, {**about, "digest": "0"})
+    for name in ("chunk", "cut", "empty", "forged"):
+        with pytest.raises(dj.ConfigError, match="damaged"):
+            dj.load(tmp_path / name)
+
+
+def test_another_study_keeps_its_folder(folder, analysis, tmp_path):
+    other = copy.copy(analysis)
+    other.study = analysis.study.override({"seed": 77})
+    with pytest.raises(dj.ConfigError, match="of another study"):
+        other.save(folder)
+    (tmp_path / "file").touch()
+    with pytest.raises(dj.ConfigError, match="something other than"):
+        analysis.save(tmp_path)
+
+
+def test_folders_of_the_first_version(study, tmp_path):
+    """Margins and comparisons before parts of their folders got other names."""
+    found = dj.margin(study, **WALK)
+    found.save(tmp_path)
+    about = json.loads((tmp_path / "margin.json").read_text())
+    shutil.rmtree(tmp_path / "data.zarr")
+    dataset = found.dataset.rename(slack="margin")
+    dataset.to_zarr(tmp_path / "data.zarr", consolidated=False, zarr_format=3)
+    first = {name: about[name] for name in ("study", "hash", "source")} | {"how": about["settings"]}
+    write_json(tmp_path / "margin.json", first | {"sums": plain_sums_of(dataset)})
+    assert dj.load(tmp_path).summary() == found.summary()
+
+
+def test_parts_come_back_too(study, tmp_path):
+    """What an assessment and a contest are made of: margins with their own variables, units and studies."""
+    found = RUN["theory"](study)
+    found.save(tmp_path / "t")
+    again = dj.load(tmp_path / "t")
+    assert again.performance == found.performance
+    assert again.local == found.local
+    for name, oscillation in found.oscillations.items():
+        xr.testing.assert_identical(again.oscillations[name], oscillation)
+    assert found.local["sampled"].dataset["slack"].attrs["units"] == "1/s"
+    contest = RUN["margins"](study)
+    contest.save(tmp_path / "m")
+    assert dj.load(tmp_path / "m").margins == contest.margins
