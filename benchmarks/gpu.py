@@ -28,7 +28,7 @@ import numpy as np
 from jax.interpreters import mlir
 from page import put
 
-from dssc_jax.backend.fusion import shared_once
+from dssc_jax.backend.fusion import deduplicated
 from dssc_jax.backend.kernels import LANES, WARPS, Form, in_registers
 from dssc_jax.closed_loop.metrics import starts
 from dssc_jax.closed_loop.sample import initial_state
@@ -126,7 +126,7 @@ def difference(study: dj.Study, lanes: int) -> tuple[float, int]:
     here = Engine(study, lanes, tile=lanes, devices=1, kernel=Form.PALLAS)(values, indices)()
     with jax.enable_x64(study.config.loop.precision == 64), jax.default_device(jax.devices("cpu")[0]):
         typed = {name: column.astype(jnp.result_type(float)) for name, column in values.items()}
-        there = {name: np.asarray(x) for name, x in jax.jit(shared_once(lanes_of(study)))(typed, indices).items()}
+        there = {name: np.asarray(x) for name, x in jax.jit(deduplicated(lanes_of(study)))(typed, indices).items()}
     alike = here["outcome"] == there["outcome"]
     largest = 0.0
     for name in {measure.name for measure in study.measures}:

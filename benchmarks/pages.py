@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from dssc_jax.cli.common import app
 from dssc_jax.closed_loop.metrics import METRICS
 from dssc_jax.closed_loop.performance import PERFORMANCE
-from dssc_jax.console.kinds import COLUMNS, HEADS, registries, rows_of
+from dssc_jax.console.kinds import HEADS, KIND_COLUMNS, registries, rows_of
 from dssc_jax.study.build import FIXED_TABLES
 from dssc_jax.study.laws import LAWS
 from dssc_jax.study.schema import AXES, StudyTable
@@ -92,7 +92,7 @@ def study_file() -> str:
             lines += [f'### kind = "{kind}"', "", f"{entry.summary}.", ""]
             rows = rows_of(entry)
             if rows:
-                lines += table(COLUMNS, ((f"`{row[0]}`", *row[1:]) for row in rows))
+                lines += table(KIND_COLUMNS, ((f"`{row[0]}`", *row[1:]) for row in rows))
     return "\n".join(lines).rstrip() + "\n"
 
 

@@ -9,7 +9,7 @@ from benchmarks import hostile
 from dssc_jax.cli import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.study import Study
-from dssc_jax.study.tables import DEEPEST, LARGEST, read_toml
+from dssc_jax.study.tables import DEEPEST, LARGEST_FILE, read_toml
 from tests.conftest import UNCERTAIN
 from tests.mutations import STUDY_KINDS, document
 
@@ -29,7 +29,7 @@ def test_damaged_folders():
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"#" * (LARGEST + 1), "is larger than a study can be"),
+        (b"#" * (LARGEST_FILE + 1), "is larger than a study can be"),
         (b"a" + b".a" * 200_000 + b" = 1", f"has a dotted name of more than {DEEPEST} parts"),
         (b"[" + b"a . " * 200_000 + b"a]", f"has a dotted name of more than {DEEPEST} parts"),
         (b"a = " + b"[" * 500_000, "is nested too deeply"),

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dssc_jax.backend.fusion import COSTLY, rewritten, shared_once
+from dssc_jax.backend.fusion import COSTLY, deduplicated, rewritten
 
 X, Z = jnp.linspace(0.1, 2.0, 16), jnp.linspace(-1.0, 1.0, 16)
 
@@ -84,7 +84,7 @@ def test_results_keep_values_shapes_and_structure(length):
         bits = jax.vmap(lambda i: jax.random.uniform(jax.random.fold_in(jax.random.key(1), i)))(jnp.arange(16))
         return {"x": x, "flag": flag, "trace": y, "noise": bits, "constant": 3.0}
 
-    plain, once = jax.jit(function)({"x": X}), jax.jit(shared_once(function))({"x": X})
+    plain, once = jax.jit(function)({"x": X}), jax.jit(deduplicated(function))({"x": X})
     assert jax.tree.structure(plain) == jax.tree.structure(once)
     for name, value in plain.items():
         assert once[name].dtype == value.dtype
@@ -92,7 +92,7 @@ def test_results_keep_values_shapes_and_structure(length):
 
 
 def test_derivatives_of_a_rewritten_function():
-    function = shared_once(lambda x, z: (costly(0.5 * x) * z, costly(0.5 * x) + z))
+    function = deduplicated(lambda x, z: (costly(0.5 * x) * z, costly(0.5 * x) + z))
     plain = jax.jacfwd(lambda x: costly(0.5 * x) * Z)(X)
     np.testing.assert_allclose(jax.jacfwd(lambda x: function(x, Z)[0])(X), plain, rtol=1e-5)
 
@@ -107,7 +107,7 @@ def test_tables_that_print_alike_are_told_apart(entry, change):
         other[entry] += change
         x = np.linspace(0.0, 1.0, 16)
         read = lambda x: tuple(jnp.sum(jnp.asarray(table) * x[:, None], axis=1) for table in (one, other))  # noqa: E731
-        for found, wanted in zip(jax.jit(shared_once(read))(x), jax.jit(read)(x), strict=True):
+        for found, wanted in zip(jax.jit(deduplicated(read))(x), jax.jit(read)(x), strict=True):
             np.testing.assert_array_equal(found, wanted)
 
 

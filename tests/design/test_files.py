@@ -9,7 +9,7 @@ from dssc_jax.cli import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.design import check
 from dssc_jax.design.feasibility import Criterion
-from dssc_jax.design.files import load_design, parse_design, to_toml
+from dssc_jax.design.files import design_toml, load_design, parse_design
 
 BOUNDS = {"k_min": 0.9, "k_max": 1.1, "a_max": 1.0, "alpha_d3": 0.1}
 FREE = {"l0": 0.5, "phi_a": 0.1, "eps": 0.3, "delta": 0.5, "eps_1": 2.0, "eps_2": 0.1, "eps_3": 6.0}
@@ -56,7 +56,7 @@ def test_what_is_written_reads_back():
     }
     found = parse_design(table, "d")
     for name in ("d", 'a "quoted" C:\\name', "two\nlines\x7f"):
-        again = parse_design(tomllib.loads(to_toml(found._replace(name=name))), "other")
+        again = parse_design(tomllib.loads(design_toml(found._replace(name=name))), "other")
         assert again._replace(free=found.free) == found._replace(name=name)
 
 

@@ -13,7 +13,7 @@ import dssc_jax as dj
 from dssc_jax.plotting import thinning
 from dssc_jax.plotting.style import label
 from dssc_jax.plotting.sweeps import cell_edges
-from dssc_jax.plotting.thinning import COLUMNS, picked, thinned
+from dssc_jax.plotting.thinning import PIXEL_COLUMNS, picked, thinned
 from dssc_jax.results.result import headline_measure
 from dssc_jax.statistics import clopper_pearson
 from tests.conftest import UNCERTAIN
@@ -145,7 +145,7 @@ def test_thinning_keeps_peaks_gaps_and_order():
     y = np.sin(40.0 * t)
     y[12_345], y[40_000:41_000] = 9.0, np.nan
     kept_t, kept_y = thinned(t, y)
-    assert len(kept_t) <= 2 * COLUMNS
+    assert len(kept_t) <= 2 * PIXEL_COLUMNS
     assert (np.diff(kept_t) > 0).all()
     assert np.nanmax(kept_y) == 9.0
     assert np.nanmin(kept_y) == np.nanmin(y)

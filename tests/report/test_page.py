@@ -11,10 +11,10 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.report import elements, html, write
-from dssc_jax.report.page import SECTIONS, STYLE
+from dssc_jax.report.page import SECTIONS, STYLE_SHEET
 from dssc_jax.report.study_sections import dependence
 from dssc_jax.report.subject import Subject, worst_draws
-from dssc_jax.report.vector import COLOURS, inline
+from dssc_jax.report.vector import SVG_COLOURS, inline
 from dssc_jax.study import read_toml
 
 VOID = {"meta", "br", "link", "input", "img", "hr"}
@@ -79,7 +79,7 @@ def test_nothing_comes_from_outside(sweep_page, run_page):
             assert not any(name.startswith("on") for name in attrs)
             for name in ("src", "href", "xlink:href"):
                 assert (attrs.get(name) or "#").startswith(("#", "data:image/png;base64,"))
-    assert "url(" not in STYLE.read_text()
+    assert "url(" not in STYLE_SHEET.read_text()
 
 
 def test_markup_in_names_is_text(sweep_page, swept):
@@ -110,7 +110,7 @@ def luminance(colour):
 @pytest.mark.parametrize("scheme", [0, 1], ids=["light", "dark"])
 def test_contrast(scheme):
     """WCAG 2.2: text at 4.5 against page and panel, graphics at 3."""
-    block = re.findall(r":root \{(.*?)\}", STYLE.read_text(), re.DOTALL)[scheme]
+    block = re.findall(r":root \{(.*?)\}", STYLE_SHEET.read_text(), re.DOTALL)[scheme]
     colours = dict(re.findall(r"--(\w+): (#\w{6})", block))
     for name in ("text", "quiet", "accent", "blue", "orange", "green", "red", "grey"):
         for ground in ("page", "panel"):
@@ -216,15 +216,15 @@ def test_numbers():
         "1.234e\N{MINUS SIGN}05",
         "\N{MINUS SIGN}2",
     ]
-    assert elements.probability(0.0, (0.0, 0.0362)) == "≤ 0.0362"
-    assert elements.probability(0.5, (0.4, 0.6)) == "0.5"
+    assert elements.probability_text(0.0, (0.0, 0.0362)) == "≤ 0.0362"
+    assert elements.probability_text(0.5, (0.4, 0.6)) == "0.5"
 
 
 def test_figures_take_the_pages_colours(ran):
     drawn = inline(lambda: dj.plot.distribution(ran), 'a "figure"', "p")
     assert 'aria-label="a &#34;figure&#34;"' in drawn
     assert "currentColor" in drawn
-    assert not any(colour.lower() in drawn.lower() for colour in COLOURS)
+    assert not any(colour.lower() in drawn.lower() for colour in SVG_COLOURS)
     assert "var(--red)" in drawn
 
 

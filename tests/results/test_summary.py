@@ -11,7 +11,7 @@ import dssc_jax as dj
 from dssc_jax.closed_loop.requirements import violated
 from dssc_jax.console import show_draw, show_result
 from dssc_jax.core.signals import Outcome
-from dssc_jax.plotting.thinning import COLUMNS
+from dssc_jax.plotting.thinning import PIXEL_COLUMNS
 from dssc_jax.report import html
 from dssc_jax.results import summary
 from dssc_jax.results.schema import in_memory
@@ -269,9 +269,9 @@ def test_figures_and_tables_of_many_points_are_no_larger(capsys):
     result.dataset = result.dataset.assign_coords(certified=("controller.k_p", inside))
     figure = dj.plot.sweep(result)
     for ax in figure.axes:
-        assert max(len(line.get_xdata()) for line in ax.lines) <= 2 * COLUMNS
+        assert max(len(line.get_xdata()) for line in ax.lines) <= 2 * PIXEL_COLUMNS
         assert all(line.get_marker() in ("", "None") for line in ax.lines)
-        assert sum(len(path.vertices) for band in ax.collections for path in band.get_paths()) < 6 * COLUMNS
+        assert sum(len(path.vertices) for band in ax.collections for path in band.get_paths()) < 6 * PIXEL_COLUMNS
         assert len(ax.patches) == 10  # certified stretches
     show_result(dj.Result(result.study, result.dataset, TIMED))
     told = capsys.readouterr().out

@@ -25,13 +25,13 @@ from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.analysis_folder import Stored
 from dssc_jax.study import Study
 
-EDGE = 1e-6  # outermost level: where the search ends in the tails of unbounded laws
+OUTERMOST_LEVEL = 1e-6  # outermost level: where the search ends in the tails of unbounded laws
 EXPLORED, CLIMBED = 0.25, 0.5  # shares of the budget; evolution gets what is left
 STARTS, CLIMB = 8, 12  # climbs at most, and steps that each is to have at least
-APART = 0.25  # least distance of two starts, in the largest coordinate
+LEAST_DISTANCE = 0.25  # least distance of two starts, in the largest coordinate
 STRIDE, LONGER, SHORTER = 0.25, 1.5, 0.3  # first step of a climb, and its factors after success and failure
 DESIGN = ("sampling", "replicates", "correlation")  # what a study says of its draws together
-MEMBERS = 4  # of the evolution, for each coordinate
+MEMBERS_EACH = 4  # of the evolution, for each coordinate
 
 
 @dataclass(eq=False)
@@ -194,7 +194,7 @@ def spread(budget: int) -> int:
 
 def members(budget: int, size: int) -> int:
     """Members of the evolution; several generations are to fit the budget."""
-    return max(8, min(MEMBERS * size, budget // 20))
+    return max(8, min(MEMBERS_EACH * size, budget // 20))
 
 
 def climbers(budget: int, size: int) -> int:
@@ -255,7 +255,7 @@ class Hunt:
     def explore(self) -> None:
         """Spread points evenly over the cube."""
         points = qmc.Sobol(self.size, rng=self.rng).random(spread(self.budget))
-        self.simulate(np.clip(points, EDGE, 1.0 - EDGE), self.programs.plain)
+        self.simulate(np.clip(points, OUTERMOST_LEVEL, 1.0 - OUTERMOST_LEVEL), self.programs.plain)
 
     def ranked(self) -> tuple[np.ndarray, np.ndarray]:
         """All points so far with their slacks, the worst first."""
@@ -270,7 +270,7 @@ class Hunt:
         for index, point in enumerate(points):
             if len(chosen) == count:
                 break
-            if all(np.max(np.abs(point - points[other])) > APART for other in chosen):
+            if all(np.max(np.abs(point - points[other])) > LEAST_DISTANCE for other in chosen):
                 chosen.append(index)
         rest = [index for index in range(len(points)) if index not in chosen]
         return points[[*chosen, *rest][:count]]
@@ -286,7 +286,7 @@ class Hunt:
         for _ in range(room // (each * len(points)) - 1):
             largest = np.max(np.abs(slopes), axis=1, keepdims=True)
             moves = stride[:, None] * slopes / np.where(largest > 0.0, largest, 1.0)
-            trial = np.clip(points - moves, EDGE, 1.0 - EDGE)
+            trial = np.clip(points - moves, OUTERMOST_LEVEL, 1.0 - OUTERMOST_LEVEL)
             slacks, results = self.simulate(trial, evaluator, each)
             better = slacks < best
             points = np.where(better[:, None], trial, points)
@@ -302,7 +302,8 @@ class Hunt:
         binding = np.argmin(np.where(np.isnan(slacks), -np.inf, slacks), axis=0)
         columns = []
         for i, (name, law) in enumerate(self.laws.items()):
-            ends = np.clip(points[:, i] + EDGE * np.array([[-0.5], [0.5]]), 0.5 * EDGE, 1.0 - 0.5 * EDGE)
+            half = 0.5 * OUTERMOST_LEVEL
+            ends = np.clip(points[:, i] + np.array([[-half], [half]]), half, 1.0 - half)
             rate = (law.quantile(ends[1]) - law.quantile(ends[0])) / (ends[1] - ends[0])
             rows = [results[Derivative(r.name, name)] / r.scale for r in requirements]
             columns.append(np.take_along_axis(np.array(rows), binding[None], 0)[0] * rate)
@@ -322,7 +323,7 @@ class Hunt:
             return np.clip(slacks, -1e100, 1e100)
 
         differential_evolution(
-            cost, [(EDGE, 1.0 - EDGE)] * self.size, init=first, rng=self.rng, tol=0.0,
+            cost, [(OUTERMOST_LEVEL, 1.0 - OUTERMOST_LEVEL)] * self.size, init=first, rng=self.rng, tol=0.0,
             maxiter=generations, polish=False, vectorized=True, updating="deferred",
             callback=lambda x, convergence: self.worst == -np.inf,
         )  # fmt: skip

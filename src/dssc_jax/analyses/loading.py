@@ -76,4 +76,4 @@ def load(folder: str | Path, trust_code: bool = False) -> Loaded:
     """
     path = Path(folder)
     kind = kind_in(path)
-    return results.load(path, trust_code) if kind is None else class_of(kind).load(path, trust_code)
+    return results.load_result(path, trust_code) if kind is None else class_of(kind).load(path, trust_code)

@@ -21,7 +21,7 @@ from dssc_jax.results.analysis_folder import Stored
 from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.study import Study
 
-LEVELS = (0.05, 0.5, 0.95)
+QUANTILE_LEVELS = (0.05, 0.5, 0.95)
 
 
 @dataclass(eq=False)
@@ -129,7 +129,7 @@ class RareEvent(Analysis):
             "where": {
                 name: {
                     "median": self.study.laws[name].median,
-                    "failing": np.quantile(values, LEVELS) if len(values) else None,
+                    "failing": np.quantile(values, QUANTILE_LEVELS) if len(values) else None,
                 }
                 for name, values in self.where.items()
             },

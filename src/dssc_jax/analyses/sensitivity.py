@@ -137,7 +137,7 @@ class Sensitivity(Analysis):
         return cls(stored.study, stored.dataset, **stored.settings)
 
 
-def dataset_of(
+def indices_dataset(
     study: Study, factors: Sequence[str], outputs: Mapping[str, Indices | None], missing: Mapping[str, int]
 ) -> xr.Dataset:
     """Indices as a dataset: see :class:`Sensitivity`."""
@@ -266,7 +266,7 @@ def sensitivity(study: Study, confidence: float = CONFIDENCE, progress: Progress
         ConfigError: inputs are correlated, nothing is uncertain, or the draws are too few.
     """
     study = study.without_sweep()
-    require_independent(study)
+    require_independent_inputs(study)
     rows = 2 ** int(math.log2(study.config.draws))
     if rows < SMALLEST:
         raise ConfigError(study.source, f"sensitivity needs draws >= {SMALLEST}, got {study.config.draws}")
@@ -291,7 +291,7 @@ def sensitivity(study: Study, confidence: float = CONFIDENCE, progress: Progress
     outputs: dict[str, Indices | None] = {}
     reasons, missing = {}, {}
     for name in [measure.name for measure in study.measures] + [FAILURE]:
-        columns = np.stack([output(each, name) for each in results])
+        columns = np.stack([output_of(each, name) for each in results])
         missing[name] = int(np.count_nonzero(~np.isfinite(columns)))
         lacking = f"has no value on {missing[name]:,} simulations" if missing[name] else None
         reason = lacking or refusal(columns[0], columns[1])
@@ -299,18 +299,18 @@ def sensitivity(study: Study, confidence: float = CONFIDENCE, progress: Progress
         if reason:
             reasons[name] = reason
     factors = (*names, NOISE) if noisy else tuple(names)
-    dataset = dataset_of(study, factors, outputs, missing)
+    dataset = indices_dataset(study, factors, outputs, missing)
     return Sensitivity(study, dataset, rows, len(samples) * rows, reasons, confidence)
 
 
-def output(results: Arrays, name: str) -> np.ndarray:
+def output_of(results: Arrays, name: str) -> np.ndarray:
     """A metric, or 1 where the draw failed."""
     if name == FAILURE:
         return (results["outcome"] != Outcome.OK).astype(float)
     return results[name].astype(float)
 
 
-def require_independent(study: Study) -> None:
+def require_independent_inputs(study: Study) -> None:
     """Require uncertain numbers, all independent.
 
     Raises:

@@ -30,7 +30,7 @@ REPEATED = {
 """Operations that XLA repeats instead of storing their results; it stores the others, including division and roots."""
 
 
-def shared_once(function: Callable[..., Any]) -> Callable[..., Any]:
+def deduplicated(function: Callable[..., Any]) -> Callable[..., Any]:
     """The same function with its shared values buffered; for arrays with one batch axis, without side effects."""
 
     def once(*args: Any) -> Any:
@@ -184,11 +184,11 @@ def worth_keeping(equations: Sequence[JaxprEqn], results: set[Var]) -> set[Var]:
         readers: set[Var] = set()
         for variable in eqn.outvars:
             own = kernels.get(variable, set())
-            repeated, shared = eqn.primitive.name in REPEATED, len(own) > 1 and eqn.primitive.name not in FREE
+            repeated, reused = eqn.primitive.name in REPEATED, len(own) > 1 and eqn.primitive.name not in FREE
             worth = (repeated and again[variable] >= COSTLY) if size(variable) > 1 else not repeated
-            if shared and worth:
+            if reused and worth:
                 keep.add(variable)
-            stored = variable in keep or variable in results or (shared and not repeated)
+            stored = variable in keep or variable in results or (reused and not repeated)
             readers |= {variable} if stored and eqn.primitive.name not in FREE else own
         for variable in variables_of(eqn):
             kernels.setdefault(variable, set()).update(readers)

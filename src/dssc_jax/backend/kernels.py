@@ -134,7 +134,7 @@ def in_registers(batch: Batch, interpret: bool | None = None) -> Batch:
             lanes = dict(zip(values, columns, strict=False)), index[...]
             out = translated(program, jax.tree.leaves(lanes))
             out += [jnp.zeros(LANES, real)] * (written - len(out))
-            outputs[...] = joined([x.astype(real) for x in out])
+            outputs[...] = stacked([x.astype(real) for x in out])
 
         numbers = jnp.stack([*values.values(), *[jnp.zeros(count, real)] * (read - len(values))], axis=1)
         spare = -count % LANES
@@ -158,7 +158,7 @@ def power_of_two(count: int) -> int:
     return 1 << max(count - 1, 0).bit_length()
 
 
-def joined(columns: list[jax.Array]) -> jax.Array:
+def stacked(columns: list[jax.Array]) -> jax.Array:
     """2^m columns as one array of shape (LANES, 2^m), two at a time: Triton's way.
 
     One store replaces many, because the compile time grows with the number of stores times the square of the program

@@ -110,15 +110,15 @@ def load_result(folder: Path, trust_code: bool = False, local: bool = False) -> 
         local: As in :func:`load_study`, of the study file that it was made from; only where its code is trusted.
     """
     from dssc_jax.results.manifest import read_manifest
-    from dssc_jax.results.result import load
+    from dssc_jax.results.result import load_result
 
     if trust_code:
         trust(read_manifest(folder), local)
-    return load(folder, trust_code)
+    return load_result(folder, trust_code)
 
 
 def load_any(folder: Path, trust_code: bool = False, local: bool = False) -> "Loaded":
-    """A stored result, or analysis, which may come from anybody; the rest as :func:`load_result`."""
+    """A stored result, or analysis, which may come from anybody; the rest as of :func:`load_result` here."""
     from dssc_jax.analyses.loading import description, load
 
     if trust_code:

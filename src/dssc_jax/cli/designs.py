@@ -47,12 +47,12 @@ def design(
     [free] fixes free parameters of Table 1; what it leaves open is chosen for the [goal]: without one, for the
     smallest guaranteed error at a sampling period of 1 ms.
     """
-    from dssc_jax.design.files import load_design, to_toml
+    from dssc_jax.design.files import design_toml, load_design
 
     require_one_form(as_json, as_latex)
     bounded = load_design(bounds, complete=False)
     if out is not None:
-        attempt(out, lambda: out.write_text(to_toml(bounded), encoding="utf-8"))
+        attempt(out, lambda: out.write_text(design_toml(bounded), encoding="utf-8"))
     return output_design(bounded, as_json, as_latex)
 
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-Study = Annotated[str, typer.Argument(metavar="STUDY", help="A study file, or the name of one of `studies`.")]
+StudyArgument = Annotated[str, typer.Argument(metavar="STUDY", help="A study file, or the name of one of `studies`.")]
 Set = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="NAME=VALUE", help="Override a value by dotted name; may be repeated."),
@@ -22,7 +22,7 @@ Draws = Annotated[int | None, typer.Option("--draws", metavar="N", help="Number 
 Seed = Annotated[int | None, typer.Option("--seed", metavar="S", help="Seed of the draws.")]
 Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Results folder [results/NAME-COMMAND].")]
 Resume = Annotated[bool, typer.Option("--resume", help="Keep what an interrupted run of this study finished.")]
-Cluster = Annotated[
+ClusterOption = Annotated[
     str | None,
     typer.Option("--cluster", metavar="ADDRESS", help="Workers: tcp://HOST:PORT of a dask scheduler, or local:N."),
 ]
@@ -33,11 +33,11 @@ Local = Annotated[
 TrustCode = Annotated[
     bool, typer.Option("--trust-code", help="Import the `module:object` names of the result's study.")
 ]
-Point = Annotated[
+PointOption = Annotated[
     list[str] | None, typer.Option("--at", metavar="NAME=VALUE", help="Point of the sweep; may be repeated.")
 ]
 Csv = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write the trajectory as CSV.")]
 Figure = Annotated[Path | None, typer.Option("--figure", metavar="FILE", help="Write a figure (PNG, SVG, PDF).")]
 Every = Annotated[int, typer.Option("--every", metavar="K", min=1, help="Keep every K-th sample.")]
-Stored = Annotated[Path, typer.Argument(metavar="FOLDER", help="The folder of a result, or of an analysis.")]
-Result = Annotated[Path, typer.Argument(metavar="RESULT", help="A results folder.")]
+StoredArgument = Annotated[Path, typer.Argument(metavar="FOLDER", help="The folder of a result, or of an analysis.")]
+ResultArgument = Annotated[Path, typer.Argument(metavar="RESULT", help="A results folder.")]

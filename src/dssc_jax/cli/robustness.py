@@ -34,7 +34,7 @@ def parse_bounds(text: str) -> tuple[str, tuple[float, float]]:
 
 @app.command()
 def margin(
-    study: opt.Study,
+    study: opt.StudyArgument,
     over: WalkOption,
     log: LogOption = False,
     points: PointsOption = POINTS,
@@ -85,7 +85,7 @@ def split_names(text: str) -> list[str]:
 
 @app.command()
 def theory(
-    study: opt.Study,
+    study: opt.StudyArgument,
     over: WalkOption,
     log: LogOption = False,
     points: PointsOption = POINTS,
@@ -133,7 +133,7 @@ def switching_rivals(study: "Study") -> dict[str, "Study"]:
 
 @app.command()
 def compare(
-    study: opt.Study,
+    study: opt.StudyArgument,
     controllers: Annotated[
         str, typer.Option("--controllers", metavar="A,B,..", help="Kinds, or names of the study's [compare.NAME].")
     ],

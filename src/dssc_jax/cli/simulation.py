@@ -22,7 +22,7 @@ FIGURES = (".png", ".svg", ".pdf")
 
 @app.command()
 def run(
-    study: opt.Study,
+    study: opt.StudyArgument,
     settings: opt.Set = None,
     draws: opt.Draws = None,
     seed: opt.Seed = None,
@@ -38,7 +38,7 @@ def run(
     max_draws: Annotated[
         int | None, typer.Option("--max-draws", metavar="N", help="Stop undecided at so many draws [100000].")
     ] = None,
-    cluster: opt.Cluster = None,
+    cluster: opt.ClusterOption = None,
     as_json: opt.Json = False,
     allow_local: opt.Local = False,
 ) -> int:
@@ -64,14 +64,14 @@ def run(
 
 @app.command()
 def sweep(
-    study: opt.Study,
+    study: opt.StudyArgument,
     over: opt.Over = None,
     settings: opt.Set = None,
     draws: opt.Draws = None,
     seed: opt.Seed = None,
     out: opt.Out = None,
     resume: opt.Resume = False,
-    cluster: opt.Cluster = None,
+    cluster: opt.ClusterOption = None,
     as_json: opt.Json = False,
     allow_local: opt.Local = False,
 ) -> int:
@@ -94,7 +94,7 @@ def sweep(
 
 @app.command()
 def simulate(
-    study: opt.Study,
+    study: opt.StudyArgument,
     draw: Annotated[int, typer.Option("--draw", metavar="I", help="Index of the draw.")] = 0,
     csv: opt.Csv = None,
     figure: opt.Figure = None,
@@ -116,9 +116,9 @@ def simulate(
 
 @app.command()
 def replay(
-    result: opt.Result,
+    result: opt.ResultArgument,
     draw: Annotated[int, typer.Option("--draw", metavar="I", help="Index of the draw.")],
-    at: opt.Point = None,
+    at: opt.PointOption = None,
     csv: opt.Csv = None,
     figure: opt.Figure = None,
     every: opt.Every = 1,
@@ -187,7 +187,7 @@ def finish_sequential(study: "Study", rule: "Rule", most: int | None, out: Path 
     out = out or default_out(study.override({"draws": most}), f"run-{rule.slug}", most)
     with progress_bar(study, quiet=as_json, early="the rule is met") as advance:
         result = run_until(study, rule, out, most=most, progress=advance)
-    conclude(result, out, as_json)
+    output_result(result, out, as_json)
     return DONE if result.manifest["stopping"]["verdict"] in ("narrow", "accepted") else FAILS
 
 
@@ -201,11 +201,11 @@ def finish(
     folder = str(Path(study.source).resolve().parent) if local else None
     with progress_bar(study, quiet=as_json) as advance:
         result = running.run(study, out, resume=resume, progress=advance, cluster=cluster, notify=notify, local=folder)
-    conclude(result, out, as_json)
+    output_result(result, out, as_json)
     return DONE
 
 
-def conclude(result: "Result", out: Path, as_json: bool) -> None:
+def output_result(result: "Result", out: Path, as_json: bool) -> None:
     """Show the result, then draw its figures, which take longer."""
     from dssc_jax.console import show_figures, show_result
     from dssc_jax.results.blocks import writing

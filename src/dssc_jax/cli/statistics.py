@@ -47,7 +47,7 @@ def plan(
 
 @app.command()
 def sensitivity(
-    study: opt.Study,
+    study: opt.StudyArgument,
     settings: opt.Set = None,
     draws: opt.Draws = None,
     seed: opt.Seed = None,
@@ -76,7 +76,7 @@ def sensitivity(
 
 @app.command()
 def rare(
-    study: opt.Study,
+    study: opt.StudyArgument,
     particles: Annotated[int, typer.Option("--particles", metavar="N", help="Particles of each repeat.")] = PARTICLES,
     killed: Annotated[
         int | None, typer.Option("--killed", metavar="K", help="Particles killed at each level [N/2].")

@@ -12,7 +12,7 @@ from dssc_jax.cli.common import DONE, FAILS, app, load_any, load_result
 
 @app.command()
 def verify(
-    result: opt.Result,
+    result: opt.ResultArgument,
     draws: Annotated[int, typer.Option("--draws", metavar="K", help="How many lanes to compute again.")] = 16,
     seed: Annotated[int | None, typer.Option("--seed", metavar="S", help="Picks them [anew each time].")] = None,
     as_json: opt.Json = False,
@@ -37,7 +37,7 @@ def verify(
 
 @app.command()
 def export(
-    result: opt.Stored,
+    result: opt.StoredArgument,
     to: Annotated[str, typer.Option("--to", metavar="FORMAT", help="csv, parquet or netcdf.")],
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="The file [draws.csv, ... in FOLDER].")

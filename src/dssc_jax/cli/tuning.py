@@ -17,7 +17,7 @@ BudgetOption = Annotated[
 
 @app.command()
 def tune(
-    study: opt.Study,
+    study: opt.StudyArgument,
     robust: Annotated[
         bool, typer.Option("--robust", help="Hunt the result's worst case, add it to the draws, tune again.")
     ] = False,
@@ -56,7 +56,7 @@ def tune(
 
 @app.command()
 def falsify(
-    study: opt.Study,
+    study: opt.StudyArgument,
     budget: BudgetOption = BUDGET,
     search_seed: Annotated[int, typer.Option("--search-seed", metavar="S", min=0, help="Seed of the search.")] = 0,
     settings: opt.Set = None,

@@ -34,7 +34,7 @@ class Beyond(NamedTuple):
     largest: Scalar = 0.0
 
 
-def beyond(acc: Beyond, sample: Sample, window: Window) -> Beyond:
+def time_beyond(acc: Beyond, sample: Sample, window: Window) -> Beyond:
     """Largest error beyond zero, relative to its sign at the start of the window."""
     side = jnp.where(acc.side == 0.0, sign(sample.e), acc.side)
     return Beyond(side, jnp.maximum(acc.largest, -side * sample.e))
@@ -104,7 +104,7 @@ PERFORMANCE: dict[str, Metric] = {
     "iae": Metric("m s", "integral of |e|", total(lambda s: jnp.abs(s.e)), integral),
     "itae": Metric("m s^2", "integral of time, from the window's start, times |e|", timed_error, integral),
     "overshoot": Metric(
-        "m", "largest error on the other side of zero", beyond, lambda acc, *_: acc.largest, start=Beyond()
+        "m", "largest error on the other side of zero", time_beyond, lambda acc, *_: acc.largest, start=Beyond()
     ),
     "steady_state_error": Metric("m", "|mean of e| over the window", total(lambda s: s.e), magnitude_of_mean),
     "command_energy": Metric("m^2/s", "integral of the robust command's square", total(lambda s: s.u * s.u), integral),

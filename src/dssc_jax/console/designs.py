@@ -10,56 +10,56 @@ from dssc_jax.design import Certificate, Constants, Parameters
 from dssc_jax.design.feasibility import Limits
 from dssc_jax.design.files import DesignFile, functions_toml
 
-Row = tuple[str, ...]
+TableRow = tuple[str, ...]
 
 
-class Table(NamedTuple):
+class DesignTable(NamedTuple):
     """A titled table of text."""
 
     title: str
-    head: Row
-    rows: list[Row]
+    head: TableRow
+    rows: list[TableRow]
 
 
-def number(value: Any) -> str:
+def number_text(value: Any) -> str:
     """A number as one reads it; a dash where there is none."""
     return "-" if value is None or value != value else f"{value:.5g}"
 
 
-def tables(design: DesignFile, certificate: Certificate) -> list[Table]:
+def tables(design: DesignFile, certificate: Certificate) -> list[DesignTable]:
     """Parameters, inequalities, small gain and what they guarantee."""
     return [
-        Table("Parameters", ("parameter", "value", "unit", "meaning"), described(design.parameters)),
+        DesignTable("Parameters", ("parameter", "value", "unit", "meaning"), parameter_rows(design.parameters)),
         inequality_table(certificate),
         small_gain_table(certificate),
         guarantee_table(design, certificate),
-        Table("Constants", ("constant", "value", "unit", "meaning"), described(certificate.constants)),
+        DesignTable("Constants", ("constant", "value", "unit", "meaning"), parameter_rows(certificate.constants)),
     ]
 
 
-def described(numbers: Parameters | Constants) -> list[Row]:
+def parameter_rows(numbers: Parameters | Constants) -> list[TableRow]:
     """Each number with its unit and meaning."""
     hints = get_type_hints(type(numbers), include_extras=True)
     rows = []
     for name, value in numbers._asdict().items():
         mark: Quantity = hints[name].__metadata__[0]
-        rows.append((name, number(value), mark.unit, mark.meaning))
+        rows.append((name, number_text(value), mark.unit, mark.meaning))
     return rows
 
 
-def inequality_table(certificate: Certificate) -> Table:
+def inequality_table(certificate: Certificate) -> DesignTable:
     """Table 1 with slacks, as derived and as printed."""
     rows = [
         (
             i.name,
-            *(number(x) for x in (i.value, i.bound, i.slack, i.printed_slack)),
+            *(number_text(x) for x in (i.value, i.bound, i.slack, i.printed_slack)),
             i.state.value.replace("_", " "),
             i.equation,
         )
         for i in certificate.inequalities
     ]
     head = ("inequality", "value", "must exceed", "slack", "printed slack", "state", "equation")
-    return Table("Design inequalities, for all k_p", head, rows)
+    return DesignTable("Design inequalities, for all k_p", head, rows)
 
 
 READINGS = {
@@ -69,40 +69,40 @@ READINGS = {
 }
 
 
-def small_gain_table(certificate: Certificate) -> Table:
+def small_gain_table(certificate: Certificate) -> DesignTable:
     """The three readings of the small-gain condition."""
     rows = [
-        (name, number(certificate.phi_b), number(bound), number(certificate.phi_b - bound), READINGS[name])
+        (name, *map(number_text, (certificate.phi_b, bound, certificate.phi_b - bound)), READINGS[name])
         for name, bound in certificate.small_gain._asdict().items()
     ]
-    return Table("Small gain", ("reading", "phi_b", "must exceed", "slack", "source"), rows)
+    return DesignTable("Small gain", ("reading", "phi_b", "must exceed", "slack", "source"), rows)
 
 
-def guarantee_table(design: DesignFile, certificate: Certificate) -> Table:
+def guarantee_table(design: DesignFile, certificate: Certificate) -> DesignTable:
     """What follows: residuals, rate, proofs, and what a running loop needs."""
     g, proofs, needs = certificate.guarantee, certificate.lyapunov, certificate.practice
     rows = [
-        ("ultimate bound of |e|", number(g.e), "m"),
-        ("ultimate bound of |sigma|", number(g.sigma), "m/s"),
-        ("constant of O(1/phi_b^2) of |e|", number(g.order), "m"),
-        ("decay rate to the residual set", number(g.decay_rate), "1/s"),
-        ("smallest eigenvalue of P", number(proofs.p_smallest), "SI"),
-        ("smallest eigenvalue of Q - 2 eps I found", number(proofs.q_smallest), "SI"),
+        ("ultimate bound of |e|", number_text(g.e), "m"),
+        ("ultimate bound of |sigma|", number_text(g.sigma), "m/s"),
+        ("constant of O(1/phi_b^2) of |e|", number_text(g.order), "m"),
+        ("decay rate to the residual set", number_text(g.decay_rate), "1/s"),
+        ("smallest eigenvalue of P", number_text(proofs.p_smallest), "SI"),
+        ("smallest eigenvalue of Q - 2 eps I found", number_text(proofs.q_smallest), "SI"),
         ("Q - 2 eps I > 0 for all sigma, e, alpha, k_p", "proved" if proofs.q_proved else "not proved", ""),
         ("k_o tau_av > 0 and tau_m > 0 for all sigma, e", "proved" if proofs.functions_proved else "not proved", ""),
-        ("sampling period, at sigma = e = 0", number(needs.sample_time_origin), "s"),
-        ("sampling period, over the residual set", number(needs.sample_time), "s"),
-        ("|u_av| over the residual set", number(needs.u_av), "m/s"),
+        ("sampling period, at sigma = e = 0", number_text(needs.sample_time_origin), "s"),
+        ("sampling period, over the residual set", number_text(needs.sample_time), "s"),
+        ("|u_av| over the residual set", number_text(needs.u_av), "m/s"),
     ]
     if design.modulation is not None:
         rows += [
-            ("constant rho that keeps sliding there", number(design.modulation.needed_rho(needs)), "m/s"),
-            ("time of the first sliding under (33)", number(design.modulation.first_sliding), "s"),
+            ("constant rho that keeps sliding there", number_text(design.modulation.needed_rho(needs)), "m/s"),
+            ("time of the first sliding under (33)", number_text(design.modulation.first_sliding), "s"),
         ]
-    return Table("Guaranteed", ("what", "value", "unit"), rows)
+    return DesignTable("Guaranteed", ("what", "value", "unit"), rows)
 
 
-def limits_table(limits: Limits) -> Table:
+def limits_table(limits: Limits) -> DesignTable:
     """How far each bound can go alone."""
     meanings = {
         "phi_b": "least phi_b",
@@ -111,8 +111,8 @@ def limits_table(limits: Limits) -> Table:
         "k_max": "largest k_max",
         "a_max": "largest a_max",
     }
-    rows = [(meanings[name], number(value)) for name, value in limits._asdict().items()]
-    return Table("Certified up to, one at a time", ("limit", "value"), rows)
+    rows = [(meanings[name], number_text(value)) for name, value in limits._asdict().items()]
+    return DesignTable("Certified up to, one at a time", ("limit", "value"), rows)
 
 
 def show(design: DesignFile, certificate: Certificate, limits: Limits | None) -> None:
@@ -136,7 +136,7 @@ def reasons(certificate: Certificate) -> str:
     failing = [f"{i.name} {i.state.value.replace('_', ' ')}" for i in certificate.inequalities if not i.satisfied]
     if not certificate.interconnected:
         bound = certificate.small_gain.derived
-        failing.append(f"small gain needs phi_b > {number(bound)}" if bound == bound else "small gain needs P > 0")
+        failing.append(f"small gain needs phi_b > {number_text(bound)}" if bound == bound else "small gain needs P > 0")
     return "; ".join(failing)
 
 

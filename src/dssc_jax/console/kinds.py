@@ -38,14 +38,14 @@ def parts(params: type, place: str) -> dict[str, Registry]:
     return by_slot
 
 
-def member_of(entry: Entry) -> Any:
+def default_member(entry: Entry) -> Any:
     """A model of an entry; what its options change is not its parameters."""
     return next(iter(entry.members.values()))
 
 
 def params_of(entry: Entry) -> Any:
     """The parameter type of an entry."""
-    member = member_of(entry)
+    member = default_member(entry)
     return getattr(member, "params", member)
 
 
@@ -58,7 +58,7 @@ def kinds() -> dict[str, dict[str, Any]]:
                 "summary": entry.summary,
                 "fields": list(field_specs(params_of(entry))),
                 "options": options_of(entry),
-                "about": {row[0]: dict(zip(COLUMNS[1:], row[1:], strict=True)) for row in rows_of(entry)},
+                "about": {row[0]: dict(zip(KIND_COLUMNS[1:], row[1:], strict=True)) for row in rows_of(entry)},
             }
             for kind, entry in registry.items()
         }
@@ -70,12 +70,12 @@ def options_of(entry: Entry) -> dict[str, list[Any]]:
     return {entry.option: [key.value for key in entry.members]} if entry.option else {}
 
 
-COLUMNS = ("field", "unit", "meaning", "admissible", "default")
+KIND_COLUMNS = ("field", "unit", "meaning", "admissible", "default")
 
 
 def rows_of(entry: Entry) -> list[tuple[str, str, str, str, str]]:
     """Every field of a kind, nested ones by dotted name, with the columns :data:`COLUMNS`."""
-    params, preset = params_of(entry), getattr(member_of(entry), "defaults", None)
+    params, preset = params_of(entry), getattr(default_member(entry), "defaults", None)
     rows = list(fields(params, "", preset))
     for name, values in options_of(entry).items():
         rows.append((name, "", "option", " | ".join(map(str, values)), text_of(entry.default)))
@@ -142,4 +142,4 @@ def show_kind(name: str) -> None:
         raise ConfigError(name, f"is no kind; {nearest(name, valid)}")
     for slot, entry in entries.items():
         output().print(f'[{HEADS.get(slot, slot)}] kind = "{name}": {entry.summary}', markup=False)
-        show_table(COLUMNS, rows_of(entry))
+        show_table(KIND_COLUMNS, rows_of(entry))

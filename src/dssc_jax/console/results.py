@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 WIDEST_ROWS, WIDEST_COLUMNS = 40, 24
 STAYS_FINITE = "that the draw stays finite"
 SHARE = ("probability", "95 % interval")
-MARKS = {True: "yes", False: "no", None: "-"}
+VERDICT_MARKS = {True: "yes", False: "no", None: "-"}
 
 
 def show_result(result: "Result") -> None:
@@ -62,7 +62,9 @@ def show_figures(figures: list[Path]) -> None:
 def show_point(study: "Study", point: dict[str, Any]) -> None:
     """Each requirement by itself, which are violated together, early ends, and the metrics' quantiles."""
     if point["requirements"]:
-        rows = [(each["text"], *counted(each, point["draws"]), str(each["alone"])) for each in point["requirements"]]
+        rows = [
+            (each["text"], *failure_cells(each, point["draws"]), str(each["alone"])) for each in point["requirements"]
+        ]
         show_table(("requirement", "violated by", *SHARE, "by it alone"), rows)
     if point["overlaps"]:
         rows = [(" and ".join(pair["names"]), str(pair["draws"])) for pair in point["overlaps"]]
@@ -90,7 +92,7 @@ def quantile_text(quantiles: Mapping[str, Any], level: str) -> str:
     return f"{quantiles[level]:.4g} [{number(low, '-inf')}, {number(high, 'inf')}]"
 
 
-def counted(row: Mapping[str, Any], draws: int) -> tuple[str, str, str]:
+def failure_cells(row: Mapping[str, Any], draws: int) -> tuple[str, str, str]:
     """Failures, their probability, and its interval; no failure is told by its upper bound, never as 0."""
     low, high = row["interval"]
     probability = f"{row['probability']:.4g}" if row["failures"] else f"<= {high:.3g}"
@@ -107,7 +109,7 @@ def show_points(result: "Result") -> None:
         middle = point["metrics"].get(metric, {}).get("q50")
         shown = "inf" if middle is None else f"{middle:.4g}"
         worst = [most_violated(point)] if several else []
-        rows.append((*values, *counted(point, point["draws"]), *worst, shown, MARKS[point["certified"]]))
+        rows.append((*values, *failure_cells(point, point["draws"]), *worst, shown, VERDICT_MARKS[point["certified"]]))
     worst = ["most violated"] if several else []
     show_table((*axes, "failures", *SHARE, *worst, f"median {metric}", "certified"), rows)
     more = math.prod(map(len, axes.values())) - len(rows)

@@ -159,7 +159,7 @@ def parsed_numbers(table: dict[str, Any], kind: type, path: str) -> Any:
     return numbers
 
 
-def to_toml(design_file: DesignFile) -> str:
+def design_toml(design_file: DesignFile) -> str:
     """A design file with the parameters as numbers, and the table for a study that uses them."""
     numbers = design_file.bounds._asdict().items()
     bounds = {name: value for name, value in numbers if name != "zero_dynamics" and value != 0.0}

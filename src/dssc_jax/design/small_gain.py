@@ -104,11 +104,11 @@ def small_gain(p: Parameters, bounds: Bounds) -> SmallGain:
     on phi_b, so a sufficiently large phi_b always satisfies it.
     """
     c, eta = derive(bounds, p.l0), error_dynamics(bounds, p.l0)
-    shared = eta.input * norm_of_pb(p.eps) * eta.spread.condition / p.eps
-    derived = (shared * (c.kappa_e + c.c_eta_a_eta) * worst_condition(p, bounds)) ** 0.5
+    common = eta.input * norm_of_pb(p.eps) * eta.spread.condition / p.eps
+    derived = (common * (c.kappa_e + c.c_eta_a_eta) * worst_condition(p, bounds)) ** 0.5
     ends = [eigenvalues_of_p(k_p, p.eps, p.gamma) for k_p in (bounds.k_min, bounds.k_max)]
     mixed = greater(*(end.high / end.low**0.5 for end in ends))
-    printed = 0.25 * shared * (c.kappa_e_printed + c.c_eta_a_eta) * mixed / eta.spread.low**0.5
+    printed = 0.25 * common * (c.kappa_e_printed + c.c_eta_a_eta) * mixed / eta.spread.low**0.5
     return SmallGain(derived, 2.0 * derived, printed**0.5)
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
 from dssc_jax.backend import kernels, xla
-from dssc_jax.backend.fusion import shared_once
+from dssc_jax.backend.fusion import deduplicated
 from dssc_jax.closed_loop.draw import simulate
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Scalar
@@ -31,7 +31,7 @@ from dssc_jax.study import Study
 LANES = 64  # of a tile that one kernel advances: its state and temporaries stay in the second-level cache
 LANES_OF_KERNELS = 512  # of a tile that many kernels advance, so that calling them costs little
 TILE = "tile"  # name of the axis over the lanes of a tile
-STEP = 16  # every tile is a multiple of it: of 8, a 512-bit vector, the compiler may contract other products
+TILE_STEP = 16  # every tile is a multiple of it: of 8, a 512-bit vector, the compiler may contract other products
 BLOCK = 16384  # lanes
 PROBES = 16  # draws that are simulated twice to find in-loop noise
 VERSIONS = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy", "xarray", "zarr")
@@ -154,7 +154,7 @@ class Engine:
         usable = jax.devices()[: self.devices]
         share = -(-self.lanes // len(usable))
         wanted = min(self.tile, share) if self.tile else best_tile(usable, share)
-        self._tile = -(-wanted // STEP) * STEP
+        self._tile = -(-wanted // TILE_STEP) * TILE_STEP
         tiles = -(-self.lanes // self._tile)
         self._tiles = -(-tiles // len(usable)) * len(usable)
         self._mesh = Mesh(np.array(usable), ("device",))
@@ -222,7 +222,7 @@ class Engine:
 
         batch = jax.vmap(one, axis_name=TILE)
         whole = xla.compiles_loops_whole() and on_cpu(self._mesh.devices)
-        compiled = kernels.compiled(self.kernel, compile_for, shared_once(batch) if whole else batch, batch)
+        compiled = kernels.compiled(self.kernel, compile_for, deduplicated(batch) if whole else batch, batch)
         self.clock.compile_seconds += time.perf_counter() - began
         return compiled
 

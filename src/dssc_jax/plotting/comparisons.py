@@ -29,8 +29,8 @@ def comparison(compared: Analysis) -> Figure:
         contests.append((summary["tuned"], ORANGE, "tuned on equal budgets"))
     for index, (contest, colour, text) in enumerate(contests):
         shift = APART * (2 * index - len(contests) + 1)
-        probabilities(left, contest, colour, text, shift)
-        differences(right, contest, names[0], colour, shift)
+        probability_panel(left, contest, colour, text, shift)
+        difference_panel(right, contest, names[0], colour, shift)
     right.axvline(0.0, color=GREY, linewidth=1.0)
     left.set(
         xlabel="failure probability, 95 % interval", yticks=range(len(names)), yticklabels=names, xlim=(-0.03, 1.03)
@@ -45,7 +45,7 @@ def comparison(compared: Analysis) -> Figure:
     return figure
 
 
-def probabilities(ax: Axes, contest: dict[str, Any], colour: str, text: str, shift: float) -> None:
+def probability_panel(ax: Axes, contest: dict[str, Any], colour: str, text: str, shift: float) -> None:
     """One dot with its Clopper-Pearson interval for each controller."""
     own = list(contest["controllers"].values())
     share = np.array([one["probability"] for one in own])
@@ -54,7 +54,7 @@ def probabilities(ax: Axes, contest: dict[str, Any], colour: str, text: str, shi
     ax.errorbar(share, at, xerr=np.abs(ends - share), fmt="o", color=colour, capsize=3, label=text)
 
 
-def differences(ax: Axes, contest: dict[str, Any], first: str, colour: str, shift: float) -> None:
+def difference_panel(ax: Axes, contest: dict[str, Any], first: str, colour: str, shift: float) -> None:
     """Each controller minus the first, with the interval of the paired difference."""
     rows = list(contest["controllers"])
     for pair in contest["pairs"]:

@@ -9,7 +9,7 @@ from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.plotting.style import BLUE, DRAWABLE, RED, SLIDE, SMALL, label, panel, set_scale, styled, title
 from dssc_jax.plotting.thinning import picked
-from dssc_jax.results.result import Result, measured
+from dssc_jax.results.result import Result, measure_named
 from dssc_jax.statistics import CONFIDENCE, Replicated, clopper_pearson
 
 BINS, FILLED = 8, 5  # at most so many bins, each of at least so many draws
@@ -69,7 +69,7 @@ def distribution(result: Result, ax: Axes | None = None, metric: str | None = No
     """
     one_point(result)
     figure, ax = panel(ax)
-    measure = measured(result, metric)
+    measure = measure_named(result, metric)
     values = result.dataset[measure.name].values
     finite = np.sort(values[np.abs(values) < DRAWABLE])
     ranks = 1 + picked(len(finite)) if len(finite) else np.array([], int)
@@ -78,7 +78,7 @@ def distribution(result: Result, ax: Axes | None = None, metric: str | None = No
         interval = clopper_pearson(ranks, values.size, result.method.level(CONFIDENCE))
         ax.fill_between(shown, *interval.T, color=BLUE, alpha=0.2, step="post", linewidth=0.0, label="95 % interval")
     ax.step(shown, ranks / values.size, color=BLUE, where="post", marker="o" if len(shown) < FEW else None)
-    for limit in limits(result, measure):
+    for limit in metric_bounds(result, measure):
         ax.axvline(limit, color=RED, linestyle="--", label="required")
     if shown.size:
         set_scale(ax, shown)
@@ -125,7 +125,7 @@ def factor(result: Result, name: str, ax: Axes | None = None) -> Figure:
     return figure
 
 
-def limits(result: Result, measure: Measure) -> list[float]:
+def metric_bounds(result: Result, measure: Measure) -> list[float]:
     """Required bounds of a measure."""
     bounds = [r for r in result.study.requirements if r.measure.name == measure.name]
     return [value for r in bounds for value in (r.maximum, r.minimum) if value is not None]

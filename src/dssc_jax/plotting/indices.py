@@ -12,7 +12,7 @@ from dssc_jax.plotting.style import BLUE, ORANGE, SLIDE, styled, title
 from dssc_jax.results.analysis import Analysis
 
 OFFSET = 0.13  # of the two kinds of index from their common row
-PARTS = {"first": ("first order: alone", BLUE, -OFFSET), "total": ("total: with interactions", ORANGE, OFFSET)}
+INDEX_KINDS = {"first": ("first order: alone", BLUE, -OFFSET), "total": ("total: with interactions", ORANGE, OFFSET)}
 
 
 @styled
@@ -35,7 +35,7 @@ def sensitivity(indices: Analysis) -> Figure:
             reason = textwrap.fill(f"no indices; it {summary['reasons'][name]}", 40)
             ax.text(0.5, 0.5, reason, transform=ax.transAxes, ha="center")
         else:
-            rows(ax, output)
+            factor_rows(ax, output)
     panels[0].set_yticks(range(len(factors)), factors)
     panels[0].set_ylim(len(factors) - 0.5, -0.5)
     handles, labels = max((ax.get_legend_handles_labels() for ax in panels), key=lambda pair: len(pair[0]))
@@ -49,9 +49,9 @@ def sensitivity(indices: Analysis) -> Figure:
     return figure
 
 
-def rows(ax: Axes, output: Mapping[str, Any]) -> None:
+def factor_rows(ax: Axes, output: Mapping[str, Any]) -> None:
     """Both kinds of index, a row a factor."""
-    for part, (text, colour, offset) in PARTS.items():
+    for part, (text, colour, offset) in INDEX_KINDS.items():
         value = np.array([one[part] for one in output.values()])
         low, high = np.array([one[f"{part}_interval"] for one in output.values()]).T
         where = np.arange(len(value)) + offset

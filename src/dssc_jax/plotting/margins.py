@@ -25,7 +25,7 @@ def margin(margins: Analysis) -> Figure:
     summary = margins.summary()
     figure = Figure(figsize=(SLIDE[0], SLIDE[1] + 0.6), layout="constrained")
     left, right = figure.subplots(1, 2)
-    distribution(left, margins, summary)
+    margin_distribution(left, margins, summary)
     curve, walked = summary["degradation"], margins.dataset["value"]
     level = f"{100 * summary['confidence']:g} % band over all values together"
     right.fill_between(curve["value"], curve["lower"], curve["upper"], color=RED, alpha=0.2, label=level)
@@ -48,7 +48,7 @@ def set_walk(ax: Axes, summary: Mapping[str, Any]) -> None:
     ax.set_xlim(*summary["bounds"])
 
 
-def distribution(ax: Axes, margins: Analysis, summary: Mapping[str, Any]) -> None:
+def margin_distribution(ax: Axes, margins: Analysis, summary: Mapping[str, Any]) -> None:
     """Share of draws that have failed by each value of the walk; censored ones stand before and beyond it."""
     (start, end), critical = summary["bounds"], margins.dataset["critical"].values
     steps = np.sort(critical[~np.isnan(critical)])

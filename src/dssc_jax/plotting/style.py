@@ -30,15 +30,15 @@ STYLE: dict[Any, Any] = {
 SLIDE, PANEL, SMALL = (11.5, 5.6), (6.4, 4.6), (4.6, 3.8)  # inches
 DRAWABLE = 1e100  # larger numbers overflow in matplotlib's axes
 LOG_SPAN = 8.0  # axes whose positive values span more than this ratio are logarithmic
-Arguments = ParamSpec("Arguments")
+DrawingArguments = ParamSpec("DrawingArguments")
 Drawn = TypeVar("Drawn")
 
 
-def styled(draw: Callable[Arguments, Drawn]) -> Callable[Arguments, Drawn]:
+def styled(draw: Callable[DrawingArguments, Drawn]) -> Callable[DrawingArguments, Drawn]:
     """Draw in the project's style without touching the caller's."""
 
     @wraps(draw)
-    def wrapper(*args: Arguments.args, **options: Arguments.kwargs) -> Drawn:
+    def wrapper(*args: DrawingArguments.args, **options: DrawingArguments.kwargs) -> Drawn:
         with rc_context(STYLE):
             return draw(*args, **options)
 

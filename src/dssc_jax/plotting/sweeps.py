@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
 
 from dssc_jax.closed_loop.metrics import Measure
-from dssc_jax.plotting.draws import limits
+from dssc_jax.plotting.draws import metric_bounds
 from dssc_jax.plotting.style import (
     BLUE,
     GREEN,
@@ -29,14 +29,14 @@ from dssc_jax.plotting.style import (
     title,
 )
 from dssc_jax.plotting.thinning import envelope, thinned
-from dssc_jax.results.result import Result, measured
+from dssc_jax.results.result import Result, measure_named
 from dssc_jax.statistics.order import upper_quantiles
 
 MARKED = 200  # a curve of more points shows none of them
 FINE = 2500  # a map of more cells is written as an image, not cell by cell
 CERTIFIED = "certified by Theorem 1"
 HALF, BOUND = ("half of the draws fail", "-"), ("95 % upper bound of the probability at 5 %", "--")
-LIMIT = ("the median at its limit", "-")
+AT_LIMIT = ("the median at its limit", "-")
 
 
 @styled
@@ -62,7 +62,7 @@ def sweep(result: Result) -> Figure:
         for ax in panels:
             if (legend := ax.get_legend()) is not None:
                 legend.remove()
-        keys = [(f"{HALF[0]}, or {LIMIT[0]}", "-"), BOUND]
+        keys = [(f"{HALF[0]}, or {AT_LIMIT[0]}", "-"), BOUND]
         figure.legend(handles=map_keys(result, keys), loc="outside lower center", ncols=2, frameon=False)
     title(figure, f"{result.study.config.description or result.study.name}{held(result)}\n{result.certificate}")
     return figure
@@ -109,9 +109,9 @@ def typical(result: Result, ax: Axes | None = None, metric: str | None = None) -
     figure, ax = panel(ax, PANEL if len(free_axes(result)) == 1 else (PANEL[0], PANEL[1] + 0.8))
     axes = free_axes(result)
     if len(axes) == 1:
-        typical_curve(ax, result, measured(result, metric), axes[0])
+        typical_curve(ax, result, measure_named(result, metric), axes[0])
     else:
-        typical_map(ax, result, measured(result, metric), *axes)
+        typical_map(ax, result, measure_named(result, metric), *axes)
     return figure
 
 
@@ -153,7 +153,7 @@ def typical_curve(ax: Axes, result: Result, measure: Measure, axis: str) -> None
         ax.set_xlim(x.min(), x.max())
     if not np.isfinite(middle).any():
         ax.text(0.5, 0.5, "no finite median", transform=ax.transAxes, ha="center")
-    for limit in limits(result, measure):
+    for limit in metric_bounds(result, measure):
         ax.axhline(limit, color=RED, linestyle="--", label="required")
     set_scale(ax, middle[np.isfinite(middle)], "y")
     if result.study.config.plot.slope and len(x) > 1 and is_power(x) and is_power(middle):
@@ -231,10 +231,10 @@ def typical_map(ax: Axes, result: Result, measure: Measure, down: str, across: s
         label=textwrap.fill(f"median {label(result.dataset[measure.name].attrs)}", 40),
         extend="max" if clip(finite, cap) else "neither",
     )
-    for limit in limits(result, measure):
+    for limit in metric_bounds(result, measure):
         contour(ax, x, y, middle, limit, "-")
     ax.set_title("median over draws")
-    finish_map(ax, result, down, across, [LIMIT] if limits(result, measure) else [])
+    finish_map(ax, result, down, across, [AT_LIMIT] if metric_bounds(result, measure) else [])
 
 
 def finish_map(ax: Axes, result: Result, down: str, across: str, keys: list[tuple[str, Any]]) -> None:

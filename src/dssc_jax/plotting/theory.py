@@ -14,8 +14,8 @@ from dssc_jax.plotting.margins import certificate, set_walk
 from dssc_jax.plotting.style import BLUE, GREY, ORANGE, PANEL, RED, SKY, SLIDE, VIOLET, styled
 from dssc_jax.results.analysis import Analysis
 
-COLOURS = (BLUE, RED, ORANGE, VIOLET, SKY, "black")
-NOTHING = 1e-2  # of the push [1/s]: a deviation that dies away is not drawn
+THEORY_COLOURS = (BLUE, RED, ORANGE, VIOLET, SKY, "black")
+NO_ANSWER = 1e-2  # of the push [1/s]: a deviation that dies away is not drawn
 
 
 @styled
@@ -39,7 +39,7 @@ def theory(
     figure = Figure(figsize=size, layout="constrained")
     left, *others = np.atleast_1d(figure.subplots(1, 2 if oscillations else 1))
     summaries = {name: one.summary() for name, one in margins.items()}
-    for colour, (name, one) in zip(cycle(COLOURS), margins.items(), strict=False):
+    for colour, (name, one) in zip(cycle(THEORY_COLOURS), margins.items(), strict=False):
         cumulative(left, one, summaries[name], name, colour)
     first = next(iter(summaries.values()))
     left.set_ylim(-0.03, 1.03)
@@ -52,15 +52,15 @@ def theory(
     left.legend(frameon=False, fontsize=11)
     left.set_title("margins of random draws")
     for right in others:
-        beyond(right, oscillations or {}, local)
+        draw_beyond(right, oscillations or {}, local)
     return figure
 
 
-def beyond(ax: Axes, oscillations: Mapping[str, xr.Dataset], local: float | None) -> None:
+def draw_beyond(ax: Axes, oscillations: Mapping[str, xr.Dataset], local: float | None) -> None:
     """Amplitudes over the lag's time constant, simulated and predicted."""
-    for colour, (name, one) in zip(cycle(COLOURS), oscillations.items(), strict=False):
+    for colour, (name, one) in zip(cycle(THEORY_COLOURS), oscillations.items(), strict=False):
         mu = one["unmodelled.mu"].values
-        amplitude = np.where(one["amplitude"] > NOTHING * one.attrs["push"], one["amplitude"], np.nan)
+        amplitude = np.where(one["amplitude"] > NO_ANSWER * one.attrs["push"], one["amplitude"], np.nan)
         ax.loglog(mu, amplitude, "o", color=colour, label=f"{name}, simulated")
         if not np.isnan(one["predicted"]).all():
             ax.loglog(mu, one["predicted"], color=colour, label=f"{name}, describing function")

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-COLUMNS = 600  # about two a millimetre of a printed figure
+PIXEL_COLUMNS = 600  # about two a millimetre of a printed figure
 
 
-def thinned(x: np.ndarray, y: np.ndarray, columns: int = COLUMNS) -> tuple[np.ndarray, np.ndarray]:
+def thinned(x: np.ndarray, y: np.ndarray, columns: int = PIXEL_COLUMNS) -> tuple[np.ndarray, np.ndarray]:
     """A curve over rising x reduced to the extremes of each column, so that no peak is lost.
 
     Args:
@@ -33,7 +33,7 @@ def thinned(x: np.ndarray, y: np.ndarray, columns: int = COLUMNS) -> tuple[np.nd
 
 
 def envelope(
-    x: np.ndarray, low: np.ndarray, high: np.ndarray, columns: int = COLUMNS
+    x: np.ndarray, low: np.ndarray, high: np.ndarray, columns: int = PIXEL_COLUMNS
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A band over rising x reduced to the outermost values of each column.
 
@@ -54,6 +54,6 @@ def envelope(
     return x[ends], np.append(lowest, lowest[-1]), np.append(highest, highest[-1])
 
 
-def picked(count: int, most: int = COLUMNS) -> np.ndarray:
+def picked(count: int, most: int = PIXEL_COLUMNS) -> np.ndarray:
     """At most ``most`` indices of 0 .. count-1, evenly spaced, both ends among them."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))

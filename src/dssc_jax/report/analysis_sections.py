@@ -10,7 +10,7 @@ from dssc_jax.report.study_sections import listing
 from dssc_jax.report.subject import AnalysisSubject
 from dssc_jax.report.vector import inline
 
-LONGEST = 3  # numbers that one cell holds; a longer list is in the dataset
+LONGEST_TABLE = 3  # numbers that one cell holds; a longer list is in the dataset
 
 
 def answer(about: AnalysisSubject) -> Section:
@@ -31,7 +31,7 @@ def tables(caption: str, content: Mapping[str, Any]) -> Iterator[h.Element]:
     if single:
         yield table(caption, ("number", "value"), single, words=2)
     for name, value in content.items():
-        rows = rows_of(value)
+        rows = summary_rows(value)
         label = f"{caption}: {name.replace('_', ' ')}"
         columns = columns_of(rows)
         if columns:
@@ -41,7 +41,7 @@ def tables(caption: str, content: Mapping[str, Any]) -> Iterator[h.Element]:
             yield from tables(label, value)
 
 
-def rows_of(value: Any) -> dict[str, Mapping[str, Any]]:
+def summary_rows(value: Any) -> dict[str, Mapping[str, Any]]:
     """The rows of a group: a mapping of mappings, or a list of them; empty where it is neither."""
     if isinstance(value, list):
         value = {str(place): row for place, row in enumerate(value, start=1)}
@@ -63,7 +63,7 @@ def cell(value: Any) -> str | None:
         return f"{value:,}"
     if isinstance(value, float):
         return number(value)
-    if isinstance(value, list) and 0 < len(value) <= LONGEST:
+    if isinstance(value, list) and 0 < len(value) <= LONGEST_TABLE:
         parts = [cell(part) for part in value]
         return None if None in parts else ", ".join(map(str, parts))
     return value if isinstance(value, str) else None
@@ -80,7 +80,7 @@ def dataset(about: AnalysisSubject) -> Section:
     return Section("dataset", "The dataset", table(caption, head, rows, words=4))
 
 
-def provenance(about: AnalysisSubject) -> Section:
+def analysis_provenance(about: AnalysisSubject) -> Section:
     """Where the numbers come from, and how to have them again."""
     analysis = about.result
     study, config = analysis.study, analysis.study.config

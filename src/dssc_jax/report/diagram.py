@@ -50,8 +50,8 @@ class Drawing:
         path = "M" + "L".join(f"{a} {b}" for a, b in points)
         self.parts.append(h.path(".wire", d=path, marker_end="url(#arrow)"))
         if label:
-            beside = (x + 7, (y + y2) // 2 + 4) if x == x2 else ((x + x2) // 2, y - 7)
-            self.parts.append(h.text(".signal", x=beside[0], y=beside[1])[label])
+            label_at = (x + 7, (y + y2) // 2 + 4) if x == x2 else ((x + x2) // 2, y - 7)
+            self.parts.append(h.text(".signal", x=label_at[0], y=label_at[1])[label])
 
     def junction(self, x: int, y: int) -> None:
         """A circle in which signals are added."""
@@ -59,7 +59,7 @@ class Drawing:
         self.parts.append(h.text(".plus", x=x, y=y + 5)["+"])
 
 
-def kind_of(study: Study, slot: str) -> str:
+def part_kind(study: Study, slot: str) -> str:
     """The kind that a slot of the study holds."""
     return str(getattr(study.config, slot)["kind"])
 
@@ -83,7 +83,7 @@ def notes(study: Study, slot: str) -> list[str]:
     marks = (("~", study.laws), ("⇄", study.axes))
     uncertain = [f"{mark} {name.rpartition('.')[2]}" for mark, names in marks for name in within(names, slot)]
     few = len(uncertain) <= 2
-    return [kind_of(study, slot) + inner, "  ".join(uncertain) if few else f"~ {len(uncertain)} uncertain or swept"]
+    return [part_kind(study, slot) + inner, "  ".join(uncertain) if few else f"~ {len(uncertain)} uncertain or swept"]
 
 
 def within(names: Iterable[str], slot: str) -> list[str]:
@@ -99,7 +99,7 @@ def shortened(text: str) -> str:
 def words(study: Study) -> str:
     """The diagram in one sentence."""
     slots = [slot for slot in NAMES if slot in ("reference", "plant", "controller") or present(study, slot)]
-    parts = [f"{NAMES[slot]} {kind_of(study, slot)}" for slot in slots]
+    parts = [f"{NAMES[slot]} {part_kind(study, slot)}" for slot in slots]
     nominal = ", with a nominal part added to the command" if has_nominal(study) else ""
     return f"Block diagram of the closed loop: {', '.join(parts)}{nominal}. The output is fed back to the controller."
 

@@ -38,7 +38,7 @@ def with_unit(value: float, unit: str) -> str:
     return number(value) if unit in ("", "1") else f"{number(value)} {unit}"
 
 
-def probability(share: float, bounds: Sequence[float]) -> str:
+def probability_text(share: float, bounds: Sequence[float]) -> str:
     """A probability as a cell shows it: where no draw failed its upper bound, never 0."""
     return number(share) if share else f"≤ {bounds[1]:.3g}"
 

@@ -10,7 +10,7 @@ import htpy as h
 
 from dssc_jax.analyses.loading import KINDS, description, kind_in, load
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.report.elements import counted, interval, probability, table
+from dssc_jax.report.elements import counted, interval, probability_text, table
 from dssc_jax.report.page import REPORT, page, save, write
 from dssc_jax.report.study_sections import moment
 from dssc_jax.results import store
@@ -21,7 +21,7 @@ MARKS = {store.MANIFEST, *(f"{kind}.json" for kind in KINDS)}
 """Files that tell what a folder holds."""
 
 
-class Row(NamedTuple):
+class IndexRow(NamedTuple):
     """One folder of a result or an analysis; ``trouble`` tells why its numbers cannot be shown."""
 
     folder: Path
@@ -48,9 +48,9 @@ def folders(root: Path) -> Iterator[Path]:
         yield from places or [child]
 
 
-def row_of(folder: Path, made: Callable[[Path], None]) -> Row:
+def index_row(folder: Path, made: Callable[[Path], None]) -> IndexRow:
     """What the index says of a folder, once its report is there; one that is missing, or older, is made."""
-    row = Row(folder)
+    row = IndexRow(folder)
     try:
         kind, about = kind_in(folder), description(folder)
         row = row._replace(study=str(about["study"].get("name", "")), started=str(about.get("started", "")))
@@ -60,7 +60,7 @@ def row_of(folder: Path, made: Callable[[Path], None]) -> Row:
             made(write(result, page))
         if isinstance(result, Analysis):
             return row._replace(kind=result.title, answer=result.headline)
-        return row._replace(**numbers(result.summary()["points"]))
+        return row._replace(**point_numbers(result.summary()["points"]))
     except ConfigError as error:
         return row._replace(trouble=error.rule)
     except OSError as error:
@@ -69,20 +69,20 @@ def row_of(folder: Path, made: Callable[[Path], None]) -> Row:
         return row._replace(trouble=f"its report cannot be made: {type(error).__name__}: {error}")
 
 
-def numbers(points: list[dict[str, Any]]) -> dict[str, Any]:
+def point_numbers(points: list[dict[str, Any]]) -> dict[str, Any]:
     """Size, probability and interval; of a sweep, of its best and its worst point."""
     best, most = (pick(points, key=lambda point: point["probability"]) for pick in (min, max))
     shown = [best] if len(points) == 1 else [best, most]
     size = counted(best["draws"], "draw") + (f" at {len(points):,} points" if len(points) > 1 else "")
     return {
         "size": size,
-        "probability": " to ".join(probability(point["probability"], point["interval"]) for point in shown),
+        "probability": " to ".join(probability_text(point["probability"], point["interval"]) for point in shown),
         "interval": interval(best["interval"]) if len(points) == 1 else "",
         "worst": most["probability"],
     }
 
 
-def write_index(root: str | Path, made: Callable[[Path], None] = lambda page: None) -> tuple[Path, list[Row]]:
+def write_index(root: str | Path, made: Callable[[Path], None] = lambda page: None) -> tuple[Path, list[IndexRow]]:
     """Write ``index.html`` over the results below ``root``; reports that are missing or out of date are made first.
 
     Args:
@@ -98,13 +98,13 @@ def write_index(root: str | Path, made: Callable[[Path], None] = lambda page: No
     top = Path(root)
     if not top.is_dir():
         raise ConfigError(str(top), "is not a folder of results")
-    rows = [row_of(place, made) for place in folders(top)]
+    rows = [index_row(place, made) for place in folders(top)]
     target = top / INDEX
-    save(html(top, rows), target)
+    save(index_html(top, rows), target)
     return target, rows
 
 
-def html(root: Path, rows: list[Row]) -> str:
+def index_html(root: Path, rows: list[IndexRow]) -> str:
     """The index as a page: by study, then date, then probability, the newest first."""
     good = sorted((row for row in rows if not row.trouble), key=lambda row: row.worst)
     good = sorted(sorted(good, key=lambda row: row.started, reverse=True), key=lambda row: row.study)
@@ -112,7 +112,7 @@ def html(root: Path, rows: list[Row]) -> str:
     runs, analyses = [row for row in good if not row.kind], [row for row in good if row.kind]
     body: list[h.Node] = []
 
-    def link(row: Row) -> h.Element:
+    def link(row: IndexRow) -> h.Element:
         return h.a(href=quote(os.fsencode((row.folder / REPORT).relative_to(root))))[row.study]
 
     if runs:

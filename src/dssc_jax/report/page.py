@@ -16,18 +16,18 @@ from dssc_jax.results.result import Result
 from dssc_jax.study import Study
 
 REPORT = "report.html"
-STYLE = Path(__file__).with_name("style.css")
+STYLE_SHEET = Path(__file__).with_name("style.css")
 NOTHING_OUTSIDE = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 SECTIONS: tuple[Callable[[Subject], Section | None], ...] = (
     study_sections.question,
     study_sections.loop,
     study_sections.laws,
     result_sections.outcome,
-    result_sections.sweep,
+    result_sections.sweep_section,
     result_sections.metrics,
     result_sections.causes,
-    result_sections.worst,
-    result_sections.chattering,
+    result_sections.worst_draws_section,
+    result_sections.chattering_section,
     study_sections.provenance,
 )
 """A section is a function of the subject; None where it has nothing to say."""
@@ -39,7 +39,7 @@ ANALYSIS_SECTIONS: tuple[Callable[[AnalysisSubject], Section | None], ...] = (
     study_sections.loop,
     study_sections.laws,
     analysis_sections.dataset,
-    analysis_sections.provenance,
+    analysis_sections.analysis_provenance,
 )
 """Those of an analysis."""
 
@@ -54,7 +54,7 @@ def html(result: Result | Analysis, worst: int = WORST) -> str:
     if isinstance(result, Analysis):
         return html_of_analysis(result)
     about = Subject(result, worst)
-    short, long = result_sections.verdict(about)
+    short, long = result_sections.headline_verdict(about)
     verdict = facts([("failure probability", [h.strong[short], h.span[long]])], "verdict")
     sections = [make(about) for make in SECTIONS]
     return report(result.study, "Robustness report", verdict, sections)
@@ -94,7 +94,7 @@ def page(title: str, head: h.Node, body: h.Node, contents: list[tuple[str, str]]
                 h.meta(name="viewport", content="width=device-width, initial-scale=1"),
                 h.meta(name="color-scheme", content="light dark"),
                 h.title[title],
-                h.style[Markup(STYLE.read_text(encoding="utf-8"))],
+                h.style[Markup(STYLE_SHEET.read_text(encoding="utf-8"))],
             ],
             h.body[
                 h.a(".skip", href="#main")["Skip to the content"],

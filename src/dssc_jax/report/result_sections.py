@@ -21,7 +21,7 @@ from dssc_jax.report.elements import (
     folded,
     interval,
     number,
-    probability,
+    probability_text,
     table,
     with_unit,
 )
@@ -34,7 +34,7 @@ from dssc_jax.statistics.order import upper_quantiles
 from dssc_jax.study import Described
 
 MOST_ROWS, MOST_FACTORS = 400, 24
-CERTIFIED = {None: "-", True: "yes", False: "no"}
+CERTIFIED_TEXT = {None: "-", True: "yes", False: "no"}
 UNSHOWN = "They are not simulated again here, which would run code that is not part of dssc_jax: "
 CHATTER = ("command_tv", "sampling_ratio", "sampling_ratio_above_1", "outside_sliding")
 
@@ -42,7 +42,7 @@ CHATTER = ("command_tv", "sampling_ratio", "sampling_ratio_above_1", "outside_sl
 def outcome(about: Subject) -> Section:
     """How the draws ended, with intervals; of a sweep, its points, and how the draws ended at one of them."""
     if about.result.study.axes:
-        return Section("outcome", "The outcome", [*points(about), *ways(about)])
+        return Section("outcome", "The outcome", [*points_section(about), *ways(about)])
     certificate = h.p[h.strong[about.result.certificate], "."]
     return Section("outcome", "The outcome", [*ways(about), certificate])
 
@@ -55,7 +55,7 @@ def ways(about: Subject) -> list[h.Node]:
     for code, words in ENDINGS.items():
         if code in outcome_codes(close.study):
             bounds, n = method.interval(ended == code).tolist(), int(np.count_nonzero(ended == code))
-            rows.append((words, f"{n:,}", probability(n / draws, bounds), interval(bounds), ""))
+            rows.append((words, f"{n:,}", probability_text(n / draws, bounds), interval(bounds), ""))
     for each in point["requirements"]:
         rows.append((f"violates {each['text']}", *fails(each), f"{each['alone']:,}"))
     rows.append((h.strong["fails in any way"], *fails(point), ""))
@@ -83,22 +83,22 @@ def together(point: dict[str, Any]) -> list[h.Node]:
 def fails(point: dict[str, Any]) -> tuple[str, str, str]:
     """Failures of a point, or of one requirement there, their probability and its interval."""
     bounds = point["interval"]
-    return f"{point['failures']:,}", probability(point["probability"], bounds), interval(bounds)
+    return f"{point['failures']:,}", probability_text(point["probability"], bounds), interval(bounds)
 
 
-def points(about: Subject) -> list[h.Node]:
+def points_section(about: Subject) -> list[h.Node]:
     """Points of a sweep: the best, the worst, the one looked at closely; and all of them, folded."""
-    study, found = about.result.study, about.summary["points"]
+    study, points = about.result.study, about.summary["points"]
     names = [(name, study.quantities[name].unit) for name in study.axes]
     swept = [name if unit == "1" else f"{name} [{unit}]" for name, unit in names]
     middle = f"median {headline(about.result).name}"
-    worst = ["most violated"] if len(study.requirements) > 1 else []
-    head = (*swept, "failures", "probability", f"{LEVEL} interval", *worst, middle, "certified")
-    best, most = (pick(found, key=lambda point: point["probability"]) for pick in (min, max))
+    worst_draws_section = ["most violated"] if len(study.requirements) > 1 else []
+    head = (*swept, "failures", "probability", f"{LEVEL} interval", *worst_draws_section, middle, "certified")
+    best, most = (pick(points, key=lambda point: point["probability"]) for pick in (min, max))
     picked = {"least failures": best, "nearest to half": about.said, "most failures": most}
-    some = [(name, *cells(about, point)) for name, point in picked.items()]
-    every = [cells(about, point) for point in found[:MOST_ROWS]]
-    more = f"; the first {MOST_ROWS} of {len(found):,}, all are in summary.json" if len(found) > MOST_ROWS else ""
+    some = [(name, *point_cells(about, point)) for name, point in picked.items()]
+    every = [point_cells(about, point) for point in points[:MOST_ROWS]]
+    more = f"; the first {MOST_ROWS} of {len(points):,}, all are in summary.json" if len(points) > MOST_ROWS else ""
     caption = f"{counted(study.config.draws, 'draw')} at each point{more}"
     note = (
         f"Intervals: {about.result.method.name}, each at {LEVEL} on its own; the draws of all points are the same, "
@@ -107,19 +107,19 @@ def points(about: Subject) -> list[h.Node]:
     return [
         table("Three points of the sweep", ("point", *head), some),
         h.p[note],
-        folded(f"All {counted(len(found), 'point')}", table(caption, head, every)),
+        folded(f"All {counted(len(points), 'point')}", table(caption, head, every)),
     ]
 
 
-def cells(about: Subject, point: dict[str, Any]) -> tuple[h.Node, ...]:
+def point_cells(about: Subject, point: dict[str, Any]) -> tuple[h.Node, ...]:
     """A point of a sweep as a row: where, failures with interval and what fails most, the median, the certificate."""
     where = (number(point[name]) for name in about.result.study.axes)
     middle = point["metrics"][headline(about.result).name]["q50"]
-    worst = [most_violated(point)] if len(point["requirements"]) > 1 else []
-    return *where, *fails(point), *worst, number(middle), CERTIFIED[point["certified"]]
+    worst_draws_section = [most_violated(point)] if len(point["requirements"]) > 1 else []
+    return *where, *fails(point), *worst_draws_section, number(middle), CERTIFIED_TEXT[point["certified"]]
 
 
-def sweep(about: Subject) -> Section | None:
+def sweep_section(about: Subject) -> Section | None:
     """Failure probability and the headline metric over the sweep."""
     result = about.result
     if not result.study.axes:
@@ -149,12 +149,12 @@ def metrics(about: Subject) -> Section:
     study, close = about.result.study, about.close
     rows = []
     for measure in study.measures:
-        found = upper_quantiles(close.dataset[measure.name].values, (0.05, 0.5, 0.95))
+        quantiles = upper_quantiles(close.dataset[measure.name].values, (0.05, 0.5, 0.95))
         unit = unit_of(close, measure)
-        asked = [requirement for requirement in study.requirements if requirement.measure == measure]
-        bounds = [f"{'≤' if r.maximum is not None else '≥'} {r.bound:g}" for r in asked]
+        bounding = [requirement for requirement in study.requirements if requirement.measure == measure]
+        bounds = [f"{'≤' if r.maximum is not None else '≥'} {r.bound:g}" for r in bounding]
         meaning = close.dataset[measure.name].attrs["long_name"]
-        rows.append((h.code[measure.name], meaning, unit, *map(number, found), " ".join(bounds)))
+        rows.append((h.code[measure.name], meaning, unit, *map(number, quantiles), " ".join(bounds)))
     head = ("metric", "meaning", "unit", "5 %", "median", "95 %", "required")
     name = headline(about.result).name
     text = f"Share of draws at or below each value of {name}; its quantiles are in the table."
@@ -195,7 +195,7 @@ def causes(about: Subject) -> Section | None:
     return Section("causes", "What failures depend on", [h.p[note], h.div(".grid")[pictures]])
 
 
-def worst(about: Subject) -> Section | None:
+def worst_draws_section(about: Subject) -> Section | None:
     """The draws with the smallest slacks, over time."""
     if about.worst and isinstance(about.result.study, Described):
         names = ", ".join(about.result.study.code)
@@ -212,7 +212,7 @@ def worst(about: Subject) -> Section | None:
     ]
     for rank, run in enumerate(about.trajectories):
         drawn = [(name, with_unit(run.attrs[name], about.result.study.quantities[name].unit)) for name in laws]
-        text = described(run)
+        text = run_caption(run)
         picture = inline(partial(untitled, run), text, f"worst{rank}")
         agrees = f"Computed again, it {VERDICTS[run.attrs['agreement']].format(run.attrs['deviation'])}."
         body += [h.h3[f"Draw {run.attrs['draw']}"], figure(picture, f"{text} {agrees}"), facts(drawn)]
@@ -226,13 +226,13 @@ def untitled(run: xr.Dataset) -> Figure:
     return figure
 
 
-def described(run: xr.Dataset) -> str:
+def run_caption(run: xr.Dataset) -> str:
     """How a draw ended, in a sentence."""
     at = "" if np.isnan(run.attrs["failed_at"]) else f" at {run.attrs['failed_at']:.4g} s"
     return f"Draw {run.attrs['draw']} over time: it {run.attrs['verdict']}{at}."
 
 
-def chattering(about: Subject) -> Section | None:
+def chattering_section(about: Subject) -> Section | None:
     """How much the command moves, and whether the sampling allows what the gains ask for."""
     study, close = about.result.study, about.close
     measures = [measure for measure in study.measures if measure.kind in CHATTER]
@@ -273,13 +273,13 @@ def above_one(about: Subject) -> str:
     return f" Of {ended:,} simulated loops that ran to their end, {above:,} have one at some time."
 
 
-def verdict(about: Subject) -> tuple[str, str]:
+def headline_verdict(about: Subject) -> tuple[str, str]:
     """The result in a few characters, and in a sentence."""
-    found = about.summary["points"]
+    points = about.summary["points"]
     if not about.result.study.axes:
-        (point,) = found
+        (point,) = points
         said = f"{point['failures']:,} of {point['draws']:,} draws fail; {LEVEL} interval {interval(point['interval'])}"
-        return probability(point["probability"], point["interval"]), said
-    best, most = (pick(found, key=lambda point: point["probability"]) for pick in (min, max))
-    text = " to ".join(probability(point["probability"], point["interval"]) for point in (best, most))
-    return text, f"from the best to the worst of {counted(len(found), 'point')}, {best['draws']:,} draws each"
+        return probability_text(point["probability"], point["interval"]), said
+    best, most = (pick(points, key=lambda point: point["probability"]) for pick in (min, max))
+    text = " to ".join(probability_text(point["probability"], point["interval"]) for point in (best, most))
+    return text, f"from the best to the worst of {counted(len(points), 'point')}, {best['draws']:,} draws each"

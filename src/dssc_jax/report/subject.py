@@ -106,13 +106,13 @@ class Subject:
             return []
         study = self.result.study
         record = recorder(study)
-        found = []
+        flights = []
         for draw in worst_draws(self.close, self.worst):
             run = record(draw, self.point)
             agreement = agreement_of(self.result, run)
             run.attrs |= {"deviation": float(agreement.deviation[0]), "agreement": agreement.verdict}
-            found.append(run)
-        return found
+            flights.append(run)
+        return flights
 
 
 def worst_draws(close: Result, count: int) -> list[int]:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from dssc_jax.plotting import BLUE, GREEN, GREY, ORANGE, RED, STYLE
 
 INK = "#010203"  # stands for the text's colour until the page gives it
-COLOURS = {
+SVG_COLOURS = {
     INK: "currentColor",
     BLUE: "var(--blue)",
     ORANGE: "var(--orange)",
@@ -42,7 +42,7 @@ def inline(draw: Callable[[], Figure], text: str, prefix: str) -> Markup:
     inside = re.sub(r"<metadata>.*?</metadata>", "", inside, flags=re.DOTALL)
     inside = re.sub(r' d="[^"]*"', lambda path: DIGITS.sub(r"\1", path[0]), inside)
     inside = re.sub(r'( id="|url\(#|href="#)', rf"\1{prefix}-", inside)
-    for colour, name in COLOURS.items():
+    for colour, name in SVG_COLOURS.items():
         inside = re.sub(colour, name, inside, flags=re.IGNORECASE)
     opening = '<svg class="plot" role="img" aria-label="{}" viewBox="{}" xmlns:xlink="http://www.w3.org/1999/xlink">'
     return Markup(opening).format(escape(text), box[1] if box else "0 0 1 1") + Markup(inside)

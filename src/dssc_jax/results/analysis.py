@@ -10,7 +10,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.results.analysis_folder import Stored, read, save
+from dssc_jax.results.analysis_folder import Stored, read_analysis, save
 from dssc_jax.results.summary import jsonable
 from dssc_jax.study import Study
 
@@ -89,7 +89,7 @@ class Analysis(ABC):
         Raises:
             ConfigError: it holds no such analysis, or it is damaged.
         """
-        stored = read(Path(folder), cls.kind, trust_code)
+        stored = read_analysis(Path(folder), cls.kind, trust_code)
         try:
             analysis = cls.restored(stored)
         except ConfigError:

@@ -153,7 +153,7 @@ def read_about(folder: Path, kind: str) -> dict[str, Any]:
     return about
 
 
-def read(folder: Path, kind: str, trust_code: bool = False) -> Stored:
+def read_analysis(folder: Path, kind: str, trust_code: bool = False) -> Stored:
     """Read what :func:`save` wrote.
 
     Args:

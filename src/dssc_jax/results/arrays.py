@@ -34,11 +34,11 @@ def lay_out(folder: Path, study: Study, layout: Layout) -> zarr.Group:
     for name, values in coordinate_values(study).items():
         create(group, name, coordinates(study)[name], (values.shape, values.shape))[...] = values
     for name, variable in variables(study).items():
-        create(group, name, variable, extent(variable, layout))
+        create(group, name, variable, array_extent(variable, layout))
     return group
 
 
-def extent(variable: Variable, layout: Layout) -> Extent:
+def array_extent(variable: Variable, layout: Layout) -> Extent:
     """Shape and chunks of a variable's array."""
     drawn = variable.dims == ("draw",)
     return (layout.shape[-1:], layout.block[-1:]) if drawn else (layout.shape, layout.block)
@@ -97,7 +97,9 @@ def as_json(content: dict[str, Any]) -> str:
     return json.dumps(content, sort_keys=True, default=str)
 
 
-def checked(group: zarr.Group, place: Path, variable: Variable, extent: Extent, growing: bool = False) -> zarr.Array:
+def checked_array(
+    group: zarr.Group, place: Path, variable: Variable, extent: Extent, growing: bool = False
+) -> zarr.Array:
     """Open one array and require that all its metadata are those of its creation.
 
     Args:
@@ -143,7 +145,7 @@ def checked_arrays(
     if as_json(group.metadata.to_dict()) != as_json(about.metadata.to_dict()):
         raise ConfigError(str(folder / DATA), "is damaged: its attributes are not those that its study lays out")
     actual = {
-        name: checked(group, folder / DATA / name, variable, extent(variable, layout), growing)
+        name: checked_array(group, folder / DATA / name, variable, array_extent(variable, layout), growing)
         for name, variable in variables(study).items()
     }
     others = {file.name for file in (folder / DATA).iterdir() if file.is_dir()} - actual.keys() - {*coordinates(study)}
@@ -167,7 +169,7 @@ def require_coordinates(folder: Path, study: Study) -> None:
 def is_coordinate(group: zarr.Group, place: Path, variable: Variable, values: np.ndarray) -> bool:
     """Whether a coordinate can be read and has these values."""
     try:
-        return np.array_equal(np.asarray(checked(group, place, variable, (values.shape, values.shape))), values)
+        return np.array_equal(np.asarray(checked_array(group, place, variable, (values.shape, values.shape))), values)
     except Exception:  # zarr and its codecs raise errors of many kinds
         return False
 
@@ -190,7 +192,7 @@ def laid_out(folder: Path, study: Study, layout: Layout) -> bool:
 def reshape(folder: Path, study: Study, layout: Layout) -> None:
     """Extend every array to the study's number of draws, and set the coordinates; existing values are kept."""
     for name, array in checked_arrays(folder, study, layout, "r+", growing=True).items():
-        shape, _ = extent(variables(study)[name], layout)
+        shape, _ = array_extent(variables(study)[name], layout)
         if array.shape != shape:
             array.resize(shape)
     group = open_group(folder, mode="r+")

@@ -153,10 +153,10 @@ class Chunks:
             part = (*block[:-1], slice(*piece.draws))
             for name in self._held(block):
                 try:
-                    found = sum_of(np.asarray(values[name][self._part(name, part)]))
+                    actual = sum_of(np.asarray(values[name][self._part(name, part)]))
                 except Exception:  # zarr and its codecs raise errors of many kinds
                     return name
-                if found != piece.sums.get(name):
+                if actual != piece.sums.get(name):
                     return name
         return ""
 

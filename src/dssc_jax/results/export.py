@@ -20,7 +20,7 @@ from dssc_jax.results.schema import OUTCOME, coordinates, outcome_codes, variabl
 if TYPE_CHECKING:
     import pandas as pd
 
-ROWS = 2**17  # of the table at a time
+TABLE_ROWS = 2**17  # of the table at a time
 MEANING = "outcome_meaning"
 CSVW = "http://www.w3.org/ns/csvw"
 
@@ -154,7 +154,7 @@ def pieces(result: Result, names: list[str]) -> Iterable["pd.DataFrame"]:
 
     study, data = result.study, result.dataset
     codes = outcome_codes(study)
-    for block in Layout.of(study, ROWS).blocks():
+    for block in Layout.of(study, TABLE_ROWS).blocks():
         drawn = {name: data[name].values[block[-1]] for name in study.laws}
         flat, draws = lanes_of(study, block, drawn)
         table = {name: flat[name] for name in study.axes} | {"draw": draws} | {name: flat[name] for name in drawn}
@@ -201,7 +201,7 @@ def write_parquet(result: Result | Analysis, path: Path) -> None:
         for piece in rows.pieces:
             table = pa.Table.from_pandas(piece, preserve_index=False)
             fields = [f.with_metadata({k: str(v) for k, v in rows.columns[f.name].items()}) for f in table.schema]
-            whole = {**(table.schema.metadata or {}), **provenance(result)}
+            whole = {**(table.schema.metadata or {}), **file_provenance(result)}
             table = table.cast(pa.schema(fields, metadata=whole))
             writer = writer or parquet.ParquetWriter(path, table.schema)
             writer.write_table(table)
@@ -212,14 +212,14 @@ def write_parquet(result: Result | Analysis, path: Path) -> None:
 
 def write_netcdf(result: Result | Analysis, path: Path) -> None:
     """The dataset, compressed."""
-    data = result.dataset.copy().assign_attrs(provenance(result))
+    data = result.dataset.copy().assign_attrs(file_provenance(result))
     for one in data.variables.values():
         if "flag_values" in one.attrs and one.dtype.kind in "iu":
             one.attrs["flag_values"] = np.asarray(one.attrs["flag_values"], dtype=one.dtype)  # CF: of its own type
     data.to_netcdf(path, engine="h5netcdf", encoding={name: {"zlib": True, "complevel": 4} for name in data.data_vars})
 
 
-def provenance(result: Result | Analysis) -> dict[str, str]:
+def file_provenance(result: Result | Analysis) -> dict[str, str]:
     """What a file must say to be traced back: the study as run, and its hash."""
     manifest = {} if isinstance(result, Analysis) else result.manifest
     made = [f"computed with dssc_jax {manifest.get('versions', {}).get('dssc_jax') or version('dssc_jax')}"]

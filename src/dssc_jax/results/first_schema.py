@@ -8,7 +8,7 @@ import zarr
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Layout
-from dssc_jax.results.arrays import extent, one_line, open_group
+from dssc_jax.results.arrays import array_extent, one_line, open_group
 from dssc_jax.results.manifest import DATA
 from dssc_jax.results.schema import NOT_COMPUTED, in_memory, variables
 from dssc_jax.study import Study
@@ -23,7 +23,7 @@ def read_first_schema(folder: Path, study: Study, layout: Layout) -> xr.Dataset:
     group, dataset = open_group(folder, "r"), in_memory(study)
     for name, variable in variables(study).items():
         stored = f"margin_{name.removeprefix('slack_')}" if name.startswith("slack_") else name
-        place, (shape, chunks) = folder / DATA / stored, extent(variable, layout)
+        place, (shape, chunks) = folder / DATA / stored, array_extent(variable, layout)
         try:
             array = group[stored]
             if not isinstance(array, zarr.Array):

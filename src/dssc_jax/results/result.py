@@ -145,7 +145,7 @@ class Result:
         return path
 
 
-def load(folder: str | Path, trust_code: bool = False) -> Result:
+def load_result(folder: str | Path, trust_code: bool = False) -> Result:
     """Read a results folder.
 
     Args:
@@ -156,7 +156,7 @@ def load(folder: str | Path, trust_code: bool = False) -> Result:
     Raises:
         ConfigError: it is no results folder, it is damaged, or its run did not finish.
     """
-    return Result.of(*store.read(Path(folder), trust_code), Path(folder))
+    return Result.of(*store.read_run(Path(folder), trust_code), Path(folder))
 
 
 def headline(result: Result) -> Measure:
@@ -178,7 +178,7 @@ def headline_measure(study: Study) -> Measure:
     return next((by_name[name] for name in ERRORS if name in by_name), study.measures[0])
 
 
-def measured(result: Result, metric: str | None) -> Measure:
+def measure_named(result: Result, metric: str | None) -> Measure:
     """The measure of that name; None: the headline.
 
     Raises:

@@ -167,7 +167,7 @@ class Store:
             write_text(self.folder / SUMMARY, lines)
 
 
-def read(folder: Path, trust_code: bool = False) -> tuple[Study, xr.Dataset, dict[str, Any]]:
+def read_run(folder: Path, trust_code: bool = False) -> tuple[Study, xr.Dataset, dict[str, Any]]:
     """Study, dataset and manifest of a results folder.
 
     Raises:

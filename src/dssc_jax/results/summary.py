@@ -17,7 +17,7 @@ from dssc_jax.study import Study
 
 QUANTILES = (0.05, 0.5, 0.95)
 BATCH_LANES, BATCH_POINTS = 2**20, 4096  # of which a summary is made at once
-Row = dict[str, Any]
+SummaryRow = dict[str, Any]
 
 
 class Statements(NamedTuple):
@@ -51,7 +51,7 @@ class Statements(NamedTuple):
         return {name: nullable(column) for name, column in columns.items()}
 
 
-def points(study: Study, dataset: xr.Dataset, method: Method, confidence: float) -> Iterator[Row]:
+def points(study: Study, dataset: xr.Dataset, method: Method, confidence: float) -> Iterator[SummaryRow]:
     """Summarise every point of a study's sweep, the last axis varying fastest; a run has a single point.
 
     Points are processed in batches: the cost depends on the number of lanes only, and few points are in memory.
@@ -79,7 +79,7 @@ def points(study: Study, dataset: xr.Dataset, method: Method, confidence: float)
 
 def some_points(
     study: Study, lanes: Mapping[str, np.ndarray], at: dict[str, list[float]], certified: list[Any], say: Statements
-) -> list[Row]:
+) -> list[SummaryRow]:
     """A batch of points.
 
     Args:
@@ -136,7 +136,7 @@ def lines(summary: Mapping[str, Any]) -> Iterator[str]:
 
 def requirements(
     study: Study, violations: Mapping[str, np.ndarray], early: np.ndarray, say: Statements
-) -> list[list[Row]]:
+) -> list[list[SummaryRow]]:
     """Each requirement at every point, regardless of the others.
 
     ``alone`` counts the completed draws that violate only this requirement.
@@ -159,7 +159,7 @@ def overlaps(violations: Mapping[str, np.ndarray], early: np.ndarray) -> dict[tu
     }
 
 
-def rows(columns: Mapping[str, Sequence[Any]]) -> list[Row]:
+def rows(columns: Mapping[str, Sequence[Any]]) -> list[SummaryRow]:
     """Convert columns of a table to rows."""
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 

@@ -107,7 +107,7 @@ def verify(result: Result, draws: int = LANES, seed: int | None = None) -> Verif
         lanes=len(picked),
         seed=seed,
         deviation=float(compared.deviation[largest]),
-        worst=worst(result, lanes, computed, compared, largest) if compared.deviation[largest] > 0.0 else None,
+        worst=worst_lane(result, lanes, computed, compared, largest) if compared.deviation[largest] > 0.0 else None,
         verdict=compared.verdict,
         undecided=int(np.count_nonzero(~compared.decided)),
         otherwise=machinery_differences(result.manifest, computing() | {"code": recorded(result.study.table)}),
@@ -118,7 +118,7 @@ def verify(result: Result, draws: int = LANES, seed: int | None = None) -> Verif
     )
 
 
-def worst(result: Result, lanes: Lanes, computed: Arrays, compared: Agreement, at: int) -> dict[str, Any]:
+def worst_lane(result: Result, lanes: Lanes, computed: Arrays, compared: Agreement, at: int) -> dict[str, Any]:
     """The value with the largest deviation, and its location."""
     name, study = str(compared.variable[at]), result.study
     point = {axis: values[i[at]] for (axis, values), i in zip(study.axes.items(), lanes, strict=False)}

@@ -12,7 +12,7 @@ import tomli_w
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.study.laws import is_law
 
-LARGEST = 2**20  # bytes of a study file
+LARGEST_FILE = 2**20  # bytes of a study file
 DEEPEST = 32  # tables within tables, and names in a dotted name
 DOTTED_NAME = rf"(?:[^\s.=,\[\]{{}}]++[ \t]*+\.[ \t]*+){{{DEEPEST}}}"
 LONG_NAME = re.compile(rf"^[ \t\[]*+{DOTTED_NAME}|[{{,][ \t]*+{DOTTED_NAME}", re.MULTILINE)
@@ -27,9 +27,9 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     """
     try:
         with Path(path).open("rb") as file:
-            content = file.read(LARGEST + 1)
-        if len(content) > LARGEST:
-            raise ConfigError(str(path), f"is larger than a study can be ({LARGEST} bytes)")
+            content = file.read(LARGEST_FILE + 1)
+        if len(content) > LARGEST_FILE:
+            raise ConfigError(str(path), f"is larger than a study can be ({LARGEST_FILE} bytes)")
         text = content.decode("utf-8")
         if LONG_NAME.search(text):
             raise ConfigError(str(path), f"has a dotted name of more than {DEEPEST} parts")

@@ -8,7 +8,7 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.analyses.comparison import Tuning, tuned
-from dssc_jax.analyses.comparison.tuning import points, ranges
+from dssc_jax.analyses.comparison.tuning import candidate_points, ranges
 from dssc_jax.results.manifest import write_sealed
 from dssc_jax.statistics import compare_failures
 from tests.loops import LAGGED
@@ -88,7 +88,7 @@ def test_the_best_candidate_is_the_best_by_hand(study):
     budget = Tuning(candidates=6, draws=10, seed=10)
     best = tuned(study, budget, {})
     trial = study.override({"seed": 10, "draws": 10})
-    candidates = points(trial, ranges(study, {}), budget)
+    candidates = candidate_points(trial, ranges(study, {}), budget)
     data = dj.run(trial.override({"sweep": {name: column.tolist() for name, column in candidates.items()}})).dataset
     each = (range(6), range(6))  # the sweep is a grid, of which the candidates are the diagonal
     margin = data["slack_error_max_after_2"].values[each]

@@ -328,6 +328,6 @@ def test_what_is_no_analysis_is_told(over_mu, tmp_path):
         dj.load(tmp_path)
     over_mu.save(tmp_path / "m")
     with pytest.raises(dj.ConfigError, match="it holds what `margin` wrote"):
-        results.load(tmp_path / "m")
+        results.load_result(tmp_path / "m")
     with pytest.raises(dj.ConfigError, match="holds no compare analysis"):
         dj.Comparison.load(tmp_path / "m")

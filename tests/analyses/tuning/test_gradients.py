@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.analyses.tuning.gradients import check_gradients, compare
+from dssc_jax.analyses.tuning.gradients import check_gradients, compare_derivatives
 from dssc_jax.analyses.tuning.plan import Plan
 from dssc_jax.analyses.tuning.problem import Problem
 from dssc_jax.core.signals import Measurement, ReferencePoint
@@ -25,22 +25,22 @@ def test_a_thousand_random_points():
     assert found.compared == 1000 * 2 * 2  # metrics, coordinates
     assert found.agreeing > 0.95
     assert found.useful > 0.8
-    assert found.telling > 0.95
+    assert found.predictive > 0.95
     assert found.finite
 
 
 def test_wrong_derivatives_and_kinks_are_told_apart():
     x = np.linspace(-1.0, 1.0, 2001)  # one of them is 0
     slope = np.sign(x)
-    smooth = compare(slope, np.abs(x), slope, slope)
+    smooth = compare_derivatives(slope, np.abs(x), slope, slope)
     assert (smooth.shares["kinks"], smooth.shares["agreeing"], smooth.worst()) == (0.0, 1.0, [])
-    wrong = compare(np.where(x > 0.9, 1.01, 1.001) * slope, np.abs(x), slope, slope)
+    wrong = compare_derivatives(np.where(x > 0.9, 1.01, 1.001) * slope, np.abs(x), slope, slope)
     assert wrong.shares["agreeing"] == pytest.approx(1 / 2001)
     assert all(x[place] > 0.9 for place in wrong.worst())
-    kink = compare(slope, np.abs(x), np.where(x == 0.0, 1.0, slope), np.where(x == 0.0, -1.0, slope))
+    kink = compare_derivatives(slope, np.abs(x), np.where(x == 0.0, 1.0, slope), np.where(x == 0.0, -1.0, slope))
     assert kink.shares["kinks"] == pytest.approx(1 / 2001)
     assert kink.shares["agreeing"] == 1.0
-    assert not compare(np.array([np.nan]), np.ones(1), np.ones(1), np.ones(1)).shares["finite"]
+    assert not compare_derivatives(np.array([np.nan]), np.ones(1), np.ones(1), np.ones(1)).shares["finite"]
 
 
 @pytest.mark.parametrize("kind", FUNCTIONS)
@@ -123,6 +123,6 @@ def test_a_width_makes_derivatives_of_a_chattering_loop_tell(change, low, high):
     """Explicit Euler chatters: exact derivatives between two switchings say little of a step that moves them."""
     chattering = dj.Study.from_table(SMALL).override({"controller.discretisation": "explicit", **change})
     found = check_gradients(Problem(Plan.of(chattering)), 100)
-    assert low < found.telling <= high
+    assert low < found.predictive <= high
     assert found.finite
     assert set(found.kinked["command_tv"]) == set(SMALL["tune"]["parameters"])

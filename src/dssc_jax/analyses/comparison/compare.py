@@ -11,7 +11,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from dssc_jax import plotting
-from dssc_jax.analyses.comparison.rivals import Table, controller_table
+from dssc_jax.analyses.comparison.rivals import ControllerTable, controller_table
 from dssc_jax.analyses.comparison.tuning import Tuning, tuned, with_gains
 from dssc_jax.analyses.defaults import TUNING_DRAWS
 from dssc_jax.core.errors import ConfigError
@@ -35,11 +35,11 @@ class Contest:
         dataset: Dimensions ``controller`` and ``draw``: ``failed``, ``outcome``, and every metric that all have.
     """
 
-    tables: dict[str, Table]
+    tables: dict[str, ControllerTable]
     dataset: xr.Dataset
 
     @classmethod
-    def of(cls, study: Study, tables: dict[str, Table], progress: Callable[[], None]) -> "Contest":
+    def of(cls, study: Study, tables: dict[str, ControllerTable], progress: Callable[[], None]) -> "Contest":
         """Run every controller."""
         parts: list[xr.Dataset] = []
         for name, table in tables.items():
@@ -47,9 +47,9 @@ class Contest:
             progress()
         first = parts[0]
         drawn = [name for name in first if all("law" in other.get(name, other["outcome"]).attrs for other in parts)]
-        shared = [name for name in first if name not in drawn and all(name in other for other in parts)]
+        common = [name for name in first if name not in drawn and all(name in other for other in parts)]
         axis = named_axis(list(tables))
-        dataset = xr.concat([other[shared] for other in parts], dim=axis, join="exact").assign(first[drawn])
+        dataset = xr.concat([other[common] for other in parts], dim=axis, join="exact").assign(first[drawn])
         failed = dataset["outcome"] != Outcome.OK
         dataset["failed"] = (failed.dims, failed.values, {"long_name": "the draw failed"})
         return cls(tables, dataset)
@@ -190,7 +190,7 @@ class Comparison(Analysis):
         return cls.of(study, given, tuned, budget, settings["seconds"])
 
 
-def with_controller(study: Study, name: str, table: Table) -> Study:
+def with_controller(study: Study, name: str, table: ControllerTable) -> Study:
     """The study under another controller.
 
     Raises:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from dssc_jax import plotting
 from dssc_jax.analyses.comparison.compare import require_names, with_controller
-from dssc_jax.analyses.comparison.rivals import Table, controller_table
+from dssc_jax.analyses.comparison.rivals import ControllerTable, controller_table
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
 from dssc_jax.analyses.margins import Margins, join_margins, margin, margin_settings, part_margins
 from dssc_jax.core.signals import ProgressCallback
@@ -37,11 +37,11 @@ class MarginContest(Analysis):
     table = ("controller", "draw")
 
     margins: dict[str, Margins]
-    tables: dict[str, Table]
+    tables: dict[str, ControllerTable]
     seconds: float
 
     @classmethod
-    def of(cls, study: Study, margins: dict[str, Margins], tables: dict[str, Table], seconds: float) -> Self:
+    def of(cls, study: Study, margins: dict[str, Margins], tables: dict[str, ControllerTable], seconds: float) -> Self:
         """A contest of margins that were found one by one."""
         return cls(study, join_margins(margins, "controller", "controller"), margins, tables, seconds)
 

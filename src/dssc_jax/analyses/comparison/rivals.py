@@ -30,7 +30,7 @@ from dssc_jax.models.controllers.modulation import ConstantModulation
 from dssc_jax.study import Law, Study
 from dssc_jax.study.tables import merged
 
-Table = dict[str, Any]
+ControllerTable = dict[str, Any]
 LIMITED = "limited"
 SUFFIXES = (*(form.value for form in Discretisation), LIMITED)
 
@@ -67,26 +67,26 @@ def super_twisting(functions: Any) -> SuperTwisting:
     raise ConfigError("", f"the functions '{type(functions).__name__}' approximate no super-twisting algorithm")
 
 
-def ssc(gains: DsscGains) -> Table:
+def ssc(gains: DsscGains) -> ControllerTable:
     """Constants: the functions' values at the origin."""
     at = gains.functions.at(0.0, 0.0, nominal(gains.l0))
     constants = {"kind": "constant", **{name: float(value) for name, value in at._asdict().items()}}
     return {"functions": constants, "rho": switching_gain(gains), "predictor_start": gains.predictor_start.value}
 
 
-def pi(gains: DsscGains) -> Table:
+def pi(gains: DsscGains) -> ControllerTable:
     """What SSC synthesises: K_P = 1/(k_o tau_av), K_I = K_P/tau_m."""
     proportional, integral = synthesised_gains(gains._replace(l0=nominal(gains.l0)))
     return {"k_p": float(proportional), "k_i": float(integral)}
 
 
-def sta(gains: DsscGains) -> Table:
+def sta(gains: DsscGains) -> ControllerTable:
     """Table 2, row 2."""
     twisting = super_twisting(gains.functions)
-    return {"kappa1": float(twisting.kappa1), "kappa2": float(twisting.kappa2), "k_n": input_gain(gains)}
+    return {"kappa1": float(twisting.kappa1), "kappa2": float(twisting.kappa2), "k_n": nominal_input_gain(gains)}
 
 
-def vgsta(gains: DsscGains) -> Table:
+def vgsta(gains: DsscGains) -> ControllerTable:
     """Table 1's own numbers where the functions have them; else the STA with the smoothing delta."""
     names = ("phi_a", "phi_b", "kappa_a", "kappa_b", "kappa_c", "kappa_d", "epsilon", "gamma", "delta")
     if isinstance(gains.functions, Vgsta):
@@ -95,15 +95,15 @@ def vgsta(gains: DsscGains) -> Table:
         twisting = super_twisting(gains.functions)
         numbers = dict.fromkeys(names, 0.0)
         numbers |= {"phi_a": 1.0, "kappa_d": twisting.kappa1, "gamma": twisting.kappa2, "delta": twisting.delta}
-    return {name: float(value) for name, value in numbers.items()} | {"k_n": input_gain(gains)}
+    return {name: float(value) for name, value in numbers.items()} | {"k_n": nominal_input_gain(gains)}
 
 
-def smc(gains: DsscGains) -> Table:
+def smc(gains: DsscGains) -> ControllerTable:
     """The relay of DSSC without its filter."""
-    return {"gain": switching_gain(gains), "k_n": input_gain(gains)}
+    return {"gain": switching_gain(gains), "k_n": nominal_input_gain(gains)}
 
 
-def input_gain(gains: DsscGains) -> float:
+def nominal_input_gain(gains: DsscGains) -> float:
     """k_n of the nominal control; 1 without one."""
     return nominal(gains.nominal.k) if gains.nominal else 1.0
 
@@ -119,10 +119,16 @@ def switching_gain(gains: DsscGains) -> float:
     return nominal(gains.rho.rho)
 
 
-RIVALS: dict[str, Callable[[DsscGains], Table]] = {"ssc": ssc, "pi": pi, "sta": sta, "vgsta": vgsta, "smc": smc}
+RIVALS: dict[str, Callable[[DsscGains], ControllerTable]] = {
+    "ssc": ssc,
+    "pi": pi,
+    "sta": sta,
+    "vgsta": vgsta,
+    "smc": smc,
+}
 
 
-def controller_table(study: Study, name: str) -> Table:
+def controller_table(study: Study, name: str) -> ControllerTable:
     """The ``[controller]`` of a controller in a comparison.
 
     Args:
@@ -148,7 +154,7 @@ def controller_table(study: Study, name: str) -> Table:
     return {**table, "discretisation": suffix} if suffix else table
 
 
-def derived(study: Study, name: str, kind: str) -> Table:
+def derived(study: Study, name: str, kind: str) -> ControllerTable:
     """A rival's table, channel by channel.
 
     Raises:
@@ -182,7 +188,7 @@ def plain(gains: DsscGains) -> DsscGains:
     return gains
 
 
-def with_limit(study: Study, name: str, table: Table) -> Table:
+def with_limit(study: Study, name: str, table: ControllerTable) -> ControllerTable:
     """A table whose command is clipped to +-rho, for what DSSC with a constant rho is compared with.
 
     Raises:

@@ -115,7 +115,7 @@ def tuned(study: Study, budget: Tuning, given: Mapping[str, Any]) -> dict[str, f
     if not extents:
         raise ConfigError("tune", "no gain of this controller has a range; give [compare.NAME.tune]")
     trial = study.without_sweep().override({"seed": budget.seed, "draws": budget.draws})
-    candidates = points(trial, extents, budget)
+    candidates = candidate_points(trial, extents, budget)
     evaluator = Evaluator(trial, extents, min(budget.draws * budget.candidates, max(BLOCK, budget.draws)))
     laws = evaluator.drawn(slice(0, budget.draws))
     scores = []
@@ -142,7 +142,7 @@ def merit(study: Study, results: Mapping[str, np.ndarray]) -> np.ndarray:
     return np.where(np.isnan(values), -np.inf, -values)
 
 
-def points(study: Study, extents: Mapping[str, tuple[float, float]], budget: Tuning) -> dict[str, np.ndarray]:
+def candidate_points(study: Study, extents: Mapping[str, tuple[float, float]], budget: Tuning) -> dict[str, np.ndarray]:
     """The candidates: the study's own gains first, the rest spread evenly in the logarithm."""
     sobol = qmc.Sobol(len(extents), rng=np.random.default_rng(budget.seed))
     unit = sobol.random(max(1, 1 << (budget.candidates - 1).bit_length()))[: budget.candidates]

@@ -27,7 +27,7 @@ UNNAMED = {
 """What can be walked beside the loop's own numbers."""
 CONTENT = 0.95  # share of draws that the lower tolerance limit speaks of
 WALKED = ("start", "end", "log", "points", "parted")
-FIRST_NAMES = {"margin": "slack"}
+FIRST_MARGIN_NAMES = {"margin": "slack"}
 """What the first version called variables of the dataset."""
 
 
@@ -201,7 +201,7 @@ class Margins(Analysis):
     def restored(cls, stored: Stored) -> Self:
         """See :class:`Analysis`."""
         study, dataset, settings = stored
-        dataset = dataset.rename({old: new for old, new in FIRST_NAMES.items() if old in dataset})
+        dataset = dataset.rename({old: new for old, new in FIRST_MARGIN_NAMES.items() if old in dataset})
         certificate = Reach(**settings["certificate"]) if isinstance(study, Described) else None
         walk, criterion = Walk(**settings["walk"]), tuple(settings["criterion"])
         return cls(study, dataset, settings["parameter"], walk, criterion, settings["times"], certificate)

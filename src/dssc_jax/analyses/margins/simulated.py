@@ -59,7 +59,7 @@ def margin(
     require_independent(study, "a margin")
     study, began, clock = study.without_sweep(), time.perf_counter(), Clock()
     parted = study.config.loop.duration if over == CLOCK else None
-    walk = Walk(*checked(over, bounds, log, points, bisections), log, points, parted)
+    walk = Walk(*checked_walk(over, bounds, log, points, bisections), log, points, parted)
     find = over_sample_time if over == CLOCK else over_number
     critical, values = find(study, over, walk, bisections, clock, progress or (lambda done, total: None))
     times = {"seconds": time.perf_counter() - began, "compile_seconds": clock.compile_seconds}
@@ -67,7 +67,9 @@ def margin(
     return Margins.of(study, over, walk, critical, values, times, criterion)
 
 
-def checked(over: str, bounds: tuple[float, float], log: bool, points: int, bisections: int) -> tuple[float, float]:
+def checked_walk(
+    over: str, bounds: tuple[float, float], log: bool, points: int, bisections: int
+) -> tuple[float, float]:
     """The bounds.
 
     Raises:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from dssc_jax import plotting
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
 from dssc_jax.analyses.margins import Margins, join_margins, margin, margin_settings, part_margins
-from dssc_jax.analyses.theory.chattering import FINEST, MU, chattering
+from dssc_jax.analyses.theory.chattering import MU, SAMPLES_IN_MU, chattering
 from dssc_jax.analyses.theory.linearised import kind_of
 from dssc_jax.analyses.theory.local import Time, local_margin
 from dssc_jax.core.errors import ConfigError
@@ -99,8 +99,8 @@ class Assessment(Analysis):
         return {
             **{name: own[name] for name in ("parameter", "unit", "draws", "bounds")},
             "certificate": {"certified": own["certified"], "text": own["certificate"]},
-            PERFORMANCE: distribution(self.performance),
-            "local": {kind.value: distribution(margins) for kind, margins in self.local.items()},
+            PERFORMANCE: distribution_summary(self.performance),
+            "local": {kind.value: distribution_summary(margins) for kind, margins in self.local.items()},
             "edge": self.edge,
             OSCILLATIONS: {
                 name: {"mu": of[MU].values, **{part: of[part].values for part in OSCILLATION}}
@@ -134,7 +134,7 @@ class Assessment(Analysis):
         return cls.of(performance, local, oscillations, *rest)
 
 
-def distribution(margins: Margins) -> dict[str, Any]:
+def distribution_summary(margins: Margins) -> dict[str, Any]:
     """What one can defend of a distribution of margins."""
     summary = margins.summary()
     names = ("criterion", "median", "lower_tolerance", "content", "confidence")
@@ -204,7 +204,9 @@ def time_constants(study: Study, over: str, bounds: tuple[float, float]) -> list
     """
     if over != MU or kind_of(study, "unmodelled") != "lag" or len(study.loop.channels) > 1:
         raise ConfigError(over, "describing functions are of a lag's mu, on a plant of one channel")
-    least, most = max(min(bounds), FINEST * study.config.loop.sample_time), max(bounds)
+    least, most = max(min(bounds), SAMPLES_IN_MU * study.config.loop.sample_time), max(bounds)
     if least >= most:
-        raise ConfigError(over, f"the clock would chatter rather than the lag: T_s exceeds {most / FINEST:g} s, mu/20")
+        raise ConfigError(
+            over, f"the clock would chatter rather than the lag: T_s exceeds {most / SAMPLES_IN_MU:g} s, mu/20"
+        )
     return np.geomspace(least, most, VALUES).tolist()

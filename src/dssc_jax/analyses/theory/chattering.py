@@ -12,7 +12,7 @@ from dssc_jax.runs import run as running
 from dssc_jax.study import Study
 
 MU = "unmodelled.mu"
-FINEST = 20  # samples in the smallest time constant: fewer, and the clock chatters rather than the lag
+SAMPLES_IN_MU = 20  # samples in the smallest time constant: fewer, and the clock chatters rather than the lag
 
 
 def chattering(study: Study, values: Sequence[float], *, push: float, after: float) -> xr.Dataset:
@@ -35,8 +35,10 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
     """
     if kind_of(study, "unmodelled") != "lag":
         raise ConfigError(f"{study.source}: unmodelled.kind", "chattering over mu needs a lag")
-    if study.config.loop.sample_time > min(values) / FINEST * (1 + 1e-9):
-        raise ConfigError(f"{study.source}: loop.sample_time", f"must be <= {min(values) / FINEST:g}, a 20th of mu")
+    if study.config.loop.sample_time > min(values) / SAMPLES_IN_MU * (1 + 1e-9):
+        raise ConfigError(
+            f"{study.source}: loop.sample_time", f"must be <= {min(values) / SAMPLES_IN_MU:g}, a 20th of mu"
+        )
     rest = at_rest(study)
     middle = {name: law.median for name, law in rest.laws.items()}
     changes = {

@@ -57,7 +57,7 @@ def limit_cycle(study: Study, point: Mapping[str, float] | None = None) -> Limit
             balance = sta_balance(float(gains.kappa1), float(gains.kappa2))
         case kind:
             raise ConfigError(f"{study.source}: controller.kind", f"the describing function of '{kind}' is not known")
-    return solve(response, balance)
+    return solve_balance(response, balance)
 
 
 class Balance(NamedTuple):
@@ -85,7 +85,7 @@ def sta_balance(kappa1: float, kappa2: float) -> Balance:
     )
 
 
-def solve(response: Linearised, balance: Balance) -> LimitCycle | None:
+def solve_balance(response: Linearised, balance: Balance) -> LimitCycle | None:
     """The limit cycle of the highest frequency, which is where chattering settles."""
 
     def inverse(w: float) -> complex:

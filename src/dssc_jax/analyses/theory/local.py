@@ -10,7 +10,7 @@ import numpy as np
 
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
 from dssc_jax.analyses.margins import Margins, Walk, search
-from dssc_jax.analyses.margins.simulated import checked, placed, require_spread
+from dssc_jax.analyses.margins.simulated import checked_walk, placed, require_spread
 from dssc_jax.analyses.theory.linearised import (
     SMOOTH,
     at_rest,
@@ -102,7 +102,7 @@ def local_margin(
     require_smooth(rest)
     if kind == Time.CONTINUOUS and kind_of(rest, "controller") not in SMOOTH:
         raise ConfigError(f"{study.source}: controller.kind", f"(22) is known for {', '.join(SMOOTH)} only")
-    walk = Walk(*checked(over, bounds, log, points, bisections), log, points)
+    walk = Walk(*checked_walk(over, bounds, log, points, bisections), log, points)
     if over in study.quantities and over not in rest.quantities:
         raise ConfigError(over, "plays no part near the origin: reference and disturbance are left aside there")
     if over == SPREAD:

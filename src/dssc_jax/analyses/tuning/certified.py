@@ -16,7 +16,7 @@ PREFIX = "free."
 REQUIRED = tuple(name for name in Free._fields if name not in Free._field_defaults)
 
 
-def dotted(name: str) -> str:
+def dotted_name(name: str) -> str:
     """The dotted name of a parameter of Table 1 in a study."""
     if name == "l0":
         return "controller.l0"
@@ -24,7 +24,7 @@ def dotted(name: str) -> str:
 
 
 SMALL_GAIN, SLACK = "small gain", "slack of "
-NUMBERS = {dotted(name): name for name in Parameters._fields}
+NUMBERS = {dotted_name(name): name for name in Parameters._fields}
 """The loop's numbers that the free parameters fix."""
 
 
@@ -70,10 +70,10 @@ class Theorem:
     def expand(self, tuned: Mapping[str, Any]) -> dict[str, Any]:
         """The loop's numbers: the certified design, and what is tuned beside it."""
         free = self.free(tuned)
-        _, bounds = self.at({dotted("l0"): free.l0})  # of which those of the nominal control depend on l0
+        _, bounds = self.at({dotted_name("l0"): free.l0})  # of which those of the nominal control depend on l0
         parameters = design(bounds, free)
         others = {name: value for name, value in tuned.items() if not name.startswith(PREFIX)}
-        return others | {dotted(name): value for name, value in parameters._asdict().items()}
+        return others | {dotted_name(name): value for name, value in parameters._asdict().items()}
 
     def at(self, numbers: Mapping[str, Any]) -> tuple[Parameters, Bounds]:
         """Parameters and bounds at the loop's numbers as they are simulated; those not among them are the study's."""
@@ -107,7 +107,9 @@ class Theorem:
         return excess
 
 
-def split(free: Mapping[str, tuple[float, float] | float]) -> tuple[dict[str, tuple[float, float]], dict[str, float]]:
+def split_parameters(
+    free: Mapping[str, tuple[float, float] | float],
+) -> tuple[dict[str, tuple[float, float]], dict[str, float]]:
     """Intervals of the varied free parameters, and the values of the fixed ones.
 
     Raises:

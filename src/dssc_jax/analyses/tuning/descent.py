@@ -82,7 +82,7 @@ def descend(problem: Problem, first: tuple[Point, Point], progress: ProgressCall
         with jax.enable_x64(True):
             change, state = optimiser.update(multipliers.gradient(here), state, here.z)
         batch = rng.choice(problem.train, table.batch, replace=False) if table.batch else problem.train
-        here, halvings = reach(problem, here, np.asarray(change), batch, CLIFF * multipliers.scale)
+        here, halvings = reached_box(problem, here, np.asarray(change), batch, CLIFF * multipliers.scale)
         search.shortened += halvings
         if step % UPDATE == 0 or step == table.steps:
             validation = problem.seen(here.z)
@@ -102,7 +102,7 @@ def falling(first: float, done: float) -> float:
     return first * FINEST ** (done / (1.0 - EXACT)) if done < 1.0 - EXACT else 0.0
 
 
-def reach(problem: Problem, here: Point, change: np.ndarray, batch: np.ndarray, leap: float) -> tuple[Point, int]:
+def reached_box(problem: Problem, here: Point, change: np.ndarray, batch: np.ndarray, leap: float) -> tuple[Point, int]:
     """The point after a step, which is halved until the point may be visited; then the same point again."""
     highest, farthest = here.merit.objective + leap, max(here.merit.violation, SWERVE)
     for halvings in range(HALVINGS):

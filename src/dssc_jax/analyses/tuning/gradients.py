@@ -8,16 +8,16 @@ from scipy.special import logit
 from dssc_jax.analyses.tuning.problem import Problem
 from dssc_jax.engine.evaluation import Derivative
 
-STEP = 1e-5  # of the differences
+DIFFERENCE_STEP = 1e-5  # of the differences
 STRIDE, HALF = 0.03, 0.5  # a step as a search takes it, and to which share of itself a derivative is to tell its effect
 AGREEMENT = 1e-4  # relative
-NOISE = 1e-8  # relative to the value: rounding of a difference, some 1e-16/STEP, with three powers of ten of room
-KINK = 1e-3  # relative jump of the slope between both sides; curvature alone changes it by about STEP
+DIFFERENCE_NOISE = 1e-8  # relative to the value: rounding of a difference, with three powers of ten of room
+KINK = 1e-3  # relative jump of the slope between both sides; curvature alone changes it by about the step
 SHOWN = 5  # disagreements kept
-EDGE = 0.05  # share of an interval's logarithm that is left out at both ends
+INSET = 0.05  # share of an interval's logarithm that is left out at both ends
 
 
-class Agreement(NamedTuple):
+class GradientAgreement(NamedTuple):
     """What came of the comparison.
 
     Args:
@@ -26,7 +26,7 @@ class Agreement(NamedTuple):
         kinks: Share of them at which the slopes of both sides differ.
         agreeing: Share of the others that agree to 1e-4 relative.
         useful: Share of all that agree.
-        telling: Share of all that tell to a half what steps of 0.03 of the coordinate do. Where a loop chatters,
+        predictive: Share that predicts to a half what steps of 0.03 of the coordinate do. Where a loop chatters,
             derivatives can be exact and tell nothing.
         ended: Points whose draw ended early, of which none is compared.
         finite: Whether no derivative of a draw that lasted is NaN or infinite.
@@ -39,7 +39,7 @@ class Agreement(NamedTuple):
     kinks: float
     agreeing: float
     useful: float
-    telling: float
+    predictive: float
     ended: int
     finite: bool
     kinked: dict[str, dict[str, float]]
@@ -50,11 +50,11 @@ class Agreement(NamedTuple):
         """One line for people."""
         return (
             f"{100 * self.agreeing:.1f} % of {self.compared} derivatives agree with central differences to 1e-4 away "
-            f"from kinks, which are {100 * self.kinks:.1f} %; {100 * self.telling:.1f} % tell what a longer step does"
+            f"from kinks, which are {100 * self.kinks:.1f} %; {100 * self.predictive:.1f} % predict a longer step"
         )
 
 
-class Comparison(NamedTuple):
+class DerivativePair(NamedTuple):
     """Derivatives against differences, all arrays of one shape.
 
     Args:
@@ -89,16 +89,16 @@ class Comparison(NamedTuple):
         return [tuple(place) for place in ranked[:SHOWN]]
 
 
-def compare(exact: np.ndarray, value: np.ndarray, above: np.ndarray, below: np.ndarray) -> Comparison:
+def compare_derivatives(exact: np.ndarray, value: np.ndarray, above: np.ndarray, below: np.ndarray) -> DerivativePair:
     """Derivatives against the differences on both sides, and the values that these round; any shape, one for all."""
-    noise = NOISE * np.abs(value)
+    noise = DIFFERENCE_NOISE * np.abs(value)
     central, larger = 0.5 * (above + below), np.maximum(np.abs(above), np.abs(below))
     kink = np.abs(above - below) > KINK * larger + noise
     agree = np.abs(exact - central) <= AGREEMENT * np.maximum(np.abs(exact), np.abs(central)) + noise
-    return Comparison(exact, central, kink, agree)
+    return DerivativePair(exact, central, kink, agree)
 
 
-def check_gradients(problem: Problem, points: int, seed: int = 0) -> Agreement:
+def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgreement:
     """Compare derivatives of single draws with central differences.
 
     Points are uniform in the logarithm of the tuned numbers, all over their intervals.
@@ -110,10 +110,12 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> Agreement:
     """
     rng = np.random.default_rng(seed)
     mirror, size = problem.plan.mirror, len(problem.plan.mirror.names)
-    centre = logit(rng.uniform(EDGE, 1.0 - EDGE, (points, size)))
+    centre = logit(rng.uniform(INSET, 1.0 - INSET, (points, size)))
     draws = rng.choice(problem.train, points)
     one = np.eye(size)
-    shifts = np.concatenate([np.zeros((1, size)), STEP * one, -STEP * one, STRIDE * one, -STRIDE * one])
+    shifts = np.concatenate(
+        [np.zeros((1, size)), DIFFERENCE_STEP * one, -DIFFERENCE_STEP * one, STRIDE * one, -STRIDE * one]
+    )
     z = (centre + shifts[:, None, :]).reshape(-1, size)
     lanes = {name: np.tile(column[draws], len(shifts)) for name, column in problem.laws.items()}
     lanes |= mirror.numbers(z)
@@ -127,20 +129,22 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> Agreement:
         exact.append(np.sum(rows, axis=0))
         value.append(np.repeat(table[0][:, None], size, axis=1))
         higher, lower, far, near = table[1:].reshape(4, size, points)
-        above.append((higher - table[0]).T / STEP)
-        below.append((table[0] - lower).T / STEP)
+        above.append((higher - table[0]).T / DIFFERENCE_STEP)
+        below.append((table[0] - lower).T / DIFFERENCE_STEP)
         long.append((far - near).T / (2.0 * STRIDE))
     lasted = np.isfinite(results["failed_at"].reshape(len(shifts), points)).sum(0) == 0
     exact, value, above, below, long = (np.stack(parts)[:, lasted] for parts in (exact, value, above, below, long))
-    comparison = compare(exact, value, above, below)
-    telling = np.abs(exact - long) <= HALF * np.maximum(np.abs(exact), np.abs(long)) + NOISE * np.abs(value)
+    comparison = compare_derivatives(exact, value, above, below)
+    predictive = np.abs(exact - long) <= HALF * np.maximum(np.abs(exact), np.abs(long)) + DIFFERENCE_NOISE * np.abs(
+        value
+    )
     metrics, where = list(problem.plan.measures), np.flatnonzero(lasted)
     share = np.mean(comparison.kink, axis=1) if len(where) else np.zeros((len(metrics), size))
     at = {name: column[lasted] for name, column in mirror.tuned(centre).items()}
-    return Agreement(
+    return GradientAgreement(
         points=points,
         compared=comparison.exact.size,
-        telling=float(np.mean(telling)) if telling.size else 0.0,
+        predictive=float(np.mean(predictive)) if predictive.size else 0.0,
         ended=points - len(where),
         kinked={
             m: dict(zip(mirror.names, map(float, row), strict=True)) for m, row in zip(metrics, share, strict=True)

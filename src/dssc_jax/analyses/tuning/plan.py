@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from dssc_jax.analyses.tuning.certified import NUMBERS, Theorem, split
+from dssc_jax.analyses.tuning.certified import NUMBERS, Theorem, split_parameters
 from dssc_jax.analyses.tuning.mirror import Mirror, as_they_are
 from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.core.errors import ConfigError, nearest
@@ -74,9 +74,9 @@ class Plan:
         for name in table.parameters:
             require_number(study, name, table)
         theorem, varied = None, dict(table.parameters)
-        starts = {name: inside(study, name, table.parameters[name]) for name in table.parameters}
+        starts = {name: inside_range(study, name, table.parameters[name]) for name in table.parameters}
         if table.certified:
-            free, fixed = split(table.free)
+            free, fixed = split_parameters(table.free)
             theorem = Theorem(study, fixed)
             starts |= {name: (low * high) ** 0.5 for name, (low, high) in free.items()}
             varied |= free
@@ -206,7 +206,7 @@ def unfit(study: Study, name: str) -> str:
     return "has no value in this study; give one to start from"
 
 
-def inside(study: Study, name: str, extent: tuple[float, float]) -> float:
+def inside_range(study: Study, name: str, extent: tuple[float, float]) -> float:
     """The study's own value, where the search begins.
 
     Raises:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from dssc_jax import plotting
 from dssc_jax.analyses.tuning.certified import PREFIX
-from dssc_jax.analyses.tuning.gradients import Agreement
+from dssc_jax.analyses.tuning.gradients import GradientAgreement
 from dssc_jax.analyses.tuning.plan import Plan, seed_of
 from dssc_jax.analyses.tuning.verdict import Verdict
 from dssc_jax.core.quantities import Quantity
@@ -56,7 +56,7 @@ class Tuned(Analysis):
     start: dict[str, float]
     values: dict[str, float]
     numbers: dict[str, float]
-    gradients: Agreement | None
+    gradients: GradientAgreement | None
     verdict: Verdict
     facts: dict[str, Any]
 
@@ -124,7 +124,7 @@ class Tuned(Analysis):
         """See :class:`Analysis`."""
         settings = dict(stored.settings)
         gradients, verdict = settings.pop("gradients"), settings.pop("verdict")
-        agreement = None if gradients is None else Agreement(**gradients)
+        agreement = None if gradients is None else GradientAgreement(**gradients)
         own = Verdict(**{name: as_tuples(value) for name, value in verdict.items()})
         return cls(stored.study, stored.dataset, **settings, gradients=agreement, verdict=own)
 

@@ -6,13 +6,13 @@ import numpy as np
 
 from dssc_jax.analyses.defaults import BUDGET, ROUNDS
 from dssc_jax.analyses.falsification import falsify, require_hunt
-from dssc_jax.analyses.tuning.gradients import Agreement, check_gradients
+from dssc_jax.analyses.tuning.gradients import GradientAgreement, check_gradients
 from dssc_jax.analyses.tuning.plan import EVOLUTION, Plan
 from dssc_jax.analyses.tuning.problem import Problem
 from dssc_jax.analyses.tuning.progress import Search
 from dssc_jax.analyses.tuning.result import Tuned, dataset_of
 from dssc_jax.analyses.tuning.search import search
-from dssc_jax.analyses.tuning.verdict import judge
+from dssc_jax.analyses.tuning.verdict import judge_tuning
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import Arrays
@@ -70,7 +70,7 @@ def tune(
         outcome, gradients = solve(problem, progress)
         certified += problem.certified
     start, numbers = (numbers_at(plan, z) for z in (plan.mirror.origin, outcome.best.z))
-    verdict, costs = judge(plan, problem.goal, start, numbers)
+    verdict, costs = judge_tuning(plan, problem.goal, start, numbers)
     facts = {
         "method": EVOLUTION if gradients is None or not useful(gradients) else plan.table.optimiser,
         "stopped": outcome.stopped,
@@ -86,7 +86,7 @@ def tune(
     return Tuned(plan.study, dataset, dict(plan.mirror.start), values, numbers, gradients, verdict, facts)
 
 
-def solve(problem: Problem, progress: ProgressCallback | None) -> tuple[Search, Agreement | None]:
+def solve(problem: Problem, progress: ProgressCallback | None) -> tuple[Search, GradientAgreement | None]:
     """One search, by descent where derivatives are asked for and useful.
 
     Raises:
@@ -103,9 +103,9 @@ def solve(problem: Problem, progress: ProgressCallback | None) -> tuple[Search, 
     return search(problem, first, gradients is None or useful(gradients), progress), gradients
 
 
-def useful(gradients: Agreement) -> bool:
+def useful(gradients: GradientAgreement) -> bool:
     """Whether there is something to descend on: derivatives that hold, and not only for the smallest of steps."""
-    return min(gradients.useful, gradients.telling) >= USEFUL
+    return min(gradients.useful, gradients.predictive) >= USEFUL
 
 
 def numbers_at(plan: Plan, z: np.ndarray) -> dict[str, float]:

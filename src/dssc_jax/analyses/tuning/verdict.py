@@ -53,7 +53,9 @@ class Verdict(NamedTuple):
         return {**self._asdict(), "within_limits": self.within, "confidence": CONFIDENCE}
 
 
-def judge(plan: Plan, goal: Goal, start: Mapping[str, float], best: Mapping[str, float]) -> tuple[Verdict, Arrays]:
+def judge_tuning(
+    plan: Plan, goal: Goal, start: Mapping[str, float], best: Mapping[str, float]
+) -> tuple[Verdict, Arrays]:
     """Judge the result against the start.
 
     Args:
@@ -74,10 +76,10 @@ def judge(plan: Plan, goal: Goal, start: Mapping[str, float], best: Mapping[str,
         for numbers in (start, best)
     )
     costs = {"start": goal.cost(before), "tuned": goal.cost(after)}
-    return compare(plan, goal, before, after), costs
+    return compare_objectives(plan, goal, before, after), costs
 
 
-def compare(plan: Plan, goal: Goal, before: Arrays, after: Arrays) -> Verdict:
+def compare_objectives(plan: Plan, goal: Goal, before: Arrays, after: Arrays) -> Verdict:
     """The verdict from the results of both."""
     costs = goal.cost(before), goal.cost(after)
     objective = goal.value(costs[0]), goal.value(costs[1])

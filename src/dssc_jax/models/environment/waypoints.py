@@ -33,7 +33,7 @@ FRAME_RADIUS = 1e4  # reach of the local frame [m] (assumed): the ground is 8 m 
 SAME = 0.01  # consecutive waypoints nearer than this [m] are the same (assumed; the precision of RTK positioning)
 SEGMENT_TIME = 0.02  # of the table [s]
 FEWEST_SEGMENTS, MOST_SEGMENTS = 256, 65536
-PARTS = 128  # of a leg, on which its length and curvature are taken
+LEG_PARTS = 128  # of a leg, on which its length and curvature are taken
 RAMP = 1.875  # peak slope of 10 x^3 - 15 x^4 + 6 x^5 on [0, 1]
 GAUSS = np.polynomial.legendre.leggauss(5)
 
@@ -218,7 +218,7 @@ def curve(params: WaypointParams) -> Curve:
     """
     check_path(params)
     path, cruise = spline(params), float(params.speed)
-    u = np.interp(np.arange(PARTS * (len(path.x) - 1) + 1) / PARTS, np.arange(len(path.x)), path.x)
+    u = np.interp(np.arange(LEG_PARTS * (len(path.x) - 1) + 1) / LEG_PARTS, np.arange(len(path.x)), path.x)
     s = np.concatenate([[0.0], np.cumsum(length(path, u[:-1], u[1:]))])
     check_speed(params, path, u, s[-1])
     ramp, flight = RAMP * cruise / float(params.acceleration), s[-1] / cruise

@@ -9,7 +9,7 @@ from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
 
 GRAVITY = 9.81  # m/s^2
-NEGLIGIBLE = 1e-15  # cos(pi/2) is 6e-17
+ROUNDED_TO_ZERO = 1e-15  # cos(pi/2) is 6e-17
 
 
 class Vehicle(NamedTuple):
@@ -52,8 +52,9 @@ class Vehicle(NamedTuple):
 
     def directions(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """x and y of every rotor for an arm of length 1; values that are 0 up to rounding are 0."""
-        x, y = ([f(angle) for angle in self.rotor_angles] for f in (math.cos, math.sin))
-        return tuple(0.0 if abs(v) < NEGLIGIBLE else v for v in x), tuple(0.0 if abs(v) < NEGLIGIBLE else v for v in y)
+        exact = ([f(angle) for angle in self.rotor_angles] for f in (math.cos, math.sin))
+        x, y = (tuple(0.0 if abs(value) < ROUNDED_TO_ZERO else value for value in values) for values in exact)
+        return x, y
 
 
 def ring(rotors: int) -> tuple[float, ...]:

@@ -113,10 +113,10 @@ def loss(g: Realisation) -> float:
     """Largest rounding error of :func:`transition` applied to a first row; it grows as the poles move apart."""
     a, worst = np.array(g.a), 0.0
     for known in map(np.array, g.doublings):
-        found = [known[0]]
+        powers = [known[0]]
         for _ in a[1:]:
-            found.append(found[-1] @ a)
-        worst = max(worst, float(np.max(np.abs(known - found))))
+            powers.append(powers[-1] @ a)
+        worst = max(worst, float(np.max(np.abs(known - powers))))
     return worst
 
 
@@ -135,16 +135,18 @@ def prepare(params: TransferFunctionParams) -> TransferFunctionParams:
     if above[0] != below[0] or below[0] == 0.0:
         rule = "must begin with the denominator's first coefficient, and that not be 0, so that G(0) = 1"
         raise ConfigError("numerator", f"{rule}, got {above[0]:g} and {below[0]:g}")
-    found, over = ([float(f"{value:g}") for value in side] for side in (below, above))
+    denominator, numerator = ([float(f"{value:g}") for value in side] for side in (below, above))
     if not decay(below) > SLOWEST:
         rule = f"must be Hurwitz, and no pole slower than {SLOWEST:g} of their geometric mean"
-        raise ConfigError("denominator", f"{rule}, got {found} in rising powers")
+        raise ConfigError("denominator", f"{rule}, got {denominator} in rising powers")
     with np.errstate(all="ignore"):
         g = of(params)
     if not loss(g) < LOSS:
-        raise ConfigError("denominator", f"must not have poles so far apart at its order, got {found} in rising powers")
+        raise ConfigError(
+            "denominator", f"must not have poles so far apart at its order, got {denominator} in rising powers"
+        )
     if not np.all(np.isfinite((*g.c, g.d))):
-        raise ConfigError("numerator", f"must be in proportion to the denominator, got {over}")
+        raise ConfigError("numerator", f"must be in proportion to the denominator, got {numerator}")
     return params
 
 
@@ -172,10 +174,10 @@ def transition(g: Realisation, steps: Scalar) -> tuple[tuple[Scalar, ...], ...]:
     for k in range(1, DEGREE + 1):
         term = tuple(rest / k * rate for rate in times(term, g.a))
         row = tuple(x + dx for x, dx in zip(row, term, strict=True))
-    found: list[tuple[Scalar, ...]] = [row]
+    powers: list[tuple[Scalar, ...]] = [row]
     for _ in g.c[1:]:
-        found.append(times(found[-1], g.a))
-    return tuple(found)
+        powers.append(times(powers[-1], g.a))
+    return tuple(powers)
 
 
 def init(params: TransferFunctionParams) -> tuple[Scalar, ...]:
