@@ -7,12 +7,14 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import nbformat
 import pytest
 import typer
 import yaml
 
+import dssc_jax as dj
 from benchmarks.pages import PAGES as PAGES_OF
 from dssc_jax.cli.common import app
 
@@ -68,7 +70,7 @@ def test_links_lead_somewhere():
             assert (page.parent / link).exists(), f"{page.name}: {link}"
 
 
-def told(path):
+def text_of(path):
     """A page's text, or that of a notebook's cells."""
     if path.suffix == ".ipynb":
         return "\n".join(cell.source for cell in nbformat.read(path, as_version=4).cells)
@@ -78,7 +80,7 @@ def told(path):
 @pytest.mark.parametrize("path", [*EVERY, *NOTEBOOKS], ids=lambda path: path.name)
 def test_what_a_page_names_exists(path):
     """Commands with their options, make's targets, files of the repository."""
-    text = told(path)
+    text = text_of(path)
     commands = typer.main.get_command(app).commands
     for name, rest in re.findall(r"\bdssc-jax ([a-z]+)([^`|#\n]*)", text):
         options = {flag for option in commands[name].params for flag in option.opts} | {"--help"}
@@ -106,6 +108,18 @@ def test_every_source_is_in_the_bibliography():
                 assert re.search(rf"{name}\b[^*]*\({year}\)", page), f"{name} ({year})"
                 cited += 1
     assert cited > 15
+
+
+def test_the_reference_has_every_public_name():
+    """A function or class by its own directive, a module by itself or by one of its members."""
+    page = (ROOT / "docs" / "reference.md").read_text()
+    directives = re.findall(r"^::: (\S+)", page, re.MULTILINE)
+    for name in dj.__all__:
+        value = getattr(dj, name)
+        if isinstance(value, ModuleType):
+            assert any(directive.startswith(value.__name__) for directive in directives), name
+        else:
+            assert any(directive.rpartition(".")[2] == name for directive in directives), name
 
 
 def navigation(entries):

@@ -99,3 +99,77 @@ def test_only_the_edge_touches_files():
     for path in FILES:
         if layer(path) not in EDGE:
             assert not any(word in path.read_text() for word in ("open(", "write_text", "print(")), path
+
+
+ODD = {
+    "told",
+    "found",
+    "asked",
+    "beside",
+    "silent",
+    "shared",
+    "marching",
+    "probing",
+    "telling",
+    "way",
+    "probe",
+    "meant",
+}
+"""Words that say nothing, or too much, as names."""
+
+CONTRACTS = {
+    "init",
+    "step",
+    "measure",
+    "derivative",
+    "prepare",
+    "output",
+    "input_gain",
+    "explicit_update",
+    "implicit_update",
+    "Update",
+}
+"""What every model of a kind has."""
+
+FIGURES = {"margin", "sensitivity", "rare"}
+"""What `plotting` names as the analysis that it draws."""
+
+SAME = {"write", "SOCCER_FIELD"}
+"""Of one meaning in two places: figures and pages are written; a mission is listed."""
+
+
+def names_in(tree):
+    """Names that code gives to things: definitions, arguments, variables, fields."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            yield node.name
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.id
+        elif isinstance(node, ast.arg):
+            yield node.arg
+
+
+def test_names_are_words_of_the_field():
+    """docs/glossary.md has them."""
+    for path in FILES:
+        for name in names_in(ast.parse(path.read_text())):
+            assert not set(re.findall(r"[a-z]+", name.lower())) & ODD, f"{path}: {name}"
+
+
+def test_a_public_name_has_one_meaning():
+    """Commands are named as what they run; controllers are written to one pattern."""
+    homes = {}
+    for path in FILES:
+        if layer(path) == "cli":
+            continue
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.FunctionDef | ast.ClassDef):
+                names = [node.name]
+            else:
+                assigned = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+                names = [target.id for target in assigned if isinstance(target, ast.Name)]
+            for name in names:
+                if not name.startswith("_"):
+                    homes.setdefault(name, set()).add(path.relative_to(ROOT))
+    several = {name: paths for name, paths in homes.items() if len(paths) > 1}
+    assert several.keys() == CONTRACTS | FIGURES | SAME

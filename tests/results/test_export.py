@@ -47,7 +47,7 @@ def test_csv(result, tmp_path):
 
 
 def test_parquet(result, tmp_path, monkeypatch):
-    monkeypatch.setattr("dssc_jax.results.export.ROWS", 24)  # six row groups
+    monkeypatch.setattr("dssc_jax.results.export.TABLE_ROWS", 24)  # six row groups
     (path,) = dj.export(result, "parquet", tmp_path / "a.parquet")
     is_the_table(pd.read_parquet(path), result)
     file = parquet.ParquetFile(path)

@@ -17,15 +17,16 @@ from scipy.stats import qmc
 
 from dssc_jax import plotting
 from dssc_jax.analyses.defaults import BUDGET, LEAST_BUDGET, MOST_BUDGET
+from dssc_jax.closed_loop.requirements import worst_slack
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import BLOCK, Arrays
-from dssc_jax.engine.evaluation import Derivative, Evaluator, GradientEvaluator, worst_slack
+from dssc_jax.engine.evaluation import Derivative, Evaluator, GradientEvaluator
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.analysis_folder import Stored
 from dssc_jax.study import Study
 
-OUTERMOST_LEVEL = 1e-6  # outermost level: where the search ends in the tails of unbounded laws
+SEARCH_EDGE = 1e-6  # outermost level: where the search ends in the tails of unbounded laws
 EXPLORED, CLIMBED = 0.25, 0.5  # shares of the budget; evolution gets what is left
 STARTS, CLIMB = 8, 12  # climbs at most, and steps that each is to have at least
 LEAST_DISTANCE = 0.25  # least distance of two starts, in the largest coordinate
@@ -244,7 +245,7 @@ class Hunt:
     def simulate(self, points: np.ndarray, evaluator: Evaluator, each: int = 1) -> tuple[np.ndarray, Arrays]:
         """Slacks and results of points; ``each`` is what one of them costs."""
         results = evaluator(np.zeros(len(points), dtype=int), self.values(points))
-        slacks = worst_slack(evaluator.swept, results)
+        slacks = worst_slack(evaluator.swept.requirements, results)
         self.seen.append((points, slacks, self.spent + each * np.arange(1, len(points) + 1)))
         self.spent += each * len(points)
         self.worst = min(self.worst, float(slacks.min()))
@@ -255,7 +256,7 @@ class Hunt:
     def explore(self) -> None:
         """Spread points evenly over the cube."""
         points = qmc.Sobol(self.size, rng=self.rng).random(spread(self.budget))
-        self.simulate(np.clip(points, OUTERMOST_LEVEL, 1.0 - OUTERMOST_LEVEL), self.programs.plain)
+        self.simulate(np.clip(points, SEARCH_EDGE, 1.0 - SEARCH_EDGE), self.programs.plain)
 
     def ranked(self) -> tuple[np.ndarray, np.ndarray]:
         """All points so far with their slacks, the worst first."""
@@ -286,7 +287,7 @@ class Hunt:
         for _ in range(room // (each * len(points)) - 1):
             largest = np.max(np.abs(slopes), axis=1, keepdims=True)
             moves = stride[:, None] * slopes / np.where(largest > 0.0, largest, 1.0)
-            trial = np.clip(points - moves, OUTERMOST_LEVEL, 1.0 - OUTERMOST_LEVEL)
+            trial = np.clip(points - moves, SEARCH_EDGE, 1.0 - SEARCH_EDGE)
             slacks, results = self.simulate(trial, evaluator, each)
             better = slacks < best
             points = np.where(better[:, None], trial, points)
@@ -302,7 +303,7 @@ class Hunt:
         binding = np.argmin(np.where(np.isnan(slacks), -np.inf, slacks), axis=0)
         columns = []
         for i, (name, law) in enumerate(self.laws.items()):
-            half = 0.5 * OUTERMOST_LEVEL
+            half = 0.5 * SEARCH_EDGE
             ends = np.clip(points[:, i] + np.array([[-half], [half]]), half, 1.0 - half)
             rate = (law.quantile(ends[1]) - law.quantile(ends[0])) / (ends[1] - ends[0])
             rows = [results[Derivative(r.name, name)] / r.scale for r in requirements]
@@ -323,7 +324,7 @@ class Hunt:
             return np.clip(slacks, -1e100, 1e100)
 
         differential_evolution(
-            cost, [(OUTERMOST_LEVEL, 1.0 - OUTERMOST_LEVEL)] * self.size, init=first, rng=self.rng, tol=0.0,
+            cost, [(SEARCH_EDGE, 1.0 - SEARCH_EDGE)] * self.size, init=first, rng=self.rng, tol=0.0,
             maxiter=generations, polish=False, vectorized=True, updating="deferred",
             callback=lambda x, convergence: self.worst == -np.inf,
         )  # fmt: skip

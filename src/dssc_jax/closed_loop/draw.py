@@ -122,7 +122,7 @@ def samples_a_turn(loop: Loop) -> int:
     return 2 if len(loop.channels) == 1 and loop.steps % 2 == 0 else 1
 
 
-def simulate(
+def simulate_draw(
     loop: Loop,
     params: LoopParams,
     key: jax.Array,
@@ -172,11 +172,11 @@ def simulate_recorded(
     """Simulate one draw and record its trajectory; an ended draw stays at its last state.
 
     Args:
-        loop: As of :func:`simulate`.
-        params: As of :func:`simulate`.
-        key: As of :func:`simulate`.
-        measures: As of :func:`simulate`.
-        requirements: As of :func:`simulate`.
+        loop: As of :func:`simulate_draw`.
+        params: As of :func:`simulate_draw`.
+        key: As of :func:`simulate_draw`.
+        measures: As of :func:`simulate_draw`.
+        requirements: As of :func:`simulate_draw`.
         every: Record every ``every``-th sample.
 
     Returns:

@@ -21,12 +21,12 @@ class DesignTable(NamedTuple):
     rows: list[TableRow]
 
 
-def number_text(value: Any) -> str:
+def figures(value: Any) -> str:
     """A number as one reads it; a dash where there is none."""
     return "-" if value is None or value != value else f"{value:.5g}"
 
 
-def tables(design: DesignFile, certificate: Certificate) -> list[DesignTable]:
+def design_tables(design: DesignFile, certificate: Certificate) -> list[DesignTable]:
     """Parameters, inequalities, small gain and what they guarantee."""
     return [
         DesignTable("Parameters", ("parameter", "value", "unit", "meaning"), parameter_rows(design.parameters)),
@@ -43,7 +43,7 @@ def parameter_rows(numbers: Parameters | Constants) -> list[TableRow]:
     rows = []
     for name, value in numbers._asdict().items():
         mark: Quantity = hints[name].__metadata__[0]
-        rows.append((name, number_text(value), mark.unit, mark.meaning))
+        rows.append((name, figures(value), mark.unit, mark.meaning))
     return rows
 
 
@@ -52,7 +52,7 @@ def inequality_table(certificate: Certificate) -> DesignTable:
     rows = [
         (
             i.name,
-            *(number_text(x) for x in (i.value, i.bound, i.slack, i.printed_slack)),
+            *(figures(x) for x in (i.value, i.bound, i.slack, i.printed_slack)),
             i.state.value.replace("_", " "),
             i.equation,
         )
@@ -72,7 +72,7 @@ READINGS = {
 def small_gain_table(certificate: Certificate) -> DesignTable:
     """The three readings of the small-gain condition."""
     rows = [
-        (name, *map(number_text, (certificate.phi_b, bound, certificate.phi_b - bound)), READINGS[name])
+        (name, *map(figures, (certificate.phi_b, bound, certificate.phi_b - bound)), READINGS[name])
         for name, bound in certificate.small_gain._asdict().items()
     ]
     return DesignTable("Small gain", ("reading", "phi_b", "must exceed", "slack", "source"), rows)
@@ -82,22 +82,22 @@ def guarantee_table(design: DesignFile, certificate: Certificate) -> DesignTable
     """What follows: residuals, rate, proofs, and what a running loop needs."""
     g, proofs, needs = certificate.guarantee, certificate.lyapunov, certificate.practice
     rows = [
-        ("ultimate bound of |e|", number_text(g.e), "m"),
-        ("ultimate bound of |sigma|", number_text(g.sigma), "m/s"),
-        ("constant of O(1/phi_b^2) of |e|", number_text(g.order), "m"),
-        ("decay rate to the residual set", number_text(g.decay_rate), "1/s"),
-        ("smallest eigenvalue of P", number_text(proofs.p_smallest), "SI"),
-        ("smallest eigenvalue of Q - 2 eps I found", number_text(proofs.q_smallest), "SI"),
+        ("ultimate bound of |e|", figures(g.e), "m"),
+        ("ultimate bound of |sigma|", figures(g.sigma), "m/s"),
+        ("constant of O(1/phi_b^2) of |e|", figures(g.order), "m"),
+        ("decay rate to the residual set", figures(g.decay_rate), "1/s"),
+        ("smallest eigenvalue of P", figures(proofs.p_smallest), "SI"),
+        ("smallest eigenvalue of Q - 2 eps I found", figures(proofs.q_smallest), "SI"),
         ("Q - 2 eps I > 0 for all sigma, e, alpha, k_p", "proved" if proofs.q_proved else "not proved", ""),
         ("k_o tau_av > 0 and tau_m > 0 for all sigma, e", "proved" if proofs.functions_proved else "not proved", ""),
-        ("sampling period, at sigma = e = 0", number_text(needs.sample_time_origin), "s"),
-        ("sampling period, over the residual set", number_text(needs.sample_time), "s"),
-        ("|u_av| over the residual set", number_text(needs.u_av), "m/s"),
+        ("sampling period, at sigma = e = 0", figures(needs.sample_time_origin), "s"),
+        ("sampling period, over the residual set", figures(needs.sample_time), "s"),
+        ("|u_av| over the residual set", figures(needs.u_av), "m/s"),
     ]
     if design.modulation is not None:
         rows += [
-            ("constant rho that keeps sliding there", number_text(design.modulation.needed_rho(needs)), "m/s"),
-            ("time of the first sliding under (33)", number_text(design.modulation.first_sliding), "s"),
+            ("constant rho that keeps sliding there", figures(design.modulation.needed_rho(needs)), "m/s"),
+            ("time of the first sliding under (33)", figures(design.modulation.first_sliding), "s"),
         ]
     return DesignTable("Guaranteed", ("what", "value", "unit"), rows)
 
@@ -111,7 +111,7 @@ def limits_table(limits: Limits) -> DesignTable:
         "k_max": "largest k_max",
         "a_max": "largest a_max",
     }
-    rows = [(meanings[name], number_text(value)) for name, value in limits._asdict().items()]
+    rows = [(meanings[name], figures(value)) for name, value in limits._asdict().items()]
     return DesignTable("Certified up to, one at a time", ("limit", "value"), rows)
 
 
@@ -122,7 +122,7 @@ def show(design: DesignFile, certificate: Certificate, limits: Limits | None) ->
     output().print(f"[bold]{escape(shown)}[/bold]: {verdict}{escape(reasons(certificate))}")
     if certificate.certified:
         output().print("In continuous time, without unmodelled dynamics, and with a rho that keeps sliding.")
-    for table in [*tables(design, certificate), *([limits_table(limits)] if limits else [])]:
+    for table in [*design_tables(design, certificate), *([limits_table(limits)] if limits else [])]:
         show_table(table.head, table.rows, title=table.title)
     for edge in design.edges:
         output().print(f"{edge}; a wider range in [goal.vary] may do better", markup=False)
@@ -136,7 +136,7 @@ def reasons(certificate: Certificate) -> str:
     failing = [f"{i.name} {i.state.value.replace('_', ' ')}" for i in certificate.inequalities if not i.satisfied]
     if not certificate.interconnected:
         bound = certificate.small_gain.derived
-        failing.append(f"small gain needs phi_b > {number_text(bound)}" if bound == bound else "small gain needs P > 0")
+        failing.append(f"small gain needs phi_b > {figures(bound)}" if bound == bound else "small gain needs P > 0")
     return "; ".join(failing)
 
 
@@ -148,7 +148,7 @@ SPECIAL |= {character: f"${character}$" for character in "<>|"}
 def latex(design: DesignFile, certificate: Certificate) -> str:
     """The tables as LaTeX; they need the package booktabs."""
     parts = []
-    for table in tables(design, certificate):
+    for table in design_tables(design, certificate):
         body = "\n".join(" & ".join(map(escaped, row)) + r" \\" for row in table.rows)
         parts.append(
             f"\\begin{{table}}\n\\caption{{{escaped(f'{table.title} of {design.name}')}}}\n"

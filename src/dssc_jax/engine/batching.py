@@ -22,7 +22,7 @@ from jax.sharding import Mesh, PartitionSpec
 
 from dssc_jax.backend import kernels, xla
 from dssc_jax.backend.fusion import deduplicated
-from dssc_jax.closed_loop.draw import simulate
+from dssc_jax.closed_loop.draw import simulate_draw
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine.sampling import draw, draw_key
@@ -48,7 +48,7 @@ def simulated(study: Study, together: str | None = TILE, segment: int | None = N
 
     Args:
         study: What to simulate.
-        together: See :func:`dssc_jax.closed_loop.draw.simulate`; None if derivatives are taken.
+        together: See :func:`dssc_jax.closed_loop.draw.simulate_draw`; None if derivatives are taken.
         segment: See :func:`dssc_jax.closed_loop.time_loops.scan_segments`.
     """
 
@@ -56,7 +56,7 @@ def simulated(study: Study, together: str | None = TILE, segment: int | None = N
         key = draw_key(study.config.seed, index)
         loop, params = study.loop, study.params(values)
         judged = study.measures, study.requirements
-        run = simulate(loop, params, key, *judged, together=together, segment=segment)
+        run = simulate_draw(loop, params, key, *judged, together=together, segment=segment)
         ended = {"failed_at": run.failed_at} | ({"settled_at": run.settled_at} if study.loop.settled else {})
         return {**run.metrics, **run.slacks, "outcome": run.outcome, **ended}
 

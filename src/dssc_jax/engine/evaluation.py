@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.closed_loop import requirements
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine.batching import BLOCK, Arrays, Engine, Lane, drawn, evaluate, simulated
@@ -168,8 +167,3 @@ def require_independent(study: Study, purpose: str) -> None:
     kind = study.config.sampling
     if kind != "random":
         raise ConfigError(study.source, f"{purpose} needs independent draws: sampling = 'random', got '{kind}'")
-
-
-def worst_slack(study: Study, results: Arrays) -> np.ndarray:
-    """:func:`dssc_jax.closed_loop.requirements.worst_slack` of a study."""
-    return requirements.worst_slack(study.requirements, results)

@@ -148,7 +148,7 @@ def typical_curve(ax: Axes, result: Result, measure: Measure, axis: str) -> None
     if several:
         band = envelope(x, low, high)
         ax.fill_between(*band, color=BLUE, alpha=0.2, linewidth=0.0, label="5 to 95 % of draws")
-    ax.plot(*thinned(x, middle), points(x), color=BLUE, label="median" if several else "simulated")
+    ax.plot(*thinned(x, middle), point_markers(x), color=BLUE, label="median" if several else "simulated")
     if len(x) > 1:
         ax.set_xlim(x.min(), x.max())
     if not np.isfinite(middle).any():
@@ -168,13 +168,13 @@ def probability_curve(ax: Axes, result: Result, axis: str) -> None:
     interval = result.method.interval(failed)
     band = envelope(x, *interval.T)
     ax.fill_between(*band, color=RED, alpha=0.2, linewidth=0.0, label=f"95 % {result.method.name}")
-    ax.plot(*thinned(x, failed.mean(-1)), points(x), color=RED, label="failed draws")
+    ax.plot(*thinned(x, failed.mean(-1)), point_markers(x), color=RED, label="failed draws")
     ax.set(ylabel="failure probability", ylim=(-0.03, 1.03))
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
     finish_curve(ax, result, axis)
 
 
-def points(x: np.ndarray) -> str:
+def point_markers(x: np.ndarray) -> str:
     """How a curve is drawn: with a mark at each point where they can be told apart."""
     return "o-" if len(x) <= MARKED else "-"
 

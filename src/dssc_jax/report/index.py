@@ -11,7 +11,7 @@ import htpy as h
 from dssc_jax.analyses.loading import KINDS, description, kind_in, load
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.report.elements import counted, interval, probability_text, table
-from dssc_jax.report.page import REPORT, page, save, write
+from dssc_jax.report.page import REPORT, page, write, write_page
 from dssc_jax.report.study_sections import moment
 from dssc_jax.results import store
 from dssc_jax.results.analysis import Analysis
@@ -100,7 +100,7 @@ def write_index(root: str | Path, made: Callable[[Path], None] = lambda page: No
         raise ConfigError(str(top), "is not a folder of results")
     rows = [index_row(place, made) for place in folders(top)]
     target = top / INDEX
-    save(index_html(top, rows), target)
+    write_page(index_html(top, rows), target)
     return target, rows
 
 

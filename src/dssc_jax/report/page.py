@@ -116,10 +116,10 @@ def write(result: Result | Analysis, path: str | Path, worst: int = WORST) -> Pa
         worst: As for :func:`html`.
     """
     target = Path(path)
-    save(html(result, worst), target)
+    write_page(html(result, worst), target)
     return target
 
 
-def save(text: str, path: Path) -> None:
+def write_page(text: str, path: Path) -> None:
     """Write a page; characters that are none (lone surrogates of damaged names) are replaced."""
     path.write_text(text, encoding="utf-8", errors="replace")

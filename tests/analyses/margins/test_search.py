@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dssc_jax.analyses.margins import Censoring, Walk, search
+from dssc_jax.analyses.margins import Censoring, Walk, search_critical
 
 
 def crossing(at):
@@ -16,7 +16,7 @@ def crossing(at):
 def test_finds_the_crossing_from_below(log):
     at = np.array([0.11, 0.5, 0.99, 3.7, 9.9])
     walk = Walk(0.1, 10.0, log, points=9)
-    found = search(crossing(at), 5, walk, bisections=20)
+    found = search_critical(crossing(at), 5, walk, bisections=20)
     cell = np.log(100.0) / 8 if log else 9.9 / 8
     gap = np.log(at / found.value) if log else at - found.value
     assert np.all(gap >= 0.0)
@@ -26,13 +26,13 @@ def test_finds_the_crossing_from_below(log):
 
 
 def test_walks_downwards():
-    found = search(lambda which, values: values - 0.3, 2, Walk(1.0, 0.0, points=5), bisections=30)
+    found = search_critical(lambda which, values: values - 0.3, 2, Walk(1.0, 0.0, points=5), bisections=30)
     assert found.value == pytest.approx(0.3, abs=1e-9)
     assert np.all(found.value >= 0.3)
 
 
 def test_censored_draws_keep_their_side():
-    found = search(crossing([-1.0, 0.5, 2.0]), 3, Walk(0.0, 1.0))
+    found = search_critical(crossing([-1.0, 0.5, 2.0]), 3, Walk(0.0, 1.0))
     assert found.censoring.tolist() == [Censoring.BEFORE, Censoring.INSIDE, Censoring.BEYOND]
     assert np.isnan(found.value).tolist() == [True, False, True]
 
@@ -41,13 +41,13 @@ def test_an_island_of_failure_is_reported_and_its_near_shore_taken():
     def slack_of(which, values):
         return np.abs(values - 0.5) - 0.2  # fails between 0.3 and 0.7
 
-    found = search(slack_of, 1, Walk(0.0, 1.0, points=11), bisections=30)
+    found = search_critical(slack_of, 1, Walk(0.0, 1.0, points=11), bisections=30)
     assert found.non_monotone.all()
     assert found.value == pytest.approx(0.3, abs=1e-9)
 
 
 def test_passing_only_far_out_is_not_monotone_either():
-    found = search(lambda which, values: values - 0.5, 1, Walk(0.0, 1.0))
+    found = search_critical(lambda which, values: values - 0.5, 1, Walk(0.0, 1.0))
     assert found.censoring.tolist() == [Censoring.BEFORE]
     assert found.non_monotone.all()
 
@@ -59,12 +59,12 @@ def test_no_bisection_without_a_crossing():
         asked.append(len(which))
         return np.ones(len(which))
 
-    search(slack_of, 4, Walk(0.0, 1.0, points=3))
+    search_critical(slack_of, 4, Walk(0.0, 1.0, points=3))
     assert asked == [4, 4, 4]
 
 
 def test_a_slack_that_is_no_number_fails():
-    found = search(lambda which, values: np.where(values > 0.5, np.nan, 1.0), 1, Walk(0.0, 1.0, points=5))
+    found = search_critical(lambda which, values: np.where(values > 0.5, np.nan, 1.0), 1, Walk(0.0, 1.0, points=5))
     assert found.value == pytest.approx(0.5)
 
 

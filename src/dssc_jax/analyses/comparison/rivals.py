@@ -67,26 +67,26 @@ def super_twisting(functions: Any) -> SuperTwisting:
     raise ConfigError("", f"the functions '{type(functions).__name__}' approximate no super-twisting algorithm")
 
 
-def ssc(gains: DsscGains) -> ControllerTable:
+def ssc_gains(gains: DsscGains) -> ControllerTable:
     """Constants: the functions' values at the origin."""
     at = gains.functions.at(0.0, 0.0, nominal(gains.l0))
     constants = {"kind": "constant", **{name: float(value) for name, value in at._asdict().items()}}
     return {"functions": constants, "rho": switching_gain(gains), "predictor_start": gains.predictor_start.value}
 
 
-def pi(gains: DsscGains) -> ControllerTable:
+def pi_gains(gains: DsscGains) -> ControllerTable:
     """What SSC synthesises: K_P = 1/(k_o tau_av), K_I = K_P/tau_m."""
     proportional, integral = synthesised_gains(gains._replace(l0=nominal(gains.l0)))
     return {"k_p": float(proportional), "k_i": float(integral)}
 
 
-def sta(gains: DsscGains) -> ControllerTable:
+def sta_gains(gains: DsscGains) -> ControllerTable:
     """Table 2, row 2."""
     twisting = super_twisting(gains.functions)
     return {"kappa1": float(twisting.kappa1), "kappa2": float(twisting.kappa2), "k_n": nominal_input_gain(gains)}
 
 
-def vgsta(gains: DsscGains) -> ControllerTable:
+def vgsta_gains(gains: DsscGains) -> ControllerTable:
     """Table 1's own numbers where the functions have them; else the STA with the smoothing delta."""
     names = ("phi_a", "phi_b", "kappa_a", "kappa_b", "kappa_c", "kappa_d", "epsilon", "gamma", "delta")
     if isinstance(gains.functions, Vgsta):
@@ -98,7 +98,7 @@ def vgsta(gains: DsscGains) -> ControllerTable:
     return {name: float(value) for name, value in numbers.items()} | {"k_n": nominal_input_gain(gains)}
 
 
-def smc(gains: DsscGains) -> ControllerTable:
+def smc_gains(gains: DsscGains) -> ControllerTable:
     """The relay of DSSC without its filter."""
     return {"gain": switching_gain(gains), "k_n": nominal_input_gain(gains)}
 
@@ -120,11 +120,11 @@ def switching_gain(gains: DsscGains) -> float:
 
 
 RIVALS: dict[str, Callable[[DsscGains], ControllerTable]] = {
-    "ssc": ssc,
-    "pi": pi,
-    "sta": sta,
-    "vgsta": vgsta,
-    "smc": smc,
+    "ssc": ssc_gains,
+    "pi": pi_gains,
+    "sta": sta_gains,
+    "vgsta": vgsta_gains,
+    "smc": smc_gains,
 }
 
 

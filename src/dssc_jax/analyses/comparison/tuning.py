@@ -9,10 +9,11 @@ import numpy as np
 from scipy.stats import qmc
 
 from dssc_jax.analyses.defaults import CANDIDATES, MOST_CANDIDATES, TUNING_DRAWS
+from dssc_jax.closed_loop.requirements import worst_slack
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Outcome
 from dssc_jax.engine.batching import BLOCK
-from dssc_jax.engine.evaluation import Evaluator, worst_slack
+from dssc_jax.engine.evaluation import Evaluator
 from dssc_jax.study import Study
 from dssc_jax.study.laws import is_number
 from dssc_jax.study.tables import set_dotted
@@ -137,7 +138,7 @@ def tuned(study: Study, budget: Tuning, given: Mapping[str, Any]) -> dict[str, f
 def merit(study: Study, results: Mapping[str, np.ndarray]) -> np.ndarray:
     """The worst slack of each lane; without requirements the first metric, of which less is better."""
     if study.requirements or not study.measures:
-        return worst_slack(study, dict(results))
+        return worst_slack(study.requirements, results)
     values = results[study.measures[0].name]
     return np.where(np.isnan(values), -np.inf, -values)
 

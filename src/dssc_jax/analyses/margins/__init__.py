@@ -7,7 +7,7 @@ way, or fails from the start, is censored: it stays in every statistic, beyond t
 
 from dssc_jax.analyses.margins.joined import join_margins, margin_settings, part_margins
 from dssc_jax.analyses.margins.result import Margins
-from dssc_jax.analyses.margins.search import Censoring, Critical, Walk, search
+from dssc_jax.analyses.margins.search import Censoring, Critical, Walk, search_critical
 from dssc_jax.analyses.margins.simulated import margin
 
 __all__ = [
@@ -19,5 +19,5 @@ __all__ = [
     "margin",
     "margin_settings",
     "part_margins",
-    "search",
+    "search_critical",
 ]

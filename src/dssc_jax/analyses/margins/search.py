@@ -72,7 +72,7 @@ class Critical(NamedTuple):
     slack: np.ndarray
 
 
-def search(slack_of: SlackOf, draws: int, walk: Walk, bisections: int = BISECTIONS) -> Critical:
+def search_critical(slack_of: SlackOf, draws: int, walk: Walk, bisections: int = BISECTIONS) -> Critical:
     """Critical values of all draws at once.
 
     Args:

@@ -8,11 +8,12 @@ import numpy as np
 
 from dssc_jax.analyses.defaults import BISECTIONS, MOST_BISECTIONS, MOST_POINTS, POINTS
 from dssc_jax.analyses.margins.result import Margins
-from dssc_jax.analyses.margins.search import CLOCK, Critical, Walk, search
+from dssc_jax.analyses.margins.search import CLOCK, Critical, Walk, search_critical
+from dssc_jax.closed_loop.requirements import worst_slack
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import BLOCK, Arrays, Clock, Engine, Layout, drawn, execute
-from dssc_jax.engine.evaluation import Evaluator, require_independent, worst_slack
+from dssc_jax.engine.evaluation import Evaluator, require_independent
 from dssc_jax.study import Study
 from dssc_jax.study.laws import CASES, SPREAD
 
@@ -131,11 +132,11 @@ def over_number(
 
         def slack_of(which: np.ndarray, values: np.ndarray, indices=indices, laws=laws) -> np.ndarray:
             chosen = {name: column[which] for name, column in laws.items()}
-            worst = worst_slack(evaluator.swept, evaluator(indices[which], place(chosen, values)))
+            worst = worst_slack(evaluator.swept.requirements, evaluator(indices[which], place(chosen, values)))
             progress(clock.lanes, evaluations * draws)
             return worst
 
-        parts.append(search(slack_of, len(indices), walk, bisections))
+        parts.append(search_critical(slack_of, len(indices), walk, bisections))
         columns.append(laws)
     joined = {name: np.concatenate([part[name] for part in columns]) for name in columns[0]}
     return Critical(*(np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True))), joined
@@ -162,6 +163,6 @@ def over_sample_time(
         parts = list(execute(engine, layout.blocks()))
         columns.update({name: np.concatenate([part[name] for _, _, part in parts]) for name in at.laws})
         progress(clock.lanes, len(studies) * len(which))
-        return np.concatenate([worst_slack(at, results) for _, results, _ in parts])
+        return np.concatenate([worst_slack(at.requirements, results) for _, results, _ in parts])
 
-    return search(slack_of, study.config.draws, walk, bisections=0), columns
+    return search_critical(slack_of, study.config.draws, walk, bisections=0), columns

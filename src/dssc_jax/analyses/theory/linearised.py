@@ -89,7 +89,7 @@ def open_loop(study: Study, params: LoopParams) -> Linearised:
     def derivative(state: jax.Array, u: Scalar) -> jax.Array:
         x, z = state[: rest.size], tuple(state[rest.size :])
         error = tracking_error(loop.plant.measure(params.plant, unravel(x)), ORIGIN, gains.l0)
-        total = u + nominal_control(gains.nominal, gains.l0, error, ORIGIN, predictor_pole(gains))
+        total = u + nominal_control(gains.nominal, gains.l0, error, ORIGIN, predictor_pole_at_rest(gains))
         _, slope = jax.jvp(lambda dt: model.step(dynamics, z, total, dt), (0.0,), (1.0,))
         reaching = model.output(dynamics, z, total)
         rate = loop.plant.derivative(params.plant, unravel(x), PlantInput(reaching, 0.0), 0.0)
@@ -101,7 +101,7 @@ def open_loop(study: Study, params: LoopParams) -> Linearised:
     return Linearised(a, b, c)
 
 
-def predictor_pole(gains: Any) -> Scalar:
+def predictor_pole_at_rest(gains: Any) -> Scalar:
     """1/tau_m at the origin [1/s]; 0 for a controller without a predictor."""
     return 1.0 / gains.functions.at(0.0, 0.0, gains.l0).tau_m if hasattr(gains, "functions") else 0.0
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
-from dssc_jax.analyses.margins import Margins, Walk, search
+from dssc_jax.analyses.margins import Margins, Walk, search_critical
 from dssc_jax.analyses.margins.simulated import checked_walk, placed, require_spread
 from dssc_jax.analyses.theory.linearised import (
     SMOOTH,
@@ -118,6 +118,6 @@ def local_margin(
             return -np.max(np.real(eigenvalues), axis=-1)
         return -np.log(np.max(np.abs(eigenvalues), axis=-1)) / swept.loop.sample_time
 
-    critical = search(decay, draws, walk, bisections)
+    critical = search_critical(decay, draws, walk, bisections)
     times = {"seconds": time.perf_counter() - began, "compile_seconds": 0.0}
     return Margins.of(study, over, walk, critical, laws, times, (CRITERION[kind],), unit="1/s")

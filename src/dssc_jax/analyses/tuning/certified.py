@@ -13,7 +13,7 @@ from dssc_jax.design.table1 import inequalities
 from dssc_jax.study import Study
 
 PREFIX = "free."
-REQUIRED = tuple(name for name in Free._fields if name not in Free._field_defaults)
+REQUIRED_PARAMETERS = tuple(name for name in Free._fields if name not in Free._field_defaults)
 
 
 def dotted_name(name: str) -> str:
@@ -118,7 +118,7 @@ def split_parameters(
     for name in free:
         if name not in Free._fields:
             raise ConfigError(f"tune.free.{name}", f"unknown name; {nearest(name, Free._fields)}")
-    for name in REQUIRED:
+    for name in REQUIRED_PARAMETERS:
         if name not in free:
             raise ConfigError(f"tune.free.{name}", "is required and missing: [low, high] to vary it, or a number")
     varied = {PREFIX + name: value for name, value in free.items() if isinstance(value, tuple)}

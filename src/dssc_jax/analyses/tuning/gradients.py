@@ -135,9 +135,8 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgr
     lasted = np.isfinite(results["failed_at"].reshape(len(shifts), points)).sum(0) == 0
     exact, value, above, below, long = (np.stack(parts)[:, lasted] for parts in (exact, value, above, below, long))
     comparison = compare_derivatives(exact, value, above, below)
-    predictive = np.abs(exact - long) <= HALF * np.maximum(np.abs(exact), np.abs(long)) + DIFFERENCE_NOISE * np.abs(
-        value
-    )
+    room = HALF * np.maximum(np.abs(exact), np.abs(long)) + DIFFERENCE_NOISE * np.abs(value)
+    predictive = np.abs(exact - long) <= room
     metrics, where = list(problem.plan.measures), np.flatnonzero(lasted)
     share = np.mean(comparison.kink, axis=1) if len(where) else np.zeros((len(metrics), size))
     at = {name: column[lasted] for name, column in mirror.tuned(centre).items()}

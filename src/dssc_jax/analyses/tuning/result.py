@@ -99,7 +99,7 @@ class Tuned(Analysis):
 
     def content(self) -> dict[str, Any]:
         """See :class:`Analysis`."""
-        table = table_of(self.study)
+        table = tuned_table(self.study)
         return {
             "objective": {"costs": table.objective, "aggregate": table.aggregate, "level": table.level},
             "start": self.start,
@@ -144,7 +144,7 @@ def dataset_of(study: Study, history: Sequence[Mapping[str, Any]], costs: Mappin
     return xr.Dataset(described, attrs={"title": study.name})
 
 
-def table_of(study: Study) -> TuneTable:
+def tuned_table(study: Study) -> TuneTable:
     """The study's ``[tune]``."""
     table = study.config.tune
     assert table is not None

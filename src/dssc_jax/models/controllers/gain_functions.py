@@ -31,7 +31,7 @@ class StateFunctions(NamedTuple):
     tau_m: Scalar
 
 
-def split(product: Scalar, tau_m: Scalar, k_o: Scalar | None, tau_av: Scalar | None) -> StateFunctions:
+def factors(product: Scalar, tau_m: Scalar, k_o: Scalar | None, tau_av: Scalar | None) -> StateFunctions:
     """The functions from k_o tau_av and the given factor."""
     if k_o is not None:
         return StateFunctions(k_o, product / k_o, tau_m)
@@ -76,7 +76,7 @@ class StandardSta(NamedTuple):
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """Table 2, row 2: k_o tau_av = 2 r/kappa1 (printed with phi_1 for phi_1'), tau_m = (kappa1/kappa2) r."""
         r = root_abs(sigma, ROOT_FLOOR)
-        return split(2.0 * r / self.kappa1, self.kappa1 / self.kappa2 * r, self.k_o, self.tau_av)
+        return factors(2.0 * r / self.kappa1, self.kappa1 / self.kappa2 * r, self.k_o, self.tau_av)
 
 
 class ApproximateSta1(NamedTuple):
@@ -94,7 +94,7 @@ class ApproximateSta1(NamedTuple):
         """Table 2, row 3: tau_m = (kappa1/kappa2) r/[1 - (delta/r) ln((r + delta)/delta)]."""
         r = root_abs(sigma)
         tau_m = self.kappa1 / self.kappa2 * self.delta * over_log_defect(r / self.delta)
-        return split(2.0 * (r + self.delta) / self.kappa1, tau_m, self.k_o, self.tau_av)
+        return factors(2.0 * (r + self.delta) / self.kappa1, tau_m, self.k_o, self.tau_av)
 
 
 class ApproximateSta2(NamedTuple):
@@ -111,7 +111,7 @@ class ApproximateSta2(NamedTuple):
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """Table 2, row 4: k_o tau_av = 2 (r + delta)/kappa1, tau_m = (kappa1/kappa2)(r + delta)."""
         r = root_abs(sigma) + self.delta
-        return split(2.0 * r / self.kappa1, self.kappa1 / self.kappa2 * r, self.k_o, self.tau_av)
+        return factors(2.0 * r / self.kappa1, self.kappa1 / self.kappa2 * r, self.k_o, self.tau_av)
 
 
 class SquareRoot(NamedTuple):
@@ -206,7 +206,7 @@ class Vgsta(NamedTuple):
         gains = variable_gains(sigma, e, coefficients, self.epsilon, self.gamma)
         inverse_product = gains.by_sigma * ratio * sigma + gains.kappa1 * slope
         tau_m = inverse_product / (ratio * (gains.by_e * (sigma - l0 * e) + gains.kappa2 * slope))
-        return split(1.0 / inverse_product, tau_m, self.k_o, self.tau_av)
+        return factors(1.0 / inverse_product, tau_m, self.k_o, self.tau_av)
 
 
 GAIN_FUNCTIONS: Registry = {
