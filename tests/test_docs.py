@@ -134,7 +134,8 @@ def test_every_page_is_in_the_sites_contents():
     site = yaml.safe_load((ROOT / "mkdocs.yml").read_text())
     named = list(navigation(site["nav"]))
     assert len(named) == len(set(named))
-    assert set(named) == {page.name for page in (ROOT / "docs").glob("*.md")}
+    notebooks = {f"notebooks/{path.stem}.md" for path in NOTEBOOKS}
+    assert set(named) == {page.name for page in (ROOT / "docs").glob("*.md")} | notebooks
     assert site["theme"]["font"] is False
     assert site["strict"] is True
 
@@ -150,6 +151,9 @@ def test_the_site_builds_without_warning(tmp_path):
         text = page.read_text()
         assert not re.search(r"<(?:script|img|iframe)[^>]*src=\"(?:https?:)?//", text), page.name
         assert not re.search(r"<link[^>]*rel=\"(?:stylesheet|preconnect)\"[^>]*href=\"(?:https?:)?//", text), page.name
+    for path in NOTEBOOKS:
+        page = (tmp_path / "notebooks" / f"{path.stem}.html").read_text()
+        assert page.count("data:image/png;base64,") == path.read_text().count('"image/png"')
     reference = (tmp_path / "reference.html").read_text()
     assert "dssc_jax.runs.run.run" in reference
     assert ":meth:" not in reference
