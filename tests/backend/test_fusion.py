@@ -25,7 +25,7 @@ def names(program):
 
 
 def kept(program):
-    return sum(eqn.params.get("name") == "itself" for eqn in program.jaxpr.eqns)
+    return sum(eqn.params.get("name") == "barrier" for eqn in program.jaxpr.eqns)
 
 
 def test_what_two_results_share_is_kept():

@@ -177,7 +177,7 @@ BAD = {
     "figure of an unknown type": (["simulate", "small.toml", "--figure", "a.xyz"], "cannot be written"),
     "report of nothing": (["report"], "takes a results folder, or --index"),
     "report of two": (["report", "a", "--index", "b"], "and not both"),
-    "report of no result": (["report", "nothing"], "is not a results folder"),
+    "report of no result": (["report", "nothing"], "is no folder"),
     "index of no folder": (["report", "--index", "small.toml"], "is not a folder of results"),
     "index elsewhere": (["report", "--index", ".", "--out", "a.html"], "is for one report"),
     "no such design": (["check", "none.toml"], "cannot be read"),
