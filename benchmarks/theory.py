@@ -90,14 +90,14 @@ gives the reason:
 | | applies to | does not cover |
 |---|---|---|
 | Theorem 1 | all draws and all states together | lag, sampling, sensors; other functions than Table 1's |
-| eigenvalues | small deviations from the origin, draw by draw | requirements; laws that switch at the origin |
+| eigenvalues | small deviations from the origin, draw by draw | requirements; controllers that switch at the origin |
 | describing function | the sustained oscillation of STA or relay under a lag | smooth laws |
 | simulation | the requirements, draw by draw | cases that were not drawn |
 
-Theorem 1 assumes that there are no unmodelled dynamics. A lag adds mu s W(mu s) u to the command. This term depends
-on u' and is therefore not a disturbance of the class (A0)-(A3), however small mu is. On a walk over mu the
-certificate therefore holds at mu = 0 only. For numbers that (A0)-(A4) bound, such as k_p, it gives the value up to
-which the loop *without lag and sampling* is certified for all draws at once.
+Theorem 1 assumes that there are no unmodelled dynamics. A lag adds a term to the command: mu s W(mu s) u, with a
+stable W. This term depends on u' and is therefore not a disturbance of the class (A0)-(A3), however small mu is. On a
+walk over mu the certificate therefore holds at mu = 0 only. For numbers that (A0)-(A4) bound, such as k_p, it gives
+the value up to which the loop *without lag and sampling* is certified for all draws at once.
 
 `studies/certified_margin.toml`, gains of Table 1, T_s = {certified_sampling:g} ms, {certified_draws} draws:
 
@@ -126,11 +126,11 @@ downwards: its safe end is the large value. Theorem 1 covers none of the forms.
 
 ## Local margin: simulation, eigenvalues, continuous time
 
-The table gives the critical mu [s] of the lag for 200 random plants and gain sets per row, DSSC with rho never
-reached, and T_s = 10 ms. Simulated: after a deviation of 1e-200 m, |sigma| neither grows over 50 to 200 s nor exceeds
-1e-4 delta^2. Sampled: spectral radius of the loop's own step, linearised at the origin, where state-dependent
-functions have their values at sigma = 0. Continuous: eigenvalues of plant, lag and (22). The last column is the gap
-to continuous time at T_s divided by that at T_s/2; it is 2 for an error of first order.
+The table gives the critical mu [s] of the lag for 200 random plants and gain sets per row, DSSC with a rho too large
+to be reached, and T_s = 10 ms. Simulated: after a deviation of 1e-200 m, |sigma| neither grows over 50 to 200 s nor
+exceeds 1e-4 delta^2. Sampled: spectral radius of the loop's own step, linearised at the origin, where state-dependent
+functions have their values at sigma = 0. Continuous: eigenvalues of plant and lag under the law (22) of the article.
+The last column is the gap to continuous time at T_s divided by that at T_s/2; it is 2 for an error of first order.
 
 | functions | order | critical mu | simulated against sampled, largest | sampled against continuous | gap ratio |
 |---|---|---|---|---|---|
@@ -140,7 +140,7 @@ to continuous time at T_s divided by that at T_s/2; it is 2 for an error of firs
 
 Lag of order 2, mu from 2 to 20 ms, mu max(a_p, l_0) <= 0.02, T_s = 0.1 ms <= mu/20.
 
-| law | slope of the simulated amplitude over mu | amplitude, simulated/predicted | frequency at 20 ms, same |
+| law | slope of the simulated amplitude over mu | amplitude, simulated/predicted | frequency ratio at 20 ms |
 |---|---|---|---|
 {chattering}
 
@@ -155,7 +155,7 @@ Lag of order 2, mu from 2 to 20 ms, mu max(a_p, l_0) <= 0.02, T_s = 0.1 ms <= mu
 |---|---|---|---|---|---|---|
 {table}
 
-Here DSSC has a smaller margin than PI and SSC, which have its gains at the origin: {why}. The STA chatters under any
+Here DSSC has a smaller margin than PI and SSC, which use DSSC's gains at sigma = 0: {why}. The STA chatters under any
 lag, so it fails the requirement on command_tv. DSSC's local margin on the same draws: median {median:.3f} s, 95 % of
 all draws up to {lower:.3f} s.
 """

@@ -86,10 +86,10 @@ def digest(key: str, program: bytes) -> bytes:
 
 
 def keep_programs() -> None:
-    """Make JAX store compiled programs here, unless the user has configured or disabled its cache.
+    """Make JAX store compiled programs in a :class:`ProgramCache`, unless the user has configured or disabled a cache.
 
-    JAX has no public interface to change how a cache is read. If a version lacks the function that creates it, there
-    is no cache: no cache is better than one that trusts its files.
+    JAX has no public interface to change how a cache is read. If a version lacks the function that creates its
+    cache, programs are not cached: JAX's own cache would run a file without checking it.
     """
     folder = xla.cache_directory()
     off = os.environ.get(CACHE_VARIABLE, "").lower() in xla.OFF

@@ -39,7 +39,7 @@ def assignment(text: str, option: str) -> tuple[str, str]:
 
 
 def parse_value(text: str) -> Any:
-    """A TOML value; what is none is a string."""
+    """Parse a TOML value; text that is not valid TOML is a string."""
     import tomllib
 
     try:

@@ -54,7 +54,7 @@ class Progress(NamedTuple):
 
 
 def initial_progress(loop: Loop, params: LoopParams, key: jax.Array, measures: tuple[Measure, ...]) -> Progress:
-    """The carry before the first sample."""
+    """The state of the time loop before the first sample."""
     zero = jnp.zeros((), dtype=jnp.int32)
     in_band = () if loop.settled is None else zero
     state = initial_state(loop, params, key)

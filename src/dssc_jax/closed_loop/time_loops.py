@@ -1,4 +1,7 @@
-"""Time loops with early ends, recording or checkpoints; the carry contains the index ``k`` of the next sample."""
+"""Time loops of :mod:`dssc_jax.closed_loop.draw`, with early ends, recording or checkpoints.
+
+Their state contains the index ``k`` of the next sample.
+"""
 
 from collections.abc import Callable
 from typing import Protocol, TypeVar

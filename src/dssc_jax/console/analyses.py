@@ -11,7 +11,7 @@ from dssc_jax.console.terminal import number_text, output, show_files, show_pair
 
 
 def show_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
-    """Controllers one by one and in pairs, with the gains that correspond and with tuned ones."""
+    """Controllers one by one and in pairs, with corresponding gains (Table 2) and with tuned ones, if any."""
     console = output()
     required = "; ".join(summary["requirements"]) or "that the draw stays finite"
     console.print(f"[bold]{escape(summary['study'])}[/bold]  required: {escape(required)}")

@@ -283,7 +283,7 @@ def disturbance_bounds(model: Disturbance, ends: Ends) -> dict[str, Any]:
 
 
 def nominal_bounds(ends: Ends, p: Parameters, reference: dict[str, Any]) -> dict[str, Any]:
-    """The constants of (A4) of the nominal control (37), with 1/tau_m at its largest; each is worst at an end."""
+    """The constants of (A4) for the nominal control (37), with the largest 1/tau_m; each at its worse end."""
     if ends.low is None:
         return {}
     speed, acceleration, jerk = (reference.get(name, 0.0) for name in ("y_m_dot", "y_m_ddot", "y_m_dddot"))

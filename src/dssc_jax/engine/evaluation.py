@@ -33,8 +33,8 @@ class Evaluator:
 
     Args:
         study: The study; its own sweep is left aside.
-        extents: Lowest and highest future value of each number, checked like the ends of a sweep; a value replaces
-            the number's law.
+        extents: The range in which later batches may set each number. Both ends are checked like values of a sweep. A
+            set value replaces the number's law.
         lanes: Maximum number of lanes of a batch.
 
     Raises:

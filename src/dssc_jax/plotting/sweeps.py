@@ -257,7 +257,7 @@ def finish_map(ax: Axes, result: Result, down: str, across: str, keys: list[tupl
 
 
 def cells(values: np.ndarray) -> dict[str, Any]:
-    """How a map's cells are drawn: as one image where they are many."""
+    """How a map's cells are drawn: as one bitmap if there are very many."""
     return {"shading": "nearest", "rasterized": values.size > FINE}
 
 

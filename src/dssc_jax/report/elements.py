@@ -50,7 +50,7 @@ def interval(bounds: Sequence[float]) -> str:
 
 
 def counted(count: int, noun: str) -> str:
-    """A count with its noun in the right number."""
+    """A count and its noun, singular or plural."""
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
 
 

@@ -47,13 +47,13 @@ class Verification:
         lanes: Number of lanes.
         seed: The same seed selects the same lanes.
         deviation: Largest deviation of a value, relative to it or to its variable's median magnitude, whichever is
-            larger; infinite if an outcome differs. Lanes that are not evidence are ignored, unless none is.
+            larger; infinite if an outcome differs. Lanes that amplify rounding too much are left out, unless all do.
         worst: Its location: variable, draw, swept values, stored and computed value; None if all agree.
         verdict: ``agrees``; ``differs`` where rounding does not explain a deviation; ``undecided`` where every lane
             amplifies rounding so much that none is evidence.
         undecided: Number of lanes that are not evidence.
         otherwise: Differences of versions, device and compiler settings from those of the run.
-        digests: Whether the result was written with digests, which detect altered files in advance.
+        digests: Whether the result has digests, which detect altered files before anything is recomputed.
         single_precision: The effect of float32 for a result in single precision; else None.
     """
 

@@ -111,7 +111,7 @@ def wilks_confidence(draws: int, content: float, order: int = 1, sides: int = 1)
 
 
 def wilks_draws(content: float, confidence: float = CONFIDENCE, order: int = 1, sides: int = 1) -> int:
-    """Fewest draws whose k-th extremes are tolerance limits.
+    """Smallest number of draws of which the k-th smallest and largest values are tolerance limits.
 
     Args:
         content: p, the share of the law within the limits, in (0, 1).

@@ -59,7 +59,7 @@ def half_length(failures: ArrayLike, draws: ArrayLike, confidence: float = CONFI
 
 
 def reach_probability(draws: int, error: float, probability: float, confidence: float = CONFIDENCE) -> float:
-    """Probability that the exact interval reaches at most ``error`` to either side: a sum over the binomial law."""
+    """Probability that both ends of the exact interval lie within ``error`` of the share of failures (binomial sum)."""
     from scipy import stats
 
     fewest, most = stats.binom.interval(1.0 - NEGLIGIBLE, draws, probability)

@@ -36,7 +36,7 @@ class LawKind:
 
 
 def truncated_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
-    """Normal (mean a[0], deviation a[1]) truncated to [a[2], a[3]], computed in the lighter tail."""
+    """Normal (mean a[0], deviation a[1]) truncated to [a[2], a[3]]; above the mean computed from the upper tail."""
     mean, std, low, high = a
     left, right = (low - mean) / std, (high - mean) / std
     if left > 0.0:

@@ -125,7 +125,7 @@ def test_evolution_where_derivatives_are_useless(study, monkeypatch):
     from dssc_jax.analyses.tuning import gradients
 
     monkeypatch.setattr(gradients, "AGREEMENT", -1.0)
-    monkeypatch.setattr(gradients, "NOISE", 0.0)
+    monkeypatch.setattr(gradients, "DIFFERENCE_NOISE", 0.0)
     found = dj.tune(study.override({"tune.steps": 5}))
     assert found.gradients.useful == 0.0
     assert found.facts["method"] == "differential_evolution"

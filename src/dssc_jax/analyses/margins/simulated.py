@@ -71,10 +71,10 @@ def margin(
 def checked_walk(
     over: str, bounds: tuple[float, float], log: bool, points: int, bisections: int
 ) -> tuple[float, float]:
-    """The bounds.
+    """Check the settings of a walk and return its bounds as floats.
 
     Raises:
-        ConfigError: a walk between them makes no sense.
+        ConfigError: the bounds are equal, not finite, or not positive where they must be, or a count is out of range.
     """
     start, end = bounds
     if not (math.isfinite(start) and math.isfinite(end)) or start == end:

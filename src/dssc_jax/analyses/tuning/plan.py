@@ -23,14 +23,14 @@ ASSUMED = ("plant", "reference", "disturbance")  # parts of the loop whose numbe
 
 @dataclass(frozen=True)
 class Plan:
-    """A tuning, made out.
+    """The settings of a tuning, read from the study's ``[tune]`` and checked.
 
     Args:
         study: The study without its sweep.
         table: Its ``[tune]``.
-        mirror: What is tuned.
-        theorem: What certifies every point; None: nothing has to.
-        seed: Of the draws that train and validate; the study's own draws decide.
+        mirror: The tuned numbers with their bounds, mapped to unbounded search variables.
+        theorem: What certifies every point; None if no certificate is required.
+        seed: Of the training and validation draws; the study's own draws decide in the end.
     """
 
     study: Study
