@@ -55,3 +55,4 @@ class Discretisation(StrEnum):
     IMPLICIT = "implicit"
     EXPLICIT = "explicit"
     PROPER = "proper"
+    CONSERVATIVE = "conservative"

@@ -72,7 +72,7 @@ def test_implicit_identities_for_every_row(kind, record_property):
         dt = float(10 ** rng.uniform(-4, -1.5))
         state = DsscState(float(rng.normal()), float(rng.normal()), 0.0, ())
         held = False  # the sample before was not saturated, so that sigma_hat is its sigma
-        before = state.sigma_hat
+        before = state.predictor
         for _ in range(6):
             gains = DsscGains(1.0, random_functions(kind, rng), ConstantModulation(1e9))
             sigma, e = (float(s * 10 ** rng.uniform(-6, 1)) for s in rng.choice([-1.0, 1.0], 2))
@@ -83,8 +83,8 @@ def test_implicit_identities_for_every_row(kind, record_property):
                 increment = after.u_av - state.u_av
                 product, ratio = info.k_o * info.tau_av, dt / info.tau_m
                 scale = abs(state.u_av) + abs(increment)
-                general = ((1.0 + ratio) * sigma - state.sigma_hat) / product
-                worst = max(worst, abs(after.sigma_hat - sigma) / max(abs(sigma), abs(state.sigma_hat)))
+                general = ((1.0 + ratio) * sigma - state.predictor) / product
+                worst = max(worst, abs(info.sigma_hat - sigma) / max(abs(sigma), abs(state.predictor)))
                 worst = max(worst, abs(increment - general) / scale)
                 if held:
                     backward_euler = (sigma - before + ratio * sigma) / product

@@ -1,14 +1,18 @@
 """Dynamic Smooth Sliding Control (14)-(18), and SSC as its special case with constant functions.
 
-The implicit (backward Euler) form has a closed-form solution and is the default. With a = T_s/tau_av, b = T_s/tau_m
-and c = T_s k_o/((1+a)(1+b)) the set-valued u_0 in rho Sgn(sigma_tilde+) is solved exactly by a clip. While the
-clip is inactive sigma_hat+ = sigma to rounding and the command obeys the synthesised law (22) in backward-Euler
-form; explicit Euler chatters at every step size and is unstable for T_s > 2 tau_m or T_s > 2 tau_av.
+The implicit (backward Euler) form has a closed-form solution and is the default. The conservative form is
+backward Euler in the coordinate phi_1(sigma_hat) of the predictor. Its sums telescope, so that measurement noise causes
+no drift.
+
+With a = T_s/tau_av, b = T_s/tau_m and c = T_s k_o/((1+a)(1+b)) the set-valued u_0 in rho Sgn(sigma_tilde+) is solved
+exactly by a clip. While the clip is inactive sigma_hat+ = sigma to rounding and the command obeys the synthesised law
+(22) in backward-Euler form; explicit Euler chatters at every step size and is unstable for T_s > 2 tau_m or
+T_s > 2 tau_av.
 """
 
 from collections.abc import Callable
 from enum import StrEnum
-from typing import Annotated, NamedTuple, TypeAlias
+from typing import Annotated, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +26,8 @@ from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, 
 from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS, Constant, StateFunctions
 from dssc_jax.models.controllers.modulation import MODULATIONS, ModulationSignals
 from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
+
+NEWTON_STEPS = 12
 
 
 @jax.tree_util.register_static
@@ -47,10 +53,13 @@ class DsscGains(NamedTuple):
 
 
 class DsscState(NamedTuple):
-    """Averaged control u_av [m/s], predictor sigma_hat [m/s], previous sigma [m/s], state of the modulation."""
+    """Averaged control u_av [m/s], predictor [m/s], previous sigma [m/s], state of the modulation.
+
+    The predictor's state is sigma_hat; in the conservative form it is phi_1(sigma_hat).
+    """
 
     u_av: Scalar
-    sigma_hat: Scalar
+    predictor: Scalar
     sigma: Scalar
     modulation: State
 
@@ -75,16 +84,33 @@ class DsscInfo(NamedTuple):
 
 
 class Sampled(NamedTuple):
-    """Filter and predictor after one sample: u_0, u_av+, sigma_hat+ and the equivalent control u_eq [m/s]."""
+    """Filter and predictor after one sample: u_0, u_av+, predictor+, sigma_hat+, the equivalent control u_eq [m/s]."""
 
     u_0: Scalar
     u_av: Scalar
+    predictor: Scalar
     sigma_hat: Scalar
     u_eq: Scalar
 
 
-Update: TypeAlias = Callable[[Scalar, DsscState, Scalar, StateFunctions, Scalar, Scalar | None], Sampled]
-"""(sigma, state, rho, functions, T_s, width of the sign) -> filter and predictor after the sample."""
+class ControlSample(NamedTuple):
+    """What filter and predictor see at one sample: the error, the functions there, and the bound rho."""
+
+    error: TrackingError
+    at: StateFunctions
+    rho: Scalar
+
+
+class SampledForm(NamedTuple):
+    """A sampled form of filter and predictor.
+
+    Args:
+        predictor: (gains, error) -> the predictor's state where sigma_hat = sigma.
+        update: (gains, state, sample, T_s) -> filter and predictor after the sample.
+    """
+
+    predictor: Callable[[DsscGains, TrackingError], Scalar]
+    update: Callable[[DsscGains, DsscState, ControlSample, Scalar], Sampled]
 
 
 def smoothed_rest(free: Scalar, c: Scalar, rho: Scalar, width: Scalar) -> Scalar:
@@ -101,39 +127,70 @@ def smoothed_rest(free: Scalar, c: Scalar, rho: Scalar, width: Scalar) -> Scalar
     return jnp.where(inside, within, jnp.sign(free) * 0.5 * (root - b))
 
 
-def implicit_update(
-    sigma: Scalar, state: DsscState, rho: Scalar, at: StateFunctions, dt: Scalar, width: Scalar | None
-) -> Sampled:
-    """Backward Euler for (15)-(18), solved exactly; the ratios stay finite if tau_av or tau_m vanishes.
+def limited(wanted: Scalar, u_av: Scalar, rho: Scalar, c: Scalar, width: Scalar | None) -> Scalar:
+    """The change u_0 - u_av: the wanted one with u_0 in rho Sgn(sigma_tilde+), sigma_tilde+ = c (wanted - change).
 
-    The change u_0 - u_av is clipped instead of u_0, to avoid subtracting numbers of the size of u_av in sliding.
+    The change is clipped instead of u_0, to avoid subtracting numbers of the size of u_av in sliding.
     """
-    u_av, sigma_hat = state.u_av, state.sigma_hat
+    if width is None:
+        return jnp.clip(wanted, -rho - u_av, rho - u_av)
+    return wanted - smoothed_rest(c * (wanted + u_av), c, rho, width) / c
+
+
+def implicit_update(gains: DsscGains, state: DsscState, sample: ControlSample, dt: Scalar) -> Sampled:
+    """Backward Euler for (15)-(18), solved exactly; the ratios stay finite if tau_av or tau_m vanishes."""
+    u_av, sigma_hat, at = state.u_av, state.predictor, sample.at
     keep = at.tau_av / (at.tau_av + dt)  # 1/(1+a)
     decay = at.tau_m / (at.tau_m + dt)  # 1/(1+b)
     c = dt * at.k_o * keep * decay
-    wanted = (sigma - decay * sigma_hat) / c  # u_eq - u_av
-    if width is None:
-        change = jnp.clip(wanted, -rho - u_av, rho - u_av)
-    else:
-        change = wanted - smoothed_rest(c * (wanted + u_av), c, rho, width) / c
-    return Sampled(
-        u_0=u_av + change,
-        u_av=u_av + dt / (at.tau_av + dt) * change,
-        sigma_hat=decay * sigma_hat + c * change,
-        u_eq=u_av + wanted,
-    )
+    wanted = (sample.error.sigma - decay * sigma_hat) / c  # u_eq - u_av
+    change = limited(wanted, u_av, sample.rho, c, gains.sign_width)
+    after = decay * sigma_hat + c * change
+    return Sampled(u_av + change, u_av + dt / (at.tau_av + dt) * change, after, after, u_av + wanted)
 
 
-def explicit_update(
-    sigma: Scalar, state: DsscState, rho: Scalar, at: StateFunctions, dt: Scalar, width: Scalar | None
-) -> Sampled:
+def conservative_update(gains: DsscGains, state: DsscState, sample: ControlSample, dt: Scalar) -> Sampled:
+    """Backward Euler for (15)-(18) in the predictor's coordinate w = phi_1(sigma_hat), solved exactly.
+
+    (15) to (17) give w' = u_av' - phi_2(sigma_hat) with phi_2 = rate w. In sliding w = phi_1(sigma), and u_av changes
+    over any number of samples by the change of phi_1 plus T_s times the sum of phi_2, also if sigma is noisy. The
+    implicit form sums g(sigma_k)(sigma_k - sigma_(k-1)) instead, whose mean under noise is not zero.
+    """
+    u_av, w, at = state.u_av, state.predictor, sample.at
+    e, sigma = sample.error
+    law = gains.functions.law(sigma, e, at)
+    share = dt / (at.tau_av + dt)
+    decay = 1.0 / (1.0 + dt * law.rate)
+    wanted = (law.gain * sigma * (1.0 + dt * law.rate) - w) / share
+    change = limited(wanted, u_av, sample.rho, share * decay * at.k_o * at.tau_av, gains.sign_width)
+    after = decay * (w + share * change)
+    sigma_hat = jnp.where(change == wanted, sigma, predicted(gains, after, e))
+    return Sampled(u_av + change, u_av + share * change, after, sigma_hat, u_av + wanted)
+
+
+def predicted(gains: DsscGains, w: Scalar, e: Scalar) -> Scalar:
+    """sigma_hat with phi_1(sigma_hat, e) = w, by Newton's method from below; only what is recorded needs it."""
+    size = jnp.abs(w)
+
+    def laws(x: Scalar) -> tuple[Scalar, Scalar]:
+        at = gains.functions.at(x, e, gains.l0)
+        return gains.functions.law(x, e, at).gain * x, 1.0 / (at.k_o * at.tau_av)
+
+    x = size / laws(0.0 * size)[1]
+    for _ in range(NEWTON_STEPS):
+        phi_1, g = laws(x)
+        x = x + (size - phi_1) / g
+    return sign(w) * x
+
+
+def explicit_update(gains: DsscGains, state: DsscState, sample: ControlSample, dt: Scalar) -> Sampled:
     """Forward Euler for (15)-(18) with sgn 0 = 0, for comparison."""
-    u_0 = rho * smoothed_sign(sigma - state.sigma_hat, width)
+    sigma, sigma_hat, at = sample.error.sigma, state.predictor, sample.at
+    u_0 = sample.rho * smoothed_sign(sigma - sigma_hat, gains.sign_width)
     change = u_0 - state.u_av
     u_eq = ((sigma - state.sigma) / dt + sigma / at.tau_m) / at.k_o + state.u_av
-    sigma_hat = state.sigma_hat + dt * (at.k_o * change - state.sigma_hat / at.tau_m)
-    return Sampled(u_0, state.u_av + dt / at.tau_av * change, sigma_hat, u_eq)
+    after = sigma_hat + dt * (at.k_o * change - sigma_hat / at.tau_m)
+    return Sampled(u_0, state.u_av + dt / at.tau_av * change, after, after, u_eq)
 
 
 def smoothed_sign(x: Scalar, width: Scalar | None) -> Scalar:
@@ -144,15 +201,25 @@ def smoothed_sign(x: Scalar, width: Scalar | None) -> Scalar:
     return x / jnp.where(size > 0.0, size, 1.0)
 
 
-def init(gains: DsscGains, measurement: Measurement, reference: ReferencePoint) -> DsscState:
-    """u_av = 0, and sigma_hat = 0 or the first sigma; a start at 0 adds about sigma/(k_o tau_av) to the command."""
-    sigma = tracking_error(measurement, reference, gains.l0).sigma
-    matched = gains.predictor_start == PredictorStart.MATCHED
-    return DsscState(0.0, sigma if matched else 0.0, sigma, gains.rho.init())
+def own_coordinate(gains: DsscGains, error: TrackingError) -> Scalar:
+    """Sigma itself."""
+    return error.sigma
 
 
-def dssc(update: Update) -> Controller:
+def integrated(gains: DsscGains, error: TrackingError) -> Scalar:
+    """phi_1(sigma, e)."""
+    at = gains.functions.at(error.sigma, error.e, gains.l0)
+    return gains.functions.law(error.sigma, error.e, at).gain * error.sigma
+
+
+def dssc(form: SampledForm) -> Controller:
     """DSSC with the given sampled form of filter and predictor."""
+
+    def init(gains: DsscGains, measurement: Measurement, reference: ReferencePoint) -> DsscState:
+        """u_av = 0, and sigma_hat = 0 or the first sigma; a start at 0 adds about phi_1(sigma) to the command."""
+        error = tracking_error(measurement, reference, gains.l0)
+        matched = gains.predictor_start == PredictorStart.MATCHED
+        return DsscState(0.0, form.predictor(gains, error) if matched else 0.0, error.sigma, gains.rho.init())
 
     def step(
         gains: DsscGains, state: DsscState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
@@ -172,7 +239,7 @@ def dssc(update: Update) -> Controller:
             l0=gains.l0,
         )
         modulation, rho = gains.rho.at(state.modulation, signals, dt)
-        after = update(error.sigma, state, rho, at, dt, gains.sign_width)
+        after = form.update(gains, state, ControlSample(error, at, rho), dt)
         info = DsscInfo(
             sigma_tilde=error.sigma - after.sigma_hat,
             sigma_hat=after.sigma_hat,
@@ -182,7 +249,7 @@ def dssc(update: Update) -> Controller:
             sliding_margin=rho - abs(after.u_eq),
             **at._asdict(),
         )
-        return DsscState(after.u_av, after.sigma_hat, error.sigma, modulation), Command(-after.u_av, u_nominal), info
+        return DsscState(after.u_av, after.predictor, error.sigma, modulation), Command(-after.u_av, u_nominal), info
 
     return Controller(DsscGains, init, step)
 
@@ -199,8 +266,9 @@ def constant_functions(gains: DsscGains) -> DsscGains:
 
 
 MEMBERS = {
-    Discretisation.IMPLICIT: dssc(implicit_update),
-    Discretisation.EXPLICIT: dssc(explicit_update),
+    Discretisation.IMPLICIT: dssc(SampledForm(own_coordinate, implicit_update)),
+    Discretisation.CONSERVATIVE: dssc(SampledForm(integrated, conservative_update)),
+    Discretisation.EXPLICIT: dssc(SampledForm(own_coordinate, explicit_update)),
 }
 DSSC = Entry(MEMBERS, "dynamic smooth sliding control (14)-(18)", "discretisation", Discretisation.IMPLICIT)
 SSC = Entry(

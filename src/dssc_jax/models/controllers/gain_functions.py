@@ -1,8 +1,8 @@
 """The state-dependent functions k_o, tau_av, tau_m of (sigma, e): the rows of Table 2, Section V and Table 1.
 
-Each row is a NamedTuple of its constants with one method, ``at(sigma, e, l0)``. In sliding only the product
-k_o tau_av and tau_m matter (22); rows that define only the product take one of k_o or tau_av, and the other follows.
-r = |sigma|^(1/2) throughout.
+Each row is a NamedTuple of its constants with two methods. ``at(sigma, e, l0)`` gives the functions. In sliding only
+the product k_o tau_av and tau_m matter (22); rows that define only the product take one of k_o or tau_av, and the other
+follows. ``law(sigma, e, at)`` gives the control law that (22) synthesises, integrated. r = |sigma|^(1/2) throughout.
 """
 
 from typing import Annotated, Any, NamedTuple
@@ -29,6 +29,27 @@ class StateFunctions(NamedTuple):
     k_o: Scalar
     tau_av: Scalar
     tau_m: Scalar
+
+
+class IntegratedLaw(NamedTuple):
+    """The law u_av = phi_1 + integral of phi_2 that sliding synthesises, at one sample.
+
+    (22) is u_av' = g sigma' + g sigma/tau_m with g = 1/(k_o tau_av). phi_1(sigma, e) is the integral of g over
+    [0, sigma] at constant e, and phi_2 = u_av' - phi_1', the rest.
+
+    Args:
+        gain: phi_1/sigma, the mean of g over [0, sigma]; no unit.
+        rate: phi_2/phi_1 [1/s].
+    """
+
+    gain: Scalar
+    rate: Scalar
+
+
+def root_law(kappa: Scalar, r: Scalar, delta: Scalar, tau_m: Scalar) -> IntegratedLaw:
+    """The law of g = kappa/(2 (r + delta)): phi_1 = kappa (r - delta ln(1 + r/delta)) sgn sigma."""
+    mean = delta * over_log_defect(r / delta)
+    return IntegratedLaw(kappa / mean, 0.5 * mean / ((r + delta) * tau_m))
 
 
 def factors(product: Scalar, tau_m: Scalar, k_o: Scalar | None, tau_av: Scalar | None) -> StateFunctions:
@@ -62,6 +83,10 @@ class Constant(NamedTuple):
         """Table 2, row 1."""
         return StateFunctions(self.k_o, self.tau_av, self.tau_m)
 
+    def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
+        """PI: phi_1 = sigma/(k_o tau_av), phi_2 = phi_1/tau_m."""
+        return IntegratedLaw(1.0 / (at.k_o * at.tau_av), 1.0 / at.tau_m)
+
 
 class StandardSta(NamedTuple):
     """Standard STA; stiff, since both functions vanish with sigma. r is floored at 1e-9."""
@@ -77,6 +102,10 @@ class StandardSta(NamedTuple):
         """Table 2, row 2: k_o tau_av = 2 r/kappa1 (printed with phi_1 for phi_1'), tau_m = (kappa1/kappa2) r."""
         r = root_abs(sigma, ROOT_FLOOR)
         return factors(2.0 * r / self.kappa1, self.kappa1 / self.kappa2 * r, self.k_o, self.tau_av)
+
+    def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
+        """phi_1 = kappa1 r sgn sigma, phi_2 = (kappa2/2) sgn sigma."""
+        return IntegratedLaw(self.kappa1 / root_abs(sigma, ROOT_FLOOR), 0.5 / at.tau_m)
 
 
 class ApproximateSta1(NamedTuple):
@@ -96,6 +125,10 @@ class ApproximateSta1(NamedTuple):
         tau_m = self.kappa1 / self.kappa2 * self.delta * over_log_defect(r / self.delta)
         return factors(2.0 * (r + self.delta) / self.kappa1, tau_m, self.k_o, self.tau_av)
 
+    def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
+        """phi_1 = kappa1 (r - delta ln(1 + r/delta)) sgn sigma."""
+        return root_law(self.kappa1, root_abs(sigma), self.delta, at.tau_m)
+
 
 class ApproximateSta2(NamedTuple):
     """Second approximation of the STA."""
@@ -113,6 +146,10 @@ class ApproximateSta2(NamedTuple):
         r = root_abs(sigma) + self.delta
         return factors(2.0 * r / self.kappa1, self.kappa1 / self.kappa2 * r, self.k_o, self.tau_av)
 
+    def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
+        """phi_1 as of row 3; phi_2 = (kappa2/2) sigma/(r + delta)^2."""
+        return root_law(self.kappa1, root_abs(sigma), self.delta, at.tau_m)
+
 
 class SquareRoot(NamedTuple):
     """The functions of the article's simulations (Section V-B)."""
@@ -128,6 +165,10 @@ class SquareRoot(NamedTuple):
         r = root_abs(sigma)
         return StateFunctions(self.kappa_o * (r + self.delta_o), self.tau_av, self.kappa_m * (r + self.delta_m))
 
+    def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
+        """phi_1 as of Table 2, row 3, with kappa1 = 2/(kappa_o tau_av)."""
+        return root_law(2.0 / (self.kappa_o * at.tau_av), root_abs(sigma), self.delta_o, at.tau_m)
+
 
 class Field(NamedTuple):
     """The functions of the field test (Section V-C). Only here, kappa_2 multiplies sgn itself."""
@@ -142,6 +183,10 @@ class Field(NamedTuple):
         r = root_abs(sigma)
         tau_av = 2.0 * r / (self.k_o * self.kappa1) + self.delta
         return StateFunctions(self.k_o, tau_av, self.kappa1 * r / (2.0 * self.kappa2) + self.delta)
+
+    def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
+        """phi_1 as of Table 2, row 3, with k_o kappa1 delta/2 for delta."""
+        return root_law(self.kappa1, root_abs(sigma), 0.5 * self.k_o * self.kappa1 * self.delta, at.tau_m)
 
 
 KAPPA_ABC = "variable gain's coefficient"
@@ -192,21 +237,37 @@ class Vgsta(NamedTuple):
 
     prepare = one_factor
 
+    def gains(self, sigma: Scalar, e: Scalar) -> VariableGains:
+        """kappa_1 and kappa_2."""
+        coefficients = (self.kappa_a, self.kappa_b, self.kappa_c, self.kappa_d)
+        return variable_gains(sigma, e, coefficients, self.epsilon, self.gamma)
+
+    def ratio(self, sigma: Scalar) -> tuple[Scalar, Scalar]:
+        """phi_1/sigma = phi_a/(r + delta) + phi_b of (26), and phi_1's derivative."""
+        rd = root_abs(sigma) + self.delta
+        return self.phi_a / rd + self.phi_b, self.phi_a * (rd + self.delta) / (2.0 * rd * rd) + self.phi_b
+
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """(28) and (29) with (26); Table 1 prints phi_b for phi_a in the first factor of tau_m's denominator.
 
         phi_1 = ratio sigma with ratio = phi_a/(r + delta) + phi_b. kappa_1 has kinks at sigma = 0 and e = 0,
         so tau_m jumps at e = 0; sgn 0 = 0 there.
         """
-        r = root_abs(sigma)
-        rd = r + self.delta
-        ratio = self.phi_a / rd + self.phi_b
-        slope = self.phi_a * (rd + self.delta) / (2.0 * rd * rd) + self.phi_b
-        coefficients = (self.kappa_a, self.kappa_b, self.kappa_c, self.kappa_d)
-        gains = variable_gains(sigma, e, coefficients, self.epsilon, self.gamma)
+        ratio, slope = self.ratio(sigma)
+        gains = self.gains(sigma, e)
         inverse_product = gains.by_sigma * ratio * sigma + gains.kappa1 * slope
         tau_m = inverse_product / (ratio * (gains.by_e * (sigma - l0 * e) + gains.kappa2 * slope))
         return factors(1.0 / inverse_product, tau_m, self.k_o, self.tau_av)
+
+    def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
+        """The variable-gain STA's own: kappa_1 phi_1 and kappa_2 phi_2 of (26).
+
+        tau_m holds the part of d(kappa_1 phi_1)/dt that comes from e' = sigma - l0 e. Here it belongs to the first
+        term, so that kappa_2 phi_1' phi_1 is left for the second.
+        """
+        gains = self.gains(sigma, e)
+        ratio, slope = self.ratio(sigma)
+        return IntegratedLaw(gains.kappa1 * ratio, gains.kappa2 * slope / gains.kappa1)
 
 
 GAIN_FUNCTIONS: Registry = {

@@ -1,0 +1,155 @@
+"""The conservative form: its law for every row, sums that telescope under noise, and no drift where it saturates."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import dssc_jax as dj
+from dssc_jax.core.registry import Discretisation
+from dssc_jax.core.signals import Measurement, ReferencePoint
+from dssc_jax.models.controllers.dssc import DSSC, DsscGains, PredictorStart
+from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS, Constant
+from dssc_jax.models.controllers.modulation import ConstantModulation
+from tests.models.controllers.test_dssc import random_functions
+
+CONSERVATIVE, IMPLICIT = (DSSC.members[form] for form in (Discretisation.CONSERVATIVE, Discretisation.IMPLICIT))
+AT_REST = ReferencePoint(0.0, 0.0, 0.0)
+OF_SIGMA = [kind for kind in GAIN_FUNCTIONS if kind not in ("vgsta", "sta")]
+
+
+def fly(member, gains, sigma, dt):
+    """Infos, states and integrated law over samples of sigma with e = 0."""
+
+    def sample(state, sigma):
+        after, _, info = member.step(gains, state, Measurement(0.0, sigma), AT_REST, dt)
+        law = gains.functions.law(sigma, 0.0, gains.functions.at(sigma, 0.0, gains.l0))
+        return after, (after.u_av, after.predictor, law.gain * sigma, law.rate * law.gain * sigma, info)
+
+    start = member.init(gains, Measurement(0.0, sigma[0]), AT_REST)
+    start = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), start)
+    return jax.lax.scan(sample, start, sigma)[1]
+
+
+@partial(jax.jit, static_argnums=0)
+def flights(member, gains, sigma, dt):
+    """As :func:`fly`, over rows of samples."""
+    return jax.vmap(lambda row: fly(member, gains, row, dt))(sigma)
+
+
+def flown(member, gains, sigma, dt):
+    """As :func:`fly`, compiled, as NumPy's arrays."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[0], flights(member, gains, sigma[None], dt))
+
+
+@pytest.mark.parametrize("kind", GAIN_FUNCTIONS)
+def test_the_law_is_what_22_synthesises(kind):
+    """phi_1' = 1/(k_o tau_av) by automatic differentiation, and phi_2 what is then left of (22)."""
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        row, l0 = random_functions(kind, rng), float(rng.uniform(0.2, 2.0))
+        sigma, e = (float(s * 10 ** rng.uniform(-4, 1)) for s in rng.choice([-1.0, 1.0], 2))
+
+        def phi_1(sigma, e, row=row, l0=l0):
+            return row.law(sigma, e, row.at(sigma, e, l0)).gain * sigma
+
+        at = jax.tree.map(float, row.at(sigma, e, l0))
+        law = jax.tree.map(float, row.law(sigma, e, at))
+        by_sigma, by_e = (float(slope) for slope in jax.grad(phi_1, (0, 1))(sigma, e))
+        assert by_sigma == pytest.approx(1.0 / (at.k_o * at.tau_av), rel=1e-9)
+        left = by_sigma * sigma / at.tau_m - by_e * (sigma - l0 * e)
+        assert law.rate * law.gain * sigma == pytest.approx(left, rel=1e-7, abs=1e-9 * abs(by_e * (sigma - l0 * e)))
+
+
+@pytest.mark.parametrize("kind", OF_SIGMA)
+def test_sums_telescope_under_noise(kind):
+    """u_av - phi_1 - T_s sum phi_2 is constant over 100,000 unsaturated noisy samples; the implicit form drifts."""
+    gains = DsscGains(1.0, random_functions(kind, np.random.default_rng(2)), ConstantModulation(1e9))
+    rng, dt = np.random.default_rng(1), 1e-3
+    sigma = 0.3 * np.sin(np.arange(100_000) * dt) + 0.06 * rng.standard_normal(100_000)
+    u_av, _, phi_1, phi_2, info = flown(CONSERVATIVE, gains, sigma, dt)
+    assert np.all(info.sliding_margin > 0.0)
+    np.testing.assert_array_equal(info.sigma_hat, sigma)
+    gap = np.asarray(u_av - phi_1 - dt * np.cumsum(phi_2))
+    size = np.abs(phi_1).max() + dt * np.abs(np.cumsum(phi_2)).max()
+    print(f"\n{kind}: {np.abs(gap - gap[0]).max() / size:.1e} of {size:.2g} m/s")
+    assert np.abs(gap - gap[0]).max() < 1e-12 * size
+    if kind != "constant":
+        u_av, _, phi_1, phi_2, _ = flown(IMPLICIT, gains, sigma, dt)
+        assert np.ptp(np.asarray(u_av - phi_1 - dt * np.cumsum(phi_2))) > 1e-3 * size
+
+
+@pytest.mark.parametrize("kind", OF_SIGMA)
+def test_noise_does_not_drive_a_saturated_loop(kind):
+    """Most samples saturate; the slope of u_av over time stays within three of its standard errors of 0."""
+    row = random_functions(kind, np.random.default_rng(2))
+    dt, runs = 2e-3, 24
+    sigma = 0.2 * np.random.default_rng(8).standard_normal((runs, 5_000))
+    wide = DsscGains(1.0, row, ConstantModulation(1e9))
+    rho = 0.02 * float(np.abs(flown(CONSERVATIVE, wide, sigma[0], dt)[-1].u_0).mean())
+    gains = DsscGains(1.0, row, ConstantModulation(rho))
+    u_av, _, _, _, info = flights(CONSERVATIVE, gains, sigma, dt)
+    assert np.mean(np.asarray(info.sliding_margin) < 0.0) > 0.5
+    slopes = np.polyfit(dt * np.arange(5_000), np.asarray(u_av).T, 1)[0]
+    assert abs(slopes.mean()) < 3.0 * slopes.std(ddof=1) / np.sqrt(runs)
+
+
+def test_constant_functions_give_the_implicit_form():
+    gains = DsscGains(1.0, Constant(10.0, 0.1, 2.0), ConstantModulation(0.5), None, PredictorStart.MATCHED)
+    sigma = np.random.default_rng(3).normal(size=2_000)
+    u_av, _, _, _, info = flown(CONSERVATIVE, gains, sigma, 0.01)
+    same, _, _, _, other = flown(IMPLICIT, gains, sigma, 0.01)
+    np.testing.assert_allclose(u_av, same, rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(info.sigma_tilde, other.sigma_tilde, rtol=1e-9, atol=1e-11)
+    np.testing.assert_allclose(info.sliding_margin, other.sliding_margin, rtol=1e-9, atol=1e-10)
+
+
+@pytest.mark.parametrize("kind", GAIN_FUNCTIONS)
+def test_the_predictor_is_phi_1_of_sigma_hat(kind):
+    """Saturated or not; sigma_hat is recorded only."""
+    row = random_functions(kind, np.random.default_rng(6))
+    sigma = np.random.default_rng(9).normal(size=300)
+    gains = DsscGains(1.0, row, ConstantModulation(0.2))
+    _, predictor, _, _, info = flown(CONSERVATIVE, gains, sigma, 0.005)
+    assert np.sum(np.asarray(info.sliding_margin) < 0.0) > 0
+    hat = np.asarray(info.sigma_hat)
+    phi_1 = jax.vmap(lambda x: row.law(x, 0.0, row.at(x, 0.0, 1.0)).gain * x)(hat)
+    np.testing.assert_allclose(phi_1, predictor, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", GAIN_FUNCTIONS)
+def test_the_smoothed_sign_holds_for_the_predictors_lag(kind):
+    """u_0 = rho x/(|x| + w) with x = (phi_1(sigma) - w+)/g, to first order sigma_tilde."""
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        row, width = random_functions(kind, rng), float(10 ** rng.uniform(-3, 0))
+        gains = DsscGains(1.0, row, ConstantModulation(0.5), sign_width=width)
+        state = CONSERVATIVE.init(gains, Measurement(0.0, 0.0), AT_REST)
+        sigma = float(rng.normal())
+        after, _, info = CONSERVATIVE.step(gains, state, Measurement(0.0, sigma), AT_REST, 0.01)
+        at = row.at(sigma, 0.0, 1.0)
+        x = float((row.law(sigma, 0.0, at).gain * sigma - after.predictor) * at.k_o * at.tau_av)
+        assert float(info.u_0) == pytest.approx(0.5 * x / (abs(x) + width), rel=1e-5, abs=1e-8)
+
+
+@pytest.mark.parametrize("form", ["implicit", "conservative"])
+def test_noise_does_not_move_case_2(form):
+    """Largest |e| after 40 s at T_s = 5 ms, with and without noise of 0.06 m/s on the velocity."""
+    functions = {"kind": "approx_sta_2", "kappa1": 0.6025, "kappa2": 0.15, "delta": 0.1, "tau_av": 0.03}
+    study = dj.Study.load("studies/paper_case2.toml").override(
+        {
+            "draws": 4,
+            "controller.discretisation": form,
+            "controller.predictor_start": "matched",
+            "controller.functions": functions,
+            "metrics": {"after": 40.0, "names": ["error_max"]},
+            "requirement": [],
+        }
+    )
+    noisy = study.override({"sensor": {"kind": "noisy", "velocity_std": 0.06}})
+    quiet, moved = (float(dj.run(each).dataset["error_max"].median()) for each in (study, noisy))
+    print(f"\n{form}: {quiet:.3f} m without noise, {moved:.3f} m with it")
+    assert (moved < 1.15 * quiet) == (form == "conservative")
+    assert (moved > 10.0 * quiet) == (form == "implicit")
