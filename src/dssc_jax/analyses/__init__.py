@@ -1,1 +1,1 @@
-"""Analyses of a study that are more than one run."""
+"""Analyses that combine many simulations of a study."""

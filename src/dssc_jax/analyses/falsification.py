@@ -1,8 +1,8 @@
-"""The worst draw within the laws' support, hunted instead of waited for.
+"""Search for the worst draw within the laws' support.
 
-The search goes on in the laws' standardised coordinates: a draw is a point of the unit cube, whose coordinates are the
-levels of the laws' quantiles. Knots of a disturbance or a wind that is a ``spline`` are numbers like others, so that
-signals need nothing of their own. Noise within the loop is that of draw 0.
+The search uses the laws' standardised coordinates: a draw is a point of the unit cube, whose coordinates are the
+quantile levels of the laws. Knots of a disturbance or a wind that is a ``spline`` are treated like other numbers, so
+signals need no special treatment. In-loop noise is that of draw 0.
 """
 
 import time
@@ -26,12 +26,12 @@ from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.analysis_folder import Stored
 from dssc_jax.study import Study
 
-SEARCH_EDGE = 1e-6  # outermost level: where the search ends in the tails of unbounded laws
+SEARCH_EDGE = 1e-6  # outermost level: limit of the search in the tails of unbounded laws
 EXPLORED, CLIMBED = 0.25, 0.5  # shares of the budget; evolution gets what is left
-STARTS, CLIMB = 8, 12  # climbs at most, and steps that each is to have at least
+STARTS, CLIMB = 8, 12  # largest number of climbs, and least number of steps of each
 LEAST_DISTANCE = 0.25  # least distance of two starts, in the largest coordinate
 STRIDE, LONGER, SHORTER = 0.25, 1.5, 0.3  # first step of a climb, and its factors after success and failure
-DESIGN = ("sampling", "replicates", "correlation")  # what a study says of its draws together
+DESIGN = ("sampling", "replicates", "correlation")  # settings of a study for all its draws together
 MEMBERS_EACH = 4  # of the evolution, for each coordinate
 
 
@@ -39,12 +39,12 @@ MEMBERS_EACH = 4  # of the evolution, for each coordinate
 class Falsified(Analysis):
     """The worst draw found.
 
-    The dataset has every point that was simulated, along ``point``: its numbers, its ``slack``, the worst requirement's
-    relative to its bound and negative where the draw fails, and ``simulations``, how many were spent until then; one
-    with derivatives counts as one and one more for each derivative.
+    The dataset has every simulated point, along ``point``: its numbers; its ``slack``, that of the worst requirement
+    relative to its bound, negative if the draw fails; and ``simulations``, the number spent so far. A simulation with
+    derivatives counts once, and once more for each derivative.
 
     Args:
-        seconds: What it took.
+        seconds: Computing time.
     """
 
     kind = "falsify"
@@ -55,7 +55,7 @@ class Falsified(Analysis):
 
     @classmethod
     def of(cls, study: Study, values: Arrays, slacks: np.ndarray, spent: np.ndarray, seconds: float) -> Self:
-        """What a search simulated, in its order."""
+        """Collect the simulated points in the order of the search."""
         columns = {"slack": (slacks, "1", "signed slack"), "simulations": (spent, "1", "simulations spent until then")}
         for name, column in values.items():
             columns[name] = (column, study.quantities[name].unit, study.quantities[name].meaning)
@@ -72,40 +72,40 @@ class Falsified(Analysis):
 
     @property
     def witness(self) -> dict[str, float]:
-        """Value of each uncertain number there."""
+        """Value of each uncertain number at the worst point."""
         return {name: float(self.dataset[name][self.worst]) for name in self.study.laws}
 
     @property
     def slack(self) -> float:
-        """Its slack."""
+        """Slack of the worst point."""
         return float(self.dataset["slack"][self.worst])
 
     @property
     def simulations(self) -> int:
-        """How many were spent."""
+        """Number of simulations spent."""
         return int(self.dataset["simulations"][-1])
 
     @property
     def first_failure(self) -> int | None:
-        """The simulations after which the first failure was found; None: none was."""
+        """The number of simulations until the first failure was found; None if there was none."""
         failed = np.flatnonzero(self.dataset["slack"].values < 0.0)
         return int(self.dataset["simulations"][failed[0]]) if failed.size else None
 
     @property
     def witness_study(self) -> Study:
-        """The study of the witness alone, as draw 0, of numbers in place of laws: no design of draws is left."""
+        """The study of the witness alone, as draw 0: numbers replace the laws, and no design of draws is left."""
         table = {name: value for name, value in self.study.table.items() if name not in DESIGN}
         return Study.from_table({**table, "draws": 1}, self.study.source).override(self.witness)
 
     @property
     def headline(self) -> str:
-        """The answer in a line."""
+        """The answer in one line."""
         ending = "ends early" if self.slack == -np.inf else f"has a slack of {self.slack:.4g} of its bound"
         verdict = "fails" if self.slack < 0.0 else "passes"
         return f"the worst of {self.simulations:,} simulations {verdict}: it {ending}"
 
     def figure(self) -> Figure:
-        """The answer as a figure."""
+        """Plot the answer."""
         return plotting.falsification(self)
 
     def content(self) -> dict[str, Any]:
@@ -133,16 +133,16 @@ class Falsified(Analysis):
 def falsify(
     study: Study, *, budget: int = BUDGET, seed: int = 0, progress: ProgressCallback | None = None
 ) -> Falsified:
-    """The worst draw within the support of a study's laws, by the worst requirement's signed slack.
+    """Find the worst draw within the support of a study's laws, by the worst requirement's signed slack.
 
-    A quarter of the budget spreads over the support, half of it climbs from the worst points along projected gradients,
-    the rest is differential evolution among the worst of all. A draw that ends early is the worst there is.
+    A quarter of the budget is spread over the support, and half of it climbs from the worst points along projected
+    gradients. The rest is differential evolution among the worst of all points. A draw that ends early counts as worst.
 
     Args:
-        study: The study; its own sweep is left aside. Unbounded laws end at their 1e-6 quantiles.
-        budget: Simulations.
-        seed: Of the search.
-        progress: Told of the simulations spent.
+        study: The study; its own sweep is ignored. Unbounded laws are cut off at their 1e-6 quantiles.
+        budget: Number of simulations.
+        seed: Seed of the search.
+        progress: Called with the simulations spent.
 
     Raises:
         ConfigError: nothing is uncertain, nothing is required, or the budget is out of range.
@@ -159,10 +159,10 @@ def falsify(
 
 
 def require_hunt(study: Study, budget: int) -> None:
-    """Require that there is something to hunt, something to miss, and a budget.
+    """Require uncertain numbers, requirements and an admissible budget.
 
     Raises:
-        ConfigError: there is not.
+        ConfigError: one of these is missing.
     """
     if not study.without_sweep().laws:
         raise ConfigError(study.source, "no number is uncertain, so there is no other draw to look for; give laws")
@@ -173,7 +173,7 @@ def require_hunt(study: Study, budget: int) -> None:
 
 
 class Programs(NamedTuple):
-    """What hunts of one budget share: a study compiled without and with derivatives, once each is first called."""
+    """The compiled study with and without derivatives, shared by searches of one budget; each compiles on first use."""
 
     study: Study
     plain: Evaluator
@@ -189,22 +189,22 @@ class Programs(NamedTuple):
 
 
 def spread(budget: int) -> int:
-    """Points that are spread out: a power of two."""
+    """Number of points spread over the support: a power of two."""
     return 1 << int(np.log2(max(EXPLORED * budget, LEAST_BUDGET // 2)))
 
 
 def members(budget: int, size: int) -> int:
-    """Members of the evolution; several generations are to fit the budget."""
+    """Number of members of the evolution, such that several generations fit the budget."""
     return max(8, min(MEMBERS_EACH * size, budget // 20))
 
 
 def climbers(budget: int, size: int) -> int:
-    """Climbs, each of which is to have some steps."""
+    """Number of climbs, such that each can make several steps."""
     return max(1, min(STARTS, int(CLIMBED * budget) // (CLIMB * (1 + size))))
 
 
 def hunt(programs: Programs, budget: int, seed: int, progress: ProgressCallback | None = None) -> Falsified:
-    """One search; see :func:`falsify`."""
+    """Run one search; see :func:`falsify`."""
     began = time.perf_counter()
     search = Hunt(programs, budget, np.random.default_rng(seed), progress)
     search.explore()
@@ -217,13 +217,13 @@ def hunt(programs: Programs, budget: int, seed: int, progress: ProgressCallback 
 
 @dataclass
 class Hunt:
-    """A search on its way.
+    """A search in progress.
 
     Args:
         programs: The study, compiled.
-        budget: Simulations.
-        rng: Of the search.
-        progress: Told of the simulations spent.
+        budget: Number of simulations.
+        rng: Random generator of the search.
+        progress: Called with the simulations spent.
     """
 
     programs: Programs
@@ -243,7 +243,7 @@ class Hunt:
         return {name: law.quantile(points[:, i]) for i, (name, law) in enumerate(self.laws.items())}
 
     def simulate(self, points: np.ndarray, evaluator: Evaluator, each: int = 1) -> tuple[np.ndarray, Arrays]:
-        """Slacks and results of points; ``each`` is what one of them costs."""
+        """Slacks and results of points; ``each`` is the number of simulations that one point costs."""
         results = evaluator(np.zeros(len(points), dtype=int), self.values(points))
         slacks = worst_slack(evaluator.swept.requirements, results)
         self.seen.append((points, slacks, self.spent + each * np.arange(1, len(points) + 1)))
@@ -254,18 +254,18 @@ class Hunt:
         return slacks, results
 
     def explore(self) -> None:
-        """Spread points evenly over the cube."""
+        """Simulate points spread evenly over the cube."""
         points = qmc.Sobol(self.size, rng=self.rng).random(spread(self.budget))
         self.simulate(np.clip(points, SEARCH_EDGE, 1.0 - SEARCH_EDGE), self.programs.plain)
 
     def ranked(self) -> tuple[np.ndarray, np.ndarray]:
-        """All points so far with their slacks, the worst first."""
+        """All points so far with their slacks, worst first."""
         points, slacks = (np.concatenate(parts) for parts in list(zip(*self.seen, strict=True))[:2])
         order = np.argsort(slacks, kind="stable")
         return points[order], slacks[order]
 
     def starts(self, count: int) -> np.ndarray:
-        """The worst points that are apart from each other, and the worst of the rest."""
+        """Starting points: the worst points that are far enough apart, then the worst of the rest."""
         points, _ = self.ranked()
         chosen: list[int] = []
         for index, point in enumerate(points):
@@ -277,7 +277,7 @@ class Hunt:
         return points[[*chosen, *rest][:count]]
 
     def climb(self) -> None:
-        """Projected gradient descents of the slack, all at once, each with its own step length."""
+        """Run projected gradient descents of the slack simultaneously, each with its own step length."""
         each, room, evaluator = 1 + self.size, int(CLIMBED * self.budget), self.programs.steep
         points = self.starts(climbers(self.budget, self.size))
         if len(points) * each > room:
@@ -297,7 +297,7 @@ class Hunt:
                 return
 
     def slopes(self, points: np.ndarray, results: Arrays) -> np.ndarray:
-        """Derivatives of the worst slack with respect to the coordinates, shape (n, laws); 0 where there is none."""
+        """Derivatives of the worst slack with respect to the coordinates, shape (n, laws); 0 if there is none."""
         requirements = self.programs.study.requirements
         slacks = np.array([results[r.name] / r.scale for r in requirements])
         binding = np.argmin(np.where(np.isnan(slacks), -np.inf, slacks), axis=0)
@@ -312,7 +312,7 @@ class Hunt:
         return np.where(np.isfinite(slopes), slopes, 0.0)
 
     def evolve(self) -> None:
-        """Differential evolution that begins with the worst points so far."""
+        """Run differential evolution, starting from the worst points so far."""
         count = members(self.budget, self.size)
         first: Any = self.ranked()[0][:count]
         generations = (self.budget - self.spent) // count - 1

@@ -1,4 +1,4 @@
-"""Whatever a command has left in a folder, as an object again."""
+"""Load any command's result."""
 
 import importlib
 from pathlib import Path
@@ -22,7 +22,7 @@ KINDS = {
     "tune": "dssc_jax.analyses.tuning:Tuned",
     "theory": "dssc_jax.analyses.theory:Assessment",
 }
-"""The class of each kind of analysis, imported when one is read."""
+"""The class of each kind of analysis, imported when needed."""
 
 
 def class_of(kind: str) -> type[Analysis]:
@@ -32,10 +32,10 @@ def class_of(kind: str) -> type[Analysis]:
 
 
 def kind_in(folder: Path) -> str | None:
-    """The kind of analysis that a folder holds; None: a run, or a sweep.
+    """The kind of analysis that a folder contains; None for a run or a sweep.
 
     Raises:
-        ConfigError: it holds none of these.
+        ConfigError: it contains none of these.
     """
     if not folder.is_dir():
         raise ConfigError(str(folder), "is no folder")
@@ -51,28 +51,28 @@ def kind_in(folder: Path) -> str | None:
 
 
 def description(folder: Path) -> dict[str, Any]:
-    """What a folder says of what it holds: its manifest, or its analysis' description.
+    """The description of a folder's content: the manifest of a result, or the description of an analysis.
 
     Raises:
-        ConfigError: it holds nothing that :func:`load` reads, or it is damaged.
+        ConfigError: it contains nothing that :func:`load` can read, or it is damaged.
     """
     kind = kind_in(folder)
     return read_manifest(folder) if kind is None else read_about(folder, kind)
 
 
 def load(folder: str | Path, trust_code: bool = False) -> Loaded:
-    """Read a folder that a command wrote, or a ``save`` of a result or of an analysis.
+    """Load a folder written by a command, or by ``save`` of a result or an analysis.
 
     Args:
-        folder: The folder. Nothing in it is run, see docs/trust.md.
-        trust_code: Import the models that its study names as ``module:object``. Whatever simulates again needs them:
-            :func:`dssc_jax.replay`, :func:`dssc_jax.verify`, any change of the study. Nothing else does.
+        folder: The folder. No code in it is run, see docs/trust.md.
+        trust_code: Import the models that its study names as ``module:object``. They are only needed to simulate again:
+            for :func:`dssc_jax.replay`, :func:`dssc_jax.verify`, or any change of the study.
 
     Returns:
-        A :class:`Result` of ``run`` and ``sweep``, else an :class:`Analysis`, equal to the one that was saved.
+        A :class:`Result` for ``run`` and ``sweep``, else an :class:`Analysis`, equal to the one saved.
 
     Raises:
-        ConfigError: it holds none of these, it is damaged, or its run did not finish.
+        ConfigError: it contains none of these, it is damaged, or its run did not finish.
     """
     path = Path(folder)
     kind = kind_in(path)

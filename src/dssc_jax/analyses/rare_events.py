@@ -1,4 +1,4 @@
-"""A study's failure probability that is too small for plain draws: splitting on the worst requirement's slack."""
+"""A failure probability that is too small for plain draws, by splitting on the worst requirement's slack."""
 
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -26,15 +26,16 @@ QUANTILE_LEVELS = (0.05, 0.5, 0.95)
 
 @dataclass(eq=False)
 class RareEvent(Analysis):
-    """A study's rare failure.
+    """The probability of a study's rare failure.
 
-    The dataset has along ``repeat``: ``estimate`` and ``levels``; along ``failure``, the failing particles and then the
-    plain draws that failed: every uncertain number, ``plain``, which of the two it is, and ``noise``, a particle's
-    index of the in-loop noise; along ``failure`` and ``number`` its ``point`` in standard normal space.
+    The dataset has along ``repeat``: ``estimate`` and ``levels``. Along ``failure``, the failing particles and then the
+    plain draws that failed, it has every uncertain number; ``plain``, which of the two it is; and ``noise``,
+    a particle's index of the in-loop noise. Along ``failure`` and ``number`` it has its ``point`` in standard
+    normal space.
 
     Args:
-        splitting: What was spent.
-        simulations: Evaluations of the slack by the splitting.
+        splitting: The settings of the splitting.
+        simulations: Number of evaluations of the slack by the splitting.
         noisy: Whether the loop has in-loop noise.
     """
 
@@ -48,7 +49,7 @@ class RareEvent(Analysis):
 
     @classmethod
     def of(cls, study: Study, splitting: Splitting, estimate: Estimate, noisy: bool) -> Self:
-        """A rare event from what the splitting ended with."""
+        """Create the analysis from the estimate of a splitting."""
         plain = estimate.plain
         points = np.concatenate([estimate.points, plain.points])
         columns = {
@@ -75,7 +76,7 @@ class RareEvent(Analysis):
 
     @cached_property
     def estimate(self) -> Estimate:
-        """The probability and how it was found."""
+        """The probability and how it was estimated."""
         data, plain = self.dataset, self.dataset["plain"].values
         return Estimate(
             estimates=data["estimate"].values,
@@ -88,20 +89,20 @@ class RareEvent(Analysis):
 
     @property
     def where(self) -> Arrays:
-        """Values of each uncertain number among failures: the plain draws' where they answer, else the particles'."""
+        """Values of each uncertain number at failures: those of the plain draws if they answer, else the particles'."""
         chosen = self.dataset["plain"].values != self.estimate.answered
         return {name: self.dataset[name].values[chosen] for name in self.study.laws}
 
     @property
     def headline(self) -> str:
-        """The answer in a line."""
+        """The answer in one line."""
         low, high = self.estimate.interval()
         return (
             f"failure probability {self.estimate.probability:.3g} in [{low:.3g}, {high:.3g}] ({self.estimate.method})"
         )
 
     def figure(self) -> Figure:
-        """The answer as a figure."""
+        """Plot the answer."""
         return plotting.rare(self)
 
     def content(self) -> dict[str, Any]:
@@ -148,15 +149,15 @@ class RareEvent(Analysis):
 
 
 def rare(study: Study, splitting: Splitting = USUAL, progress: ProgressCallback | None = None) -> RareEvent:
-    """The failure probability of a study at its own values, by splitting on the worst requirement's scaled slack.
+    """Estimate a study's failure probability at its own values, by splitting on the worst requirement's scaled slack.
 
     Args:
-        study: The study; a sweep is left aside, so is its number of draws.
-        splitting: How much to spend.
-        progress: Told of the simulations done; nobody knows how many there will be.
+        study: The study; its sweep and its number of draws are ignored.
+        splitting: The settings of the splitting.
+        progress: Called with the simulations done; the total is not known beforehand.
 
     Raises:
-        ConfigError: the study requires nothing, or nothing is uncertain.
+        ConfigError: the study has no requirements, or nothing is uncertain.
     """
     study = study.without_sweep()
     if not study.requirements:

@@ -1,12 +1,12 @@
-"""Which uncertain numbers matter: first-order and total Sobol indices of every metric and of failure.
+"""First-order and total Sobol indices of every metric and of failure: which uncertain numbers matter.
 
-Two independent samples A and B of the unit cube, and for each factor i a third, AB_i: A with the column of i from B
-(Saltelli). The indices follow from the pairs (B, AB_i), which share i only, and (A, AB_i), which share all but i.
-In-loop noise is one more factor: A's rows carry their own draw indices and B's rows others, so that the indices of the
-numbers are not charged with it, and it gets indices of its own.
+The method (Saltelli) uses two independent samples A and B of the unit cube, and for each factor i a third, AB_i: A
+with the column of i from B. The indices follow from the pairs (B, AB_i), which share only i, and (A, AB_i), which share
+all but i. In-loop noise is one more factor: A's rows have their own draw indices and B's rows others. So the noise has
+its own indices and does not affect those of the numbers.
 
-The rows are independent replicates of a scrambled Sobol sequence, over which the intervals are Student's t. An output
-whose variance comes from a few rows only, as that of a rare failure does, is refused: no interval would hold.
+The rows are independent replicates of a scrambled Sobol sequence. The intervals are Student's t over the replicates.
+An output whose variance comes from only a few rows, as that of a rare failure does, is refused: no interval would hold.
 """
 
 import math
@@ -54,14 +54,14 @@ class Sensitivity(Analysis):
     """Sobol indices of a study.
 
     The dataset has along ``output`` (every metric, and ``failure``) and ``factor`` (the uncertain numbers, then the
-    in-loop noise if there is any): ``first`` and ``total`` with the ends of their intervals, NaN where an output has no
-    indices; along ``output``: ``missing``, how many simulations have no value of it.
+    in-loop noise if there is any): ``first`` and ``total`` with the ends of their intervals, NaN if an output has no
+    indices. Along ``output`` it has ``missing``, the number of simulations without a value.
 
     Args:
-        rows: Rows of A.
-        simulations: Simulations in all.
-        reasons: For each output without indices the reason.
-        confidence: Of the intervals.
+        rows: Number of rows of A.
+        simulations: Total number of simulations.
+        reasons: The reason for each output without indices.
+        confidence: Confidence of the intervals.
     """
 
     kind = "sensitivity"
@@ -80,7 +80,7 @@ class Sensitivity(Analysis):
 
     @property
     def outputs(self) -> dict[str, Indices | None]:
-        """Indices of each output; None where there are none."""
+        """Indices of each output; None if there are none."""
         names = map(str, self.dataset["output"].values)
         return {name: None if name in self.reasons else self._indices(name) for name in names}
 
@@ -90,7 +90,7 @@ class Sensitivity(Analysis):
 
     @property
     def headline(self) -> str:
-        """The answer in a line."""
+        """The answer in one line."""
         name = next((one for one in shown_outputs(self.study) if one not in self.reasons), None)
         if name is None:
             return f"no indices of {FAILURE}; it {self.reasons[FAILURE]}"
@@ -99,7 +99,7 @@ class Sensitivity(Analysis):
         return f"{name} depends most on {self.factors[first]}: total index {float(total[first]):.3f}"
 
     def figure(self) -> Figure:
-        """The answer as a figure."""
+        """Plot the answer."""
         return plotting.sensitivity(self)
 
     def content(self) -> dict[str, Any]:
@@ -140,7 +140,7 @@ class Sensitivity(Analysis):
 def indices_dataset(
     study: Study, factors: Sequence[str], outputs: Mapping[str, Indices | None], missing: Mapping[str, int]
 ) -> xr.Dataset:
-    """Indices as a dataset: see :class:`Sensitivity`."""
+    """Store indices in a dataset: see :class:`Sensitivity`."""
     blank = np.full((len(factors), len(ENDS)), np.nan)
     columns = {}
     for place, (part, meaning) in enumerate({"first": "first-order index", "total": "total index"}.items()):
@@ -156,14 +156,14 @@ def indices_dataset(
 
 
 def shown_outputs(study: Study) -> list[str]:
-    """The outputs that people ask for first: failure, and the metric that the study is about."""
+    """The main outputs: failure, and the study's headline metric."""
     return list(dict.fromkeys((FAILURE, headline_measure(study).name)))
 
 
 def saltelli(rows: int, factors: int, words: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """A and B, shape (rows, factors) each: the halves of a scrambled Sobol sequence's coordinates.
+    """The samples A and B, shape (rows, factors) each: the halves of a scrambled Sobol sequence's coordinates.
 
-    Row i belongs to replicate i mod R, each of which has a scrambling of its own.
+    Row i belongs to replicate i mod R. Each replicate is scrambled independently.
     """
     nets = [sobol_points(2 * factors, 0, rows // REPLICATES, (*words, r)) for r in range(REPLICATES)]
     points = np.stack(nets, axis=1).reshape(rows, 2 * factors)
@@ -171,9 +171,9 @@ def saltelli(rows: int, factors: int, words: tuple[int, ...]) -> tuple[np.ndarra
 
 
 def carrying(f_a: np.ndarray, f_b: np.ndarray) -> float:
-    """How many rows carry the variance of an output that varies: their number by its kurtosis.
+    """The effective number of rows that carry the variance of a varying output, from its kurtosis.
 
-    Of an indicator it is about the number of rows in the rarer class: n p (1-p)/(1 - 3 p (1-p)).
+    For an indicator it is about the number of rows in the rarer class: n p (1-p)/(1 - 3 p (1-p)).
 
     Args:
         f_a: Output at A, shape (rows,).
@@ -185,7 +185,7 @@ def carrying(f_a: np.ndarray, f_b: np.ndarray) -> float:
 
 
 def refusal(f_a: np.ndarray, f_b: np.ndarray) -> str | None:
-    """Why an output gets no indices, for people; None where it gets them.
+    """The reason why an output gets no indices, in words; None if it gets them.
 
     Args:
         f_a: Output at A, shape (rows,).
@@ -203,15 +203,15 @@ def refusal(f_a: np.ndarray, f_b: np.ndarray) -> str | None:
 def sobol_indices(f_a: np.ndarray, f_b: np.ndarray, f_ab: np.ndarray, confidence: float = CONFIDENCE) -> Indices:
     """First-order and total indices with their intervals.
 
-    With outputs centred, S_i = E[f_B f_ABi]/V and S_Ti = E[(f_A - f_ABi)^2]/(2 V), V the variance over A and B. The
-    ratio is linearised; half the length of Student's t interval over the replicates, and what so many carrying rows
-    may not have shown, add up as squares. (Where a factor changes no row the former is 0.)
+    With centred outputs, S_i = E[f_B f_ABi]/V and S_Ti = E[(f_A - f_ABi)^2]/(2 V), with V the variance over A and B.
+    The ratio is linearised. The half length of the interval adds two parts as squares: Student's t interval over the
+    replicates, and what this number of carrying rows may have missed. (If a factor changes no row the former is 0.)
 
     Args:
         f_a: Output at A, shape (rows,); row i belongs to replicate i mod R, see :func:`saltelli`.
         f_b: Output at B, shape (rows,).
         f_ab: Output at AB_i, shape (factors, rows).
-        confidence: Of the intervals.
+        confidence: Confidence of the intervals.
 
     Reference:
         M. J. W. Jansen, Computer Physics Communications 117 (1999) 35-43; A. Saltelli et al., Computer Physics
@@ -236,11 +236,11 @@ def sobol_indices(f_a: np.ndarray, f_b: np.ndarray, f_ab: np.ndarray, confidence
 def controlled(
     share: np.ndarray, variance: np.ndarray, f_a: np.ndarray, f_b: np.ndarray, f_ab: np.ndarray
 ) -> np.ndarray:
-    """A numerator's rows less that combination of control variates which leaves the least variance to its index.
+    """Subtract from a numerator's rows the combination of control variates that minimises the variance of its index.
 
-    The controls f_A f_B, (f_AB^2 - f_A^2)/2 and (f_A^2 - f_B^2)/2 have mean 0. The first alone makes of f_B f_AB
-    Saltelli's estimator of a first-order index, the second alone Jansen's; neither is the better one for every index.
-    Coefficients are fitted by least squares; those of a replicate come from all others, so that the index stays
+    The controls f_A f_B, (f_AB^2 - f_A^2)/2 and (f_A^2 - f_B^2)/2 have mean 0. The first alone turns f_B f_AB into
+    Saltelli's estimator of a first-order index, the second alone into Jansen's; neither is better for every index.
+    Coefficients are fitted by least squares. Those of a replicate come from all other replicates, so the index stays
     unbiased and the scatter between replicates is not fitted away.
     """
     controls = np.stack([f_a * f_b, 0.5 * (f_ab**2 - f_a**2), 0.5 * (f_a**2 - f_b**2)], axis=1)
@@ -254,16 +254,16 @@ def controlled(
 
 
 def sensitivity(study: Study, confidence: float = CONFIDENCE, progress: ProgressCallback | None = None) -> Sensitivity:
-    """Sobol indices of every metric and of failure, at the study's own values.
+    """Compute Sobol indices of every metric and of failure, at the study's own values.
 
     Args:
-        study: The study; its number of draws, rounded down to a power of two, is that of A's rows. A sweep is left
-            aside.
-        confidence: Of the intervals.
-        progress: Told of the simulations done and of all.
+        study: The study; its number of draws, rounded down to a power of two, is the number of A's rows. Its sweep is
+            ignored.
+        confidence: Confidence of the intervals.
+        progress: Called with the simulations done and their total.
 
     Raises:
-        ConfigError: inputs are correlated, nothing is uncertain, or the draws are too few.
+        ConfigError: inputs are correlated, nothing is uncertain, or there are too few draws.
     """
     study = study.without_sweep()
     require_independent_inputs(study)
@@ -304,17 +304,17 @@ def sensitivity(study: Study, confidence: float = CONFIDENCE, progress: Progress
 
 
 def output_of(results: Arrays, name: str) -> np.ndarray:
-    """A metric, or 1 where the draw failed."""
+    """The values of a metric, or 1 if the draw failed."""
     if name == FAILURE:
         return (results["outcome"] != Outcome.OK).astype(float)
     return results[name].astype(float)
 
 
 def require_independent_inputs(study: Study) -> None:
-    """Require uncertain numbers, all independent.
+    """Require uncertain numbers that are all independent.
 
     Raises:
-        ConfigError: otherwise.
+        ConfigError: there are none, or they are correlated.
     """
     if not study.laws:
         raise ConfigError(study.source, "nothing is uncertain; give at least one number a law")

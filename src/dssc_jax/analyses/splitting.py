@@ -1,14 +1,14 @@
-"""Adaptive multilevel splitting: the probability that a slack is negative, too small for plain draws alone.
+"""Adaptive multilevel splitting: the probability that a slack is negative, if too small for plain draws alone.
 
-A population of particles, points of the standard normal space behind the draws, is pushed towards failure: those with
-the largest slacks die, clones of the others take their places and move on by a Markov chain that never goes back
+A population of particles, points of the standard normal space behind the draws, is pushed towards failure. The
+particles with the largest slacks die. Clones of the others replace them and move by a Markov chain that never returns
 above the level. With J levels, each of which k of N particles did not pass, the estimate is prod (1 - k_j/N).
 
 In-loop noise is part of a particle: a clone keeps the draw index of its parent until a move redraws it, which half of
-the moves propose. A fixed index would answer for one realisation of the noise only.
+the moves propose. A fixed index would give the answer for one realisation of the noise only.
 
-Where the slack does not lead to a way of failing, every particle may miss it. Plain draws stand beside, which may
-contradict the particles; then their answer is the one that is told.
+If the slack does not lead to some kind of failure, every particle may miss it. Plain draws are therefore made as well.
+If they contradict the particles, their answer is reported instead.
 """
 
 from collections.abc import Callable, Sequence
@@ -34,15 +34,15 @@ MOST_LEVELS = 100_000
 
 @dataclass(frozen=True)
 class Splitting:
-    """How much to spend.
+    """The settings of a splitting.
 
     Args:
         particles: N of each repeat.
         killed: k of N at each level; 1 is the last-particle form, whose law is known: J ~ Poisson(-N ln p).
-        moves: Steps of a clone's Markov chain at each level.
-        repeats: Independent repeats, from whose scatter the interval comes; at least 10.
-        smallest: Give up on a repeat whose estimate falls below; it counts as 0.
-        plain: Plain draws beside them.
+        moves: Number of moves of a clone's Markov chain at each level.
+        repeats: Number of independent repeats, whose scatter gives the interval; at least 10.
+        smallest: Stop a repeat whose estimate falls below this value; it counts as 0.
+        plain: Number of additional plain draws.
 
     Raises:
         ConfigError: a number is out of range.
@@ -67,7 +67,7 @@ class Splitting:
 
 
 USUAL = Splitting()
-"""What is spent unless one says otherwise."""
+"""The default settings."""
 
 
 @dataclass
@@ -75,14 +75,14 @@ class Repeat:
     """One repeat of the splitting.
 
     Args:
-        rng: Its own generator.
+        rng: Its random generator.
         points: Particles in standard normal space, shape (N, d).
         noise: Their noise indices, shape (N,).
-        slacks: Shape (N,).
+        slacks: Their slacks, shape (N,).
         step: Size of a move.
         estimate: Product over the levels passed.
-        levels: How many were passed.
-        dead: Every particle stood on one level, or the estimate became too small: the repeat's answer is 0.
+        levels: Number of levels passed.
+        dead: Every particle was at the same level, or the estimate became too small: the repeat's answer is 0.
     """
 
     rng: np.random.Generator
@@ -96,10 +96,10 @@ class Repeat:
 
 
 class Plain(NamedTuple):
-    """Plain independent draws beside the splitting.
+    """Plain independent draws in addition to the splitting.
 
     Args:
-        draws: How many.
+        draws: Their number.
         points: Those that failed, in standard normal space, shape (failures, d).
     """
 
@@ -108,28 +108,28 @@ class Plain(NamedTuple):
 
     @property
     def failures(self) -> int:
-        """How many failed."""
+        """Number of draws that failed."""
         return len(self.points)
 
     @property
     def share(self) -> float:
-        """Of failures."""
+        """Share of draws that failed."""
         return self.failures / self.draws
 
     def interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
-        """The exact interval."""
+        """The exact interval of the failure probability."""
         low, high = clopper_pearson(self.failures, self.draws, confidence)
         return float(low), float(high)
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A rare event's probability.
+    """An estimate of a rare event's probability.
 
     Args:
-        estimates: Of each independent repeat, shape (R,).
-        levels: Levels that each repeat passed, shape (R,).
-        simulations: Evaluations of the slack, all repeats together.
+        estimates: Estimate of each independent repeat, shape (R,).
+        levels: Number of levels that each repeat passed, shape (R,).
+        simulations: Number of evaluations of the slack, for all repeats together.
         points: Failing particles of all repeats in standard normal space, shape (n, d).
         noise: Their noise indices, shape (n,).
         plain: The plain draws.
@@ -148,40 +148,40 @@ class Estimate:
         return float(self.estimates.mean())
 
     def mean_interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
-        """Interval from the repeats alone; [0, 1] where not two of them reach a failure.
+        """Interval from the repeats alone; [0, 1] if fewer than two of them reach a failure.
 
-        An estimate is a product of shares, so that its logarithm is nearly normal: :func:`lognormal_interval`.
+        An estimate is a product of shares, so its logarithm is nearly normal: :func:`lognormal_interval`.
         """
         low, high = lognormal_interval(self.estimates, confidence)
         return min(low, 1.0), min(high, 1.0)
 
     @property
     def contradicted(self) -> bool:
-        """Whether the plain draws' interval and that of the repeats have nothing in common."""
+        """Whether the plain draws' interval and that of the repeats are disjoint."""
         low, high = self.mean_interval()
         below, above = self.plain.interval()
         return above < low or high < below
 
     @property
     def answered(self) -> bool:
-        """Whether the repeats' answer stands: they reached failures, by levels, and the plain draws do not contradict.
+        """Whether the repeats' answer is valid: they reached failures by levels, and plain draws do not contradict it.
 
-        Without a level the repeats are nothing but fewer plain draws.
+        Without a level the repeats amount to a smaller number of plain draws.
         """
         return self.mean > 0.0 and bool(self.levels.any()) and not self.contradicted
 
     @property
     def probability(self) -> float:
-        """Mean over the repeats, or the share of failed plain draws where the repeats' answer does not stand."""
+        """Mean over the repeats, or the share of failed plain draws if the repeats' answer is not valid."""
         return self.mean if self.answered else self.plain.share
 
     def interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
-        """Interval from the repeats, or from the plain draws where the repeats' answer does not stand."""
+        """Interval from the repeats, or from the plain draws if the repeats' answer is not valid."""
         return self.mean_interval(confidence) if self.answered else self.plain.interval(confidence)
 
     @property
     def method(self) -> str:
-        """Name of the interval."""
+        """Name of the interval's method."""
         if self.answered:
             return f"lognormal mean over {len(self.estimates)} independent repeats"
         return f"Clopper-Pearson, {self.plain.draws:,} plain draws"
@@ -195,21 +195,21 @@ class Estimate:
 
     @property
     def plain_draws(self) -> float:
-        """Plain draws that would reach the same coefficient of variation."""
+        """Number of plain draws that would give the same coefficient of variation."""
         p = self.mean
         return (1.0 - p) / (p * self.variation**2) if p > 0.0 and self.variation > 0.0 else np.inf
 
 
 def split(slack: SlackFunction, dimension: int, words: Sequence[int], splitting: Splitting = USUAL) -> Estimate:
-    """Adaptive multilevel splitting, and plain draws beside it.
+    """Run adaptive multilevel splitting, and additional plain draws.
 
-    All repeats move at once, so that slacks are computed in large batches.
+    All repeats advance together, so that slacks are computed in large batches.
 
     Args:
-        slack: The slacks; -inf where there is none.
+        slack: Computes the slacks; -inf if there is none.
         dimension: d of the standard normal space.
         words: Seeds of the random numbers.
-        splitting: How much to spend.
+        splitting: The settings.
 
     Reference:
         A. Guyader, N. Hengartner, E. Matzner-Lober, Applied Mathematics and Optimization 64 (2011) 171-196;
@@ -242,24 +242,24 @@ def split(slack: SlackFunction, dimension: int, words: Sequence[int], splitting:
 
 
 class Counter:
-    """A slack that counts its evaluations and hands out fresh noise indices."""
+    """Computes slacks, counts the evaluations, and provides fresh noise indices."""
 
     def __init__(self, slack: SlackFunction) -> None:
         self.slack, self.simulations, self.indices = slack, 0, 0
 
     def fresh(self, count: int) -> np.ndarray:
-        """Noise indices that no particle has had."""
+        """Noise indices that no particle has used."""
         self.indices += count
         return np.arange(self.indices - count, self.indices)
 
     def __call__(self, points: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        """Slacks; what has none fails."""
+        """Compute slacks; a point without a slack fails."""
         self.simulations += len(points)
         slacks = self.slack(points, noise)
         return np.where(np.isnan(slacks), -np.inf, slacks)
 
     def of(self, repeats: list[Repeat], particles: slice) -> np.ndarray:
-        """Slacks of particles of all repeats, in one batch."""
+        """Compute the slacks of particles of all repeats, in one batch."""
         return self(
             np.concatenate([repeat.points[particles] for repeat in repeats]),
             np.concatenate([repeat.noise[particles] for repeat in repeats]),
@@ -267,13 +267,13 @@ class Counter:
 
 
 def started(rng: np.random.Generator, dimension: int, splitting: Splitting, counter: Counter) -> Repeat:
-    """A repeat before its first level."""
+    """Create a repeat before its first level."""
     points = rng.standard_normal((splitting.particles, dimension))
     return Repeat(rng, points, counter.fresh(splitting.particles), np.full(splitting.particles, np.nan))
 
 
 def done(repeat: Repeat, splitting: Splitting) -> bool:
-    """Whether the next level would lie at failure or beyond; also marks repeats that are too small to go on with."""
+    """Whether the next level would be at failure or beyond; also marks repeats too small to continue."""
     repeat.dead = repeat.dead or repeat.estimate < splitting.smallest
     return repeat.dead or bool(np.partition(repeat.slacks, -splitting.killed)[-splitting.killed] < 0.0)
 
@@ -281,11 +281,11 @@ def done(repeat: Repeat, splitting: Splitting) -> bool:
 def raised(repeat: Repeat, splitting: Splitting) -> tuple[float, np.ndarray]:
     """The next level, and the particles that clones of the others replace.
 
-    Ties die together. Particles that fail already are never killed, hence the level is 0 at least: at the last one
-    those die that do not fail.
+    Ties die together. Particles that already fail are never killed, so the level is at least 0: at the last level, the
+    particles that do not fail die.
 
     Returns:
-        The level, which clones must stay below, and the clones' positions; none where nobody survives.
+        The level, which clones must stay below, and the clones' positions; none if no particle survives.
     """
     level = float(np.partition(repeat.slacks, -splitting.killed)[-splitting.killed])
     dying = repeat.slacks >= level
@@ -303,10 +303,10 @@ def raised(repeat: Repeat, splitting: Splitting) -> tuple[float, np.ndarray]:
 
 
 def move(moving: list[tuple[Repeat, float, np.ndarray]], counter: Counter) -> None:
-    """One step of every clone's chain: z' = sqrt(1 - s^2) z + s xi, accepted below the level.
+    """Make one step of every clone's chain: z' = sqrt(1 - s^2) z + s xi, accepted below the level.
 
-    The step s follows the share accepted, in each repeat by itself; slowly where few move, since a step that answers
-    to the last move of the same particle would change what the chain converges to.
+    The step s adapts to the acceptance rate, separately in each repeat. It adapts slowly if few particles move, since a
+    step that depends on the last move of the same particle would change the limit distribution of the chain.
     """
     proposals, indices = [], []
     for repeat, _, clones in moving:

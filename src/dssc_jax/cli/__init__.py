@@ -1,4 +1,4 @@
-"""The command line. Heavy imports wait until a command needs them, so that help is instant."""
+"""The command line. Heavy imports are deferred until a command needs them, so that help is fast."""
 
 import gc
 import importlib
@@ -14,31 +14,31 @@ from dssc_jax.cli.common import BAD_INPUT, DONE, app, say
 from dssc_jax.core.errors import ConfigError
 
 MODULES = ("simulation", "robustness", "tuning", "statistics", "stored", "reports", "designs", "about")
-"""Each registers its commands; help lists them in this order."""
+"""The modules that register the commands; help lists them in this order."""
 
 for module in MODULES:
     importlib.import_module(f"dssc_jax.cli.{module}")
 
 ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-"""Signals that end a command as Ctrl-C does: what was finished is kept."""
-YOUNG = 100_000  # objects between two searches for garbage: imports and traces make a million that stay
+"""Signals that end a command as Ctrl-C does: finished work is kept."""
+YOUNG = 100_000  # objects between two garbage collections: imports and traces create a million that stay
 
 
 def main() -> None:
-    """Entry point: one line for bad input, no traceback."""
+    """Run the command line; bad input gives a one-line message without a traceback."""
     gc.set_threshold(YOUNG)
     for number in ENDING:
         if signal.getsignal(number) != signal.SIG_IGN:  # as nohup has it
             signal.signal(number, end)
     code = guarded(sys.argv[1:])
-    gc.freeze()  # what is left goes with the process: to look through it once more would take half a second
+    gc.freeze()  # the process ends anyway: a last collection would take half a second
     sys.exit(code)
 
 
 def end(number: int, _: FrameType | None) -> None:
-    """Leave whatever is going on; its folders are closed and its processes end on the way.
+    """Stop the running command; its folders are closed and its processes end.
 
-    What is still said goes nowhere where the terminal is gone.
+    Further output is discarded if the terminal is closed.
     """
     with open(os.devnull, "w") as nowhere:
         for stream in (1, 2):
@@ -50,7 +50,7 @@ def end(number: int, _: FrameType | None) -> None:
 
 
 def how_to_go_on(arguments: list[str]) -> str:
-    """The end of the message of an interruption: the command line that goes on, where there is one."""
+    """The end of an interruption's message: the command line that continues the work, if there is one."""
     command = getattr(typer.main.get_command(app), "commands", {}).get(arguments[0] if arguments else "")
     if command is None or not any(option.name == "resume" for option in command.params):
         return ""
@@ -59,7 +59,7 @@ def how_to_go_on(arguments: list[str]) -> str:
 
 
 def guarded(arguments: list[str]) -> int:
-    """Run a command and turn what ends it into an exit code."""
+    """Run a command and turn an exception that ends it into an exit code."""
     try:
         code = app(arguments or ["--help"], standalone_mode=False)
     except SystemExit as ending:

@@ -1,4 +1,4 @@
-"""Commands that tell what there is: studies, info."""
+"""Commands that show what is available: studies, info."""
 
 import json
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""What commands share: the application, how a study is loaded, and where its results go."""
+"""Shared by the commands: the application, loading of studies and results, and output."""
 
 import os
 import sys
@@ -31,7 +31,7 @@ app = typer.Typer(
 
 
 def assignment(text: str, option: str) -> tuple[str, str]:
-    """Name and value of ``NAME=VALUE``."""
+    """Parse name and value of ``NAME=VALUE``."""
     name, equals, value = text.partition("=")
     if not equals or not name or not value:
         raise ConfigError(option, f"must be NAME=VALUE, got '{text}'")
@@ -50,7 +50,7 @@ def parse_value(text: str) -> Any:
 
 
 def parse_over(text: str) -> tuple[str, dict[str, list[Any]]]:
-    """Name and axis of ``NAME=LO:HI:COUNT[:log]``."""
+    """Parse name and axis of ``NAME=LO:HI:COUNT[:log]``."""
     name, value = assignment(text, "--over")
     try:
         low, high, count, *rest = value.split(":")
@@ -63,7 +63,7 @@ def parse_over(text: str) -> tuple[str, dict[str, list[Any]]]:
 
 
 def parse_overs(texts: list[str]) -> dict[str, dict[str, list[Any]]]:
-    """The axes of all ``--over`` options."""
+    """Parse the axes of all ``--over`` options."""
     axes: dict[str, dict[str, list[Any]]] = {}
     for text in texts:
         name, axis = parse_over(text)
@@ -81,7 +81,7 @@ def load_study(
     local: bool,
     cluster: str | None = None,
 ) -> "Study":
-    """The study as the options change it."""
+    """Load a study and apply the options."""
     if cluster:  # validation starts JAX: leave a GPU's memory to the worker that computes on it
         os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     from dssc_jax.study import Study, read_toml
@@ -102,12 +102,12 @@ def load_study(
 
 
 def load_result(folder: Path, trust_code: bool = False, local: bool = False) -> "Result":
-    """A stored result, which may come from anybody.
+    """Load a stored result, which may be from an untrusted source.
 
     Args:
         folder: The results folder.
-        trust_code: Import what its study names, having said what.
-        local: As in :func:`load_study`, of the study file that it was made from; only where its code is trusted.
+        trust_code: Import the code that its study names, after showing which.
+        local: As in :func:`load_study`, for the study file it was made from; only used if its code is trusted.
     """
     from dssc_jax.results.manifest import read_manifest
     from dssc_jax.results.result import load_result
@@ -118,7 +118,7 @@ def load_result(folder: Path, trust_code: bool = False, local: bool = False) -> 
 
 
 def load_any(folder: Path, trust_code: bool = False, local: bool = False) -> "Loaded":
-    """A stored result, or analysis, which may come from anybody; the rest as of :func:`load_result` here."""
+    """Load a stored result or analysis, which may be from an untrusted source; arguments as for :func:`load_result`."""
     from dssc_jax.analyses.loading import description, load
 
     if trust_code:
@@ -127,14 +127,14 @@ def load_any(folder: Path, trust_code: bool = False, local: bool = False) -> "Lo
 
 
 def trust(about: dict[str, Any], local: bool) -> None:
-    """Say which code of a stored study is about to run, and find it where that was asked for."""
+    """Show which code of a stored study is about to run, and make it importable if requested."""
     if local:
         sys.path.insert(0, str(Path(str(about.get("source", ""))).resolve().parent))
     show_code("result", about["study"], about.get("code"))
 
 
 def show_code(what: str, table: dict[str, Any], then: dict[str, Any] | None = None) -> None:
-    """Say which code is about to run, and from which files, before it is imported."""
+    """Show which code is about to run, and from which files, before it is imported."""
     from dssc_jax.study.code import describe_code
 
     if names := describe_code(table, then):
@@ -142,20 +142,20 @@ def show_code(what: str, table: dict[str, Any], then: dict[str, Any] | None = No
 
 
 def say(text: str) -> None:
-    """For people: one line on stderr, so that stdout stays for results; control characters are not passed on."""
+    """Print one line on stderr, so that stdout is left for results; control characters are replaced."""
     line = " ".join(text.split())
     line = line if len(line) <= LONGEST else f"{line[:LONGEST]} ..."
     print("".join(c if c.isprintable() else "?" for c in line), file=sys.stderr)
 
 
 def default_out(study: "Study", command: str, *options: Any) -> Path:
-    """results/NAME-COMMAND, with the study's hash where an option is given that alters what is asked."""
+    """results/NAME-COMMAND, followed by the study's hash if an option changes the question."""
     altered = any(option not in (None, []) for option in options)
     return Path("results") / f"{study.name}-{command}{'-' + study.hash[:8] if altered else ''}"
 
 
 def save_analysis(analysis: "Analysis", folder: Path) -> list[Path]:
-    """Write an analysis and its figure into its folder; the figure's files."""
+    """Write an analysis and its figure into its folder; return the figure's files."""
     from dssc_jax.plotting import save_figure
 
     analysis.save(folder)
@@ -173,10 +173,10 @@ def output_analysis(
 
     Args:
         analysis: The analysis.
-        files: What else was written, by the name that programs know it by.
-        figures: Its figure's files.
-        as_json: Tell programs, not people.
-        show: Tells people.
+        files: Other files written, by their names in the JSON output.
+        figures: The figure's files.
+        as_json: Print JSON for programs.
+        show: Prints the analysis for people.
     """
     import json
 
@@ -188,7 +188,7 @@ def output_analysis(
 
 
 def attempt(path: Path, write: Callable[[], Any]) -> None:
-    """Write a file the user named; what prevents it is bad input."""
+    """Write a file that the user named; a failure to write is reported as bad input."""
     try:
         write()
     except (OSError, ValueError) as error:

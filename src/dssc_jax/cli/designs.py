@@ -57,17 +57,17 @@ def design(
 
 
 def require_one_form(as_json: bool, as_latex: bool) -> None:
-    """Require that stdout is asked for in one form at most.
+    """Require at most one output format on stdout.
 
     Raises:
-        ConfigError: otherwise.
+        ConfigError: both are requested.
     """
     if as_json and as_latex:
         raise ConfigError("--latex", "cannot stand with --json: both are all that stdout holds")
 
 
 def output_design(design_file: "DesignFile", as_json: bool, as_latex: bool) -> int:
-    """Print a design with its certificate; the exit code says whether there is one."""
+    """Print a design with its certificate; the exit code says whether it is certified."""
     from dssc_jax.console import jsonable
     from dssc_jax.console.designs import latex, show
     from dssc_jax.design import check as check_design

@@ -1,4 +1,4 @@
-"""The arguments and options that several commands take, as the types of their parameters."""
+"""Arguments and options shared by several commands, as the types of their parameters."""
 
 from pathlib import Path
 from typing import Annotated

@@ -56,7 +56,7 @@ def report(
 
 
 def output_index(root: Path, as_json: bool) -> int:
-    """Write the index of a folder of results and analyses, and show what is in it."""
+    """Write the index of a folder of results and analyses, and show its content."""
     from dssc_jax.console import show_page
     from dssc_jax.report import write_index
 

@@ -1,4 +1,4 @@
-"""Commands on how robust a loop is: margin, theory, compare."""
+"""Commands on a loop's robustness: margin, theory, compare."""
 
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,7 +23,7 @@ WALKED = {"of": "simulations", "early": "every critical value is found"}
 
 
 def parse_bounds(text: str) -> tuple[str, tuple[float, float]]:
-    """Name and bounds of ``NAME=LO:HI``."""
+    """Parse name and bounds of ``NAME=LO:HI``."""
     try:
         name, value = text.split("=")
         start, end = map(float, value.split(":"))
@@ -79,7 +79,7 @@ def margin(
 
 
 def split_names(text: str) -> list[str]:
-    """The names of ``A,B,..``."""
+    """Parse the names of ``A,B,..``."""
     return [name.strip() for name in text.split(",")]
 
 
@@ -119,7 +119,7 @@ def theory(
 
 
 def switching_rivals(study: "Study") -> dict[str, "Study"]:
-    """The study under the laws that have a describing function, where their gains follow from it."""
+    """The study with each controller that has a describing function, if its gains follow from the study."""
     from dssc_jax.analyses.comparison import controller_table, with_controller
 
     rivals = {}

@@ -152,7 +152,7 @@ def replay(
 
 
 def stopping_rule(width: float | None, accept: float | None, reject: float | None) -> "Rule | None":
-    """The rule that the options ask for."""
+    """The stopping rule given by the options."""
     if width is accept is reject is None:
         return None
     if width is not None and (accept is not None or reject is not None):
@@ -172,14 +172,14 @@ def stopping_rule(width: float | None, accept: float | None, reject: float | Non
 
 
 def require_unset(purpose: str, **options: Any) -> None:
-    """Require that options which have no meaning here are not given."""
+    """Require that options without a meaning here are not given."""
     for name, value in options.items():
         if value is not None:
             raise ConfigError(f"--{name.replace('_', '-')}", f"has no meaning with {purpose}")
 
 
 def finish_sequential(study: "Study", rule: "Rule", most: int | None, out: Path | None, as_json: bool) -> int:
-    """Draw until the rule is content."""
+    """Make draws until the stopping rule is met."""
     from dssc_jax.console import progress_bar
     from dssc_jax.runs.run_until import MOST_DRAWS, run_until
 
@@ -194,7 +194,7 @@ def finish_sequential(study: "Study", rule: "Rule", most: int | None, out: Path 
 def finish(
     study: "Study", out: Path, resume: bool, as_json: bool, cluster: str | None = None, local: bool = False
 ) -> int:
-    """Run to the end."""
+    """Simulate all draws."""
     from dssc_jax.console import notify, progress_bar
     from dssc_jax.runs import run as running
 
@@ -224,7 +224,7 @@ def output_result(result: "Result", out: Path, as_json: bool) -> None:
 
 
 def output_trajectory(trajectory: Any, csv: Path | None, figure: Path | None, as_json: bool) -> int:
-    """Write the files of a trajectory that were asked for, and show how the draw ended."""
+    """Write the requested files of a trajectory, and show how the draw ended."""
     from dssc_jax.console import show_draw
 
     if figure is not None and figure.suffix.lower() not in FIGURES:

@@ -1,4 +1,4 @@
-"""Commands of statistics: plan, sensitivity, rare."""
+"""Commands for statistics: plan, sensitivity, rare."""
 
 import json
 from typing import Annotated

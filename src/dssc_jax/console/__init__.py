@@ -1,4 +1,4 @@
-"""What a person sees in the terminal."""
+"""Terminal output for people."""
 
 from dssc_jax.console.analyses import show_comparison, show_rare, show_sensitivity
 from dssc_jax.console.environment import environment, machine, show_environment

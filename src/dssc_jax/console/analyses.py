@@ -1,4 +1,4 @@
-"""Analyses as a person sees them: comparisons, sensitivity, rare events."""
+"""Print analyses: comparisons, sensitivity, rare events."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,7 +11,7 @@ from dssc_jax.console.terminal import number_text, output, show_files, show_pair
 
 
 def show_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
-    """Controllers one by one and in pairs, with corresponding gains (Table 2) and with tuned ones, if any."""
+    """Print controllers singly and in pairs, with corresponding gains (Table 2) and with tuned gains, if any."""
     console = output()
     required = "; ".join(summary["requirements"]) or "that the draw stays finite"
     console.print(f"[bold]{escape(summary['study'])}[/bold]  required: {escape(required)}")
@@ -34,7 +34,7 @@ def show_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
 
 
 def show_sensitivity(summary: Mapping[str, Any], files: list[Path]) -> None:
-    """Indices of failure and of the study's headline metric; the folder has those of all."""
+    """Print the indices of failure and of the study's headline metric; the folder has those of all outputs."""
     console = output()
     console.print(
         f"[bold]{escape(summary['study'])}[/bold]  Sobol indices, {summary['simulations']} simulations on "
@@ -54,12 +54,12 @@ def show_sensitivity(summary: Mapping[str, Any], files: list[Path]) -> None:
 
 
 def interval_text(value: float, low: float, high: float) -> str:
-    """An index with its interval; one that could be 0 says so."""
+    """An index with its interval, marked if it could be 0."""
     return f"{value:.3f} [{low:.3f}, {high:.3f}]{'  consistent with 0' if low <= 0.0 else ''}"
 
 
 def show_rare(summary: Mapping[str, Any], files: list[Path]) -> None:
-    """The probability of a rare failure, what it cost, and where failures are."""
+    """Print the probability of a rare failure, its cost, and where the failures are."""
     console = output()
     low, high = summary["interval"]
     level = f"{100 * summary['confidence']:g} % {summary['interval_method']}"

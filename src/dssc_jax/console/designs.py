@@ -22,12 +22,12 @@ class DesignTable(NamedTuple):
 
 
 def figures(value: Any) -> str:
-    """A number as one reads it; a dash where there is none."""
+    """Format a number; a dash if there is none."""
     return "-" if value is None or value != value else f"{value:.5g}"
 
 
 def design_tables(design: DesignFile, certificate: Certificate) -> list[DesignTable]:
-    """Parameters, inequalities, small gain and what they guarantee."""
+    """The tables of parameters, inequalities, small gain and guarantees."""
     return [
         DesignTable("Parameters", ("parameter", "value", "unit", "meaning"), parameter_rows(design.parameters)),
         inequality_table(certificate),
@@ -48,7 +48,7 @@ def parameter_rows(numbers: Parameters | Constants) -> list[TableRow]:
 
 
 def inequality_table(certificate: Certificate) -> DesignTable:
-    """Table 1 with slacks, as derived and as printed."""
+    """The inequalities of Table 1 with slacks, as derived and as printed."""
     rows = [
         (
             i.name,
@@ -79,7 +79,7 @@ def small_gain_table(certificate: Certificate) -> DesignTable:
 
 
 def guarantee_table(design: DesignFile, certificate: Certificate) -> DesignTable:
-    """What follows: residuals, rate, proofs, and what a running loop needs."""
+    """The guarantees: residuals, rate, proofs, and what a running loop needs."""
     g, proofs, needs = certificate.guarantee, certificate.lyapunov, certificate.practice
     rows = [
         ("ultimate bound of |e|", figures(g.e), "m"),
@@ -103,7 +103,7 @@ def guarantee_table(design: DesignFile, certificate: Certificate) -> DesignTable
 
 
 def limits_table(limits: Limits) -> DesignTable:
-    """How far each bound can go alone."""
+    """How far each bound can change with the others unchanged."""
     meanings = {
         "phi_b": "least phi_b",
         "disturbance": "largest factor on k_d1 ... k_d5, alpha_d2, alpha_d3",
@@ -132,7 +132,7 @@ def show(design: DesignFile, certificate: Certificate, limits: Limits | None) ->
 
 
 def reasons(certificate: Certificate) -> str:
-    """What stands in the way of the certificate."""
+    """The reasons why there is no certificate."""
     failing = [f"{i.name} {i.state.value.replace('_', ' ')}" for i in certificate.inequalities if not i.satisfied]
     if not certificate.interconnected:
         bound = certificate.small_gain.derived
@@ -159,5 +159,5 @@ def latex(design: DesignFile, certificate: Certificate) -> str:
 
 
 def escaped(text: str) -> str:
-    """Text with LaTeX's special characters escaped."""
+    """Escape LaTeX's special characters."""
     return "".join(SPECIAL.get(character, character) for character in text)

@@ -1,4 +1,4 @@
-"""The machine, the versions and every kind of model."""
+"""Show the machine, the versions and every kind of model."""
 
 import os
 import platform
@@ -11,7 +11,7 @@ from dssc_jax.console.terminal import output, show_table
 
 
 def machine() -> str:
-    """Processor, versions and date, to stand beside a measured number."""
+    """Processor, versions and date, to be given with a measurement."""
     import jax
 
     model = platform.processor() or platform.machine()
@@ -45,7 +45,7 @@ def environment() -> dict[str, Any]:
 
 
 def show_environment(environment: dict[str, Any]) -> None:
-    """The environment, for people."""
+    """Print the environment."""
     from dssc_jax.console.kinds import HEADS
 
     console = output()

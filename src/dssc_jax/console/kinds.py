@@ -1,4 +1,4 @@
-"""Every kind of model and of part, and what each of its fields is: from the registries and the parameter types."""
+"""Every kind of model and part with its fields, from the registries and the parameter types."""
 
 from collections.abc import Iterator
 from enum import Enum
@@ -17,7 +17,7 @@ REQUIRED = "required"
 
 
 def registries() -> dict[str, Registry]:
-    """Every registry by the table that its kinds stand in; parts of models behind the models."""
+    """Every registry by the table of its kinds; registries of models first, then those of their parts."""
     by_table = dict(REGISTRIES)
     for slot, registry in REGISTRIES.items():
         for entry in registry.values():
@@ -39,7 +39,7 @@ def parts(params: type, place: str) -> dict[str, Registry]:
 
 
 def default_member(entry: Entry) -> Any:
-    """A model of an entry; what its options change is not its parameters."""
+    """A model of an entry with default options; options do not change the parameters."""
     return next(iter(entry.members.values()))
 
 
@@ -50,7 +50,7 @@ def params_of(entry: Entry) -> Any:
 
 
 def kinds() -> dict[str, dict[str, Any]]:
-    """Summary, fields and options of every kind, by the table that it stands in."""
+    """Summary, fields and options of every kind, by table."""
     by_table: dict[str, dict[str, Any]] = {}
     for slot, registry in registries().items():
         by_table[slot] = {
@@ -66,7 +66,7 @@ def kinds() -> dict[str, dict[str, Any]]:
 
 
 def options_of(entry: Entry) -> dict[str, list[Any]]:
-    """Values of an entry's option, by its name."""
+    """The possible values of an entry's options, by name."""
     return {entry.option: [key.value for key in entry.members]} if entry.option else {}
 
 
@@ -74,7 +74,7 @@ KIND_COLUMNS = ("field", "unit", "meaning", "admissible", "default")
 
 
 def rows_of(entry: Entry) -> list[tuple[str, str, str, str, str]]:
-    """Every field of a kind, nested ones by dotted name, with the columns :data:`COLUMNS`."""
+    """Every field of a kind, with the columns :data:`COLUMNS`; nested fields have dotted names."""
     params, preset = params_of(entry), getattr(default_member(entry), "defaults", None)
     rows = list(fields(params, "", preset))
     for name, values in options_of(entry).items():
@@ -119,7 +119,7 @@ def about(spec: FieldSpec) -> tuple[str, str, str]:
 
 
 def text_of(default: Any) -> str:
-    """A default as one would write it."""
+    """A default value as text."""
     if isinstance(default, Enum):
         return str(default.value)
     if isinstance(default, tuple):
@@ -130,10 +130,10 @@ def text_of(default: Any) -> str:
 
 
 def show_kind(name: str) -> None:
-    """What a kind's fields are, wherever a kind of that name stands.
+    """Print the fields of a kind, for every table that has a kind of this name.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: there is no such kind.
     """
     every = registries()
     entries = {slot: registry[name] for slot, registry in every.items() if name in registry}

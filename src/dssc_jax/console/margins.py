@@ -1,4 +1,4 @@
-"""Margins as a person sees them: of one loop, of several controllers, and with what theory says."""
+"""Print margins: of one loop, of several controllers, and with theory."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,14 +19,14 @@ TURNED = 0.5  # share of draws that fail at the start and pass further on: the w
 
 
 def value_text(value: float | None, end: float, unit: str = "") -> str:
-    """A rank of critical values; one that lies outside the walk says so."""
+    """A critical value of some rank as text; marked if it lies outside the walk."""
     if value is None:
         return BEFORE
     return f"{value:.4g}{'' if unit in ('', '1') else f' {unit}'}{' or beyond' if value == end else ''}"
 
 
 def tolerance_text(summary: Mapping[str, Any], draws: int, end: float, unit: str = "") -> str:
-    """The lower tolerance limit, or why there is none."""
+    """The lower tolerance limit, or the reason why there is none."""
     needed = wilks_draws(summary["content"], summary["confidence"])
     if draws < needed:
         return f"none of {draws} draws, {needed} are needed"
@@ -34,7 +34,7 @@ def tolerance_text(summary: Mapping[str, Any], draws: int, end: float, unit: str
 
 
 def show_margins(summary: Mapping[str, Any], files: list[Path]) -> None:
-    """A distribution of margins by the numbers one can defend."""
+    """Print a summary of a distribution of margins."""
     console = output()
     (start, end), unit, draws = summary["bounds"], summary["unit"], summary["draws"]
     required = escape("; ".join(summary["criterion"]))
@@ -55,7 +55,7 @@ def show_margins(summary: Mapping[str, Any], files: list[Path]) -> None:
 
 
 def show_margin_contest(summary: Mapping[str, Any], files: list[Path]) -> None:
-    """Margins of several controllers, and of each pair who goes further."""
+    """Print the margins of several controllers, and for each pair which one goes further."""
     console = output()
     (start, end), draws, unit = summary["bounds"], summary["draws"], summary["unit"]
     required = escape("; ".join(summary["criterion"]))
@@ -82,7 +82,7 @@ def show_margin_contest(summary: Mapping[str, Any], files: list[Path]) -> None:
 
 
 def show_theory(summary: Mapping[str, Any], files: list[Path]) -> None:
-    """The answers of theory and of simulation, a row each, with the question that each one answers."""
+    """Print the answers of theory and simulation, one row each, with the question that each one answers."""
     console = output()
     (start, end), draws = summary["bounds"], summary["draws"]
     console.print(f"[bold]{escape(summary['study'])}[/bold]  {draws} draws, {escape(summary['parameter'])}")

@@ -1,4 +1,4 @@
-"""Results as a person sees them: a run, a sweep, one draw, a verification."""
+"""Print results: a run, a sweep, one draw, a verification."""
 
 import math
 from collections.abc import Mapping
@@ -29,7 +29,7 @@ VERDICT_MARKS = {True: "yes", False: "no", None: "-"}
 
 
 def show_result(result: "Result") -> None:
-    """Failure probabilities with their intervals, and where everything is."""
+    """Print failure probabilities with their intervals, and the files."""
     console = output()
     axes, required = result.study.axes, "; ".join(rule.text for rule in result.study.requirements)
     console.print(f"[bold]{escape(result.study.name)}[/bold]  required: {escape(required or STAYS_FINITE)}")
@@ -55,12 +55,12 @@ def show_result(result: "Result") -> None:
 
 
 def show_figures(figures: list[Path]) -> None:
-    """Where a result's figures are."""
+    """Print the files of a result's figures."""
     output().print(f"figures {', '.join(str(path) for path in figures)}", soft_wrap=True, markup=False)
 
 
 def show_point(study: "Study", point: dict[str, Any]) -> None:
-    """Each requirement by itself, which are violated together, early ends, and the metrics' quantiles."""
+    """Print each requirement, joint violations, early ends, and the metrics' quantiles."""
     if point["requirements"]:
         rows = [
             (each["text"], *failure_cells(each, point["draws"]), str(each["alone"])) for each in point["requirements"]
@@ -81,7 +81,7 @@ def show_point(study: "Study", point: dict[str, Any]) -> None:
 
 
 def quantile_text(quantiles: Mapping[str, Any], level: str) -> str:
-    """A quantile with its interval, where there is one."""
+    """A quantile with its interval, if there is one."""
 
     def number(value: float | None, infinite: str) -> str:
         return infinite if value is None else f"{value:.4g}"
@@ -93,14 +93,14 @@ def quantile_text(quantiles: Mapping[str, Any], level: str) -> str:
 
 
 def failure_cells(row: Mapping[str, Any], draws: int) -> tuple[str, str, str]:
-    """Failures, their probability, and its interval; no failure is told by its upper bound, never as 0."""
+    """Failures, their probability, and its interval; without failures the upper bound is given, never 0."""
     low, high = row["interval"]
     probability = f"{row['probability']:.4g}" if row["failures"] else f"<= {high:.3g}"
     return f"{row['failures']}/{draws}", probability, f"[{low:.3g}, {high:.3g}]"
 
 
 def show_points(result: "Result") -> None:
-    """One row a sweep point, with the headline metric's median; the first ones where there are very many."""
+    """Print one row for each sweep point, with the headline metric's median; only the first ones if there are many."""
     axes, metric = result.study.axes, headline(result).name
     several = len(result.study.requirements) > 1
     rows = []
@@ -118,7 +118,7 @@ def show_points(result: "Result") -> None:
 
 
 def show_grid(result: "Result", axes: list[str]) -> None:
-    """Failure probability in per cent over two axes; in wider steps where there are very many values."""
+    """Print the failure probability in per cent over two axes; values are skipped if there are very many."""
     down, across = axes
     down_values, across_values = (np.asarray(result.study.axes[name]) for name in axes)
     by_row, by_column = -(-len(down_values) // WIDEST_ROWS), -(-len(across_values) // WIDEST_COLUMNS)
@@ -144,7 +144,7 @@ def show_grid(result: "Result", axes: list[str]) -> None:
 
 
 def show_draw(attributes: Mapping[str, Any], files: list[Path]) -> None:
-    """How one draw ended, its drawn numbers and its metrics."""
+    """Print how one draw ended, its drawn numbers and its metrics."""
     study, ended = (escape(str(attributes[name])) for name in ("study", "verdict"))
     output().print(f"[bold]{study}[/bold] draw {attributes['draw']}: {ended}")
     skipped = {"study", "draw", "outcome", "outcome_meaning", "verdict", "agreement", "deviation"}
@@ -159,7 +159,7 @@ def show_draw(attributes: Mapping[str, Any], files: list[Path]) -> None:
 
 
 def show_verification(verification: "Verification") -> None:
-    """How a result compares with its lanes computed again."""
+    """Print how a result compares with its recomputed lanes."""
     console = output()
     verdict = VERDICTS[verification.verdict].format(verification.deviation)
     lanes = f"{verification.lanes} lane{'s' * (verification.lanes > 1)} (--seed {verification.seed} picks the same)"

@@ -1,4 +1,4 @@
-"""Searches as a person sees them: tuned gains, and the worst draw."""
+"""Print searches: tuned gains, and the worst draw."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,7 +12,7 @@ ENDED = "ended early"
 
 
 def show_tuning(summary: Mapping[str, Any], files: list[Path]) -> None:
-    """The tuned numbers, and what fresh draws say of them."""
+    """Print the tuned numbers and their evaluation on fresh draws."""
     console = output()
     console.print(f"[bold]{escape(summary['study'])}[/bold]")
     rows = [(name, f"{summary['start'][name]:.6g}", f"{value:.6g}") for name, value in summary["tuned"].items()]
@@ -47,7 +47,7 @@ def show_tuning(summary: Mapping[str, Any], files: list[Path]) -> None:
 
 
 def show_falsification(summary: Mapping[str, Any], files: list[Path]) -> None:
-    """The worst draw that was found."""
+    """Print the worst draw found."""
     console = output()
     required = escape("; ".join(summary["requirements"]))
     console.print(f"[bold]{escape(summary['study'])}[/bold]  required: {required}")

@@ -1,4 +1,4 @@
-"""What every command prints with: tables, progress, plain data as JSON has it."""
+"""Output shared by all commands: tables, progress, plain data for JSON."""
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,33 +19,33 @@ if TYPE_CHECKING:
 
 
 def output() -> Console:
-    """Standard output, never wrapped into unreadable columns where it is a pipe."""
+    """Standard output, with a fixed width if it is not a terminal."""
     return Console(width=None if sys.stdout.isatty() else 140, highlight=False)
 
 
 @cache
 def errors() -> Console:
-    """Standard error, used by the progress bar and by notices that appear meanwhile."""
+    """Standard error, used by the progress bar and by notices during a run."""
     return Console(stderr=True, highlight=False)
 
 
 def notify(text: str) -> None:
-    """Show a line on standard error while a run goes on."""
+    """Show a line on standard error during a run."""
     errors().print(text, markup=False, soft_wrap=True)
 
 
 @contextmanager
 def progress_bar(study: "Study", quiet: bool, of: str = "draws", early: str = "") -> Iterator[ProgressCallback]:
-    """A bar with the time left, on stderr; ``quiet`` shows it only where stderr is a terminal.
+    """Show a progress bar with the time left on stderr; with ``quiet`` only if stderr is a terminal.
 
     Args:
-        study: What is computed.
-        quiet: Whether a program reads what the command says.
-        of: What is counted.
-        early: Why work ends before all of it is done, where it may.
+        study: The study that is computed.
+        quiet: Whether a program reads the command's output.
+        of: The unit that is counted.
+        early: The reason why the work may end early, if it may.
 
     Yields:
-        What is told of the progress; where nobody knows how much there is to do, the bar only counts.
+        The progress callback; if the total is not known, the bar only counts.
     """
     console = errors()
     columns = (
@@ -78,7 +78,7 @@ def progress_bar(study: "Study", quiet: bool, of: str = "draws", early: str = ""
 
 
 def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | None = None) -> None:
-    """A plain table."""
+    """Print a plain table."""
     table = Table(*map(escape, head), title_justify="left", box=None, header_style="bold", pad_edge=False)
     table.title = None if title is None else escape(title)
     for row in rows:
@@ -87,7 +87,7 @@ def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | 
 
 
 def show_pairs(pairs: Sequence[Mapping[str, Any]], title: str, test: str) -> None:
-    """Differences of every two controllers, with their intervals and the test's p-values."""
+    """Print the differences of all pairs of controllers, with their intervals and the test's p-values."""
     rows = []
     for pair in pairs:
         low, high = pair["interval"]
@@ -97,16 +97,16 @@ def show_pairs(pairs: Sequence[Mapping[str, Any]], title: str, test: str) -> Non
 
 
 def show_files(files: Sequence[Path]) -> None:
-    """The files that were written."""
+    """Print the files that were written."""
     for path in files:
         output().print(f"wrote {path}", soft_wrap=True, markup=False)
 
 
 def show_page(page: Path, note: str) -> None:
-    """A page that was written."""
+    """Print the page that was written."""
     output().print(f"wrote {page} ({note})", soft_wrap=True, markup=False)
 
 
 def number_text(value: float | None, form: str = ".3g", missing: str = "none") -> str:
-    """A number, or that there is none."""
+    """A number as text, or ``missing`` if there is none."""
     return missing if value is None else format(value, form)

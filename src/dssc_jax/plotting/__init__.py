@@ -1,7 +1,7 @@
-"""Figures of results and trajectories. Each returns a matplotlib Figure; a failure probability shows its interval.
+"""Figures of results and trajectories, as matplotlib Figures. Failure probabilities are shown with their intervals.
 
-``failures``, ``sweep`` and ``trajectory`` compose a slide; ``distribution``, ``factor``, ``probability``, ``typical``
-and ``signals`` are single panels that also draw into axes of yours.
+``failures``, ``sweep`` and ``trajectory`` make whole figures for a slide. ``distribution``, ``factor``,
+``probability``, ``typical`` and ``signals`` make single panels, which can also be drawn into given axes.
 """
 
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The figure of a comparison: every controller's failure probability, and the paired differences."""
+"""Figure of a comparison: every controller's failure probability, and the paired differences."""
 
 from typing import Any
 
@@ -15,10 +15,10 @@ APART = 0.18  # between given and tuned gains of one controller
 
 @styled
 def comparison(compared: Analysis) -> Figure:
-    """Failure probabilities with their intervals, and differences to the first controller, paired draw by draw.
+    """Plot failure probabilities with their intervals, and differences from the first controller, paired by draw.
 
     Args:
-        compared: What :func:`dssc_jax.compare` returned.
+        compared: The return value of :func:`dssc_jax.compare`.
     """
     summary = compared.summary()
     names = list(summary["controllers"])
@@ -46,7 +46,7 @@ def comparison(compared: Analysis) -> Figure:
 
 
 def probability_panel(ax: Axes, contest: dict[str, Any], colour: str, text: str, shift: float) -> None:
-    """One dot with its Clopper-Pearson interval for each controller."""
+    """Draw one dot with its Clopper-Pearson interval for each controller."""
     own = list(contest["controllers"].values())
     share = np.array([one["probability"] for one in own])
     ends = np.array([one["interval"] for one in own]).T
@@ -55,7 +55,7 @@ def probability_panel(ax: Axes, contest: dict[str, Any], colour: str, text: str,
 
 
 def difference_panel(ax: Axes, contest: dict[str, Any], first: str, colour: str, shift: float) -> None:
-    """Each controller minus the first, with the interval of the paired difference."""
+    """Draw each controller minus the first, with the interval of the paired difference."""
     rows = list(contest["controllers"])
     for pair in contest["pairs"]:
         if pair["a"] == first:  # the pair is first minus other

@@ -1,4 +1,4 @@
-"""Figures of a run: how the headline metric is distributed, and what the failures depend on."""
+"""Figures of a run: the distribution of the headline metric, and failures against uncertain numbers."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,13 +12,13 @@ from dssc_jax.plotting.thinning import picked
 from dssc_jax.results.result import Result, measure_named
 from dssc_jax.statistics import CONFIDENCE, Replicated, clopper_pearson
 
-BINS, FILLED = 8, 5  # at most so many bins, each of at least so many draws
+BINS, FILLED = 8, 5  # largest number of bins, and least number of draws in each
 MOST_FACTORS, FEW = 5, 20
 
 
 @styled
 def failures(result: Result) -> Figure:
-    """A run without sweep: the distribution of the headline metric, and failures against each uncertain number."""
+    """Plot a run without sweep: the distribution of the headline metric, and failures against each uncertain number."""
     laws = shown_laws(result)[:MOST_FACTORS]
     columns = min(3, 1 + len(laws))
     rows = -(-(1 + len(laws)) // columns)
@@ -40,7 +40,7 @@ def failures(result: Result) -> Figure:
 
 
 def one_point(result: Result) -> None:
-    """The same draws at several points are not independent: their failures have no binomial interval.
+    """Require a single point: the same draws at several points are not independent, so no binomial interval holds.
 
     Raises:
         ValueError: the result has several points.
@@ -50,18 +50,18 @@ def one_point(result: Result) -> None:
 
 
 def shown_laws(result: Result) -> list[str]:
-    """The uncertain numbers whose draws an axis can hold."""
+    """The uncertain numbers whose draws can be shown on an axis."""
     return [name for name in result.study.laws if np.abs(result.dataset[name].values).max() < DRAWABLE]
 
 
 @styled
 def distribution(result: Result, ax: Axes | None = None, metric: str | None = None) -> Figure:
-    """Share of draws at or below each value of a metric, with the exact interval of each share.
+    """Plot the share of draws at or below each value of a metric, with the exact interval of each share.
 
     Args:
         result: A run, or one point of a sweep (:meth:`Result.at`).
-        ax: Where to draw; None: a figure of its own.
-        metric: Name of the metric; None: the one that the study is about.
+        ax: Axes to draw into; None: a new figure.
+        metric: Name of the metric; None: the study's headline metric.
 
     Raises:
         ValueError: the result has several points.
@@ -91,12 +91,12 @@ def distribution(result: Result, ax: Axes | None = None, metric: str | None = No
 
 @styled
 def factor(result: Result, name: str, ax: Axes | None = None) -> Figure:
-    """Failure probability with its exact interval against one uncertain number, in bins of equal count.
+    """Plot the failure probability with its exact interval against one uncertain number, in bins of equal count.
 
     Args:
         result: A run, or one point of a sweep (:meth:`Result.at`).
         name: The uncertain number's dotted name.
-        ax: Where to draw; None: a figure of its own.
+        ax: Axes to draw into; None: a new figure.
 
     Raises:
         ValueError: the result has several points.
@@ -126,6 +126,6 @@ def factor(result: Result, name: str, ax: Axes | None = None) -> Figure:
 
 
 def metric_bounds(result: Result, measure: Measure) -> list[float]:
-    """Required bounds of a measure."""
+    """The bounds required of a measure."""
     bounds = [r for r in result.study.requirements if r.measure.name == measure.name]
     return [value for r in bounds for value in (r.maximum, r.minimum) if value is not None]

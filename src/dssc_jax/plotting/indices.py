@@ -17,10 +17,10 @@ INDEX_KINDS = {"first": ("first order: alone", BLUE, -OFFSET), "total": ("total:
 
 @styled
 def sensitivity(indices: Analysis) -> Figure:
-    """First-order and total indices with their intervals, of failure and of the study's headline metric.
+    """Plot first-order and total indices with their intervals, for failure and the study's headline metric.
 
     Args:
-        indices: What :func:`dssc_jax.sensitivity` returned.
+        indices: The return value of :func:`dssc_jax.sensitivity`.
     """
     summary = indices.summary()
     names, factors = summary["headline"], summary["factors"]
@@ -50,7 +50,7 @@ def sensitivity(indices: Analysis) -> Figure:
 
 
 def factor_rows(ax: Axes, output: Mapping[str, Any]) -> None:
-    """Both kinds of index, a row a factor."""
+    """Draw both kinds of index, one row for each factor."""
     for part, (text, colour, offset) in INDEX_KINDS.items():
         value = np.array([one[part] for one in output.values()])
         low, high = np.array([one[f"{part}_interval"] for one in output.values()]).T

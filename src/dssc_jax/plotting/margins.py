@@ -15,12 +15,12 @@ from dssc_jax.results.analysis import Analysis
 
 @styled
 def margin(margins: Analysis) -> Figure:
-    """Critical values of all draws, with their lower tolerance limit, and the degradation curve with its band.
+    """Plot critical values of all draws, with their lower tolerance limit, and the degradation curve with its band.
 
-    Below stands what Theorem 1 says of the same walk.
+    The result of Theorem 1 for the same walk is given below.
 
     Args:
-        margins: What :func:`dssc_jax.margin` returned.
+        margins: The return value of :func:`dssc_jax.margin`.
     """
     summary = margins.summary()
     figure = Figure(figsize=(SLIDE[0], SLIDE[1] + 0.6), layout="constrained")
@@ -43,13 +43,13 @@ def margin(margins: Analysis) -> Figure:
 
 
 def set_walk(ax: Axes, summary: Mapping[str, Any]) -> None:
-    """The axis runs along the walk, from its safe end."""
+    """Set the axis along the walk, starting at its safe end."""
     ax.set_xscale("log" if summary["log"] else "linear")
     ax.set_xlim(*summary["bounds"])
 
 
 def margin_distribution(ax: Axes, margins: Analysis, summary: Mapping[str, Any]) -> None:
-    """Share of draws that have failed by each value of the walk; censored ones stand before and beyond it."""
+    """Draw the share of draws that have failed by each value of the walk; censored draws are before and beyond it."""
     (start, end), critical = summary["bounds"], margins.dataset["critical"].values
     steps = np.sort(critical[~np.isnan(critical)])
     steps = steps if end > start else steps[::-1]
@@ -70,7 +70,7 @@ def margin_distribution(ax: Axes, margins: Analysis, summary: Mapping[str, Any])
 
 
 def certificate(ax: Axes, summary: Mapping[str, Any]) -> None:
-    """Where the certificate ends, or an arrow towards it where the axis does not reach it; below, it speaks."""
+    """Mark the end of the certified range, or draw an arrow towards it if it is off the axis."""
     figure = ax.get_figure(root=True)
     assert figure is not None
     figure.supxlabel(textwrap.fill(summary["certificate"], 105), fontsize=12, color=GREEN, parse_math=False)

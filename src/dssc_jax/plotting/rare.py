@@ -1,4 +1,4 @@
-"""Figure of a rare failure: its probability by every repeat, and where failures lie."""
+"""Figure of a rare failure: its probability from every repeat, and where failures lie."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,10 +13,10 @@ ROWS = ("each repeat", "splitting", "plain draws")
 
 @styled
 def rare(event: Analysis) -> Figure:
-    """The repeats' estimates with their mean and the plain draws, and where failures lie within the laws.
+    """Plot the repeats' estimates with their mean and the plain draws, and where failures lie within the laws.
 
     Args:
-        event: What :func:`dssc_jax.rare` returned.
+        event: The return value of :func:`dssc_jax.rare`.
     """
     summary = event.summary()
     figure = Figure(figsize=SLIDE, layout="constrained")
@@ -33,7 +33,7 @@ def rare(event: Analysis) -> Figure:
 
 
 def probabilities(ax: Axes, event: Analysis) -> None:
-    """Estimates of a probability, one above the other; an interval from 0 begins below all of them."""
+    """Draw estimates of a probability, one above the other; an interval from 0 begins below all of them."""
     summary = event.summary()
     plain, estimates = summary["plain"], np.array(summary["estimates"])
     positive = estimates[estimates > 0.0]

@@ -1,4 +1,4 @@
-"""Figures of searches: a tuning with every fresh draw's cost before and after, and the hunt of the worst draw."""
+"""Figures of searches: a tuning with every fresh draw's cost before and after, and the search for the worst draw."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -14,10 +14,10 @@ from dssc_jax.results.analysis import Analysis
 
 @styled
 def tuning(tuned: Analysis) -> Figure:
-    """Objective and violation along the search, and the fresh draws' costs.
+    """Plot objective and violation along the search, and the fresh draws' costs.
 
     Args:
-        tuned: What :func:`dssc_jax.tune` returned.
+        tuned: The return value of :func:`dssc_jax.tune`.
     """
     summary = tuned.summary()
     figure = Figure(figsize=SLIDE, layout="constrained")
@@ -30,7 +30,7 @@ def tuning(tuned: Analysis) -> Figure:
 
 
 def cost_text(objective: Mapping[str, Any]) -> str:
-    """The objective as one reads it."""
+    """The objective in words."""
     weights = objective["costs"].items()
     total = " + ".join(name if weight == 1.0 else f"{weight:g} {name}" for name, weight in weights)
     names = {"mean": "mean", "worst": "soft worst", "cvar": f"CVaR {100 * objective['level']:g} %"}
@@ -38,7 +38,7 @@ def cost_text(objective: Mapping[str, Any]) -> str:
 
 
 def history(ax: Axes, tuned: Analysis) -> None:
-    """Objective on training and validation draws, and the largest violation of a limit."""
+    """Draw the objective on training and validation draws, and the largest violation of a limit."""
     looks = {name: tuned.dataset[name].values for name in ("step", "objective", "validation", "validation_violation")}
     ax.plot(looks["step"], looks["objective"], "o-", color=BLUE, label="training draws")
     ax.plot(looks["step"], looks["validation"], "s--", color=GREEN, label="validation draws")
@@ -53,7 +53,7 @@ def history(ax: Axes, tuned: Analysis) -> None:
 
 
 def costs(ax: Axes, tuned: Analysis, verdict: Mapping[str, Any]) -> None:
-    """Distribution functions of the fresh draws' costs, and the aggregates."""
+    """Draw distribution functions of the fresh draws' costs, and the aggregates."""
     for name, colour, aggregate in zip(("start", "tuned"), (GREY, ORANGE), verdict["objective"], strict=True):
         cost = tuned.dataset[f"cost_{name}"].values
         values = np.sort(np.where(np.isnan(cost), np.inf, cost))
@@ -66,10 +66,10 @@ def costs(ax: Axes, tuned: Analysis, verdict: Mapping[str, Any]) -> None:
 
 @styled
 def falsification(falsified: Analysis) -> Figure:
-    """Slacks along the hunt, and where within its law each of the worst draw's numbers lies.
+    """Plot slacks along the search, and where each of the worst draw's numbers lies within its law.
 
     Args:
-        falsified: What :func:`dssc_jax.falsify` returned.
+        falsified: The return value of :func:`dssc_jax.falsify`.
     """
     summary, data = falsified.summary(), falsified.dataset
     figure = Figure(figsize=SLIDE, layout="constrained")

@@ -1,4 +1,4 @@
-"""The look that all figures share: palette, scales, labels."""
+"""Style shared by all figures: palette, scales, labels."""
 
 import textwrap
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-# Okabe and Ito's palette, told apart with any colour vision
+# Okabe and Ito's palette, distinguishable with any colour vision
 BLUE, ORANGE, GREEN, RED, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#6b6b6b"
 VIOLET, SKY = "#CC79A7", "#56B4E9"
 STYLE: dict[Any, Any] = {
@@ -35,7 +35,7 @@ Drawn = TypeVar("Drawn")
 
 
 def styled(draw: Callable[DrawingArguments, Drawn]) -> Callable[DrawingArguments, Drawn]:
-    """Draw in the project's style without touching the caller's."""
+    """Decorate a function to draw in the project's style, leaving the caller's style unchanged."""
 
     @wraps(draw)
     def wrapper(*args: DrawingArguments.args, **options: DrawingArguments.kwargs) -> Drawn:
@@ -46,7 +46,7 @@ def styled(draw: Callable[DrawingArguments, Drawn]) -> Callable[DrawingArguments
 
 
 def panel(ax: Axes | None, size: tuple[float, float] = PANEL) -> tuple[Figure, Axes]:
-    """The axes to draw into, and their figure; a figure of its own where none are given."""
+    """The axes to draw into, and their figure; a new figure if none are given."""
     if ax is None:
         ax = Figure(figsize=size, layout="constrained").subplots()
     figure = ax.get_figure(root=True)
@@ -55,29 +55,29 @@ def panel(ax: Axes | None, size: tuple[float, float] = PANEL) -> tuple[Figure, A
 
 
 def label(about: dict[str, Any]) -> str:
-    """Long name with unit; a dollar in it is no mathematics."""
+    """Long name with unit; a dollar sign does not start mathematics."""
     unit, name = about.get("units", ""), str(about.get("long_name", ""))
     return (name if unit in ("", "1") else f"{name} [{unit}]").replace("$", r"\$")
 
 
 def named(name: str, about: dict[str, Any]) -> str:
-    """An axis label: the dotted name, and what it means."""
+    """An axis label: the dotted name and its meaning."""
     return f"{name}\n{textwrap.fill(label(about), 42)}"
 
 
 def title(figure: Figure, text: str) -> None:
-    """A title in the user's own words: each line wrapped, and no mathematics read into it."""
+    """Set a title in the user's own words: each line is wrapped, and not interpreted as mathematics."""
     figure.suptitle("\n".join(textwrap.fill(line, 95) for line in text.splitlines()), parse_math=False)
 
 
 def is_log(values: np.ndarray) -> bool:
-    """Whether an axis reads better logarithmically."""
+    """Whether an axis should be logarithmic."""
     positive = values[np.isfinite(values)]
     return positive.size > 2 and positive.min() > 0 and positive.max() / positive.min() > LOG_SPAN
 
 
 def set_scale(ax: Axes, values: np.ndarray, which: str = "x") -> None:
-    """Logarithmic where it helps, with plain numbers, more of them where the span is short."""
+    """Make an axis logarithmic if it should be, with plain numbers, more of them if the range is short."""
     if not is_log(values):
         return
     (ax.set_xscale if which == "x" else ax.set_yscale)("log")

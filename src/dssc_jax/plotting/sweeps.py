@@ -41,7 +41,7 @@ AT_LIMIT = ("the median at its limit", "-")
 
 @styled
 def sweep(result: Result) -> Figure:
-    """A sweep over one axis as curves, over two as maps; further axes are held at their first value, and named.
+    """Plot a sweep over one axis as curves, over two as maps; further axes are held at their first value, and named.
 
     Raises:
         ValueError: the result has no sweep.
@@ -70,14 +70,14 @@ def sweep(result: Result) -> Figure:
 
 @styled
 def probability(result: Result, ax: Axes | None = None) -> Figure:
-    """Failure probability over the first one or two axes of a sweep, with what its exact interval allows to say.
+    """Plot the failure probability over the first one or two axes of a sweep, with its exact interval.
 
-    Along one axis the interval is a band. On a map the solid contour is a probability of one half, and beyond the
+    Along one axis the interval is a band. On a map the solid contour is at a probability of one half, and beyond the
     dashed one the interval's upper end exceeds 5 %.
 
     Args:
         result: A sweep; axes beyond the second are held at their first value.
-        ax: Where to draw; None: a figure of its own.
+        ax: Axes to draw into; None: a new figure.
 
     Raises:
         ValueError: the result has no sweep.
@@ -94,12 +94,12 @@ def probability(result: Result, ax: Axes | None = None) -> Figure:
 
 @styled
 def typical(result: Result, ax: Axes | None = None, metric: str | None = None) -> Figure:
-    """Median of a metric over the first one or two axes of a sweep; along one axis with 5 to 95 % of draws.
+    """Plot the median of a metric over the first one or two axes of a sweep; along one axis with 5 to 95 % of draws.
 
     Args:
         result: A sweep; axes beyond the second are held at their first value.
-        ax: Where to draw; None: a figure of its own.
-        metric: Name of the metric; None: the one that the study is about.
+        ax: Axes to draw into; None: a new figure.
+        metric: Name of the metric; None: the study's headline metric.
 
     Raises:
         ValueError: the result has no sweep.
@@ -116,12 +116,12 @@ def typical(result: Result, ax: Axes | None = None, metric: str | None = None) -
 
 
 def free_axes(result: Result) -> list[str]:
-    """The swept parameters that the dataset still has as dimensions."""
+    """The swept parameters that are still dimensions of the dataset."""
     return [name for name in result.study.axes if name in result.dataset.dims]
 
 
 def held_to_two(result: Result) -> Result:
-    """The result with its first two axes of several values; the others held at their first value.
+    """The result over its first two axes with several values; the others are held at their first value.
 
     Raises:
         ValueError: the result has no sweep.
@@ -141,7 +141,7 @@ def held(result: Result) -> str:
 
 
 def typical_curve(ax: Axes, result: Result, measure: Measure, axis: str) -> None:
-    """A metric's quantiles along one axis."""
+    """Draw a metric's quantiles along one axis."""
     x = result.dataset[axis].values
     low, middle, high = quantiles(result, measure)
     several = result.study.config.draws > 1
@@ -163,7 +163,7 @@ def typical_curve(ax: Axes, result: Result, measure: Measure, axis: str) -> None
 
 
 def probability_curve(ax: Axes, result: Result, axis: str) -> None:
-    """The failure probability with its interval along one axis."""
+    """Draw the failure probability with its interval along one axis."""
     x, failed = result.dataset[axis].values, result.failed.values
     interval = result.method.interval(failed)
     band = envelope(x, *interval.T)
@@ -175,12 +175,12 @@ def probability_curve(ax: Axes, result: Result, axis: str) -> None:
 
 
 def point_markers(x: np.ndarray) -> str:
-    """How a curve is drawn: with a mark at each point where they can be told apart."""
+    """The marker of a curve: a mark at each point if they can be distinguished."""
     return "o-" if len(x) <= MARKED else "-"
 
 
 def finish_curve(ax: Axes, result: Result, axis: str) -> None:
-    """What every curve shows: the certified stretch, the study's own value, scale and labels of the axis."""
+    """Add what all curves show: the certified stretch, the study's own value, scale and labels of the axis."""
     x = result.dataset[axis].values
     set_scale(ax, x)
     certified = certified_region(result)
@@ -200,7 +200,7 @@ def finish_curve(ax: Axes, result: Result, axis: str) -> None:
 
 
 def probability_map(ax: Axes, result: Result, down: str, across: str) -> None:
-    """Failure probability over two axes."""
+    """Draw the failure probability over two axes."""
     failed = result.failed.transpose(down, across, "draw").values
     draws, share = failed.shape[-1], failed.mean(-1)
     x, y = result.dataset[across].values, result.dataset[down].values
@@ -215,7 +215,7 @@ def probability_map(ax: Axes, result: Result, down: str, across: str) -> None:
 
 
 def typical_map(ax: Axes, result: Result, measure: Measure, down: str, across: str) -> None:
-    """The median of a metric over two axes."""
+    """Draw the median of a metric over two axes."""
     x, y = result.dataset[across].values, result.dataset[down].values
     middle = upper_quantiles(result.dataset[measure.name].transpose(down, across, "draw").values, (0.5,))[0]
     finite = middle[np.isfinite(middle)]
@@ -238,7 +238,7 @@ def typical_map(ax: Axes, result: Result, measure: Measure, down: str, across: s
 
 
 def finish_map(ax: Axes, result: Result, down: str, across: str, keys: list[tuple[str, Any]]) -> None:
-    """What every map shows: the certified region, the study's own values, scales, labels and a key below."""
+    """Add what all maps show: the certified region, the study's own values, scales, labels and a key below."""
     x, y = result.dataset[across].values, result.dataset[down].values
     certified = certified_region(result)
     if certified is not None and certified.any():
@@ -262,7 +262,7 @@ def cells(values: np.ndarray) -> dict[str, Any]:
 
 
 def map_keys(result: Result, keys: list[tuple[str, Any]]) -> list[Any]:
-    """Legend of what is white on a map: its contours, and what every map shows."""
+    """Legend of a map's white elements: its contours, and what every map shows."""
     ink = rcParams["text.color"]
     if any(reaches_own_value(result, name) for name in free_axes(result)):
         keys = [*keys, ("the study's own value", ":")]
@@ -273,7 +273,7 @@ def map_keys(result: Result, keys: list[tuple[str, Any]]) -> list[Any]:
 
 
 def certified_region(result: Result) -> Any:
-    """Where Theorem 1 certifies the loop, over the axes that are left; None where it does not speak."""
+    """The region in which Theorem 1 certifies the loop, over the remaining axes; None if it does not apply."""
     return result.dataset["certified"].astype(bool) if "certified" in result.dataset else None
 
 
@@ -283,7 +283,7 @@ def quantiles(result: Result, measure: Measure) -> np.ndarray:
 
 
 def cell_edges(values: np.ndarray, logarithmic: bool) -> np.ndarray:
-    """Borders half way between neighbours, and as far beyond both ends; shape (n + 1,)."""
+    """Edges half way between neighbours, and as far beyond both ends; shape (n + 1,)."""
     x = np.log(values) if logarithmic else values
     half = np.diff(x) / 2.0 if len(x) > 1 else np.array([0.5])
     edges = np.concatenate(([x[0] - half[0]], x[:-1] + half[: len(x) - 1], [x[-1] + half[-1]]))
@@ -291,19 +291,19 @@ def cell_edges(values: np.ndarray, logarithmic: bool) -> np.ndarray:
 
 
 def own_value(result: Result, name: str) -> float | None:
-    """The value that the study itself gives a swept number; None where it is a law."""
+    """The study's own value of a swept number; None if it is a law."""
     value = result.study.leaves().get(name)
     return float(value) if isinstance(value, float) else None
 
 
 def reaches_own_value(result: Result, name: str) -> bool:
-    """Whether an axis reaches the study's own value of it."""
+    """Whether an axis includes the study's own value of its number."""
     value, axis = own_value(result, name), result.study.axes[name]
     return value is not None and min(axis) <= value <= max(axis)
 
 
 def mark_own_value(ax: Axes, result: Result, name: str, colour: str, which: str = "x") -> None:
-    """A dotted line at the study's own value of a swept number, if the axis reaches it."""
+    """Draw a dotted line at the study's own value of a swept number, if the axis reaches it."""
     if reaches_own_value(result, name):
         line = ax.axvline if which == "x" else ax.axhline
         line(own_value(result, name) or 0.0, color=colour, linestyle=":", linewidth=2.0)
@@ -315,26 +315,26 @@ def is_power(values: np.ndarray) -> bool:
 
 
 def fitted_slope(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Slope and intercept of log y against log x by least squares."""
+    """Fit slope and intercept of log y against log x by least squares."""
     slope, intercept = np.polyfit(np.log(x), np.log(y), 1)
     return float(slope), float(intercept)
 
 
 def add_slope(ax: Axes, x: np.ndarray, y: np.ndarray) -> None:
-    """The fitted power law."""
+    """Draw the fitted power law."""
     slope, intercept = fitted_slope(x, y)
     ax.plot(x, np.exp(intercept) * x**slope, color=GREY, linestyle="--", label=f"fitted slope {slope:.2f}")
 
 
 def clip(finite: np.ndarray, cap: float | None) -> dict[str, Any]:
-    """Colour limits: a diverging corner shall not flatten the rest."""
+    """Colour limits, such that a diverging corner does not flatten the rest."""
     if cap is None or not finite.size or not finite.min() < cap < finite.max():
         return {}
     return {"vmin": float(finite.min()), "vmax": cap}
 
 
 def contour(ax: Axes, x: np.ndarray, y: np.ndarray, z: np.ndarray, level: float, style: str) -> None:
-    """A white contour where the level is crossed."""
+    """Draw a white contour if the level is crossed."""
     if min(z.shape) >= 2 and np.nanmin(z) < level < np.nanmax(z):
         shown = np.where(np.isfinite(z), z, 1e3 * abs(level))
         ax.contour(x, y, shown, levels=(level,), colors="white", linewidths=1.8, linestyles=style)

@@ -1,4 +1,4 @@
-"""Theory and simulation: local and performance margins, and chattering predicted and simulated."""
+"""Figure of theory and simulation: local and performance margins, and chattering predicted and simulated."""
 
 from collections.abc import Mapping
 from itertools import cycle
@@ -24,15 +24,15 @@ def theory(
     oscillations: Mapping[str, xr.Dataset] | None = None,
     local: float | None = None,
 ) -> Figure:
-    """Two kinds of margin on the left, never one curve; on the right what happens beyond the local one.
+    """Plot both kinds of margin on the left, and oscillations beyond the local margin on the right.
 
-    What Theorem 1 says of the walk of the first margins stands below; a line where it speaks within the axis.
+    The result of Theorem 1 for the walk of the first margins is given below, and marked by a line if it is on the axis.
 
     Args:
-        margins: Margins over one and the same number, by what they are of. Those of a linearisation are
+        margins: Margins over the same number, by their criterion. Those of a linearisation are
             dashed, in continuous time dotted.
-        oscillations: What :func:`dssc_jax.analyses.theory.chattering` returned, by controller; none: the left panel
-            alone.
+        oscillations: The return value of :func:`dssc_jax.analyses.theory.chattering`, by controller; if empty, only the
+            left panel is drawn.
         local: Local critical value of the loop on the right whose gains are finite at the origin.
     """
     size = (SLIDE[0] if oscillations else PANEL[0] + 1.4, SLIDE[1] + 0.9)
@@ -57,7 +57,7 @@ def theory(
 
 
 def draw_beyond(ax: Axes, oscillations: Mapping[str, xr.Dataset], local: float | None) -> None:
-    """Amplitudes over the lag's time constant, simulated and predicted."""
+    """Draw amplitudes over the lag's time constant, simulated and predicted."""
     for colour, (name, one) in zip(cycle(THEORY_COLOURS), oscillations.items(), strict=False):
         mu = one["unmodelled.mu"].values
         amplitude = np.where(one["amplitude"] > NO_ANSWER * one.attrs["push"], one["amplitude"], np.nan)
@@ -72,7 +72,7 @@ def draw_beyond(ax: Axes, oscillations: Mapping[str, xr.Dataset], local: float |
 
 
 def cumulative(ax: Axes, margins: Analysis, summary: Mapping[str, Any], name: str, colour: str) -> None:
-    """Distribution function of critical values; censored draws keep it from reaching 0 or 1."""
+    """Draw the distribution function of critical values; with censored draws it does not reach 0 or 1."""
     critical, censoring = margins.dataset["critical"].values, margins.dataset["censoring"].values
     start, end = summary["bounds"]
     steps = np.sort(critical[censoring == 0])

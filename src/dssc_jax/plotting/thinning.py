@@ -1,4 +1,4 @@
-"""Long curves with few points: what a figure cannot show is not written into it."""
+"""Reduce long curves to few points, without details that a figure cannot show."""
 
 import numpy as np
 
@@ -6,15 +6,15 @@ PIXEL_COLUMNS = 600  # about two a millimetre of a printed figure
 
 
 def thinned(x: np.ndarray, y: np.ndarray, columns: int = PIXEL_COLUMNS) -> tuple[np.ndarray, np.ndarray]:
-    """A curve over rising x reduced to the extremes of each column, so that no peak is lost.
+    """Reduce a curve over increasing x to the extremes of each column, so that no peak is lost.
 
     Args:
-        x: Shape (n,), rising.
+        x: Shape (n,), increasing.
         y: Shape (n,); NaN leaves a gap.
-        columns: How many groups of neighbours the curve is cut into; each keeps its lowest and its highest point.
+        columns: Number of groups of neighbours into which the curve is cut; each keeps its lowest and highest point.
 
     Returns:
-        The points kept, at most ``2 columns``, in their order; the curve itself where it has no more.
+        The points kept, at most ``2 columns``, in their order; the curve itself if it has no more.
 
     Example:
         >>> thinned(np.arange(9), np.array([0, 0, 0, 0, 7, 0, 0, -1, 0]), 2)[1]
@@ -35,16 +35,16 @@ def thinned(x: np.ndarray, y: np.ndarray, columns: int = PIXEL_COLUMNS) -> tuple
 def envelope(
     x: np.ndarray, low: np.ndarray, high: np.ndarray, columns: int = PIXEL_COLUMNS
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A band over rising x reduced to the outermost values of each column.
+    """Reduce a band over increasing x to the outermost values of each column.
 
     Args:
-        x: Shape (n,), rising.
+        x: Shape (n,), increasing.
         low: Its lower edge, shape (n,).
         high: Its upper edge, shape (n,).
-        columns: How many groups of neighbours the band is cut into.
+        columns: Number of groups of neighbours into which the band is cut.
 
     Returns:
-        The band, with at most ``columns + 1`` points; the band itself where it has no more than twice as many.
+        The band, with at most ``columns + 1`` points; the band itself if it has no more than twice as many.
     """
     if len(x) <= 2 * columns:
         return x, low, high
@@ -55,5 +55,5 @@ def envelope(
 
 
 def picked(count: int, most: int = PIXEL_COLUMNS) -> np.ndarray:
-    """At most ``most`` indices of 0 .. count-1, evenly spaced, both ends among them."""
+    """At most ``most`` indices of 0 .. count-1, evenly spaced, including both ends."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))

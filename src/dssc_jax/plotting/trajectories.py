@@ -14,12 +14,12 @@ CYCLE = (BLUE, ORANGE, GREEN, RED, GREY)
 
 @styled
 def trajectory(run: xr.Dataset) -> Figure:
-    """One draw over time: output, error, command, and the state-dependent functions where there are any.
+    """Plot one draw over time: output, error, command, and the state-dependent functions if there are any.
 
-    A plant of several channels is shown by commands on the left and errors on the right, a row a channel.
+    For a plant of several channels, commands are on the left and errors on the right, with one row for each channel.
 
     Args:
-        run: What ``simulate`` or ``replay`` returned.
+        run: The return value of ``simulate`` or ``replay``.
     """
     if "y" not in run:
         return flight(run)
@@ -46,16 +46,16 @@ def trajectory(run: xr.Dataset) -> Figure:
 
 @styled
 def signals(run: xr.Dataset, names: Sequence[str], ax: Axes | None = None) -> Figure:
-    """Signals of one draw over time, each under its meaning and unit.
+    """Plot signals of one draw over time, each labelled with its meaning and unit.
 
     Args:
-        run: What ``simulate`` or ``replay`` returned.
-        names: Variables of it, at most five.
-        ax: Where to draw; None: a figure of its own.
+        run: The return value of ``simulate`` or ``replay``.
+        names: Variables of the trajectory, at most five.
+        ax: Axes to draw into; None: a new figure.
 
     Raises:
         KeyError: the trajectory has no such signal.
-        ValueError: there are more signals than colours to tell them apart.
+        ValueError: there are more signals than distinguishable colours.
     """
     if len(names) > len(CYCLE):
         raise ValueError(f"shows at most {len(CYCLE)} signals, got {len(names)}")
@@ -68,12 +68,12 @@ def signals(run: xr.Dataset, names: Sequence[str], ax: Axes | None = None) -> Fi
 
 
 def line(ax: Axes, run: xr.Dataset, name: str, colour: str, text: str, **look: object) -> None:
-    """One signal, with as many points as a page can show."""
+    """Draw one signal, with as many points as a page can show."""
     ax.plot(*thinned(run["t"].values, run[name].values), color=colour, label=text, **look)  # type: ignore[arg-type]
 
 
 def flight(run: xr.Dataset) -> Figure:
-    """Commands and errors of every channel."""
+    """Plot commands and errors of every channel."""
     channels = [str(name).removesuffix("_y_ref") for name in run if str(name).endswith("_y_ref")]
     figure = Figure(figsize=(11.5, 2.3 * len(channels) + 1.0), layout="constrained")
     rows = figure.subplots(len(channels), 2, sharex=True, squeeze=False)
@@ -91,7 +91,7 @@ def flight(run: xr.Dataset) -> Figure:
 
 
 def state_dependent(ax: Axes, run: xr.Dataset) -> None:
-    """k_o and the time constants, on a logarithmic axis; the sliding margin is not theirs to show."""
+    """Draw k_o and the time constants on a logarithmic axis; the sliding margin is not shown."""
     shown = {"k_o": ("$k_o$ [1/s]", BLUE), "tau_m": (r"$\tau_m$ [s]", GREEN), "tau_av": (r"$\tau_{av}$ [s]", ORANGE)}
     for name, (text, colour) in shown.items():
         if name in run:
@@ -104,5 +104,5 @@ def state_dependent(ax: Axes, run: xr.Dataset) -> None:
 
 
 def how_it_ended(run: xr.Dataset) -> str:
-    """A trajectory's title."""
+    """The title of a trajectory: how the draw ended."""
     return f"{run.attrs.get('study', '')}, draw {run.attrs.get('draw', 0)}: {run.attrs.get('verdict', '')}"

@@ -1,4 +1,4 @@
-"""A result as one HTML page that can be sent: no network, no JavaScript; and the index of many."""
+"""Write a result as one self-contained HTML page, without network or JavaScript, and an index of many results."""
 
 from dssc_jax.report.index import write_index
 from dssc_jax.report.page import html, write

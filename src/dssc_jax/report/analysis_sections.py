@@ -1,4 +1,4 @@
-"""Sections on an analysis of any kind: its answer, its numbers, its dataset, its provenance."""
+"""Sections on an analysis of any kind: its answer, numbers, dataset and provenance."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -14,19 +14,19 @@ LONGEST_TABLE = 3  # numbers that one cell holds; a longer list is in the datase
 
 
 def answer(about: AnalysisSubject) -> Section:
-    """The answer in a line, and its figure."""
+    """The answer in one line, and its figure."""
     analysis = about.result
     picture = inline(analysis.figure, f"{analysis.title}: {analysis.headline}.", "answer")
     return Section("answer", "The answer", figure(picture, f"{analysis.headline}."))
 
 
 def numbers(about: AnalysisSubject) -> Section:
-    """What the summary says, as tables."""
+    """The summary as tables."""
     return Section("numbers", "In numbers", list(tables(about.result.title, about.summary)))
 
 
 def tables(caption: str, content: Mapping[str, Any]) -> Iterator[h.Element]:
-    """Tables of nested plain data: what is single in one, and each group of like rows in one of its own."""
+    """Tables of nested plain data: one for single values, and one for each group of similar rows."""
     single = [(name.replace("_", " "), text) for name, value in content.items() if (text := cell(value)) is not None]
     if single:
         yield table(caption, ("number", "value"), single, words=2)
@@ -42,7 +42,7 @@ def tables(caption: str, content: Mapping[str, Any]) -> Iterator[h.Element]:
 
 
 def summary_rows(value: Any) -> dict[str, Mapping[str, Any]]:
-    """The rows of a group: a mapping of mappings, or a list of them; empty where it is neither."""
+    """The rows of a group: a mapping of mappings, or a list of them; empty if it is neither."""
     if isinstance(value, list):
         value = {str(place): row for place, row in enumerate(value, start=1)}
     like = isinstance(value, Mapping) and value and all(isinstance(row, Mapping) for row in value.values())
@@ -50,13 +50,13 @@ def summary_rows(value: Any) -> dict[str, Mapping[str, Any]]:
 
 
 def columns_of(rows: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """The columns that a cell can hold in some row."""
+    """The columns with a value that fits a cell in at least one row."""
     names = dict.fromkeys(name for row in rows.values() for name in row)
     return [name for name in names if any(cell(row.get(name)) is not None for row in rows.values())]
 
 
 def cell(value: Any) -> str | None:
-    """What a cell shows; None where it is no single value, or there is none."""
+    """The text of a cell; None if the value is missing or not a single one."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, int):
@@ -70,7 +70,7 @@ def cell(value: Any) -> str | None:
 
 
 def dataset(about: AnalysisSubject) -> Section:
-    """What the dataset holds, for those who go on with it."""
+    """The dataset's content, for further use."""
     rows = [
         (h.code[str(name)], one.attrs.get("long_name", ""), one.attrs.get("units", ""), ", ".join(map(str, one.dims)))
         for name, one in about.result.dataset.variables.items()
@@ -81,7 +81,7 @@ def dataset(about: AnalysisSubject) -> Section:
 
 
 def analysis_provenance(about: AnalysisSubject) -> Section:
-    """Where the numbers come from, and how to have them again."""
+    """The provenance of the numbers, and how to reproduce them."""
     analysis = about.result
     study, config = analysis.study, analysis.study.config
     pairs: list[tuple[str, h.Node]] = [

@@ -25,12 +25,12 @@ NAMES = {
 
 @dataclass
 class Drawing:
-    """Blocks and lines as they are put down, and how far they reach."""
+    """Blocks and lines drawn so far, and their extent."""
 
     parts: list[h.Element] = field(default_factory=list)
 
     def block(self, x: int, y: int, title: str, lines: Sequence[str]) -> None:
-        """A block with its title and up to two lines below."""
+        """Add a block with its title and up to two lines below."""
         texts = [title, *(shortened(line) for line in lines if line)]
         first = y + HEIGHT // 2 - 8 * (len(texts) - 1) + 5
         self.parts.append(
@@ -45,7 +45,7 @@ class Drawing:
         )
 
     def arrow(self, *points: tuple[int, int], label: str = "") -> None:
-        """A line through points with its head at the last; the label stands over its first stretch."""
+        """Add a line through points with an arrowhead at the last; the label is above its first stretch."""
         (x, y), (x2, y2) = points[0], points[1]
         path = "M" + "L".join(f"{a} {b}" for a, b in points)
         self.parts.append(h.path(".wire", d=path, marker_end="url(#arrow)"))
@@ -54,7 +54,7 @@ class Drawing:
             self.parts.append(h.text(".signal", x=label_at[0], y=label_at[1])[label])
 
     def junction(self, x: int, y: int) -> None:
-        """A circle in which signals are added."""
+        """Add a circle in which signals are summed."""
         self.parts.append(h.circle(".sum", cx=x, cy=y, r=RADIUS))
         self.parts.append(h.text(".plus", x=x, y=y + 5)["+"])
 
@@ -65,7 +65,7 @@ def part_kind(study: Study, slot: str) -> str:
 
 
 def present(study: Study, slot: str) -> bool:
-    """Whether a slot holds more than nothing, in any channel."""
+    """Whether a slot has a part other than ``none``, in any channel."""
     table = getattr(study.config, slot)
     own = [table[name] for name in study.loop.channels if name and name in table]
     return any(part.get("kind", table["kind"]) not in ABSENT for part in (table, *own))
@@ -77,7 +77,7 @@ def has_nominal(study: Study) -> bool:
 
 
 def notes(study: Study, slot: str) -> list[str]:
-    """Under a block's title: its kind, and which of its numbers are uncertain or swept."""
+    """The text below a block's title: its kind, and which of its numbers are uncertain or swept."""
     functions = getattr(study.config, slot).get("functions")
     inner = f": {functions['kind']}" if isinstance(functions, dict) and "kind" in functions else ""
     marks = (("~", study.laws), ("⇄", study.axes))
@@ -92,7 +92,7 @@ def within(names: Iterable[str], slot: str) -> list[str]:
 
 
 def shortened(text: str) -> str:
-    """What fits into a block."""
+    """Text shortened to fit into a block."""
     return text if len(text) <= FITS else f"{text[: FITS - 1]}…"
 
 
@@ -105,7 +105,7 @@ def words(study: Study) -> str:
 
 
 def diagram(study: Study) -> h.Element:
-    """The loop as an SVG element: the forward path from reference to output, what enters it, and the feedback."""
+    """The loop as an SVG element: the forward path from reference to output, its inputs, and the feedback."""
     drawing = Drawing()
     middle, several = FORWARD + HEIGHT // 2, len(study.loop.channels) > 1
     drawing.block(MARGIN, FORWARD, NAMES["reference"], notes(study, "reference"))
@@ -151,7 +151,7 @@ def diagram(study: Study) -> h.Element:
 def add(
     drawing: Drawing, x: int, middle: int, title: str, lines: Sequence[str], above: int, before: str, label: str
 ) -> int:
-    """A block in the upper row whose signal is added to the forward path; returns where that goes on."""
+    """Add a block in the upper row whose signal is added to the forward path; return where the path continues."""
     node = max(x + GAP, above + WIDTH + GAP)
     drawing.block(above, ABOVE, title, lines)
     drawing.arrow((x, middle), (node - RADIUS, middle), label=before)
@@ -162,7 +162,7 @@ def add(
 
 
 def feed_back(drawing: Drawing, study: Study, start: int, middle: int, into: int) -> int:
-    """The way back: from the output through sensor and differentiator, where there are any, into the controller.
+    """Draw the feedback from the output, through sensor and differentiator if there are any, into the controller.
 
     Returns:
         The lowest point.

@@ -1,4 +1,4 @@
-"""What the page is built of: sections, tables, figures and numbers. Text is escaped by htpy wherever it comes from."""
+"""Elements of the page: sections, tables, figures and numbers. All text is escaped by htpy."""
 
 import math
 from collections.abc import Sequence
@@ -13,11 +13,11 @@ LEVEL = f"{100 * CONFIDENCE:g} %"
 
 
 class Section(NamedTuple):
-    """A part of the page under a heading of its own.
+    """A part of the page with a heading.
 
     Args:
         key: Its anchor.
-        heading: What the contents list says.
+        heading: The heading, also used in the contents list.
         body: Anything that htpy can render.
     """
 
@@ -27,24 +27,24 @@ class Section(NamedTuple):
 
 
 def number(value: float | None) -> str:
-    """Four significant digits; a value that a draw does not have is infinite."""
+    """Format with four significant digits; a value missing from a draw is infinite."""
     if value is None or math.isinf(value):
         return "∞" if value is None or value > 0 else f"{MINUS}∞"
     return "none" if math.isnan(value) else f"{value:.4g}".replace("-", MINUS)
 
 
 def with_unit(value: float, unit: str) -> str:
-    """A number and its unit; a dimensionless one has none."""
+    """A number with its unit, if it has one."""
     return number(value) if unit in ("", "1") else f"{number(value)} {unit}"
 
 
 def probability_text(share: float, bounds: Sequence[float]) -> str:
-    """A probability as a cell shows it: where no draw failed its upper bound, never 0."""
+    """A probability as text for a cell: its upper bound if no draw failed, never 0."""
     return number(share) if share else f"≤ {bounds[1]:.3g}"
 
 
 def interval(bounds: Sequence[float]) -> str:
-    """The interval of a probability."""
+    """The interval of a probability as text."""
     low, high = bounds
     return f"{low:.3g} to {high:.3g}"
 
@@ -58,10 +58,10 @@ def table(caption: str, head: Sequence[h.Node], rows: Sequence[Sequence[h.Node]]
     """A table with its caption and headers; the first cell of a row is the row's header.
 
     Args:
-        caption: What it shows.
+        caption: The caption.
         head: The columns' headers.
         rows: The cells.
-        words: How many leading columns hold words; the others hold numbers and are set to the right.
+        words: Number of leading columns with words; the others contain numbers and are aligned to the right.
     """
     look = ["words" if i < words else None for i in range(len(head))]
     grid = h.table[
@@ -73,7 +73,7 @@ def table(caption: str, head: Sequence[h.Node], rows: Sequence[Sequence[h.Node]]
 
 
 def row_of(row: Sequence[h.Node], look: Sequence[str | None]) -> h.Element:
-    """One row, under its own header."""
+    """One row, with its header."""
     first, *rest = row
     return h.tr[
         h.th(scope="row", class_=look[0])[first],
@@ -87,15 +87,15 @@ def figure(picture: h.Node, caption: h.Node) -> h.Element:
 
 
 def scrolled(name: str, wide: h.Node) -> h.Element:
-    """What may be wider than a screen: it scrolls by itself, by keyboard too."""
+    """Wrap content that may be wider than a screen: it scrolls separately, also by keyboard."""
     return h.div(".scroll", role="region", tabindex="0", aria_label=name)[wide]
 
 
 def facts(pairs: Sequence[tuple[str, h.Node]], class_: str = "facts") -> h.Element:
-    """Names with their values."""
+    """A list of names with their values."""
     return h.dl(class_=class_)[(h.div[h.dt[name], h.dd[value]] for name, value in pairs)]
 
 
 def folded(summary: str, body: h.Node, on_paper: bool = False) -> h.Element:
-    """What one opens to see; on paper it is open or absent."""
+    """Content that can be expanded; on paper it is open or omitted."""
     return h.details(class_="printed" if on_paper else None)[h.summary[summary], body]

@@ -1,4 +1,4 @@
-"""A page over many results and analyses: what a folder holds, each with its report."""
+"""An index page of the results and analyses in a folder, each with its report."""
 
 import os
 from collections.abc import Callable, Iterator
@@ -18,11 +18,11 @@ from dssc_jax.results.analysis import Analysis
 
 INDEX = "index.html"
 MARKS = {store.MANIFEST, *(f"{kind}.json" for kind in KINDS)}
-"""Files that tell what a folder holds."""
+"""Files that identify a folder's content."""
 
 
 class IndexRow(NamedTuple):
-    """One folder of a result or an analysis; ``trouble`` tells why its numbers cannot be shown."""
+    """The folder of a result or an analysis; ``trouble`` gives the reason if its numbers cannot be shown."""
 
     folder: Path
     kind: str = ""
@@ -37,7 +37,7 @@ class IndexRow(NamedTuple):
 
 
 def folders(root: Path) -> Iterator[Path]:
-    """Every folder of a result or an analysis below ``root``, and the folders right in it that lead to none."""
+    """Every folder of a result or an analysis below ``root``, and the folders directly in it that contain none."""
     for child in sorted(path for path in root.iterdir() if path.is_dir()):
         places = []
         for place, inner, files in os.walk(child):
@@ -49,7 +49,7 @@ def folders(root: Path) -> Iterator[Path]:
 
 
 def index_row(folder: Path, made: Callable[[Path], None]) -> IndexRow:
-    """What the index says of a folder, once its report is there; one that is missing, or older, is made."""
+    """The index row of a folder; its report is written first if it is missing or out of date."""
     row = IndexRow(folder)
     try:
         kind, about = kind_in(folder), description(folder)
@@ -70,7 +70,7 @@ def index_row(folder: Path, made: Callable[[Path], None]) -> IndexRow:
 
 
 def point_numbers(points: list[dict[str, Any]]) -> dict[str, Any]:
-    """Size, probability and interval; of a sweep, of its best and its worst point."""
+    """Size, probability and interval; for a sweep, those of its best and its worst point."""
     best, most = (pick(points, key=lambda point: point["probability"]) for pick in (min, max))
     shown = [best] if len(points) == 1 else [best, most]
     size = counted(best["draws"], "draw") + (f" at {len(points):,} points" if len(points) > 1 else "")
@@ -83,17 +83,17 @@ def point_numbers(points: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def write_index(root: str | Path, made: Callable[[Path], None] = lambda page: None) -> tuple[Path, list[IndexRow]]:
-    """Write ``index.html`` over the results below ``root``; reports that are missing or out of date are made first.
+    """Write ``index.html`` for the results below ``root``; reports that are missing or out of date are written first.
 
     Args:
-        root: A folder of folders of results and analyses.
-        made: Told of each report that was made.
+        root: A folder that contains folders of results and analyses.
+        made: Called with each report that was written.
 
     Returns:
-        The file, and what it says of each folder.
+        The file, and the row of each folder.
 
     Raises:
-        ConfigError: ``root`` is no folder.
+        ConfigError: ``root`` is not a folder.
     """
     top = Path(root)
     if not top.is_dir():
@@ -105,7 +105,7 @@ def write_index(root: str | Path, made: Callable[[Path], None] = lambda page: No
 
 
 def index_html(root: Path, rows: list[IndexRow]) -> str:
-    """The index as a page: by study, then date, then probability, the newest first."""
+    """The index as a page, sorted by study, then date (newest first), then probability."""
     good = sorted((row for row in rows if not row.trouble), key=lambda row: row.worst)
     good = sorted(sorted(good, key=lambda row: row.started, reverse=True), key=lambda row: row.study)
     bad = [row for row in rows if row.trouble]

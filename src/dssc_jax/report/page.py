@@ -1,4 +1,4 @@
-"""The page: its sections in order, and the file that holds it."""
+"""The page: its sections in order, and the file it is written to."""
 
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
@@ -30,7 +30,7 @@ SECTIONS: tuple[Callable[[Subject], Section | None], ...] = (
     result_sections.chattering_section,
     study_sections.provenance,
 )
-"""A section is a function of the subject; None where it has nothing to say."""
+"""The sections as functions of the subject, which return None if they have no content."""
 
 
 ANALYSIS_SECTIONS: tuple[Callable[[AnalysisSubject], Section | None], ...] = (
@@ -41,15 +41,15 @@ ANALYSIS_SECTIONS: tuple[Callable[[AnalysisSubject], Section | None], ...] = (
     analysis_sections.dataset,
     analysis_sections.analysis_provenance,
 )
-"""Those of an analysis."""
+"""The sections of an analysis."""
 
 
 def html(result: Result | Analysis, worst: int = WORST) -> str:
     """The report of a result, or of an analysis.
 
     Args:
-        result: A loaded or fresh one.
-        worst: How many of a result's worst draws are simulated again and shown; 0 needs no simulator.
+        result: A loaded or new one.
+        worst: Number of a result's worst draws that are simulated again and shown; 0 needs no simulator.
     """
     if isinstance(result, Analysis):
         return html_of_analysis(result)
@@ -68,7 +68,7 @@ def html_of_analysis(analysis: Analysis) -> str:
 
 
 def report(study: Study, kind: str, verdict: h.Node, sections: Sequence[Section | None]) -> str:
-    """A report of any kind; sections that have nothing to say are left out."""
+    """A report of any kind; empty sections are omitted."""
     made = [section for section in sections if section is not None]
     head = [
         h.p(".kind")[kind],
@@ -83,7 +83,7 @@ def report(study: Study, kind: str, verdict: h.Node, sections: Sequence[Section 
 
 
 def page(title: str, head: h.Node, body: h.Node, contents: list[tuple[str, str]]) -> str:
-    """A page on its own: style inside, nothing from outside."""
+    """A self-contained page: the style is included, and nothing is loaded from elsewhere."""
     links = h.ul[(h.li[h.a(href=f"#{key}")[text]] for key, text in contents)]
     made = f"Made by dssc_jax {version('dssc_jax')} on {datetime.now(UTC):%Y-%m-%d %H:%M} UTC."
     return str(
@@ -111,9 +111,9 @@ def write(result: Result | Analysis, path: str | Path, worst: int = WORST) -> Pa
     """Write the report of a result, or of an analysis.
 
     Args:
-        result: A loaded or fresh one.
+        result: A loaded or new one.
         path: The file.
-        worst: As for :func:`html`.
+        worst: See :func:`html`.
     """
     target = Path(path)
     write_page(html(result, worst), target)
@@ -121,5 +121,5 @@ def write(result: Result | Analysis, path: str | Path, worst: int = WORST) -> Pa
 
 
 def write_page(text: str, path: Path) -> None:
-    """Write a page; characters that are none (lone surrogates of damaged names) are replaced."""
+    """Write a page; invalid characters (lone surrogates of damaged names) are replaced."""
     path.write_text(text, encoding="utf-8", errors="replace")

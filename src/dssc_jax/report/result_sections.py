@@ -40,7 +40,7 @@ CHATTER = ("command_tv", "sampling_ratio", "sampling_ratio_above_1", "outside_sl
 
 
 def outcome(about: Subject) -> Section:
-    """How the draws ended, with intervals; of a sweep, its points, and how the draws ended at one of them."""
+    """How the draws ended, with intervals; for a sweep, its points, and how the draws ended at one of them."""
     if about.result.study.axes:
         return Section("outcome", "The outcome", [*points_section(about), *ways(about)])
     certificate = h.p[h.strong[about.result.certificate], "."]
@@ -48,7 +48,7 @@ def outcome(about: Subject) -> Section:
 
 
 def ways(about: Subject) -> list[h.Node]:
-    """Every way in which draws ended, each requirement by itself, and which requirements are violated together."""
+    """All outcomes of the draws, each requirement separately, and which requirements are violated together."""
     close, point = about.close, about.said
     ended, method, draws = close.dataset["outcome"].values, close.method, point["draws"]
     rows: list[tuple[h.Node, ...]] = []
@@ -69,7 +69,7 @@ def ways(about: Subject) -> list[h.Node]:
 
 
 def together(point: dict[str, Any]) -> list[h.Node]:
-    """Pairs of requirements that the same draws violate, where there are at least two."""
+    """Pairs of requirements that the same draws violate, if there are at least two requirements."""
     if len(point["requirements"]) < 2:
         return []
     if not point["overlaps"]:
@@ -81,13 +81,13 @@ def together(point: dict[str, Any]) -> list[h.Node]:
 
 
 def fails(point: dict[str, Any]) -> tuple[str, str, str]:
-    """Failures of a point, or of one requirement there, their probability and its interval."""
+    """Failures at a point, or of one requirement there, with their probability and its interval."""
     bounds = point["interval"]
     return f"{point['failures']:,}", probability_text(point["probability"], bounds), interval(bounds)
 
 
 def points_section(about: Subject) -> list[h.Node]:
-    """Points of a sweep: the best, the worst, the one looked at closely; and all of them, folded."""
+    """Points of a sweep: the best, the worst, the one shown in detail; and a collapsed table of all."""
     study, points = about.result.study, about.summary["points"]
     names = [(name, study.quantities[name].unit) for name in study.axes]
     swept = [name if unit == "1" else f"{name} [{unit}]" for name, unit in names]
@@ -112,7 +112,7 @@ def points_section(about: Subject) -> list[h.Node]:
 
 
 def point_cells(about: Subject, point: dict[str, Any]) -> tuple[h.Node, ...]:
-    """A point of a sweep as a row: where, failures with interval and what fails most, the median, the certificate."""
+    """A row for a sweep point: its values, failures with interval, the main failure, the median, the certificate."""
     where = (number(point[name]) for name in about.result.study.axes)
     middle = point["metrics"][headline(about.result).name]["q50"]
     worst_draws_section = [most_violated(point)] if len(point["requirements"]) > 1 else []
@@ -169,7 +169,7 @@ def metrics(about: Subject) -> Section:
 
 
 def unit_of(result: Result, measure: Measure) -> str:
-    """A metric's unit as a cell shows it."""
+    """A metric's unit as text for a cell."""
     unit = result.dataset[measure.name].attrs["units"]
     return "" if unit == "1" else unit
 
@@ -220,20 +220,20 @@ def worst_draws_section(about: Subject) -> Section | None:
 
 
 def untitled(run: xr.Dataset) -> Figure:
-    """A trajectory without its title, which the page gives."""
+    """A trajectory without its title, which is in the page's text."""
     figure = plotting.trajectory(run)
     figure.suptitle("")
     return figure
 
 
 def run_caption(run: xr.Dataset) -> str:
-    """How a draw ended, in a sentence."""
+    """A sentence on how a draw ended."""
     at = "" if np.isnan(run.attrs["failed_at"]) else f" at {run.attrs['failed_at']:.4g} s"
     return f"Draw {run.attrs['draw']} over time: it {run.attrs['verdict']}{at}."
 
 
 def chattering_section(about: Subject) -> Section | None:
-    """How much the command moves, and whether the sampling allows what the gains ask for."""
+    """How much the command moves, and whether the sampling is fast enough for the gains."""
     study, close = about.result.study, about.close
     measures = [measure for measure in study.measures if measure.kind in CHATTER]
     if not measures:
@@ -264,7 +264,7 @@ def chattering_section(about: Subject) -> Section | None:
 
 
 def above_one(about: Subject) -> str:
-    """How many lanes have a sampling ratio above 1 at some time; of a vehicle, in any channel."""
+    """The number of lanes whose sampling ratio exceeds 1 at some time; for a vehicle, in any channel."""
     names = [measure.name for measure in about.result.study.measures if measure.kind == "sampling_ratio"]
     if not names:
         return ""
@@ -274,7 +274,7 @@ def above_one(about: Subject) -> str:
 
 
 def headline_verdict(about: Subject) -> tuple[str, str]:
-    """The result in a few characters, and in a sentence."""
+    """The result in a few characters, and in one sentence."""
     points = about.summary["points"]
     if not about.result.study.axes:
         (point,) = points

@@ -19,7 +19,7 @@ SKETCH = (132, 34)
 
 
 def question(about: Subject) -> Section:
-    """What is asked, in sentences."""
+    """The study's question, in sentences."""
     study = about.result.study
     clock = study.config.loop
     swept = [
@@ -83,7 +83,7 @@ def dependence(study: Study) -> str:
 
 
 def sketch(law: Law) -> h.Element:
-    """A small picture of a law's density, over a logarithmic axis where the law is one of the logarithm."""
+    """A small plot of a law's density, with a logarithmic axis if the law is logarithmic."""
     values = law.quantile((np.arange(BINS * EACH) + 0.5) / (BINS * EACH))
     low, high = float(values.min()), float(values.max())
     shown = np.log(values) if law.kind in LOGARITHMIC else values
@@ -100,7 +100,7 @@ def sketch(law: Law) -> h.Element:
 
 
 def provenance(about: Subject) -> Section:
-    """Where the numbers come from, and how to have them again."""
+    """The provenance of the numbers, and how to reproduce them."""
     result, manifest = about.result, about.result.manifest
     study, device = result.study, part(manifest, "device")
     versions = "  ".join(f"{name} {version}" for name, version in part(manifest, "versions").items())
@@ -121,13 +121,13 @@ def provenance(about: Subject) -> Section:
 
 
 def listing(study: Study, again: h.Node) -> h.Element:
-    """The study file, and what to do with it."""
+    """The study file, and how to use it."""
     text = tomli_w.dumps(without_none(study.table))
     return folded("The study file", [h.p[again], h.pre(tabindex="0")[h.code[text]]], on_paper=True)
 
 
 def part(manifest: dict[str, Any], name: str) -> dict[str, Any]:
-    """A table of the manifest; empty where it is damaged, which only what it would tell suffers from."""
+    """A table of the manifest; empty if it is damaged, which affects only the entries shown from it."""
     table = manifest.get(name)
     return table if isinstance(table, dict) else {}
 
@@ -142,7 +142,7 @@ def spent(times: dict[str, Any]) -> str:
 
 
 def moment(text: str) -> str:
-    """A time stamp as people read it."""
+    """A time stamp in readable form."""
     try:
         return f"{datetime.fromisoformat(text):%Y-%m-%d %H:%M UTC}"
     except ValueError:
@@ -150,7 +150,7 @@ def moment(text: str) -> str:
 
 
 def without_none(content: Any) -> Any:
-    """TOML has no null; an absent name says the same."""
+    """Remove None values, since TOML has no null; an absent name means the same."""
     if isinstance(content, dict):
         return {name: without_none(value) for name, value in content.items() if value is not None}
     return [without_none(value) for value in content] if isinstance(content, list | tuple) else content

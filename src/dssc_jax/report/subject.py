@@ -1,4 +1,4 @@
-"""What a report is about: a result, the point of it that is looked at closely, and its worst draws."""
+"""The subject of a report: a result, its point shown in detail, and its worst draws."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,16 +16,16 @@ WORST = 3  # draws that are shown over time
 
 
 class Studied(Protocol):
-    """A result, or an analysis: it has a study."""
+    """A result or an analysis; both have a study."""
 
     @property
     def study(self) -> Study:
-        """What was studied."""
+        """The study."""
         ...
 
 
 class About(Protocol):
-    """What a report of any kind is about."""
+    """The subject of a report of any kind."""
 
     @property
     def result(self) -> Studied:
@@ -35,7 +35,7 @@ class About(Protocol):
 
 @dataclass(frozen=True)
 class AnalysisSubject:
-    """An analysis with what several sections need of it.
+    """An analysis with the data that several sections need.
 
     Args:
         result: The analysis.
@@ -51,11 +51,11 @@ class AnalysisSubject:
 
 @dataclass(frozen=True)
 class Subject:
-    """A result with what several sections need of it.
+    """A result with the data that several sections need.
 
     Args:
         result: The result.
-        worst: How many of its worst draws are simulated again.
+        worst: Number of its worst draws that are simulated again.
     """
 
     result: Result
@@ -68,7 +68,7 @@ class Subject:
 
     @cached_property
     def index(self) -> dict[str, int]:
-        """The point that is looked at closely: of a sweep the one where nearest to half of the draws fail."""
+        """The point shown in detail: for a sweep, the one with the failure probability nearest to one half."""
         axes = list(self.result.study.axes)
         share = self.result.failed.mean("draw").transpose(*axes).values
         nearest = np.unravel_index(np.argmin(np.abs(share - 0.5)), share.shape)
@@ -76,7 +76,7 @@ class Subject:
 
     @property
     def point(self) -> dict[str, float]:
-        """The swept parameters' values there."""
+        """The swept parameters' values at that point."""
         return {name: self.result.study.axes[name][i] for name, i in self.index.items()}
 
     @cached_property
@@ -86,13 +86,13 @@ class Subject:
 
     @cached_property
     def said(self) -> dict[str, Any]:
-        """What the summary says of that point."""
+        """The summary of that point."""
         shape = tuple(len(values) for values in self.result.study.axes.values())
         return self.summary["points"][np.ravel_multi_index(tuple(self.index.values()), shape) if shape else 0]
 
     @property
     def where(self) -> str:
-        """That point as the end of a phrase; empty for a run."""
+        """That point's values as the end of a phrase; empty for a run."""
         at = " and ".join(f"{name} = {value:.4g}" for name, value in self.point.items())
         return f" at {at}, the point where nearest to half of the draws fail" if at else ""
 
@@ -100,7 +100,7 @@ class Subject:
     def trajectories(self) -> list[xr.Dataset]:
         """The worst draws simulated again; ``agreement`` and ``deviation`` compare them with the stored ones.
 
-        None of a study whose code is not loaded.
+        Empty for a study whose code is not loaded.
         """
         if not self.worst or isinstance(self.result.study, Described):
             return []
@@ -116,9 +116,9 @@ class Subject:
 
 
 def worst_draws(close: Result, count: int) -> list[int]:
-    """Draws of one point by the smallest slack relative to its bound; among those that ended early, the earliest.
+    """Draws of one point, sorted by the smallest slack relative to its bound; early ends are sorted by their time.
 
-    Without requirements, by the largest value of the headline metric.
+    Without requirements, they are sorted by the largest value of the headline metric.
     """
     required = close.study.requirements
     if required:

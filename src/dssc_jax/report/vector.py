@@ -1,4 +1,4 @@
-"""Figures as SVG inside the page, in the page's own colours, so that light, dark and paper share them."""
+"""Figures as SVG inside the page, in the page's own colours, so that they suit light mode, dark mode and paper."""
 
 import io
 import re
@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from dssc_jax.plotting import BLUE, GREEN, GREY, ORANGE, RED, STYLE
 
-INK = "#010203"  # stands for the text's colour until the page gives it
+INK = "#010203"  # placeholder for the text's colour until the page sets it
 SVG_COLOURS = {
     INK: "currentColor",
     BLUE: "var(--blue)",
@@ -29,8 +29,8 @@ def inline(draw: Callable[[], Figure], text: str, prefix: str) -> Markup:
 
     Args:
         draw: Makes the figure.
-        text: What it shows, for those who do not see it.
-        prefix: Of its identifiers, unique on the page.
+        text: Alternative text that describes the figure.
+        prefix: Prefix of its identifiers, unique on the page.
     """
     look = {**STYLE, **dict.fromkeys(INKED, INK), **dict.fromkeys(CLEAR, "none")}
     buffer = io.StringIO()

@@ -1,4 +1,4 @@
-"""The one shape of all analyses: a study, a dataset, a summary, a figure, and a folder that holds them."""
+"""Base class of all analyses: a study, a dataset, a summary and a figure, saved in a folder."""
 
 import json
 from abc import ABC, abstractmethod
@@ -17,20 +17,20 @@ from dssc_jax.study import Study
 
 @dataclass(eq=False)
 class Analysis(ABC):
-    """What an analysis of a study found.
+    """The result of an analysis of a study.
 
     Args:
-        study: What was analysed.
-        dataset: Its numbers; variables and coordinates tell their units and meanings.
-        path: Its folder, once there is one.
+        study: The study that was analysed.
+        dataset: Its numbers; variables and coordinates have units and meanings as attributes.
+        path: Its folder, if it has been saved.
     """
 
     kind: ClassVar[str]
-    """Name of the analysis: of its command, and of the file that tells what a folder holds."""
+    """Name of the analysis, its command, and the file that identifies a folder's content."""
     title: ClassVar[str]
-    """What it is called in a report."""
+    """Title of the analysis in a report."""
     table: ClassVar[tuple[str, ...]]
-    """The dataset's dimensions over which it is one table, a row each."""
+    """The dataset's dimensions over which it is one table, with one row for each element."""
 
     study: Study
     dataset: xr.Dataset = field(repr=False)
@@ -39,55 +39,55 @@ class Analysis(ABC):
     @property
     @abstractmethod
     def headline(self) -> str:
-        """The answer in a line."""
+        """The answer in one line."""
 
     @abstractmethod
     def figure(self) -> Figure:
-        """The answer as a figure."""
+        """Plot the answer."""
 
     @abstractmethod
     def content(self) -> dict[str, Any]:
-        """What :meth:`summary` tells, with arrays, infinities and NaN still in it."""
+        """The content of :meth:`summary`, still with arrays, infinities and NaN."""
 
     @abstractmethod
     def settings(self) -> dict[str, Any]:
-        """What the dataset does not tell and :meth:`restored` needs, for JSON."""
+        """What :meth:`restored` needs besides the dataset, for JSON."""
 
     @classmethod
     @abstractmethod
     def restored(cls, stored: Stored) -> Self:
-        """The analysis that was saved.
+        """Restore a saved analysis.
 
         Raises:
-            KeyError, TypeError, ValueError: something is missing, or is not what it should be.
+            KeyError, TypeError, ValueError: something is missing or has the wrong type or value.
         """
 
     def summary(self) -> dict[str, Any]:
-        """The analysis in plain numbers, for JSON; what is infinite or not a number is None."""
+        """The analysis in plain numbers, for JSON; infinite values and NaN become None."""
         return jsonable({"study": self.study.name, **self.content()})
 
     def save(self, folder: str | Path) -> Path:
         """Write description, dataset and summary into a folder.
 
         Args:
-            folder: Made when absent; one that holds this analysis of the same study is written anew.
+            folder: Created if absent; overwritten if it contains this analysis of the same study.
 
         Raises:
-            ConfigError: the folder holds something else.
+            ConfigError: the folder contains something else.
         """
         self.path = save(Path(folder), self.kind, self.study, self.dataset, self.summary(), self.settings())
         return self.path
 
     @classmethod
     def load(cls, folder: str | Path, trust_code: bool = False) -> Self:
-        """Read what :meth:`save`, or the command, wrote.
+        """Load an analysis written by :meth:`save` or by the command.
 
         Args:
             folder: The folder.
             trust_code: Import the models that its study names as ``module:object``.
 
         Raises:
-            ConfigError: it holds no such analysis, or it is damaged.
+            ConfigError: it contains no such analysis, or it is damaged.
         """
         stored = read_analysis(Path(folder), cls.kind, trust_code)
         try:
@@ -101,7 +101,7 @@ class Analysis(ABC):
         return analysis
 
     def __eq__(self, other: object) -> bool:
-        """Whether both say the same of the same study."""
+        """Whether both are equal analyses of the same study."""
         if not isinstance(other, type(self)):
             return NotImplemented
         own, others = (json.dumps(each.summary(), sort_keys=True) for each in (self, other))

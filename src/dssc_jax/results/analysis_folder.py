@@ -1,4 +1,4 @@
-"""The folder of an analysis that is no run of a study's grid: a sealed description, a dataset, a summary."""
+"""The folder of an analysis: a description protected by digests, a dataset and a summary."""
 
 import hashlib
 import json
@@ -16,21 +16,21 @@ from dssc_jax.study import Study, hash_of, received
 from dssc_jax.study.tables import require_shallow
 
 FIRST_NAMES = {"settings": "how"}
-"""What the first version called parts of the description."""
+"""Present names of the description's parts, and their names in files of the first version."""
 
 NEEDED = {"study": dict, "hash": str, "source": str, "settings": dict, "sums": dict}
-"""What the description says beside the dataset, and of which type."""
+"""The description's entries besides the dataset, and their types."""
 
 FLAGS = ("flag_values", "flag_meanings")
 
 
 class Stored(NamedTuple):
-    """An analysis as it was read.
+    """An analysis as read from its folder.
 
     Args:
-        study: What was analysed.
+        study: The study that was analysed.
         dataset: Its numbers.
-        settings: What else :func:`save` was given.
+        settings: The settings given to :func:`save`.
     """
 
     study: Study
@@ -39,10 +39,10 @@ class Stored(NamedTuple):
 
 
 def require_free(folder: Path, kind: str, study: Study) -> None:
-    """Require that a folder is absent, empty, or holds an analysis of this kind and study.
+    """Require that a folder is absent, empty, or contains an analysis of this kind and study.
 
     Raises:
-        ConfigError: it holds something else.
+        ConfigError: it contains something else.
     """
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return
@@ -61,18 +61,18 @@ def require_free(folder: Path, kind: str, study: Study) -> None:
 def save(
     folder: Path, kind: str, study: Study, dataset: xr.Dataset, summary: dict[str, Any], settings: dict[str, Any]
 ) -> Path:
-    """Write the folder of an analysis; one of the same kind and study is written anew.
+    """Write the folder of an analysis; one of the same kind and study is overwritten.
 
     Args:
-        folder: Made when absent.
-        kind: Which analysis, e.g. ``margin``.
-        study: What was analysed.
+        folder: Created if absent.
+        kind: Kind of analysis, e.g. ``margin``.
+        study: The study that was analysed.
         dataset: Its numbers.
-        summary: What they say together.
-        settings: What else its reader needs.
+        summary: Summary of the numbers.
+        settings: Other data needed for reading.
 
     Raises:
-        ConfigError: the folder holds something else.
+        ConfigError: the folder contains something else.
     """
     require_free(folder, kind, study)
     folder.mkdir(parents=True, exist_ok=True)
@@ -86,7 +86,7 @@ def save(
 
 
 def with_codes(dataset: xr.Dataset) -> tuple[xr.Dataset, dict[str, list[str]]]:
-    """A dataset whose coordinates of text are numbers, since Zarr has no stable text; and that text."""
+    """Replace text coordinates of a dataset by numbers, since Zarr has no stable text type; also return the text."""
     labels = {str(name): one.values.tolist() for name, one in dataset.coords.items() if one.dtype.kind in "UO"}
     codes = {}
     for name, texts in labels.items():
@@ -96,7 +96,7 @@ def with_codes(dataset: xr.Dataset) -> tuple[xr.Dataset, dict[str, list[str]]]:
 
 
 def with_labels(dataset: xr.Dataset, labels: Mapping[str, list[str]]) -> xr.Dataset:
-    """The dataset that :func:`with_codes` was given."""
+    """Reverse :func:`with_codes`."""
     texts = {}
     for name, values in labels.items():
         attributes = {key: value for key, value in dataset[name].attrs.items() if key not in FLAGS}
@@ -105,7 +105,7 @@ def with_labels(dataset: xr.Dataset, labels: Mapping[str, list[str]]) -> xr.Data
 
 
 def sums_of(dataset: xr.Dataset) -> dict[str, str]:
-    """A digest of each variable and coordinate, dimensions and attributes included; ``""`` is the dataset's own."""
+    """A digest of each variable and coordinate, including dimensions and attributes; ``""`` is the dataset's own."""
 
     def about(attributes: Mapping[Any, Any]) -> str:
         return json.dumps(attributes, sort_keys=True, default=np.ndarray.tolist)
@@ -115,7 +115,7 @@ def sums_of(dataset: xr.Dataset) -> dict[str, str]:
 
 
 def plain_sums_of(dataset: xr.Dataset) -> dict[str, str]:
-    """The sums of a file without a digest of its own, from before attributes were summed."""
+    """The digests of a file without a digest for the whole dataset, from before attributes were included."""
     sums = {}
     for name, one in dataset.variables.items():
         head = f"{one.dims} {one.shape} {one.dtype.str}".encode()
@@ -124,10 +124,10 @@ def plain_sums_of(dataset: xr.Dataset) -> dict[str, str]:
 
 
 def read_about(folder: Path, kind: str) -> dict[str, Any]:
-    """The description of an analysis, checked.
+    """Read and check the description of an analysis.
 
     Raises:
-        ConfigError: it is not there, it is damaged, or somebody has altered it.
+        ConfigError: it is missing, damaged, or has been altered.
     """
     path = folder / f"{kind}.json"
     try:
@@ -154,15 +154,15 @@ def read_about(folder: Path, kind: str) -> dict[str, Any]:
 
 
 def read_analysis(folder: Path, kind: str, trust_code: bool = False) -> Stored:
-    """Read what :func:`save` wrote.
+    """Read an analysis written by :func:`save`.
 
     Args:
         folder: The folder.
-        kind: Which analysis.
+        kind: Kind of analysis.
         trust_code: Import the models that its study names as ``module:object``.
 
     Raises:
-        ConfigError: it is not there, it is damaged, or somebody has altered it.
+        ConfigError: it is missing, damaged, or has been altered.
     """
     about = read_about(folder, kind)
     summed = sums_of if "schema" in about else plain_sums_of

@@ -1,4 +1,4 @@
-"""The result of a study: every draw's metrics and outcome, and what they say together."""
+"""The result of a study: every draw's metrics and outcome, and their summary."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -21,21 +21,21 @@ from dssc_jax.study import Study
 
 ERRORS = ("error_rms", "position_error_rms")  # of a plant of one channel, and of a vehicle
 GIVEN = "with a rho that keeps sliding"
-"""What a certificate presumes beside the loop that it names."""
+"""What a certificate assumes besides the loop that it names."""
 
 DESIGN_NAMES = {"sobol": "scrambled Sobol", "lhs": "Latin hypercube"}
 
 
 @dataclass
 class Result:
-    """A finished study.
+    """The result of a finished study.
 
     Args:
         study: The study as run.
-        dataset: One variable a metric, slack and drawn number, ``outcome`` and ``failed_at``; dimensions are the
-            swept parameters and ``draw``.
+        dataset: One variable for each metric, slack and drawn number, and ``outcome`` and ``failed_at``; dimensions are
+            the swept parameters and ``draw``.
         manifest: Study, versions, device, counts and times.
-        path: The results folder, once there is one.
+        path: The results folder, if it has been saved.
     """
 
     study: Study
@@ -45,10 +45,10 @@ class Result:
 
     @classmethod
     def of(cls, study: Study, dataset: xr.Dataset, manifest: dict[str, Any], path: Path | None = None) -> "Result":
-        """A result with what Theorem 1 says of the study beside it.
+        """Create a result, including the certificate of Theorem 1 for the study.
 
-        Where the theorem speaks, the dataset's coordinate ``certified`` tells for each point of the sweep whether it
-        holds for the loop without unmodelled dynamics, sensors and sampling, and with a rho that keeps sliding.
+        If the theorem applies, the dataset's coordinate ``certified`` is true at each point of the sweep where it holds
+        for the loop without unmodelled dynamics, sensors and sampling, and with a rho that keeps sliding.
         """
         certified = certification.mark(study).certified
         if certified is not None:
@@ -58,7 +58,7 @@ class Result:
 
     @property
     def certificate(self) -> str:
-        """What Theorem 1 says of the loop, in a line."""
+        """The result of Theorem 1 for the loop, in one line."""
         if "certified" not in self.dataset:
             return f"not certified: {certification.mark(self.study).reason}"
         certified = self.dataset["certified"].values
@@ -72,12 +72,12 @@ class Result:
         return self.dataset["outcome"] != Outcome.OK
 
     def at(self, index: Mapping[str, int]) -> "Result":
-        """The result at given indices of swept parameters; the others stay axes of the dataset."""
+        """The result at given indices of swept parameters; the others remain dimensions of the dataset."""
         return Result(self.study, self.dataset.isel(index), self.manifest)
 
     @property
     def method(self) -> Method:
-        """How intervals follow from these draws: by their design, and by what ended them."""
+        """The method of the intervals, from the design of the draws and their stopping rule."""
         config, stopping = self.study.config, self.manifest.get("stopping")
         if stopping:
             return DataDriven(stopping["look"])
@@ -86,24 +86,24 @@ class Result:
         return Replicated(config.replicates, DESIGN_NAMES[config.sampling])
 
     def summary(self, confidence: float = CONFIDENCE) -> dict[str, Any]:
-        """Failures, probability and interval of every sweep point, of each requirement too; quantiles of the metrics.
+        """Failures, probability and interval of every sweep point and each requirement; quantiles of the metrics.
 
         ``failures`` of a point counts the draws that fail in any way, that of a requirement all draws that violate it.
-        A draw that ended early violates every requirement; ``ended_early`` tells how many did, while ``alone`` and
-        ``overlaps`` count the others. It has no metric and counts as infinite there. Intervals of quantiles are order
-        statistics, hence for independent draws only.
+        A draw that ended early violates every requirement. ``ended_early`` counts these draws, while ``alone`` and
+        ``overlaps`` count the others. A draw that ended early has no metric and counts as infinite there. Intervals of
+        quantiles are order statistics, so they hold for independent draws only.
 
         Args:
-            confidence: Of each interval by itself.
+            confidence: Confidence of each single interval.
         """
         return self._said(list(self.points(confidence)), confidence)
 
     def points(self, confidence: float = CONFIDENCE) -> Iterator[dict[str, Any]]:
-        """The points of :meth:`summary`, one after another: of a large sweep, few are in memory at once."""
+        """The points of :meth:`summary`, one by one, so that few points of a large sweep are in memory at once."""
         return points(self.study, self.dataset, self.method, confidence)
 
     def lines(self) -> Iterator[str]:
-        """:meth:`summary` as JSON, line by line, as it stands in ``summary.json``."""
+        """:meth:`summary` as JSON, line by line, as written to ``summary.json``."""
         return lines(self._said(self.points(), CONFIDENCE))
 
     def _said(self, points: Iterable[dict[str, Any]], confidence: float) -> dict[str, Any]:
@@ -127,10 +127,10 @@ class Result:
         """Write the results folder.
 
         Args:
-            folder: Made when absent; one that holds the same study is written anew.
+            folder: Created if absent; overwritten if it contains the same study.
 
         Raises:
-            ConfigError: the folder holds something else.
+            ConfigError: the folder contains something else.
         """
         path = Path(folder)
         layout = Layout.of(self.study)
@@ -146,28 +146,28 @@ class Result:
 
 
 def load_result(folder: str | Path, trust_code: bool = False) -> Result:
-    """Read a results folder.
+    """Load a results folder.
 
     Args:
-        folder: What ``run`` or ``sweep`` wrote, or :meth:`Result.save`.
-        trust_code: Import the models that its study names as ``module:object``; everything but simulating a draw
-            again does without.
+        folder: A folder written by ``run``, ``sweep`` or :meth:`Result.save`.
+        trust_code: Import the models that its study names as ``module:object``; only needed to simulate a draw
+            again.
 
     Raises:
-        ConfigError: it is no results folder, it is damaged, or its run did not finish.
+        ConfigError: it is not a results folder, it is damaged, or its run did not finish.
     """
     return Result.of(*store.read_run(Path(folder), trust_code), Path(folder))
 
 
 def headline(result: Result) -> Measure:
-    """The metric that a result's study is about."""
+    """The headline metric of a result's study."""
     return headline_measure(result.study)
 
 
 def headline_measure(study: Study) -> Measure:
-    """The metric that a study is about: the one it names, else that of its first requirement, else the error.
+    """The headline metric of a study: the one it names, else that of its first requirement, else the error.
 
-    A study that measures no error is about the first metric that it has.
+    For a study that measures no error it is the first metric.
     """
     wanted = study.config.plot.metric
     by_name = {measure.name: measure for measure in study.measures}
@@ -179,7 +179,7 @@ def headline_measure(study: Study) -> Measure:
 
 
 def measure_named(result: Result, metric: str | None) -> Measure:
-    """The measure of that name; None: the headline.
+    """The measure with this name; None: the headline metric.
 
     Raises:
         ConfigError: the result has no such metric.

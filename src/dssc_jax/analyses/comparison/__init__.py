@@ -1,4 +1,4 @@
-"""Controllers compared on common draws and common noise: with gains that correspond, and tuned on equal budgets."""
+"""Comparison of controllers on common draws and noise, with corresponding gains or gains tuned on equal budgets."""
 
 from dssc_jax.analyses.comparison.compare import Comparison, Contest, compare, with_controller
 from dssc_jax.analyses.comparison.margins import MarginContest, compare_margins

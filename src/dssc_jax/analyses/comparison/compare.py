@@ -1,4 +1,4 @@
-"""The comparison itself: every controller on the same draws and noise, and what one may say of each pair."""
+"""Compare controllers on the same draws and noise, singly and in pairs."""
 
 import itertools
 import time
@@ -28,11 +28,11 @@ from dssc_jax.study import Study
 
 @dataclass
 class Contest:
-    """Controllers on the same draws.
+    """The results of several controllers on the same draws.
 
     Args:
-        tables: ``[controller]`` of each.
-        dataset: Dimensions ``controller`` and ``draw``: ``failed``, ``outcome``, and every metric that all have.
+        tables: The ``[controller]`` table of each controller.
+        dataset: Dimensions ``controller`` and ``draw``: ``failed``, ``outcome``, and every metric common to all.
     """
 
     tables: dict[str, ControllerTable]
@@ -55,12 +55,12 @@ class Contest:
         return cls(tables, dataset)
 
     def settings(self) -> dict[str, Any]:
-        """What the dataset alone does not tell, for JSON."""
+        """What :meth:`stored` needs besides the dataset, for JSON."""
         return {"tables": self.tables, "variables": [str(name) for name in self.dataset]}
 
     @classmethod
     def stored(cls, settings: dict[str, Any], dataset: xr.Dataset) -> "Contest":
-        """A contest from :meth:`settings` and its controllers' part of the dataset."""
+        """Restore a contest from :meth:`settings` and the controllers' part of the dataset."""
         tables = settings["tables"]
         return cls(tables, dataset.assign_coords(controller=named_axis(list(tables)))[settings["variables"]])
 
@@ -69,7 +69,7 @@ class Contest:
         return [measure.name for measure in study.measures if measure.name in self.dataset]
 
     def pairs(self, study: Study, confidence: float = CONFIDENCE) -> list[dict[str, Any]]:
-        """Every pair a, b: failure probability of a minus that of b, and the median of each metric's difference."""
+        """For every pair a, b: failure probability of a minus that of b, and the median of each metric's difference."""
         pairs = []
         for a, b in itertools.combinations(self.tables, 2):
             left, right = (self.dataset.sel(controller=name) for name in (a, b))
@@ -82,7 +82,7 @@ class Contest:
         return pairs
 
     def content(self, study: Study, confidence: float = CONFIDENCE) -> dict[str, Any]:
-        """The controllers one by one, and in pairs."""
+        """Summarise each controller and each pair."""
         controllers = {}
         for name, table in self.tables.items():
             own = self.dataset.sel(controller=name)
@@ -98,21 +98,21 @@ class Contest:
 
 
 def named_axis(names: list[str]) -> xr.DataArray:
-    """The coordinate of controllers."""
+    """The coordinate of the controllers' names."""
     return xr.DataArray(np.array(names), dims="controller", name="controller", attrs={"long_name": "controller"})
 
 
 @dataclass(eq=False)
 class Comparison(Analysis):
-    """Controllers compared with the gains that correspond, and with gains tuned on equal budgets.
+    """A comparison of controllers with corresponding gains, and with gains tuned on equal budgets.
 
-    The dataset has every draw of every controller; those with tuned gains are called NAME_tuned.
+    The dataset has every draw of every controller. Controllers with tuned gains are called NAME_tuned.
 
     Args:
-        given: With the gains that stand in the study, or follow from it.
-        tuned: With the best gains found within the budget; None: nothing was tuned.
+        given: Results with the gains that the study gives, or that follow from it.
+        tuned: Results with the best gains found within the budget; None if nothing was tuned.
         budget: That budget.
-        seconds: What it took.
+        seconds: Computing time.
     """
 
     kind = "compare"
@@ -133,7 +133,7 @@ class Comparison(Analysis):
         budget: Tuning | None = None,
         seconds: float = 0.0,
     ) -> Self:
-        """A comparison of one or both contests."""
+        """Combine one or both contests."""
         if tuned is None:
             return cls(study, given.dataset, given, seconds=seconds)
         names = named_axis([f"{name}_tuned" for name in tuned.tables])
@@ -145,13 +145,13 @@ class Comparison(Analysis):
 
     @property
     def headline(self) -> str:
-        """The answer in a line."""
+        """The answer in one line."""
         failures = self.given.dataset["failed"].sum("draw")
         counts = (f"{name} {int(failures.sel(controller=name))}" for name in self.given.tables)
         return f"failures in {self.given.dataset.sizes['draw']:,} draws: {', '.join(counts)}"
 
     def figure(self) -> Figure:
-        """The answer as a figure."""
+        """Plot the answer."""
         return plotting.comparison(self)
 
     def content(self) -> dict[str, Any]:
@@ -191,10 +191,10 @@ class Comparison(Analysis):
 
 
 def with_controller(study: Study, name: str, table: ControllerTable) -> Study:
-    """The study under another controller.
+    """The study with another controller.
 
     Raises:
-        ConfigError: it does not fit the study.
+        ConfigError: the controller does not fit the study.
     """
     try:
         return study.override({"controller": table, "sweep": {}})
@@ -203,7 +203,7 @@ def with_controller(study: Study, name: str, table: ControllerTable) -> Study:
 
 
 def require_names(controllers: Sequence[str]) -> list[str]:
-    """Require two controllers or more.
+    """Require at least two different controllers.
 
     Raises:
         ConfigError: there are fewer, or one is named twice.
@@ -222,14 +222,14 @@ def compare(
     tuning_draws: int = TUNING_DRAWS,
     progress: ProgressCallback | None = None,
 ) -> Comparison:
-    """Controllers on common draws and common noise.
+    """Compare controllers on common draws and common noise.
 
     Args:
-        study: The study; its own sweep is left aside. Gains: see :func:`controller_table`.
+        study: The study; its own sweep is ignored. Gains: see :func:`controller_table`.
         controllers: At least two names.
-        candidates: Also tune every controller, each with so many candidates, and let fresh draws decide; 0: do not.
-        tuning_draws: Draws on which a candidate is tried.
-        progress: Told of the steps done.
+        candidates: Number of candidate gains to try for each controller; fresh draws decide. 0: no tuning.
+        tuning_draws: Draws on which each candidate is tried.
+        progress: Called with the steps done.
 
     Raises:
         ConfigError: a name is unknown or given twice, or a controller does not fit.

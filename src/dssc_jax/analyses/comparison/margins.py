@@ -1,4 +1,4 @@
-"""Margins of several controllers on the same draws: who goes how far, and who goes further."""
+"""Compare the margins of several controllers on the same draws."""
 
 import itertools
 import time
@@ -22,14 +22,14 @@ from dssc_jax.study import Described, Study
 
 @dataclass(eq=False)
 class MarginContest(Analysis):
-    """Margins of controllers over one number, draw by draw on common draws.
+    """Margins of several controllers over one number, on common draws.
 
-    The dataset is that of :class:`dssc_jax.analyses.margins.Margins`, with a dimension ``controller`` more.
+    The dataset is that of :class:`dssc_jax.analyses.margins.Margins`, with the additional dimension ``controller``.
 
     Args:
-        margins: By controller.
-        tables: ``[controller]`` of each.
-        seconds: What it took.
+        margins: Margins by controller.
+        tables: The ``[controller]`` table of each controller.
+        seconds: Computing time.
     """
 
     kind = "margins"
@@ -42,13 +42,13 @@ class MarginContest(Analysis):
 
     @classmethod
     def of(cls, study: Study, margins: dict[str, Margins], tables: dict[str, ControllerTable], seconds: float) -> Self:
-        """A contest of margins that were found one by one."""
+        """Combine the margins of the controllers."""
         return cls(study, join_margins(margins, "controller", "controller"), margins, tables, seconds)
 
     def pairs(self, confidence: float = CONFIDENCE) -> list[dict[str, Any]]:
-        """Every pair a, b: on which share of all draws a goes further, less that on which b does.
+        """For every pair a, b: the share of draws on which a goes further, minus the share on which b does.
 
-        With the exact interval and test of paired draws. Draws on which both are censored alike are ties.
+        Includes the exact interval and test for paired draws. Draws on which both are censored alike are ties.
         """
         pairs = []
         for a, b in itertools.combinations(self.margins, 2):
@@ -61,13 +61,13 @@ class MarginContest(Analysis):
 
     @property
     def headline(self) -> str:
-        """The answer in a line."""
+        """The answer in one line."""
         medians = ((name, margins.median) for name, margins in self.margins.items())
         values = (f"{name} {'before the start' if value is None else f'{value:.4g}'}" for name, value in medians)
         return f"median critical {next(iter(self.margins.values())).parameter}: {', '.join(values)}"
 
     def figure(self) -> Figure:
-        """The answer as a figure."""
+        """Plot the answer."""
         return plotting.theory(self.margins)
 
     def content(self) -> dict[str, Any]:
@@ -109,20 +109,20 @@ def compare_margins(
     bisections: int = BISECTIONS,
     progress: ProgressCallback | None = None,
 ) -> MarginContest:
-    """Every draw's critical value of one number under each of several controllers, on the same draws and noise.
+    """Find every draw's critical value of one number for several controllers, on the same draws and noise.
 
     Args:
-        study: The study; its own sweep is left aside. Gains: see :func:`dssc_jax.analyses.comparison.controller_table`.
+        study: The study; its own sweep is ignored. Gains: see :func:`dssc_jax.analyses.comparison.controller_table`.
         controllers: At least two names.
-        over: What is walked, see :func:`dssc_jax.margin`, as are the rest.
-        bounds: The safe end, then the other.
-        log: Walk evenly in the logarithm.
-        points: Values of the bracketing grid.
-        bisections: Halvings of the grid's cell.
-        progress: Told of the lanes done.
+        over: The number that is varied. For this and the other settings see :func:`dssc_jax.margin`.
+        bounds: The safe end, then the other end.
+        log: Space the values evenly in the logarithm.
+        points: Number of values in the bracketing grid.
+        bisections: Number of bisections of the grid cell.
+        progress: Called with the lanes done.
 
     Raises:
-        ConfigError: a name is unknown or given twice, a controller does not fit, or :func:`dssc_jax.margin` says so.
+        ConfigError: a name is unknown or given twice, a controller does not fit, or :func:`dssc_jax.margin` raises it.
     """
     began = time.perf_counter()
     study, names = study.without_sweep(), require_names(controllers)

@@ -1,8 +1,9 @@
-"""The rivals' gains where a study does not give them: the article's own correspondences (Table 2).
+"""Gains of the other controllers if a study does not give them, from the article's correspondences (Table 2).
 
-PI and SSC have the gains that DSSC synthesises at the origin; the STA, in its three sampled forms, kappa1 and kappa2 of
-the functions that approximate it; the VGSTA these with the smoothing delta too; first-order sliding mode the gain rho.
-Error pole and nominal control are DSSC's. A name may carry a sampled form or a limit: ``sta_proper``, ``sta_limited``.
+PI and SSC get the gains that DSSC synthesises at the origin. The STA, in its three sampled forms, gets kappa1 and
+kappa2 of the functions that approximate it, and the VGSTA also the smoothing delta. First-order sliding mode gets the
+gain rho. Error pole and nominal control are DSSC's. A name may include a sampled form or a limit: ``sta_proper``,
+``sta_limited``.
 """
 
 from collections.abc import Callable
@@ -36,7 +37,7 @@ SUFFIXES = (*(form.value for form in Discretisation), LIMITED)
 
 
 class SuperTwisting(NamedTuple):
-    """kappa_1 and kappa_2 in Table 2's normalisation, and the smoothing delta."""
+    """kappa_1 and kappa_2 in the normalisation of Table 2, and the smoothing delta."""
 
     kappa1: Scalar
     kappa2: Scalar
@@ -44,10 +45,10 @@ class SuperTwisting(NamedTuple):
 
 
 def super_twisting(functions: Any) -> SuperTwisting:
-    """The STA that state-dependent functions approximate.
+    """The STA that the state-dependent functions approximate.
 
     Raises:
-        ConfigError: they approximate none.
+        ConfigError: the functions approximate no STA.
     """
     match functions:
         case SquareRoot():  # row 4 of Table 2, where both delta agree
@@ -68,26 +69,26 @@ def super_twisting(functions: Any) -> SuperTwisting:
 
 
 def ssc_gains(gains: DsscGains) -> ControllerTable:
-    """Constants: the functions' values at the origin."""
+    """The gains of SSC: the functions' values at the origin."""
     at = gains.functions.at(0.0, 0.0, nominal(gains.l0))
     constants = {"kind": "constant", **{name: float(value) for name, value in at._asdict().items()}}
     return {"functions": constants, "rho": switching_gain(gains), "predictor_start": gains.predictor_start.value}
 
 
 def pi_gains(gains: DsscGains) -> ControllerTable:
-    """What SSC synthesises: K_P = 1/(k_o tau_av), K_I = K_P/tau_m."""
+    """The gains of PI that SSC synthesises: K_P = 1/(k_o tau_av), K_I = K_P/tau_m."""
     proportional, integral = synthesised_gains(gains._replace(l0=nominal(gains.l0)))
     return {"k_p": float(proportional), "k_i": float(integral)}
 
 
 def sta_gains(gains: DsscGains) -> ControllerTable:
-    """Table 2, row 2."""
+    """The gains of the STA from Table 2, row 2."""
     twisting = super_twisting(gains.functions)
     return {"kappa1": float(twisting.kappa1), "kappa2": float(twisting.kappa2), "k_n": nominal_input_gain(gains)}
 
 
 def vgsta_gains(gains: DsscGains) -> ControllerTable:
-    """Table 1's own numbers where the functions have them; else the STA with the smoothing delta."""
+    """The gains of the VGSTA: Table 1's own numbers if the functions have them, else the STA with smoothing delta."""
     names = ("phi_a", "phi_b", "kappa_a", "kappa_b", "kappa_c", "kappa_d", "epsilon", "gamma", "delta")
     if isinstance(gains.functions, Vgsta):
         numbers = {name: getattr(gains.functions, name) for name in names}
@@ -99,12 +100,12 @@ def vgsta_gains(gains: DsscGains) -> ControllerTable:
 
 
 def smc_gains(gains: DsscGains) -> ControllerTable:
-    """The relay of DSSC without its filter."""
+    """The gains of first-order sliding mode: the relay of DSSC without its filter."""
     return {"gain": switching_gain(gains), "k_n": nominal_input_gain(gains)}
 
 
 def nominal_input_gain(gains: DsscGains) -> float:
-    """k_n of the nominal control; 1 without one."""
+    """k_n of the nominal control, or 1 if there is none."""
     return nominal(gains.nominal.k) if gains.nominal else 1.0
 
 
@@ -129,12 +130,12 @@ RIVALS: dict[str, Callable[[DsscGains], ControllerTable]] = {
 
 
 def controller_table(study: Study, name: str) -> ControllerTable:
-    """The ``[controller]`` of a controller in a comparison.
+    """The ``[controller]`` table of a controller in a comparison.
 
     Args:
-        study: The study. Its ``[compare.NAME]`` goes first: a whole controller, or changes of ``[controller]`` where
-            the kind is the same or not named. Its own controller goes by its kind. The rest follows from DSSC.
-        name: Name of the table, or kind of controller, if wanted with a sampled form or ``limited`` to rho.
+        study: The study. Its ``[compare.NAME]`` has priority: a whole controller, or changes of ``[controller]`` if the
+            kind is the same or omitted. The study's own controller is named by its kind. Others are derived from DSSC.
+        name: Name of the table, or kind of controller, optionally with a sampled form or ``limited`` to rho.
 
     Raises:
         ConfigError: there is no such controller, or its gains do not follow from the study's own.
@@ -155,7 +156,7 @@ def controller_table(study: Study, name: str) -> ControllerTable:
 
 
 def derived(study: Study, name: str, kind: str) -> ControllerTable:
-    """A rival's table, channel by channel.
+    """Derive the table of another controller, channel by channel.
 
     Raises:
         ConfigError: its gains do not follow from the study's own.
@@ -178,10 +179,10 @@ def derived(study: Study, name: str, kind: str) -> ControllerTable:
 
 
 def plain(gains: DsscGains) -> DsscGains:
-    """Gains whose functions are numbers.
+    """Gains whose functions are constants.
 
     Raises:
-        ConfigError: one is a law.
+        ConfigError: a gain is a law.
     """
     if any(isinstance(value, Law) for value in gains.functions):
         raise ConfigError("", "the functions hold a law, and a rival's gains are numbers")
@@ -189,10 +190,10 @@ def plain(gains: DsscGains) -> DsscGains:
 
 
 def with_limit(study: Study, name: str, table: ControllerTable) -> ControllerTable:
-    """A table whose command is clipped to +-rho, for what DSSC with a constant rho is compared with.
+    """A table whose command is clipped to +-rho, for comparison with DSSC with a constant rho.
 
     Raises:
-        ConfigError: the controller has no limit, or rho is no constant.
+        ConfigError: the controller has no limit, or rho is not constant.
     """
     if table["kind"] not in ("sta", "vgsta"):
         raise ConfigError(f"compare.{name}", f"'{table['kind']}' has no limit; sta and vgsta have")

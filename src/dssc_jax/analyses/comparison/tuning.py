@@ -1,4 +1,4 @@
-"""Tuning on an equal budget: so many candidates in stated ranges, on draws of their own, by one objective."""
+"""Tune controllers on an equal budget: the same number of candidates, separate tuning draws and one objective."""
 
 import copy
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ from dssc_jax.study import Study
 from dssc_jax.study.laws import is_number
 from dssc_jax.study.tables import set_dotted
 
-FACTOR = 10.0  # ranges reach from a tenth to ten times the gain that stands in the study
+FACTOR = 10.0  # ranges reach from a tenth to ten times the study's own gain
 STATE_DEPENDENT = {
     "constant": ("k_o", "tau_m"),
     "sta": ("kappa1", "kappa2"),
@@ -36,9 +36,9 @@ class Tuning:
     """The budget that every controller gets.
 
     Args:
-        candidates: Gains tried, the given ones among them.
-        draws: Draws on which each is tried; they are none of those that decide.
-        seed: Their seed.
+        candidates: Number of gains tried, including the given ones.
+        draws: Draws on which each candidate is tried; the final comparison uses other draws.
+        seed: Seed of these draws.
     """
 
     candidates: int
@@ -47,7 +47,7 @@ class Tuning:
 
     @classmethod
     def of(cls, study: Study, candidates: int = CANDIDATES, draws: int = TUNING_DRAWS) -> "Tuning":
-        """A budget whose draws are not the study's.
+        """A budget whose draws differ from the study's.
 
         Raises:
             ConfigError: a count is out of range.
@@ -59,7 +59,7 @@ class Tuning:
 
     @property
     def text(self) -> str:
-        """The budget as one reads it."""
+        """The budget in words."""
         return (
             f"{self.candidates} candidates (the given gains, then scrambled Sobol points in the logarithm) on "
             f"{self.draws} draws of seed {self.seed}; fewest failures, then the largest median of the worst slack"
@@ -67,15 +67,15 @@ class Tuning:
 
 
 def ranges(study: Study, given: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
-    """What is tuned of the study's controller, by dotted name, and in which range.
+    """The tuned numbers of the study's controller, by dotted name, and their ranges.
 
     Args:
         study: The study with this controller.
-        given: ``[compare.NAME.tune]``: ranges by the gains' names within the controller; for the rest of the
-            controller's two usual gains a tenth to ten times their value.
+        given: ``[compare.NAME.tune]``: ranges by the gains' names within the controller. The remaining ones of the
+            controller's two usual gains range from a tenth to ten times their value.
 
     Raises:
-        ConfigError: a range is none.
+        ConfigError: a range is not valid.
     """
     extents = {}
     for name, extent in given.items():
@@ -102,7 +102,7 @@ def ranges(study: Study, given: Mapping[str, Any]) -> dict[str, tuple[float, flo
 
 
 def tuned(study: Study, budget: Tuning, given: Mapping[str, Any]) -> dict[str, float]:
-    """The best gains found within a budget, by dotted name.
+    """Find the best gains within a budget, by dotted name.
 
     Args:
         study: The study with the controller to tune.
@@ -136,7 +136,7 @@ def tuned(study: Study, budget: Tuning, given: Mapping[str, Any]) -> dict[str, f
 
 
 def merit(study: Study, results: Mapping[str, np.ndarray]) -> np.ndarray:
-    """The worst slack of each lane; without requirements the first metric, of which less is better."""
+    """The worst slack of each lane; without requirements, the first metric with its sign changed."""
     if study.requirements or not study.measures:
         return worst_slack(study.requirements, results)
     values = results[study.measures[0].name]
@@ -144,7 +144,7 @@ def merit(study: Study, results: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def candidate_points(study: Study, extents: Mapping[str, tuple[float, float]], budget: Tuning) -> dict[str, np.ndarray]:
-    """The candidates: the study's own gains first, the rest spread evenly in the logarithm."""
+    """The candidates: the study's own gains first, the others spread evenly in the logarithm."""
     sobol = qmc.Sobol(len(extents), rng=np.random.default_rng(budget.seed))
     unit = sobol.random(max(1, 1 << (budget.candidates - 1).bit_length()))[: budget.candidates]
     low, high = np.array(list(extents.values())).T[:, :, None]
@@ -158,7 +158,7 @@ def candidate_points(study: Study, extents: Mapping[str, tuple[float, float]], b
 
 
 def with_gains(table: dict[str, Any], gains: Mapping[str, float]) -> dict[str, Any]:
-    """A controller's table with the tuned gains in it."""
+    """A controller's table with the tuned gains."""
     holder = {"controller": copy.deepcopy(table)}
     for name, value in gains.items():
         set_dotted(holder, name, value)

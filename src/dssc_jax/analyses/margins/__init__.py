@@ -1,8 +1,8 @@
-"""Robustness margins: how far one number of the loop may go before a draw fails, for every draw.
+"""Robustness margins: how far one number of the loop can change before a draw fails, for every draw.
 
-The walk goes from the first bound, the safe end, to the second. A draw's critical value is the last value found to pass
-before the first failure, bracketed on a grid and narrowed by bisection, all draws at once. A draw that passes the whole
-way, or fails from the start, is censored: it stays in every statistic, beyond the end or before the start.
+The number moves from the first bound, the safe end, to the second. A draw's critical value is the last passing value
+found before the first failure. It is bracketed on a grid and refined by bisection, for all draws at once. A draw that
+passes everywhere, or fails at the start, is censored: statistics count it as beyond the end or before the start.
 """
 
 from dssc_jax.analyses.margins.joined import join_margins, margin_settings, part_margins

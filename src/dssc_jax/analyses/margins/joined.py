@@ -1,4 +1,4 @@
-"""Several margins over one walk as one dataset, and apart again."""
+"""Join several margins over one walk into one dataset, and separate them again."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -12,12 +12,12 @@ from dssc_jax.study import Study
 
 
 def join_margins(margins: Mapping[str, Margins], dimension: str, meaning: str) -> xr.Dataset:
-    """One dataset of all, along a new dimension; what one of them does not have is NaN there.
+    """Join margins into one dataset along a new dimension; a variable missing from one of them is NaN there.
 
     Args:
-        margins: By name.
-        dimension: The new one.
-        meaning: What it counts.
+        margins: Margins by name.
+        dimension: Name of the new dimension.
+        meaning: Meaning of the new dimension.
     """
     axis = xr.DataArray(np.array(list(margins)), dims=dimension, name=dimension, attrs={"long_name": meaning})
     return xr.concat(
@@ -27,7 +27,7 @@ def join_margins(margins: Mapping[str, Margins], dimension: str, meaning: str) -
 
 
 def margin_settings(margins: Mapping[str, Margins]) -> dict[str, Any]:
-    """What the joined dataset does not tell, for JSON."""
+    """What :func:`part_margins` needs besides the joined dataset, for JSON."""
     return {
         name: one.settings()
         | {"variables": list(map(str, one.dataset)), "slack_unit": one.dataset["slack"].attrs["units"]}
@@ -38,12 +38,12 @@ def margin_settings(margins: Mapping[str, Margins]) -> dict[str, Any]:
 def part_margins(
     dataset: xr.Dataset, dimension: str, settings: Mapping[str, Any], study_of: Callable[[str], Study]
 ) -> dict[str, Margins]:
-    """The margins by name.
+    """Separate joined margins by name.
 
     Args:
-        dataset: What :func:`join_margins` returned.
+        dataset: The return value of :func:`join_margins`.
         dimension: Its dimension of names.
-        settings: What :func:`margin_settings` returned.
+        settings: The return value of :func:`margin_settings`.
         study_of: The study of each.
     """
     margins = {}

@@ -1,4 +1,4 @@
-"""What the critical values of a study's draws say together."""
+"""Statistics of the critical values of a study's draws."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -24,26 +24,26 @@ UNNAMED = {
     CLOCK: Quantity("s", "sample time T_s", above=0.0),
     SPREAD: Quantity("1", "spread of all laws about their medians", at_least=0.0),
 }
-"""What can be walked beside the loop's own numbers."""
-CONTENT = 0.95  # share of draws that the lower tolerance limit speaks of
+"""What can be walked besides the loop's own numbers."""
+CONTENT = 0.95  # share of draws that pass up to the lower tolerance limit
 WALKED = ("start", "end", "log", "points", "parted")
 FIRST_MARGIN_NAMES = {"margin": "slack"}
-"""What the first version called variables of the dataset."""
+"""Names of the dataset's variables in files of the first version, and their present names."""
 
 
 @dataclass(eq=False)
 class Margins(Analysis):
     """The critical values of a study's draws.
 
-    The dataset has along ``draw``: ``critical``, ``censoring``, ``non_monotone`` and every drawn number; along
-    ``value`` and ``draw``: ``slack``, that of the worst requirement relative to its bound.
+    The dataset has along ``draw``: ``critical``, ``censoring``, ``non_monotone`` and all drawn numbers. Along ``value``
+    and ``draw`` it has ``slack``, that of the worst requirement relative to its bound.
 
     Args:
-        parameter: The number that was walked.
-        walk: The way it went.
-        criterion: What a draw must keep in order to pass, in words.
-        times: Seconds in all, and compiling.
-        stored: How far Theorem 1 certifies a study whose code is not loaded; else it follows from the study.
+        parameter: The number that is varied.
+        walk: The walk from the safe end to the other end.
+        criterion: The condition for a draw to pass, in words.
+        times: Total time and compile time in seconds.
+        stored: The range certified by Theorem 1, for a study whose code is not loaded; else computed from the study.
     """
 
     kind = "margin"
@@ -68,7 +68,7 @@ class Margins(Analysis):
         criterion: tuple[str, ...],
         unit: str = "1",
     ) -> Self:
-        """The margins that a search ended with, with the drawn numbers beside them; ``unit`` is the slack's."""
+        """Combine the critical values of a search with the drawn numbers; ``unit`` is the slack's."""
         quantity = study.quantities.get(parameter) or UNNAMED[parameter]
         about = {"units": quantity.unit, "long_name": quantity.meaning}
         codes = {"flag_values": [code.value for code in Censoring], "flag_meanings": "before inside beyond"}
@@ -91,19 +91,19 @@ class Margins(Analysis):
 
     @cached_property
     def certificate(self) -> Reach:
-        """How far Theorem 1 certifies the loop on the same walk, for all draws at once."""
+        """The range of the walk that Theorem 1 certifies, for all draws at once."""
         return self.stored or reach(self.study, self.parameter, self.walk.grid)
 
     @property
     def reached(self) -> np.ndarray:
-        """How far each draw goes, as a number that grows on the way; infinite where it is censored. Shape (n,)."""
+        """How far each draw goes, as a number that increases along the walk; infinite if censored. Shape (n,)."""
         critical, censoring = self.dataset["critical"].values, self.dataset["censoring"].values
         direction = 1.0 if self.walk.end > self.walk.start else -1.0
         outside = np.where(censoring == Censoring.BEYOND, np.inf, -np.inf)
         return np.where(censoring == Censoring.INSIDE, direction * critical, outside)
 
     def at_rank(self, rank: int) -> float | None:
-        """The rank-th critical value from the safe end; the walk's end where it lies beyond, None before its start."""
+        """The rank-th critical value from the safe end; the walk's end if it lies beyond, None if before the start."""
         value = np.sort(self.reached)[rank - 1]
         if np.isposinf(value):
             return self.walk.end
@@ -115,10 +115,10 @@ class Margins(Analysis):
         return self.at_rank((self.dataset.sizes["draw"] + 1) // 2)
 
     def lower_tolerance(self, content: float = CONTENT, confidence: float = CONFIDENCE) -> float | None:
-        """The value up to which a share ``content`` of all draws passes, with confidence (Wilks).
+        """The value up to which a share ``content`` of all draws passes, with the given confidence (Wilks).
 
-        Censored draws keep their places in the order. None: there are too few draws for it, or it lies before the
-        walk's start; the walk's end: that far at least.
+        Censored draws keep their places in the order. None means that there are too few draws, or that the limit lies
+        before the walk's start. The walk's end means that the limit lies there or beyond.
 
         Reference:
             S. S. Wilks, Annals of Mathematical Statistics 12 (1941) 91-96.
@@ -127,9 +127,10 @@ class Margins(Analysis):
         return self.at_rank(rank) if rank else None
 
     def degradation(self, confidence: float = CONFIDENCE) -> xr.Dataset:
-        """Failure probability along the walk, with a band that holds at all values of the grid together.
+        """Failure probability along the walk, with a simultaneous confidence band for all values of the grid.
 
-        Exact (Clopper-Pearson) intervals, each at 1 - (1 - confidence)/points (Bonferroni): no draw need be monotone.
+        The intervals are exact (Clopper-Pearson), each at 1 - (1 - confidence)/points (Bonferroni). Draws need not be
+        monotone.
 
         Returns:
             Dimension ``value``; variables ``probability``, ``lower``, ``upper``.
@@ -146,7 +147,7 @@ class Margins(Analysis):
 
     @property
     def headline(self) -> str:
-        """The answer in a line."""
+        """The answer in one line."""
         unit = self.dataset["critical"].attrs["units"]
         middle, lower = (
             "before the start" if value is None else f"{value:.4g}{'' if unit == '1' else f' {unit}'}"
@@ -155,7 +156,7 @@ class Margins(Analysis):
         return f"median critical {self.parameter}: {middle}; 95 % of all draws pass up to: {lower}"
 
     def figure(self) -> Figure:
-        """The answer as a figure."""
+        """Plot the answer."""
         return plotting.margin(self)
 
     def content(self) -> dict[str, Any]:

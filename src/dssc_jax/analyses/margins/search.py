@@ -1,4 +1,4 @@
-"""Critical values of many draws at once: bracketing on a grid, then bisection."""
+"""Find the critical values of many draws at once: bracketing on a grid, then bisection."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from dssc_jax.analyses.defaults import BISECTIONS, POINTS
 CLOCK = "loop.sample_time"
 
 SlackOf = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""(indices of some of the draws, a value for each) -> signed slacks, negative where the draw fails."""
+"""(indices of some of the draws, a value for each) -> signed slacks, negative if the draw fails."""
 
 
 class Censoring(IntEnum):
@@ -25,14 +25,14 @@ class Censoring(IntEnum):
 
 @dataclass(frozen=True)
 class Walk:
-    """The way from the safe end to the other, at a pace that is even in the number or in its logarithm.
+    """The walk from the safe end to the other end, evenly spaced in the number or its logarithm.
 
     Args:
         start: The safe end.
-        end: The other end, above or below.
-        log: Even in the logarithm.
-        points: Values of the bracketing grid, both ends included.
-        parted: A length that every value must divide into whole parts; values are moved to the nearest that does.
+        end: The other end, larger or smaller than the start.
+        log: Space the values evenly in the logarithm.
+        points: Number of values in the bracketing grid, including both ends.
+        parted: A length that must be a whole multiple of every value; values move to the nearest such divisor.
     """
 
     start: float
@@ -42,7 +42,7 @@ class Walk:
     parted: float | None = None
 
     def at(self, share: np.ndarray) -> np.ndarray:
-        """The value at a share of the way in [0, 1]."""
+        """The value at a fraction of the walk in [0, 1]."""
         if self.log:
             value = np.exp((1.0 - share) * np.log(self.start) + share * np.log(self.end))
         else:
@@ -57,12 +57,12 @@ class Walk:
 
 
 class Critical(NamedTuple):
-    """What a search found of each draw.
+    """The critical value found for each draw.
 
     Args:
-        value: The critical value; NaN where censored. Shape (n,).
+        value: The critical value; NaN if censored. Shape (n,).
         censoring: A :class:`Censoring` code.
-        non_monotone: The draw passes again beyond a value at which it fails.
+        non_monotone: Whether the draw passes again beyond a value at which it fails.
         slack: Signed slacks on the grid, shape (points, n).
     """
 
@@ -73,16 +73,16 @@ class Critical(NamedTuple):
 
 
 def search_critical(slack_of: SlackOf, draws: int, walk: Walk, bisections: int = BISECTIONS) -> Critical:
-    """Critical values of all draws at once.
+    """Find the critical values of all draws at once.
 
     Args:
         slack_of: The signed slack of chosen draws at chosen values.
-        draws: Number of draws.
-        walk: Where to look.
-        bisections: Halvings of the grid's cell that holds the first failure.
+        draws: The number of draws.
+        walk: The walk to search.
+        bisections: Number of bisections of the grid cell that contains the first failure.
 
     Returns:
-        Critical values at which the draw passes, with a failure at most a cell/2^bisections further on.
+        Critical values at which the draw passes, with a failure at most a cell/2^bisections further along.
     """
     everyone = np.arange(draws)
     slack = np.stack([slack_of(everyone, np.full(draws, value)) for value in walk.grid])

@@ -1,4 +1,4 @@
-"""Critical values by simulation: each draw runs at each value that the search asks for."""
+"""Critical values by simulation: each draw is simulated at each value that the search needs."""
 
 import math
 import time
@@ -28,23 +28,24 @@ def margin(
     bisections: int = BISECTIONS,
     progress: ProgressCallback | None = None,
 ) -> Margins:
-    """The critical value of one number of the loop for every draw of a study.
+    """Find the critical value of one number of the loop for every draw of a study.
 
-    The number takes the place of its law; everything else is drawn. ``spread`` in its place widens all laws together:
-    every drawn number moves to so many times its distance from the median, in the logarithm where the law is one of a
-    logarithm; the critical values then are margins of the uncertainty as a whole, and the degradation curve is the
-    failure probability over nested laws with the same draws. Where no requirement is set, a draw fails by becoming
+    The number replaces its law; everything else is drawn. With ``spread`` instead of a number, all laws are widened
+    together: each drawn number's distance from the median is scaled by the value, in the logarithm if the law is
+    logarithmic. The critical values are then margins of the uncertainty as a whole, and the degradation curve is the
+    failure probability over nested laws with the same draws. If there are no requirements, a draw fails if it becomes
     non-finite.
 
     Args:
-        study: The study; its own sweep is left aside.
+        study: The study; its own sweep is ignored.
         over: Dotted name of the number, e.g. ``unmodelled.mu``, or ``spread``. ``loop.sample_time`` is fixed before
-            tracing: its grid is taken to whole numbers of samples, with a program each and no bisection.
-        bounds: The safe end, where draws are expected to pass, then the other end, which may be the lower one.
-        log: Walk evenly in the logarithm.
-        points: Values of the bracketing grid. A draw that fails and passes again between two of them is not noticed.
-        bisections: Halvings of the grid's cell.
-        progress: Told of the lanes done.
+            tracing: its grid is rounded to whole numbers of samples, with one program for each value and no bisection.
+        bounds: The safe end, where draws are expected to pass, then the other end, which may be the smaller one.
+        log: Space the values evenly in the logarithm.
+        points: Number of values in the bracketing grid. A failure between two neighbouring values is not noticed if the
+            draw passes at both.
+        bisections: Number of bisections of the grid cell.
+        progress: Called with the lanes done.
 
     Raises:
         ConfigError: the number, or a bound, is not admissible, or the draws are not independent.
@@ -91,17 +92,17 @@ def checked_walk(
 
 
 def placed(study: Study, over: str) -> Callable[[Arrays, np.ndarray], Arrays]:
-    """What makes every lane's numbers of the drawn ones and the values of the walk: in place of a law, or as spread."""
+    """The function that puts the values of the walk into each lane's numbers, replacing a law or as spread."""
     if over != SPREAD:
         return lambda drawn, values: {**drawn, over: values}
     return lambda drawn, values: {name: study.laws[name].spread(column, values) for name, column in drawn.items()}
 
 
 def require_spread(study: Study, bounds: tuple[float, float]) -> None:
-    """Require that the laws can be widened as far as that.
+    """Require that the laws can be widened over the given bounds.
 
     Raises:
-        ConfigError: there is none, or a draw leaves a number's range.
+        ConfigError: there is no law, or a draw leaves a number's range.
     """
     if not any(law.kind not in CASES for law in study.laws.values()):
         raise ConfigError(SPREAD, "nothing is uncertain that could be widened; give at least one number a law")
@@ -118,7 +119,7 @@ def require_spread(study: Study, bounds: tuple[float, float]) -> None:
 def over_number(
     study: Study, over: str, walk: Walk, bisections: int, clock: Clock, progress: ProgressCallback
 ) -> tuple[Critical, Arrays]:
-    """Critical values of a number that is traced, and the drawn ones: one program, a block of draws after another."""
+    """Critical values of a traced number, and the drawn numbers: one program for all blocks of draws."""
     if over == SPREAD:
         require_spread(study, (walk.start, walk.end))
     draws, evaluations, place = study.config.draws, walk.points + bisections, placed(study, over)
@@ -145,7 +146,7 @@ def over_number(
 def over_sample_time(
     study: Study, over: str, walk: Walk, bisections: int, clock: Clock, progress: ProgressCallback
 ) -> tuple[Critical, Arrays]:
-    """Critical sample times on the grid: the clock is fixed before tracing, so every value is a program of its own.
+    """Critical sample times on the grid: the clock is fixed before tracing, so each value needs a separate program.
 
     Raises:
         ConfigError: two values of the grid fall on the same number of samples.

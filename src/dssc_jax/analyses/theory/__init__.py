@@ -1,7 +1,7 @@
-"""What theory says of the same loops that are simulated: linearisation at the origin, and describing functions.
+"""Theoretical analyses of the simulated loops: linearisation at the origin, and describing functions.
 
-A local margin is about deviations that stay small; a simulated margin is about requirements. They answer different
-questions and are never mixed: each result says by what criterion it was found.
+A local margin is about small deviations; a simulated margin is about requirements. They answer different questions and
+are kept apart: each result names its criterion.
 """
 
 from dssc_jax.analyses.theory.assessment import Assessment, assess

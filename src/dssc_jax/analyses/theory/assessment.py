@@ -1,4 +1,4 @@
-"""Theory and simulation together: what each of them says of how far one number of a loop may go."""
+"""Theory and simulation combined: how far one number of a loop can change according to each."""
 
 import time
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.analysis_folder import Stored
 from dssc_jax.study import Study
 
-VALUES, PUSH, SETTLED = 9, 1e-3, 0.75  # time constants, initial output [m], share of the duration that is left aside
+VALUES, PUSH, SETTLED = 9, 1e-3, 0.75  # time constants, initial output [m], share of the duration that is ignored
 PERFORMANCE, OSCILLATIONS = "performance", "oscillations"
 OSCILLATION = ("amplitude", "predicted", "frequency")
 """Variables of an oscillation's dataset."""
@@ -29,18 +29,18 @@ OSCILLATION = ("amplitude", "predicted", "frequency")
 
 @dataclass(eq=False)
 class Assessment(Analysis):
-    """Theorem 1, linearisation, describing functions and Monte Carlo on the margins of one number.
+    """Theorem 1, linearisation, describing functions and Monte Carlo for the margins of one number.
 
-    The dataset is that of :class:`dssc_jax.analyses.margins.Margins` with a dimension ``margin`` more, and what
-    :func:`chattering` returns with a dimension ``controller`` more.
+    The dataset is that of :class:`dssc_jax.analyses.margins.Margins` with the additional dimension ``margin``, and the
+    return value of :func:`chattering` with the additional dimension ``controller``.
 
     Args:
-        performance: Simulated, against the study's requirements; its certificate is what Theorem 1 says.
-        local: Of the loop linearised at the origin, sampled and in continuous time.
-        oscillations: Simulated over a lag's time constant, and by describing function, by controller.
-        edge: Local critical value of a lag's mu, laws at their medians; None where there is none.
-        not_covered: Why something of the above is not there, by its name.
-        seconds: What it took.
+        performance: Simulated margins for the study's requirements; their certificate is the answer of Theorem 1.
+        local: Margins of the loop linearised at the origin, sampled and in continuous time.
+        oscillations: Oscillations over a lag's time constant, simulated and by describing function, by controller.
+        edge: Local critical value of a lag's mu, with laws at their medians; None if there is none.
+        not_covered: The reason why one of the above is missing, by its name.
+        seconds: Computing time.
     """
 
     kind = "theory"
@@ -64,7 +64,7 @@ class Assessment(Analysis):
         not_covered: dict[str, str],
         seconds: float,
     ) -> Self:
-        """An assessment of parts that were found one by one."""
+        """Combine the separate parts of an assessment."""
         parts = {PERFORMANCE: performance, **{kind.value: margins for kind, margins in local.items()}}
         dataset = join_margins(parts, "margin", "what the margin is of")
         if oscillations:
@@ -76,21 +76,21 @@ class Assessment(Analysis):
 
     @property
     def margins(self) -> dict[str, Margins]:
-        """Simulated and linearised margins, by what they are of."""
+        """Simulated and linearised margins, by their criterion."""
         titles = {Time.SAMPLED: "local, sampled loop (eigenvalues)", Time.CONTINUOUS: "local, continuous (eigenvalues)"}
         local = {titles[kind]: margins for kind, margins in self.local.items()}
         return {"performance (simulated)": self.performance, **local}
 
     @property
     def headline(self) -> str:
-        """The answer in a line."""
+        """The answer in one line."""
         parts = {"simulated": self.performance, **{kind.value: margins for kind, margins in self.local.items()}}
         medians = ((name, margins.median) for name, margins in parts.items())
         values = (f"{name} {'before the start' if value is None else f'{value:.4g}'}" for name, value in medians)
         return f"median critical {self.performance.parameter}: {', '.join(values)}"
 
     def figure(self) -> Figure:
-        """The answer as a figure."""
+        """Plot the answer."""
         return plotting.theory(self.margins, self.oscillations, self.edge)
 
     def content(self) -> dict[str, Any]:
@@ -135,7 +135,7 @@ class Assessment(Analysis):
 
 
 def distribution_summary(margins: Margins) -> dict[str, Any]:
-    """What one can defend of a distribution of margins."""
+    """Summarise a distribution of margins."""
     summary = margins.summary()
     names = ("criterion", "median", "lower_tolerance", "content", "confidence")
     return {name: summary[name] for name in (*names, "fail_at_start", "pass_to_end", "non_monotone")}
@@ -152,21 +152,21 @@ def assess(
     rivals: Mapping[str, Study] | None = None,
     progress: ProgressCallback | None = None,
 ) -> Assessment:
-    """What Theorem 1, linearisation, describing functions and simulation say of one number's critical value.
+    """Assess one number's critical value by Theorem 1, linearisation, describing functions and simulation.
 
-    Each answers a question of its own: the theorem for all draws and all states, but of the loop without lag and
-    sampling; eigenvalues for small deviations; describing functions for what switching laws sustain; simulation for the
-    requirements. Where one of them does not speak the result says why.
+    Each method answers a different question. The theorem covers all draws and all states, but the loop without lag and
+    sampling. Eigenvalues cover small deviations, describing functions the oscillations that switching laws sustain, and
+    simulation the requirements. If a method does not apply, the result gives the reason.
 
     Args:
-        study: The study; its own sweep is left aside.
+        study: The study; its own sweep is ignored.
         over: Dotted name of the number.
-        bounds: The safe end, then the other.
-        log: Walk evenly in the logarithm.
-        points: Values of the bracketing grid.
-        bisections: Halvings of the grid's cell.
-        rivals: The study under other controllers, whose oscillations over a lag's mu are shown beside its own.
-        progress: Told of the simulated margin's lanes.
+        bounds: The safe end, then the other end.
+        log: Space the values evenly in the logarithm.
+        points: Number of values in the bracketing grid.
+        bisections: Number of bisections of the grid cell.
+        rivals: The study with other controllers, whose oscillations over a lag's mu are shown for comparison.
+        progress: Called with the lanes done for the simulated margin.
 
     Raises:
         ConfigError: the number, or a bound, is not admissible, or the draws are not independent.

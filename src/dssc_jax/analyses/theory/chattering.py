@@ -1,4 +1,4 @@
-"""Oscillations over the time constant of a lag: simulated, and where a describing function is known, predicted."""
+"""Oscillations over the time constant of a lag: simulated, and predicted if a describing function is known."""
 
 from collections.abc import Sequence
 
@@ -16,22 +16,22 @@ SAMPLES_IN_MU = 20  # samples in the smallest time constant: fewer, and the cloc
 
 
 def chattering(study: Study, values: Sequence[float], *, push: float, after: float) -> xr.Dataset:
-    """Amplitude of sigma that is left after a small push, over the lag's time constant.
+    """Amplitude of sigma that remains after a small push, over the lag's time constant.
 
-    The loop is at rest but for the push; laws stand at their medians.
+    Apart from the push the loop is at rest, and laws are at their medians.
 
     Args:
         study: A study of one channel under a lag.
         values: Time constants mu [s].
         push: Initial output [m].
-        after: When oscillations have settled or died [s].
+        after: Time after which oscillations have settled or decayed [s].
 
     Returns:
-        Dimension ``unmodelled.mu``; variables ``amplitude``, the largest |sigma| after that time, ``predicted`` and
-        ``frequency`` by describing function, NaN where there is none.
+        Dimension ``unmodelled.mu``; variables ``amplitude``, the largest |sigma| after that time, and ``predicted`` and
+        ``frequency`` by describing function, NaN if there is none.
 
     Raises:
-        ConfigError: the unmodelled dynamics are no lag, or T_s exceeds a 20th of the smallest mu.
+        ConfigError: the unmodelled dynamics are not a lag, or T_s exceeds a 20th of the smallest mu.
     """
     if kind_of(study, "unmodelled") != "lag":
         raise ConfigError(f"{study.source}: unmodelled.kind", "chattering over mu needs a lag")

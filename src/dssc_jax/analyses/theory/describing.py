@@ -1,9 +1,9 @@
-"""Chattering by describing functions: the limit cycle that a switching law and a lag sustain together.
+"""Predict chattering by describing functions: the limit cycle of a switching law and a lag.
 
-A harmonic balance -1/W(i w) = N(A, w), with W from the robust command to sigma and N the describing function of the law
-for sigma = A sin(w t): 4 K/(pi A) for the relay; for the STA that of its root, c kappa1 A^(-1/2), and that of its
-integrated relay, 2 kappa2/(pi A)/(i w). For mu max(a_p, l_0) << 1 and a lag of order 2 the amplitude grows as mu under
-the relay and as mu^2 under the STA, and the frequency falls as 1/mu.
+The harmonic balance is -1/W(i w) = N(A, w), with W from the robust command to sigma and N the describing function of
+the law for sigma = A sin(w t): for the relay 4 K/(pi A); for the STA the sum for its root, c kappa1 A^(-1/2), and its
+integrated relay, 2 kappa2/(pi A)/(i w). For mu max(a_p, l_0) << 1 and a lag of order 2 the amplitude grows as mu with
+the relay and as mu^2 with the STA, and the frequency falls as 1/mu.
 
 References:
     D. P. Atherton, Nonlinear Control Engineering (1975).
@@ -29,21 +29,21 @@ SPAN, SCANNED = 1e4, 400  # frequencies scanned, around that of the fastest pole
 
 
 class LimitCycle(NamedTuple):
-    """sigma = amplitude sin(frequency t), in m/s and rad/s."""
+    """The limit cycle sigma = amplitude sin(frequency t), in m/s and rad/s."""
 
     amplitude: float
     frequency: float
 
 
 def limit_cycle(study: Study, point: Mapping[str, float] | None = None) -> LimitCycle | None:
-    """The chattering that the describing function predicts, or None where it predicts none.
+    """The chattering that the describing function predicts, or None if it predicts none.
 
     Args:
-        study: A study of ``smc`` or ``sta`` on a plant of one channel, under a lag or none.
-        point: Values of some numbers; the others stand at their own values, laws at their medians.
+        study: A study of ``smc`` or ``sta`` on a plant of one channel, with a lag or without unmodelled dynamics.
+        point: Values of some numbers; the others have their own values, and laws their medians.
 
     Raises:
-        ConfigError: the law's describing function is not known here.
+        ConfigError: the law's describing function is not implemented.
     """
     rest = at_rest(study)
     values = {**medians(rest), **(point or {})}
@@ -61,11 +61,11 @@ def limit_cycle(study: Study, point: Mapping[str, float] | None = None) -> Limit
 
 
 class Balance(NamedTuple):
-    """A law's half of the harmonic balance with q = -1/W(i w), for Re q > 0.
+    """The switching law's side of the harmonic balance with q = -1/W(i w), for Re q > 0.
 
     Args:
         amplitude: ``(q) -> A`` from the real part.
-        residual: ``(q, A, w) -> imaginary part`` that is left, 0 in balance.
+        residual: ``(q, A, w) -> remaining imaginary part``, 0 in balance.
     """
 
     amplitude: Callable[[complex], float]
@@ -73,12 +73,12 @@ class Balance(NamedTuple):
 
 
 def relay_balance(gain: float) -> Balance:
-    """N = 4 K/(pi A), real."""
+    """The balance of the relay, with real N = 4 K/(pi A)."""
     return Balance(lambda q: 4.0 * gain / (math.pi * q.real), lambda q, amplitude, w: q.imag)
 
 
 def sta_balance(kappa1: float, kappa2: float) -> Balance:
-    """N = c kappa1 A^(-1/2) + 2 kappa2/(pi A)/(i w), in Table 2's normalisation."""
+    """The balance of the STA: N = c kappa1 A^(-1/2) + 2 kappa2/(pi A)/(i w), in the normalisation of Table 2."""
     return Balance(
         lambda q: (ROOT_FACTOR * kappa1 / q.real) ** 2,
         lambda q, amplitude, w: q.imag + 2.0 * kappa2 / (math.pi * amplitude * w),
@@ -86,7 +86,7 @@ def sta_balance(kappa1: float, kappa2: float) -> Balance:
 
 
 def solve_balance(response: Linearised, balance: Balance) -> LimitCycle | None:
-    """The limit cycle of the highest frequency, which is where chattering settles."""
+    """The limit cycle of the highest frequency, at which chattering settles."""
 
     def inverse(w: float) -> complex:
         w_of = response.c @ np.linalg.solve(1j * w * np.eye(len(response.a)) - response.a, response.b)

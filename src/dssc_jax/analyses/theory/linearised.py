@@ -1,4 +1,4 @@
-"""The loop linearised at the origin: in continuous time part by part, sampled by differentiating its own step."""
+"""Linearise the loop at the origin: in continuous time part by part, in sampled time by differentiating its step."""
 
 from typing import Any, NamedTuple
 
@@ -27,7 +27,7 @@ class Linearised(NamedTuple):
 
 
 def at_rest(study: Study) -> Study:
-    """The study without what drives it: no reference, no disturbance, the plant's state at zero.
+    """The study without inputs: no reference, no disturbance, and the plant's state at zero.
 
     Raises:
         ConfigError: the plant has several channels.
@@ -41,7 +41,7 @@ def at_rest(study: Study) -> Study:
 
 
 def kind_of(study: Study, slot: str) -> str:
-    """The kind of part in a slot."""
+    """The kind of the part in a slot."""
     return str(getattr(study.config, slot)["kind"])
 
 
@@ -49,7 +49,7 @@ def require_smooth(study: Study) -> None:
     """Require a controller that has a linearisation at the origin.
 
     Raises:
-        ConfigError: it switches there.
+        ConfigError: the controller switches there.
     """
     kind = kind_of(study, "controller")
     explicit = kind in ("dssc", "ssc") and study.config.controller.get("discretisation") == "explicit"
@@ -63,14 +63,14 @@ def require_smooth(study: Study) -> None:
 def open_loop(study: Study, params: LoopParams) -> Linearised:
     """Plant, nominal control and unmodelled dynamics between the robust command and sigma, at the origin.
 
-    The slope of the unmodelled state is that with which its exact step begins.
+    The slope of the unmodelled state is the initial slope of its exact step.
 
     Args:
         study: A study at rest.
         params: Its parameters for one draw.
 
     Raises:
-        ConfigError: the unmodelled dynamics are none that continuous time knows.
+        ConfigError: the unmodelled dynamics have no continuous-time form.
     """
     kind = kind_of(study, "unmodelled")
     if kind not in CONTINUOUS:
@@ -128,7 +128,7 @@ def continuous_matrix(study: Study, params: LoopParams) -> jax.Array:
 
 
 def sampled_matrix(loop: Loop, params: LoopParams) -> tuple[jax.Array, jax.Array]:
-    """Derivative of the loop's own step at its start, and by how much that step moves it: 0 at an equilibrium."""
+    """The derivative of the loop's step at its start, and the state's change in that step: 0 at an equilibrium."""
     key = jax.random.key(0)
     rest, unravel = ravel_pytree(initial_state(loop, params, key))
 

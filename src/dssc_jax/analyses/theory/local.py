@@ -26,7 +26,7 @@ from dssc_jax.study.laws import SPREAD
 
 
 class Time(StrEnum):
-    """Which linearisation: of the sampled loop as it is simulated, or of the synthesised law in continuous time."""
+    """Type of linearisation: of the sampled loop as simulated, or of the synthesised law in continuous time."""
 
     SAMPLED = "sampled"
     CONTINUOUS = "continuous"
@@ -46,8 +46,9 @@ def spectrum(study: Study, kind: Time = Time.SAMPLED) -> Callable[[Arrays], np.n
         kind: Sampled or continuous.
 
     Returns:
-        A function of every law's and every swept number's values, each of shape (n,): eigenvalues of shape (n, states),
-        of the step from sample to sample, or in 1/s. It raises ConfigError where the loop does not rest at its start.
+        A function of the values of every law and every swept number, each of shape (n,). It returns eigenvalues, shape
+        (n, states), of the step from sample to sample, or in 1/s. It raises ConfigError if the loop does not start at
+        rest.
     """
 
     def matrix(lane: dict[str, jax.Array]) -> tuple[jax.Array, jax.Array]:
@@ -78,18 +79,18 @@ def local_margin(
     bisections: int = BISECTIONS,
     kind: Time = Time.SAMPLED,
 ) -> Margins:
-    """The critical value of one number for small deviations from the origin, for every draw of a study.
+    """Find the critical value of one number for small deviations from the origin, for every draw of a study.
 
-    Reference, disturbance and initial state are left aside, and so are the requirements: only stability counts, and
-    only near the origin, where state-dependent functions have their values at sigma = e = 0.
+    Reference, disturbance, initial state and requirements are ignored. Only stability counts, and only near the origin,
+    where state-dependent functions have their values at sigma = e = 0.
 
     Args:
         study: A study of DSSC, SSC or PI on a plant of one channel.
         over: Dotted name of the number.
-        bounds: The safe end, then the other.
-        log: Walk evenly in the logarithm.
-        points: Values of the bracketing grid.
-        bisections: Halvings of the grid's cell.
+        bounds: The safe end, then the other end.
+        log: Space the values evenly in the logarithm.
+        points: Number of values in the bracketing grid.
+        bisections: Number of bisections of the grid cell.
         kind: Sampled or continuous.
 
     Returns:

@@ -1,4 +1,4 @@
-"""Gains by gradient: numbers of a loop chosen on draws, inside intervals or under the theorem's certificate."""
+"""Gradient-based tuning: a loop's numbers are chosen on draws, within intervals or under the theorem's certificate."""
 
 from dssc_jax.analyses.tuning.result import Tuned
 from dssc_jax.analyses.tuning.tune import tune

@@ -1,4 +1,4 @@
-"""Tuning under Theorem 1: by its free parameters, so that every point is certified, or with slacks as constraints."""
+"""Tuning under Theorem 1: over its free parameters, so that every point is certified, or with slacks as constraints."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -17,7 +17,7 @@ REQUIRED_PARAMETERS = tuple(name for name in Free._fields if name not in Free._f
 
 
 def dotted_name(name: str) -> str:
-    """The dotted name of a parameter of Table 1 in a study."""
+    """The dotted name in a study of a parameter of Table 1."""
     if name == "l0":
         return "controller.l0"
     return f"controller.functions.{'epsilon' if name == 'eps' else name}"
@@ -25,7 +25,7 @@ def dotted_name(name: str) -> str:
 
 SMALL_GAIN, SLACK = "small gain", "slack of "
 NUMBERS = {dotted_name(name): name for name in Parameters._fields}
-"""The loop's numbers that the free parameters fix."""
+"""The loop's numbers that the free parameters determine."""
 
 
 @dataclass
@@ -35,10 +35,10 @@ class Theorem:
     Args:
         study: The study, whose controller has the functions of Table 1.
         fixed: Values of the free parameters that are not varied.
-        option: What asks for the theorem, for messages.
+        option: The option that requires the theorem, for messages.
 
     Raises:
-        ConfigError: the theorem does not speak of this loop, or its bounds are not to be had beforehand.
+        ConfigError: the theorem does not apply to this loop, or its bounds are not known beforehand.
     """
 
     study: Study
@@ -68,7 +68,7 @@ class Theorem:
         return Free(**{**self.fixed, **own})
 
     def expand(self, tuned: Mapping[str, Any]) -> dict[str, Any]:
-        """The loop's numbers: the certified design, and what is tuned beside it."""
+        """The loop's numbers: the certified design, and the other tuned numbers."""
         free = self.free(tuned)
         _, bounds = self.at({dotted_name("l0"): free.l0})  # of which those of the nominal control depend on l0
         parameters = design(bounds, free)
@@ -76,13 +76,13 @@ class Theorem:
         return others | {dotted_name(name): value for name, value in parameters._asdict().items()}
 
     def at(self, numbers: Mapping[str, Any]) -> tuple[Parameters, Bounds]:
-        """Parameters and bounds at the loop's numbers as they are simulated; those not among them are the study's."""
+        """Parameters and bounds at the loop's numbers as simulated; numbers not given are the study's."""
         own = {name: numbers[long] for long, name in NUMBERS.items() if long in numbers}
         parameters = self.parameters._replace(**own)
         return parameters, certification.bounds_of(self.study.loop, self.ends, parameters)
 
     def certificate(self, numbers: Mapping[str, float]) -> Certificate:
-        """The strict check of a design."""
+        """Check a design strictly."""
         return check(*self.at({name: float(value) for name, value in numbers.items()}))
 
     def excess(self, numbers: Mapping[str, Any], slack: float) -> dict[str, Any]:
@@ -90,10 +90,10 @@ class Theorem:
 
         Args:
             numbers: The loop's numbers, traced.
-            slack: Relative.
+            slack: The relative slack.
 
         Returns:
-            What is not positive is within; 1 where the bound has no meaning.
+            The excesses: not positive if within, 1 if the bound has no meaning.
         """
         parameters, bounds = self.at(numbers)
         rows = [(row.name, row.value, row.bound) for row in inequalities(parameters, bounds)]
@@ -110,7 +110,7 @@ class Theorem:
 def split_parameters(
     free: Mapping[str, tuple[float, float] | float],
 ) -> tuple[dict[str, tuple[float, float]], dict[str, float]]:
-    """Intervals of the varied free parameters, and the values of the fixed ones.
+    """Split the free parameters into intervals of the varied ones and values of the fixed ones.
 
     Raises:
         ConfigError: one is missing or unknown, or none is varied.

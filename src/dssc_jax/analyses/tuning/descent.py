@@ -1,4 +1,4 @@
-"""Descent by optax under an augmented Lagrangian."""
+"""Gradient descent by optax with an augmented Lagrangian."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from dssc_jax.analyses.tuning.problem import Point, Problem
 from dssc_jax.analyses.tuning.progress import FINEST, PENALTY, UPDATE, Search, headroom
 from dssc_jax.core.signals import ProgressCallback
 
-LAST = 0.01  # share of the learning rate that the cosine schedule ends with
+LAST = 0.01  # final share of the learning rate in the cosine schedule
 HALVINGS = 8
 CLIFF = 0.5  # a step may not worsen the objective by more, relative to the start's: beyond lies a loop that chatters
 SWERVE = 0.05  # a step may not exceed a limit by more, relative to it, unless the point before did
@@ -20,8 +20,8 @@ EXACT = 0.2  # share of the steps, the last ones, in which the sign is not smoot
 class Multipliers:
     """The augmented Lagrangian of relative excesses, g <= 0: f + sum (max(0, lambda + c g)^2 - lambda^2)/(2 c).
 
-    What a limit is exceeded by on the validation draws and not on the training draws is added to g, so that the search
-    keeps away from limits by as much as its draws mislead it.
+    If a limit is exceeded by more on the validation draws than on the training draws, the difference is added to g. The
+    search thus keeps away from limits by as much as its training draws mislead it.
 
     Reference:
         J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), section 17.4.
@@ -33,21 +33,21 @@ class Multipliers:
         self.gaps: dict[str, float] = {}
 
     def pushes(self, point: Point) -> dict[str, float]:
-        """max(0, lambda + c g) of each limit: its share in the gradient, and its next multiplier."""
+        """max(0, lambda + c g) of each limit: its weight in the gradient, and its next multiplier."""
         return {
             name: max(0.0, self.values.get(name, 0.0) + PENALTY * (excess + headroom(name) + self.gaps.get(name, 0.0)))
             for name, excess in point.merit.excess.items()
         }
 
     def gradient(self, point: Point) -> np.ndarray:
-        """Of the augmented Lagrangian."""
+        """Gradient of the augmented Lagrangian."""
         total = point.gradient / self.scale
         for name, push in self.pushes(point).items():
             total = total + push * point.slopes[name]
         return total
 
     def move(self, train: Point, validation: Point) -> None:
-        """The usual update of the multipliers, and the gaps anew."""
+        """Update the multipliers in the usual way, and compute the gaps anew."""
         self.values = self.pushes(train)
         if not validation.merit.ended:
             seen = train.merit.excess
@@ -55,15 +55,15 @@ class Multipliers:
 
 
 def descend(problem: Problem, first: tuple[Point, Point], progress: ProgressCallback | None) -> Search:
-    """Descent by gradients of single batches; the best point is chosen on the validation draws.
+    """Descend by gradients of single batches; the best point is chosen on the validation draws.
 
-    A step after which the point is not certified, a draw of the batch ends early, or objective or violation have leapt
-    up, is halved.
+    A step is halved if the new point is not certified, a draw of the batch ends early, or the objective or violation
+    increases abruptly.
 
     Args:
-        problem: The problem, begun.
+        problem: The problem, initialised.
         first: The start on training and validation draws.
-        progress: Told after each step.
+        progress: Called after each step.
     """
     table = problem.plan.table
     rate: Any = table.learning_rate
@@ -98,12 +98,12 @@ def descend(problem: Problem, first: tuple[Point, Point], progress: ProgressCall
 
 
 def falling(first: float, done: float) -> float:
-    """Width of the sign after a share of the steps: it falls geometrically, and is 0 in the last ones."""
+    """Width of the smoothed sign after a share of the steps: it decreases geometrically, and is 0 in the last ones."""
     return first * FINEST ** (done / (1.0 - EXACT)) if done < 1.0 - EXACT else 0.0
 
 
 def reached_box(problem: Problem, here: Point, change: np.ndarray, batch: np.ndarray, leap: float) -> tuple[Point, int]:
-    """The point after a step, which is halved until the point may be visited; then the same point again."""
+    """The point after a step, halved until the point is allowed; if none is, the same point again."""
     highest, farthest = here.merit.objective + leap, max(here.merit.violation, SWERVE)
     for halvings in range(HALVINGS):
         after = here.z + change * 0.5**halvings

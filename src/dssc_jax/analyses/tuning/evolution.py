@@ -1,4 +1,4 @@
-"""Differential evolution, where derivatives say nothing."""
+"""Differential evolution, used if derivatives are not useful."""
 
 import numpy as np
 from scipy.optimize import differential_evolution
@@ -13,9 +13,9 @@ POPULATION = 8  # members a coordinate
 
 
 def evolve(problem: Problem, first: tuple[Point, Point], progress: ProgressCallback | None) -> Search:
-    """Differential evolution on the training draws, for objectives whose derivatives say nothing.
+    """Run differential evolution on the training draws, for objectives whose derivatives are not useful.
 
-    A generation is one batch. It gets as many generations as a descent gets steps.
+    A generation is one batch. The number of generations is the number of steps of a descent.
 
     Reference:
         R. Storn, K. Price, "Differential evolution", J. Global Optimization 11 (1997) 341-359.

@@ -1,4 +1,4 @@
-"""Whether the derivatives say what small changes do: against central differences, in the mirror's coordinates."""
+"""Check whether derivatives predict small changes: against central differences, in the mirror's coordinates."""
 
 from typing import Any, NamedTuple
 
@@ -9,7 +9,7 @@ from dssc_jax.analyses.tuning.problem import Problem
 from dssc_jax.engine.evaluation import Derivative
 
 DIFFERENCE_STEP = 1e-5  # of the differences
-STRIDE, HALF = 0.03, 0.5  # a step as a search takes it, and to which share of itself a derivative is to tell its effect
+STRIDE, HALF = 0.03, 0.5  # a typical step of a search, and the relative error allowed in predicting its effect
 AGREEMENT = 1e-4  # relative
 DIFFERENCE_NOISE = 1e-8  # relative to the value: rounding of a difference, with three powers of ten of room
 KINK = 1e-3  # relative jump of the slope between both sides; curvature alone changes it by about the step
@@ -18,20 +18,20 @@ INSET = 0.05  # share of an interval's logarithm that is left out at both ends
 
 
 class GradientAgreement(NamedTuple):
-    """What came of the comparison.
+    """The result of the comparison.
 
     Args:
-        points: Random points, each with a draw of its own.
-        compared: Derivatives compared: of each metric at each point, along each coordinate.
-        kinks: Share of them at which the slopes of both sides differ.
+        points: Number of random points, each with its own draw.
+        compared: Number of derivatives compared: of each metric at each point, along each coordinate.
+        kinks: Share of them at which the slopes on the two sides differ.
         agreeing: Share of the others that agree to 1e-4 relative.
         useful: Share of all that agree.
-        predictive: Share that predicts to a half what steps of 0.03 of the coordinate do. Where a loop chatters,
-            derivatives can be exact and tell nothing.
-        ended: Points whose draw ended early, of which none is compared.
-        finite: Whether no derivative of a draw that lasted is NaN or infinite.
-        kinked: Share of kinks of each metric along each number.
-        disagreeing: Where derivatives disagree away from kinks, the worst first: metric, number, point, slopes.
+        predictive: Share that predicts the effect of a step of 0.03 of the coordinate to within a half. If a loop
+            chatters, derivatives can be exact without predicting anything.
+        ended: Number of points whose draw ended early; they are not compared.
+        finite: Whether no derivative of a completed draw is NaN or infinite.
+        kinked: Share of kinks for each metric along each number.
+        disagreeing: Disagreements away from kinks, worst first: metric, number, point, slopes.
     """
 
     points: int
@@ -47,7 +47,7 @@ class GradientAgreement(NamedTuple):
 
     @property
     def text(self) -> str:
-        """One line for people."""
+        """The result in one line."""
         return (
             f"{100 * self.agreeing:.1f} % of {self.compared} derivatives agree with central differences to 1e-4 away "
             f"from kinks, which are {100 * self.kinks:.1f} %; {100 * self.predictive:.1f} % predict a longer step"
@@ -55,12 +55,12 @@ class GradientAgreement(NamedTuple):
 
 
 class DerivativePair(NamedTuple):
-    """Derivatives against differences, all arrays of one shape.
+    """Derivatives and differences, all arrays of one shape.
 
     Args:
         exact: Derivatives.
         central: Central differences.
-        kink: Whether the slopes of both sides differ.
+        kink: Whether the slopes on the two sides differ.
         agree: Whether derivative and difference agree.
     """
 
@@ -71,7 +71,7 @@ class DerivativePair(NamedTuple):
 
     @property
     def shares(self) -> dict[str, Any]:
-        """Kinks among all, agreement away from them and among all, and whether every derivative is finite."""
+        """Share of kinks, of agreement away from them and among all, and whether every derivative is finite."""
         total, smooth = max(self.exact.size, 1), max(int(np.count_nonzero(~self.kink)), 1)
         return {
             "kinks": float(np.count_nonzero(self.kink) / total),
@@ -81,7 +81,7 @@ class DerivativePair(NamedTuple):
         }
 
     def worst(self) -> list[tuple[int, ...]]:
-        """Where they disagree away from kinks, the largest relative difference first."""
+        """Disagreements away from kinks, the largest relative difference first."""
         places = np.argwhere(~self.agree & ~self.kink)
         scale = np.maximum(np.abs(self.exact), np.abs(self.central))
         apart = np.abs(self.exact - self.central) / np.where(scale > 0.0, scale, 1.0)
@@ -90,7 +90,7 @@ class DerivativePair(NamedTuple):
 
 
 def compare_derivatives(exact: np.ndarray, value: np.ndarray, above: np.ndarray, below: np.ndarray) -> DerivativePair:
-    """Derivatives against the differences on both sides, and the values that these round; any shape, one for all."""
+    """Compare derivatives with the differences on both sides and the rounded values; any shape, the same for all."""
     noise = DIFFERENCE_NOISE * np.abs(value)
     central, larger = 0.5 * (above + below), np.maximum(np.abs(above), np.abs(below))
     kink = np.abs(above - below) > KINK * larger + noise
@@ -101,12 +101,12 @@ def compare_derivatives(exact: np.ndarray, value: np.ndarray, above: np.ndarray,
 def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgreement:
     """Compare derivatives of single draws with central differences.
 
-    Points are uniform in the logarithm of the tuned numbers, all over their intervals.
+    Points are uniform in the logarithm of the tuned numbers, over their whole intervals.
 
     Args:
-        problem: Objective and limits name the metrics.
-        points: How many.
-        seed: Of the points.
+        problem: The problem; its objective and limits determine the metrics.
+        points: Number of points.
+        seed: Seed of the points.
     """
     rng = np.random.default_rng(seed)
     mirror, size = problem.plan.mirror, len(problem.plan.mirror.names)

@@ -1,4 +1,4 @@
-"""Tuned numbers in coordinates without bounds: positive, and inside their intervals, by construction."""
+"""Map tuned numbers, positive and inside their intervals, to coordinates without bounds."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -14,18 +14,18 @@ Numbers = dict[str, Any]
 
 
 def as_they_are(tuned: Mapping[str, Any]) -> Numbers:
-    """The loop's numbers are the tuned ones themselves."""
+    """Use the tuned numbers themselves as the loop's numbers."""
     return dict(tuned)
 
 
 @dataclass(frozen=True, eq=False)
 class Mirror:
-    """value = low (high/low)^s(z) with s(z) = 1/(1 + e^-z), for each tuned number.
+    """The map value = low (high/low)^s(z) with s(z) = 1/(1 + e^-z), for each tuned number.
 
     Args:
         extents: Lowest and highest value of each, 0 < low < high.
-        start: Where the search begins, inside.
-        expand: The loop's numbers, by dotted name, that follow from the tuned ones.
+        start: The start of the search, inside the intervals.
+        expand: Computes the loop's numbers, by dotted name, from the tuned ones.
     """
 
     extents: dict[str, tuple[float, float]]

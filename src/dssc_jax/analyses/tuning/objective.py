@@ -1,4 +1,4 @@
-"""From the draws' metrics and their derivatives to one number, its gradient, and how far limits are exceeded."""
+"""Combine the draws' metrics and derivatives into one objective, its gradient, and the excesses over limits."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,14 +16,14 @@ REQUIREMENTS, COUNTEREXAMPLES = "requirements", "counterexamples"
 
 
 class Merit(NamedTuple):
-    """What a batch says of a point.
+    """The evaluation of a point on a batch.
 
     Args:
         objective: The aggregate of the draws' costs.
         gradient: Its derivatives with respect to the loop's numbers.
-        excess: How far each limit is exceeded, relative to it; what is not positive is within.
+        excess: Relative excess over each limit; not positive if within.
         slopes: Derivatives of each excess.
-        ended: Draws that ended early, which no number describes.
+        ended: Number of draws that ended early, for which no number is defined.
     """
 
     objective: float
@@ -34,20 +34,20 @@ class Merit(NamedTuple):
 
     @property
     def violation(self) -> float:
-        """The largest excess; 0 within all limits, infinite where draws ended early."""
+        """The largest excess; 0 if all limits hold, infinite if draws ended early."""
         if self.ended:
             return float("inf")
         return max([0.0, *self.excess.values()])
 
 
 def weights(costs: np.ndarray, aggregate: str, level: float) -> np.ndarray:
-    """The weight of each draw in the aggregate of the costs; they add up to 1, and the gradient has the same.
+    """The weight of each draw in the aggregate of the costs; weights add up to 1 and also apply to the gradient.
 
     Args:
-        costs: One a draw, shape (n,).
+        costs: One for each draw, shape (n,).
         aggregate: ``mean``; ``cvar``, the mean of the worst share 1 - level, whose last draw may count in part;
-            ``worst``, a softmax of a tenth of the costs' standard deviation.
-        level: Of the CVaR.
+            ``worst``, a softmax with a temperature of a tenth of the costs' standard deviation.
+        level: Level of the CVaR.
 
     Reference:
         R. T. Rockafellar, S. Uryasev, Journal of Risk 2 (2000) 21-41.
@@ -66,14 +66,14 @@ def weights(costs: np.ndarray, aggregate: str, level: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Goal:
-    """What is made small, and what has to hold.
+    """The objective to minimise, and the constraints.
 
     Args:
         costs: Weight of each metric in a draw's cost.
         aggregate: See :func:`weights`.
         level: See :func:`weights`.
         limits: Bound of each metric's mean over the draws.
-        requirements: What every draw is required to meet.
+        requirements: Requirements that every draw must meet.
     """
 
     costs: Mapping[str, float]
@@ -83,30 +83,30 @@ class Goal:
     requirements: Sequence[Requirement]
 
     def cost(self, results: Arrays) -> np.ndarray:
-        """Each draw's cost; NaN where it ended early."""
+        """Each draw's cost; NaN if it ended early."""
         total = np.zeros(len(results["outcome"]))
         for name, weight in self.costs.items():
             total = total + weight * results[name]
         return total
 
     def value(self, costs: np.ndarray) -> float:
-        """The aggregate of the draws' costs; infinite where one has none."""
+        """The aggregate of the draws' costs; infinite if one has none."""
         if not np.isfinite(costs).all():
             return float("inf")
         return float(weights(costs, self.aggregate, self.level) @ costs)
 
     def excess(self, results: Arrays) -> np.ndarray:
-        """By how much each draw misses its worst requirement, relative to the bound; 0 where it meets all."""
+        """How far each draw misses its worst requirement, relative to the bound; 0 if it meets all."""
         missed = [-results[r.name] / r.scale for r in self.requirements]
         return np.maximum(np.max(missed, axis=0), 0.0)
 
     def merit(self, results: Arrays, numbers: Sequence[str], added: int = 0) -> Merit:
-        """What a batch says, with derivatives where the results hold them.
+        """Evaluate a batch, with derivatives if the results contain them.
 
         Args:
-            results: Of the draws, then of ``added`` counterexamples.
-            numbers: The loop's numbers of which there are derivatives.
-            added: Counterexamples at the end: they have no cost, and must meet the requirements.
+            results: Results of the draws, then of ``added`` counterexamples.
+            numbers: The loop's numbers with respect to which there are derivatives.
+            added: Number of counterexamples at the end: they have no cost, and must meet the requirements.
         """
         count = len(results["outcome"]) - added
         ended = int(np.count_nonzero(ended_early(results["outcome"])))
@@ -135,7 +135,7 @@ class Goal:
         return total
 
     def _missed(self, results: Arrays, numbers: Sequence[str]) -> tuple[float, dict[str, float]]:
-        """Mean over the draws of what the worst requirement is missed by, and its derivatives."""
+        """Mean over the draws of how far the worst requirement is missed, and its derivatives."""
         missed = np.array([-results[r.name] / r.scale for r in self.requirements])
         worst = np.argmax(missed, axis=0)
         counts = np.max(missed, axis=0) > 0.0

@@ -1,4 +1,4 @@
-"""What a study's ``[tune]`` asks for, checked before anything is compiled."""
+"""The settings in a study's ``[tune]``, checked before compilation."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -29,8 +29,8 @@ class Plan:
         study: The study without its sweep.
         table: Its ``[tune]``.
         mirror: The tuned numbers with their bounds, mapped to unbounded search variables.
-        theorem: What certifies every point; None if no certificate is required.
-        seed: Of the training and validation draws; the study's own draws decide in the end.
+        theorem: Certifies every point; None if no certificate is required.
+        seed: Seed of the training and validation draws; the final verdict uses the study's own draws.
     """
 
     study: Study
@@ -41,10 +41,10 @@ class Plan:
 
     @classmethod
     def of(cls, study: Study) -> "Plan":
-        """The plan of a study.
+        """Create the plan of a study.
 
         Raises:
-            ConfigError: dotted path, rule and value of the first thing that is wrong.
+            ConfigError: dotted path, rule and value of the first error.
         """
         try:
             return cls._of(study.without_sweep())
@@ -94,12 +94,12 @@ class Plan:
 
     @property
     def measures(self) -> dict[str, Measure]:
-        """What objective and limits need, by name."""
+        """The measures that objective and limits need, by name."""
         by_name = {measure.name: measure for measure in self.study.measures}
         return {name: by_name[name] for name in (*self.table.objective, *self.table.limits)}
 
     def trial(self) -> Study:
-        """The study as it is trained on: other draws, and no metric that is not needed."""
+        """The study used for training: with other draws, and only the metrics needed."""
         bare = {measure.name for measure in self.study.measures}
         own = {requirement.measure.name for requirement in self.study.requirements}
         kinds = {self._written(measure) for name, measure in self.measures.items() if name in bare - own}
@@ -109,12 +109,12 @@ class Plan:
         return self.study.override(changes | {"metrics": kept | {"names": sorted(kinds)}})
 
     def smoothed(self) -> Study:
-        """The study as its derivatives are computed: with the sign's first width, where it is to be smoothed."""
+        """The study used for derivatives: with the first width of the sign, if it is to be smoothed."""
         width = self.table.smoothing
         return self.trial() if width is None else self.trial().override({WIDTH: width})
 
     def _written(self, measure: Measure) -> str:
-        """A metric's name as the study writes it: a user's own by its dotted name."""
+        """A metric's name as written in the study; a user's metric has its dotted name."""
         for name in self.study.config.metrics.names or ():
             if name.rpartition(":")[2] == measure.kind:
                 return name
@@ -122,15 +122,15 @@ class Plan:
 
 
 def seed_of(study: Study, table: TuneTable) -> int:
-    """The seed of the draws that train and validate."""
+    """The seed of the training and validation draws."""
     return (study.config.seed + 1) % 2**32 if table.seed is None else table.seed
 
 
 def require_metrics(study: Study, table: TuneTable) -> None:
-    """Require that every metric of objective and limits is one of the study's.
+    """Require that every metric of objective and limits belongs to the study.
 
     Raises:
-        ConfigError: one is not, or nothing is to be made small.
+        ConfigError: one does not, or there is nothing to minimise.
     """
     names = [measure.name for measure in study.measures]
     for place, wanted in (("objective", table.objective), ("limits", table.limits)):
@@ -143,10 +143,10 @@ def require_metrics(study: Study, table: TuneTable) -> None:
 
 
 def require_room(study: Study, table: TuneTable) -> None:
-    """Require that no two requirements, or a requirement and a limit, exclude each other.
+    """Require that no two requirements, or a requirement and a limit, contradict each other.
 
     Raises:
-        ConfigError: a metric is to be above a number and below a lesser one.
+        ConfigError: a metric must be above one number and below a smaller one.
     """
     required = [(r.measure.name, r.minimum, r.maximum) for r in study.requirements]
     most = [("requirement", name, high) for name, _, high in required if high is not None]
@@ -158,10 +158,10 @@ def require_room(study: Study, table: TuneTable) -> None:
 
 
 def require_sign(study: Study) -> None:
-    """Require that every channel's controller has a sign that can be smoothed, and none that is smooth already.
+    """Require that every channel's controller has a sign function that can be smoothed and is not smooth already.
 
     Raises:
-        ConfigError: one has none, or a width of its own.
+        ConfigError: one has none, or one has its own width.
     """
     if any(not isinstance(gains, DsscGains) for gains in study.template.controller):
         raise ConfigError("tune.smoothing", "is the width of DSSC's and SSC's sign; this controller has none")
@@ -170,10 +170,10 @@ def require_sign(study: Study) -> None:
 
 
 def require_number(study: Study, name: str, table: TuneTable) -> None:
-    """Require that a dotted name is a plain number of the loop that one may move.
+    """Require that a dotted name is a plain number of the loop that can be tuned.
 
     Raises:
-        ConfigError: it is something else, or follows from others.
+        ConfigError: it is something else, or is determined by other numbers.
     """
     place = f"tune.parameters.{name}"
     if table.certified and name in NUMBERS:
@@ -191,7 +191,7 @@ def require_number(study: Study, name: str, table: TuneTable) -> None:
 
 
 def unfit(study: Study, name: str) -> str:
-    """Why a name is no number of the loop."""
+    """The reason why a name is not a number of the loop."""
     table: Any = study.table
     for part in name.split("."):
         table = table.get(part) if isinstance(table, Mapping) else None
@@ -207,10 +207,10 @@ def unfit(study: Study, name: str) -> str:
 
 
 def inside_range(study: Study, name: str, extent: tuple[float, float]) -> float:
-    """The study's own value, where the search begins.
+    """The study's own value, which is the start of the search.
 
     Raises:
-        ConfigError: it is outside its interval, or an end is not admissible.
+        ConfigError: it is outside its interval, or an end of the interval is not admissible.
     """
     low, high = extent
     value = study.leaves()[name]

@@ -1,4 +1,4 @@
-"""A tuning as a function of the mirror's coordinates: values, gradients, and whether a point may be visited."""
+"""The tuning problem as a function of the mirror's coordinates: values, gradients, and whether a point is allowed."""
 
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -14,7 +14,7 @@ from dssc_jax.engine.evaluation import Evaluator, GradientEvaluator
 
 
 class Point(NamedTuple):
-    """A point with what a batch says of it: objective, excesses, and their gradients in the mirror's coordinates."""
+    """A point evaluated on a batch: objective, excesses, and their gradients in the mirror's coordinates."""
 
     z: np.ndarray
     merit: Merit
@@ -23,7 +23,7 @@ class Point(NamedTuple):
 
 
 class Slacks:
-    """Excesses of Theorem 1's inequalities at a point, and their slopes, where a slack is asked for."""
+    """Excesses of Theorem 1's inequalities at a point, and their derivatives, if a slack is required."""
 
     def __init__(self, plan: Plan) -> None:
         theorem, slack = plan.theorem, plan.table.slack
@@ -44,15 +44,15 @@ class Slacks:
 
 @dataclass
 class Problem:
-    """The plan's objective on the draws that train and validate it, by two programs: with derivatives, and without.
+    """The plan's objective on training and validation draws, by two programs: with derivatives, and without.
 
-    Draws are counted on: the first ``draws`` train, the next ``validation`` validate. They and their noise are the same
-    at every point.
+    The first ``draws`` draws are for training, the next ``validation`` for validation. Draws and their noise are the
+    same at every point.
 
     Args:
         plan: The plan.
         added: Counterexamples: values of the laws' numbers, each of shape (n,).
-        width: Of the smoothed sign in the program with derivatives [m/s], where ``smoothing`` is asked for.
+        width: Width of the smoothed sign in the program with derivatives [m/s], if ``smoothing`` is set.
     """
 
     plan: Plan
@@ -79,18 +79,18 @@ class Problem:
 
     @property
     def extra(self) -> np.ndarray:
-        """Draw indices of the counterexamples: all have the noise of draw 0, as they were found."""
+        """Draw indices of the counterexamples: all use the noise of draw 0, with which they were found."""
         return np.zeros(len(next(iter(self.added.values()), [])), dtype=int)
 
     def begin(self) -> tuple[Point, Point]:
-        """The start on the training and the validation draws; what it has there is what limits may refer to."""
+        """Evaluate the start on the training and the validation draws; limits may refer to its values."""
         origin, everything = self.plan.mirror.origin, np.concatenate([self.train, self.validation])
         results = self.results(origin[None], everything, self.plain)
         self.before = {name: results[name][: len(everything)] for name in self.plan.table.limits}
         return self.at(origin, self.train), self.seen(origin)
 
     def goal_on(self, draws: np.ndarray) -> Goal:
-        """The goal on some of the draws: a limit set by the start is what the start has on the same ones."""
+        """The goal on some of the draws: a limit relative to the start uses the start's value on the same draws."""
         given = self.plan.table.limits.items()
         limits = {n: float(np.mean(self.before[n][draws])) if bound == "start" else float(bound) for n, bound in given}
         return replace(self.goal, limits=limits)
@@ -101,10 +101,10 @@ class Problem:
         Args:
             z: Points, shape (m, n).
             draws: Indices of the draws, shape (d,).
-            evaluator: Another program than the one with derivatives.
+            evaluator: A program to use instead of the one with derivatives.
 
         Returns:
-            Each of shape (m (d + added),), point by point.
+            Arrays of shape (m (d + added),), point by point.
         """
         indices = np.concatenate([draws, self.extra])
         lanes = {
@@ -116,11 +116,11 @@ class Problem:
         return (evaluator or self.steep)(np.tile(indices, len(z)), lanes)
 
     def steep(self, indices: np.ndarray, lanes: Arrays) -> Arrays:
-        """The program with derivatives, at the present width."""
+        """Run the program with derivatives, at the present width."""
         return self.evaluator(indices, lanes | self._width(indices))
 
     def flat(self, indices: np.ndarray, lanes: Arrays) -> Arrays:
-        """What the program with derivatives computes, without them."""
+        """Compute the same as the program with derivatives, without them."""
         if self.width is None:
             return self.plain(indices, lanes)
         evaluator = Evaluator(self.plan.smoothed(), self.evaluator.extents, self.evaluator.lanes)
@@ -130,7 +130,7 @@ class Problem:
         return {} if self.width is None else {WIDTH: np.full(len(indices), self.width)}
 
     def seen(self, z: np.ndarray, draws: np.ndarray | None = None) -> Point:
-        """One point on the validation draws, or others: exact and without derivatives."""
+        """Evaluate one point on the validation draws, or others: exact and without derivatives."""
         draws = self.validation if draws is None else draws
         merit = self.goal_on(draws).merit(self.results(z[None], draws, self.plain), (), len(self.extra))
         if not merit.ended and self.slacks is not None:
@@ -138,7 +138,7 @@ class Problem:
         return Point(z, merit, np.full(len(z), np.nan), {})
 
     def at(self, z: np.ndarray, draws: np.ndarray) -> Point:
-        """One point on some of the draws."""
+        """Evaluate one point on some of the draws."""
         merit = self.goal_on(draws).merit(self.results(z[None], draws), self.names, len(self.extra))
         if merit.ended:
             return Point(z, merit, np.full(len(z), np.nan), {})
@@ -154,7 +154,7 @@ class Problem:
         return Point(z, merit, along(merit.gradient), slopes)
 
     def allowed(self, z: np.ndarray) -> bool:
-        """Whether the point passes the strict check of Theorem 1, where it has to."""
+        """Whether the point passes the strict check of Theorem 1, if that is required."""
         if self.plan.theorem is None:
             return True
         numbers = {name: float(column[0]) for name, column in self.plan.mirror.numbers(z[None]).items()}

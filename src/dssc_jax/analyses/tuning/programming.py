@@ -1,4 +1,4 @@
-"""Sequential quadratic programming: few steps, where every one sees all training draws."""
+"""Sequential quadratic programming: few steps, each of which uses all training draws."""
 
 from dataclasses import dataclass, field
 
@@ -14,11 +14,11 @@ CONVERGED = 1e-5  # change of the relative objective at which a stage ends
 
 
 def program(problem: Problem, first: tuple[Point, Point], progress: ProgressCallback | None) -> Search:
-    """SLSQP on the training draws; validation draws choose among its iterates.
+    """Run SLSQP on the training draws; the validation draws choose among its iterates.
 
-    The largest excess is a coordinate of its own, so that limits in straight lines never contradict each other. What a
-    limit is exceeded by on the validation draws and not on the training draws is added to its headroom, and the search
-    goes on from there.
+    The largest excess is an additional coordinate, so that linearised limits never contradict each other. If a limit is
+    exceeded by more on the validation draws than on the training draws, the difference is added to its headroom, and
+    the search continues from there.
 
     Reference:
         D. Kraft, "A software package for sequential quadratic programming", DFVLR-FB 88-28 (1988); the elastic mode is
@@ -38,20 +38,20 @@ def program(problem: Problem, first: tuple[Point, Point], progress: ProgressCall
 
 
 class Waited(Exception):
-    """Nothing better came for as many looks as patience lasts."""
+    """Raised if there was no improvement for as many evaluations on the validation draws as the patience allows."""
 
 
 @dataclass
 class Iteration:
-    """A search on its way; its coordinates are the mirror's, then the largest excess.
+    """A search in progress; its coordinates are the mirror's, then the largest excess.
 
     Args:
-        problem: The problem, begun.
-        search: What was found.
+        problem: The problem, initialised.
+        search: The results so far.
         here: The present iterate.
-        progress: Told after each step.
-        done: Steps done.
-        gaps: What each limit's headroom is larger by.
+        progress: Called after each step.
+        done: Number of steps done.
+        gaps: Increase of each limit's headroom.
     """
 
     problem: Problem
@@ -68,7 +68,7 @@ class Iteration:
         self.scale = abs(self.here.merit.objective) or 1.0
 
     def at(self, x: np.ndarray) -> tuple[Point, bool]:
-        """A point, and whether it may be visited."""
+        """A point, and whether it is allowed."""
         z = x[:-1]
         key = z.tobytes()
         if key not in self._points:
@@ -77,15 +77,15 @@ class Iteration:
         return self._points[key]
 
     def cost(self, x: np.ndarray) -> float:
-        """The relative objective, and the penalty."""
+        """The relative objective plus the penalty."""
         point, fit = self.at(x)
         return point.merit.objective / self.scale + PENALTY * float(x[-1]) if fit else UNFIT
 
     def gradient(self, x: np.ndarray) -> np.ndarray:
-        """Of the cost. It is asked for at iterates only: a look at each.
+        """Gradient of the cost. It is called at iterates only, each of which is evaluated on the validation draws.
 
         Raises:
-            Waited: nothing better came for too long.
+            Waited: there was no improvement for too long.
         """
         point = self.at(x)[0]
         if not np.array_equal(point.z, self.here.z):
@@ -99,7 +99,7 @@ class Iteration:
         return np.append(point.gradient / self.scale, PENALTY)
 
     def room(self, x: np.ndarray) -> np.ndarray:
-        """What is left to every limit, less its headroom, with the largest excess allowed for."""
+        """The distance to every limit, less its headroom, plus the largest excess."""
         excess = self.at(x)[0].merit.excess
         own = [excess.get(name, 1.0) + headroom(name) + self.gaps.get(name, 0.0) for name in self.names]
         return x[-1] - np.array(own)
@@ -111,7 +111,7 @@ class Iteration:
         return np.hstack([-own, np.ones((len(own), 1))])
 
     def go(self, steps: int) -> None:
-        """One stage, until so many steps are done in all."""
+        """Run one stage, until the given total number of steps."""
         self._points.clear()
         self._waited, table = 0, self.problem.plan.table
         begin = np.append(np.clip(self.here.z, -REACH, REACH), 0.0)
@@ -129,7 +129,7 @@ class Iteration:
             self.search.stopped = "all steps done" if self.done >= table.steps else "converged"
 
     def widen(self) -> bool:
-        """More headroom where only the validation draws exceed a limit; whether there is such a limit."""
+        """Increase the headroom of limits that only the validation draws exceed; return whether there are any."""
         validation, own = self.problem.seen(self.here.z).merit, self.here.merit.excess
         if not validation.ended:
             self.gaps = {name: max(0.0, excess - own[name]) for name, excess in validation.excess.items()}

@@ -1,4 +1,4 @@
-"""What every search notes on its way: the looks at the validation draws, and the best point among them."""
+"""The record of a search: evaluations on the validation draws, and the best point among them."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 from dssc_jax.analyses.tuning.certified import SLACK
 from dssc_jax.analyses.tuning.problem import Point, Problem
 
-HEADROOM = 0.01  # by which a search keeps within limits, relative
+HEADROOM = 0.01  # relative margin that a search keeps within limits
 UNFIT = 1e6  # cost of a point that is not certified, or whose draws end early
 REACH = 6.0  # |z| at the ends of a search's box: 0.25 % of the interval's logarithm is left out
 FINEST = 1e-3  # width of the sign before it is 0, relative to the first
@@ -16,13 +16,14 @@ UPDATE = 5  # steps or generations between two looks at the validation draws
 
 @dataclass
 class Search:
-    """What a search found.
+    """The result of a search.
 
     Args:
         best: The best point on the validation draws.
-        history: A row for each look: step, objective and violation on training and validation draws, tuned numbers.
-        stopped: Why it ended.
-        shortened: Halvings of steps that led where no point may be.
+        history: A row for each evaluation on validation draws: step, objective and violation on training and validation
+            draws, tuned numbers.
+        stopped: The reason why it ended.
+        shortened: Number of halvings of steps that led to points that are not allowed.
     """
 
     best: Point
@@ -31,7 +32,7 @@ class Search:
     shortened: int = 0
 
     def look(self, problem: Problem, step: int, train: Point, validation: Point) -> bool:
-        """Note a point; whether it is the best so far."""
+        """Record a point; return whether it is the best so far."""
         row = {"step": step, "objective": train.merit.objective, "violation": train.merit.violation}
         row |= {"validation": validation.merit.objective, "validation_violation": validation.merit.violation}
         tuned = problem.plan.mirror.tuned(train.z)
@@ -43,10 +44,10 @@ class Search:
 
 
 def headroom(limit: str) -> float:
-    """By how much a search keeps within a limit: what draws say is uncertain, what the theorem says is not."""
+    """The relative headroom kept within a limit; 0 for the theorem's, which do not depend on the draws."""
     return 0.0 if limit.startswith(SLACK) else HEADROOM
 
 
 def rank(point: Point) -> tuple[float, float]:
-    """Within the limits first, then the least objective."""
+    """Sort key: points within the limits first, then by the objective."""
     return point.merit.violation, point.merit.objective

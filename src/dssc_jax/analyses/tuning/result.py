@@ -1,4 +1,4 @@
-"""A finished tuning."""
+"""The result of a tuning."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -29,24 +29,24 @@ LOOKED = {
     "validation": "objective on the validation draws",
     "validation_violation": "largest violation of a limit on the validation draws, relative",
 }
-"""What a look notes beside the tuned numbers."""
+"""Recorded at each evaluation on validation draws besides the tuned numbers."""
 COST = "cost_"
 
 
 @dataclass(eq=False)
 class Tuned(Analysis):
-    """What a tuning found.
+    """The result of a tuning.
 
-    The dataset has along ``look`` the history: step, objective and violation on training and validation draws, and the
-    tuned numbers; along ``draw`` the cost of every fresh draw, ``cost_start`` and ``cost_tuned``.
+    The dataset has the history along ``look``: step, objective and violation on training and validation draws, and the
+    tuned numbers. Along ``draw`` it has the cost of every fresh draw, ``cost_start`` and ``cost_tuned``.
 
     Args:
-        start: The tuned numbers where the search began, by name.
+        start: The tuned numbers at the start of the search, by name.
         values: The tuned numbers found.
         numbers: The loop's numbers that follow from them.
-        gradients: How derivatives compared with differences; None: they were not compared.
-        verdict: What fresh draws say.
-        facts: How the search went: method, why it ended, steps shortened, iterates certified, counterexamples, seconds.
+        gradients: The comparison of derivatives with differences; None if there was none.
+        verdict: The evaluation on fresh draws.
+        facts: Facts of the search: method, why it ended, steps shortened, iterates certified, counterexamples, seconds.
     """
 
     kind = "tune"
@@ -62,17 +62,17 @@ class Tuned(Analysis):
 
     @property
     def tuned_study(self) -> Study:
-        """The study with the tuned numbers in it."""
+        """The study with the tuned numbers."""
         return self.study.override(self.numbers)
 
     @property
     def plan(self) -> Plan:
-        """The tuning, as its study makes it out."""
+        """The settings of the tuning, read from the study."""
         return Plan.of(self.study)
 
     @property
     def history(self) -> list[dict[str, Any]]:
-        """A row for each look."""
+        """A row for each evaluation on validation draws."""
         columns = {str(name): one.values.tolist() for name, one in self.dataset.items() if one.dims == ("look",)}
         return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
@@ -83,7 +83,7 @@ class Tuned(Analysis):
 
     @property
     def met(self) -> bool:
-        """Whether limits and requirements hold on the validation draws, and the last hunt found no failure."""
+        """Whether limits and requirements hold on the validation draws, and the last search found no failure."""
         hunts = self.facts["counterexamples"]
         return self.facts["feasible"] and not (hunts and hunts[-1]["slack"] < 0.0)
 
@@ -94,7 +94,7 @@ class Tuned(Analysis):
         return f"objective {before:.4g} to {after:.4g} on {self.verdict.draws:,} fresh draws"
 
     def figure(self) -> Figure:
-        """The search, and the fresh draws' costs: :func:`dssc_jax.plotting.tuning`."""
+        """Plot the search and the fresh draws' costs: :func:`dssc_jax.plotting.tuning`."""
         return plotting.tuning(self)
 
     def content(self) -> dict[str, Any]:
@@ -130,7 +130,7 @@ class Tuned(Analysis):
 
 
 def dataset_of(study: Study, history: Sequence[Mapping[str, Any]], costs: Mapping[str, np.ndarray]) -> xr.Dataset:
-    """History and costs as a dataset: see :class:`Tuned`."""
+    """Store history and costs in a dataset: see :class:`Tuned`."""
     meanings = {name: Quantity("1", text) for name, text in LOOKED.items()} | study.quantities
     for name, hint in get_type_hints(Free, include_extras=True).items():
         meanings[PREFIX + name] = hint.__metadata__[0]
@@ -152,7 +152,7 @@ def tuned_table(study: Study) -> TuneTable:
 
 
 def as_tuples(value: Any) -> Any:
-    """What JSON has made lists of."""
+    """Convert the lists of JSON back to tuples."""
     if isinstance(value, list):
         return tuple(map(as_tuples, value))
     return {name: as_tuples(one) for name, one in value.items()} if isinstance(value, dict) else value

@@ -1,4 +1,4 @@
-"""Which search: by descent, by sequential quadratic programming, or by evolution."""
+"""Choose the search: descent, sequential quadratic programming, or evolution."""
 
 from dssc_jax.analyses.tuning.descent import descend
 from dssc_jax.analyses.tuning.evolution import evolve
@@ -9,10 +9,10 @@ from dssc_jax.analyses.tuning.progress import Search
 from dssc_jax.core.signals import ProgressCallback
 
 METHODS = {PROGRAMMING: program, EVOLUTION: evolve}
-"""Those that are not of optax."""
+"""Searches other than those of optax."""
 
 
 def search(problem: Problem, first: tuple[Point, Point], useful: bool, progress: ProgressCallback | None) -> Search:
-    """What the study asks for; evolution where derivatives are not useful."""
+    """Run the search that the study names, or evolution if derivatives are not useful."""
     optimiser = problem.plan.table.optimiser if useful else EVOLUTION
     return METHODS.get(optimiser, descend)(problem, first, progress)

@@ -1,4 +1,4 @@
-"""Tuning a study: descent on training draws, choice on validation draws, verdict on fresh ones."""
+"""Tune a study: descent on training draws, choice on validation draws, verdict on fresh ones."""
 
 import time
 
@@ -30,18 +30,18 @@ def tune(
     budget: int = BUDGET,
     progress: ProgressCallback | None = None,
 ) -> Tuned:
-    """Choose the numbers that the study's ``[tune]`` names.
+    """Tune the numbers that the study's ``[tune]`` names.
 
     Args:
-        study: The study; its own sweep is left aside, and its own draws are kept for the verdict.
-        robust: Also hunt the worst case of what was found, add it to what must be met, and tune again, until no
+        study: The study; its own sweep is ignored, and its own draws are kept for the verdict.
+        robust: Also search for the worst case of the result, add it to the requirements, and tune again, until no
             failure is found.
-        rounds: Times at most that this is done.
-        budget: Simulations of each hunt.
-        progress: Told of the steps done.
+        rounds: Largest number of repetitions.
+        budget: Simulations of each search for the worst case.
+        progress: Called with the steps done.
 
     Raises:
-        ConfigError: what is asked for is not admissible, or the start is not feasible.
+        ConfigError: the settings are not admissible, or the start is not feasible.
 
     Example:
         >>> import dssc_jax as dj
@@ -87,10 +87,10 @@ def tune(
 
 
 def solve(problem: Problem, progress: ProgressCallback | None) -> tuple[Search, GradientAgreement | None]:
-    """One search, by descent where derivatives are asked for and useful.
+    """Run one search, by descent if derivatives are requested and useful.
 
     Raises:
-        ConfigError: draws end early at the start, so that there is nothing to descend from.
+        ConfigError: draws end early at the start, so that there is no objective to descend on.
     """
     first = problem.begin()
     for point, name in zip(first, ("training", "validation"), strict=True):
@@ -104,7 +104,7 @@ def solve(problem: Problem, progress: ProgressCallback | None) -> tuple[Search, 
 
 
 def useful(gradients: GradientAgreement) -> bool:
-    """Whether there is something to descend on: derivatives that hold, and not only for the smallest of steps."""
+    """Whether derivatives can be used for descent: they are correct, and not only for the smallest of steps."""
     return min(gradients.useful, gradients.predictive) >= USEFUL
 
 
@@ -114,15 +114,15 @@ def numbers_at(plan: Plan, z: np.ndarray) -> dict[str, float]:
 
 
 def joined(added: Arrays, witness: dict[str, float]) -> Arrays:
-    """The counterexamples with one more."""
+    """Add one counterexample to the others."""
     return {name: np.append(added.get(name, []), value) for name, value in witness.items()}
 
 
 def require_certified(plan: Plan) -> None:
-    """Require that the start passes the strict check, with the slack that is asked for.
+    """Require that the start passes the strict check, with the required slack.
 
     Raises:
-        ConfigError: it does not.
+        ConfigError: it does not pass.
     """
     assert plan.theorem is not None
     numbers = numbers_at(plan, plan.mirror.origin)
@@ -138,10 +138,10 @@ def require_certified(plan: Plan) -> None:
 
 
 def require_falsifiable(study: Study, rounds: int, budget: int) -> None:
-    """Require what a hunt for counterexamples needs.
+    """Require what a search for counterexamples needs.
 
     Raises:
-        ConfigError: it is not there.
+        ConfigError: it is missing.
     """
     require_hunt(study, budget)
     if rounds < 1:

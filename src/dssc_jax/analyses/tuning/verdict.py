@@ -1,4 +1,4 @@
-"""What fresh draws say of tuned numbers: start and result on the study's own draws, which nothing was tuned on."""
+"""Evaluate tuned numbers on fresh draws: start and result on the study's own draws, which the tuning did not use."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -20,16 +20,16 @@ class Verdict(NamedTuple):
     """Start and result on the same fresh draws.
 
     Args:
-        draws: How many; they are the study's own.
-        objective: The aggregate of the costs at the start and of the result; infinite where a draw ended early.
+        draws: Number of draws; they are the study's own.
+        objective: The aggregate of the costs at the start and of the result; infinite if a draw ended early.
         reduction: 1 - result/start.
-        reduction_interval: Its bootstrap interval over the draws; NaN where a draw ended early.
+        reduction_interval: Its bootstrap interval over the draws; NaN if a draw ended early.
         quantile: Exact order-statistic intervals of the cost's quantile at the aggregate's level, start and result.
-        difference: Median and exact interval of the draw-by-draw difference of the cost, result less start.
-        limits: For each limit its bound, and the means at the start and of the result.
+        difference: Median and exact interval of the draw-by-draw difference of the cost, result minus start.
+        limits: Bound of each limit, and the means at the start and of the result.
         failures: Failed draws at the start and of the result.
         intervals: Exact (Clopper-Pearson) intervals of both failure probabilities.
-        failure_difference: Exact interval of their paired difference, result less start, and McNemar's p-value.
+        failure_difference: Exact interval of their paired difference, result minus start, and McNemar's p-value.
     """
 
     draws: int
@@ -49,14 +49,14 @@ class Verdict(NamedTuple):
         return all(after <= bound for bound, _, after in self.limits.values())
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """The verdict as plain data, for JSON."""
         return {**self._asdict(), "within_limits": self.within, "confidence": CONFIDENCE}
 
 
 def judge_tuning(
     plan: Plan, goal: Goal, start: Mapping[str, float], best: Mapping[str, float]
 ) -> tuple[Verdict, Arrays]:
-    """Judge the result against the start.
+    """Compare the result with the start.
 
     Args:
         plan: The plan; the study's own draws decide.
@@ -80,7 +80,7 @@ def judge_tuning(
 
 
 def compare_objectives(plan: Plan, goal: Goal, before: Arrays, after: Arrays) -> Verdict:
-    """The verdict from the results of both."""
+    """Create the verdict from the results at the start and at the end."""
     costs = goal.cost(before), goal.cost(after)
     objective = goal.value(costs[0]), goal.value(costs[1])
     level = goal.level if goal.aggregate == "cvar" else 0.5
@@ -108,7 +108,7 @@ def compare_objectives(plan: Plan, goal: Goal, before: Arrays, after: Arrays) ->
 
 
 def reduction_interval(goal: Goal, before: np.ndarray, after: np.ndarray) -> tuple[float, float]:
-    """Percentile bootstrap of 1 - result/start over the draws, which stay in pairs."""
+    """Percentile bootstrap of 1 - result/start over the draws, with pairs kept together."""
     if not (np.isfinite(before).all() and np.isfinite(after).all()):
         return float("nan"), float("nan")
 
