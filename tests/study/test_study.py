@@ -58,7 +58,10 @@ BAD = {
     "misspelt kind": ({"controller.kind": "dscc"}, r"controller.kind: unknown kind 'dscc'; did you mean 'dssc'"),
     "misspelt functions": ({"controller.functions.kind": "square_rot"}, "did you mean 'square_root'"),
     "misspelt option": ({"controller.discretisation": "implicid"}, "did you mean 'implicit'"),
-    "option of another controller": ({"controller.discretisation": "proper"}, "must be one of implicit, conservative, explicit"),
+    "option of another controller": (
+        {"controller.discretisation": "proper"},
+        "must be one of implicit, conservative, explicit",
+    ),
     "misspelt loop field": ({"loop.substep": 2}, "loop.substep: unknown name; did you mean 'substeps'"),
     "wrong type": ({"draws": "many"}, "draws: .*got 'many'"),
     "float where an integer belongs": ({"draws": 2.5}, "draws: .*got 2.5"),
