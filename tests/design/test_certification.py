@@ -171,12 +171,12 @@ def test_of_unmodelled_dynamics_the_theorem_knows_their_absence_only():
     study = dj.Study.from_table(table(unmodelled=LAG))
     assert reach(study, "unmodelled.mu", np.geomspace(1e-6, 1.0, 5)) == (
         0.0,
-        "Theorem 1 certifies the loop without unmodelled dynamics, and says nothing about any unmodelled.mu > 0",
+        "Theorem 1 certifies only the loop without unmodelled dynamics; it covers no unmodelled.mu > 0",
     )
     limited = study.override({"unmodelled": {"kind": "rate_limit", "rate": 10.0}})
     assert reach(limited, "unmodelled.rate", np.array([10.0, 0.1])) == (
         None,
-        "Theorem 1 certifies the loop without unmodelled dynamics, and says nothing about any finite unmodelled.rate",
+        "Theorem 1 certifies only the loop without unmodelled dynamics; it covers no finite unmodelled.rate",
     )
     weak = study.override({"controller.functions.phi_b": 2.0})
     assert reach(weak, "unmodelled.mu", np.array([0.01, 1.0])).value is None

@@ -82,7 +82,7 @@ def test_what_is_written_reads_back():
         ),
         ({"bounds": BOUNDS, "free": FREE | {"eps_1": -1.0}}, "free.eps_1: eps_1"),
         ({"bounds": BOUNDS, "free": {"l0": 1.0}}, "free.phi_a: is required and missing"),
-        ({"bounds": BOUNDS, "free": FREE, "parameters": {}}, "free: has no place beside [parameters]"),
+        ({"bounds": BOUNDS, "free": FREE, "parameters": {}}, "free: cannot be combined with [parameters]"),
         ({"bounds": BOUNDS, "free": FREE, "recipe": "best"}, "recipe: must be strict or printed"),
         (
             {"bounds": BOUNDS, "goal": {"criterion": "gains"}},
@@ -128,7 +128,7 @@ def test_the_commands(tmp_path, capsys):
     assert {"name", "equation", "slack", "state", "printed_slack"} <= told["inequalities"][0].keys()
     assert told["edges"] == ["l0 = 5 is the upper end of what was sought, 0.05 to 5"]
     assert guarded(["check", str(out), "--json", "--latex"]) == 2
-    assert "--latex: cannot stand with --json" in capsys.readouterr().err
+    assert "--latex: cannot be combined with --json" in capsys.readouterr().err
     assert guarded(["check", str(out)]) == 0
     assert "with a rho that keeps sliding" in capsys.readouterr().out
     assert guarded(["check", str(out), "--latex"]) == 0

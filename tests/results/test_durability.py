@@ -1,4 +1,4 @@
-"""Runs killed, crowded out, extended or damaged: what was finished is kept, the rest comes out the same."""
+"""Runs killed, crowded out, extended or damaged: finished blocks are kept, the others are recomputed."""
 
 import json
 import os
@@ -95,7 +95,7 @@ def test_a_full_disk_is_told_and_gone_on_from(study, whole, tmp_path):
     assert process.returncode == 0
     assert done[-1] == "72"
     assert said.endswith(
-        "full: cannot be written: File too large; what was finished is kept, --resume goes on from there"
+        "full: cannot be written: File too large; finished blocks are kept, --resume continues from them"
     )
     told = []
     same(dj.run(study, tmp_path / "full", resume=True, progress=lambda done, _: told.append(done)), whole)

@@ -71,7 +71,7 @@ def test_only_one_point_and_independent_draws(plain):
         dj.run_until(plain.override({"sweep.controller.k_p": [1.0, 2.0]}), dj.UntilWidth(0.1))
     with pytest.raises(ConfigError, match="independent draws"):
         dj.run_until(plain.override({"sampling": "lhs"}), dj.UntilWidth(0.1))
-    with pytest.raises(ConfigError, match="looks first at 100"):
+    with pytest.raises(ConfigError, match="at least 100 draws"):
         dj.run_until(plain, dj.UntilWidth(0.1), most=99)
 
 

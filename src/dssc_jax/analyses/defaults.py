@@ -1,4 +1,4 @@
-"""Defaults and limits of the analyses' settings; the command line shows the same numbers.
+"""Defaults and limits of the settings of analyses and reports; the command line shows the same numbers.
 
 This module imports nothing, so that the command line's help is fast.
 """
@@ -14,6 +14,9 @@ MOST_CANDIDATES = 100_000
 
 BUDGET, LEAST_BUDGET, MOST_BUDGET = 1000, 32, 10**7
 """Simulations of a falsification: default, least and most."""
+
+WORST_DRAWS = 3
+"""Worst draws that a report simulates again."""
 
 ROUNDS = 5
 """Largest number of rounds of a robust tuning."""

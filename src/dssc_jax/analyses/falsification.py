@@ -165,7 +165,7 @@ def require_hunt(study: Study, budget: int) -> None:
         ConfigError: one of these is missing.
     """
     if not study.without_sweep().laws:
-        raise ConfigError(study.source, "no number is uncertain, so there is no other draw to look for; give laws")
+        raise ConfigError(study.source, "no number is uncertain, so all draws are equal; give laws")
     if not study.requirements:
         raise ConfigError(study.source, "nothing is required, so nothing can fail; give a [[requirement]]")
     if not LEAST_BUDGET <= budget <= MOST_BUDGET:

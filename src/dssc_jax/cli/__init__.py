@@ -55,7 +55,7 @@ def how_to_go_on(arguments: list[str]) -> str:
     if command is None or not any(option.name == "resume" for option in command.params):
         return ""
     resumed = arguments if "--resume" in arguments else [*arguments, "--resume"]
-    return f"; what was finished is kept, go on with: {shlex.join(['dssc-jax', *resumed])}"
+    return f"; finished blocks are kept, continue with: {shlex.join(['dssc-jax', *resumed])}"
 
 
 def guarded(arguments: list[str]) -> int:

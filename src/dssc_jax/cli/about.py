@@ -33,9 +33,7 @@ def studies(as_json: opt.Json = False) -> int:
 
 @app.command()
 def info(
-    kind: Annotated[
-        str | None, typer.Argument(metavar="[KIND]", help="A kind of model, or of a part, to be told of alone.")
-    ] = None,
+    kind: Annotated[str | None, typer.Argument(metavar="[KIND]", help="Show only this kind of model or part.")] = None,
     as_json: opt.Json = False,
 ) -> int:
     """Show versions, devices and every kind of model; or one kind's fields.
@@ -49,7 +47,7 @@ def info(
         from dssc_jax.console.kinds import show_kind
 
         if as_json:
-            raise ConfigError("--json", "tells of all kinds at once; leave KIND out")
+            raise ConfigError("--json", "covers all kinds; omit KIND")
         show_kind(kind)
         return DONE
     machine = environment()

@@ -63,7 +63,7 @@ def require_one_form(as_json: bool, as_latex: bool) -> None:
         ConfigError: both are requested.
     """
     if as_json and as_latex:
-        raise ConfigError("--latex", "cannot stand with --json: both are all that stdout holds")
+        raise ConfigError("--latex", "cannot be combined with --json: each is the only output on stdout")
 
 
 def output_design(design_file: "DesignFile", as_json: bool, as_latex: bool) -> int:

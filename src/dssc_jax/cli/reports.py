@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from dssc_jax.analyses.defaults import WORST_DRAWS
 from dssc_jax.cli import options as opt
 from dssc_jax.cli.common import DONE, app, attempt, load_any
 from dssc_jax.core.errors import ConfigError
@@ -18,7 +19,7 @@ def report(
         Path | None, typer.Argument(metavar="[FOLDER]", help="The folder of a result, or of an analysis.")
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="The page [FOLDER/report.html].")] = None,
-    worst: Annotated[int, typer.Option("--worst", metavar="N", min=0, help="How many worst draws to show.")] = 3,
+    worst: Annotated[int, typer.Option("--worst", metavar="N", min=0, help="Worst draws to show.")] = WORST_DRAWS,
     index: Annotated[
         Path | None, typer.Option("--index", metavar="DIR", help="Write DIR/index.html over the results in DIR.")
     ] = None,
@@ -37,7 +38,7 @@ def report(
         raise ConfigError("report", "takes a results folder, or --index with a folder of them, and not both")
     if result is None:
         if out is not None:
-            raise ConfigError("--out", "is for one report; the index is written beside the results")
+            raise ConfigError("--out", "applies to one report; the index is written into the folder of results")
         assert index is not None
         return output_index(index, as_json)
     from dssc_jax.report import write

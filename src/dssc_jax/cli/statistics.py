@@ -57,9 +57,9 @@ def sensitivity(
 ) -> int:
     """Which uncertain numbers matter, for each metric and for failure?
 
-    First-order and total Sobol indices with intervals; a failure too rare for them is told with the rows that it
-    needs. The draws, rounded down to a power of two, are the rows of a sample that is simulated once for each uncertain
-    number and twice more. The study's [sweep] is left aside.
+    First-order and total Sobol indices with intervals; if failures are too rare for them, the number of rows that they
+    need. The draws, rounded down to a power of two, are the rows of a sample that is simulated once for each uncertain
+    number and twice more. The study's [sweep] is ignored.
     """
     from dssc_jax.analyses.sensitivity import sensitivity as indices
     from dssc_jax.console import progress_bar, show_sensitivity
@@ -95,8 +95,8 @@ def rare(
     """A failure probability too small for plain draws.
 
     Adaptive multilevel splitting on the smallest slack of a requirement: failures are approached level by level. The
-    interval comes from independent repeats; plain draws beside them tell where it cannot be right. The study's [sweep]
-    and its number of draws are left aside.
+    interval comes from independent repeats; plain draws show where it cannot be right. The study's [sweep]
+    and its number of draws are ignored.
     """
     from dssc_jax.analyses.rare_events import rare as estimate
     from dssc_jax.analyses.splitting import Splitting

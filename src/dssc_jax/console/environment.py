@@ -62,4 +62,4 @@ def show_environment(environment: dict[str, Any]) -> None:
         show_table((f"[{HEADS.get(slot, slot)}]", "what", "fields", "options"), rows)
     rows = [(name, about["meaning"], about["unit"], about["of"]) for name, about in environment["metrics"].items()]
     show_table(("metric", "what", "unit", "of each"), rows)
-    console.print("`dssc-jax info KIND` tells unit, meaning, range and default of a kind's fields", markup=False)
+    console.print("`dssc-jax info KIND` shows unit, meaning, range and default of each field of a kind", markup=False)

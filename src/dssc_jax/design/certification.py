@@ -112,10 +112,10 @@ def reach(study: Study, name: str, values: np.ndarray) -> Reach:
             return Reach(None, f"Theorem 1 does not apply: {reason}")
         if not whole:
             return Reach(None, "Theorem 1 does not certify the loop, not even without unmodelled dynamics")
-        alone = "Theorem 1 certifies the loop without unmodelled dynamics, and says nothing about any"
+        alone = "Theorem 1 certifies only the loop without unmodelled dynamics; it covers no"
         return Reach(None, f"{alone} finite {name}") if name in LIMITS else Reach(0.0, f"{alone} {name} > 0")
     if part in OUTSIDE or name in OUTSIDE:
-        return Reach(None, f"Theorem 1 says nothing about {name}: {OUTSIDE.get(name) or OUTSIDE[part]}")
+        return Reach(None, f"Theorem 1 does not cover {name}: {OUTSIDE.get(name) or OUTSIDE[part]}")
     return certified_up_to(study, name, np.asarray(values, float))
 
 

@@ -95,7 +95,7 @@ def parse_design(table: dict[str, Any], name: str, complete: bool = True) -> Des
         raise ConfigError("name", f"must be text, got {name!r}")
     for key in ("recipe", "goal", "free"):
         if key in table and "parameters" in table:
-            raise ConfigError(key, "has no place beside [parameters], which are given")
+            raise ConfigError(key, "cannot be combined with [parameters]")
     if complete and not table.keys() & {"parameters", "free", "goal"}:
         raise ConfigError("", "needs [bounds] and one of [parameters], [free] and [goal]")
     bounds = parsed_numbers(table, Bounds, "bounds")

@@ -32,7 +32,7 @@ class Evaluator:
     """A compiled study in which every batch sets new values of the numbers in ``extents``.
 
     Args:
-        study: The study; its own sweep is left aside.
+        study: The study; its own sweep is ignored.
         extents: The range in which later batches may set each number. Both ends are checked like values of a sweep. A
             set value replaces the number's law.
         lanes: Maximum number of lanes of a batch.

@@ -8,9 +8,10 @@ from pathlib import Path
 import htpy as h
 from markupsafe import Markup
 
+from dssc_jax.analyses.defaults import WORST_DRAWS
 from dssc_jax.report import analysis_sections, result_sections, study_sections
 from dssc_jax.report.elements import Section, facts
-from dssc_jax.report.subject import WORST, AnalysisSubject, Subject
+from dssc_jax.report.subject import AnalysisSubject, Subject
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.result import Result
 from dssc_jax.study import Study
@@ -44,7 +45,7 @@ ANALYSIS_SECTIONS: tuple[Callable[[AnalysisSubject], Section | None], ...] = (
 """The sections of an analysis."""
 
 
-def html(result: Result | Analysis, worst: int = WORST) -> str:
+def html(result: Result | Analysis, worst: int = WORST_DRAWS) -> str:
     """The report of a result, or of an analysis.
 
     Args:
@@ -107,7 +108,7 @@ def page(title: str, head: h.Node, body: h.Node, contents: list[tuple[str, str]]
     )
 
 
-def write(result: Result | Analysis, path: str | Path, worst: int = WORST) -> Path:
+def write(result: Result | Analysis, path: str | Path, worst: int = WORST_DRAWS) -> Path:
     """Write the report of a result, or of an analysis.
 
     Args:

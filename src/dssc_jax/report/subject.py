@@ -7,12 +7,11 @@ from typing import Any, Protocol
 import numpy as np
 import xarray as xr
 
+from dssc_jax.analyses.defaults import WORST_DRAWS
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.result import Result, headline
 from dssc_jax.runs.trajectory import agreement_of, recorder
 from dssc_jax.study import Described, Study
-
-WORST = 3  # draws that are shown over time
 
 
 class Studied(Protocol):
@@ -59,7 +58,7 @@ class Subject:
     """
 
     result: Result
-    worst: int = WORST
+    worst: int = WORST_DRAWS
 
     @cached_property
     def summary(self) -> dict[str, Any]:

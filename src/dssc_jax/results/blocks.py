@@ -34,7 +34,7 @@ def writing(folder: Path) -> Iterator[None]:
     except OSError as error:
         reason = error.strerror or one_line(error)
         raise ConfigError(
-            str(folder), f"cannot be written: {reason}; what was finished is kept, --resume goes on from there"
+            str(folder), f"cannot be written: {reason}; finished blocks are kept, --resume continues from them"
         ) from error
 
 
@@ -83,7 +83,7 @@ class Chunks:
             files = [self._file(name, block) for name in self._held(block)]
             for file in files:
                 if file.is_dir():
-                    raise ConfigError(str(file), "is damaged: a folder stands in the place of a chunk; take it away")
+                    raise ConfigError(str(file), "is damaged: it is a folder, not a chunk; remove it")
             pieces = self._pieces(block)
             if pieces and self._altered(block, pieces, self.arrays):
                 pieces = []

@@ -53,7 +53,7 @@ def file_of(folder: Path, index: Index) -> Path:
     """
     file = folder / DIGESTS / f"{'.'.join(map(str, index))}.json"
     if file.is_dir():
-        raise ConfigError(str(file), "is damaged: a folder stands in the place of a file; take it away")
+        raise ConfigError(str(file), "is damaged: it is a folder, not a file; remove it")
     return file
 
 

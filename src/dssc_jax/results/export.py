@@ -41,7 +41,7 @@ DATATYPES = {"i": "integer", "u": "integer", "b": "boolean", "U": "string", "O":
 
 
 class Rows(NamedTuple):
-    """A table as it is written.
+    """A table ready to be written.
 
     Args:
         columns: Attributes of the columns, in order.
@@ -59,7 +59,7 @@ def export(result: Result | Analysis, to: Format | str, out: str | Path | None =
 
     ``csv`` and ``parquet`` are a table, of a result with one row a lane: swept values, draw, drawn numbers, metrics,
     slacks and how it ended; of an analysis with a row for each index of its own dimensions. Units and long names stand
-    in Parquet's column metadata; beside a CSV in ``<file>-metadata.json``, which follows the W3C's "CSV on the Web".
+    in Parquet's column metadata; for a CSV in ``<file>-metadata.json``, which follows the W3C's "CSV on the Web".
     ``netcdf`` is the dataset itself, with CF attributes.
 
     Args:
@@ -139,7 +139,7 @@ def table_of_analysis(analysis: Analysis) -> Rows:
 
 
 def table_of_lanes(result: Result) -> Rows:
-    """A row a lane."""
+    """One row for each lane."""
     described = {**coordinates(result.study), **variables(result.study)}
     columns = {name: dict(variable.attributes) for name, variable in described.items()} | {
         MEANING: {"long_name": OUTCOME}
@@ -149,7 +149,7 @@ def table_of_lanes(result: Result) -> Rows:
 
 
 def pieces(result: Result, names: list[str]) -> Iterable["pd.DataFrame"]:
-    """The table of lanes, a part at a time."""
+    """The table of lanes, in pieces."""
     import pandas as pd
 
     study, data = result.study, result.dataset
@@ -166,14 +166,14 @@ def pieces(result: Result, names: list[str]) -> Iterable["pd.DataFrame"]:
 
 
 def write_csv(result: Result | Analysis, path: Path) -> None:
-    """Numbers are written with as many digits as restore them exactly; a value that is not there is empty."""
+    """Write each number with enough digits to restore it exactly; leave a missing value empty."""
     with path.open("w", encoding="utf-8", newline="") as file:
         for number, piece in enumerate(table_of(result).pieces):
             piece.to_csv(file, index=False, header=number == 0, lineterminator="\n")
 
 
 def csv_metadata(result: Result | Analysis, name: str) -> dict[str, Any]:
-    """The table's description after "CSV on the Web"."""
+    """The table's description, as "CSV on the Web" defines it."""
     table, described = table_of(result), []
     for column, about in table.columns.items():
         unit = {"schema:unitText": about["units"]} if "units" in about else {}
@@ -191,7 +191,7 @@ def csv_metadata(result: Result | Analysis, name: str) -> dict[str, Any]:
 
 
 def write_parquet(result: Result | Analysis, path: Path) -> None:
-    """One row group a piece; attributes are column metadata, the study is file metadata."""
+    """Write one row group for each piece; attributes become column metadata, the study file metadata."""
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -220,7 +220,7 @@ def write_netcdf(result: Result | Analysis, path: Path) -> None:
 
 
 def file_provenance(result: Result | Analysis) -> dict[str, str]:
-    """What a file must say to be traced back: the study as run, and its hash."""
+    """What makes a file traceable: the study as run, and its hash."""
     manifest = {} if isinstance(result, Analysis) else result.manifest
     made = [f"computed with dssc_jax {manifest.get('versions', {}).get('dssc_jax') or version('dssc_jax')}"]
     made += [str(manifest["started"])] if "started" in manifest else []

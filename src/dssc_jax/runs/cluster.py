@@ -28,7 +28,7 @@ from dssc_jax.results.manifest import listed, machinery_differences
 from dssc_jax.results.store import Store
 from dssc_jax.study import Study
 
-GO_ON = "what was finished is kept, --resume goes on from there"
+GO_ON = "finished blocks are kept, --resume continues from them"
 LOCAL_SCHEME = "local:"
 OPTION = "--cluster"
 CONNECT = 30.0  # s for the scheduler to answer

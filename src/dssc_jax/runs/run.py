@@ -92,7 +92,7 @@ def run(
     layout = Layout.of(study, block) if block else Layout.of(study)
     if out is None:
         if cluster:
-            raise ConfigError("out", "is needed on a cluster: a folder that every worker sees")
+            raise ConfigError("out", "is needed on a cluster: a folder that every worker can access")
         manifest = about_run(study, layout, computing())
         return in_one_piece(study, manifest, Engine(study, layout.lanes, tile, devices), progress)
     with ExitStack() as stack:

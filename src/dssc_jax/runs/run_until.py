@@ -51,9 +51,7 @@ def run_until(
     """
     require_sequential(study)
     if most < FIRST:
-        raise ConfigError(
-            study.source, f"a data-driven stop looks first at {FIRST} draws; it may take no fewer, got {most}"
-        )
+        raise ConfigError(study.source, f"a data-driven stop needs at least {FIRST} draws, its first look, got {most}")
     whole = study.override({"draws": most})
     if out is not None:
         require_same_rule(Path(out), whole, rule, most)

@@ -96,6 +96,6 @@ def require_positive_definite(table: Mapping[str, float], names: tuple[str, ...]
     worst = min(table, key=share)
     raise ConfigError(
         f'correlation."{worst}"',
-        f"{table[worst]:g} cannot stand beside the other pairs: the correlation matrix is not positive definite "
+        f"{table[worst]:g} is incompatible with the other pairs: the correlation matrix is not positive definite "
         f"(smallest eigenvalue {values[0]:.2g})",
     )

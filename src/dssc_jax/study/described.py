@@ -110,7 +110,7 @@ class Described(Study):
             numbers, certified = numbers_of(description), np.asarray(description.certified or False, dtype=bool)
         except ValueError as error:  # pydantic's is one
             complaint = " ".join(str(error).split())
-            raise ConfigError(source, f"is damaged: its description of the study's code says {complaint}") from None
+            raise ConfigError(source, f"is damaged: its description of the study's code: {complaint}") from None
         rule = f"runs code that was not loaded: {describe_code(table, code)}; {FLAG} loads it"
         absent: Any = Unloaded(refusal := ConfigError(source, rule))
         channels, angles = description.channels, description.angles

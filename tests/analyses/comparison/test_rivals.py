@@ -92,6 +92,7 @@ def test_channels_have_gains_of_their_own():
     ("changes", "name", "rule"),
     [
         ({}, "stx", "there is no such controller; did you mean 'sta"),
+        ({}, "sta_conservative", "there is no such controller"),
         ({}, "pi_limited", "'pi' has no limit"),
         (
             {"controller.functions": {"kind": "constant", "k_o": 1.0, "tau_av": 1.0, "tau_m": 1.0}},

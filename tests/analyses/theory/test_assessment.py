@@ -75,7 +75,7 @@ def test_what_is_not_covered_says_why(study):
     assert gain.performance.certificate.value == pytest.approx(0.896, abs=0.01)
     assert len(dj.plot.theory(gain.margins, gain.oscillations).axes) == 1
     bias = dj.theory.assess(few, over="disturbance.amplitude", bounds=(0.1, 1.0), **options)
-    assert "plays no part near the origin" in bias.not_covered["sampled"]
+    assert "has no effect near the origin" in bias.not_covered["sampled"]
     switching = few.override({"controller": {"kind": "smc", "l0": 0.5, "gain": 1.0}})
     fine = dj.theory.assess(switching, over="unmodelled.mu", bounds=(0.001, 0.01), **options)
     assert "switches at the origin" in fine.not_covered["sampled"]

@@ -14,7 +14,6 @@ import jax
 from dssc_jax.analyses.theory.linearised import synthesised_gains
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.quantities import nominal
-from dssc_jax.core.registry import Discretisation
 from dssc_jax.core.signals import Scalar
 from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.models.controllers.dssc import DsscGains
@@ -33,7 +32,6 @@ from dssc_jax.study.tables import merged
 
 ControllerTable = dict[str, Any]
 LIMITED = "limited"
-SUFFIXES = (*(form.value for form in Discretisation), LIMITED)
 
 
 class SuperTwisting(NamedTuple):
@@ -146,13 +144,20 @@ def controller_table(study: Study, name: str) -> ControllerTable:
         table = {key: value for key, value in given.items() if key != "tune"}
         return merged(own, table) if table.get("kind", own["kind"]) == own["kind"] else table
     kind, _, suffix = name.partition("_")
-    if kind not in CONTROLLERS or (suffix and suffix not in SUFFIXES):
-        known = [*CONTROLLERS, *study.config.compare, *(f"sta_{end}" for end in SUFFIXES)]
+    known = suffixed_names()
+    if name not in known:
+        known += study.config.compare
         raise ConfigError(f"compare.{name}", f"there is no such controller; {nearest(name, known)}")
     table = dict(own) if kind == own["kind"] else derived(study, name, kind)
     if suffix == LIMITED:
         return with_limit(study, name, table)
     return {**table, "discretisation": suffix} if suffix else table
+
+
+def suffixed_names() -> list[str]:
+    """Every name of a controller: its kind, alone or with one of its sampled forms or ``limited``."""
+    suffixes = {kind: [*filter(None, entry.members), LIMITED] for kind, entry in CONTROLLERS.items()}
+    return [*CONTROLLERS, *(f"{kind}_{suffix}" for kind in suffixes for suffix in suffixes[kind])]
 
 
 def derived(study: Study, name: str, kind: str) -> ControllerTable:

@@ -13,7 +13,7 @@ from dssc_jax.models.controllers.nominal import nominal_control
 from dssc_jax.study import Study
 
 SET_VALUED = ("sta", "vgsta", "smc")  # their gain at the origin is infinite
-CONTINUOUS = ("none", "lag", "transfer_function", "saturation")  # unmodelled dynamics that continuous time knows
+CONTINUOUS = ("none", "lag", "transfer_function", "saturation")  # unmodelled dynamics with a continuous-time form
 SMOOTH = ("dssc", "ssc", "pi")
 ORIGIN = ReferencePoint(0.0, 0.0, 0.0)
 
@@ -76,7 +76,8 @@ def open_loop(study: Study, params: LoopParams) -> Linearised:
     if kind not in CONTINUOUS:
         known = ", ".join(CONTINUOUS)
         raise ConfigError(
-            f"{study.source}: unmodelled.kind", f"continuous time knows {known}, got '{kind}'; use the sampled loop"
+            f"{study.source}: unmodelled.kind",
+            f"the continuous-time analysis covers {known}, got '{kind}'; use the sampled loop",
         )
     loop, gains = study.loop, params.controller[0]
     model, dynamics = loop.unmodelled[0], params.unmodelled[0]

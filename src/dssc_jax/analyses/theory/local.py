@@ -105,7 +105,7 @@ def local_margin(
         raise ConfigError(f"{study.source}: controller.kind", f"(22) is known for {', '.join(SMOOTH)} only")
     walk = Walk(*checked_walk(over, bounds, log, points, bisections), log, points)
     if over in study.quantities and over not in rest.quantities:
-        raise ConfigError(over, "plays no part near the origin: reference and disturbance are left aside there")
+        raise ConfigError(over, "has no effect near the origin, where reference and disturbance are neglected")
     if over == SPREAD:
         require_spread(study, bounds)
     swept = rest.override({"sweep": {over: sorted(bounds)} if over != SPREAD else {}})

@@ -136,7 +136,7 @@ def require_metrics(study: Study, table: TuneTable) -> None:
     for place, wanted in (("objective", table.objective), ("limits", table.limits)):
         for name in wanted:
             if name not in names:
-                rule = f"is no metric of this study; {nearest(name, names)}; others have to stand in metrics.names"
+                rule = f"is no metric of this study; {nearest(name, names)}; add others to metrics.names"
                 raise ConfigError(f"tune.{place}.{name}", rule)
     if not any(weight != 0.0 for weight in table.objective.values()):
         raise ConfigError("tune.objective", f"needs a weight other than 0, got {table.objective}")
