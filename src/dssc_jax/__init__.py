@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from dssc_jax.analyses.falsification import Falsified, falsify
     from dssc_jax.analyses.loading import load
     from dssc_jax.analyses.margins import Margins, margin
+    from dssc_jax.analyses.noise_spectrum import noise_spectrum
     from dssc_jax.analyses.rare_events import RareEvent, rare
     from dssc_jax.analyses.sensitivity import Sensitivity, sensitivity
     from dssc_jax.analyses.splitting import Splitting
@@ -57,6 +58,7 @@ __all__ = [
     "falsify",
     "load",
     "margin",
+    "noise_spectrum",
     "plan",
     "plot",
     "rare",
@@ -86,6 +88,7 @@ _HOME = {
     "compare_margins": "dssc_jax.analyses.comparison",
     "Margins": "dssc_jax.analyses.margins",
     "margin": "dssc_jax.analyses.margins",
+    "noise_spectrum": "dssc_jax.analyses.noise_spectrum",
     "Falsified": "dssc_jax.analyses.falsification",
     "falsify": "dssc_jax.analyses.falsification",
     "Tuned": "dssc_jax.analyses.tuning",

@@ -58,7 +58,7 @@ def parse_over(text: str) -> tuple[str, dict[str, list[Any]]]:
     except ValueError:
         raise ConfigError("--over", f"must be NAME=LO:HI:COUNT[:log], got '{text}'") from None
     if rest not in ([], ["log"]):
-        raise ConfigError("--over", f"after COUNT only ':log' may stand, got '{text}'")
+        raise ConfigError("--over", f"only ':log' may follow COUNT, got '{text}'")
     return name, {"logspace" if rest else "linspace": numbers}
 
 
@@ -146,6 +146,14 @@ def say(text: str) -> None:
     line = " ".join(text.split())
     line = line if len(line) <= LONGEST else f"{line[:LONGEST]} ..."
     print("".join(c if c.isprintable() else "?" for c in line), file=sys.stderr)
+
+
+def warn_of_noise(study: "Study") -> None:
+    """Print a warning if measurement noise is predicted to move the loop off its reference."""
+    from dssc_jax.design import noise_warning
+
+    if text := noise_warning(study):
+        say(f"warning: {text}")
 
 
 def default_out(study: "Study", command: str, *options: Any) -> Path:

@@ -9,7 +9,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dssc_jax.cli import options as opt
-from dssc_jax.cli.common import DONE, FAILS, app, assignment, attempt, default_out, load_result, load_study, parse_overs
+from dssc_jax.cli.common import (
+    DONE,
+    FAILS,
+    app,
+    assignment,
+    attempt,
+    default_out,
+    load_result,
+    load_study,
+    parse_overs,
+    warn_of_noise,
+)
 from dssc_jax.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -44,7 +55,7 @@ def run(
 ) -> int:
     """Simulate every draw at the study's own values.
 
-    The study's [sweep] is left aside.
+    The study's [sweep] is ignored.
 
     Prints the failure probability with its interval, and writes a results folder. Draws that fail are outcomes: the
     exit code is 0. With --until-width, or --accept and --reject, the draws decide their number; the interval is the
@@ -111,6 +122,7 @@ def simulate(
     from dssc_jax.runs import trajectory as trajectories
 
     loaded = load_study(study, settings, None, seed, allow_local)
+    warn_of_noise(loaded)
     return output_trajectory(trajectories.simulate(loaded, draw, every=every), csv, figure, as_json)
 
 
@@ -156,7 +168,7 @@ def stopping_rule(width: float | None, accept: float | None, reject: float | Non
     if width is accept is reject is None:
         return None
     if width is not None and (accept is not None or reject is not None):
-        raise ConfigError("--until-width", "cannot stand with --accept and --reject")
+        raise ConfigError("--until-width", "cannot be combined with --accept and --reject")
     if width is None and (accept is None or reject is None):
         raise ConfigError("--accept" if accept is None else "--reject", "is missing; the two go together")
     from dssc_jax.statistics import AcceptReject, UntilWidth
@@ -183,6 +195,7 @@ def finish_sequential(study: "Study", rule: "Rule", most: int | None, out: Path 
     from dssc_jax.console import progress_bar
     from dssc_jax.runs.run_until import MOST_DRAWS, run_until
 
+    warn_of_noise(study)
     most = MOST_DRAWS if most is None else most
     out = out or default_out(study.override({"draws": most}), f"run-{rule.slug}", most)
     with progress_bar(study, quiet=as_json, early="the rule is met") as advance:
@@ -198,6 +211,7 @@ def finish(
     from dssc_jax.console import notify, progress_bar
     from dssc_jax.runs import run as running
 
+    warn_of_noise(study)
     folder = str(Path(study.source).resolve().parent) if local else None
     with progress_bar(study, quiet=as_json) as advance:
         result = running.run(study, out, resume=resume, progress=advance, cluster=cluster, notify=notify, local=folder)

@@ -22,14 +22,16 @@ from dssc_jax.core.signals import Info, Scalar
 class Sample(NamedTuple):
     """The signals of one channel at a sample instant, for metrics.
 
-    ``k`` is the sample index, ``u`` the robust command and ``u_previous`` its previous value (at the first sample:
-    ``u``); ``k_p`` is the draw's own input gain.
+    ``k`` is the sample index. ``e`` and ``sigma`` are true, ``sigma_measured`` is what the controller sees. ``u`` is
+    the robust command and ``u_previous`` its previous value (at the first sample: ``u``); ``k_p`` is the draw's own
+    input gain.
     """
 
     k: Scalar
     dt: Scalar
     e: Scalar
     sigma: Scalar
+    sigma_measured: Scalar
     u: Scalar
     u_previous: Scalar
     u_total: Scalar

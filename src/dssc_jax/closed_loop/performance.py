@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from dssc_jax.closed_loop.metrics import Metric, Sample, Scope, Span, Window, itself, peak, total
-from dssc_jax.core.numerics import sign
+from dssc_jax.closed_loop.metrics import SAMPLING, Metric, Sample, Scope, Span, Window, itself, peak, total
+from dssc_jax.core.numerics import root_abs, sign
 from dssc_jax.core.signals import Scalar
 
 CUTOFF = 2.0 * math.pi  # rad/s: the command above 1 Hz counts as chattering (assumed)
@@ -65,6 +65,44 @@ def fast_share(acc: Bands, window: Window, span: Span) -> Scalar:
     return jnp.where(whole > 0.0, acc.fast / jnp.where(whole > 0.0, whole, 1.0), 0.0)
 
 
+class Amplified(NamedTuple):
+    """The command's bands, and the sum of squares of the error of the measured sigma [m/s]."""
+
+    command: Bands = Bands()
+    noise: Scalar = 0.0
+
+
+def amplified(acc: Amplified, sample: Sample, window: Window) -> Amplified:
+    """Add the command and the error of the measured sigma."""
+    return Amplified(bands(acc.command, sample, window), acc.noise + jnp.square(sample.sigma_measured - sample.sigma))
+
+
+def amplification(acc: Amplified, window: Window, span: Span) -> Scalar:
+    """rms of the command's fast part over rms of the measurement error; 0 for an exact measurement."""
+    noisy = acc.noise > 0.0
+    return root_abs(jnp.where(noisy, acc.command.fast / jnp.where(noisy, acc.noise, 1.0), 0.0))
+
+
+class DriftSum(NamedTuple):
+    """Samples so far, the last error of the measured sigma [m/s], and the sum of the gain times its changes [m/s]."""
+
+    samples: Scalar = 0.0
+    last: Scalar = 0.0
+    total: Scalar = 0.0
+
+
+def drift_sum(acc: DriftSum, sample: Sample, window: Window) -> DriftSum:
+    """Add g(sigma_k) (n_k - n_(k-1)) with g = 1/(k_o tau_av) at the measured sigma; the first sample has none."""
+    noise = sample.sigma_measured - sample.sigma
+    step = (noise - acc.last) / (sample.info.k_o * sample.info.tau_av)
+    return DriftSum(acc.samples + 1.0, noise, acc.total + jnp.where(acc.samples == 0.0, 0.0, step))
+
+
+def drift_rate(acc: DriftSum, window: Window, span: Span) -> Scalar:
+    """|sum| per time."""
+    return jnp.abs(acc.total) / (span.inside * span.sample_time)
+
+
 class Path(NamedTuple):
     """Samples so far, the last whole command, and its total variation so far [m/s]."""
 
@@ -109,6 +147,21 @@ PERFORMANCE: dict[str, Metric] = {
     "steady_state_error": Metric("m", "|mean of e| over the window", total(lambda s: s.e), magnitude_of_mean),
     "command_energy": Metric("m^2/s", "integral of the robust command's square", total(lambda s: s.u * s.u), integral),
     "chattering_index": Metric("1", "share of the robust command above 1 Hz", bands, fast_share, start=Bands()),
+    "noise_amplification": Metric(
+        "1",
+        "rms of the robust command above 1 Hz per rms of measurement error",
+        amplified,
+        amplification,
+        start=Amplified(),
+    ),
+    "noise_drift": Metric(
+        "m/s^2",
+        "rate at which measurement noise drives the implicit form's command",
+        drift_sum,
+        drift_rate,
+        SAMPLING,
+        start=DriftSum(),
+    ),
     "total_command_tv": Metric("m/s", "total variation of u + u_n", path, lambda acc, *_: acc.length, start=Path()),
     "roll_max": Metric("rad", "largest |roll|", peak(lambda i: i.plant.phi), itself, ("phi",), Scope.VEHICLE),
     "pitch_max": Metric("rad", "largest |pitch|", peak(lambda i: i.plant.theta), itself, ("theta",), Scope.VEHICLE),

@@ -268,7 +268,7 @@ def control_channel(
     measurement: Measurement,
     reference: ReferencePoint,
     k: Scalar,
-) -> tuple[ChannelState, Command, Info]:
+) -> tuple[ChannelState, Measurement, Command, Info]:
     """Run sensor, differentiator and controller of channel i at sample k, and advance its disturbance's state."""
     t, dt, name = k * loop.sample_time, loop.sample_time, loop.channels[i]
     sensor, sensed = loop.sensor[i].step(
@@ -289,7 +289,7 @@ def control_channel(
         dt,
     )
     after = ChannelState(controller, sensor, differentiator, channel.unmodelled, disturbance, command.robust)
-    return after, command, info
+    return after, sensed, command, info
 
 
 def step(loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Scalar) -> tuple[LoopState, Recorded]:
@@ -302,7 +302,7 @@ def step(loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Sc
     channels, samples, commands = [], [], []
     for i, channel in enumerate(state.channels):
         m, r = measurements[i], references[i]
-        after, command, info = control_channel(loop, params, key, channel, i, m, r, k)
+        after, sensed, command, info = control_channel(loop, params, key, channel, i, m, r, k)
         error = tracking_error(m, r, params.controller[i].l0)
         samples.append(
             Sample(
@@ -310,6 +310,7 @@ def step(loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Sc
                 dt=dt,
                 e=error.e,
                 sigma=error.sigma,
+                sigma_measured=tracking_error(sensed, r, params.controller[i].l0).sigma,
                 u=command.robust,
                 u_previous=jnp.where(k == 0, command.robust, channel.u),
                 u_total=command.total,

@@ -2,6 +2,7 @@
 
 from dssc_jax.design.bounds import Bounds, Constants, derive
 from dssc_jax.design.certificate import Certificate, certified, check
+from dssc_jax.design.noise import Drift, noise_drift, noise_warning
 from dssc_jax.design.practice import Modulation
 from dssc_jax.design.small_gain import Guarantee, guarantee, small_gain
 from dssc_jax.design.synthesis import Free, Recipe, design, synthesise
@@ -11,6 +12,7 @@ __all__ = [
     "Bounds",
     "Certificate",
     "Constants",
+    "Drift",
     "Free",
     "Guarantee",
     "Inequality",
@@ -23,6 +25,8 @@ __all__ = [
     "derive",
     "design",
     "guarantee",
+    "noise_drift",
+    "noise_warning",
     "small_gain",
     "synthesise",
 ]

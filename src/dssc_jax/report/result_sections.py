@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from dssc_jax import plotting
 from dssc_jax.closed_loop.metrics import Measure
+from dssc_jax.design import noise_warning
 from dssc_jax.engine.reference import VERDICTS
 from dssc_jax.plotting.draws import shown_laws
 from dssc_jax.report.elements import (
@@ -62,8 +63,8 @@ def ways(about: Subject) -> list[h.Node]:
     head = ("how a draw ended", "draws", "probability", f"{LEVEL} interval", "this alone")
     note = (
         "A draw counts for every requirement that it violates, and one that ended early for all of them "
-        f"({counted(point['ended_early'], 'draw')} here). Intervals: {method.name}, each at {LEVEL} on its own. A way "
-        f"in which no draw in {draws:,} ended is told by its upper bound."
+        f"({counted(point['ended_early'], 'draw')} here). Intervals: {method.name}, each at {LEVEL} on its own. Where "
+        f"none of the {draws:,} draws ended in a given way, the table shows the upper bound of its probability."
     )
     return [table(f"Outcomes of {counted(draws, 'draw')}{about.where}", head, rows), h.p[note], *together(point)]
 
@@ -92,8 +93,8 @@ def points_section(about: Subject) -> list[h.Node]:
     names = [(name, study.quantities[name].unit) for name in study.axes]
     swept = [name if unit == "1" else f"{name} [{unit}]" for name, unit in names]
     middle = f"median {headline(about.result).name}"
-    worst_draws_section = ["most violated"] if len(study.requirements) > 1 else []
-    head = (*swept, "failures", "probability", f"{LEVEL} interval", *worst_draws_section, middle, "certified")
+    violated = ["most violated"] if len(study.requirements) > 1 else []
+    head = (*swept, "failures", "probability", f"{LEVEL} interval", *violated, middle, "certified")
     best, most = (pick(points, key=lambda point: point["probability"]) for pick in (min, max))
     picked = {"least failures": best, "nearest to half": about.said, "most failures": most}
     some = [(name, *point_cells(about, point)) for name, point in picked.items()]
@@ -190,7 +191,7 @@ def causes(about: Subject) -> Section | None:
     more = f" {counted(left, 'number')} more are in the dataset." if left > 0 else ""
     note = (
         f"Failure probability{about.where}, in bins of equal count of one uncertain number while all the others vary, "
-        f"with {LEVEL} intervals. A slope tells on what failures depend.{more}"
+        f"with {LEVEL} intervals. A slope shows that failures depend on the number.{more}"
     )
     return Section("causes", "What failures depend on", [h.p[note], h.div(".grid")[pictures]])
 
@@ -205,9 +206,9 @@ def worst_draws_section(about: Subject) -> Section | None:
     laws = about.result.study.laws
     body: list[h.Node] = [
         h.p[
-            f"The draws with the smallest slack{about.where}, simulated again. Each can be had with ",
+            f"The draws with the smallest slack{about.where}, simulated again. ",
             h.code["dssc-jax replay"],
-            "; its index is all that is needed.",
+            " simulates any draw again, given its index.",
         ]
     ]
     for rank, run in enumerate(about.trajectories):
@@ -248,8 +249,9 @@ def chattering_section(about: Subject) -> Section | None:
     body: list[h.Node] = [
         h.p[
             "A total variation of the command far above its range means that it switches. A sampling ratio above 1 "
-            "says that the sampled loop chatters or diverges, since the hold is too slow for the gain.",
+            "means that the sampled loop chatters or diverges, since the hold is too slow for the gain.",
             above_one(about),
+            off_reference(about),
         ],
         table(f"Chattering{about.where}", head, rows, words=3),
     ]
@@ -271,6 +273,13 @@ def above_one(about: Subject) -> str:
     ratios = np.max([about.result.dataset[name].values for name in names], axis=0)
     ended, above = int(np.count_nonzero(np.isfinite(ratios))), int(np.count_nonzero(ratios > 1.0))
     return f" Of {ended:,} simulated loops that ran to their end, {above:,} have one at some time."
+
+
+def off_reference(about: Subject) -> str:
+    """The warning that measurement noise moves the loop off its reference, if it is predicted to."""
+    study = about.result.study
+    text = None if isinstance(study, Described) else noise_warning(study)
+    return f" In this study, {text}." if text else ""
 
 
 def headline_verdict(about: Subject) -> tuple[str, str]:

@@ -1,0 +1,1 @@
+"""Regenerate docs/noise.md and its figures: ``make noise``."""

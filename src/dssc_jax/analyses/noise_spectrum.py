@@ -1,0 +1,66 @@
+"""The gain from measurement noise to the command over frequency, from one trajectory."""
+
+import numpy as np
+import xarray as xr
+from scipy import signal
+
+from dssc_jax.core.errors import ConfigError, nearest
+
+SEGMENT = 1024
+"""Samples of a segment of Welch's method."""
+LEAST_SEGMENTS = 4
+
+
+def noise_spectrum(run: xr.Dataset, channel: str = "", after: float = 0.0) -> xr.Dataset:
+    """Estimate the gain from the error of the measured sigma to the robust command u over frequency.
+
+    The gain is |S_nu|/S_nn with Welch's estimates of the spectra (Hann window, half overlap, mean removed), so motion
+    that is uncorrelated with the noise, such as the answer to a disturbance, averages out. In a linear loop it is the
+    magnitude of the transfer function. Where the coherence is far below 1, u depends on the noise nonlinearly, or on
+    something else.
+
+    Args:
+        run: A trajectory with every sample, from :func:`dssc_jax.simulate` or :func:`dssc_jax.replay`.
+        channel: The channel of a vehicle; empty for a plant with one channel.
+        after: Samples before this time [s] are left out.
+
+    Returns:
+        Along ``frequency`` [Hz]: ``noise`` and ``command`` (power spectral densities [m^2/s^2/Hz]), ``gain`` [1] and
+        ``coherence`` [1]. The attribute ``amplification`` is the rms of the part of u that the noise explains, per rms
+        of the noise [1].
+
+    Raises:
+        ConfigError: there is no such channel, the measurement is exact, or fewer than 4,096 samples remain.
+    """
+    prefix = f"{channel}_" if channel else ""
+    if f"{prefix}sigma_measured" not in run:
+        known = [str(name).removesuffix("_sigma") for name in run.data_vars if str(name).endswith("_sigma")]
+        raise ConfigError("channel", f"'{channel}' is no channel of this trajectory; {nearest(channel, known)}")
+    kept = run.where(run["t"] >= after, drop=True)
+    noise = (kept[f"{prefix}sigma_measured"] - kept[f"{prefix}sigma"]).values
+    command = kept[f"{prefix}u"].values
+    if noise.size < LEAST_SEGMENTS * SEGMENT or not np.all(np.isfinite(command)):
+        rule = f"needs {LEAST_SEGMENTS * SEGMENT:,} finite samples after {after:g} s"
+        raise ConfigError("run", f"{rule}, got {np.count_nonzero(np.isfinite(command)):,}")
+    if not np.any(noise):
+        raise ConfigError("run", "the measurement is exact; give the study a noisy sensor")
+    rate = 1.0 / float(run["t"][1] - run["t"][0])
+    frequency, of_noise = signal.welch(noise, rate, nperseg=SEGMENT)
+    _, of_command = signal.welch(command, rate, nperseg=SEGMENT)
+    _, cross = signal.csd(noise, command, rate, nperseg=SEGMENT)
+    frequency, of_noise, of_command, cross = (each[1:] for each in (frequency, of_noise, of_command, cross))
+    gain = np.abs(cross) / of_noise
+    columns = {
+        "noise": (of_noise, "m^2/s^2/Hz", "spectral density of the error of the measured sigma"),
+        "command": (of_command, "m^2/s^2/Hz", "spectral density of the robust command u"),
+        "gain": (gain, "1", "gain from the error of the measured sigma to u"),
+        "coherence": (np.abs(cross) ** 2 / (of_noise * of_command), "1", "share of u that the noise explains"),
+    }
+    return xr.Dataset(
+        {
+            name: (("frequency",), values, {"units": unit, "long_name": text})
+            for name, (values, unit, text) in columns.items()
+        },
+        coords={"frequency": (("frequency",), frequency, {"units": "Hz", "long_name": "frequency"})},
+        attrs={"amplification": float(np.sqrt(np.sum(gain**2 * of_noise) / np.sum(of_noise)))},
+    )

@@ -1,0 +1,145 @@
+"""The drift of DSSC's implicit form under measurement noise, and where it carries the loop.
+
+In sliding the implicit form adds g(s_k) (s_k - s_(k-1)) + T_s phi_2(s_k) to u_av at each sample. s_k = sigma + n_k is
+the measured sigma, g = 1/(k_o tau_av) and phi_2 = g sigma/tau_m. If g depends on sigma, the mean of the first term is
+not zero: it is an integral action of the wrong sign, which grows with the sampling rate. The loop rests where it
+balances the second term; see docs/model.md, Sampling.
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.core.contracts import Differentiator, Sensor
+from dssc_jax.core.numerics import stream
+from dssc_jax.core.quantities import nominal
+from dssc_jax.core.registry import Discretisation
+from dssc_jax.core.signals import Measurement, Scalar
+from dssc_jax.models.controllers.dssc import DSSC
+from dssc_jax.study import Study
+
+SAMPLES = 10_000
+"""Samples of noise in a mean; each also counts with the opposite sign."""
+OFFSETS = np.geomspace(1e-4, 1e4, 161)
+"""Values of sigma that are searched for the largest rest, in standard deviations of its noise."""
+
+
+class Drift(NamedTuple):
+    """The predicted effect of measurement noise on one channel.
+
+    Args:
+        noise: Standard deviation of the noise of the measured sigma [m/s; rad/s for an angle].
+        rate: Largest mean rate at which noise drives the command away from zero sigma [m/s^2].
+        error: The output error |e| at which the loop comes to rest [m]; 0 where it returns to zero.
+    """
+
+    noise: float
+    rate: float
+    error: float
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def sigma_noise(
+    sensor: Sensor, differentiator: Differentiator, params: tuple[Any, Any], l0: Scalar, dt: Scalar
+) -> jax.Array:
+    """The noise of sigma = y' + l0 y behind sensor and differentiator at rest, shape (SAMPLES,)."""
+    at_rest = Measurement(0.0, 0.0)
+    key = jax.random.key(stream("noise"))
+
+    def sample(state: Any, k: Scalar) -> tuple[Any, Scalar]:
+        sensed, read = sensor.step(params[0], state[0], at_rest, jax.random.fold_in(key, k), k * dt, dt)
+        followed, read = differentiator.step(params[1], state[1], read, dt)
+        return (sensed, followed), read.y_dot + l0 * read.y
+
+    first = sensor.init(params[0], at_rest, key)
+    start = first, differentiator.init(params[1], at_rest)
+    start = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=jnp.result_type(float)), start)
+    sigma = jax.lax.scan(sample, start, jnp.arange(SAMPLES))[1]
+    return sigma - jnp.mean(sigma)
+
+
+@jax.jit
+def mean_rates(functions: Any, l0: Scalar, noise: jax.Array, sigma: jax.Array, dt: Scalar) -> tuple[Scalar, Scalar]:
+    """Mean rates of u_av [m/s^2] at a constant true sigma and e = sigma/l0: by the noise, and by phi_2.
+
+    Args:
+        functions: The state-dependent functions.
+        l0: Error pole [1/s].
+        noise: Successive noise of sigma [m/s], shape (n,).
+        sigma: True values of sigma [m/s], shape (m,).
+        dt: Sampling period [s].
+
+    Returns:
+        Two arrays of shape (m,).
+    """
+
+    def at(sigma: Scalar, noise: Scalar, before: Scalar) -> tuple[Scalar, Scalar]:
+        read = sigma + noise
+        k_o, tau_av, tau_m = functions.at(read, sigma / l0, l0)
+        gain = 1.0 / (k_o * tau_av)
+        return gain * (noise - before) / dt, gain * read / tau_m
+
+    both = jnp.stack([noise[1:], -noise[1:]]), jnp.stack([noise[:-1], -noise[:-1]])
+    by_noise, by_law = jax.vmap(lambda one: at(one, *both))(sigma)
+    return jnp.mean(by_noise, axis=(1, 2)), jnp.mean(by_law, axis=(1, 2))
+
+
+def noise_drift(study: Study) -> dict[str, Drift]:
+    """Predict where measurement noise carries the implicit form of DSSC, channel by channel.
+
+    Disturbances and unmodelled dynamics are neglected, the sign is not smoothed, and rho is large enough for sliding.
+    Uncertain numbers have their median values. A sweep is ignored.
+
+    Args:
+        study: The study.
+
+    Returns:
+        Each noisy channel in the implicit form of DSSC, by name; the single channel of a SISO plant is ``""``.
+    """
+    loop, template = study.loop, jax.tree.map(nominal, study.template)
+    drifts = {}
+    for i, name in enumerate(loop.channels):
+        exact = not template.sensor[i] and not template.differentiator[i]
+        if exact or loop.controller[i] != DSSC.members[Discretisation.IMPLICIT]:
+            continue
+        gains = template.controller[i]
+        with jax.enable_x64(True):
+            params = template.sensor[i], template.differentiator[i]
+            noise = sigma_noise(loop.sensor[i], loop.differentiator[i], params, gains.l0, loop.sample_time)
+            size = float(jnp.std(noise))
+            if size > 0.0:
+                sigma = size * OFFSETS
+                by_noise, by_law = mean_rates(gains.functions, gains.l0, noise, sigma, loop.sample_time)
+                drifts[name] = rest(size, sigma, np.asarray(by_noise), np.asarray(by_law), gains.l0)
+    return drifts
+
+
+def noise_warning(study: Study) -> str | None:
+    """One sentence, if :func:`noise_drift` predicts an error in some channel beyond the study's settling band."""
+    band = study.config.metrics.settling_band
+    far = {name: drift for name, drift in noise_drift(study).items() if drift.error > band}
+    if not far:
+        return None
+    unit = {name: "rad" if name in study.loop.plant.angles else "m" for name in far}
+    errors = [f"{drift.error:.2g} {unit[name]}{f' in {name}' if name else ''}" for name, drift in far.items()]
+    return (
+        f"measurement noise is predicted to move DSSC's implicit form off its reference by {', '.join(errors)}; "
+        "discretisation = 'conservative' in [controller] avoids this"
+    )
+
+
+def rest(size: float, sigma: np.ndarray, by_noise: np.ndarray, by_law: np.ndarray, l0: float) -> Drift:
+    """The largest sigma at which both rates balance, from the sign of their sum over a grid."""
+    total = by_noise + by_law
+    away = np.flatnonzero(total < 0.0)
+    if not away.size:
+        return Drift(size, max(0.0, -float(by_noise.min())), 0.0)
+    last = int(away[-1])
+    if last + 1 == sigma.size:
+        return Drift(size, -float(by_noise.min()), np.inf)
+    share = total[last] / (total[last] - total[last + 1])
+    between = sigma[last] * (sigma[last + 1] / sigma[last]) ** share
+    return Drift(size, -float(by_noise.min()), float(between / l0))
