@@ -1,5 +1,6 @@
 """Shared fixtures. Two host devices and float64 whatever the machine, set before JAX starts."""
 
+import gc
 import os
 
 os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=2".strip()
@@ -9,6 +10,8 @@ import jax
 import pytest
 
 jax.config.update("jax_enable_x64", True)
+gc.freeze()  # compiled programs are many long-lived objects, and a full collection visits all of them
+gc.set_threshold(50_000, 20, 50)
 
 CASE_2 = {
     "name": "case-2-x",

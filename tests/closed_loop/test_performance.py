@@ -38,7 +38,8 @@ def test_only_where_named(case_2):
 
 
 def test_streaming_equals_stored(case_2):
-    study = case_2.override({"metrics": {"after": 10.0, "names": ["error_rms", *PERFORMANCE]}})
+    sensor = {"kind": "noisy", "velocity_std": 0.01}
+    study = case_2.override({"sensor": sensor, "metrics": {"after": 10.0, "names": ["error_rms", *PERFORMANCE]}})
     run = dj.simulate(study)
     inside = run["t"].values >= 10.0 - 1e-9
     e, u, whole, sigma, t = (run[name].values[inside] for name in ("e", "u", "u_total", "sigma", "t"))
@@ -46,6 +47,8 @@ def test_streaming_equals_stored(case_2):
     for value in u[1:]:
         slow.append(slow[-1] + (1.0 - np.exp(-2.0 * np.pi * 0.005)) * (value - slow[-1]))
     fast = np.sum((u - slow) ** 2)
+    noise = (run["sigma_measured"] - run["sigma"]).values[inside]
+    gain = 1.0 / (run["k_o"] * run["tau_av"]).values[inside]
     expected = {
         "iae": 0.005 * np.abs(e).sum(),
         "itae": 0.005 * ((t - 10.0) * np.abs(e)).sum(),
@@ -53,6 +56,8 @@ def test_streaming_equals_stored(case_2):
         "steady_state_error": abs(e.mean()),
         "command_energy": 0.005 * (u**2).sum(),
         "chattering_index": fast / (fast + len(u) * np.var(slow)),
+        "noise_amplification": np.sqrt(fast / np.sum(noise**2)),
+        "noise_drift": abs(np.sum(gain[1:] * np.diff(noise))) / (0.005 * len(u)),
         "total_command_tv": np.abs(np.diff(whole)).sum(),
         "growth_rate": np.polyfit(t, np.log(np.abs(sigma)), 1)[0],
     }

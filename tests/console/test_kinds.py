@@ -45,7 +45,7 @@ def test_what_info_refuses(capsys):
     assert guarded(["info", "sqare_root"]) == 2
     assert "sqare_root: is no kind; did you mean 'square_root'?" in capsys.readouterr().err
     assert guarded(["info", "sine", "--json"]) == 2
-    assert "leave KIND out" in capsys.readouterr().err
+    assert "omit KIND" in capsys.readouterr().err
 
 
 def test_the_json_of_all(capsys):

@@ -25,6 +25,8 @@ CODE_GENERATION = (
     f"--xla_backend_extra_options={WHOLE_LOOPS}={LOOP_BYTES}",
     "--xla_cpu_prefer_vector_width=512",
 )
+COMPILED_FAST: dict[str, str | bool] = {"xla_backend_optimization_level": "0"}
+"""Options of ``jax.jit`` for a program of one lane: its compilation takes longer than its run, so it is left simple."""
 DEVICE_COUNT = "--xla_force_host_platform_device_count"
 
 

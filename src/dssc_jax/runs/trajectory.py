@@ -1,11 +1,13 @@
 """Trajectories of single draws: ``simulate`` for a study, ``replay`` for a stored result, with a check."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import jax
 import numpy as np
 import xarray as xr
 
+from dssc_jax.backend.xla import COMPILED_FAST
 from dssc_jax.closed_loop.draw import Run, simulate_recorded
 from dssc_jax.closed_loop.sample import Loop, Recorded
 from dssc_jax.core.errors import ConfigError, nearest
@@ -105,7 +107,7 @@ def recorder(study: Study, every: int = 1) -> Callable[[int, Mapping[str, float]
     if kept > MOST_KEPT:
         raise ConfigError(study.source, f"a trajectory keeps at most {MOST_KEPT} samples, got {kept}; raise every")
 
-    @jax.jit
+    @partial(jax.jit, compiler_options=COMPILED_FAST)
     def one(lane: dict[str, jax.Array], index: jax.Array):
         return simulate_recorded(
             study.loop,

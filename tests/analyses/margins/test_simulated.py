@@ -118,7 +118,7 @@ def test_the_lag_of_a_sensor_has_a_margin(study):
     lagged = study.override({"unmodelled": {"kind": "none"}, "sensor": {"kind": "lag", "mu": 0.02}, "draws": 12})
     found = dj.margin(lagged, over="sensor.mu", bounds=(0.02, 1.5), log=True, points=7, bisections=6)
     assert found.summary()["censored"] == 0.0
-    assert "nothing about sensor.mu" in found.certificate.text
+    assert "does not cover sensor.mu" in found.certificate.text
 
 
 def test_sample_time(study):

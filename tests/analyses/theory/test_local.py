@@ -203,12 +203,12 @@ def test_delay_margin():
         (
             {"unmodelled": {"kind": "delay", "samples": 1}},
             {"kind": "continuous", "over": "plant.k_p"},
-            "knows .*got 'delay'",
+            "covers .*got 'delay'",
         ),
         (
             {"unmodelled": {"kind": "rate_limit", "rate": 1.0}},
             {"kind": "continuous", "over": "plant.k_p"},
-            "knows .*got 'rate_limit'",
+            "covers .*got 'rate_limit'",
         ),
         ({}, {"over": "loop.sample_time"}, "clock is fixed"),
         ({}, {"bounds": (1.0, 1.0)}, "two different finite numbers"),

@@ -1,0 +1,173 @@
+"""Semidefinite programs for a common V = z'Pz, solved by Clarabel in scaled coordinates and divided by T_s."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import clarabel
+import numpy as np
+from scipy import sparse
+from scipy.linalg import cholesky, solve_discrete_lyapunov
+
+from dssc_jax.proofs.sampled_loop import Step
+
+SLACK = 1e-7
+"""Smallest eigenvalue that is asked of every scaled matrix, so that rounding P does not spoil the proof."""
+TIGHT = 1e-4
+"""Room that is left in every bound, for the same reason."""
+SOLVED = (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
+Affine = Callable[[np.ndarray], np.ndarray]
+"""A symmetric matrix, affine in the program's variables."""
+
+
+class Bounded(NamedTuple):
+    """A row whose |row z| is to stay below a bound in the set V <= 1, and its weight in the cost."""
+
+    row: np.ndarray
+    bound: float
+    weight: float
+
+
+class Solution(NamedTuple):
+    """P (n, n), the multipliers of the inputs (inputs,), and the rate lambda [1/s]."""
+
+    p: np.ndarray
+    multipliers: np.ndarray
+    rate: float
+
+
+def scaling(step: Step) -> np.ndarray | None:
+    """Coordinates in which the loop at one point decays evenly: z = T x; None if it is not stable."""
+    n = step.a.shape[0]
+    if np.max(np.abs(np.linalg.eigvals(step.a))) >= 1.0:
+        return None
+    # the reachable set of unit inputs, with a little noise on every state
+    spread = step.b @ step.b.T
+    noise = spread + 1e-9 * np.trace(spread) * np.eye(n) if np.any(spread) else np.eye(n)
+    gramian = solve_discrete_lyapunov(step.a, noise)
+    try:
+        return cholesky(0.5 * (gramian + gramian.T), lower=True)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def triangle(matrix: np.ndarray) -> np.ndarray:
+    """Upper triangle by columns, off-diagonal entries times sqrt(2), as Clarabel's cones are laid out."""
+    n = matrix.shape[0]
+    rows, columns = np.triu_indices(n)
+    order = np.lexsort((rows, columns))
+    rows, columns = rows[order], columns[order]
+    return matrix[rows, columns] * np.where(rows == columns, 1.0, np.sqrt(2.0))
+
+
+def symmetric(values: np.ndarray, n: int) -> np.ndarray:
+    """The symmetric matrix of n (n + 1)/2 free entries."""
+    matrix = np.zeros((n, n))
+    matrix[np.triu_indices(n)] = values
+    return matrix + np.triu(matrix, 1).T
+
+
+def solved(cost: np.ndarray, psd: Sequence[Affine], least: np.ndarray) -> np.ndarray | None:
+    """Minimise cost'x such that every matrix is positive semidefinite and every entry of ``least`` @ [x, 1] >= 0."""
+    count = cost.size
+    units = np.eye(count)
+    blocks, offsets, cones = [-least[:, :-1]], [least[:, -1]], [clarabel.NonnegativeConeT(least.shape[0])]
+    for affine in psd:
+        origin = affine(np.zeros(count))
+        columns = [triangle(affine(unit) - origin) for unit in units]
+        blocks.append(-np.stack(columns, axis=1))
+        offsets.append(triangle(origin))
+        cones.append(clarabel.PSDTriangleConeT(origin.shape[0]))
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.max_iter = 100
+    solver = clarabel.DefaultSolver(
+        sparse.csc_matrix((count, count)),
+        cost,
+        sparse.csc_matrix(np.concatenate(blocks)),
+        np.concatenate(offsets),
+        cones,
+        settings,
+    )
+    solution = solver.solve()
+    return np.asarray(solution.x) if solution.status in SOLVED else None
+
+
+def invariant_set(
+    steps: Sequence[Step],
+    sample_time: float,
+    rate: float,
+    rows: Sequence[Bounded],
+    starts: Sequence[np.ndarray],
+    scale: np.ndarray,
+) -> Solution | None:
+    """Find V = z'Pz such that {V <= 1} holds every start, is invariant and attracts, with small |row z| in it.
+
+    For every step (A, B) and inputs |w_j| <= 1: V(z+) <= (1 - T_s lambda) V(z) + T_s sum of mu_j w_j^2, and the sum of
+    mu_j is at most lambda.
+
+    Args:
+        steps: The steps at every corner.
+        sample_time: T_s [s].
+        rate: lambda [1/s].
+        rows: Rows to bound; the cost is the weighted sum of (|row z|/bound)^2.
+        starts: States that the set has to hold.
+        scale: Coordinates z = scale x, (n, n).
+
+    Returns:
+        None if the program has no solution.
+    """
+    n, inputs, m = scale.shape[0], steps[0].b.shape[1], scale.shape[0] * (scale.shape[0] + 1) // 2
+    inverse = np.linalg.inv(scale)
+    live = [j for j in range(inputs) if any(np.any(step.b[:, j]) for step in steps)]
+    count = m + len(live) + len(rows)
+
+    def decrease(step: Step) -> Affine:
+        a = inverse @ step.a @ scale
+        delta, b = (a - np.eye(n)) / sample_time, inverse @ step.b[:, live] / sample_time
+
+        def affine(x: np.ndarray) -> np.ndarray:
+            p = symmetric(x[:m], n)
+            corner = -(delta.T @ p + p @ delta + sample_time * delta.T @ p @ delta) - rate * p
+            side = -a.T @ p @ b
+            block = np.block([[corner, side], [side.T, np.diag(x[m : m + len(live)]) - sample_time * b.T @ p @ b]])
+            return block - SLACK * np.eye(block.shape[0])
+
+        return affine
+
+    def below(index: int, row: np.ndarray, bound: float) -> Affine:
+        scaled = row @ scale / bound
+
+        def affine(x: np.ndarray) -> np.ndarray:
+            block = np.block([[symmetric(x[:m], n), scaled[:, None]], [scaled[None], x[m + len(live) + index]]])
+            return block
+
+        return affine
+
+    psd = [decrease(step) for step in steps] + [below(i, one.row, one.bound) for i, one in enumerate(rows)]
+    least = np.zeros((1 + len(starts) + len(live) + len(rows), count + 1))
+    least[0, m : m + len(live)], least[0, -1] = -1.0, rate * (1.0 - 1e-6)
+    for i, start in enumerate(starts):
+        x = inverse @ start
+        weights = np.outer(x, x)
+        weights = 2.0 * weights - np.diag(np.diag(weights))
+        least[1 + i, :m], least[1 + i, -1] = -weights[np.triu_indices(n)], 1.0 - TIGHT
+    first = 1 + len(starts)
+    for j in range(len(live)):
+        least[first + j, m + j] = 1.0
+    for i in range(len(rows)):  # the set stays within the bounds
+        least[first + len(live) + i, m + len(live) + i] = -1.0
+        least[first + len(live) + i, -1] = 1.0 - TIGHT
+    cost = np.zeros(count)
+    cost[m + len(live) :] = [one.weight for one in rows]
+    x = solved(cost, psd, least)
+    if x is None:
+        return None
+    p = inverse.T @ symmetric(x[:m], n) @ inverse
+    multipliers = np.zeros(inputs)
+    multipliers[live] = np.maximum(x[m : m + len(live)], 0.0)
+    return Solution(0.5 * (p + p.T), multipliers, rate)
+
+
+def reach(p: np.ndarray, row: np.ndarray) -> float:
+    """The largest |row z| in z'Pz <= 1."""
+    return float(np.sqrt(row @ np.linalg.solve(p, row)))

@@ -1,0 +1,187 @@
+"""Prove a study's sampled loop: search, verify, halve what is not proved."""
+
+import heapq
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.proofs.problem import Interval, Problem, problem_of
+from dssc_jax.proofs.search import Box, Failure, Proof, halves, prove_box, volume
+from dssc_jax.proofs.verifier import Verdict, accepts, verify
+from dssc_jax.study import Study
+
+BOXES = 64
+"""Largest number of boxes that are tried."""
+VERSION = 1
+REASONS = {
+    "origin": "the loop is not stable at sigma = e = 0",
+    "decay": "no common quadratic function decreases for all gains of the smallest region",
+    "region": "no invariant set holds the start and stays in a region whose gains it allows",
+    "sliding": "the equivalent control may exceed rho",
+    "verifier": "the verifier rejects what the search found",
+}
+
+
+@dataclass(frozen=True)
+class Proved:
+    """The outcome of a proof.
+
+    Args:
+        problem: What was to be proved.
+        proofs: The boxes that the verifier accepted.
+        failures: The boxes that were given up, with the reason.
+        error: Upper bound of |e| [m] at all times once settled, in the proved boxes; infinite if there are none.
+        largest_error: Upper bound of |e| [m] from the start on.
+        seconds: Time spent.
+    """
+
+    problem: Problem
+    proofs: list[Proof]
+    failures: list[Failure]
+    error: float
+    largest_error: float
+    seconds: float
+
+    @property
+    def complete(self) -> bool:
+        """Whether every box is proved."""
+        return not self.failures
+
+    @property
+    def share(self) -> float:
+        """Share of the box's volume that is proved; 1/mu on a logarithmic scale."""
+        return 1.0 if self.complete else float(sum(volume(proof.box, self.problem) for proof in self.proofs))
+
+    def summary(self) -> dict[str, Any]:
+        """The outcome in plain numbers."""
+        finite = bool(self.proofs)
+        return {
+            "proved": self.complete,
+            "share": self.share,
+            "boxes": len(self.proofs),
+            "error": self.error if finite else None,
+            "largest_error": self.largest_error if finite else None,
+            "statement": self.statement(),
+            "failures": [
+                {"box": named(each.box), "reason": each.reason, "text": REASONS[each.reason]} for each in self.failures
+            ],
+            "seconds": self.seconds,
+        }
+
+    def statement(self) -> str:
+        """What is proved, in one sentence."""
+        if not self.proofs:
+            return f"Nothing is proved: {REASONS[self.failures[0].reason]}."
+        where = " and ".join(in_words(name, pair) for name, pair in named(self.problem.box).items())
+        who = f"every plant with {where}" if self.complete else f"{self.share:.1%} of the plants with {where}"
+        signal = f"every disturbance with |d| <= {self.problem.level:g} m/s and |d'| <= {self.problem.slope:g} m/s^2"
+        slides = "" if self.problem.rho is None else "slides from the first sample on, "
+        return (
+            f"For {who} and {signal}, the sampled loop {slides}never exceeds |e| = {self.largest_error:.4g} m "
+            f"and ends within |e| <= {self.error:.4g} m."
+        )
+
+    def certificate(self) -> dict[str, Any]:
+        """The certificate as JSON's types; it holds the proved boxes only."""
+        proofs = [proof.to_dict() for proof in self.proofs]
+        return {"version": VERSION, "complete": self.complete, "problem": self.problem.to_dict(), "proofs": proofs}
+
+    def save(self, path: str | Path) -> Path:
+        """Write the certificate's file."""
+        path = Path(path)
+        path.write_text(json.dumps(self.certificate(), indent=1) + "\n", encoding="utf-8")
+        return path
+
+
+def named(box: Box) -> dict[str, Interval]:
+    """A box with the time constant mu in place of 1/mu."""
+    words = {name: pair for name, pair in box.items() if name != "rate"}
+    return words | ({"mu": (1.0 / box["rate"][1], 1.0 / box["rate"][0])} if "rate" in box else {})
+
+
+def in_words(name: str, pair: Interval) -> str:
+    """A number or an interval in a sentence."""
+    unit = "s" if name == "mu" else "1/s"
+    low, high = pair
+    return f"{name} = {low:g} {unit}" if low == high else f"{name} in [{low:g}, {high:g}] {unit}"
+
+
+def prove(study: Study, *, boxes: int = BOXES, progress: Callable[[int, int], None] | None = None) -> Proved:
+    """Prove that a study's sampled loop slides and stays near its reference, for all values of its uncertain numbers.
+
+    Laws of k_p, a_p and mu become the intervals of their support. The box of intervals is halved where no proof is
+    found. Only what the verifier accepts counts as proved; see docs/proofs.md.
+
+    Args:
+        study: A study of DSSC, SSC or PI on a plant (5)-(8) with a zero reference; its sweep is ignored.
+        boxes: Largest number of boxes that are tried.
+        progress: Called with the boxes done and the boxes known.
+
+    Raises:
+        NotCovered: The loop is outside of what a proof covers; the message gives the reason.
+        ConfigError: ``boxes`` is not positive.
+    """
+    if boxes < 1:
+        raise ConfigError("boxes", f"must be at least 1, got {boxes}")
+    began, problem = time.perf_counter(), problem_of(study)
+    content = problem.to_dict()
+    waiting: list[tuple[float, int, Box]] = [(-1.0, 0, problem.box)]
+    proofs: list[Proof] = []
+    failures: list[Failure] = []
+    verdicts: list[Verdict] = []
+    tried = 0
+    while waiting:
+        _, _, box = heapq.heappop(waiting)
+        tried += 1
+        found, verdict = attempt(problem, content, box)
+        if isinstance(found, Proof) and verdict is not None:
+            proofs.append(found)
+            verdicts.append(verdict)
+        elif isinstance(found, Failure):
+            hopeless = all(low == high for low, high in box.values())
+            if hopeless or tried + len(waiting) + 2 > boxes:
+                failures.append(found)
+            else:
+                for half in halves(box, problem):
+                    heapq.heappush(waiting, (-volume(half, problem), tried * 2 + len(waiting), half))
+        if progress is not None:
+            progress(tried, tried + len(waiting))
+    settled, ever = (
+        (max(each.error for each in verdicts), max(each.largest_error for each in verdicts))
+        if verdicts
+        else (np.inf, np.inf)
+    )
+    return Proved(problem, proofs, failures, float(settled), float(ever), time.perf_counter() - began)
+
+
+def attempt(problem: Problem, content: dict[str, Any], box: Box) -> tuple[Proof | Failure, Verdict | None]:
+    """Search and verify one box."""
+    found = prove_box(problem, box)
+    if isinstance(found, Failure):
+        return found, None
+    verdict = accepts(content, found.to_dict())
+    return (found, verdict) if verdict.proved else (Failure(box, "verifier"), None)
+
+
+def check_certificate(path: str | Path) -> Verdict:
+    """Verify a certificate's file, from the file alone.
+
+    Raises:
+        ConfigError: it cannot be read, or is no certificate.
+    """
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ConfigError(str(path), f"cannot be read: {error}") from None
+    if not isinstance(content, dict) or content.get("version") != VERSION:
+        raise ConfigError(str(path), f"is no certificate of version {VERSION}")
+    try:
+        return verify(content)
+    except (KeyError, TypeError, IndexError, ValueError) as error:
+        raise ConfigError(str(path), f"is damaged: {error!r}") from None

@@ -1,0 +1,483 @@
+"""The verifier: a certificate is proved if every inequality holds in ball arithmetic.
+
+It shares no code with the search, only the certificate's numbers. Every number is a ball (`arb` of FLINT) that contains
+the exact one; the floating-point numbers of the certificate are exact. docs/proofs.md states the theorem whose premises
+are checked here, (P1) to (P6).
+"""
+
+from itertools import pairwise, product
+from typing import Any, NamedTuple
+
+from flint import arb, arb_mat, ctx
+
+PRECISION = 160  # bits
+PIECES = 512  # of |sigma|, and 24 of e for functions of both, on which the gains are enclosed
+ERROR_PIECES = 24
+WITHIN = 8  # pieces of a sample on which its inside is enclosed
+ENTERED = "1.0001"  # a multiple of a set that trajectories enter in finite time
+
+Balls = dict[str, arb]
+
+
+class Verdict(NamedTuple):
+    """The verifier's answer.
+
+    Args:
+        proved: Whether every premise holds.
+        reason: The first premise that could not be shown, with its place; empty if proved.
+        error: Upper bound of |e| [m] at all times, once the loop has settled; infinite if not proved.
+        largest_error: Upper bound of |e| [m] from the start on.
+    """
+
+    proved: bool
+    reason: str
+    error: float
+    largest_error: float
+
+
+class Rejected(Exception):
+    """A premise that could not be shown."""
+
+
+class Corner(NamedTuple):
+    """One sample at a corner: A and the inputs' columns."""
+
+    a: arb_mat
+    b: arb_mat
+
+
+def verify(certificate: dict[str, Any]) -> Verdict:
+    """Verify a certificate: its problem, and the proof of every box. The boxes have to cover the problem's intervals.
+
+    Args:
+        certificate: ``problem`` and ``proofs``, as in a certificate's file.
+    """
+    before, ctx.prec = ctx.prec, PRECISION
+    try:
+        problem = certificate["problem"]
+        require_cover(problem, [proof["box"] for proof in certificate["proofs"]])
+        bounds = [verified_box(problem, proof) for proof in certificate["proofs"]]
+        settled, ever = (max(each) for each in zip(*bounds, strict=True))
+        return Verdict(True, "", settled, ever)
+    except Rejected as rejected:
+        return Verdict(False, str(rejected), float("inf"), float("inf"))
+    finally:
+        ctx.prec = before
+
+
+def accepts(problem: dict[str, Any], proof: dict[str, Any]) -> Verdict:
+    """Verify the proof of one box alone."""
+    before, ctx.prec = ctx.prec, PRECISION
+    try:
+        return Verdict(True, "", *verified_box(problem, proof))
+    except Rejected as rejected:
+        return Verdict(False, str(rejected), float("inf"), float("inf"))
+    finally:
+        ctx.prec = before
+
+
+def require(holds: bool, reason: str) -> None:
+    """Reject unless the premise holds."""
+    if not holds:
+        raise Rejected(reason)
+
+
+def interval(low: float, high: float) -> arb:
+    """The smallest ball that contains an interval."""
+    return arb(low).union(arb(high))
+
+
+def ends(pair: Any) -> list[arb]:
+    """Both ends of an interval, exact; one if they agree."""
+    low, high = pair
+    return [arb(low)] if low == high else [arb(low), arb(high)]
+
+
+def require_cover(problem: dict[str, Any], boxes: list[dict[str, Any]]) -> None:
+    """(P1) The boxes cover the intervals of k_p, a_p and 1/mu: every cell of the grid of all ends lies in one."""
+    whole = {"k_p": problem["k_p"], "a_p": problem["a_p"]}
+    if problem["lag_order"]:
+        low, high = problem["mu"]
+        require(0.0 < low <= high, "P1: mu must be positive")
+        whole["rate"] = (1.0 / high, 1.0 / low)
+    names = list(whole)
+    grids = []
+    for name in names:
+        low, high = whole[name]
+        inner = {end for box in boxes for end in box[name] if low < end < high}
+        grids.append(list(pairwise(sorted({low, high} | inner))) or [(low, high)])
+    for cell in product(*grids):
+        held = any(
+            all(box[name][0] <= low and high <= box[name][1] for name, (low, high) in zip(names, cell, strict=True))
+            for box in boxes
+        )
+        require(held, f"P1: no box covers {dict(zip(names, cell, strict=True))}")
+
+
+def verified_box(problem: dict[str, Any], proof: dict[str, Any]) -> tuple[float, float]:
+    """Check every stage of a box; return the bounds of |e| when settled and from the start on."""
+    stages, box = proof["stages"], proof["box"]
+    require(len(stages) > 0, "P2: no stage")
+    bounds, previous = [], None
+    for number, stage in enumerate(stages):
+        where = f"stage {number + 1} of the box {box}"
+        p, gains = symmetric(stage["p"]), enclosed_gains(problem, stage["sigma"], stage["e"])
+        require(positive(p), f"P2: P is not positive definite in {where}")
+        check_invariance(problem, box, stage, p, gains, where)
+        rows = signal_rows(problem)
+        if previous is None:
+            check_start(problem, p, where)
+            for name in ("sigma", "e"):
+                require(
+                    within(p, rows[name], arb(stage[name])), f"P4: the set leaves |{name}| <= {stage[name]} in {where}"
+                )
+            check_sliding(problem, p, gains, where)
+        else:
+            for name in ("sigma", "e"):
+                inside = within(previous, rows[name], arb(stage[name]) / arb(ENTERED))
+                require(inside, f"P4: the set before exceeds |{name}| <= {stage[name]} in {where}")
+        bounds.append(between_samples(problem, box, p, gains))
+        previous = p
+    return float(bounds[-1].upper()), float(bounds[0].upper())
+
+
+def symmetric(rows: list[list[float]]) -> arb_mat:
+    """P, from its upper triangle."""
+    n = len(rows)
+    return arb_mat([[arb(rows[min(i, j)][max(i, j)]) for j in range(n)] for i in range(n)])
+
+
+def approximate_root(matrix: arb_mat) -> arb_mat | None:
+    """A lower triangular L with L L' close to the matrix's midpoint, in exact numbers; None if there is none."""
+    n = matrix.nrows()
+    root = [[arb(0)] * n for _ in range(n)]
+    for i in range(n):
+        for j in range(i + 1):
+            left = matrix[i, j].mid() - sum((root[i][k] * root[j][k] for k in range(j)), arb(0))
+            if i == j:
+                if not left.mid() > 0:
+                    return None
+                root[i][i] = left.mid().sqrt().mid()
+            else:
+                root[i][j] = (left / root[j][j]).mid()
+    return arb_mat(root)
+
+
+def positive(matrix: arb_mat) -> bool:
+    """Whether every symmetric matrix in the ball is positive definite.
+
+    With L L' close to it, L^-1 M L^-T lies within I plus a small ball; each row's sum of magnitudes of the difference
+    to I is below 1 (Gershgorin).
+    """
+    root = approximate_root(matrix)
+    if root is None:
+        return False
+    inverse = root.inv()
+    near = inverse * matrix * inverse.transpose()
+    n = matrix.nrows()
+    rows = (sum((abs(near[i, j] - (1 if i == j else 0)) for j in range(n)), arb(0)) for i in range(n))
+    return all(row < 1 for row in rows)
+
+
+def within(p: arb_mat, row: arb_mat, bound: arb) -> bool:
+    """Whether |row z| <= bound for all z'Pz <= 1, by Schur's complement."""
+    n = p.nrows()
+    block = [[p[i, j] for j in range(n)] + [row[0, i]] for i in range(n)]
+    block.append([*(row[0, j] for j in range(n)), bound * bound])
+    return positive(arb_mat(block))
+
+
+def sizes(problem: dict[str, Any]) -> tuple[int, int, int]:
+    """Numbers of eta, of zeta, and of all states."""
+    eta, lag = len(problem["zero_a"]), problem["lag_order"]
+    return eta, lag, 4 + eta + lag
+
+
+def signal_rows(problem: dict[str, Any]) -> dict[str, arb_mat]:
+    """Rows of e, sigma, sigma - s and v."""
+    _, _, n = sizes(problem)
+    e, speed, v, s = (arb_mat([[int(i == at) for i in range(n)]]) for at in (0, 1, n - 2, n - 1))
+    sigma = speed + e * arb(problem["l0"])
+    return {"e": e, "sigma": sigma, "change": sigma - s, "v": v}
+
+
+def check_start(problem: dict[str, Any], p: arb_mat, where: str) -> None:
+    """(P3) Every start lies in the set: z is affine in the initial state, in d(0) and in k_p d(0)."""
+    lag, level = problem["lag_order"], arb(problem["level"])
+    for plant in product(*(ends(pair) for pair in problem["initial"])):
+        for d, k_p in product((-level, level), ends(problem["k_p"])):
+            sigma = plant[1] + arb(problem["l0"]) * plant[0]
+            z = [*plant, *([k_p * d] * lag), -d, sigma if problem["matched"] else arb(0)]
+            column = arb_mat([[x] for x in z])
+            size = (column.transpose() * p * column)[0, 0]
+            require(size <= 1, f"P3: a start lies outside of {where}")
+
+
+def check_sliding(problem: dict[str, Any], p: arb_mat, gains: Balls, where: str) -> None:
+    """(P5) |u_eq| <= rho, where u_eq - d is a row of z that is affine in its gains."""
+    if problem["rho"] is None:
+        return
+    rows = signal_rows(problem)
+    left = arb(problem["rho"]) - arb(problem["level"])
+    require(left > 0, "P5: rho does not exceed the disturbance")
+    for a, b in product(both(gains["slide_p"]), both(gains["slide_i"])):
+        row = rows["v"] + rows["change"] * a + rows["sigma"] * b
+        require(within(p, row, left), f"P5: the equivalent control may exceed rho in {where}")
+
+
+def both(ball: arb) -> tuple[arb, arb]:
+    """Lower and upper end of a ball, exact."""
+    return ball.lower(), ball.upper()
+
+
+def check_invariance(
+    problem: dict[str, Any], box: dict[str, Any], stage: dict[str, Any], p: arb_mat, gains: Balls, where: str
+) -> None:
+    """(P6) V(z+) <= (1 - T lambda) V(z) + T sum of mu_j w_j^2 at every corner, mu_j >= 0 with a sum <= lambda."""
+    t, rate = arb(problem["sample_time"]), arb(stage["rate"])
+    multipliers = [arb(mu) for mu in stage["multipliers"]]
+    require(rate > 0 and t * rate < 1, f"P6: lambda is not in (0, 1/T_s) in {where}")
+    require(all(mu >= 0 for mu in multipliers), f"P6: a multiplier is negative in {where}")
+    require(sum(multipliers, arb(0)) <= rate, f"P6: the multipliers exceed lambda in {where}")
+    for corner in corners(problem, box, gains):
+        live = [j for j in range(corner.b.ncols()) if not all(corner.b[i, j] == 0 for i in range(corner.b.nrows()))]
+        ap = corner.a.transpose() * p
+        keep = p * (1 - t * rate) - ap * corner.a
+        n, cross, inputs = p.nrows(), ap * corner.b, corner.b.transpose() * p * corner.b
+        block = [[keep[i, j] for j in range(n)] + [-cross[i, j] for j in live] for i in range(n)]
+        for j in live:
+            own = [(t * multipliers[j] if i == j else arb(0)) - inputs[j, i] for i in live]
+            block.append([*(-cross[i, j] for i in range(n)), *own])
+        require(positive(symmetrised(block)), f"P6: the set is not invariant in {where}")
+
+
+def symmetrised(block: list[list[arb]]) -> arb_mat:
+    """The mean of a matrix and its transpose, both of which contain the same symmetric matrix."""
+    n = len(block)
+    return arb_mat([[(block[i][j] + block[j][i]) / 2 for j in range(n)] for i in range(n)])
+
+
+def generator(problem: dict[str, Any], a_p: arb, rate: arb) -> arb_mat:
+    """[[F, G], [0, 0]] of the held plant chi' = F chi + G U, U' = 0."""
+    eta, lag, n = sizes(problem)
+    size = n - 1
+    f = [[arb(0)] * size for _ in range(size)]
+    f[0][1], f[1][1] = arb(1), -a_p
+    for i, c in enumerate(problem["zero_c"]):
+        f[1][2 + i] = -arb(c)
+    for i in range(eta - 1):
+        f[2 + i][3 + i] = arb(1)
+    if eta:
+        f[1 + eta][1] = arb(1)
+        for i, a in enumerate(problem["zero_a"]):
+            f[1 + eta][2 + i] = f[1 + eta][2 + i] - arb(a)
+    first = 2 + eta
+    for i in range(lag):
+        f[first + i][first + i] = -rate
+        f[first + i][first + i - 1 if i else size - 1] = rate
+    f[1][first + lag - 1 if lag else size - 1] = arb(1)
+    return arb_mat(f)
+
+
+def corners(problem: dict[str, Any], box: dict[str, Any], gains: Balls) -> list[Corner]:
+    """Every corner of plant and gains; each of its balls also holds what interpolation between corners leaves out."""
+    rate = box.get("rate", (0.0, 0.0))
+    rest = interpolation_error(problem, box["a_p"], rate)
+    inside = inside_bounds(problem, box, arb(problem["sample_time"]))
+    found = []
+    for a_p, lag_rate in product(ends(box["a_p"]), ends(rate)):
+        held = (generator(problem, a_p, lag_rate) * arb(problem["sample_time"])).exp() + rest
+        for k_p in ends(box["k_p"]):
+            b = input_columns(problem, k_p, inside)
+            for gain in product(*(both(gains[name]) for name in ("k_p", "k_i", "k_n"))):
+                found.append(Corner(sampled(problem, held, k_p, gain), b))
+    return found
+
+
+def sampled(problem: dict[str, Any], held: arb_mat, k_p: arb, gain: tuple[arb, arb, arb]) -> arb_mat:
+    """A at one corner."""
+    _, _, n = sizes(problem)
+    chi, rows = n - 2, signal_rows(problem)
+    new = rows["v"] + rows["change"] * gain[0] + rows["sigma"] * (arb(problem["sample_time"]) * gain[1])
+    command = command_row(problem, new, gain[2])
+    a = [
+        [(held[i, j] if j < chi else arb(0)) + k_p * held[i, chi] * command[0, j] for j in range(n)] for i in range(chi)
+    ]
+    return arb_mat([*a, *([row[0, j] for j in range(n)] for row in (new, rows["sigma"]))])
+
+
+def command_row(problem: dict[str, Any], new: arb_mat, k_n: arb) -> arb_mat:
+    """The row of u + d: -v+ and the nominal control."""
+    command, rows = -new, signal_rows(problem)
+    if problem["nominal"]:
+        a_n, k, _ = problem["nominal"]
+        a_n, k, l0 = arb(a_n), arb(k), arb(problem["l0"])
+        command = command - (rows["e"] * ((a_n - l0) * l0) + rows["sigma"] * (l0 - a_n)) * (1 / k)
+        command = command - rows["sigma"] * k_n
+    return command
+
+
+def input_columns(problem: dict[str, Any], k_p: arb, inside: list[arb]) -> arb_mat:
+    """Columns of Delta and of theta's components, for inputs of magnitude at most 1."""
+    eta, lag, n = sizes(problem)
+    jump = arb(problem["sample_time"]) * arb(problem["slope"])
+    first = [arb(0)] * (2 + eta) + [k_p * jump] * lag + [-jump, arb(0)]
+    columns = [first, *([inside[i] if i == j else arb(0) for i in range(n)] for j in range(2 + eta))]
+    return arb_mat([[column[i] for column in columns] for i in range(n)])
+
+
+def inside_bounds(problem: dict[str, Any], box: dict[str, Any], time: arb) -> list[arb]:
+    """Bound of each component of theta: D t^2/2 times the largest |exp(F s)| k_p from d to it, for s in [0, t]."""
+    _, _, n = sizes(problem)
+    f = generator(problem, interval(*box["a_p"]), interval(*box.get("rate", (0.0, 0.0))))
+    largest = [arb(0)] * n
+    for piece in range(WITHIN):
+        s = time * interval(piece / WITHIN, (piece + 1) / WITHIN)
+        flow = (f * s).exp()
+        largest = [larger(largest[i], abs(flow[i, 1]).upper() if i < n - 2 else arb(0)) for i in range(n)]
+    factor = arb(problem["slope"]) * time * time / 2 * arb(box["k_p"][1])
+    return [(factor * each).upper() for each in largest]
+
+
+def larger(a: arb, b: arb) -> arb:
+    """The larger of two exact numbers."""
+    return a if a >= b else b
+
+
+def interpolation_error(problem: dict[str, Any], a_p: Any, rate: Any) -> arb_mat:
+    """What multilinear interpolation of exp over the box of a_p and 1/mu leaves out: width^2/8 sup |second derivative|.
+
+    Half of the second derivative of exp(W) along W_i is the upper right block of exp([[W, W_i, 0], [0, W, W_i],
+    [0, 0, W]]).
+    """
+    t = arb(problem["sample_time"])
+    zero = arb(0)
+    origin = generator(problem, zero, zero)
+    directions = ((a_p, generator(problem, arb(1), zero) - origin), (rate, generator(problem, zero, arb(1)) - origin))
+    whole = generator(problem, interval(*a_p), interval(*rate)) * t
+    size = whole.nrows()
+    rest = arb_mat(size, size)
+    for (low, high), direction in directions:
+        if low == high:
+            continue
+        along = direction * t
+        triple = [[zero] * (3 * size) for _ in range(3 * size)]
+        for i, j in product(range(size), range(size)):
+            for k in range(3):
+                triple[k * size + i][k * size + j] = whole[i, j]
+            for k in range(2):
+                triple[k * size + i][(k + 1) * size + j] = along[i, j]
+        second = arb_mat(triple).exp()
+        width = arb(high) - arb(low)
+        for i, j in product(range(size), range(size)):
+            bound = (abs(second[i, 2 * size + j]) * 2 * width * width / 8).upper()
+            rest[i, j] = rest[i, j] + interval(-1.0, 1.0) * bound
+    return rest
+
+
+def between_samples(problem: dict[str, Any], box: dict[str, Any], p: arb_mat, gains: Balls) -> arb:
+    """Upper bound of |e(t)| at all times, while z at the samples is in the set."""
+    _, _, n = sizes(problem)
+    rows, t, inverse = signal_rows(problem), arb(problem["sample_time"]), p.inv()
+    f = generator(problem, interval(*box["a_p"]), interval(*box.get("rate", (0.0, 0.0))))
+    rest = inside_bounds(problem, box, t)[0]
+    largest = arb(0)
+    for piece in range(WITHIN):
+        flow = (f * (t * interval(piece / WITHIN, (piece + 1) / WITHIN))).exp()
+        for gain in product(*(both(gains[name]) for name in ("k_p", "k_i", "k_n"))):
+            new = rows["v"] + rows["change"] * gain[0] + rows["sigma"] * (t * gain[1])
+            command = command_row(problem, new, gain[2])
+            k_p = interval(*box["k_p"])
+            row = arb_mat(
+                [[(flow[0, j] if j < n - 2 else arb(0)) + k_p * flow[0, n - 2] * command[0, j] for j in range(n)]]
+            )
+            size = (row * inverse * row.transpose())[0, 0]
+            largest = larger(largest, (abs(size).upper().sqrt() + rest).upper())
+    return largest
+
+
+def enclosed_gains(problem: dict[str, Any], sigma: float, e: float) -> Balls:
+    """Balls of K_P, K_I, K_N and of the sliding condition's gains for |sigma| and |e| up to bounds."""
+    of_both = problem["functions"]["kind"] == "vgsta"
+    steps = [e * (2 * i / ERROR_PIECES - 1) for i in range(ERROR_PIECES + 1)]
+    errors = [interval(*pair) for pair in pairwise(steps)] if of_both else [arb(0)]
+    found: Balls = {}
+    for cut in pairwise([0.0, *(sigma * (i / PIECES) ** 2 for i in range(1, PIECES)), sigma]):
+        for error, sign in product(errors, (1, -1) if of_both else (1,)):
+            for name, ball in gains_at(problem, cut, sign, error).items():
+                found[name] = found[name].union(ball) if name in found else ball
+    return found
+
+
+def gains_at(problem: dict[str, Any], size: tuple[float, float], sign: int, e: arb) -> Balls:
+    """The gains for |sigma| in an interval, a sign of sigma, and e in a ball."""
+    product_, tau_m, tau_av = functions_at(problem, size, sign, e)
+    t = arb(problem["sample_time"])
+    proportional, reach = 1 / product_, 1 + tau_av / t
+    integral = proportional / tau_m  # phi_2/sigma in the conservative form, too
+    nominal = problem["nominal"]
+    pole = 1 / (tau_m * arb(nominal[1])) if nominal and nominal[2] else arb(0)
+    return {
+        "k_p": proportional,
+        "k_i": integral,
+        "k_n": pole,
+        "slide_p": reach * proportional,
+        "slide_i": reach * t * integral,
+    }
+
+
+def functions_at(problem: dict[str, Any], size: tuple[float, float], sign: int, e: arb) -> tuple[arb, arb, arb]:
+    """k_o tau_av, tau_m and tau_av: the rows of Tables 1 and 2, and of Section V."""
+    own = {name: arb(value) for name, value in problem["functions"].items() if name != "kind"}
+    kind = problem["functions"]["kind"]
+    low, high = (arb(end).sqrt() for end in size)
+    r = low.union(high)
+    match kind:
+        case "constant":
+            product_, tau_m = own["k_o"] * own["tau_av"], own["tau_m"]
+        case "sta":
+            floor = arb(1e-9)
+            r = larger(low, floor).union(larger(high, floor))
+            product_, tau_m = 2 * r / own["kappa1"], own["kappa1"] / own["kappa2"] * r
+        case "approx_sta_1":
+            product_ = 2 * (r + own["delta"]) / own["kappa1"]
+            defect = over_defect(low / own["delta"]).union(over_defect(high / own["delta"]))
+            tau_m = own["kappa1"] / own["kappa2"] * own["delta"] * defect
+        case "approx_sta_2":
+            product_ = 2 * (r + own["delta"]) / own["kappa1"]
+            tau_m = own["kappa1"] / own["kappa2"] * (r + own["delta"])
+        case "square_root":
+            product_ = own["kappa_o"] * (r + own["delta_o"]) * own["tau_av"]
+            tau_m = own["kappa_m"] * (r + own["delta_m"])
+        case "field":
+            product_ = 2 * r / own["kappa1"] + own["delta"] * own["k_o"]
+            tau_m = own["kappa1"] * r / (2 * own["kappa2"]) + own["delta"]
+        case "vgsta":
+            product_, tau_m = table_1(own, arb(problem["l0"]), r, sign, e)
+        case _:
+            raise Rejected(f"P2: unknown functions '{kind}'")
+    tau_av = own["tau_av"] if "tau_av" in own else product_ / own["k_o"]
+    require(bool(product_ > 0) and bool(tau_m > 0), "P2: the functions are not positive in the region")
+    return product_, tau_m, tau_av
+
+
+def over_defect(x: arb) -> arb:
+    """x^2/(x - ln(1 + x)) for x >= 0, with the limit 2 at 0; it rises, so its values at both ends enclose it."""
+    if x < arb("1e-12"):  # 2 + 4 x/3 - ..., within [2, 2 + 2 x]
+        return arb(2).union(2 + 2 * x)
+    return x * x / (x - x.log1p())
+
+
+def table_1(own: Balls, l0: arb, r: arb, sign: int, e: arb) -> tuple[arb, arb]:
+    """(28) and (29): k_o tau_av and tau_m, with r = |sigma|^(1/2)."""
+    rd, size = r + own["delta"], r * r
+    ratio = own["phi_a"] / rd + own["phi_b"]
+    slope = own["phi_a"] * (rd + own["delta"]) / (2 * rd * rd) + own["phi_b"]
+    kappa = own["kappa_a"] * size + own["kappa_b"] * abs(e) + own["kappa_c"]
+    kappa1 = kappa * kappa + own["kappa_d"]
+    kappa2 = 2 * own["epsilon"] * kappa1 + own["gamma"]
+    sign_e = arb(1) if e > 0 else arb(-1) if e < 0 else interval(-1.0, 1.0)
+    by_e = 2 * kappa * own["kappa_b"] * sign_e
+    inverse = 2 * kappa * own["kappa_a"] * ratio * size + kappa1 * slope
+    tau_m = inverse / (ratio * (by_e * (sign * size - l0 * e) + kappa2 * slope))
+    return 1 / inverse, tau_m
