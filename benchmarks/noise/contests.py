@@ -8,19 +8,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-import dssc_jax as dj
 from benchmarks.noise.costs import Costs, cubic, distortion, held, rms, variation
 from benchmarks.noise.forms import CASE_2, NOISE
+from dssc_jax.analyses.comparison import controller_table
 from dssc_jax.core.contracts import Differentiator
 from dssc_jax.core.signals import Measurement
 from dssc_jax.models.controllers.differentiators import DIFFERENTIATORS, HighGainParams, LeadFilterParams, LevantParams
+from dssc_jax.runs.trajectory import recorder
 
 PERIODS = (0.001, 0.005, 0.02, 0.05)
 DISTURBANCE = {"kind": "sine", "amplitude": 0.5, "period": 20.0}
 CONTEST = {
+    "draws": 4,
     "loop.duration": 80.0,
     "plant.initial": [0.0, 0.0],
-    "reference": {"kind": "hold", "value": 0.0},
+    "reference": {"kind": "zero"},
     "disturbance": DISTURBANCE,
     "sensor": {"kind": "noisy", "velocity_std": NOISE},
     "requirement": [],
@@ -38,16 +40,15 @@ CONTROLLERS = {
     "vgsta": "VGSTA, implicit",
     "smc": "first-order sliding mode",
 }
-AFTER, DRAWS = 40.0, 4
+AFTER = 40.0
 
 
 def controller_costs(name: str, period: float) -> Costs:
     """Costs of a controller: the error e, and the command u that shall cancel the disturbance; means over draws."""
-    from dssc_jax.analyses.comparison import controller_table
-
     study = CASE_2.override({**CONTEST, "loop.sample_time": period})
     study = study.override({"controller": controller_table(study, name)})
-    return Costs(*np.mean([costs_of(dj.simulate(study, draw), period) for draw in range(DRAWS)], axis=0))
+    fly = recorder(study)
+    return Costs(*np.mean([costs_of(fly(draw, {}), period) for draw in range(CONTEST["draws"])], axis=0))
 
 
 def costs_of(run: Any, period: float) -> Costs:

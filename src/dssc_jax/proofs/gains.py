@@ -8,7 +8,7 @@ from dssc_jax.proofs.problem import Interval, Problem
 from dssc_jax.proofs.sampled_loop import functions_of
 
 GRID = 129
-MARGIN = 2e-3
+MARGIN = 0.06
 """Widening of each interval, relative, so that the verifier's enclosures fit in."""
 NAMES = ("k_p", "k_i", "k_n", "slide_p", "slide_i")
 

@@ -1,15 +1,16 @@
 """Semidefinite programs for a common V = z'Pz, solved by Clarabel in scaled coordinates and divided by T_s."""
 
+import importlib
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import clarabel
 import numpy as np
 from scipy import sparse
 from scipy.linalg import cholesky, solve_discrete_lyapunov
 
 from dssc_jax.proofs.sampled_loop import Step
 
+clarabel: Any = importlib.import_module("clarabel")  # its extension module has no types
 SLACK = 1e-7
 """Smallest eigenvalue that is asked of every scaled matrix, so that rounding P does not spoil the proof."""
 TIGHT = 1e-4
@@ -35,13 +36,19 @@ class Solution(NamedTuple):
     rate: float
 
 
-def scaling(step: Step) -> np.ndarray | None:
-    """Coordinates in which the loop at one point decays evenly: z = T x; None if it is not stable."""
+def scaling(step: Step, starts: Sequence[np.ndarray], forgets: float) -> np.ndarray | None:
+    """Coordinates z = S x in which what starts and inputs excite has size one; None if the loop is not stable.
+
+    Args:
+        step: One sample at one point.
+        starts: Initial states.
+        forgets: Share of a state that is forgotten within a sample.
+    """
     n = step.a.shape[0]
     if np.max(np.abs(np.linalg.eigvals(step.a))) >= 1.0:
         return None
-    # the reachable set of unit inputs, with a little noise on every state
-    spread = step.b @ step.b.T
+    columns = np.stack(starts, axis=1) * np.sqrt(forgets)
+    spread = step.b @ step.b.T + columns @ columns.T
     noise = spread + 1e-9 * np.trace(spread) * np.eye(n) if np.any(spread) else np.eye(n)
     gramian = solve_discrete_lyapunov(step.a, noise)
     try:
@@ -99,6 +106,7 @@ def invariant_set(
     rows: Sequence[Bounded],
     starts: Sequence[np.ndarray],
     scale: np.ndarray,
+    spare: float,
 ) -> Solution | None:
     """Find V = z'Pz such that {V <= 1} holds every start, is invariant and attracts, with small |row z| in it.
 
@@ -112,6 +120,7 @@ def invariant_set(
         rows: Rows to bound; the cost is the weighted sum of (|row z|/bound)^2.
         starts: States that the set has to hold.
         scale: Coordinates z = scale x, (n, n).
+        spare: Share of decay and multipliers that is left to the verifier's balls.
 
     Returns:
         None if the program has no solution.
@@ -127,9 +136,10 @@ def invariant_set(
 
         def affine(x: np.ndarray) -> np.ndarray:
             p = symmetric(x[:m], n)
-            corner = -(delta.T @ p + p @ delta + sample_time * delta.T @ p @ delta) - rate * p
+            corner = -(delta.T @ p + p @ delta + sample_time * delta.T @ p @ delta) - (1.0 + spare) * rate * p
             side = -a.T @ p @ b
-            block = np.block([[corner, side], [side.T, np.diag(x[m : m + len(live)]) - sample_time * b.T @ p @ b]])
+            own = (1.0 - spare) * np.diag(x[m : m + len(live)]) - sample_time * b.T @ p @ b
+            block = np.block([[corner, side], [side.T, own]])
             return block - SLACK * np.eye(block.shape[0])
 
         return affine
@@ -163,6 +173,8 @@ def invariant_set(
     if x is None:
         return None
     p = inverse.T @ symmetric(x[:m], n) @ inverse
+    if np.linalg.eigvalsh(symmetric(x[:m], n))[0] <= 0.0 or any(reach(p, one.row) > one.bound for one in rows):
+        return None  # solved, but not well enough
     multipliers = np.zeros(inputs)
     multipliers[live] = np.maximum(x[m : m + len(live)], 0.0)
     return Solution(0.5 * (p + p.T), multipliers, rate)

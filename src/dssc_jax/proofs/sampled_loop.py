@@ -32,12 +32,13 @@ class Gains(NamedTuple):
 
 
 class Point(NamedTuple):
-    """A plant and gains: k_p [1/s], a_p [1/s], 1/mu [1/s; 0 without lag], and the gains."""
+    """A plant and gains: k_p [1/s], a_p [1/s], 1/mu [1/s; 0 without lag], the gains, and the largest k_p of its box."""
 
     k_p: float
     a_p: float
     rate: float
     gains: Gains
+    largest_k_p: float
 
 
 class Step(NamedTuple):
@@ -122,7 +123,7 @@ def inside_bound(problem: Problem, point: Point) -> np.ndarray:
     """Bound of each component of theta: D T_s^2/2 times the largest |exp(F t) k_p b| within a sample."""
     times = np.linspace(0.0, problem.sample_time, WITHIN)
     largest = np.max([np.abs(held(problem, point.a_p, point.rate, t)[0][:, 1]) for t in times], axis=0)
-    return ROOM * 0.5 * problem.slope * problem.sample_time**2 * point.k_p * largest
+    return ROOM * 0.5 * problem.slope * problem.sample_time**2 * point.largest_k_p * largest
 
 
 def ends(interval: Interval) -> tuple[float, ...]:
@@ -135,7 +136,7 @@ def corners(box: dict[str, Interval], gains: dict[str, Interval]) -> Iterable[Po
     names = ("k_p", "k_i", "k_n")
     for k_p, a_p, rate in product(*(ends(box.get(name, (0.0, 0.0))) for name in ("k_p", "a_p", "rate"))):
         for corner in product(*(ends(gains[name]) for name in names)):
-            yield Point(k_p, a_p, rate, Gains(*corner))
+            yield Point(k_p, a_p, rate, Gains(*corner), box["k_p"][1])
 
 
 def starts(problem: Problem) -> list[np.ndarray]:

@@ -25,6 +25,8 @@ INFLATION = 1.001
 """A set attracts; its trajectories enter this multiple of it in finite time."""
 LONGEST = 20_000
 """Samples of the excursion that sizes the regions."""
+SPARE, SPARE_OF_BOXES = 0.01, 0.5
+"""Share of the decay that is left to the verifier's balls, for one plant and for a box of a_p or mu."""
 E, SPEED, SIGMA, CHANGE = range(4)  # rows of a step
 
 
@@ -105,14 +107,17 @@ def prove_box(problem: Problem, box: Box) -> Proof | Failure:
     bound = 0.0 if problem.rho is None else problem.rho - problem.level
     if problem.rho is not None and bound <= 0.0:
         return Failure(box, "sliding")
-    ready = [middle(box.get(name, (0.0, 0.0))) for name in ("k_p", "a_p", "rate")]
     origin = gain_hull(problem, 1e-9, 1e-9)
-    at_origin = step_of(problem, Point(*ready, Gains(*(middle(origin[name]) for name in Gains._fields))))
+    gains = Gains(middle(origin["k_p"]), middle(origin["k_i"]), middle(origin["k_n"]))
+    rate = middle(box.get("rate", (0.0, 0.0)))
+    centre = Point(middle(box["k_p"]), middle(box["a_p"]), rate, gains, box["k_p"][1])
+    at_origin = step_of(problem, centre)
     speed = decay_rate(at_origin, problem.sample_time)
-    scale = scaling(at_origin)
+    scale = scaling(at_origin, first, speed * problem.sample_time)
     if speed <= 0.0 or scale is None:
         return Failure(box, "origin")
     least_e, least_sigma = excursion(at_origin, first, min(LONGEST, int(5.0 / (speed * problem.sample_time))))
+    spare = SPARE if all(low == high for name, (low, high) in box.items() if name != "k_p") else SPARE_OF_BOXES
     reason = "region"
     for size in REGIONS:
         sigma, e = size * max(least_sigma, 1e-9), size * max(least_e, 1e-9)
@@ -120,12 +125,12 @@ def prove_box(problem: Problem, box: Box) -> Proof | Failure:
         steps = [step_of(problem, point) for point in corners(box, hull)]
         inside = [Bounded(at_origin.rows[SIGMA], sigma, 1.0), Bounded(at_origin.rows[E], e, 1.0)]
         slides = [Bounded(row, bound, 1.0) for row in slide_rows(problem, hull, at_origin)]
-        found = best_of(problem, steps, [*inside, *slides], first, scale, speed)
+        found = best_of(problem, steps, [*inside, *slides], first, scale, speed, spare)
         if found is not None:
-            return Proof(box, [stage(found, sigma, e), *residuals(problem, box, found, at_origin, scale, speed)])
-        if size == REGIONS[0] and best_of(problem, steps, [], [], scale, speed) is None:
+            return Proof(box, [stage(found, sigma, e), *residuals(problem, box, found, at_origin, scale, speed, spare)])
+        if size == REGIONS[0] and best_of(problem, steps, [], [], scale, speed, spare) is None:
             reason = "decay"
-        elif slides and reason == "region" and best_of(problem, steps, inside, first, scale, speed) is not None:
+        elif slides and reason == "region" and best_of(problem, steps, inside, first, scale, speed, spare) is not None:
             reason = "sliding"
         if reason == "decay":
             break
@@ -151,12 +156,13 @@ def best_of(
     first: list[np.ndarray],
     scale: np.ndarray,
     speed: float,
+    spare: float,
     keep: Callable[[Solution], float] | None = None,
 ) -> Solution | None:
     """The first solution over the rates; with a measure, the one for which it is smallest."""
     best, least = None, np.inf
     for share in RATES:
-        found = invariant_set(steps, problem.sample_time, share * speed, rows, first, scale)
+        found = invariant_set(steps, problem.sample_time, share * speed, rows, first, scale, spare)
         if found is None:
             continue
         if keep is None:
@@ -171,7 +177,9 @@ def stage(found: Solution, sigma: float, e: float) -> Stage:
     return Stage(sigma, e, found.rate, found.multipliers.tolist(), found.p.tolist())
 
 
-def residuals(problem: Problem, box: Box, found: Solution, at: Step, scale: np.ndarray, speed: float) -> list[Stage]:
+def residuals(
+    problem: Problem, box: Box, found: Solution, at: Step, scale: np.ndarray, speed: float, spare: float
+) -> list[Stage]:
     """Stages that shrink the region to what attracts in it, as long as |e| becomes smaller."""
     stages: list[Stage] = []
     if not problem.slope:
@@ -181,7 +189,7 @@ def residuals(problem: Problem, box: Box, found: Solution, at: Step, scale: np.n
         sigma, e = (INFLATION * reach(found.p, at.rows[row]) for row in (SIGMA, E))
         steps = [step_of(problem, point) for point in corners(box, gain_hull(problem, sigma, e))]
         rows = [Bounded(at.rows[E], e, 1.0), Bounded(at.rows[SIGMA], sigma, 0.05)]
-        better = best_of(problem, steps, rows, [], scale, speed, lambda one: reach(one.p, at.rows[E]))
+        better = best_of(problem, steps, rows, [], scale, speed, spare, lambda one: reach(one.p, at.rows[E]))
         if better is None:
             break
         smaller = reach(better.p, at.rows[E])

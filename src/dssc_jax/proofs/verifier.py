@@ -5,18 +5,29 @@ the exact one; the floating-point numbers of the certificate are exact. docs/pro
 are checked here, (P1) to (P6).
 """
 
+from collections.abc import Sequence
 from itertools import pairwise, product
 from typing import Any, NamedTuple
 
 from flint import arb, arb_mat, ctx
 
+from dssc_jax.proofs.balls import (
+    Rejected,
+    both,
+    ends,
+    interval,
+    larger,
+    positive,
+    require,
+    symmetric,
+    symmetrised,
+    within,
+)
+from dssc_jax.proofs.gain_enclosures import Balls, enclosed_gains
+
 PRECISION = 160  # bits
-PIECES = 512  # of |sigma|, and 24 of e for functions of both, on which the gains are enclosed
-ERROR_PIECES = 24
 WITHIN = 8  # pieces of a sample on which its inside is enclosed
 ENTERED = "1.0001"  # a multiple of a set that trajectories enter in finite time
-
-Balls = dict[str, arb]
 
 
 class Verdict(NamedTuple):
@@ -33,10 +44,6 @@ class Verdict(NamedTuple):
     reason: str
     error: float
     largest_error: float
-
-
-class Rejected(Exception):
-    """A premise that could not be shown."""
 
 
 class Corner(NamedTuple):
@@ -74,23 +81,6 @@ def accepts(problem: dict[str, Any], proof: dict[str, Any]) -> Verdict:
         return Verdict(False, str(rejected), float("inf"), float("inf"))
     finally:
         ctx.prec = before
-
-
-def require(holds: bool, reason: str) -> None:
-    """Reject unless the premise holds."""
-    if not holds:
-        raise Rejected(reason)
-
-
-def interval(low: float, high: float) -> arb:
-    """The smallest ball that contains an interval."""
-    return arb(low).union(arb(high))
-
-
-def ends(pair: Any) -> list[arb]:
-    """Both ends of an interval, exact; one if they agree."""
-    low, high = pair
-    return [arb(low)] if low == high else [arb(low), arb(high)]
 
 
 def require_cover(problem: dict[str, Any], boxes: list[dict[str, Any]]) -> None:
@@ -141,52 +131,6 @@ def verified_box(problem: dict[str, Any], proof: dict[str, Any]) -> tuple[float,
     return float(bounds[-1].upper()), float(bounds[0].upper())
 
 
-def symmetric(rows: list[list[float]]) -> arb_mat:
-    """P, from its upper triangle."""
-    n = len(rows)
-    return arb_mat([[arb(rows[min(i, j)][max(i, j)]) for j in range(n)] for i in range(n)])
-
-
-def approximate_root(matrix: arb_mat) -> arb_mat | None:
-    """A lower triangular L with L L' close to the matrix's midpoint, in exact numbers; None if there is none."""
-    n = matrix.nrows()
-    root = [[arb(0)] * n for _ in range(n)]
-    for i in range(n):
-        for j in range(i + 1):
-            left = matrix[i, j].mid() - sum((root[i][k] * root[j][k] for k in range(j)), arb(0))
-            if i == j:
-                if not left.mid() > 0:
-                    return None
-                root[i][i] = left.mid().sqrt().mid()
-            else:
-                root[i][j] = (left / root[j][j]).mid()
-    return arb_mat(root)
-
-
-def positive(matrix: arb_mat) -> bool:
-    """Whether every symmetric matrix in the ball is positive definite.
-
-    With L L' close to it, L^-1 M L^-T lies within I plus a small ball; each row's sum of magnitudes of the difference
-    to I is below 1 (Gershgorin).
-    """
-    root = approximate_root(matrix)
-    if root is None:
-        return False
-    inverse = root.inv()
-    near = inverse * matrix * inverse.transpose()
-    n = matrix.nrows()
-    rows = (sum((abs(near[i, j] - (1 if i == j else 0)) for j in range(n)), arb(0)) for i in range(n))
-    return all(row < 1 for row in rows)
-
-
-def within(p: arb_mat, row: arb_mat, bound: arb) -> bool:
-    """Whether |row z| <= bound for all z'Pz <= 1, by Schur's complement."""
-    n = p.nrows()
-    block = [[p[i, j] for j in range(n)] + [row[0, i]] for i in range(n)]
-    block.append([*(row[0, j] for j in range(n)), bound * bound])
-    return positive(arb_mat(block))
-
-
 def sizes(problem: dict[str, Any]) -> tuple[int, int, int]:
     """Numbers of eta, of zeta, and of all states."""
     eta, lag = len(problem["zero_a"]), problem["lag_order"]
@@ -225,11 +169,6 @@ def check_sliding(problem: dict[str, Any], p: arb_mat, gains: Balls, where: str)
         require(within(p, row, left), f"P5: the equivalent control may exceed rho in {where}")
 
 
-def both(ball: arb) -> tuple[arb, arb]:
-    """Lower and upper end of a ball, exact."""
-    return ball.lower(), ball.upper()
-
-
 def check_invariance(
     problem: dict[str, Any], box: dict[str, Any], stage: dict[str, Any], p: arb_mat, gains: Balls, where: str
 ) -> None:
@@ -249,12 +188,6 @@ def check_invariance(
             own = [(t * multipliers[j] if i == j else arb(0)) - inputs[j, i] for i in live]
             block.append([*(-cross[i, j] for i in range(n)), *own])
         require(positive(symmetrised(block)), f"P6: the set is not invariant in {where}")
-
-
-def symmetrised(block: list[list[arb]]) -> arb_mat:
-    """The mean of a matrix and its transpose, both of which contain the same symmetric matrix."""
-    n = len(block)
-    return arb_mat([[(block[i][j] + block[j][i]) / 2 for j in range(n)] for i in range(n)])
 
 
 def generator(problem: dict[str, Any], a_p: arb, rate: arb) -> arb_mat:
@@ -294,7 +227,7 @@ def corners(problem: dict[str, Any], box: dict[str, Any], gains: Balls) -> list[
     return found
 
 
-def sampled(problem: dict[str, Any], held: arb_mat, k_p: arb, gain: tuple[arb, arb, arb]) -> arb_mat:
+def sampled(problem: dict[str, Any], held: arb_mat, k_p: arb, gain: Sequence[arb]) -> arb_mat:
     """A at one corner."""
     _, _, n = sizes(problem)
     chi, rows = n - 2, signal_rows(problem)
@@ -337,11 +270,6 @@ def inside_bounds(problem: dict[str, Any], box: dict[str, Any], time: arb) -> li
         largest = [larger(largest[i], abs(flow[i, 1]).upper() if i < n - 2 else arb(0)) for i in range(n)]
     factor = arb(problem["slope"]) * time * time / 2 * arb(box["k_p"][1])
     return [(factor * each).upper() for each in largest]
-
-
-def larger(a: arb, b: arb) -> arb:
-    """The larger of two exact numbers."""
-    return a if a >= b else b
 
 
 def interpolation_error(problem: dict[str, Any], a_p: Any, rate: Any) -> arb_mat:
@@ -394,90 +322,3 @@ def between_samples(problem: dict[str, Any], box: dict[str, Any], p: arb_mat, ga
             size = (row * inverse * row.transpose())[0, 0]
             largest = larger(largest, (abs(size).upper().sqrt() + rest).upper())
     return largest
-
-
-def enclosed_gains(problem: dict[str, Any], sigma: float, e: float) -> Balls:
-    """Balls of K_P, K_I, K_N and of the sliding condition's gains for |sigma| and |e| up to bounds."""
-    of_both = problem["functions"]["kind"] == "vgsta"
-    steps = [e * (2 * i / ERROR_PIECES - 1) for i in range(ERROR_PIECES + 1)]
-    errors = [interval(*pair) for pair in pairwise(steps)] if of_both else [arb(0)]
-    found: Balls = {}
-    for cut in pairwise([0.0, *(sigma * (i / PIECES) ** 2 for i in range(1, PIECES)), sigma]):
-        for error, sign in product(errors, (1, -1) if of_both else (1,)):
-            for name, ball in gains_at(problem, cut, sign, error).items():
-                found[name] = found[name].union(ball) if name in found else ball
-    return found
-
-
-def gains_at(problem: dict[str, Any], size: tuple[float, float], sign: int, e: arb) -> Balls:
-    """The gains for |sigma| in an interval, a sign of sigma, and e in a ball."""
-    product_, tau_m, tau_av = functions_at(problem, size, sign, e)
-    t = arb(problem["sample_time"])
-    proportional, reach = 1 / product_, 1 + tau_av / t
-    integral = proportional / tau_m  # phi_2/sigma in the conservative form, too
-    nominal = problem["nominal"]
-    pole = 1 / (tau_m * arb(nominal[1])) if nominal and nominal[2] else arb(0)
-    return {
-        "k_p": proportional,
-        "k_i": integral,
-        "k_n": pole,
-        "slide_p": reach * proportional,
-        "slide_i": reach * t * integral,
-    }
-
-
-def functions_at(problem: dict[str, Any], size: tuple[float, float], sign: int, e: arb) -> tuple[arb, arb, arb]:
-    """k_o tau_av, tau_m and tau_av: the rows of Tables 1 and 2, and of Section V."""
-    own = {name: arb(value) for name, value in problem["functions"].items() if name != "kind"}
-    kind = problem["functions"]["kind"]
-    low, high = (arb(end).sqrt() for end in size)
-    r = low.union(high)
-    match kind:
-        case "constant":
-            product_, tau_m = own["k_o"] * own["tau_av"], own["tau_m"]
-        case "sta":
-            floor = arb(1e-9)
-            r = larger(low, floor).union(larger(high, floor))
-            product_, tau_m = 2 * r / own["kappa1"], own["kappa1"] / own["kappa2"] * r
-        case "approx_sta_1":
-            product_ = 2 * (r + own["delta"]) / own["kappa1"]
-            defect = over_defect(low / own["delta"]).union(over_defect(high / own["delta"]))
-            tau_m = own["kappa1"] / own["kappa2"] * own["delta"] * defect
-        case "approx_sta_2":
-            product_ = 2 * (r + own["delta"]) / own["kappa1"]
-            tau_m = own["kappa1"] / own["kappa2"] * (r + own["delta"])
-        case "square_root":
-            product_ = own["kappa_o"] * (r + own["delta_o"]) * own["tau_av"]
-            tau_m = own["kappa_m"] * (r + own["delta_m"])
-        case "field":
-            product_ = 2 * r / own["kappa1"] + own["delta"] * own["k_o"]
-            tau_m = own["kappa1"] * r / (2 * own["kappa2"]) + own["delta"]
-        case "vgsta":
-            product_, tau_m = table_1(own, arb(problem["l0"]), r, sign, e)
-        case _:
-            raise Rejected(f"P2: unknown functions '{kind}'")
-    tau_av = own["tau_av"] if "tau_av" in own else product_ / own["k_o"]
-    require(bool(product_ > 0) and bool(tau_m > 0), "P2: the functions are not positive in the region")
-    return product_, tau_m, tau_av
-
-
-def over_defect(x: arb) -> arb:
-    """x^2/(x - ln(1 + x)) for x >= 0, with the limit 2 at 0; it rises, so its values at both ends enclose it."""
-    if x < arb("1e-12"):  # 2 + 4 x/3 - ..., within [2, 2 + 2 x]
-        return arb(2).union(2 + 2 * x)
-    return x * x / (x - x.log1p())
-
-
-def table_1(own: Balls, l0: arb, r: arb, sign: int, e: arb) -> tuple[arb, arb]:
-    """(28) and (29): k_o tau_av and tau_m, with r = |sigma|^(1/2)."""
-    rd, size = r + own["delta"], r * r
-    ratio = own["phi_a"] / rd + own["phi_b"]
-    slope = own["phi_a"] * (rd + own["delta"]) / (2 * rd * rd) + own["phi_b"]
-    kappa = own["kappa_a"] * size + own["kappa_b"] * abs(e) + own["kappa_c"]
-    kappa1 = kappa * kappa + own["kappa_d"]
-    kappa2 = 2 * own["epsilon"] * kappa1 + own["gamma"]
-    sign_e = arb(1) if e > 0 else arb(-1) if e < 0 else interval(-1.0, 1.0)
-    by_e = 2 * kappa * own["kappa_b"] * sign_e
-    inverse = 2 * kappa * own["kappa_a"] * ratio * size + kappa1 * slope
-    tau_m = inverse / (ratio * (by_e * (sign * size - l0 * e) + kappa2 * slope))
-    return 1 / inverse, tau_m

@@ -1,0 +1,57 @@
+"""The command on proofs of the sampled loop: prove."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dssc_jax.cli import options as opt
+from dssc_jax.cli.common import DONE, FAILS, app, attempt, load_study
+from dssc_jax.core.errors import ConfigError
+
+
+@app.command()
+def prove(
+    study: Annotated[
+        str, typer.Argument(metavar="STUDY", help="A study; or the file of a certificate (.json), to verify it again.")
+    ],
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write the certificate (.json).")] = None,
+    boxes: Annotated[int, typer.Option("--boxes", metavar="N", min=1, help="Boxes of uncertain numbers to try.")] = 64,
+    settings: opt.Set = None,
+    as_json: opt.Json = False,
+    allow_local: opt.Local = False,
+) -> int:
+    """Prove that the sampled loop slides and stays near its reference: exit 1 where it is not proved.
+
+    The proof covers every value of k_p, a_p and mu within the support of their laws and every disturbance within its
+    bounds, with sampling and lag. A verifier in exact ball arithmetic accepts it, or it does not count. A certificate's
+    file is verified from the file alone.
+    """
+    try:
+        from dssc_jax.proofs.prove import check_certificate
+        from dssc_jax.proofs.prove import prove as search
+    except ImportError as error:
+        raise ConfigError("prove", f"needs {error.name}: pip install 'dssc_jax[proofs]'") from None
+    from dssc_jax.console.proofs import show_proof, show_verdict
+    from dssc_jax.proofs.problem import NotCovered
+
+    if study.endswith(".json"):
+        verdict = check_certificate(study)
+        if as_json:
+            print(json.dumps(verdict._asdict() if verdict.proved else {"proved": False, "reason": verdict.reason}))
+        else:
+            show_verdict(verdict)
+        return DONE if verdict.proved else FAILS
+    loaded = load_study(study, settings, None, None, allow_local).without_sweep()
+    try:
+        proved = search(loaded, boxes=boxes)
+    except NotCovered as error:
+        raise ConfigError(loaded.source, f"is outside of what a proof covers: {error}") from None
+    if out is not None:
+        attempt(out, lambda: proved.save(out))
+    if as_json:
+        print(json.dumps(proved.summary(), allow_nan=False))
+    else:
+        show_proof(proved.summary(), out)
+    return DONE if proved.complete else FAILS

@@ -1,0 +1,32 @@
+"""Show a proof of the sampled loop, and a verifier's verdict."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dssc_jax.console.terminal import output, show_table
+
+if TYPE_CHECKING:
+    from dssc_jax.proofs.verifier import Verdict
+
+MOST_SHOWN = 12
+"""Boxes without a proof that are listed."""
+
+
+def show_proof(summary: dict[str, Any], path: Path | None) -> None:
+    """Print the statement, and the boxes that are not proved."""
+    console = output()
+    console.print(summary["statement"], soft_wrap=True, markup=False)
+    if summary["failures"]:
+        rows = [
+            (*(f"{low:.4g} .. {high:.4g}" for low, high in each["box"].values()), each["text"])
+            for each in summary["failures"][:MOST_SHOWN]
+        ]
+        show_table((*summary["failures"][0]["box"], "not proved because"), rows)
+    if path is not None:
+        console.print(f"wrote {path}", soft_wrap=True, markup=False)
+
+
+def show_verdict(verdict: "Verdict") -> None:
+    """Print whether a certificate is valid."""
+    text = f"valid: |e| never exceeds {verdict.largest_error:.4g} m and ends within {verdict.error:.4g} m"
+    output().print(text if verdict.proved else f"not valid: {verdict.reason}", soft_wrap=True, markup=False)
