@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -37,7 +37,7 @@ def prove(
     from dssc_jax.proofs.problem import NotCovered
 
     if study.endswith(".json"):
-        verdict = check_certificate(study)
+        verdict = check_certificate(read_json(Path(study)))
         if as_json:
             print(json.dumps(verdict._asdict() if verdict.proved else {"proved": False, "reason": verdict.reason}))
         else:
@@ -49,9 +49,22 @@ def prove(
     except NotCovered as error:
         raise ConfigError(loaded.source, f"is outside of what a proof covers: {error}") from None
     if out is not None:
-        attempt(out, lambda: proved.save(out))
+        content = json.dumps(proved.certificate(), indent=1) + "\n"
+        attempt(out, lambda: out.write_text(content, encoding="utf-8"))
     if as_json:
         print(json.dumps(proved.summary(), allow_nan=False))
     else:
         show_proof(proved.summary(), out)
     return DONE if proved.complete else FAILS
+
+
+def read_json(path: Path) -> Any:
+    """The content of a file.
+
+    Raises:
+        ConfigError: it cannot be read.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ConfigError(str(path), f"cannot be read: {error}") from None

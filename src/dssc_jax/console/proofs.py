@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from dssc_jax.console.terminal import output, show_table
 
 if TYPE_CHECKING:
-    from dssc_jax.proofs.verifier import Verdict
+    from dssc_jax.proofs.verifier import ProofVerdict
 
 MOST_SHOWN = 12
 """Boxes without a proof that are listed."""
@@ -26,7 +26,7 @@ def show_proof(summary: dict[str, Any], path: Path | None) -> None:
         console.print(f"wrote {path}", soft_wrap=True, markup=False)
 
 
-def show_verdict(verdict: "Verdict") -> None:
+def show_verdict(verdict: "ProofVerdict") -> None:
     """Print whether a certificate is valid."""
     text = f"valid: |e| never exceeds {verdict.largest_error:.4g} m and ends within {verdict.error:.4g} m"
     output().print(text if verdict.proved else f"not valid: {verdict.reason}", soft_wrap=True, markup=False)

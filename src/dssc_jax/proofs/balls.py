@@ -9,18 +9,18 @@ class Rejected(Exception):
     """A premise that could not be shown."""
 
 
-def require(holds: bool, reason: str) -> None:
+def require_premise(holds: bool, reason: str) -> None:
     """Reject unless the premise holds."""
     if not holds:
         raise Rejected(reason)
 
 
-def interval(low: float, high: float) -> arb:
+def enclosing(low: float, high: float) -> arb:
     """The smallest ball that contains an interval."""
     return arb(low).union(arb(high))
 
 
-def ends(pair: Any) -> list[arb]:
+def exact_ends(pair: Any) -> list[arb]:
     """Both ends of an interval, exact; one if they agree."""
     low, high = pair
     return [arb(low)] if low == high else [arb(low), arb(high)]
@@ -36,7 +36,7 @@ def larger(a: arb, b: arb) -> arb:
     return a if a >= b else b
 
 
-def symmetric(rows: list[list[float]]) -> arb_mat:
+def symmetric_ball(rows: list[list[float]]) -> arb_mat:
     """P, from its upper triangle."""
     n = len(rows)
     return arb_mat([[arb(rows[min(i, j)][max(i, j)]) for j in range(n)] for i in range(n)])
@@ -64,7 +64,7 @@ def approximate_root(matrix: arb_mat) -> arb_mat | None:
     return arb_mat(root)
 
 
-def positive(matrix: arb_mat) -> bool:
+def positive_definite(matrix: arb_mat) -> bool:
     """Whether every symmetric matrix in the ball is positive definite.
 
     With L L' close to it, L^-1 M L^-T lies within I plus a small ball; each row's sum of magnitudes of the difference
@@ -80,9 +80,9 @@ def positive(matrix: arb_mat) -> bool:
     return all(row < 1 for row in rows)
 
 
-def within(p: arb_mat, row: arb_mat, bound: arb) -> bool:
+def set_within(p: arb_mat, row: arb_mat, bound: arb) -> bool:
     """Whether |row z| <= bound for all z'Pz <= 1, by Schur's complement."""
     n = p.nrows()
     block = [[p[i, j] for j in range(n)] + [row[0, i]] for i in range(n)]
     block.append([*(row[0, j] for j in range(n)), bound * bound])
-    return positive(arb_mat(block))
+    return positive_definite(arb_mat(block))

@@ -5,7 +5,7 @@ from typing import Any
 
 from flint import arb
 
-from dssc_jax.proofs.balls import Rejected, interval, larger, require
+from dssc_jax.proofs.balls import Rejected, enclosing, larger, require_premise
 
 PIECES = 160  # of |sigma|, and others of e for functions of both, on which the gains are enclosed
 ERROR_PIECES = 64
@@ -16,13 +16,13 @@ def enclosed_gains(problem: dict[str, Any], sigma: float, e: float) -> Balls:
     """Balls of K_P, K_I, K_N and of the sliding condition's gains for |sigma| and |e| up to bounds."""
     of_both = problem["functions"]["kind"] == "vgsta"
     steps = [e * (2 * i / ERROR_PIECES - 1) for i in range(ERROR_PIECES + 1)]
-    errors = [interval(*pair) for pair in pairwise(steps)] if of_both else [arb(0)]
-    found: Balls = {}
+    errors = [enclosing(*pair) for pair in pairwise(steps)] if of_both else [arb(0)]
+    result: Balls = {}
     for cut in pairwise([0.0, *(sigma * (i / PIECES) ** 2 for i in range(1, PIECES)), sigma]):
         for error, sign in product(errors, (1, -1) if of_both else (1,)):
             for name, ball in gains_at(problem, cut, sign, error).items():
-                found[name] = found[name].union(ball) if name in found else ball
-    return found
+                result[name] = result[name].union(ball) if name in result else ball
+    return result
 
 
 def gains_at(problem: dict[str, Any], size: tuple[float, float], sign: int, e: arb) -> Balls:
@@ -73,7 +73,7 @@ def functions_at(problem: dict[str, Any], size: tuple[float, float], sign: int, 
             product_, tau_m = table_1(own, arb(problem["l0"]), r, sign, e)
         case _:
             raise Rejected(f"P2: unknown functions '{kind}'")
-    require(bool(product_ > 0) and bool(tau_m > 0), "P2: the functions are not positive in the region")
+    require_premise(bool(product_ > 0) and bool(tau_m > 0), "P2: the functions are not positive in the region")
     return product_, tau_m
 
 
@@ -92,7 +92,7 @@ def table_1(own: Balls, l0: arb, r: arb, sign: int, e: arb) -> tuple[arb, arb]:
     kappa = own["kappa_a"] * size + own["kappa_b"] * abs(e) + own["kappa_c"]
     kappa1 = kappa * kappa + own["kappa_d"]
     kappa2 = 2 * own["epsilon"] * kappa1 + own["gamma"]
-    sign_e = arb(1) if e > 0 else arb(-1) if e < 0 else interval(-1.0, 1.0)
+    sign_e = arb(1) if e > 0 else arb(-1) if e < 0 else enclosing(-1.0, 1.0)
     by_e = 2 * kappa * own["kappa_b"] * sign_e
     inverse = 2 * kappa * own["kappa_a"] * ratio * size + kappa1 * slope
     tau_m = inverse / (ratio * (by_e * (sign * size - l0 * e) + kappa2 * slope))

@@ -4,16 +4,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.proofs.problem import Interval, Problem
+from dssc_jax.proofs.problem import Interval, ProofProblem
 from dssc_jax.proofs.sampled_loop import functions_of
 
 GRID = 129
 MARGIN = 0.06
 """Widening of each interval, relative, so that the verifier's enclosures fit in."""
-NAMES = ("k_p", "k_i", "k_n", "slide_p", "slide_i")
+GAIN_NAMES = ("k_p", "k_i", "k_n", "slide_p", "slide_i")
 
 
-def gain_hull(problem: Problem, sigma: float, e: float) -> dict[str, Interval]:
+def gain_hull(problem: ProofProblem, sigma: float, e: float) -> dict[str, Interval]:
     """Intervals of K_P, K_I, K_N, and of K_P and T_s K_I times 1 + tau_av/T_s, for |sigma| and |e| up to bounds."""
     sizes = sigma * np.concatenate([[0.0], np.geomspace(1e-9, 1.0, GRID)])
     values = np.concatenate([-sizes[::-1], sizes])
@@ -34,10 +34,10 @@ def gain_hull(problem: Problem, sigma: float, e: float) -> dict[str, Interval]:
         nominal = problem.nominal
         pole = 1.0 / (tau_m * nominal[1]) if nominal and nominal[2] else 0.0
         columns = (proportional, integral, pole, reach * proportional, reach * problem.sample_time * integral)
-        return {name: widened(np.asarray(column)) for name, column in zip(NAMES, columns, strict=True)}
+        return {name: with_room(np.asarray(column)) for name, column in zip(GAIN_NAMES, columns, strict=True)}
 
 
-def widened(values: np.ndarray) -> Interval:
+def with_room(values: np.ndarray) -> Interval:
     """The interval of the values, a little wider; a constant stays one."""
     low, high = float(values.min()), float(values.max())
     room = MARGIN * (high - low) + (1e-12 * abs(high) if low < high else 0.0)

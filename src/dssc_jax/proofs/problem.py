@@ -23,7 +23,7 @@ UNCERTAIN = ("plant.k_p", "plant.a_p", "unmodelled.mu")
 
 
 @dataclass(frozen=True)
-class Problem:
+class ProofProblem:
     """A sampled loop of the class (5)-(8) with intervals for its uncertain numbers.
 
     Args:
@@ -73,7 +73,7 @@ class Problem:
         return ends | ({"rate": (1.0 / self.mu[1], 1.0 / self.mu[0])} if self.lag_order else {})
 
 
-def problem_of(study: Study) -> Problem:
+def problem_of(study: Study) -> ProofProblem:
     """The problem of a study at its own values; laws of k_p, a_p and mu become the intervals of their support.
 
     Raises:
@@ -109,7 +109,7 @@ def problem_of(study: Study) -> Problem:
         raise NotCovered("the zero dynamics are uncertain")
     size = 2 + (len(zero.a) if zero else 0)
     starts = [tuple(map(float, end.plant.initial)) + (0.0,) * (size - len(end.plant.initial)) for end in ends]
-    return Problem(
+    return ProofProblem(
         sample_time=loop.sample_time,
         k_p=(float(low.plant.k_p), float(high.plant.k_p)),
         a_p=(float(low.plant.a_p), float(high.plant.a_p)),
@@ -162,7 +162,7 @@ def controller_of(study: Study) -> dict[str, Any]:
     }
 
 
-def problem_from(content: dict[str, Any]) -> Problem:
+def problem_from(content: dict[str, Any]) -> ProofProblem:
     """A problem from JSON's types.
 
     Raises:
@@ -172,6 +172,6 @@ def problem_from(content: dict[str, Any]) -> Problem:
         pairs = {name: tuple(content[name]) for name in ("k_p", "a_p", "mu", "zero_a", "zero_c")}
         nominal = content["nominal"] and tuple(content["nominal"])
         initial = tuple(map(tuple, content["initial"]))
-        return Problem(**{**content, **pairs, "nominal": nominal, "initial": initial})
+        return ProofProblem(**{**content, **pairs, "nominal": nominal, "initial": initial})
     except (KeyError, TypeError) as error:
         raise ConfigError("problem", f"is not that of a certificate: {error}") from None

@@ -66,7 +66,7 @@ def triangle(matrix: np.ndarray) -> np.ndarray:
     return matrix[rows, columns] * np.where(rows == columns, 1.0, np.sqrt(2.0))
 
 
-def symmetric(values: np.ndarray, n: int) -> np.ndarray:
+def symmetric_of(values: np.ndarray, n: int) -> np.ndarray:
     """The symmetric matrix of n (n + 1)/2 free entries."""
     matrix = np.zeros((n, n))
     matrix[np.triu_indices(n)] = values
@@ -135,7 +135,7 @@ def invariant_set(
         delta, b = (a - np.eye(n)) / sample_time, inverse @ step.b[:, live] / sample_time
 
         def affine(x: np.ndarray) -> np.ndarray:
-            p = symmetric(x[:m], n)
+            p = symmetric_of(x[:m], n)
             corner = -(delta.T @ p + p @ delta + sample_time * delta.T @ p @ delta) - (1.0 + spare) * rate * p
             side = -a.T @ p @ b
             own = (1.0 - spare) * np.diag(x[m : m + len(live)]) - sample_time * b.T @ p @ b
@@ -148,7 +148,7 @@ def invariant_set(
         scaled = row @ scale / bound
 
         def affine(x: np.ndarray) -> np.ndarray:
-            block = np.block([[symmetric(x[:m], n), scaled[:, None]], [scaled[None], x[m + len(live) + index]]])
+            block = np.block([[symmetric_of(x[:m], n), scaled[:, None]], [scaled[None], x[m + len(live) + index]]])
             return block
 
         return affine
@@ -172,14 +172,15 @@ def invariant_set(
     x = solved(cost, psd, least)
     if x is None:
         return None
-    p = inverse.T @ symmetric(x[:m], n) @ inverse
-    if np.linalg.eigvalsh(symmetric(x[:m], n))[0] <= 0.0 or any(reach(p, one.row) > one.bound for one in rows):
+    scaled = symmetric_of(x[:m], n)
+    p = inverse.T @ scaled @ inverse
+    if np.linalg.eigvalsh(scaled)[0] <= 0.0 or any(largest_in_set(p, one.row) > one.bound for one in rows):
         return None  # solved, but not well enough
     multipliers = np.zeros(inputs)
     multipliers[live] = np.maximum(x[m : m + len(live)], 0.0)
     return Solution(0.5 * (p + p.T), multipliers, rate)
 
 
-def reach(p: np.ndarray, row: np.ndarray) -> float:
+def largest_in_set(p: np.ndarray, row: np.ndarray) -> float:
     """The largest |row z| in z'Pz <= 1."""
     return float(np.sqrt(row @ np.linalg.solve(p, row)))

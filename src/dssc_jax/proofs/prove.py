@@ -1,19 +1,17 @@
 """Prove a study's sampled loop: search, verify, halve what is not proved."""
 
 import heapq
-import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.proofs.problem import Interval, Problem, problem_of
+from dssc_jax.proofs.problem import Interval, ProofProblem, problem_of
 from dssc_jax.proofs.search import Box, Failure, Proof, halves, prove_box, volume
-from dssc_jax.proofs.verifier import Verdict, accepts, verify
+from dssc_jax.proofs.verifier import ProofVerdict, accepts, verify_certificate
 from dssc_jax.study import Study
 
 BOXES = 64
@@ -41,7 +39,7 @@ class Proved:
         seconds: Time spent.
     """
 
-    problem: Problem
+    problem: ProofProblem
     proofs: list[Proof]
     failures: list[Failure]
     error: float
@@ -61,6 +59,9 @@ class Proved:
     def summary(self) -> dict[str, Any]:
         """The outcome in plain numbers."""
         finite = bool(self.proofs)
+        failures = [
+            {"box": with_mu(each.box), "reason": each.reason, "text": REASONS[each.reason]} for each in self.failures
+        ]
         return {
             "proved": self.complete,
             "share": self.share,
@@ -68,9 +69,7 @@ class Proved:
             "error": self.error if finite else None,
             "largest_error": self.largest_error if finite else None,
             "statement": self.statement(),
-            "failures": [
-                {"box": named(each.box), "reason": each.reason, "text": REASONS[each.reason]} for each in self.failures
-            ],
+            "failures": failures,
             "seconds": self.seconds,
         }
 
@@ -78,7 +77,7 @@ class Proved:
         """What is proved, in one sentence."""
         if not self.proofs:
             return f"Nothing is proved: {REASONS[self.failures[0].reason]}."
-        where = " and ".join(in_words(name, pair) for name, pair in named(self.problem.box).items())
+        where = " and ".join(in_words(name, pair) for name, pair in with_mu(self.problem.box).items())
         who = f"every plant with {where}" if self.complete else f"{self.share:.1%} of the plants with {where}"
         signal = f"every disturbance with |d| <= {self.problem.level:g} m/s and |d'| <= {self.problem.slope:g} m/s^2"
         slides = "" if self.problem.rho is None else "slides from the first sample on, "
@@ -92,14 +91,8 @@ class Proved:
         proofs = [proof.to_dict() for proof in self.proofs]
         return {"version": VERSION, "complete": self.complete, "problem": self.problem.to_dict(), "proofs": proofs}
 
-    def save(self, path: str | Path) -> Path:
-        """Write the certificate's file."""
-        path = Path(path)
-        path.write_text(json.dumps(self.certificate(), indent=1) + "\n", encoding="utf-8")
-        return path
 
-
-def named(box: Box) -> dict[str, Interval]:
+def with_mu(box: Box) -> dict[str, Interval]:
     """A box with the time constant mu in place of 1/mu."""
     words = {name: pair for name, pair in box.items() if name != "rate"}
     return words | ({"mu": (1.0 / box["rate"][1], 1.0 / box["rate"][0])} if "rate" in box else {})
@@ -134,19 +127,19 @@ def prove(study: Study, *, boxes: int = BOXES, progress: Callable[[int, int], No
     waiting: list[tuple[float, int, Box]] = [(-1.0, 0, problem.box)]
     proofs: list[Proof] = []
     failures: list[Failure] = []
-    verdicts: list[Verdict] = []
+    verdicts: list[ProofVerdict] = []
     tried = 0
     while waiting:
         _, _, box = heapq.heappop(waiting)
         tried += 1
-        found, verdict = attempt(problem, content, box)
-        if isinstance(found, Proof) and verdict is not None:
-            proofs.append(found)
+        result, verdict = attempt(problem, content, box)
+        if isinstance(result, Proof) and verdict is not None:
+            proofs.append(result)
             verdicts.append(verdict)
-        elif isinstance(found, Failure):
+        elif isinstance(result, Failure):
             hopeless = all(low == high for low, high in box.values())
             if hopeless or tried + len(waiting) + 2 > boxes:
-                failures.append(found)
+                failures.append(result)
             else:
                 for half in halves(box, problem):
                     heapq.heappush(waiting, (-volume(half, problem), tried * 2 + len(waiting), half))
@@ -160,28 +153,24 @@ def prove(study: Study, *, boxes: int = BOXES, progress: Callable[[int, int], No
     return Proved(problem, proofs, failures, float(settled), float(ever), time.perf_counter() - began)
 
 
-def attempt(problem: Problem, content: dict[str, Any], box: Box) -> tuple[Proof | Failure, Verdict | None]:
+def attempt(problem: ProofProblem, content: dict[str, Any], box: Box) -> tuple[Proof | Failure, ProofVerdict | None]:
     """Search and verify one box."""
-    found = prove_box(problem, box)
-    if isinstance(found, Failure):
-        return found, None
-    verdict = accepts(content, found.to_dict())
-    return (found, verdict) if verdict.proved else (Failure(box, "verifier"), None)
+    result = prove_box(problem, box)
+    if isinstance(result, Failure):
+        return result, None
+    verdict = accepts(content, result.to_dict())
+    return (result, verdict) if verdict.proved else (Failure(box, "verifier"), None)
 
 
-def check_certificate(path: str | Path) -> Verdict:
-    """Verify a certificate's file, from the file alone.
+def check_certificate(content: Any) -> ProofVerdict:
+    """Verify the content of a certificate's file, from it alone.
 
     Raises:
-        ConfigError: it cannot be read, or is no certificate.
+        ConfigError: it is no certificate, or a part of it is missing.
     """
-    try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ConfigError(str(path), f"cannot be read: {error}") from None
     if not isinstance(content, dict) or content.get("version") != VERSION:
-        raise ConfigError(str(path), f"is no certificate of version {VERSION}")
+        raise ConfigError("version", f"is not {VERSION}: no certificate of this program")
     try:
-        return verify(content)
+        return verify_certificate(content)
     except (KeyError, TypeError, IndexError, ValueError) as error:
-        raise ConfigError(str(path), f"is damaged: {error!r}") from None
+        raise ConfigError("certificate", f"is damaged: {error!r}") from None

@@ -17,13 +17,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import expm
 
-from dssc_jax.proofs.problem import Interval, Problem
+from dssc_jax.proofs.problem import Interval, ProofProblem
 
-WITHIN = 17  # points of a sample at which its inside is evaluated
+INNER_POINTS = 17  # points of a sample at which its inside is evaluated
 ROOM = 1.02  # widening of a bound, so that the verifier's enclosure fits in
 
 
-class Gains(NamedTuple):
+class LoopGains(NamedTuple):
     """K_P [1], K_I [1/s], and K_N [1] of the nominal control's term 1/tau_m."""
 
     k_p: float
@@ -31,13 +31,13 @@ class Gains(NamedTuple):
     k_n: float
 
 
-class Point(NamedTuple):
+class LoopPoint(NamedTuple):
     """A plant and gains: k_p [1/s], a_p [1/s], 1/mu [1/s; 0 without lag], the gains, and the largest k_p of its box."""
 
     k_p: float
     a_p: float
     rate: float
-    gains: Gains
+    gains: LoopGains
     largest_k_p: float
 
 
@@ -55,15 +55,15 @@ class Step(NamedTuple):
     rows: np.ndarray
 
 
-def sizes(problem: Problem) -> tuple[int, int, int]:
+def state_sizes(problem: ProofProblem) -> tuple[int, int, int]:
     """Numbers of eta, of zeta, and of all states."""
     eta, lag = len(problem.zero_a), problem.lag_order
     return eta, lag, 4 + eta + lag
 
 
-def held_plant(problem: Problem, a_p: float, rate: float) -> tuple[np.ndarray, np.ndarray]:
+def held_plant(problem: ProofProblem, a_p: float, rate: float) -> tuple[np.ndarray, np.ndarray]:
     """F and G of chi' = F chi + G U."""
-    eta, lag, n = sizes(problem)
+    eta, lag, n = state_sizes(problem)
     f, g = np.zeros((n - 2, n - 2)), np.zeros(n - 2)
     f[0, 1], f[1, 1] = 1.0, -a_p
     f[1, 2 : 2 + eta] = np.negative(problem.zero_c)
@@ -83,7 +83,7 @@ def held_plant(problem: Problem, a_p: float, rate: float) -> tuple[np.ndarray, n
     return f, g
 
 
-def held(problem: Problem, a_p: float, rate: float, time: float) -> tuple[np.ndarray, np.ndarray]:
+def held_matrices(problem: ProofProblem, a_p: float, rate: float, time: float) -> tuple[np.ndarray, np.ndarray]:
     """Phi and Gamma over a time."""
     f, g = held_plant(problem, a_p, rate)
     size = f.shape[0]
@@ -93,11 +93,11 @@ def held(problem: Problem, a_p: float, rate: float, time: float) -> tuple[np.nda
     return whole[:size, :size], whole[:size, size]
 
 
-def step_of(problem: Problem, point: Point) -> Step:
+def step_of(problem: ProofProblem, point: LoopPoint) -> Step:
     """The matrices of one sample, with inputs scaled by their bounds."""
-    _, lag, n = sizes(problem)
+    _, lag, n = state_sizes(problem)
     t, chi = problem.sample_time, n - 2
-    phi, gamma = held(problem, point.a_p, point.rate, t)
+    phi, gamma = held_matrices(problem, point.a_p, point.rate, t)
     e, speed, s = np.eye(n)[0], np.eye(n)[1], np.eye(n)[n - 1]
     sigma = speed + problem.l0 * e
     change = point.gains.k_p * (sigma - s) + t * point.gains.k_i * sigma
@@ -119,42 +119,42 @@ def step_of(problem: Problem, point: Point) -> Step:
     return Step(a, np.stack(columns, axis=1), np.stack([e, speed, sigma, sigma - s]))
 
 
-def inside_bound(problem: Problem, point: Point) -> np.ndarray:
+def inside_bound(problem: ProofProblem, point: LoopPoint) -> np.ndarray:
     """Bound of each component of theta: D T_s^2/2 times the largest |exp(F t) k_p b| within a sample."""
-    times = np.linspace(0.0, problem.sample_time, WITHIN)
-    largest = np.max([np.abs(held(problem, point.a_p, point.rate, t)[0][:, 1]) for t in times], axis=0)
+    times = np.linspace(0.0, problem.sample_time, INNER_POINTS)
+    largest = np.max([np.abs(held_matrices(problem, point.a_p, point.rate, t)[0][:, 1]) for t in times], axis=0)
     return ROOM * 0.5 * problem.slope * problem.sample_time**2 * point.largest_k_p * largest
 
 
-def ends(interval: Interval) -> tuple[float, ...]:
+def interval_ends(interval: Interval) -> tuple[float, ...]:
     """Both ends, or the one value."""
     return interval if interval[0] < interval[1] else interval[:1]
 
 
-def corners(box: dict[str, Interval], gains: dict[str, Interval]) -> Iterable[Point]:
+def box_corners(box: dict[str, Interval], gains: dict[str, Interval]) -> Iterable[LoopPoint]:
     """Every corner of plant and gains."""
     names = ("k_p", "k_i", "k_n")
-    for k_p, a_p, rate in product(*(ends(box.get(name, (0.0, 0.0))) for name in ("k_p", "a_p", "rate"))):
-        for corner in product(*(ends(gains[name]) for name in names)):
-            yield Point(k_p, a_p, rate, Gains(*corner), box["k_p"][1])
+    for k_p, a_p, rate in product(*(interval_ends(box.get(name, (0.0, 0.0))) for name in ("k_p", "a_p", "rate"))):
+        for corner in product(*(interval_ends(gains[name]) for name in names)):
+            yield LoopPoint(k_p, a_p, rate, LoopGains(*corner), box["k_p"][1])
 
 
-def starts(problem: Problem) -> list[np.ndarray]:
+def start_corners(problem: ProofProblem) -> list[np.ndarray]:
     """Every corner of the states in which the loop may start: z is affine in the initial state and in d(0)."""
-    _, lag, n = sizes(problem)
-    found = []
-    for plant in product(*(ends(interval) for interval in problem.initial)):
+    _, lag, n = state_sizes(problem)
+    result = []
+    for plant in product(*(interval_ends(interval) for interval in problem.initial)):
         for level in {-problem.level, problem.level}:
-            for k_p in ends(problem.k_p):
+            for k_p in interval_ends(problem.k_p):
                 z = np.zeros(n)
                 z[: len(plant)] = plant
                 z[n - 2 - lag : n - 2], z[n - 2] = k_p * level, -level
                 z[n - 1] = plant[1] + problem.l0 * plant[0] if problem.matched else 0.0
-                found.append(z)
-    return found
+                result.append(z)
+    return result
 
 
-def functions_of(problem: Problem) -> Any:
+def functions_of(problem: ProofProblem) -> Any:
     """The state-dependent functions."""
     from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS
 

@@ -4,15 +4,15 @@ Nothing that is found here counts as proved before :mod:`dssc_jax.proofs.verifie
 """
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from dssc_jax.proofs.gains import gain_hull
-from dssc_jax.proofs.problem import Interval, Problem
-from dssc_jax.proofs.programs import Bounded, Solution, invariant_set, reach, scaling
-from dssc_jax.proofs.sampled_loop import Gains, Point, Step, corners, sizes, starts, step_of
+from dssc_jax.proofs.problem import Interval, ProofProblem
+from dssc_jax.proofs.programs import Bounded, Solution, invariant_set, largest_in_set, scaling
+from dssc_jax.proofs.sampled_loop import LoopGains, LoopPoint, Step, box_corners, start_corners, state_sizes, step_of
 
 Box = dict[str, Interval]
 REGIONS = (1.02, 1.2, 1.6, 2.5, 4.0, 7.0, 12.0)
@@ -73,25 +73,16 @@ class Failure(NamedTuple):
     reason: str
 
 
-@dataclass
-class Search:
-    """Boxes proved and given up so far."""
-
-    problem: Problem
-    proofs: list[Proof] = field(default_factory=list)
-    failures: list[Failure] = field(default_factory=list)
-
-
 def middle(interval: Interval) -> float:
     """The middle of an interval."""
     return 0.5 * (interval[0] + interval[1])
 
 
-def slide_rows(problem: Problem, hull: dict[str, Interval], step: Step) -> list[np.ndarray]:
+def slide_rows(problem: ProofProblem, hull: dict[str, Interval], step: Step) -> list[np.ndarray]:
     """Rows of u_eq - d at every corner of the gains; empty without a bound of the command."""
     if problem.rho is None:
         return []
-    _, _, n = sizes(problem)
+    _, _, n = state_sizes(problem)
     v, change, sigma = np.eye(n)[n - 2], step.rows[CHANGE], step.rows[SIGMA]
     return [v + p * change + i * sigma for p in set(hull["slide_p"]) for i in set(hull["slide_i"])]
 
@@ -101,16 +92,16 @@ def decay_rate(step: Step, sample_time: float) -> float:
     return float(-np.log(np.max(np.abs(np.linalg.eigvals(step.a)))) / sample_time)
 
 
-def prove_box(problem: Problem, box: Box) -> Proof | Failure:
+def prove_box(problem: ProofProblem, box: Box) -> Proof | Failure:
     """Search a proof for every plant of a box."""
-    first = starts(problem)
+    first = start_corners(problem)
     bound = 0.0 if problem.rho is None else problem.rho - problem.level
     if problem.rho is not None and bound <= 0.0:
         return Failure(box, "sliding")
     origin = gain_hull(problem, 1e-9, 1e-9)
-    gains = Gains(middle(origin["k_p"]), middle(origin["k_i"]), middle(origin["k_n"]))
+    gains = LoopGains(middle(origin["k_p"]), middle(origin["k_i"]), middle(origin["k_n"]))
     rate = middle(box.get("rate", (0.0, 0.0)))
-    centre = Point(middle(box["k_p"]), middle(box["a_p"]), rate, gains, box["k_p"][1])
+    centre = LoopPoint(middle(box["k_p"]), middle(box["a_p"]), rate, gains, box["k_p"][1])
     at_origin = step_of(problem, centre)
     speed = decay_rate(at_origin, problem.sample_time)
     scale = scaling(at_origin, first, speed * problem.sample_time)
@@ -122,12 +113,13 @@ def prove_box(problem: Problem, box: Box) -> Proof | Failure:
     for size in REGIONS:
         sigma, e = size * max(least_sigma, 1e-9), size * max(least_e, 1e-9)
         hull = gain_hull(problem, sigma, e)
-        steps = [step_of(problem, point) for point in corners(box, hull)]
+        steps = [step_of(problem, point) for point in box_corners(box, hull)]
         inside = [Bounded(at_origin.rows[SIGMA], sigma, 1.0), Bounded(at_origin.rows[E], e, 1.0)]
         slides = [Bounded(row, bound, 1.0) for row in slide_rows(problem, hull, at_origin)]
-        found = best_of(problem, steps, [*inside, *slides], first, scale, speed, spare)
-        if found is not None:
-            return Proof(box, [stage(found, sigma, e), *residuals(problem, box, found, at_origin, scale, speed, spare)])
+        result = best_of(problem, steps, [*inside, *slides], first, scale, speed, spare)
+        if result is not None:
+            rest = residuals(problem, box, result, at_origin, scale, speed, spare)
+            return Proof(box, [stage(result, sigma, e), *rest])
         if size == REGIONS[0] and best_of(problem, steps, [], [], scale, speed, spare) is None:
             reason = "decay"
         elif slides and reason == "region" and best_of(problem, steps, inside, first, scale, speed, spare) is not None:
@@ -150,7 +142,7 @@ def excursion(step: Step, first: list[np.ndarray], samples: int) -> tuple[float,
 
 
 def best_of(
-    problem: Problem,
+    problem: ProofProblem,
     steps: list[Step],
     rows: list[Bounded],
     first: list[np.ndarray],
@@ -162,45 +154,45 @@ def best_of(
     """The first solution over the rates; with a measure, the one for which it is smallest."""
     best, least = None, np.inf
     for share in RATES:
-        found = invariant_set(steps, problem.sample_time, share * speed, rows, first, scale, spare)
-        if found is None:
+        result = invariant_set(steps, problem.sample_time, share * speed, rows, first, scale, spare)
+        if result is None:
             continue
         if keep is None:
-            return found
-        if (size := keep(found)) < least:
-            best, least = found, size
+            return result
+        if (size := keep(result)) < least:
+            best, least = result, size
     return best
 
 
-def stage(found: Solution, sigma: float, e: float) -> Stage:
+def stage(result: Solution, sigma: float, e: float) -> Stage:
     """A stage from a solution."""
-    return Stage(sigma, e, found.rate, found.multipliers.tolist(), found.p.tolist())
+    return Stage(sigma, e, result.rate, result.multipliers.tolist(), result.p.tolist())
 
 
 def residuals(
-    problem: Problem, box: Box, found: Solution, at: Step, scale: np.ndarray, speed: float, spare: float
+    problem: ProofProblem, box: Box, result: Solution, at: Step, scale: np.ndarray, speed: float, spare: float
 ) -> list[Stage]:
     """Stages that shrink the region to what attracts in it, as long as |e| becomes smaller."""
     stages: list[Stage] = []
     if not problem.slope:
         return stages
-    size = reach(found.p, at.rows[E])
+    size = largest_in_set(result.p, at.rows[E])
     for _ in range(SHRINKING):
-        sigma, e = (INFLATION * reach(found.p, at.rows[row]) for row in (SIGMA, E))
-        steps = [step_of(problem, point) for point in corners(box, gain_hull(problem, sigma, e))]
+        sigma, e = (INFLATION * largest_in_set(result.p, at.rows[row]) for row in (SIGMA, E))
+        steps = [step_of(problem, point) for point in box_corners(box, gain_hull(problem, sigma, e))]
         rows = [Bounded(at.rows[E], e, 1.0), Bounded(at.rows[SIGMA], sigma, 0.05)]
-        better = best_of(problem, steps, rows, [], scale, speed, spare, lambda one: reach(one.p, at.rows[E]))
+        better = best_of(problem, steps, rows, [], scale, speed, spare, lambda one: largest_in_set(one.p, at.rows[E]))
         if better is None:
             break
-        smaller = reach(better.p, at.rows[E])
+        smaller = largest_in_set(better.p, at.rows[E])
         if smaller > ENOUGH * size:
             break
         stages.append(stage(better, sigma, e))
-        found, size = better, smaller
+        result, size = better, smaller
     return stages
 
 
-def halves(box: Box, problem: Problem) -> list[Box]:
+def halves(box: Box, problem: ProofProblem) -> list[Box]:
     """Both halves of a box along its longest side, relative to the whole problem's; k_p last, being exact."""
     whole = problem.box
     sides = {
@@ -213,7 +205,7 @@ def halves(box: Box, problem: Problem) -> list[Box]:
     return [box | {name: (low, cut)}, box | {name: (cut, high)}]
 
 
-def volume(box: Box, problem: Problem) -> float:
+def volume(box: Box, problem: ProofProblem) -> float:
     """Share of the problem's box, with 1/mu on a logarithmic scale."""
     share = 1.0
     for name, (low, high) in problem.box.items():

@@ -14,23 +14,23 @@ from flint import arb, arb_mat, ctx
 from dssc_jax.proofs.balls import (
     Rejected,
     both,
-    ends,
-    interval,
+    enclosing,
+    exact_ends,
     larger,
-    positive,
-    require,
-    symmetric,
+    positive_definite,
+    require_premise,
+    set_within,
+    symmetric_ball,
     symmetrised,
-    within,
 )
 from dssc_jax.proofs.gain_enclosures import Balls, enclosed_gains
 
 PRECISION = 160  # bits
-WITHIN = 8  # pieces of a sample on which its inside is enclosed
+SAMPLE_PIECES = 8  # pieces of a sample on which its inside is enclosed
 ENTERED = "1.0001"  # a multiple of a set that trajectories enter in finite time
 
 
-class Verdict(NamedTuple):
+class ProofVerdict(NamedTuple):
     """The verifier's answer.
 
     Args:
@@ -53,7 +53,7 @@ class Corner(NamedTuple):
     b: arb_mat
 
 
-def verify(certificate: dict[str, Any]) -> Verdict:
+def verify_certificate(certificate: dict[str, Any]) -> ProofVerdict:
     """Verify a certificate: its problem, and the proof of every box. The boxes have to cover the problem's intervals.
 
     Args:
@@ -65,20 +65,20 @@ def verify(certificate: dict[str, Any]) -> Verdict:
         require_cover(problem, [proof["box"] for proof in certificate["proofs"]])
         bounds = [verified_box(problem, proof) for proof in certificate["proofs"]]
         settled, ever = (max(each) for each in zip(*bounds, strict=True))
-        return Verdict(True, "", settled, ever)
+        return ProofVerdict(True, "", settled, ever)
     except Rejected as rejected:
-        return Verdict(False, str(rejected), float("inf"), float("inf"))
+        return ProofVerdict(False, str(rejected), float("inf"), float("inf"))
     finally:
         ctx.prec = before
 
 
-def accepts(problem: dict[str, Any], proof: dict[str, Any]) -> Verdict:
+def accepts(problem: dict[str, Any], proof: dict[str, Any]) -> ProofVerdict:
     """Verify the proof of one box alone."""
     before, ctx.prec = ctx.prec, PRECISION
     try:
-        return Verdict(True, "", *verified_box(problem, proof))
+        return ProofVerdict(True, "", *verified_box(problem, proof))
     except Rejected as rejected:
-        return Verdict(False, str(rejected), float("inf"), float("inf"))
+        return ProofVerdict(False, str(rejected), float("inf"), float("inf"))
     finally:
         ctx.prec = before
 
@@ -88,7 +88,7 @@ def require_cover(problem: dict[str, Any], boxes: list[dict[str, Any]]) -> None:
     whole = {"k_p": problem["k_p"], "a_p": problem["a_p"]}
     if problem["lag_order"]:
         low, high = problem["mu"]
-        require(0.0 < low <= high, "P1: mu must be positive")
+        require_premise(0.0 < low <= high, "P1: mu must be positive")
         whole["rate"] = (1.0 / high, 1.0 / low)
     names = list(whole)
     grids = []
@@ -101,37 +101,36 @@ def require_cover(problem: dict[str, Any], boxes: list[dict[str, Any]]) -> None:
             all(box[name][0] <= low and high <= box[name][1] for name, (low, high) in zip(names, cell, strict=True))
             for box in boxes
         )
-        require(held, f"P1: no box covers {dict(zip(names, cell, strict=True))}")
+        require_premise(held, f"P1: no box covers {dict(zip(names, cell, strict=True))}")
 
 
 def verified_box(problem: dict[str, Any], proof: dict[str, Any]) -> tuple[float, float]:
     """Check every stage of a box; return the bounds of |e| when settled and from the start on."""
     stages, box = proof["stages"], proof["box"]
-    require(len(stages) > 0, "P2: no stage")
+    require_premise(len(stages) > 0, "P2: no stage")
     bounds, previous = [], None
     for number, stage in enumerate(stages):
         where = f"stage {number + 1} of the box {box}"
-        p, gains = symmetric(stage["p"]), enclosed_gains(problem, stage["sigma"], stage["e"])
-        require(positive(p), f"P2: P is not positive definite in {where}")
+        p, gains = symmetric_ball(stage["p"]), enclosed_gains(problem, stage["sigma"], stage["e"])
+        require_premise(positive_definite(p), f"P2: P is not positive definite in {where}")
         check_invariance(problem, box, stage, p, gains, where)
         rows = signal_rows(problem)
         if previous is None:
             check_start(problem, p, where)
             for name in ("sigma", "e"):
-                require(
-                    within(p, rows[name], arb(stage[name])), f"P4: the set leaves |{name}| <= {stage[name]} in {where}"
-                )
+                inside = set_within(p, rows[name], arb(stage[name]))
+                require_premise(inside, f"P4: the set leaves |{name}| <= {stage[name]} in {where}")
             check_sliding(problem, p, gains, where)
         else:
             for name in ("sigma", "e"):
-                inside = within(previous, rows[name], arb(stage[name]) / arb(ENTERED))
-                require(inside, f"P4: the set before exceeds |{name}| <= {stage[name]} in {where}")
+                inside = set_within(previous, rows[name], arb(stage[name]) / arb(ENTERED))
+                require_premise(inside, f"P4: the set before exceeds |{name}| <= {stage[name]} in {where}")
         bounds.append(between_samples(problem, box, p, gains))
         previous = p
     return float(bounds[-1].upper()), float(bounds[0].upper())
 
 
-def sizes(problem: dict[str, Any]) -> tuple[int, int, int]:
+def dimensions(problem: dict[str, Any]) -> tuple[int, int, int]:
     """Numbers of eta, of zeta, and of all states."""
     eta, lag = len(problem["zero_a"]), problem["lag_order"]
     return eta, lag, 4 + eta + lag
@@ -139,7 +138,7 @@ def sizes(problem: dict[str, Any]) -> tuple[int, int, int]:
 
 def signal_rows(problem: dict[str, Any]) -> dict[str, arb_mat]:
     """Rows of e, sigma, sigma - s and v."""
-    _, _, n = sizes(problem)
+    _, _, n = dimensions(problem)
     e, speed, v, s = (arb_mat([[int(i == at) for i in range(n)]]) for at in (0, 1, n - 2, n - 1))
     sigma = speed + e * arb(problem["l0"])
     return {"e": e, "sigma": sigma, "change": sigma - s, "v": v}
@@ -148,13 +147,13 @@ def signal_rows(problem: dict[str, Any]) -> dict[str, arb_mat]:
 def check_start(problem: dict[str, Any], p: arb_mat, where: str) -> None:
     """(P3) Every start lies in the set: z is affine in the initial state, in d(0) and in k_p d(0)."""
     lag, level = problem["lag_order"], arb(problem["level"])
-    for plant in product(*(ends(pair) for pair in problem["initial"])):
-        for d, k_p in product((-level, level), ends(problem["k_p"])):
+    for plant in product(*(exact_ends(pair) for pair in problem["initial"])):
+        for d, k_p in product((-level, level), exact_ends(problem["k_p"])):
             sigma = plant[1] + arb(problem["l0"]) * plant[0]
             z = [*plant, *([k_p * d] * lag), -d, sigma if problem["matched"] else arb(0)]
             column = arb_mat([[x] for x in z])
             size = (column.transpose() * p * column)[0, 0]
-            require(size <= 1, f"P3: a start lies outside of {where}")
+            require_premise(size <= 1, f"P3: a start lies outside of {where}")
 
 
 def check_sliding(problem: dict[str, Any], p: arb_mat, gains: Balls, where: str) -> None:
@@ -163,10 +162,10 @@ def check_sliding(problem: dict[str, Any], p: arb_mat, gains: Balls, where: str)
         return
     rows = signal_rows(problem)
     left = arb(problem["rho"]) - arb(problem["level"])
-    require(left > 0, "P5: rho does not exceed the disturbance")
+    require_premise(left > 0, "P5: rho does not exceed the disturbance")
     for a, b in product(both(gains["slide_p"]), both(gains["slide_i"])):
         row = rows["v"] + rows["change"] * a + rows["sigma"] * b
-        require(within(p, row, left), f"P5: the equivalent control may exceed rho in {where}")
+        require_premise(set_within(p, row, left), f"P5: the equivalent control may exceed rho in {where}")
 
 
 def check_invariance(
@@ -175,10 +174,10 @@ def check_invariance(
     """(P6) V(z+) <= (1 - T lambda) V(z) + T sum of mu_j w_j^2 at every corner, mu_j >= 0 with a sum <= lambda."""
     t, rate = arb(problem["sample_time"]), arb(stage["rate"])
     multipliers = [arb(mu) for mu in stage["multipliers"]]
-    require(rate > 0 and t * rate < 1, f"P6: lambda is not in (0, 1/T_s) in {where}")
-    require(all(mu >= 0 for mu in multipliers), f"P6: a multiplier is negative in {where}")
-    require(sum(multipliers, arb(0)) <= rate, f"P6: the multipliers exceed lambda in {where}")
-    for corner in corners(problem, box, gains):
+    require_premise(rate > 0 and t * rate < 1, f"P6: lambda is not in (0, 1/T_s) in {where}")
+    require_premise(all(mu >= 0 for mu in multipliers), f"P6: a multiplier is negative in {where}")
+    require_premise(sum(multipliers, arb(0)) <= rate, f"P6: the multipliers exceed lambda in {where}")
+    for corner in sample_corners(problem, box, gains):
         live = [j for j in range(corner.b.ncols()) if not all(corner.b[i, j] == 0 for i in range(corner.b.nrows()))]
         ap = corner.a.transpose() * p
         keep = p * (1 - t * rate) - ap * corner.a
@@ -187,12 +186,12 @@ def check_invariance(
         for j in live:
             own = [(t * multipliers[j] if i == j else arb(0)) - inputs[j, i] for i in live]
             block.append([*(-cross[i, j] for i in range(n)), *own])
-        require(positive(symmetrised(block)), f"P6: the set is not invariant in {where}")
+        require_premise(positive_definite(symmetrised(block)), f"P6: the set is not invariant in {where}")
 
 
-def generator(problem: dict[str, Any], a_p: arb, rate: arb) -> arb_mat:
+def held_generator(problem: dict[str, Any], a_p: arb, rate: arb) -> arb_mat:
     """[[F, G], [0, 0]] of the held plant chi' = F chi + G U, U' = 0."""
-    eta, lag, n = sizes(problem)
+    eta, lag, n = dimensions(problem)
     size = n - 1
     f = [[arb(0)] * size for _ in range(size)]
     f[0][1], f[1][1] = arb(1), -a_p
@@ -212,24 +211,24 @@ def generator(problem: dict[str, Any], a_p: arb, rate: arb) -> arb_mat:
     return arb_mat(f)
 
 
-def corners(problem: dict[str, Any], box: dict[str, Any], gains: Balls) -> list[Corner]:
+def sample_corners(problem: dict[str, Any], box: dict[str, Any], gains: Balls) -> list[Corner]:
     """Every corner of plant and gains; each of its balls also holds what interpolation between corners leaves out."""
     rate = box.get("rate", (0.0, 0.0))
     rest = interpolation_error(problem, box["a_p"], rate)
     inside = inside_bounds(problem, box, arb(problem["sample_time"]))
-    found = []
-    for a_p, lag_rate in product(ends(box["a_p"]), ends(rate)):
-        held = (generator(problem, a_p, lag_rate) * arb(problem["sample_time"])).exp() + rest
-        for k_p in ends(box["k_p"]):
+    result = []
+    for a_p, lag_rate in product(exact_ends(box["a_p"]), exact_ends(rate)):
+        held = (held_generator(problem, a_p, lag_rate) * arb(problem["sample_time"])).exp() + rest
+        for k_p in exact_ends(box["k_p"]):
             b = input_columns(problem, k_p, inside)
             for gain in product(*(both(gains[name]) for name in ("k_p", "k_i", "k_n"))):
-                found.append(Corner(sampled(problem, held, k_p, gain), b))
-    return found
+                result.append(Corner(sampled(problem, held, k_p, gain), b))
+    return result
 
 
 def sampled(problem: dict[str, Any], held: arb_mat, k_p: arb, gain: Sequence[arb]) -> arb_mat:
     """A at one corner."""
-    _, _, n = sizes(problem)
+    _, _, n = dimensions(problem)
     chi, rows = n - 2, signal_rows(problem)
     new = rows["v"] + rows["change"] * gain[0] + rows["sigma"] * (arb(problem["sample_time"]) * gain[1])
     command = command_row(problem, new, gain[2])
@@ -252,7 +251,7 @@ def command_row(problem: dict[str, Any], new: arb_mat, k_n: arb) -> arb_mat:
 
 def input_columns(problem: dict[str, Any], k_p: arb, inside: list[arb]) -> arb_mat:
     """Columns of Delta and of theta's components, for inputs of magnitude at most 1."""
-    eta, lag, n = sizes(problem)
+    eta, lag, n = dimensions(problem)
     jump = arb(problem["sample_time"]) * arb(problem["slope"])
     first = [arb(0)] * (2 + eta) + [k_p * jump] * lag + [-jump, arb(0)]
     columns = [first, *([inside[i] if i == j else arb(0) for i in range(n)] for j in range(2 + eta))]
@@ -261,11 +260,11 @@ def input_columns(problem: dict[str, Any], k_p: arb, inside: list[arb]) -> arb_m
 
 def inside_bounds(problem: dict[str, Any], box: dict[str, Any], time: arb) -> list[arb]:
     """Bound of each component of theta: D t^2/2 times the largest |exp(F s)| k_p from d to it, for s in [0, t]."""
-    _, _, n = sizes(problem)
-    f = generator(problem, interval(*box["a_p"]), interval(*box.get("rate", (0.0, 0.0))))
+    _, _, n = dimensions(problem)
+    f = held_generator(problem, enclosing(*box["a_p"]), enclosing(*box.get("rate", (0.0, 0.0))))
     largest = [arb(0)] * n
-    for piece in range(WITHIN):
-        s = time * interval(piece / WITHIN, (piece + 1) / WITHIN)
+    for piece in range(SAMPLE_PIECES):
+        s = time * enclosing(piece / SAMPLE_PIECES, (piece + 1) / SAMPLE_PIECES)
         flow = (f * s).exp()
         largest = [larger(largest[i], abs(flow[i, 1]).upper() if i < n - 2 else arb(0)) for i in range(n)]
     factor = arb(problem["slope"]) * time * time / 2 * arb(box["k_p"][1])
@@ -280,9 +279,10 @@ def interpolation_error(problem: dict[str, Any], a_p: Any, rate: Any) -> arb_mat
     """
     t = arb(problem["sample_time"])
     zero = arb(0)
-    origin = generator(problem, zero, zero)
-    directions = ((a_p, generator(problem, arb(1), zero) - origin), (rate, generator(problem, zero, arb(1)) - origin))
-    whole = generator(problem, interval(*a_p), interval(*rate)) * t
+    origin = held_generator(problem, zero, zero)
+    along_a_p, along_rate = (held_generator(problem, *unit) - origin for unit in ((arb(1), zero), (zero, arb(1))))
+    directions = ((a_p, along_a_p), (rate, along_rate))
+    whole = held_generator(problem, enclosing(*a_p), enclosing(*rate)) * t
     size = whole.nrows()
     rest = arb_mat(size, size)
     for (low, high), direction in directions:
@@ -299,23 +299,23 @@ def interpolation_error(problem: dict[str, Any], a_p: Any, rate: Any) -> arb_mat
         width = arb(high) - arb(low)
         for i, j in product(range(size), range(size)):
             bound = (abs(second[i, 2 * size + j]) * 2 * width * width / 8).upper()
-            rest[i, j] = rest[i, j] + interval(-1.0, 1.0) * bound
+            rest[i, j] = rest[i, j] + enclosing(-1.0, 1.0) * bound
     return rest
 
 
 def between_samples(problem: dict[str, Any], box: dict[str, Any], p: arb_mat, gains: Balls) -> arb:
     """Upper bound of |e(t)| at all times, while z at the samples is in the set."""
-    _, _, n = sizes(problem)
+    _, _, n = dimensions(problem)
     rows, t, inverse = signal_rows(problem), arb(problem["sample_time"]), p.inv()
-    f = generator(problem, interval(*box["a_p"]), interval(*box.get("rate", (0.0, 0.0))))
+    f = held_generator(problem, enclosing(*box["a_p"]), enclosing(*box.get("rate", (0.0, 0.0))))
     rest = inside_bounds(problem, box, t)[0]
     largest = arb(0)
-    for piece in range(WITHIN):
-        flow = (f * (t * interval(piece / WITHIN, (piece + 1) / WITHIN))).exp()
+    for piece in range(SAMPLE_PIECES):
+        flow = (f * (t * enclosing(piece / SAMPLE_PIECES, (piece + 1) / SAMPLE_PIECES))).exp()
         for gain in product(*(both(gains[name]) for name in ("k_p", "k_i", "k_n"))):
             new = rows["v"] + rows["change"] * gain[0] + rows["sigma"] * (t * gain[1])
             command = command_row(problem, new, gain[2])
-            k_p = interval(*box["k_p"])
+            k_p = enclosing(*box["k_p"])
             row = arb_mat(
                 [[(flow[0, j] if j < n - 2 else arb(0)) + k_p * flow[0, n - 2] * command[0, j] for j in range(n)]]
             )
