@@ -137,6 +137,7 @@ def falsified(certificate):
     yield "P3", with_problem(initial=[[0.3, 0.3], [0.0, 0.0]])
     yield "P6", with_problem(slope=2.0 * certificate["problem"]["slope"])
     yield "P6", with_problem(sample_time=0.02)
+    yield "P2", with_problem(slope=-1.0)
     yield "P1", with_problem(mu=[0.005, 0.01])
     yield "P1", with_problem(k_p=[0.9, 1.1])
     content = copy.deepcopy(certificate)
@@ -168,6 +169,34 @@ def test_a_box_is_proved_or_halved_and_what_is_left_is_named():
     assert hopeless.summary()["error"] is None
     tight = prove(LOOP.override({"controller.rho": 0.09}), boxes=1)
     assert tight.failures[0].reason == "sliding"
+
+
+@pytest.mark.parametrize(
+    "functions",
+    [
+        {"kind": "square_root", "kappa_o": 20.0, "kappa_m": 1.0, "delta_o": 1.0, "delta_m": 1.0, "tau_av": 0.02},
+        {"kind": "approx_sta_1", "kappa1": 4.0, "kappa2": 4.0, "delta": 0.5, "k_o": 20.0},
+    ],
+)
+@pytest.mark.parametrize("form", ["implicit", "conservative"])
+def test_both_forms_of_other_functions(functions, form):
+    """From 0.2 m, with a lag of 5 ms: flights stay within what is proved."""
+    study = LOOP.override(
+        {
+            "controller.functions": functions,
+            "controller.discretisation": form,
+            "loop.sample_time": 0.005,
+            "unmodelled.mu": 0.005,
+            "draws": 16,
+            "disturbance.phase": {"uniform": [0.0, 6.28]},
+            "metrics": {"after": 0.0, "names": ["error_max", "outside_sliding"]},
+        }
+    )
+    outcome, flown = prove(study.override({"disturbance.phase": 0.0})), dj.run(study).dataset
+    assert outcome.complete, outcome.failures
+    print(f"\n{functions['kind']}, {form}: {outcome.error:.3g} m, at first {outcome.largest_error:.3g} m")
+    assert flown["error_max"].values.max() <= outcome.largest_error
+    assert np.all(flown["outside_sliding"].values == 0.0)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ Balls = dict[str, arb]
 
 
 def enclosed_gains(problem: dict[str, Any], sigma: float, e: float) -> Balls:
-    """Balls of K_P, K_I, K_N and of the sliding condition's gains for |sigma| and |e| up to bounds."""
+    """Balls of K_P, K_I, K_N, of the sliding condition's gains, and of tau_av for |sigma| and |e| up to bounds."""
     of_both = problem["functions"]["kind"] == "vgsta"
     steps = [e * (2 * i / ERROR_PIECES - 1) for i in range(ERROR_PIECES + 1)]
     errors = [enclosing(*pair) for pair in pairwise(steps)] if of_both else [arb(0)]
@@ -22,6 +22,8 @@ def enclosed_gains(problem: dict[str, Any], sigma: float, e: float) -> Balls:
         for error, sign in product(errors, (1, -1) if of_both else (1,)):
             for name, ball in gains_at(problem, cut, sign, error).items():
                 result[name] = result[name].union(ball) if name in result else ball
+    if problem["form"] == "conservative":  # K_P is a mean over sigma, tau_av belongs to its last value
+        result["slide_p"] = result["k_p"] * (1 + result["tau_av"] / arb(problem["sample_time"]))
     return result
 
 
@@ -40,6 +42,7 @@ def gains_at(problem: dict[str, Any], size: tuple[float, float], sign: int, e: a
         "k_n": pole,
         "slide_p": proportional + filtered / t,
         "slide_i": t * integral + filtered / tau_m,
+        "tau_av": filtered * product_,
     }
 
 

@@ -34,7 +34,11 @@ def gain_hull(problem: ProofProblem, sigma: float, e: float) -> dict[str, Interv
         nominal = problem.nominal
         pole = 1.0 / (tau_m * nominal[1]) if nominal and nominal[2] else 0.0
         columns = (proportional, integral, pole, reach * proportional, reach * problem.sample_time * integral)
-        return {name: with_room(np.asarray(column)) for name, column in zip(GAIN_NAMES, columns, strict=True)}
+        hull = {name: with_room(np.asarray(column)) for name, column in zip(GAIN_NAMES, columns, strict=True)}
+    if problem.form == "conservative":  # K_P is a mean over sigma, tau_av belongs to its last value
+        low, high = with_room(np.asarray(reach))
+        hull["slide_p"] = (low * hull["k_p"][0], high * hull["k_p"][1])
+    return hull
 
 
 def with_room(values: np.ndarray) -> Interval:

@@ -108,6 +108,8 @@ def verified_box(problem: dict[str, Any], proof: dict[str, Any]) -> tuple[float,
     """Check every stage of a box; return the bounds of |e| when settled and from the start on."""
     stages, box = proof["stages"], proof["box"]
     require_premise(len(stages) > 0, "P2: no stage")
+    signs = [box["k_p"][0] > 0.0, *(problem[name] > 0.0 for name in ("sample_time", "l0")), problem["slope"] >= 0.0]
+    require_premise(all(signs) and problem["level"] >= 0.0, "P2: k_p, T_s and l0 must be positive, bounds not negative")
     bounds, previous = [], None
     for number, stage in enumerate(stages):
         where = f"stage {number + 1} of the box {box}"
