@@ -1,6 +1,7 @@
 """Prove a study's sampled loop: search, verify, halve what is not proved."""
 
 import heapq
+import itertools
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -124,7 +125,8 @@ def prove(study: Study, *, boxes: int = BOXES, progress: Callable[[int, int], No
         raise ConfigError("boxes", f"must be at least 1, got {boxes}")
     began, problem = time.perf_counter(), problem_of(study)
     content = problem.to_dict()
-    waiting: list[tuple[float, int, Box]] = [(-1.0, 0, problem.box)]
+    number = itertools.count()  # boxes of one volume are taken in their order
+    waiting: list[tuple[float, int, Box]] = [(-1.0, next(number), problem.box)]
     proofs: list[Proof] = []
     failures: list[Failure] = []
     verdicts: list[ProofVerdict] = []
@@ -142,15 +144,12 @@ def prove(study: Study, *, boxes: int = BOXES, progress: Callable[[int, int], No
                 failures.append(result)
             else:
                 for half in halves(box, problem):
-                    heapq.heappush(waiting, (-volume(half, problem), tried * 2 + len(waiting), half))
+                    heapq.heappush(waiting, (-volume(half, problem), next(number), half))
         if progress is not None:
             progress(tried, tried + len(waiting))
-    settled, ever = (
-        (max(each.error for each in verdicts), max(each.largest_error for each in verdicts))
-        if verdicts
-        else (np.inf, np.inf)
-    )
-    return Proved(problem, proofs, failures, float(settled), float(ever), time.perf_counter() - began)
+    settled = max((each.error for each in verdicts), default=np.inf)
+    ever = max((each.largest_error for each in verdicts), default=np.inf)
+    return Proved(problem, proofs, failures, settled, ever, time.perf_counter() - began)
 
 
 def attempt(problem: ProofProblem, content: dict[str, Any], box: Box) -> tuple[Proof | Failure, ProofVerdict | None]:
