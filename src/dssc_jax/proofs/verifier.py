@@ -5,7 +5,6 @@ the exact one; the floating-point numbers of the certificate are exact. docs/pro
 are checked here, (P1) to (P6).
 """
 
-from collections.abc import Sequence
 from itertools import pairwise, product
 from typing import Any, NamedTuple
 
@@ -23,10 +22,19 @@ from dssc_jax.proofs.balls import (
     symmetric_ball,
     symmetrised,
 )
+from dssc_jax.proofs.enclosed_loop import (
+    SAMPLE_PIECES,
+    command_row,
+    dimensions,
+    held_generator,
+    inside_bounds,
+    sample_corners,
+    signal_rows,
+)
 from dssc_jax.proofs.gain_enclosures import Balls, enclosed_gains
+from dssc_jax.proofs.worst_case import settled_error
 
 PRECISION = 160  # bits
-SAMPLE_PIECES = 8  # pieces of a sample on which its inside is enclosed
 ENTERED = "1.0001"  # a multiple of a set that trajectories enter in finite time
 
 
@@ -44,13 +52,6 @@ class ProofVerdict(NamedTuple):
     reason: str
     error: float
     largest_error: float
-
-
-class Corner(NamedTuple):
-    """One sample at a corner: A and the inputs' columns."""
-
-    a: arb_mat
-    b: arb_mat
 
 
 def verify_certificate(certificate: dict[str, Any]) -> ProofVerdict:
@@ -129,21 +130,9 @@ def verified_box(problem: dict[str, Any], proof: dict[str, Any]) -> tuple[float,
                 require_premise(inside, f"P4: the set before exceeds |{name}| <= {stage[name]} in {where}")
         bounds.append(between_samples(problem, box, p, gains))
         previous = p
-    return float(bounds[-1].upper()), float(bounds[0].upper())
-
-
-def dimensions(problem: dict[str, Any]) -> tuple[int, int, int]:
-    """Numbers of eta, of zeta, and of all states."""
-    eta, lag = len(problem["zero_a"]), problem["lag_order"]
-    return eta, lag, 4 + eta + lag
-
-
-def signal_rows(problem: dict[str, Any]) -> dict[str, arb_mat]:
-    """Rows of e, sigma, sigma - s and v."""
-    _, _, n = dimensions(problem)
-    e, speed, v, s = (arb_mat([[int(i == at) for i in range(n)]]) for at in (0, 1, n - 2, n - 1))
-    sigma = speed + e * arb(problem["l0"])
-    return {"e": e, "sigma": sigma, "change": sigma - s, "v": v}
+    sharper = settled_error(problem, box, stages[-1], symmetric_ball(stages[-1]["p"]))
+    settled = bounds[-1] if sharper is None or sharper > bounds[-1] else sharper
+    return float(settled.upper()), float(bounds[0].upper())
 
 
 def check_start(problem: dict[str, Any], p: arb_mat, where: str) -> None:
@@ -189,120 +178,6 @@ def check_invariance(
             own = [(t * multipliers[j] if i == j else arb(0)) - inputs[j, i] for i in live]
             block.append([*(-cross[i, j] for i in range(n)), *own])
         require_premise(positive_definite(symmetrised(block)), f"P6: the set is not invariant in {where}")
-
-
-def held_generator(problem: dict[str, Any], a_p: arb, rate: arb) -> arb_mat:
-    """[[F, G], [0, 0]] of the held plant chi' = F chi + G U, U' = 0."""
-    eta, lag, n = dimensions(problem)
-    size = n - 1
-    f = [[arb(0)] * size for _ in range(size)]
-    f[0][1], f[1][1] = arb(1), -a_p
-    for i, c in enumerate(problem["zero_c"]):
-        f[1][2 + i] = -arb(c)
-    for i in range(eta - 1):
-        f[2 + i][3 + i] = arb(1)
-    if eta:
-        f[1 + eta][1] = arb(1)
-        for i, a in enumerate(problem["zero_a"]):
-            f[1 + eta][2 + i] = f[1 + eta][2 + i] - arb(a)
-    first = 2 + eta
-    for i in range(lag):
-        f[first + i][first + i] = -rate
-        f[first + i][first + i - 1 if i else size - 1] = rate
-    f[1][first + lag - 1 if lag else size - 1] = arb(1)
-    return arb_mat(f)
-
-
-def sample_corners(problem: dict[str, Any], box: dict[str, Any], gains: Balls) -> list[Corner]:
-    """Every corner of plant and gains; each of its balls also holds what interpolation between corners leaves out."""
-    rate = box.get("rate", (0.0, 0.0))
-    rest = interpolation_error(problem, box["a_p"], rate)
-    inside = inside_bounds(problem, box, arb(problem["sample_time"]))
-    result = []
-    for a_p, lag_rate in product(exact_ends(box["a_p"]), exact_ends(rate)):
-        held = (held_generator(problem, a_p, lag_rate) * arb(problem["sample_time"])).exp() + rest
-        for k_p in exact_ends(box["k_p"]):
-            b = input_columns(problem, k_p, inside)
-            for gain in product(*(both(gains[name]) for name in ("k_p", "k_i", "k_n"))):
-                result.append(Corner(sampled(problem, held, k_p, gain), b))
-    return result
-
-
-def sampled(problem: dict[str, Any], held: arb_mat, k_p: arb, gain: Sequence[arb]) -> arb_mat:
-    """A at one corner."""
-    _, _, n = dimensions(problem)
-    chi, rows = n - 2, signal_rows(problem)
-    new = rows["v"] + rows["change"] * gain[0] + rows["sigma"] * (arb(problem["sample_time"]) * gain[1])
-    command = command_row(problem, new, gain[2])
-    a = [
-        [(held[i, j] if j < chi else arb(0)) + k_p * held[i, chi] * command[0, j] for j in range(n)] for i in range(chi)
-    ]
-    return arb_mat([*a, *([row[0, j] for j in range(n)] for row in (new, rows["sigma"]))])
-
-
-def command_row(problem: dict[str, Any], new: arb_mat, k_n: arb) -> arb_mat:
-    """The row of u + d: -v+ and the nominal control."""
-    command, rows = -new, signal_rows(problem)
-    if problem["nominal"]:
-        a_n, k, _ = problem["nominal"]
-        a_n, k, l0 = arb(a_n), arb(k), arb(problem["l0"])
-        command = command - (rows["e"] * ((a_n - l0) * l0) + rows["sigma"] * (l0 - a_n)) * (1 / k)
-        command = command - rows["sigma"] * k_n
-    return command
-
-
-def input_columns(problem: dict[str, Any], k_p: arb, inside: list[arb]) -> arb_mat:
-    """Columns of Delta and of theta's components, for inputs of magnitude at most 1."""
-    eta, lag, n = dimensions(problem)
-    jump = arb(problem["sample_time"]) * arb(problem["slope"])
-    first = [arb(0)] * (2 + eta) + [k_p * jump] * lag + [-jump, arb(0)]
-    columns = [first, *([inside[i] if i == j else arb(0) for i in range(n)] for j in range(2 + eta))]
-    return arb_mat([[column[i] for column in columns] for i in range(n)])
-
-
-def inside_bounds(problem: dict[str, Any], box: dict[str, Any], time: arb) -> list[arb]:
-    """Bound of each component of theta: D t^2/2 times the largest |exp(F s)| k_p from d to it, for s in [0, t]."""
-    _, _, n = dimensions(problem)
-    f = held_generator(problem, enclosing(*box["a_p"]), enclosing(*box.get("rate", (0.0, 0.0))))
-    largest = [arb(0)] * n
-    for piece in range(SAMPLE_PIECES):
-        s = time * enclosing(piece / SAMPLE_PIECES, (piece + 1) / SAMPLE_PIECES)
-        flow = (f * s).exp()
-        largest = [larger(largest[i], abs(flow[i, 1]).upper() if i < n - 2 else arb(0)) for i in range(n)]
-    factor = arb(problem["slope"]) * time * time / 2 * arb(box["k_p"][1])
-    return [(factor * each).upper() for each in largest]
-
-
-def interpolation_error(problem: dict[str, Any], a_p: Any, rate: Any) -> arb_mat:
-    """What multilinear interpolation of exp over the box of a_p and 1/mu leaves out: width^2/8 sup |second derivative|.
-
-    Half of the second derivative of exp(W) along W_i is the upper right block of exp([[W, W_i, 0], [0, W, W_i],
-    [0, 0, W]]).
-    """
-    t = arb(problem["sample_time"])
-    zero = arb(0)
-    origin = held_generator(problem, zero, zero)
-    along_a_p, along_rate = (held_generator(problem, *unit) - origin for unit in ((arb(1), zero), (zero, arb(1))))
-    directions = ((a_p, along_a_p), (rate, along_rate))
-    whole = held_generator(problem, enclosing(*a_p), enclosing(*rate)) * t
-    size = whole.nrows()
-    rest = arb_mat(size, size)
-    for (low, high), direction in directions:
-        if low == high:
-            continue
-        along = direction * t
-        triple = [[zero] * (3 * size) for _ in range(3 * size)]
-        for i, j in product(range(size), range(size)):
-            for k in range(3):
-                triple[k * size + i][k * size + j] = whole[i, j]
-            for k in range(2):
-                triple[k * size + i][(k + 1) * size + j] = along[i, j]
-        second = arb_mat(triple).exp()
-        width = arb(high) - arb(low)
-        for i, j in product(range(size), range(size)):
-            bound = (abs(second[i, 2 * size + j]) * 2 * width * width / 8).upper()
-            rest[i, j] = rest[i, j] + enclosing(-1.0, 1.0) * bound
-    return rest
 
 
 def between_samples(problem: dict[str, Any], box: dict[str, Any], p: arb_mat, gains: Balls) -> arb:
