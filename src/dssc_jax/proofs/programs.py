@@ -178,6 +178,8 @@ def invariant_set(
         return None  # solved, but not well enough
     multipliers = np.zeros(inputs)
     multipliers[live] = np.maximum(x[m : m + len(live)], 0.0)
+    if (total := multipliers.sum()) > rate:  # by the solver's tolerance
+        multipliers *= (1.0 - 1e-12) * rate / total
     return Solution(0.5 * (p + p.T), multipliers, rate)
 
 
