@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 QUICK := $(addprefix tests/,engine/test_batching.py backend closed_loop/test_settled.py test_protocols.py cli/test_commands.py)
 
-.PHONY: study test quick lint types check measure bench paper conservatism noise notebooks pages pareto docs clean
+.PHONY: study test quick lint types check measure bench ratios paper conservatism noise notebooks pages pareto docs clean
 
 study: $(VENV)/run  ## install, and run the main job: how much unmodelled lag does a DSSC loop survive?
 	$(BIN)/dssc-jax sweep studies/mu_robustness.toml
@@ -41,6 +41,9 @@ docs: $(VENV)/docs  ## build the documentation site into site/; a warning is an 
 
 noise: $(VENV)/run  ## regenerate docs/noise.md: measurement noise in DSSC, other controllers and differentiators
 	$(BIN)/python -m benchmarks.noise
+
+ratios: $(VENV)/test  ## fail if the loop became slower than plain XLA and C allow; on a quiet machine
+	$(BIN)/python -m pytest benchmarks/speed/test_ratios.py
 
 notebooks: $(VENV)/test  ## run the notebooks anew; a test tells where their stored output is old
 	$(BIN)/python -m benchmarks.notebooks

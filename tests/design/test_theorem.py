@@ -1,7 +1,5 @@
 """Theorem 1 against independent calculations: eigenvalues, Lyapunov equations, comparison systems, searches."""
 
-import time
-
 import jax
 import numpy as np
 import pytest
@@ -249,16 +247,13 @@ def test_the_residual_holds_in_the_sliding_dynamics():
 
 
 def test_many_designs_at_once():
-    """100,000 designs vmapped, under a tenth of a millisecond each; what single checks say."""
+    """100,000 designs vmapped give what single checks say."""
     rng = np.random.default_rng(14)
     base = synthesise(BOUNDS, FREE)
     many = Parameters(*(value * rng.uniform(0.9, 1.1, 100_000) for value in base))
     with jax.enable_x64(True):
         batch = jax.jit(jax.vmap(lambda p: certified(p, BOUNDS)))
         found = np.asarray(batch(many))
-        began = time.perf_counter()
-        batch(many).block_until_ready()
-    assert (time.perf_counter() - began) / 100_000 < 1e-4
     assert 0.01 < found.mean() < 0.99
     assert np.array_equal(found, certified(many, BOUNDS))
     for i in range(100):

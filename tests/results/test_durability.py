@@ -91,7 +91,7 @@ def test_killed_three_times_and_resumed(study, whole, tmp_path):
 
 def test_a_full_disk_is_told_and_gone_on_from(study, whole, tmp_path):
     process = child(study, tmp_path / "full", "full")
-    *done, said = process.communicate(timeout=60)[0].splitlines()
+    *done, said = process.communicate(timeout=600)[0].splitlines()
     assert process.returncode == 0
     assert done[-1] == "72"
     assert said.endswith(

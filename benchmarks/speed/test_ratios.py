@@ -1,4 +1,7 @@
-"""Ratios in one run, of processor time, with bounds that a lost flag or a broken fusion falls below."""
+"""Ratios in one run, of processor time, with bounds that a lost flag or a broken fusion falls below.
+
+They read the clock, so `make ratios` runs them, and `make test` does not.
+"""
 
 import pytest
 
@@ -10,7 +13,7 @@ from dssc_jax.backend import xla
 UNFLAGGED = OURS._replace(name="unflagged", environment={xla.FLAGS_VARIABLE: "off"})
 needs_c = pytest.mark.skipif(
     native.compiler() is None,
-    reason="no GCC on the path; a compiler is no Python package to ask for, .ci/run installs it",
+    reason="no GCC on the path; install one to compare with compiled C",
 )
 
 
