@@ -7,11 +7,13 @@ from scipy.interpolate import BSpline
 
 import dssc_jax as dj
 from dssc_jax.core.numerics import (
+    arithmetic,
     atan,
     atan2,
     cubic_spline,
     dot,
-    over_log_defect,
+    log_defect,
+    power_of_two,
     root_abs,
     standard_normal,
     standard_normals,
@@ -33,18 +35,39 @@ def test_root_abs_floor():
     assert root_abs(4.0, 1e-9) == 2.0
 
 
-@pytest.mark.parametrize("x", [0.0, 1e-300, 1e-12, 1e-6, 1e-3, 0.0499999, 0.05, 0.0500001, 0.3, 1.0, 50.0, 1e8])
-def test_over_log_defect_against_high_precision(x):
-    with mpmath.workdps(700):
-        exact = mpmath.mpf(2) if x == 0.0 else mpmath.mpf(x) ** 2 / (mpmath.mpf(x) - mpmath.log1p(mpmath.mpf(x)))
-    assert float(over_log_defect(x)) == pytest.approx(float(exact), rel=1e-13)
+@pytest.mark.parametrize(("precision", "largest", "ulps"), [(64, 1e60, 12.0), (32, 1e18, 12.0)])
+def test_log_defect_against_high_precision(precision, largest, ulps):
+    """(x - ln(1 + x))/x^2 over all magnitudes, and densely where the binary exponent of 1 + x changes."""
+    kind = np.dtype(f"float{precision}")
+    dense = [np.linspace(0.999, 1.001, 41) * (end - 1.0) for end in (2.0**0.5, 2.0**1.5, 2.0**2.5)]
+    x = np.concatenate([[0.0], np.geomspace(1e-30, largest, 400), *dense]).astype(kind)
+    with arithmetic(precision):
+        values = np.asarray(jax.jit(log_defect)(x))
+    assert values.dtype == kind
+    with mpmath.workdps(120):
+        numbers = [mpmath.mpf(float(each)) for each in x[1:]]
+        exact = [mpmath.mpf(1) / 2, *((each - mpmath.log1p(each)) / each**2 for each in numbers)]
+        errors = [abs(mpmath.mpf(float(a)) / b - 1) for a, b in zip(values, exact, strict=True)]
+    assert max(errors) < ulps * np.finfo(kind).eps
 
 
-def test_over_log_defect_gradient_is_finite_and_continuous_at_the_switch():
-    slope = jax.vmap(jax.grad(over_log_defect))(jnp.asarray([0.0, 1e-9, 0.05 - 1e-12, 0.05 + 1e-12, 10.0]))
-    assert np.all(np.isfinite(slope))
-    assert float(slope[0]) == pytest.approx(4.0 / 3.0)
-    assert float(slope[2]) == pytest.approx(float(slope[3]), rel=1e-9)
+def test_log_defect_has_the_right_slope():
+    """The slope, also at 0 and where the binary exponent of 1 + x changes."""
+    x = np.array([0.0, 1e-9, 0.1, 2.0**0.5 - 1.0 - 1e-12, 2.0**0.5 - 1.0 + 1e-12, 10.0, 1e6])
+    slope = np.asarray(jax.vmap(jax.grad(log_defect))(jnp.asarray(x)))
+    assert slope[0] == pytest.approx(-1.0 / 3.0, rel=1e-12)
+    with mpmath.workdps(60):
+        for each, found in zip(map(mpmath.mpf, map(float, x[1:])), slope[1:], strict=True):
+            exact = 1 / (each * (1 + each)) - 2 * (each - mpmath.log1p(each)) / each**3
+            assert found == pytest.approx(float(exact), rel=1e-9)
+
+
+def test_power_of_two():
+    x = np.concatenate([[1.0, 2.0**0.5, 2.0], np.geomspace(1.0, 1e300, 5000)])
+    k, scale = map(np.asarray, power_of_two(jnp.asarray(x)))
+    assert np.all(scale * x >= 0.5**0.5)
+    assert np.all(scale * x < 2.0**0.5 * (1.0 + 1e-15))
+    assert np.array_equal(np.ldexp(1.0, -k.astype(int)), scale)
 
 
 def test_cubic_spline_is_scipys_and_bounded():

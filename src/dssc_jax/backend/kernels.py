@@ -33,10 +33,11 @@ DEPRECATED = "The Pallas Triton backend is deprecated"  # by JAX 0.11; pyproject
 LANES, WARPS = 32, 1  # of a program: one lane a thread, so that registers are all that bounds how many run
 KEYS = {"random_seed", "random_fold_in", "random_wrap"}
 ELEMENTWISE = {
-    "abs", "acos", "acosh", "add", "and", "asin", "asinh", "atan", "atan2", "atanh", "broadcast_in_dim", "cbrt", "ceil",
-    "convert_element_type", "cos", "cosh", "div", "eq", "exp", "exp2", "expm1", "floor", "ge", "gt", "integer_pow",
-    "is_finite", "le", "log", "log1p", "lt", "mul", "ne", "neg", "not", "or", "pow", "rem", "rsqrt", "select_n", "sign",
-    "sin", "sinh", "sqrt", "square", "stop_gradient", "sub", "tan", "tanh", "xor",
+    "abs", "acos", "acosh", "add", "and", "asin", "asinh", "atan", "atan2", "atanh", "bitcast_convert_type",
+    "broadcast_in_dim", "cbrt", "ceil", "convert_element_type", "cos", "cosh", "div", "eq", "exp", "exp2", "expm1",
+    "floor", "ge", "gt", "integer_pow", "is_finite", "le", "log", "log1p", "lt", "mul", "ne", "neg", "not", "or", "pow",
+    "rem", "rsqrt", "select_n", "shift_left", "shift_right_arithmetic", "sign", "sin", "sinh", "sqrt", "square",
+    "stop_gradient", "sub", "tan", "tanh", "xor",
 }  # fmt: skip
 """Primitives that Triton supports and that act on every lane separately."""
 

@@ -11,8 +11,9 @@ import numpy as np
 
 from dssc_jax.core.signals import Scalar
 
-SERIES_BELOW = 0.05
-SERIES_TERMS = 13  # 0.05^13 / 15 < 1e-17
+LOG_SERIES = (1.479819860511658591e-1, 1.531383769920937332e-1, 1.818357216161805012e-1, 2.222219843214978396e-1,
+              2.857142874366239149e-1, 3.999999999940941908e-1, 6.666666666666735130e-1)  # fmt: skip
+LOG_2 = math.log(2.0)
 
 
 @contextmanager
@@ -29,18 +30,35 @@ def root_abs(x: Scalar, floor: float = 0.0) -> Scalar:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, magnitude, 1.0)), floor)
 
 
-def over_log_defect(x: Scalar) -> Scalar:
-    """x^2 / (x - ln(1 + x)) for x >= 0, whose singularity at 0 is removable: the limit is 2.
+def power_of_two(x: Scalar) -> tuple[Scalar, Scalar]:
+    """k and 2^-k with 2^-k x in [2^(-1/2), 2^(1/2)), for x >= 1; read from the bits of x, which vectorises."""
+    x = jax.lax.stop_gradient(jnp.asarray(x))
+    wide = x.dtype == jnp.float64
+    integer, digits, bias = (jnp.int64, 52, 1023) if wide else (jnp.int32, 23, 127)
+    root = 0x3FE6A09E667F3BCD if wide else 0x3F3504F3  # 2^(-1/2)
+    bits = jax.lax.bitcast_convert_type(x, integer)
+    exponent = (bits - integer(root)) >> integer(digits)
+    raised = jax.lax.bitcast_convert_type(exponent | integer((bias + digits) << digits), x.dtype)  # 2^digits + k
+    scale = jax.lax.bitcast_convert_type((integer(bias) - exponent) << integer(digits), x.dtype)
+    return raised - 2.0**digits, scale
 
-    Below 0.05 the difference cancels; the series 1/2 - x/3 + x^2/4 - ... then replaces (x - ln(1 + x))/x^2.
+
+def log_defect(x: Scalar) -> Scalar:
+    """(x - ln(1 + x))/x^2 for x >= 0, whose singularity at 0 is removable: the limit is 1/2.
+
+    With 1 + x = 2^k (1 + f) and s = f/(2 + f), ln(1 + x) = k ln 2 + 2 s + s^3 q(s^2). If k = 0, f is x, and
+    x - 2 s = x s: then the quotient is (2 + x - s q)/(2 + x)^2, in which nothing cancels.
+
+    The polynomial q is that of FreeBSD's e_log.c (Sun Microsystems, 1993).
     """
-    small = x < SERIES_BELOW
-    near = jnp.where(small, x, 0.0)
-    series = jnp.zeros_like(near)
-    for k in reversed(range(SERIES_TERMS)):
-        series = 1.0 / (k + 2) - near * series
-    far = jnp.where(small, 1.0, x)
-    return jnp.where(small, 1.0 / series, far * far / (far - jnp.log1p(far)))
+    k, scale = power_of_two(1.0 + x)
+    near = k == 0.0
+    f = jnp.where(near, x, (1.0 + x) * scale - 1.0)
+    s = f / (2.0 + f)
+    z = s * s
+    rest = s * polynomial(LOG_SERIES, z)
+    log = k * LOG_2 + 2.0 * s + z * rest
+    return jnp.where(near, 2.0 + x - rest, x - log) / jnp.where(near, (2.0 + x) * (2.0 + x), x * x)
 
 
 def sign(x: Scalar) -> Scalar:

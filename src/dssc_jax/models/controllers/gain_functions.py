@@ -8,7 +8,7 @@ follows. ``law(sigma, e, at)`` gives the control law that (22) synthesises, inte
 from typing import Annotated, Any, NamedTuple
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import over_log_defect, root_abs, sign
+from dssc_jax.core.numerics import log_defect, root_abs, sign
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.core.signals import Scalar
@@ -48,8 +48,8 @@ class IntegratedLaw(NamedTuple):
 
 def root_law(kappa: Scalar, r: Scalar, delta: Scalar, tau_m: Scalar) -> IntegratedLaw:
     """The law of g = kappa/(2 (r + delta)): phi_1 = kappa (r - delta ln(1 + r/delta)) sgn sigma."""
-    mean = delta * over_log_defect(r / delta)
-    return IntegratedLaw(kappa / mean, 0.5 * mean / ((r + delta) * tau_m))
+    defect = log_defect(r / delta)
+    return IntegratedLaw(kappa / delta * defect, 0.5 * delta / (defect * (r + delta) * tau_m))
 
 
 def factors(product: Scalar, tau_m: Scalar, k_o: Scalar | None, tau_av: Scalar | None) -> StateFunctions:
@@ -122,7 +122,7 @@ class ApproximateSta1(NamedTuple):
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """Table 2, row 3: tau_m = (kappa1/kappa2) r/[1 - (delta/r) ln((r + delta)/delta)]."""
         r = root_abs(sigma)
-        tau_m = self.kappa1 / self.kappa2 * self.delta * over_log_defect(r / self.delta)
+        tau_m = self.kappa1 * self.delta / (self.kappa2 * log_defect(r / self.delta))
         return factors(2.0 * (r + self.delta) / self.kappa1, tau_m, self.k_o, self.tau_av)
 
     def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
