@@ -10,6 +10,7 @@ from flint import arb
 import dssc_jax as dj
 from dssc_jax.cli import guarded
 from dssc_jax.design.certification import NotCovered
+from dssc_jax.proofs import small_gain
 from dssc_jax.proofs.enclosed_loop import held_generator, sampled
 from dssc_jax.proofs.gain_enclosures import functions_at
 from dssc_jax.proofs.problem import problem_from, problem_of
@@ -127,30 +128,61 @@ def falsified(certificate):
         content["problem"].update(changes)
         return content
 
-    yield "P2", with_stage(p=[[-x for x in row] for row in first["p"]])
-    yield "P6", with_stage(p=np.eye(n).tolist())
-    yield "P6", with_stage(multipliers=[0.5 * x for x in first["multipliers"]])
-    yield "P6", with_stage(multipliers=[-x for x in first["multipliers"]])
-    yield "P6", with_stage(rate=100.0 * first["rate"])
-    yield "P4", with_stage(sigma=0.5 * first["sigma"])
+    yield "P7", with_stage(p=[[-x for x in row] for row in first["p"]])
+    yield "P7", with_stage(p=np.eye(n).tolist())
+    yield "P7", with_stage(rate=100.0 * first["rate"])
+    yield "P7", with_stage(rate=-first["rate"])
+    yield "P7", with_stage(bounds=first["bounds"][:-1])
+    yield "P7", with_stage(gains=[1.5 * first["gains"][0], *first["gains"][1:]])
+    for i, bound in enumerate(first["bounds"]):
+        if i != small_gain.EQUIVALENT:  # with which nothing is computed
+            yield "P7", with_stage(bounds=[*first["bounds"][:i], 0.5 * bound, *first["bounds"][i + 1 :]])
+    yield "P4", with_stage(sigma=0.9 * first["sigma"])
+    yield "P7", with_stage(sigma=1.5 * first["sigma"], e=1.5 * first["e"])
+    yield "P2", with_stage(method="trust me")
     yield "P5", with_problem(rho=0.15)
     yield "P5", with_problem(rho=0.05)
-    yield "P3", with_problem(initial=[[0.3, 0.3], [0.0, 0.0]])
-    yield "P6", with_problem(slope=2.0 * certificate["problem"]["slope"])
-    yield "P6", with_problem(sample_time=0.02)
+    yield "P7", with_problem(initial=[[0.21, 0.21], [0.0, 0.0]])
+    yield "P7", with_problem(slope=2.0 * certificate["problem"]["slope"])
+    yield "P7", with_problem(sample_time=0.02)
     yield "P2", with_problem(slope=-1.0)
     yield "P1", with_problem(mu=[0.005, 0.01])
+    yield "P1", with_problem(mu=[0.01, 0.005])
     yield "P1", with_problem(k_p=[0.9, 1.1])
     content = copy.deepcopy(certificate)
     content["proofs"][0]["stages"][1]["e"] *= 0.5
     yield "P4", content
 
 
-def test_false_certificates_are_rejected(proved):
+def falsified_sets(certificate):
+    """The same of a certificate that begins with an invariant set."""
+    first = certificate["proofs"][0]["stages"][0]
+    assert first["method"] == "invariant set"
+
+    def with_stage(**changes):
+        content = copy.deepcopy(certificate)
+        content["proofs"][0]["stages"][0].update(changes)
+        return content
+
+    yield "P2", with_stage(p=[[-x for x in row] for row in first["p"]])
+    yield "P6", with_stage(p=np.eye(len(first["p"])).tolist())
+    yield "P6", with_stage(multipliers=[0.0 * x for x in first["multipliers"]])
+    yield "P6", with_stage(multipliers=[-x for x in first["multipliers"]])
+    yield "P6", with_stage(rate=100.0 * first["rate"])
+    yield "P4", with_stage(sigma=0.5 * first["sigma"])
+    for name, value in (("rho", 0.15), ("initial", [[0.5, 0.5], [0.0, 0.0]])):
+        content = copy.deepcopy(certificate)
+        content["problem"][name] = value
+        yield {"rho": "P5", "initial": "P3"}[name], content
+
+
+def test_false_certificates_are_rejected():
     """Each names the premise that fails."""
-    certificate = json.loads(json.dumps(proved.certificate()))
-    assert verify_certificate(certificate).proved
-    for premise, content in falsified(certificate):
+    coarse = LOOP.override({"loop.sample_time": 0.002})
+    box = LOOP.override({"plant.k_p": {"uniform": [0.9, 1.1]}, "plant.a_p": {"uniform": [-1.0, 1.0]}})
+    certificates = [json.loads(json.dumps(prove(each, boxes=1).certificate())) for each in (coarse, box)]
+    assert all(verify_certificate(each).proved for each in certificates)
+    for premise, content in (*falsified(certificates[0]), *falsified_sets(certificates[1])):
         verdict = verify_certificate(content)
         assert not verdict.proved
         assert verdict.reason.startswith(f"{premise}: "), (premise, verdict.reason)

@@ -1,12 +1,20 @@
 """Ball arithmetic for the verifier: intervals, and matrices that are positive definite for certain."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 from flint import arb, arb_mat
 
 
 class Rejected(Exception):
     """A premise that could not be shown."""
+
+
+class Limits(NamedTuple):
+    """Bounds of |sigma| and |e| at the samples, and of |e(t)| at all times."""
+
+    sigma: arb
+    e: arb
+    between: arb
 
 
 def require_premise(holds: bool, reason: str) -> None:
@@ -80,9 +88,6 @@ def positive_definite(matrix: arb_mat) -> bool:
     return all(row < 1 for row in rows)
 
 
-def set_within(p: arb_mat, row: arb_mat, bound: arb) -> bool:
-    """Whether |row z| <= bound for all z'Pz <= 1, by Schur's complement."""
-    n = p.nrows()
-    block = [[p[i, j] for j in range(n)] + [row[0, i]] for i in range(n)]
-    block.append([*(row[0, j] for j in range(n)), bound * bound])
-    return positive_definite(arb_mat(block))
+def largest_in_set(inverse: arb_mat, row: arb_mat) -> arb:
+    """Upper bound of |row z| over z'Pz <= 1, from the inverse of P."""
+    return abs((row * inverse * row.transpose())[0, 0]).upper().sqrt().upper()

@@ -9,6 +9,7 @@ from flint import arb, arb_mat
 from dssc_jax.proofs.balls import both, enclosing, exact_ends, larger
 from dssc_jax.proofs.gain_enclosures import Balls
 
+HALF = arb(1) / 2 * (1 + arb(2) ** -100)  # of a width, from its middle, which is rounded
 SAMPLE_PIECES = 8  # pieces of a sample on which its inside is enclosed
 
 
@@ -58,7 +59,7 @@ def held_generator(problem: dict[str, Any], a_p: arb, rate: arb) -> arb_mat:
 def sample_corners(problem: dict[str, Any], box: dict[str, Any], gains: Balls) -> list[Corner]:
     """Every corner of plant and gains; each of its balls also holds what interpolation between corners leaves out."""
     rate = box.get("rate", (0.0, 0.0))
-    rest = interpolation_error(problem, box["a_p"], rate)
+    rest = interpolation_error(problem, box)
     inside = inside_bounds(problem, box, arb(problem["sample_time"]))
     result = []
     for a_p, lag_rate in product(exact_ends(box["a_p"]), exact_ends(rate)):
@@ -74,12 +75,18 @@ def sampled(problem: dict[str, Any], held: arb_mat, k_p: arb, gain: Sequence[arb
     """A at one corner."""
     _, _, n = dimensions(problem)
     chi, rows = n - 2, signal_rows(problem)
-    new = rows["v"] + rows["change"] * gain[0] + rows["sigma"] * (arb(problem["sample_time"]) * gain[1])
+    new = new_row(problem, gain[0], gain[1])
     command = command_row(problem, new, gain[2])
     a = [
         [(held[i, j] if j < chi else arb(0)) + k_p * held[i, chi] * command[0, j] for j in range(n)] for i in range(chi)
     ]
     return arb_mat([*a, *([row[0, j] for j in range(n)] for row in (new, rows["sigma"]))])
+
+
+def new_row(problem: dict[str, Any], k_p: arb, k_i: arb) -> arb_mat:
+    """The row of v+, without the jump of d."""
+    rows = signal_rows(problem)
+    return rows["v"] + rows["change"] * k_p + rows["sigma"] * (arb(problem["sample_time"]) * k_i)
 
 
 def command_row(problem: dict[str, Any], new: arb_mat, k_n: arb) -> arb_mat:
@@ -115,33 +122,68 @@ def inside_bounds(problem: dict[str, Any], box: dict[str, Any], time: arb) -> li
     return [(factor * each).upper() for each in largest]
 
 
-def interpolation_error(problem: dict[str, Any], a_p: Any, rate: Any) -> arb_mat:
-    """What multilinear interpolation of exp over the box of a_p and 1/mu leaves out: width^2/8 sup |second derivative|.
+def start_columns(problem: dict[str, Any]) -> arb_mat:
+    """Every corner of the starts: z is affine in the initial state, in d(0) and in k_p d(0)."""
+    lag, level = problem["lag_order"], arb(problem["level"])
+    columns = []
+    for plant in product(*(exact_ends(pair) for pair in problem["initial"])):
+        for d, k_p in product((-level, level), exact_ends(problem["k_p"])):
+            sigma = plant[1] + arb(problem["l0"]) * plant[0]
+            columns.append([*plant, *([k_p * d] * lag), -d, sigma if problem["matched"] else arb(0)])
+    return arb_mat([list(row) for row in zip(*columns, strict=True)])
 
-    Half of the second derivative of exp(W) along W_i is the upper right block of exp([[W, W_i, 0], [0, W, W_i],
-    [0, 0, W]]).
-    """
-    t = arb(problem["sample_time"])
-    zero = arb(0)
+
+def box_directions(problem: dict[str, Any], box: dict[str, Any]) -> list[tuple[arb, arb_mat]]:
+    """Width of the box along a_p and along 1/mu, where it has one, and the derivative of the generator times T_s."""
+    zero, one, t = arb(0), arb(1), arb(problem["sample_time"])
     origin = held_generator(problem, zero, zero)
-    along_a_p, along_rate = (held_generator(problem, *unit) - origin for unit in ((arb(1), zero), (zero, arb(1))))
-    directions = ((a_p, along_a_p), (rate, along_rate))
-    whole = held_generator(problem, enclosing(*a_p), enclosing(*rate)) * t
+    sides = ((box["a_p"], (one, zero)), (box.get("rate", (0.0, 0.0)), (zero, one)))
+    live = [(arb(high) - arb(low), unit) for (low, high), unit in sides if low < high]
+    return [(width, (held_generator(problem, *unit) - origin) * t) for width, unit in live]
+
+
+def chained(whole: arb_mat, along: arb_mat, order: int) -> arb_mat:
+    """The derivative of exp(W) along W_i, of this order over its factorial, from one exponential of blocks.
+
+    It is the upper right block of exp of the matrix with W on the diagonal of blocks and W_i beside it.
+    """
+    size, blocks = whole.nrows(), order + 1
+    entries = [[arb(0)] * (blocks * size) for _ in range(blocks * size)]
+    for i, j in product(range(size), range(size)):
+        for k in range(blocks):
+            entries[k * size + i][k * size + j] = whole[i, j]
+        for k in range(order):
+            entries[k * size + i][(k + 1) * size + j] = along[i, j]
+    flow = arb_mat(entries).exp()
+    return arb_mat([[flow[i, order * size + j] for j in range(size)] for i in range(size)])
+
+
+def box_generator(problem: dict[str, Any], box: dict[str, Any]) -> arb_mat:
+    """The generator's enclosure over the box, times T_s."""
+    f = held_generator(problem, enclosing(*box["a_p"]), enclosing(*box.get("rate", (0.0, 0.0))))
+    return f * arb(problem["sample_time"])
+
+
+def interpolation_error(problem: dict[str, Any], box: dict[str, Any]) -> arb_mat:
+    """What multilinear interpolation of exp between the box's corners leaves out: width^2/8 sup |second derivative|."""
+    whole = box_generator(problem, box)
     size = whole.nrows()
     rest = arb_mat(size, size)
-    for (low, high), direction in directions:
-        if low == high:
-            continue
-        along = direction * t
-        triple = [[zero] * (3 * size) for _ in range(3 * size)]
+    for width, along in box_directions(problem, box):
+        second = chained(whole, along, 2)
         for i, j in product(range(size), range(size)):
-            for k in range(3):
-                triple[k * size + i][k * size + j] = whole[i, j]
-            for k in range(2):
-                triple[k * size + i][(k + 1) * size + j] = along[i, j]
-        second = arb_mat(triple).exp()
-        width = arb(high) - arb(low)
-        for i, j in product(range(size), range(size)):
-            bound = (abs(second[i, 2 * size + j]) * 2 * width * width / 8).upper()
+            bound = (abs(second[i, j]) * 2 * width * width / 8).upper()
             rest[i, j] = rest[i, j] + enclosing(-1.0, 1.0) * bound
     return rest
+
+
+def held_spread(problem: dict[str, Any], box: dict[str, Any]) -> list[list[arb]]:
+    """How far exp is from that of the box's middle: half a width times sup |first derivative|, summed."""
+    whole = box_generator(problem, box)
+    size = whole.nrows()
+    spread = [[arb(0)] * size for _ in range(size)]
+    for width, along in box_directions(problem, box):
+        first = chained(whole, along, 1)
+        for i, j in product(range(size), range(size)):
+            spread[i][j] = (spread[i][j] + abs(first[i, j]) * width * HALF).upper()
+    return spread

@@ -1,35 +1,120 @@
 """The gains of a region of sigma and e, enclosed in balls: the verifier's own rows of Tables 1 and 2."""
 
-from itertools import pairwise, product
-from typing import Any
+import math
+from itertools import product
+from typing import Any, NamedTuple
 
 from flint import arb
 
 from dssc_jax.proofs.balls import Rejected, enclosing, larger, require_premise
 
-PIECES = 160  # of |sigma|, and others of e for functions of both, on which the gains are enclosed
-ERROR_PIECES = 64
+PRECISE = 0.03  # largest excess of a hull over the gains themselves, in widths of the hull
+ROUNDING = 2.0**-40  # and in sizes of the gain
+MOST_PIECES = 6000
+TINY = 1e-300
 Balls = dict[str, arb]
 
 
+class Piece(NamedTuple):
+    """Intervals of |sigma| and |e|, and the sign of sigma e: the gains are the same at (-sigma, -e)."""
+
+    size: tuple[float, float]
+    sign: int
+    e: tuple[float, float]
+
+    def halves(self, by_e: bool) -> list["Piece"]:
+        """Both halves, in r = |sigma|^(1/2) or in |e|."""
+        (low, high), (left, right), middle = self.size, self.e, self.middle()
+        if by_e:
+            return [self._replace(e=(left, middle.e[0])), self._replace(e=(middle.e[0], right))]
+        return [self._replace(size=(low, middle.size[0])), self._replace(size=(middle.size[0], high))]
+
+    def middle(self) -> "Piece":
+        """Its middle, a point."""
+        cut, e = (0.5 * (self.size[0] ** 0.5 + self.size[1] ** 0.5)) ** 2, 0.5 * (self.e[0] + self.e[1])
+        return self._replace(size=(cut, cut), e=(e, e))
+
+    def corners(self) -> list["Piece"]:
+        """Its corners, each a point."""
+        return [self._replace(size=(size, size), e=(e, e)) for size, e in product(self.size, self.e)]
+
+
+class PointHull:
+    """The hull of the gains at points, which their enclosure cannot be smaller than."""
+
+    def __init__(self, problem: dict[str, Any]) -> None:
+        """Without a point."""
+        self.problem = problem
+        self.ends: dict[str, tuple[float, float]] = {}
+
+    def add(self, point: Piece) -> None:
+        """Take in a point."""
+        for name, ball in gains_at(self.problem, point).items():
+            value, (low, high) = float(ball.mid()), self.ends.get(name, (math.inf, -math.inf))
+            self.ends[name] = (min(low, value), max(high, value))
+
+    def rooms(self) -> dict[str, float]:
+        """By how much a ball may exceed the hull."""
+        return {
+            name: PRECISE * (high - low) + ROUNDING * max(abs(low), abs(high)) + TINY
+            for name, (low, high) in self.ends.items()
+        }
+
+    def exceeded(self, balls: Balls, rooms: dict[str, float]) -> bool:
+        """Whether balls widen the hull by too much."""
+        return not all(
+            ball > self.ends[name][0] - rooms[name] and ball < self.ends[name][1] + rooms[name]
+            for name, ball in balls.items()
+        )
+
+
 def enclosed_gains(problem: dict[str, Any], sigma: float, e: float) -> Balls:
-    """Balls of K_P, K_I, K_N, of the sliding condition's gains, and of tau_av for |sigma| and |e| up to bounds."""
+    """Balls of K_P, K_I, K_N, of the sliding condition's gains, and of tau_av for |sigma| and |e| up to bounds.
+
+    The region is halved where a piece's ball exceeds the hull of the gains at points by more than a small share of its
+    width; in |sigma|^(1/2) or in e, whichever varies the gains more.
+    """
     of_both = problem["functions"]["kind"] == "vgsta"
-    steps = [e * (2 * i / ERROR_PIECES - 1) for i in range(ERROR_PIECES + 1)]
-    errors = [enclosing(*pair) for pair in pairwise(steps)] if of_both else [arb(0)]
-    result: Balls = {}
-    for cut in pairwise([0.0, *(sigma * (i / PIECES) ** 2 for i in range(1, PIECES)), sigma]):
-        for error, sign in product(errors, (1, -1) if of_both else (1,)):
-            for name, ball in gains_at(problem, cut, sign, error).items():
+    signs, ends = ((1, -1), (0.0, e)) if of_both else ((1,), (0.0, 0.0))
+    pieces = [Piece((0.0, sigma), sign, ends) for sign in signs]
+    points, result, left = PointHull(problem), Balls(), MOST_PIECES
+    for piece in pieces:
+        for corner in piece.corners():
+            points.add(corner)
+    while pieces:
+        for piece in pieces:
+            points.add(piece.middle())
+        rooms, left, after = points.rooms(), left - len(pieces), []
+        for piece in pieces:
+            try:
+                balls = gains_at(problem, piece)
+            except Rejected:  # too wide a ball, since every point was fine
+                require_premise(left > 0, "P2: the functions cannot be enclosed in the region")
+                after += [part for half in piece.halves(False) for part in (half.halves(True) if of_both else [half])]
+                continue
+            if left > 0 and points.exceeded(balls, rooms):
+                after += piece.halves(of_both and varies_with_e(problem, piece, rooms))
+                continue
+            for name, ball in balls.items():
                 result[name] = result[name].union(ball) if name in result else ball
+        pieces = after
     if problem["form"] == "conservative":  # K_P is a mean over sigma, tau_av belongs to its last value
         result["slide_p"] = result["k_p"] * (1 + result["tau_av"] / arb(problem["sample_time"]))
     return result
 
 
-def gains_at(problem: dict[str, Any], size: tuple[float, float], sign: int, e: arb) -> Balls:
-    """The gains for |sigma| in an interval, a sign of sigma, and e in a ball."""
-    product_, tau_m = functions_at(problem, size, sign, e)
+def varies_with_e(problem: dict[str, Any], piece: Piece, rooms: dict[str, float]) -> bool:
+    """Whether the gains vary more with e than with sigma in a piece."""
+    middle = piece.middle()
+    by_size, by_e = (gains_at(problem, each) for each in (piece._replace(e=middle.e), piece._replace(size=middle.size)))
+    return max(float(by_e[name].rad()) / rooms[name] for name in by_e) > max(
+        float(by_size[name].rad()) / rooms[name] for name in by_size
+    )
+
+
+def gains_at(problem: dict[str, Any], piece: Piece) -> Balls:
+    """The gains in a piece of the region."""
+    product_, tau_m = functions_at(problem, piece.size, piece.sign, enclosing(*piece.e))
     t, own = arb(problem["sample_time"]), problem["functions"]
     proportional = 1 / product_
     filtered = 1 / arb(own["k_o"]) if "k_o" in own else arb(own["tau_av"]) * proportional  # tau_av K_P
@@ -88,15 +173,17 @@ def over_defect(x: arb) -> arb:
 
 
 def table_1(own: Balls, l0: arb, r: arb, sign: int, e: arb) -> tuple[arb, arb]:
-    """(28) and (29): k_o tau_av and tau_m, with r = |sigma|^(1/2)."""
+    """(28) and (29): k_o tau_av and tau_m, with r = |sigma|^(1/2), the sign of sigma e, and e = |e|.
+
+    At e = 0, where sgn e jumps, both signs are taken; with sgn 0 = 0 the gains lie between.
+    """
     rd, size = r + own["delta"], r * r
     ratio = own["phi_a"] / rd + own["phi_b"]
     slope = own["phi_a"] * (rd + own["delta"]) / (2 * rd * rd) + own["phi_b"]
-    kappa = own["kappa_a"] * size + own["kappa_b"] * abs(e) + own["kappa_c"]
+    kappa = own["kappa_a"] * size + own["kappa_b"] * e + own["kappa_c"]
     kappa1 = kappa * kappa + own["kappa_d"]
     kappa2 = 2 * own["epsilon"] * kappa1 + own["gamma"]
-    sign_e = arb(1) if e > 0 else arb(-1) if e < 0 else enclosing(-1.0, 1.0)
-    by_e = 2 * kappa * own["kappa_b"] * sign_e
+    by_e = 2 * kappa * own["kappa_b"]
     inverse = 2 * kappa * own["kappa_a"] * ratio * size + kappa1 * slope
     tau_m = inverse / (ratio * (by_e * (sign * size - l0 * e) + kappa2 * slope))
     return 1 / inverse, tau_m

@@ -1,7 +1,7 @@
 """Semidefinite programs for a common V = z'Pz, solved by Clarabel in scaled coordinates and divided by T_s."""
 
 import importlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,8 +16,18 @@ SLACK = 1e-7
 TIGHT = 1e-4
 """Room that is left in every bound, for the same reason."""
 SOLVED = (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
-Affine = Callable[[np.ndarray], np.ndarray]
-"""A symmetric matrix, affine in the program's variables."""
+
+
+class Affine(NamedTuple):
+    """A symmetric matrix that is affine in the program's variables.
+
+    Args:
+        origin: Its value at zero, (k, k).
+        slopes: What one unit of each variable adds, (variables, k, k).
+    """
+
+    origin: np.ndarray
+    slopes: np.ndarray
 
 
 class Bounded(NamedTuple):
@@ -57,13 +67,16 @@ def scaling(step: Step, starts: Sequence[np.ndarray], forgets: float) -> np.ndar
         return None
 
 
-def triangle(matrix: np.ndarray) -> np.ndarray:
-    """Upper triangle by columns, off-diagonal entries times sqrt(2), as Clarabel's cones are laid out."""
-    n = matrix.shape[0]
-    rows, columns = np.triu_indices(n)
-    order = np.lexsort((rows, columns))
-    rows, columns = rows[order], columns[order]
-    return matrix[rows, columns] * np.where(rows == columns, 1.0, np.sqrt(2.0))
+def triangles(matrices: np.ndarray) -> np.ndarray:
+    """Upper triangles by columns, off-diagonal entries times sqrt(2), as Clarabel's cones want them; (entries, ...)."""
+    columns, rows = np.tril_indices(matrices.shape[-1])  # the lower triangle by rows is the upper one by columns
+    weights = np.where(rows == columns, 1.0, np.sqrt(2.0))
+    return weights[:, None] * matrices[..., rows, columns].reshape(-1, rows.size).T
+
+
+def symmetric_basis(n: int) -> np.ndarray:
+    """The symmetric matrices of one free entry each, (n (n + 1)/2, n, n)."""
+    return np.stack([symmetric_of(unit, n) for unit in np.eye(n * (n + 1) // 2)])
 
 
 def symmetric_of(values: np.ndarray, n: int) -> np.ndarray:
@@ -76,14 +89,11 @@ def symmetric_of(values: np.ndarray, n: int) -> np.ndarray:
 def solved(cost: np.ndarray, psd: Sequence[Affine], least: np.ndarray) -> np.ndarray | None:
     """Minimise cost'x such that every matrix is positive semidefinite and every entry of ``least`` @ [x, 1] >= 0."""
     count = cost.size
-    units = np.eye(count)
     blocks, offsets, cones = [-least[:, :-1]], [least[:, -1]], [clarabel.NonnegativeConeT(least.shape[0])]
     for affine in psd:
-        origin = affine(np.zeros(count))
-        columns = [triangle(affine(unit) - origin) for unit in units]
-        blocks.append(-np.stack(columns, axis=1))
-        offsets.append(triangle(origin))
-        cones.append(clarabel.PSDTriangleConeT(origin.shape[0]))
+        blocks.append(-triangles(affine.slopes))
+        offsets.append(triangles(affine.origin)[:, 0])
+        cones.append(clarabel.PSDTriangleConeT(affine.origin.shape[0]))
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_iter = 100
@@ -130,28 +140,28 @@ def invariant_set(
     live = [j for j in range(inputs) if any(np.any(step.b[:, j]) for step in steps)]
     count = m + len(live) + len(rows)
 
+    basis = symmetric_basis(n)
+
     def decrease(step: Step) -> Affine:
         a = inverse @ step.a @ scale
         delta, b = (a - np.eye(n)) / sample_time, inverse @ step.b[:, live] / sample_time
-
-        def affine(x: np.ndarray) -> np.ndarray:
-            p = symmetric_of(x[:m], n)
-            corner = -(delta.T @ p + p @ delta + sample_time * delta.T @ p @ delta) - (1.0 + spare) * rate * p
-            side = -a.T @ p @ b
-            own = (1.0 - spare) * np.diag(x[m : m + len(live)]) - sample_time * b.T @ p @ b
-            block = np.block([[corner, side], [side.T, own]])
-            return block - SLACK * np.eye(block.shape[0])
-
-        return affine
+        size = n + len(live)
+        slopes = np.zeros((count, size, size))
+        moved = basis @ delta
+        growth = moved + moved.transpose(0, 2, 1) + sample_time * delta.T @ moved
+        slopes[:m, :n, :n] = -growth - (1.0 + spare) * rate * basis
+        slopes[:m, :n, n:] = -a.T @ basis @ b
+        slopes[:m, n:, :n] = slopes[:m, :n, n:].transpose(0, 2, 1)
+        slopes[:m, n:, n:] = -sample_time * b.T @ basis @ b
+        for j in range(len(live)):
+            slopes[m + j, n + j, n + j] = 1.0 - spare
+        return Affine(-SLACK * np.eye(size), slopes)
 
     def below(index: int, row: np.ndarray, bound: float) -> Affine:
-        scaled = row @ scale / bound
-
-        def affine(x: np.ndarray) -> np.ndarray:
-            block = np.block([[symmetric_of(x[:m], n), scaled[:, None]], [scaled[None], x[m + len(live) + index]]])
-            return block
-
-        return affine
+        origin, slopes = np.zeros((n + 1, n + 1)), np.zeros((count, n + 1, n + 1))
+        origin[:n, n] = origin[n, :n] = row @ scale / bound
+        slopes[:m, :n, :n], slopes[m + len(live) + index, n, n] = basis, 1.0
+        return Affine(origin, slopes)
 
     psd = [decrease(step) for step in steps] + [below(i, one.row, one.bound) for i, one in enumerate(rows)]
     least = np.zeros((1 + len(starts) + len(live) + len(rows), count + 1))

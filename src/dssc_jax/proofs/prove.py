@@ -12,7 +12,7 @@ import numpy as np
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.proofs.problem import Interval, ProofProblem, problem_of
 from dssc_jax.proofs.search import Box, Failure, Proof, halves, prove_box, volume
-from dssc_jax.proofs.verifier import ProofVerdict, accepts, verify_certificate
+from dssc_jax.proofs.verifier import ProofVerdict, verify_certificate, verify_proof
 from dssc_jax.study import Study
 
 BOXES = 64
@@ -157,7 +157,7 @@ def attempt(problem: ProofProblem, content: dict[str, Any], box: Box) -> tuple[P
     result = prove_box(problem, box)
     if isinstance(result, Failure):
         return result, None
-    verdict = accepts(content, result.to_dict())
+    verdict = verify_proof(content, result.to_dict())
     return (result, verdict) if verdict.proved else (Failure(box, "verifier"), None)
 
 

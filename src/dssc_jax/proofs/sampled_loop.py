@@ -48,11 +48,15 @@ class Step(NamedTuple):
         a: (n, n).
         b: (n, inputs): columns for Delta and for each component of theta, of size one each.
         rows: Rows of e, e', sigma and sigma - s, (4, n).
+        command: Row of u + d, (n,).
+        push: k_p Gamma, how the command acts, (n,).
     """
 
     a: np.ndarray
     b: np.ndarray
     rows: np.ndarray
+    command: np.ndarray
+    push: np.ndarray
 
 
 def state_sizes(problem: ProofProblem) -> tuple[int, int, int]:
@@ -108,7 +112,8 @@ def step_of(problem: ProofProblem, point: LoopPoint) -> Step:
         command = command - point.gains.k_n * sigma
     a = np.zeros((n, n))
     a[:chi, :chi] = phi
-    a[:chi] += point.k_p * np.outer(gamma, command)
+    push = np.concatenate([point.k_p * gamma, [0.0, 0.0]])
+    a += np.outer(push, command)
     a[n - 2] = np.eye(n)[n - 2] + change
     a[n - 1] = sigma
     jump = np.zeros(n)
@@ -116,7 +121,7 @@ def step_of(problem: ProofProblem, point: LoopPoint) -> Step:
     columns = [t * problem.slope * jump]
     bounds = inside_bound(problem, point)
     columns += [bound * np.eye(n)[i] for i, bound in enumerate(bounds[: chi - lag])]
-    return Step(a, np.stack(columns, axis=1), np.stack([e, speed, sigma, sigma - s]))
+    return Step(a, np.stack(columns, axis=1), np.stack([e, speed, sigma, sigma - s]), command, push)
 
 
 def inside_bound(problem: ProofProblem, point: LoopPoint) -> np.ndarray:
@@ -129,6 +134,17 @@ def inside_bound(problem: ProofProblem, point: LoopPoint) -> np.ndarray:
 def interval_ends(interval: Interval) -> tuple[float, ...]:
     """Both ends, or the one value."""
     return interval if interval[0] < interval[1] else interval[:1]
+
+
+def middle(interval: Interval) -> float:
+    """The middle of an interval."""
+    return 0.5 * (interval[0] + interval[1])
+
+
+def box_middle(box: dict[str, Interval], gains: dict[str, Interval]) -> LoopPoint:
+    """The middle of plant and gains."""
+    own = LoopGains(*(middle(gains[name]) for name in ("k_p", "k_i", "k_n")))
+    return LoopPoint(middle(box["k_p"]), middle(box["a_p"]), middle(box.get("rate", (0.0, 0.0))), own, box["k_p"][1])
 
 
 def box_corners(box: dict[str, Interval], gains: dict[str, Interval]) -> Iterable[LoopPoint]:

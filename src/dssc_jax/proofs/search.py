@@ -3,16 +3,18 @@
 Nothing that is found here counts as proved before :mod:`dssc_jax.proofs.verifier` has accepted it.
 """
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from dssc_jax.proofs import fixed_point
+from dssc_jax.proofs.fixed_point import BoundsStage, from_start, towards_residual
 from dssc_jax.proofs.gains import gain_hull
 from dssc_jax.proofs.problem import Interval, ProofProblem
 from dssc_jax.proofs.programs import Bounded, Solution, invariant_set, largest_in_set, scaling
-from dssc_jax.proofs.sampled_loop import LoopGains, LoopPoint, Step, box_corners, start_corners, state_sizes, step_of
+from dssc_jax.proofs.sampled_loop import Step, box_corners, box_middle, start_corners, state_sizes, step_of
 
 Box = dict[str, Interval]
 REGIONS = (1.02, 1.2, 1.6, 2.5, 4.0, 7.0, 12.0)
@@ -25,13 +27,13 @@ INFLATION = 1.001
 """A set attracts; its trajectories enter this multiple of it in finite time."""
 LONGEST = 20_000
 """Samples of the excursion that sizes the regions."""
-SPARE, SPARE_OF_BOXES = 0.01, 0.5
+SPARE, SPARE_OF_BOXES = 0.01, 0.1
 """Share of the decay that is left to the verifier's balls, for one plant and for a box of a_p or mu."""
 E, SPEED, SIGMA, CHANGE = range(4)  # rows of a step
 
 
 @dataclass(frozen=True)
-class Stage:
+class SetStage:
     """A set {z'Pz <= 1} that is invariant while |sigma| and |e| stay within a region.
 
     Args:
@@ -40,6 +42,7 @@ class Stage:
         rate: lambda [1/s].
         multipliers: mu_j of the inputs, with a sum of at most lambda.
         p: P, row by row.
+        method: The verifier's method.
     """
 
     sigma: float
@@ -47,6 +50,7 @@ class Stage:
     rate: float
     multipliers: list[float]
     p: list[list[float]]
+    method: str = "invariant set"
 
 
 @dataclass(frozen=True)
@@ -59,7 +63,7 @@ class Proof:
     """
 
     box: Box
-    stages: list[Stage]
+    stages: Sequence[SetStage | BoundsStage]
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON's types."""
@@ -71,11 +75,6 @@ class Failure(NamedTuple):
 
     box: Box
     reason: str
-
-
-def middle(interval: Interval) -> float:
-    """The middle of an interval."""
-    return 0.5 * (interval[0] + interval[1])
 
 
 def slide_rows(problem: ProofProblem, hull: dict[str, Interval], step: Step) -> list[np.ndarray]:
@@ -93,40 +92,104 @@ def decay_rate(step: Step, sample_time: float) -> float:
 
 
 def prove_box(problem: ProofProblem, box: Box) -> Proof | Failure:
-    """Search a proof for every plant of a box."""
-    first = start_corners(problem)
-    bound = 0.0 if problem.rho is None else problem.rho - problem.level
-    if problem.rho is not None and bound <= 0.0:
+    """Search a proof for every plant of a box: bounds that imply themselves, or else sets to begin with."""
+    if problem.rho is not None and problem.rho <= problem.level:
         return Failure(box, "sliding")
-    origin = gain_hull(problem, 1e-9, 1e-9)
-    gains = LoopGains(middle(origin["k_p"]), middle(origin["k_i"]), middle(origin["k_n"]))
-    rate = middle(box.get("rate", (0.0, 0.0)))
-    centre = LoopPoint(middle(box["k_p"]), middle(box["a_p"]), rate, gains, box["k_p"][1])
-    at_origin = step_of(problem, centre)
-    speed = decay_rate(at_origin, problem.sample_time)
-    scale = scaling(at_origin, first, speed * problem.sample_time)
-    if speed <= 0.0 or scale is None:
+    at = step_of(problem, box_middle(box, gain_hull(problem, 1e-9, 1e-9)))
+    if decay_rate(at, problem.sample_time) <= 0.0:
         return Failure(box, "origin")
-    least_e, least_sigma = excursion(at_origin, first, min(LONGEST, int(5.0 / (speed * problem.sample_time))))
-    spare = SPARE if all(low == high for name, (low, high) in box.items() if name != "k_p") else SPARE_OF_BOXES
-    reason = "region"
+    first = from_start(problem, box)
+    if isinstance(first, BoundsStage):
+        sigma, e = first.bounds[fixed_point.SIGMA], first.bounds[fixed_point.ERROR]
+        return Proof(box, [first, *towards_residual(problem, box, (sigma, e), e)])
+    return proof_by_sets(problem, box, at)
+
+
+class Setting(NamedTuple):
+    """What the programs of one box share.
+
+    Args:
+        problem: What is to be proved.
+        box: The box.
+        at: One sample at the box's middle, with the gains at sigma = e = 0.
+        starts: Corners of the start.
+        scale: Coordinates of the programs.
+        speed: Decay of the slowest mode [1/s].
+        spare: Share of the decay that is left to the verifier's balls.
+    """
+
+    problem: ProofProblem
+    box: Box
+    at: Step
+    starts: list[np.ndarray]
+    scale: np.ndarray
+    speed: float
+    spare: float
+
+    def steps(self, hull: dict[str, Interval]) -> list[Step]:
+        """One sample at every corner of the box and of the gains."""
+        return [step_of(self.problem, point) for point in box_corners(self.box, hull)]
+
+    def solve(self, steps: list[Step], rows: list[Bounded], share: float, *, started: bool) -> Solution | None:
+        """The set for lambda as a share of the slowest decay."""
+        starts, rate = self.starts if started else [], share * self.speed
+        return invariant_set(steps, self.problem.sample_time, rate, rows, starts, self.scale, self.spare)
+
+
+def proof_by_sets(problem: ProofProblem, box: Box, at: Step) -> Proof | Failure:
+    """Sets from the start to a region in which bounds imply themselves."""
+    starts, speed = start_corners(problem), decay_rate(at, problem.sample_time)
+    if (scale := scaling(at, starts, speed * problem.sample_time)) is None:
+        return Failure(box, "origin")
+    point = all(low == high for name, (low, high) in box.items() if name != "k_p")
+    setting = Setting(problem, box, at, starts, scale, speed, SPARE if point else SPARE_OF_BOXES)
+    first = first_set(setting)
+    if isinstance(first, str):
+        return Failure(box, first)
+    stages = [first]
+    for _ in range(SHRINKING):
+        sigma, e = (INFLATION * largest_in_set(np.array(stages[-1].p), at.rows[row]) for row in (SIGMA, E))
+        if rest := towards_residual(problem, box, (sigma, e), e):
+            return Proof(box, [*stages, *rest])
+        if (smaller := smaller_set(setting, sigma, e)) is None:
+            break
+        stages.append(smaller)
+    return Proof(box, stages)
+
+
+def first_set(setting: Setting) -> SetStage | str:
+    """A set that holds the start and keeps sliding; otherwise the reason why there is none."""
+    problem, at = setting.problem, setting.at
+    bound = 0.0 if problem.rho is None else problem.rho - problem.level
+    longest = min(LONGEST, int(5.0 / (setting.speed * problem.sample_time)))
+    least_e, least_sigma = excursion(at, setting.starts, longest)
+    held = False
     for size in REGIONS:
         sigma, e = size * max(least_sigma, 1e-9), size * max(least_e, 1e-9)
         hull = gain_hull(problem, sigma, e)
-        steps = [step_of(problem, point) for point in box_corners(box, hull)]
-        inside = [Bounded(at_origin.rows[SIGMA], sigma, 1.0), Bounded(at_origin.rows[E], e, 1.0)]
-        slides = [Bounded(row, bound, 1.0) for row in slide_rows(problem, hull, at_origin)]
-        result = best_of(problem, steps, [*inside, *slides], first, scale, speed, spare)
-        if result is not None:
-            rest = residuals(problem, box, result, at_origin, scale, speed, spare)
-            return Proof(box, [stage(result, sigma, e), *rest])
-        if size == REGIONS[0] and best_of(problem, steps, [], [], scale, speed, spare) is None:
-            reason = "decay"
-        elif slides and reason == "region" and best_of(problem, steps, inside, first, scale, speed, spare) is not None:
-            reason = "sliding"
-        if reason == "decay":
-            break
-    return Failure(box, reason)
+        steps = setting.steps(hull)
+        inside = [Bounded(at.rows[SIGMA], sigma, 1.0), Bounded(at.rows[E], e, 1.0)]
+        slides = [Bounded(row, bound, 1.0) for row in slide_rows(problem, hull, at)]
+        for share in RATES:
+            if (result := setting.solve(steps, [*inside, *slides], share, started=True)) is not None:
+                return stage_of(result, sigma, e)
+        if size == REGIONS[0] and all(setting.solve(steps, [], share, started=False) is None for share in RATES):
+            return "decay"
+        held = held or (bool(slides) and setting.solve(steps, inside, RATES[0], started=True) is not None)
+    return "sliding" if held else "region"
+
+
+def smaller_set(setting: Setting, sigma: float, e: float) -> SetStage | None:
+    """The set with the least |e| that attracts within a region; None if it is not worth it."""
+    at = setting.at
+    steps = setting.steps(gain_hull(setting.problem, sigma, e))
+    rows = [Bounded(at.rows[E], e, 1.0), Bounded(at.rows[SIGMA], sigma, 0.05)]
+    tried = (setting.solve(steps, rows, share, started=False) for share in RATES)
+    found = [each for each in tried if each is not None]
+    best = min(found, key=lambda each: largest_in_set(each.p, at.rows[E]), default=None)
+    if best is None or largest_in_set(best.p, at.rows[E]) > ENOUGH * e:
+        return None
+    return stage_of(best, sigma, e)
 
 
 def excursion(step: Step, first: list[np.ndarray], samples: int) -> tuple[float, float]:
@@ -141,65 +204,23 @@ def excursion(step: Step, first: list[np.ndarray], samples: int) -> tuple[float,
     return float(e), float(sigma)
 
 
-def best_of(
-    problem: ProofProblem,
-    steps: list[Step],
-    rows: list[Bounded],
-    first: list[np.ndarray],
-    scale: np.ndarray,
-    speed: float,
-    spare: float,
-    keep: Callable[[Solution], float] | None = None,
-) -> Solution | None:
-    """The first solution over the rates; with a measure, the one for which it is smallest."""
-    best, least = None, np.inf
-    for share in RATES:
-        result = invariant_set(steps, problem.sample_time, share * speed, rows, first, scale, spare)
-        if result is None:
-            continue
-        if keep is None:
-            return result
-        if (size := keep(result)) < least:
-            best, least = result, size
-    return best
-
-
-def stage(result: Solution, sigma: float, e: float) -> Stage:
-    """A stage from a solution."""
-    return Stage(sigma, e, result.rate, result.multipliers.tolist(), result.p.tolist())
-
-
-def residuals(
-    problem: ProofProblem, box: Box, result: Solution, at: Step, scale: np.ndarray, speed: float, spare: float
-) -> list[Stage]:
-    """Stages that shrink the region to what attracts in it, as long as |e| becomes smaller."""
-    stages: list[Stage] = []
-    if not problem.slope:
-        return stages
-    size = largest_in_set(result.p, at.rows[E])
-    for _ in range(SHRINKING):
-        sigma, e = (INFLATION * largest_in_set(result.p, at.rows[row]) for row in (SIGMA, E))
-        steps = [step_of(problem, point) for point in box_corners(box, gain_hull(problem, sigma, e))]
-        rows = [Bounded(at.rows[E], e, 1.0), Bounded(at.rows[SIGMA], sigma, 0.05)]
-        better = best_of(problem, steps, rows, [], scale, speed, spare, lambda one: largest_in_set(one.p, at.rows[E]))
-        if better is None:
-            break
-        smaller = largest_in_set(better.p, at.rows[E])
-        if smaller > ENOUGH * size:
-            break
-        stages.append(stage(better, sigma, e))
-        result, size = better, smaller
-    return stages
+def stage_of(result: Solution, sigma: float, e: float) -> SetStage:
+    """The stage of a solution."""
+    return SetStage(sigma, e, result.rate, result.multipliers.tolist(), result.p.tolist())
 
 
 def halves(box: Box, problem: ProofProblem) -> list[Box]:
-    """Both halves of a box along its longest side, relative to the whole problem's; k_p last, being exact."""
-    whole = problem.box
-    sides = {
-        name: (high - low) / (abs(whole[name][0]) + abs(whole[name][1])) * (0.25 if name == "k_p" else 1.0)
-        for name, (low, high) in box.items()
-    }
-    name = max(sides, key=lambda each: sides[each])
+    """Both halves of a box along the side whose ends differ most in the loop's eigenvalues at sigma = e = 0."""
+    gains = gain_hull(problem, 1e-9, 1e-9)
+
+    def eigenvalues(box: Box) -> np.ndarray:
+        return np.sort_complex(np.linalg.eigvals(step_of(problem, box_middle(box, gains)).a))
+
+    def effect(name: str) -> float:
+        low, high = (eigenvalues(box | {name: (end, end)}) for end in box[name])
+        return float(np.abs(high - low).sum())
+
+    name = max(box, key=effect)
     low, high = box[name]
     cut = float(np.sqrt(low * high)) if low > 0.0 else 0.5 * (low + high)
     return [box | {name: (low, cut)}, box | {name: (cut, high)}]

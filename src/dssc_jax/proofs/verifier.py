@@ -2,40 +2,25 @@
 
 It shares no code with the search, only the certificate's numbers. Every number is a ball (`arb` of FLINT) that contains
 the exact one; the floating-point numbers of the certificate are exact. docs/proofs.md states the theorem whose premises
-are checked here, (P1) to (P6).
+are checked here, (P1) to (P7).
 """
 
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import pairwise, product
 from typing import Any, NamedTuple
 
-from flint import arb, arb_mat, ctx
+from flint import arb, ctx
 
-from dssc_jax.proofs.balls import (
-    Rejected,
-    both,
-    enclosing,
-    exact_ends,
-    larger,
-    positive_definite,
-    require_premise,
-    set_within,
-    symmetric_ball,
-    symmetrised,
-)
-from dssc_jax.proofs.enclosed_loop import (
-    SAMPLE_PIECES,
-    command_row,
-    dimensions,
-    held_generator,
-    inside_bounds,
-    sample_corners,
-    signal_rows,
-)
-from dssc_jax.proofs.gain_enclosures import Balls, enclosed_gains
-from dssc_jax.proofs.worst_case import settled_error
+from dssc_jax.proofs.balls import Limits, Rejected, require_premise
+from dssc_jax.proofs.gain_enclosures import enclosed_gains
+from dssc_jax.proofs.invariant_sets import invariant_bounds
+from dssc_jax.proofs.small_gain import implied_bounds
 
 PRECISION = 160  # bits
-ENTERED = "1.0001"  # a multiple of a set that trajectories enter in finite time
+ENTERED = "1.0001"  # a multiple of an upper limit, which a signal does not exceed from some sample on
+METHODS = {"invariant set": invariant_bounds, "small gain": implied_bounds}
 
 
 class ProofVerdict(NamedTuple):
@@ -54,34 +39,51 @@ class ProofVerdict(NamedTuple):
     largest_error: float
 
 
+@contextmanager
+def ball_precision() -> Iterator[None]:
+    """Set the working precision of all balls."""
+    before, ctx.prec = ctx.prec, PRECISION
+    try:
+        yield
+    finally:
+        ctx.prec = before
+
+
 def verify_certificate(certificate: dict[str, Any]) -> ProofVerdict:
     """Verify a certificate: its problem, and the proof of every box. The boxes have to cover the problem's intervals.
 
     Args:
         certificate: ``problem`` and ``proofs``, as in a certificate's file.
     """
-    before, ctx.prec = ctx.prec, PRECISION
+    problem, proofs = certificate["problem"], certificate["proofs"]
     try:
-        problem = certificate["problem"]
-        require_cover(problem, [proof["box"] for proof in certificate["proofs"]])
-        bounds = [verified_box(problem, proof) for proof in certificate["proofs"]]
-        settled, ever = (max(each) for each in zip(*bounds, strict=True))
-        return ProofVerdict(True, "", settled, ever)
+        require_cover(problem, [proof["box"] for proof in proofs])
     except Rejected as rejected:
-        return ProofVerdict(False, str(rejected), float("inf"), float("inf"))
-    finally:
-        ctx.prec = before
+        return refused(rejected)
+    verdicts = [verify_proof(problem, proof) for proof in proofs]
+    rejected = next((each for each in verdicts if not each.proved), None)
+    error, largest = (max(getattr(each, name) for each in verdicts) for name in ("error", "largest_error"))
+    return rejected or ProofVerdict(True, "", error, largest)
 
 
-def accepts(problem: dict[str, Any], proof: dict[str, Any]) -> ProofVerdict:
+def verify_proof(problem: dict[str, Any], proof: dict[str, Any]) -> ProofVerdict:
     """Verify the proof of one box alone."""
-    before, ctx.prec = ctx.prec, PRECISION
-    try:
-        return ProofVerdict(True, "", *verified_box(problem, proof))
-    except Rejected as rejected:
-        return ProofVerdict(False, str(rejected), float("inf"), float("inf"))
-    finally:
-        ctx.prec = before
+    with ball_precision():
+        try:
+            limits = verified_stages(problem, proof)
+        except Rejected as rejected:
+            return refused(rejected)
+    return ProofVerdict(True, "", min(map(above, limits)), above(limits[0]))
+
+
+def above(limits: Limits) -> float:
+    """The bound of |e(t)|, rounded up."""
+    return math.nextafter(float(limits.between), math.inf)
+
+
+def refused(rejected: Rejected) -> ProofVerdict:
+    """The verdict on a premise that could not be shown."""
+    return ProofVerdict(False, str(rejected), float("inf"), float("inf"))
 
 
 def require_cover(problem: dict[str, Any], boxes: list[dict[str, Any]]) -> None:
@@ -91,6 +93,8 @@ def require_cover(problem: dict[str, Any], boxes: list[dict[str, Any]]) -> None:
         low, high = problem["mu"]
         require_premise(0.0 < low <= high, "P1: mu must be positive")
         whole["rate"] = (1.0 / high, 1.0 / low)
+    require_premise(all(low <= high for low, high in whole.values()), "P1: an interval ends before it begins")
+    require_premise(bool(boxes), "P1: no box")
     names = list(whole)
     grids = []
     for name in names:
@@ -105,97 +109,31 @@ def require_cover(problem: dict[str, Any], boxes: list[dict[str, Any]]) -> None:
         require_premise(held, f"P1: no box covers {dict(zip(names, cell, strict=True))}")
 
 
-def verified_box(problem: dict[str, Any], proof: dict[str, Any]) -> tuple[float, float]:
-    """Check every stage of a box; return the bounds of |e| when settled and from the start on."""
-    stages, box = proof["stages"], proof["box"]
-    require_premise(len(stages) > 0, "P2: no stage")
-    signs = [box["k_p"][0] > 0.0, *(problem[name] > 0.0 for name in ("sample_time", "l0")), problem["slope"] >= 0.0]
-    require_premise(all(signs) and problem["level"] >= 0.0, "P2: k_p, T_s and l0 must be positive, bounds not negative")
-    bounds, previous = [], None
-    for number, stage in enumerate(stages):
-        where = f"stage {number + 1} of the box {box}"
-        p, gains = symmetric_ball(stage["p"]), enclosed_gains(problem, stage["sigma"], stage["e"])
-        require_premise(positive_definite(p), f"P2: P is not positive definite in {where}")
-        check_invariance(problem, box, stage, p, gains, where)
-        rows = signal_rows(problem)
-        if previous is None:
-            check_start(problem, p, where)
-            for name in ("sigma", "e"):
-                inside = set_within(p, rows[name], arb(stage[name]))
-                require_premise(inside, f"P4: the set leaves |{name}| <= {stage[name]} in {where}")
-            check_sliding(problem, p, gains, where)
-        else:
-            for name in ("sigma", "e"):
-                inside = set_within(previous, rows[name], arb(stage[name]) / arb(ENTERED))
-                require_premise(inside, f"P4: the set before exceeds |{name}| <= {stage[name]} in {where}")
-        bounds.append(between_samples(problem, box, p, gains))
-        previous = p
-    sharper = settled_error(problem, box, stages[-1], symmetric_ball(stages[-1]["p"]))
-    settled = bounds[-1] if sharper is None or sharper > bounds[-1] else sharper
-    return float(settled.upper()), float(bounds[0].upper())
+def verified_stages(problem: dict[str, Any], proof: dict[str, Any]) -> list[Limits]:
+    """Check every stage of a box; return what each shows."""
+    box = proof["box"]
+    require_premise(bool(proof["stages"]), "P2: no stage")
+    positive = [box["k_p"][0], problem["sample_time"], problem["l0"]]
+    require_premise(all(each > 0.0 for each in positive), "P2: k_p, T_s and l0 must be positive")
+    require_premise(problem["slope"] >= 0.0 and problem["level"] >= 0.0, "P2: a bound of the disturbance is negative")
+    if problem["rho"] is not None:
+        require_premise(arb(problem["rho"]) > arb(problem["level"]), "P5: rho does not exceed the disturbance")
+    limits: list[Limits] = []
+    for number, stage in enumerate(proof["stages"], 1):
+        where = f"stage {number} of the box {box}"
+        method = METHODS.get(stage["method"])
+        require_premise(method is not None, f"P2: unknown method '{stage['method']}' in {where}")
+        assert method is not None
+        if limits:
+            require_region(limits[-1], arb(ENTERED), stage, f"P4: the stage before {where}")
+        gains = enclosed_gains(problem, stage["sigma"], stage["e"])
+        limits.append(method(problem, box, stage, gains, started=number == 1, where=where))
+        if number == 1:
+            require_region(limits[0], arb(1), stage, f"P4: {where}")
+    return limits
 
 
-def check_start(problem: dict[str, Any], p: arb_mat, where: str) -> None:
-    """(P3) Every start lies in the set: z is affine in the initial state, in d(0) and in k_p d(0)."""
-    lag, level = problem["lag_order"], arb(problem["level"])
-    for plant in product(*(exact_ends(pair) for pair in problem["initial"])):
-        for d, k_p in product((-level, level), exact_ends(problem["k_p"])):
-            sigma = plant[1] + arb(problem["l0"]) * plant[0]
-            z = [*plant, *([k_p * d] * lag), -d, sigma if problem["matched"] else arb(0)]
-            column = arb_mat([[x] for x in z])
-            size = (column.transpose() * p * column)[0, 0]
-            require_premise(size <= 1, f"P3: a start lies outside of {where}")
-
-
-def check_sliding(problem: dict[str, Any], p: arb_mat, gains: Balls, where: str) -> None:
-    """(P5) |u_eq| <= rho, where u_eq - d is a row of z that is affine in its gains."""
-    if problem["rho"] is None:
-        return
-    rows = signal_rows(problem)
-    left = arb(problem["rho"]) - arb(problem["level"])
-    require_premise(left > 0, "P5: rho does not exceed the disturbance")
-    for a, b in product(both(gains["slide_p"]), both(gains["slide_i"])):
-        row = rows["v"] + rows["change"] * a + rows["sigma"] * b
-        require_premise(set_within(p, row, left), f"P5: the equivalent control may exceed rho in {where}")
-
-
-def check_invariance(
-    problem: dict[str, Any], box: dict[str, Any], stage: dict[str, Any], p: arb_mat, gains: Balls, where: str
-) -> None:
-    """(P6) V(z+) <= (1 - T lambda) V(z) + T sum of mu_j w_j^2 at every corner, mu_j >= 0 with a sum <= lambda."""
-    t, rate = arb(problem["sample_time"]), arb(stage["rate"])
-    multipliers = [arb(mu) for mu in stage["multipliers"]]
-    require_premise(rate > 0 and t * rate < 1, f"P6: lambda is not in (0, 1/T_s) in {where}")
-    require_premise(all(mu >= 0 for mu in multipliers), f"P6: a multiplier is negative in {where}")
-    require_premise(sum(multipliers, arb(0)) <= rate, f"P6: the multipliers exceed lambda in {where}")
-    for corner in sample_corners(problem, box, gains):
-        live = [j for j in range(corner.b.ncols()) if not all(corner.b[i, j] == 0 for i in range(corner.b.nrows()))]
-        ap = corner.a.transpose() * p
-        keep = p * (1 - t * rate) - ap * corner.a
-        n, cross, inputs = p.nrows(), ap * corner.b, corner.b.transpose() * p * corner.b
-        block = [[keep[i, j] for j in range(n)] + [-cross[i, j] for j in live] for i in range(n)]
-        for j in live:
-            own = [(t * multipliers[j] if i == j else arb(0)) - inputs[j, i] for i in live]
-            block.append([*(-cross[i, j] for i in range(n)), *own])
-        require_premise(positive_definite(symmetrised(block)), f"P6: the set is not invariant in {where}")
-
-
-def between_samples(problem: dict[str, Any], box: dict[str, Any], p: arb_mat, gains: Balls) -> arb:
-    """Upper bound of |e(t)| at all times, while z at the samples is in the set."""
-    _, _, n = dimensions(problem)
-    rows, t, inverse = signal_rows(problem), arb(problem["sample_time"]), p.inv()
-    f = held_generator(problem, enclosing(*box["a_p"]), enclosing(*box.get("rate", (0.0, 0.0))))
-    rest = inside_bounds(problem, box, t)[0]
-    largest = arb(0)
-    for piece in range(SAMPLE_PIECES):
-        flow = (f * (t * enclosing(piece / SAMPLE_PIECES, (piece + 1) / SAMPLE_PIECES))).exp()
-        for gain in product(*(both(gains[name]) for name in ("k_p", "k_i", "k_n"))):
-            new = rows["v"] + rows["change"] * gain[0] + rows["sigma"] * (t * gain[1])
-            command = command_row(problem, new, gain[2])
-            k_p = enclosing(*box["k_p"])
-            row = arb_mat(
-                [[(flow[0, j] if j < n - 2 else arb(0)) + k_p * flow[0, n - 2] * command[0, j] for j in range(n)]]
-            )
-            size = (row * inverse * row.transpose())[0, 0]
-            largest = larger(largest, (abs(size).upper().sqrt() + rest).upper())
-    return largest
+def require_region(limits: Limits, factor: arb, stage: dict[str, Any], who: str) -> None:
+    """(P4) What was shown lies in the region of a stage."""
+    for name, limit in (("sigma", limits.sigma), ("e", limits.e)):
+        require_premise(limit * factor <= arb(stage[name]), f"{who} leaves |{name}| <= {stage[name]}")

@@ -1,0 +1,215 @@
+"""Bounds of all signals that imply themselves (P7), searched in floating point as fixed points.
+
+The bounds go in through the gains of their region and through what deviates from the middle loop, and come out through
+its responses. :mod:`dssc_jax.proofs.small_gain` states the inequality and verifies it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_discrete_lyapunov
+
+from dssc_jax.proofs.gains import GAIN_NAMES, gain_hull
+from dssc_jax.proofs.problem import Interval, ProofProblem
+from dssc_jax.proofs.sampled_loop import Step, box_middle, held_matrices, middle, start_corners, step_of
+
+CHANGE, SIGMA, ERROR, COMMAND, EQUIVALENT, STATES = range(6)
+"""Places of the signals in a list of bounds; the states follow."""
+BLOCK, MOST_SAMPLES = 64, 400_000
+ENDED = 1e-7
+"""Share of a sum at which its tail is left out."""
+ROUNDS, SHRINKINGS = 16, 6
+"""Times that the region may grow from the start's, and shrink towards the residual's."""
+GROWTH = 1.1
+"""Room of a region around the bounds that led to it."""
+INFLATION, ENTERED = 1.0 + 2e-4, 1.0001 * (1.0 + 1e-9)
+"""Widening of bounds for what the verifier's balls and tails add, and the multiple of a limit that is entered."""
+LEAST = 1e-15
+"""Smallest bound, so that all are positive."""
+WORTH = 0.997
+"""Improvement of |e| for which another stage is worth its time."""
+
+
+@dataclass(frozen=True)
+class BoundsStage:
+    """Bounds that imply themselves while |sigma| and |e| stay within a region.
+
+    Args:
+        sigma: Bound of |sigma| in which the gains are taken [m/s].
+        e: Bound of |e| there [m].
+        rate: lambda [1/s], with which V = z'Pz of the middle loop falls.
+        gains: K_P, K_I, K_N, and K_P and T_s K_I times 1 + tau_av/T_s, of the middle loop.
+        bounds: Bounds of sigma - s, sigma, e, the command, u_eq - d, and of all states.
+        p: P, row by row.
+        method: The verifier's method.
+    """
+
+    sigma: float
+    e: float
+    rate: float
+    gains: list[float]
+    bounds: list[float]
+    p: list[list[float]]
+    method: str = "small gain"
+
+
+class Responses(NamedTuple):
+    """Sums of absolute impulse responses (signals, inputs), and peaks of the responses to the starts (signals,)."""
+
+    sums: np.ndarray
+    peaks: np.ndarray
+
+
+class Map(NamedTuple):
+    """The map of bounds to bounds of one region: origin + matrix times bounds."""
+
+    step: Step
+    gains: list[float]
+    forced: np.ndarray
+    peaks: np.ndarray
+    matrix: np.ndarray
+    slide: tuple[float, float]
+
+
+def responses(a: np.ndarray, rows: np.ndarray, inputs: np.ndarray, starts: np.ndarray) -> Responses | None:
+    """The responses of z+ = a z; None if they last too long."""
+    stack = [rows]
+    for _ in range(BLOCK - 1):
+        stack.append(stack[-1] @ a)
+    whole, jump = np.concatenate(stack), np.linalg.matrix_power(a, BLOCK)
+    q, m = inputs.shape[1], rows.shape[0]
+    z = np.concatenate([inputs, starts], axis=1)
+    sums, peaks = np.zeros((m, q)), np.zeros((m, starts.shape[1]))
+    for _ in range(MOST_SAMPLES // BLOCK):
+        now = np.abs(whole @ z).reshape(BLOCK, m, -1)
+        each = now[:, :, :q].sum(axis=0)
+        sums, peaks = sums + each, np.maximum(peaks, now[:, :, q:].max(axis=0))
+        if not np.all(np.isfinite(each)):
+            return None
+        if np.all(each <= ENDED * sums) and np.all(now[-1, :, q:] <= np.maximum(1e-3 * peaks, 1e-300)):
+            return Responses(sums, peaks.max(axis=1, initial=0.0))
+        z = jump @ z
+    return None
+
+
+def bounds_map(problem: ProofProblem, box: dict[str, Interval], hull: dict[str, Interval]) -> Map | None:
+    """The map of bounds to bounds for gains within a hull; None if the middle loop is not stable."""
+    point = box_middle(box, hull)
+    step, t = step_of(problem, point), problem.sample_time
+    n = step.a.shape[0]
+    if np.max(np.abs(np.linalg.eigvals(step.a))) >= 1.0:
+        return None
+    half = {name: 0.5 * (high - low) for name, (low, high) in hull.items()}
+    e, _, sigma, change = step.rows
+    equivalent = np.eye(n)[n - 2] + sum(
+        middle(hull[name]) * row for name, row in (("slide_p", change), ("slide_i", sigma))
+    )
+    rows = np.concatenate([[change, sigma, e, step.command, equivalent], np.eye(n)])
+    share = (box["k_p"][1] - point.k_p) / point.k_p
+    by_v = np.eye(n)[n - 2] - step.push
+    lag = np.zeros(n)
+    lag[n - 2 - problem.lag_order : n - 2] = t * problem.slope * share * point.k_p
+    inputs = np.concatenate([step.b, lag[:, None], by_v[:, None], step.push[:, None], np.eye(n)], axis=1)
+    result = responses(step.a, rows, inputs, np.stack(start_corners(problem), axis=1))
+    if result is None:
+        return None
+    m, w = rows.shape[0], step.b.shape[1] + 1
+    command = np.eye(m)[COMMAND]
+    command[CHANGE] += half["k_p"]
+    command[SIGMA] += t * half["k_i"] + half["k_n"]
+    sizes = np.zeros((2 + n, m))
+    sizes[0, CHANGE], sizes[0, SIGMA] = half["k_p"], t * half["k_i"]
+    sizes[1] = share * command
+    sizes[1, SIGMA] += half["k_n"]
+    sizes[2:] = held_deviations(problem, box, point.k_p, command, m)
+    return Map(
+        step,
+        [middle(hull[name]) for name in GAIN_NAMES],
+        result.sums[:, :w].sum(axis=1),
+        result.peaks,
+        result.sums[:, w:] @ sizes,
+        (half["slide_p"], half["slide_i"]),
+    )
+
+
+def held_deviations(
+    problem: ProofProblem, box: dict[str, Interval], k_p: float, command: np.ndarray, count: int
+) -> np.ndarray:
+    """How the bounds act through the deviations of Phi and Gamma from the middle, (n, signals)."""
+    n, t = count - STATES, problem.sample_time
+    result = np.zeros((n, count))
+    phi, gamma = held_matrices(problem, middle(box["a_p"]), middle(box.get("rate", (0.0, 0.0))), t)
+    chi = phi.shape[0]
+    for a_p in set(box["a_p"]):
+        for rate in set(box.get("rate", (0.0, 0.0))):
+            other, moved = held_matrices(problem, a_p, rate, t)
+            own = np.zeros((n, count))
+            own[:chi, STATES : STATES + chi] = np.abs(other - phi)
+            own[:chi] += box["k_p"][1] * np.abs(moved - gamma)[:, None] * command
+            result = np.maximum(result, own)
+    return 1.2 * result
+
+
+def fixed_point(origin: np.ndarray, matrix: np.ndarray) -> np.ndarray | None:
+    """The least bounds with origin + matrix bounds <= bounds; None if the gain is not small."""
+    if np.max(np.abs(np.linalg.eigvals(matrix))) >= 1.0 - 1e-6:
+        return None
+    return np.linalg.solve(np.eye(origin.size) - matrix, origin + LEAST)
+
+
+def stage_of(problem: ProofProblem, region: tuple[float, float], found: Map, bounds: np.ndarray) -> BoundsStage:
+    """The stage of these bounds."""
+    falls, p = decay_of(found.step)
+    rate = falls / problem.sample_time
+    return BoundsStage(float(region[0]), float(region[1]), rate, found.gains, (INFLATION * bounds).tolist(), p.tolist())
+
+
+def decay_of(step: Step) -> tuple[float, np.ndarray]:
+    """A share, and P with which z'Pz falls by it in a sample; half as fast as the slowest mode."""
+    n = step.a.shape[0]
+    radius = np.max(np.abs(np.linalg.eigvals(step.a)))
+    keep = 0.5 * (1.0 + radius)
+    gramian = solve_discrete_lyapunov(step.a / keep, np.eye(n))
+    scale = np.linalg.cholesky(0.5 * (gramian + gramian.T))
+    inverse = np.linalg.inv(scale)
+    own = solve_discrete_lyapunov((inverse @ step.a @ scale / keep).T, np.eye(n))
+    p = inverse.T @ own @ inverse
+    return float(1.0 - keep**2), 0.5 * (p + p.T)
+
+
+def from_start(problem: ProofProblem, box: dict[str, Interval]) -> BoundsStage | str:
+    """Bounds from the start on; otherwise the reason why there are none: ``gain``, ``region`` or ``sliding``."""
+    sigma = e = 0.0
+    for _ in range(ROUNDS):
+        if (result := bounds_map(problem, box, gain_hull(problem, max(sigma, 1e-12), max(e, 1e-12)))) is None:
+            return "gain"
+        if (bounds := fixed_point(result.forced + result.peaks, result.matrix)) is None:
+            return "gain"
+        if INFLATION * bounds[SIGMA] <= sigma and INFLATION * bounds[ERROR] <= e:
+            slack = result.slide[0] * bounds[CHANGE] + result.slide[1] * bounds[SIGMA]
+            room = np.inf if problem.rho is None else problem.rho - problem.level
+            if INFLATION * (bounds[EQUIVALENT] + slack) > room:
+                return "sliding"
+            return stage_of(problem, (sigma, e), result, bounds)
+        sigma, e = max(sigma, GROWTH * bounds[SIGMA]), max(e, GROWTH * bounds[ERROR])
+    return "region"
+
+
+def towards_residual(
+    problem: ProofProblem, box: dict[str, Interval], limits: Sequence[float], error: float
+) -> list[BoundsStage]:
+    """Stages that follow, from upper limits of |sigma| and |e|, as long as the bound of |e| becomes smaller."""
+    stages: list[BoundsStage] = []
+    sigma, e = limits
+    for _ in range(SHRINKINGS):
+        sigma, e = (max(ENTERED * INFLATION * each, 1e-12) for each in (sigma, e))
+        if (result := bounds_map(problem, box, gain_hull(problem, sigma, e))) is None:
+            break
+        bounds = fixed_point(result.forced, result.matrix)
+        if bounds is None or not bounds[ERROR] < WORTH * error:
+            break
+        stages.append(stage_of(problem, (sigma, e), result, bounds))
+        sigma, e, error = bounds[SIGMA], bounds[ERROR], bounds[ERROR]
+    return stages

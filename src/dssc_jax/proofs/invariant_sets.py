@@ -1,0 +1,116 @@
+"""(P3), (P5), (P6): a set {z'Pz <= 1} that is invariant and attracts, for all plants of a box and gains of a region."""
+
+from itertools import product
+from typing import Any
+
+from flint import arb, arb_mat
+
+from dssc_jax.proofs.balls import (
+    Limits,
+    approximate_root,
+    both,
+    enclosing,
+    larger,
+    largest_in_set,
+    positive_definite,
+    require_premise,
+    symmetric_ball,
+    symmetrised,
+)
+from dssc_jax.proofs.enclosed_loop import (
+    SAMPLE_PIECES,
+    command_row,
+    dimensions,
+    held_generator,
+    inside_bounds,
+    new_row,
+    sample_corners,
+    signal_rows,
+    start_columns,
+)
+from dssc_jax.proofs.gain_enclosures import Balls
+
+
+def invariant_bounds(
+    problem: dict[str, Any], box: dict[str, Any], stage: dict[str, Any], gains: Balls, started: bool, where: str
+) -> Limits:
+    """Show that the stage's set is invariant and attracts.
+
+    Args:
+        problem: The certificate's problem.
+        box: Its box.
+        stage: The stage, whose ``multipliers`` are those of the inputs.
+        gains: Balls of the gains in the stage's region.
+        started: Whether the set has to hold every start and keep sliding.
+        where: The stage's place, for messages.
+    """
+    p = symmetric_ball(stage["p"])
+    require_premise(positive_definite(p), f"P2: P is not positive definite in {where}")
+    check_invariance(problem, box, stage, p, gains, where)
+    inverse, rows = p.inv(), signal_rows(problem)
+    if started:
+        check_start(problem, p, where)
+        check_sliding(problem, inverse, gains, where)
+    sigma, e = (largest_in_set(inverse, rows[name]) for name in ("sigma", "e"))
+    return Limits(sigma, e, between_samples(problem, box, inverse, gains))
+
+
+def check_start(problem: dict[str, Any], p: arb_mat, where: str) -> None:
+    """(P3) Every start lies in the set."""
+    starts = start_columns(problem)
+    for j in range(starts.ncols()):
+        z = arb_mat([[starts[i, j]] for i in range(starts.nrows())])
+        require_premise((z.transpose() * p * z)[0, 0] <= 1, f"P3: a start lies outside of {where}")
+
+
+def check_sliding(problem: dict[str, Any], inverse: arb_mat, gains: Balls, where: str) -> None:
+    """(P5) |u_eq| <= rho, where u_eq - d is a row of z that is affine in its gains."""
+    if problem["rho"] is None:
+        return
+    rows, room = signal_rows(problem), arb(problem["rho"]) - arb(problem["level"])
+    for a, b in product(both(gains["slide_p"]), both(gains["slide_i"])):
+        row = rows["v"] + rows["change"] * a + rows["sigma"] * b
+        holds = largest_in_set(inverse, row) <= room
+        require_premise(holds, f"P5: the equivalent control may exceed rho in {where}")
+
+
+def check_invariance(
+    problem: dict[str, Any], box: dict[str, Any], stage: dict[str, Any], p: arb_mat, gains: Balls, where: str
+) -> None:
+    """(P6) V(z+) <= (1 - T lambda) V(z) + T sum of mu_j w_j^2 at every corner, mu_j >= 0 with a sum <= lambda."""
+    t, rate = arb(problem["sample_time"]), arb(stage["rate"])
+    multipliers = [arb(mu) for mu in stage["multipliers"]]
+    require_premise(rate > 0 and t * rate < 1, f"P6: lambda is not in (0, 1/T_s) in {where}")
+    require_premise(all(mu >= 0 for mu in multipliers), f"P6: a multiplier is negative in {where}")
+    require_premise(sum(multipliers, arb(0)) <= rate, f"P6: the multipliers exceed lambda in {where}")
+    root = approximate_root(p)  # coordinates in which P is close to I, so that the balls of A stay small
+    assert root is not None
+    to_own = root.transpose()
+    from_own = to_own.inv()
+    own_p = from_own.transpose() * p * from_own
+    for corner in sample_corners(problem, box, gains):
+        live = [j for j in range(corner.b.ncols()) if not all(corner.b[i, j] == 0 for i in range(corner.b.nrows()))]
+        own_a, own_b = to_own * corner.a * from_own, to_own * corner.b
+        ap = own_a.transpose() * own_p
+        keep, cross, inputs = own_p * (1 - t * rate) - ap * own_a, ap * own_b, own_b.transpose() * own_p * own_b
+        n = p.nrows()
+        block = [[keep[i, j] for j in range(n)] + [-cross[i, j] for j in live] for i in range(n)]
+        for j in live:
+            own = [(t * multipliers[j] if i == j else arb(0)) - inputs[j, i] for i in live]
+            block.append([*(-cross[i, j] for i in range(n)), *own])
+        require_premise(positive_definite(symmetrised(block)), f"P6: the set is not invariant in {where}")
+
+
+def between_samples(problem: dict[str, Any], box: dict[str, Any], inverse: arb_mat, gains: Balls) -> arb:
+    """Upper bound of |e(t)| at all times, while z at the samples is in the set."""
+    _, _, n = dimensions(problem)
+    t, k_p = arb(problem["sample_time"]), enclosing(*box["k_p"])
+    f = held_generator(problem, enclosing(*box["a_p"]), enclosing(*box.get("rate", (0.0, 0.0))))
+    rest, largest = inside_bounds(problem, box, t)[0], arb(0)
+    for piece in range(SAMPLE_PIECES):
+        flow = (f * (t * enclosing(piece / SAMPLE_PIECES, (piece + 1) / SAMPLE_PIECES))).exp()
+        for gain in product(*(both(gains[name]) for name in ("k_p", "k_i", "k_n"))):
+            command = command_row(problem, new_row(problem, gain[0], gain[1]), gain[2])
+            row = [(flow[0, j] if j < n - 2 else arb(0)) + k_p * flow[0, n - 2] * command[0, j] for j in range(n)]
+            largest = larger(largest, (largest_in_set(inverse, arb_mat([row])) + rest).upper())
+    return largest
