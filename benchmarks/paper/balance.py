@@ -94,7 +94,7 @@ def element(study: dj.Study, varied: str | None = None) -> Element:
 
 
 def limit_cycle(found: Element, value: float, guess: Cycle, sample_time: float, motor_lag: float = 0.0) -> Cycle:
-    """The limit cycle near a guess, to half a per cent of the loop's gain; the hold counts as a delay of half a sample.
+    """The limit cycle near a guess; the hold counts as a delay of half a sample.
 
     Raises:
         RuntimeError: there is none.
@@ -107,8 +107,8 @@ def limit_cycle(found: Element, value: float, guess: Cycle, sample_time: float, 
         return [gap.real, gap.imag]
 
     start = np.log([guess.sigma, guess.frequency])
-    solved = least_squares(defect, start, diff_step=1e-4)
-    if not solved.cost < 0.5 * 0.005**2:
+    solved = least_squares(defect, start, diff_step=3e-4)
+    if not solved.cost < 1e-6:
         raise RuntimeError(f"no limit cycle near {guess}: defect {solved.cost:.1e}")
     sigma, frequency = (float(number) for number in np.exp(solved.x))
     return Cycle(frequency, sigma, abs(found(sigma, frequency, value)) * sigma)

@@ -10,10 +10,10 @@ from dssc_jax.core.numerics import (
     arithmetic,
     atan,
     atan2,
+    binary_exponent,
     cubic_spline,
     dot,
     log_defect,
-    power_of_two,
     root_abs,
     standard_normal,
     standard_normals,
@@ -62,9 +62,9 @@ def test_log_defect_has_the_right_slope():
             assert found == pytest.approx(float(exact), rel=1e-9)
 
 
-def test_power_of_two():
+def test_binary_exponent():
     x = np.concatenate([[1.0, 2.0**0.5, 2.0], np.geomspace(1.0, 1e300, 5000)])
-    k, scale = map(np.asarray, power_of_two(jnp.asarray(x)))
+    k, scale = map(np.asarray, binary_exponent(jnp.asarray(x)))
     assert np.all(scale * x >= 0.5**0.5)
     assert np.all(scale * x < 2.0**0.5 * (1.0 + 1e-15))
     assert np.array_equal(np.ldexp(1.0, -k.astype(int)), scale)

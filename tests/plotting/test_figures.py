@@ -114,7 +114,7 @@ def test_the_certified_stretch_is_hatched(swept):
     assert hatched.get_x() < axis[0]
     assert axis[1] < hatched.get_x() + hatched.get_width() < axis[2]
     labels = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert labels.count("certified by Theorem 1") == 1
+    assert labels.count("Theorem 1: without lag and sampling") == 1
 
 
 def test_more_signals_than_colours(flown):

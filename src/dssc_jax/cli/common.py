@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,6 +72,17 @@ def parse_overs(texts: list[str]) -> dict[str, dict[str, list[Any]]]:
             raise ConfigError("--over", f"'{name}' is given twice")
         axes[name] = axis
     return axes
+
+
+def require_proofs() -> None:
+    """Check that what proofs need is installed.
+
+    Raises:
+        ConfigError: it is not.
+    """
+    for name in ("clarabel", "flint"):
+        if find_spec(name) is None:
+            raise ConfigError("prove", f"needs {name}: pip install 'dssc_jax[proofs]'")
 
 
 def load_study(

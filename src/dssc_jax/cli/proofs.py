@@ -7,8 +7,9 @@ from typing import Annotated, Any
 import typer
 
 from dssc_jax.cli import options as opt
-from dssc_jax.cli.common import DONE, FAILS, app, attempt, load_study
+from dssc_jax.cli.common import DONE, FAILS, app, attempt, load_study, require_proofs
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.proofs import BOXES
 
 
 @app.command()
@@ -17,7 +18,9 @@ def prove(
         str, typer.Argument(metavar="STUDY", help="A study; or the file of a certificate (.json), to verify it again.")
     ],
     out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write the certificate (.json).")] = None,
-    boxes: Annotated[int, typer.Option("--boxes", metavar="N", min=1, help="Boxes of uncertain numbers to try.")] = 64,
+    boxes: Annotated[
+        int, typer.Option("--boxes", metavar="N", min=1, help="Boxes of uncertain numbers to try.")
+    ] = BOXES,
     settings: opt.Set = None,
     as_json: opt.Json = False,
     allow_local: opt.Local = False,
@@ -28,16 +31,17 @@ def prove(
     bounds, with sampling and lag. A verifier in exact ball arithmetic accepts it, or it does not count. A certificate's
     file is verified from the file alone.
     """
-    try:
-        from dssc_jax.proofs.prove import check_certificate
-        from dssc_jax.proofs.prove import prove as search
-    except ImportError as error:
-        raise ConfigError("prove", f"needs {error.name}: pip install 'dssc_jax[proofs]'") from None
+    require_proofs()
     from dssc_jax.console.proofs import show_proof, show_verdict
     from dssc_jax.proofs.problem import NotCovered
+    from dssc_jax.proofs.prove import check_certificate
+    from dssc_jax.proofs.prove import prove as search
 
     if study.endswith(".json"):
-        verdict = check_certificate(read_json(Path(study)))
+        content = read_json(Path(study))
+        if isinstance(content, dict) and "certificates" in content:
+            return check_sweep(content, as_json)
+        verdict = check_certificate(content)
         if as_json:
             print(json.dumps(verdict._asdict() if verdict.proved else {"proved": False, "reason": verdict.reason}))
         else:
@@ -56,6 +60,26 @@ def prove(
     else:
         show_proof(proved.summary(), out)
     return DONE if proved.complete else FAILS
+
+
+def check_sweep(content: dict[str, Any], as_json: bool) -> int:
+    """Verify the certificates of a sweep's points that are said to be proved."""
+    from dssc_jax.console.proofs import show_sweep_verdicts
+    from dssc_jax.proofs.prove import check_certificate
+
+    try:
+        pairs = zip(content["points"], content["certificates"], strict=True)
+        said = [certificate for point, certificate in pairs if point["proved"]]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigError("proofs", f"are damaged: {error!r}") from None
+    verdicts = [check_certificate(each) for each in said]
+    reasons = [each.reason for each in verdicts if not each.proved]
+    if as_json:
+        counts = {"points": len(content["points"]), "certificates": len(said)}
+        print(json.dumps({"proved": not reasons, **counts, "reasons": reasons}))
+    else:
+        show_sweep_verdicts(len(content["points"]), len(said), reasons)
+    return FAILS if reasons else DONE
 
 
 def read_json(path: Path) -> Any:

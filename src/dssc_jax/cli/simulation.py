@@ -19,9 +19,11 @@ from dssc_jax.cli.common import (
     load_result,
     load_study,
     parse_overs,
+    require_proofs,
     warn_of_noise,
 )
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.proofs import SWEEP_BOXES
 
 if TYPE_CHECKING:
     from dssc_jax.results.result import Result
@@ -83,12 +85,22 @@ def sweep(
     out: opt.Out = None,
     resume: opt.Resume = False,
     cluster: opt.ClusterOption = None,
+    prove: Annotated[
+        bool, typer.Option("--prove", help="Also prove what can be proved at each point, with lag and sampling.")
+    ] = False,
+    boxes: Annotated[
+        int,
+        typer.Option("--boxes", metavar="N", min=1, help="Boxes of uncertain numbers that --prove tries."),
+    ] = SWEEP_BOXES,
     as_json: opt.Json = False,
     allow_local: opt.Local = False,
 ) -> int:
     """Simulate every draw at every point of a sweep.
 
     The axes are those of the study's [sweep], or those given by --over.
+
+    With --prove, figures tell four things apart: points that are proved, that survive every draw, that fail in some
+    draws, and in all. The proofs and their certificates are in proofs.json of the results folder.
 
     All points see the same draws. A swept value takes the place of the law of that parameter. Running the same study
     into the same folder again starts over, unless --resume is given; another study's folder is never touched.
@@ -98,9 +110,10 @@ def sweep(
         loaded = loaded.override({"sweep": parse_overs(over)})
     if not loaded.axes:
         raise ConfigError(loaded.source, "has no [sweep]; add one, or --over NAME=LO:HI:COUNT")
-    return finish(
-        loaded, out or default_out(loaded, "sweep", over, settings, draws, seed), resume, as_json, cluster, allow_local
-    )
+    if prove:
+        require_provable(loaded)
+    out = out or default_out(loaded, "sweep", over, settings, draws, seed)
+    return finish(loaded, out, resume, as_json, cluster, allow_local, boxes if prove else None)
 
 
 @app.command()
@@ -204,10 +217,43 @@ def finish_sequential(study: "Study", rule: "Rule", most: int | None, out: Path 
     return DONE if result.manifest["stopping"]["verdict"] in ("narrow", "accepted") else FAILS
 
 
+def require_provable(study: "Study") -> None:
+    """Check that proofs are installed and cover the study's points, before anything is simulated.
+
+    Raises:
+        ConfigError: they do not.
+    """
+    require_proofs()
+    from dssc_jax.proofs.problem import NotCovered, problem_of
+    from dssc_jax.runs.prove_sweep import sweep_points
+
+    try:
+        problem_of(next(sweep_points(study)))
+    except NotCovered as error:
+        raise ConfigError(study.source, f"is outside of what a proof covers: {error}") from None
+
+
+def proved_sweep(result: "Result", out: Path, boxes: int, quiet: bool) -> "Result":
+    """Prove every point of a sweep, and keep the proofs in the results folder."""
+    from dssc_jax.console import progress_bar
+    from dssc_jax.runs.prove_sweep import prove_sweep
+
+    with progress_bar(result.study, quiet=quiet, of="proofs") as advance:
+        proofs = prove_sweep(result.study, boxes=boxes, progress=advance)
+    attempt(out, lambda: proofs.save(out))
+    return result.with_proofs(proofs)
+
+
 def finish(
-    study: "Study", out: Path, resume: bool, as_json: bool, cluster: str | None = None, local: bool = False
+    study: "Study",
+    out: Path,
+    resume: bool,
+    as_json: bool,
+    cluster: str | None = None,
+    local: bool = False,
+    boxes: int | None = None,
 ) -> int:
-    """Simulate all draws."""
+    """Simulate all draws, and prove every point if there is a number of boxes."""
     from dssc_jax.console import notify, progress_bar
     from dssc_jax.runs import run as running
 
@@ -215,6 +261,8 @@ def finish(
     folder = str(Path(study.source).resolve().parent) if local else None
     with progress_bar(study, quiet=as_json) as advance:
         result = running.run(study, out, resume=resume, progress=advance, cluster=cluster, notify=notify, local=folder)
+    if boxes is not None:
+        result = proved_sweep(result, out, boxes, as_json)
     output_result(result, out, as_json)
     return DONE
 

@@ -30,3 +30,9 @@ def show_verdict(verdict: "ProofVerdict") -> None:
     """Print whether a certificate is valid."""
     text = f"valid: |e| never exceeds {verdict.largest_error:.4g} m and ends within {verdict.error:.4g} m"
     output().print(text if verdict.proved else f"not valid: {verdict.reason}", soft_wrap=True, markup=False)
+
+
+def show_sweep_verdicts(points: int, said: int, reasons: list[str]) -> None:
+    """Print whether the certificates of a sweep's points are valid."""
+    text = f"{said - len(reasons)} of {said} certificates are valid; the sweep has {points} points"
+    output().print("\n".join([text, *reasons[:MOST_SHOWN]]), soft_wrap=True, markup=False)

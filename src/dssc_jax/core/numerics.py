@@ -30,7 +30,7 @@ def root_abs(x: Scalar, floor: float = 0.0) -> Scalar:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, magnitude, 1.0)), floor)
 
 
-def power_of_two(x: Scalar) -> tuple[Scalar, Scalar]:
+def binary_exponent(x: Scalar) -> tuple[Scalar, Scalar]:
     """k and 2^-k with 2^-k x in [2^(-1/2), 2^(1/2)), for x >= 1; read from the bits of x, which vectorises."""
     x = jax.lax.stop_gradient(jnp.asarray(x))
     wide = x.dtype == jnp.float64
@@ -51,7 +51,7 @@ def log_defect(x: Scalar) -> Scalar:
 
     The polynomial q is that of FreeBSD's e_log.c (Sun Microsystems, 1993).
     """
-    k, scale = power_of_two(1.0 + x)
+    k, scale = binary_exponent(1.0 + x)
     near = k == 0.0
     f = jnp.where(near, x, (1.0 + x) * scale - 1.0)
     s = f / (2.0 + f)

@@ -1,7 +1,7 @@
 """Figures of results and trajectories, as matplotlib Figures. Failure probabilities are shown with their intervals.
 
 ``failures``, ``sweep`` and ``trajectory`` make whole figures for a slide. ``distribution``, ``factor``,
-``probability``, ``typical`` and ``signals`` make single panels, which can also be drawn into given axes.
+``probability``, ``standing``, ``typical`` and ``signals`` make single panels, which can also be drawn into given axes.
 """
 
 from pathlib import Path
@@ -15,7 +15,7 @@ from dssc_jax.plotting.margins import margin
 from dssc_jax.plotting.rare import rare
 from dssc_jax.plotting.searches import falsification, tuning
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, STYLE, write
-from dssc_jax.plotting.sweeps import fitted_slope, probability, sweep, typical
+from dssc_jax.plotting.sweeps import fitted_slope, probability, standing, sweep, typical
 from dssc_jax.plotting.theory import theory
 from dssc_jax.plotting.trajectories import signals, trajectory
 from dssc_jax.results.result import Result
@@ -41,6 +41,7 @@ __all__ = [
     "save_figure",
     "sensitivity",
     "signals",
+    "standing",
     "sweep",
     "theory",
     "trajectory",

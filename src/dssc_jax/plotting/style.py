@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 # Okabe and Ito's palette, distinguishable with any colour vision
 BLUE, ORANGE, GREEN, RED, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#6b6b6b"
-VIOLET, SKY = "#CC79A7", "#56B4E9"
+VIOLET, SKY, YELLOW = "#CC79A7", "#56B4E9", "#F0E442"
 STYLE: dict[Any, Any] = {
     "font.size": 13,
     "axes.titlesize": 14,

@@ -13,6 +13,7 @@ from matplotlib.ticker import PercentFormatter
 
 from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.plotting.draws import metric_bounds
+from dssc_jax.plotting.standings import standing_colours, standing_keys, standing_of
 from dssc_jax.plotting.style import (
     BLUE,
     GREEN,
@@ -34,7 +35,8 @@ from dssc_jax.statistics.order import upper_quantiles
 
 MARKED = 200  # a curve of more points shows none of them
 FINE = 2500  # a map of more cells is written as an image, not cell by cell
-CERTIFIED = "certified by Theorem 1"
+CERTIFIED = "Theorem 1: without lag and sampling"
+PROVED = "proved, with lag and sampling"
 HALF, BOUND = ("half of the draws fail", "-"), ("95 % upper bound of the probability at 5 %", "--")
 AT_LIMIT = ("the median at its limit", "-")
 
@@ -56,14 +58,16 @@ def sweep(result: Result) -> Figure:
         if both:
             probability(result, panels[1])
     else:
-        probability(result, panels[0])
+        standing(result, panels[0]) if "proved" in result.dataset else probability(result, panels[0])
         typical(result, panels[1])
         panels[1].set_ylabel("")
         for ax in panels:
             if (legend := ax.get_legend()) is not None:
                 legend.remove()
-        keys = [(f"{HALF[0]}, or {AT_LIMIT[0]}", "-"), BOUND]
-        figure.legend(handles=map_keys(result, keys), loc="outside lower center", ncols=2, frameon=False)
+        known = "proved" in result.dataset
+        keys: list[tuple[str, Any]] = [AT_LIMIT] if known else [(f"{HALF[0]}, or {AT_LIMIT[0]}", "-"), BOUND]
+        handles = [*(standing_keys() if known else []), *map_keys(result, keys)]
+        figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False)
     title(figure, f"{result.study.config.description or result.study.name}{held(result)}\n{result.certificate}")
     return figure
 
@@ -89,6 +93,38 @@ def probability(result: Result, ax: Axes | None = None) -> Figure:
         probability_curve(ax, result, axes[0])
     else:
         probability_map(ax, result, *axes)
+    return figure
+
+
+@styled
+def standing(result: Result, ax: Axes | None = None) -> Figure:
+    """Plot how each point of a sweep over two axes stands: proved, surviving every draw, failing in some, or in all.
+
+    Args:
+        result: A sweep with proofs; axes beyond the second are held at their first value.
+        ax: Axes to draw into; None: a new figure.
+
+    Raises:
+        ValueError: the result has no sweep over two axes, or no proofs.
+    """
+    result = held_to_two(result)
+    axes = free_axes(result)
+    if len(axes) != 2 or "proved" not in result.dataset:
+        raise ValueError("needs a sweep over two axes with proofs: dssc-jax sweep --prove")
+    figure, ax = panel(ax, (PANEL[0], PANEL[1] + 0.8))
+    down, across = axes
+    share = result.failed.transpose(down, across, "draw").values.mean(-1)
+    proved = result.dataset["proved"].transpose(down, across).values
+    x, y = result.dataset[across].values, result.dataset[down].values
+    kinds, colours = standing_of(proved, share), standing_colours()
+    ax.pcolormesh(x, y, kinds, cmap=colours, vmin=-0.5, vmax=3.5, edgecolor="white", linewidth=0.4, **cells(share))
+    failing = proved & (share > 0.0)  # of a requirement that the proof does not speak of
+    for i, j in np.argwhere(failing):
+        ax.text(float(x[j]), float(y[i]), f"{share[i, j]:.0%}", ha="center", va="center", fontsize="x-small")
+    required = "; ".join(r.text for r in result.study.requirements) or "the draw stays finite"
+    ax.set_title(textwrap.fill(f"{result.failed.sizes['draw']} draws: {required}", 44), parse_math=False)
+    finish_map(ax, result, down, across, [])
+    ax.legend(handles=[*standing_keys(), *map_keys(result, [])], loc="upper center", bbox_to_anchor=(0.5, -0.2))
     return figure
 
 
@@ -194,9 +230,20 @@ def finish_curve(ax: Axes, result: Result, axis: str) -> None:
                 float(edges[begin]), float(edges[end]), fc="none", ec=GREEN, hatch="//", linewidth=0.0, label=text
             )
         ax.set_xlim(edges[0], edges[-1])
+    if "proved" in result.dataset:
+        mark_proved(ax, x, result.dataset["proved"].values)
     mark_own_value(ax, result, axis, GREY)
     ax.set_xlabel(named(axis, result.dataset[axis].attrs))
     ax.legend(frameon=False)
+
+
+def mark_proved(ax: Axes, x: np.ndarray, proved: np.ndarray) -> None:
+    """Mark the proved stretches by a bar along the axis."""
+    edges, low = cell_edges(x, is_log(x)), ax.get_xaxis_transform()
+    turns = np.flatnonzero(np.diff(proved, prepend=False, append=False))
+    for begin, end in turns.reshape(-1, 2):
+        text = PROVED if begin == turns[0] else None
+        ax.plot(edges[[begin, end]], [0.0, 0.0], transform=low, color=GREEN, linewidth=7.0, label=text, zorder=0)
 
 
 def probability_map(ax: Axes, result: Result, down: str, across: str) -> None:

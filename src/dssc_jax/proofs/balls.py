@@ -9,7 +9,7 @@ class Rejected(Exception):
     """A premise that could not be shown."""
 
 
-class Limits(NamedTuple):
+class StageLimits(NamedTuple):
     """Bounds of |sigma| and |e| at the samples, and of |e(t)| at all times."""
 
     sigma: arb
@@ -88,6 +88,6 @@ def positive_definite(matrix: arb_mat) -> bool:
     return all(row < 1 for row in rows)
 
 
-def largest_in_set(inverse: arb_mat, row: arb_mat) -> arb:
+def bound_in_set(inverse: arb_mat, row: arb_mat) -> arb:
     """Upper bound of |row z| over z'Pz <= 1, from the inverse of P."""
     return abs((row * inverse * row.transpose())[0, 0]).upper().sqrt().upper()

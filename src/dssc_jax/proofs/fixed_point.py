@@ -18,7 +18,7 @@ from dssc_jax.proofs.sampled_loop import Step, box_middle, held_matrices, middle
 CHANGE, SIGMA, ERROR, COMMAND, EQUIVALENT, STATES = range(6)
 """Places of the signals in a list of bounds; the states follow."""
 BLOCK, MOST_SAMPLES = 64, 400_000
-ENDED = 1e-7
+TAIL_LEFT_OUT = 1e-7
 """Share of a sum at which its tail is left out."""
 ROUNDS, SHRINKINGS = 16, 6
 """Times that the region may grow from the start's, and shrink towards the residual's."""
@@ -26,7 +26,7 @@ GROWTH = 1.1
 """Room of a region around the bounds that led to it."""
 INFLATION, ENTERED = 1.0 + 2e-4, 1.0001 * (1.0 + 1e-9)
 """Widening of bounds for what the verifier's balls and tails add, and the multiple of a limit that is entered."""
-LEAST = 1e-15
+SMALLEST_BOUND = 1e-15
 """Smallest bound, so that all are positive."""
 WORTH = 0.997
 """Improvement of |e| for which another stage is worth its time."""
@@ -88,7 +88,7 @@ def responses(a: np.ndarray, rows: np.ndarray, inputs: np.ndarray, starts: np.nd
         sums, peaks = sums + each, np.maximum(peaks, now[:, :, q:].max(axis=0))
         if not np.all(np.isfinite(each)):
             return None
-        if np.all(each <= ENDED * sums) and np.all(now[-1, :, q:] <= np.maximum(1e-3 * peaks, 1e-300)):
+        if np.all(each <= TAIL_LEFT_OUT * sums) and np.all(now[-1, :, q:] <= np.maximum(1e-3 * peaks, 1e-300)):
             return Responses(sums, peaks.max(axis=1, initial=0.0))
         z = jump @ z
     return None
@@ -156,14 +156,14 @@ def fixed_point(origin: np.ndarray, matrix: np.ndarray) -> np.ndarray | None:
     """The least bounds with origin + matrix bounds <= bounds; None if the gain is not small."""
     if np.max(np.abs(np.linalg.eigvals(matrix))) >= 1.0 - 1e-6:
         return None
-    return np.linalg.solve(np.eye(origin.size) - matrix, origin + LEAST)
+    return np.linalg.solve(np.eye(origin.size) - matrix, origin + SMALLEST_BOUND)
 
 
-def stage_of(problem: ProofProblem, region: tuple[float, float], found: Map, bounds: np.ndarray) -> BoundsStage:
+def bounds_stage(problem: ProofProblem, region: tuple[float, float], by: Map, bounds: np.ndarray) -> BoundsStage:
     """The stage of these bounds."""
-    falls, p = decay_of(found.step)
+    falls, p = decay_of(by.step)
     rate = falls / problem.sample_time
-    return BoundsStage(float(region[0]), float(region[1]), rate, found.gains, (INFLATION * bounds).tolist(), p.tolist())
+    return BoundsStage(float(region[0]), float(region[1]), rate, by.gains, (INFLATION * bounds).tolist(), p.tolist())
 
 
 def decay_of(step: Step) -> tuple[float, np.ndarray]:
@@ -192,7 +192,7 @@ def from_start(problem: ProofProblem, box: dict[str, Interval]) -> BoundsStage |
             room = np.inf if problem.rho is None else problem.rho - problem.level
             if INFLATION * (bounds[EQUIVALENT] + slack) > room:
                 return "sliding"
-            return stage_of(problem, (sigma, e), result, bounds)
+            return bounds_stage(problem, (sigma, e), result, bounds)
         sigma, e = max(sigma, GROWTH * bounds[SIGMA]), max(e, GROWTH * bounds[ERROR])
     return "region"
 
@@ -210,6 +210,6 @@ def towards_residual(
         bounds = fixed_point(result.forced, result.matrix)
         if bounds is None or not bounds[ERROR] < WORTH * error:
             break
-        stages.append(stage_of(problem, (sigma, e), result, bounds))
+        stages.append(bounds_stage(problem, (sigma, e), result, bounds))
         sigma, e, error = bounds[SIGMA], bounds[ERROR], bounds[ERROR]
     return stages

@@ -11,30 +11,30 @@ from dssc_jax.proofs.balls import Rejected, enclosing, larger, require_premise
 PRECISE = 0.03  # largest excess of a hull over the gains themselves, in widths of the hull
 ROUNDING = 2.0**-40  # and in sizes of the gain
 MOST_PIECES = 6000
-TINY = 1e-300
+SMALLEST_ROOM = 1e-300
 Balls = dict[str, arb]
 
 
-class Piece(NamedTuple):
+class RegionPiece(NamedTuple):
     """Intervals of |sigma| and |e|, and the sign of sigma e: the gains are the same at (-sigma, -e)."""
 
     size: tuple[float, float]
     sign: int
     e: tuple[float, float]
 
-    def halves(self, by_e: bool) -> list["Piece"]:
+    def halves(self, by_e: bool) -> list["RegionPiece"]:
         """Both halves, in r = |sigma|^(1/2) or in |e|."""
         (low, high), (left, right), middle = self.size, self.e, self.middle()
         if by_e:
             return [self._replace(e=(left, middle.e[0])), self._replace(e=(middle.e[0], right))]
         return [self._replace(size=(low, middle.size[0])), self._replace(size=(middle.size[0], high))]
 
-    def middle(self) -> "Piece":
+    def middle(self) -> "RegionPiece":
         """Its middle, a point."""
         cut, e = (0.5 * (self.size[0] ** 0.5 + self.size[1] ** 0.5)) ** 2, 0.5 * (self.e[0] + self.e[1])
         return self._replace(size=(cut, cut), e=(e, e))
 
-    def corners(self) -> list["Piece"]:
+    def corners(self) -> list["RegionPiece"]:
         """Its corners, each a point."""
         return [self._replace(size=(size, size), e=(e, e)) for size, e in product(self.size, self.e)]
 
@@ -47,7 +47,7 @@ class PointHull:
         self.problem = problem
         self.ends: dict[str, tuple[float, float]] = {}
 
-    def add(self, point: Piece) -> None:
+    def add(self, point: RegionPiece) -> None:
         """Take in a point."""
         for name, ball in gains_at(self.problem, point).items():
             value, (low, high) = float(ball.mid()), self.ends.get(name, (math.inf, -math.inf))
@@ -56,7 +56,7 @@ class PointHull:
     def rooms(self) -> dict[str, float]:
         """By how much a ball may exceed the hull."""
         return {
-            name: PRECISE * (high - low) + ROUNDING * max(abs(low), abs(high)) + TINY
+            name: PRECISE * (high - low) + ROUNDING * max(abs(low), abs(high)) + SMALLEST_ROOM
             for name, (low, high) in self.ends.items()
         }
 
@@ -76,7 +76,7 @@ def enclosed_gains(problem: dict[str, Any], sigma: float, e: float) -> Balls:
     """
     of_both = problem["functions"]["kind"] == "vgsta"
     signs, ends = ((1, -1), (0.0, e)) if of_both else ((1,), (0.0, 0.0))
-    pieces = [Piece((0.0, sigma), sign, ends) for sign in signs]
+    pieces = [RegionPiece((0.0, sigma), sign, ends) for sign in signs]
     points, result, left = PointHull(problem), Balls(), MOST_PIECES
     for piece in pieces:
         for corner in piece.corners():
@@ -103,7 +103,7 @@ def enclosed_gains(problem: dict[str, Any], sigma: float, e: float) -> Balls:
     return result
 
 
-def varies_with_e(problem: dict[str, Any], piece: Piece, rooms: dict[str, float]) -> bool:
+def varies_with_e(problem: dict[str, Any], piece: RegionPiece, rooms: dict[str, float]) -> bool:
     """Whether the gains vary more with e than with sigma in a piece."""
     middle = piece.middle()
     by_size, by_e = (gains_at(problem, each) for each in (piece._replace(e=middle.e), piece._replace(size=middle.size)))
@@ -112,7 +112,7 @@ def varies_with_e(problem: dict[str, Any], piece: Piece, rooms: dict[str, float]
     )
 
 
-def gains_at(problem: dict[str, Any], piece: Piece) -> Balls:
+def gains_at(problem: dict[str, Any], piece: RegionPiece) -> Balls:
     """The gains in a piece of the region."""
     product_, tau_m = functions_at(problem, piece.size, piece.sign, enclosing(*piece.e))
     t, own = arb(problem["sample_time"]), problem["functions"]

@@ -19,7 +19,7 @@ TAIL_SHARE = 2e-5
 ROUNDED = 2.0**-44
 SUMMED = 1.0 + 2.0**-30
 """Covers the rounding of the sums themselves, of which there are fewer than 2^20 terms."""
-TINY = 1e-290
+UNDERFLOW = 1e-290
 
 
 class ResponseBounds(NamedTuple):
@@ -77,7 +77,7 @@ def response_bounds(
             lost[j] = lost[j] + ones * max((z[i, j].rad() for i in range(n)), key=float)
         z = arb_mat([[z[i, j].mid() for j in range(z.ncols())] for i in range(n)])
         now = middles(z)
-        response = (np.abs(value @ now) + ROUNDED * (size @ np.abs(now)) + TINY).reshape(BLOCK, m, -1)
+        response = (np.abs(value @ now) + ROUNDED * (size @ np.abs(now)) + UNDERFLOW).reshape(BLOCK, m, -1)
         sums += response[:, :, :q].sum(axis=0)
         peaks = np.maximum(peaks, response[:, :, q:].max(axis=0))
         z = jump * z
@@ -85,7 +85,7 @@ def response_bounds(
             ends = [(state_size(p, z, j) + lost[j]).upper() for j in range(z.ncols())]
             after = reach[:, None] * np.array([float(each) for each in ends])
             tails = after[:, :q] * float((2 / decay).upper())
-            if np.all(tails <= TAIL_SHARE * sums) and np.all(after[:, q:] <= np.maximum(peaks, TINY)):
+            if np.all(tails <= TAIL_SHARE * sums) and np.all(after[:, q:] <= np.maximum(peaks, UNDERFLOW)):
                 peaks = np.maximum(peaks, after[:, q:]).max(axis=1, initial=0.0)
                 return ResponseBounds(SUMMED * (sums + tails), SUMMED * peaks)
     return None

@@ -6,12 +6,12 @@ from typing import Any
 from flint import arb, arb_mat
 
 from dssc_jax.proofs.balls import (
-    Limits,
+    StageLimits,
     approximate_root,
     both,
+    bound_in_set,
     enclosing,
     larger,
-    largest_in_set,
     positive_definite,
     require_premise,
     symmetric_ball,
@@ -33,7 +33,7 @@ from dssc_jax.proofs.gain_enclosures import Balls
 
 def invariant_bounds(
     problem: dict[str, Any], box: dict[str, Any], stage: dict[str, Any], gains: Balls, started: bool, where: str
-) -> Limits:
+) -> StageLimits:
     """Show that the stage's set is invariant and attracts.
 
     Args:
@@ -51,8 +51,8 @@ def invariant_bounds(
     if started:
         check_start(problem, p, where)
         check_sliding(problem, inverse, gains, where)
-    sigma, e = (largest_in_set(inverse, rows[name]) for name in ("sigma", "e"))
-    return Limits(sigma, e, between_samples(problem, box, inverse, gains))
+    sigma, e = (bound_in_set(inverse, rows[name]) for name in ("sigma", "e"))
+    return StageLimits(sigma, e, error_between_samples(problem, box, inverse, gains))
 
 
 def check_start(problem: dict[str, Any], p: arb_mat, where: str) -> None:
@@ -70,7 +70,7 @@ def check_sliding(problem: dict[str, Any], inverse: arb_mat, gains: Balls, where
     rows, room = signal_rows(problem), arb(problem["rho"]) - arb(problem["level"])
     for a, b in product(both(gains["slide_p"]), both(gains["slide_i"])):
         row = rows["v"] + rows["change"] * a + rows["sigma"] * b
-        holds = largest_in_set(inverse, row) <= room
+        holds = bound_in_set(inverse, row) <= room
         require_premise(holds, f"P5: the equivalent control may exceed rho in {where}")
 
 
@@ -101,7 +101,7 @@ def check_invariance(
         require_premise(positive_definite(symmetrised(block)), f"P6: the set is not invariant in {where}")
 
 
-def between_samples(problem: dict[str, Any], box: dict[str, Any], inverse: arb_mat, gains: Balls) -> arb:
+def error_between_samples(problem: dict[str, Any], box: dict[str, Any], inverse: arb_mat, gains: Balls) -> arb:
     """Upper bound of |e(t)| at all times, while z at the samples is in the set."""
     _, _, n = dimensions(problem)
     t, k_p = arb(problem["sample_time"]), enclosing(*box["k_p"])
@@ -112,5 +112,5 @@ def between_samples(problem: dict[str, Any], box: dict[str, Any], inverse: arb_m
         for gain in product(*(both(gains[name]) for name in ("k_p", "k_i", "k_n"))):
             command = command_row(problem, new_row(problem, gain[0], gain[1]), gain[2])
             row = [(flow[0, j] if j < n - 2 else arb(0)) + k_p * flow[0, n - 2] * command[0, j] for j in range(n)]
-            largest = larger(largest, (largest_in_set(inverse, arb_mat([row])) + rest).upper())
+            largest = larger(largest, (bound_in_set(inverse, arb_mat([row])) + rest).upper())
     return largest

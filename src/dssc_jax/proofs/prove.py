@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.proofs import BOXES
 from dssc_jax.proofs.problem import Interval, ProofProblem, problem_of
 from dssc_jax.proofs.search import Box, Failure, Proof, halves, prove_box, volume
 from dssc_jax.proofs.verifier import ProofVerdict, verify_certificate, verify_proof
 from dssc_jax.study import Study
 
-BOXES = 64
-"""Largest number of boxes that are tried."""
 VERSION = 1
 REASONS = {
     "origin": "the loop is not stable at sigma = e = 0",
@@ -121,12 +120,19 @@ def prove(study: Study, *, boxes: int = BOXES, progress: Callable[[int, int], No
         NotCovered: The loop is outside of what a proof covers; the message gives the reason.
         ConfigError: ``boxes`` is not positive.
     """
+    return prove_problem(problem_of(study), boxes, progress)
+
+
+def prove_problem(problem: ProofProblem, boxes: int, progress: Callable[[int, int], None] | None = None) -> Proved:
+    """:func:`prove` for a problem.
+
+    Raises:
+        ConfigError: ``boxes`` is not positive.
+    """
     if boxes < 1:
         raise ConfigError("boxes", f"must be at least 1, got {boxes}")
-    began, problem = time.perf_counter(), problem_of(study)
-    content = problem.to_dict()
-    number = itertools.count()  # boxes of one volume are taken in their order
-    waiting: list[tuple[float, int, Box]] = [(-1.0, next(number), problem.box)]
+    began, content, number = time.perf_counter(), problem.to_dict(), itertools.count()
+    waiting: list[tuple[float, int, Box]] = [(-1.0, next(number), problem.box)]  # the number orders equal volumes
     proofs: list[Proof] = []
     failures: list[Failure] = []
     verdicts: list[ProofVerdict] = []

@@ -172,9 +172,9 @@ def first_set(setting: Setting) -> SetStage | str:
         slides = [Bounded(row, bound, 1.0) for row in slide_rows(problem, hull, at)]
         for share in RATES:
             if (result := setting.solve(steps, [*inside, *slides], share, started=True)) is not None:
-                return stage_of(result, sigma, e)
-        if size == REGIONS[0] and all(setting.solve(steps, [], share, started=False) is None for share in RATES):
-            return "decay"
+                return set_stage(result, sigma, e)
+        if setting.solve(steps, [], min(RATES), started=False) is None:  # nor in any larger region
+            return "decay" if size == REGIONS[0] else "sliding" if held else "region"
         held = held or (bool(slides) and setting.solve(steps, inside, RATES[0], started=True) is not None)
     return "sliding" if held else "region"
 
@@ -185,11 +185,11 @@ def smaller_set(setting: Setting, sigma: float, e: float) -> SetStage | None:
     steps = setting.steps(gain_hull(setting.problem, sigma, e))
     rows = [Bounded(at.rows[E], e, 1.0), Bounded(at.rows[SIGMA], sigma, 0.05)]
     tried = (setting.solve(steps, rows, share, started=False) for share in RATES)
-    found = [each for each in tried if each is not None]
-    best = min(found, key=lambda each: largest_in_set(each.p, at.rows[E]), default=None)
+    solutions = [each for each in tried if each is not None]
+    best = min(solutions, key=lambda each: largest_in_set(each.p, at.rows[E]), default=None)
     if best is None or largest_in_set(best.p, at.rows[E]) > ENOUGH * e:
         return None
-    return stage_of(best, sigma, e)
+    return set_stage(best, sigma, e)
 
 
 def excursion(step: Step, first: list[np.ndarray], samples: int) -> tuple[float, float]:
@@ -204,7 +204,7 @@ def excursion(step: Step, first: list[np.ndarray], samples: int) -> tuple[float,
     return float(e), float(sigma)
 
 
-def stage_of(result: Solution, sigma: float, e: float) -> SetStage:
+def set_stage(result: Solution, sigma: float, e: float) -> SetStage:
     """The stage of a solution."""
     return SetStage(sigma, e, result.rate, result.multipliers.tolist(), result.p.tolist())
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from flint import arb, arb_mat
 
-from dssc_jax.proofs.balls import Limits, enclosing, larger, positive_definite, require_premise, symmetric_ball
+from dssc_jax.proofs.balls import StageLimits, enclosing, larger, positive_definite, require_premise, symmetric_ball
 from dssc_jax.proofs.enclosed_loop import (
     command_row,
     dimensions,
@@ -31,7 +31,7 @@ from dssc_jax.proofs.enclosed_loop import (
 from dssc_jax.proofs.gain_enclosures import Balls
 from dssc_jax.proofs.impulse_responses import response_bounds
 
-GAINS: tuple[str, ...] = ("k_p", "k_i", "k_n", "slide_p", "slide_i")
+MIDDLE_GAINS: tuple[str, ...] = ("k_p", "k_i", "k_n", "slide_p", "slide_i")
 CHANGE, SIGMA, ERROR, COMMAND, EQUIVALENT, STATES = range(6)
 """Places of the signals in a list of bounds; the states follow."""
 
@@ -91,7 +91,7 @@ def middle_loop(problem: dict[str, Any], box: dict[str, Any], centre: Balls) -> 
 
 def implied_bounds(
     problem: dict[str, Any], box: dict[str, Any], stage: dict[str, Any], gains: Balls, started: bool, where: str
-) -> Limits:
+) -> StageLimits:
     """Show that the stage's bounds imply themselves.
 
     Args:
@@ -103,15 +103,15 @@ def implied_bounds(
         where: The stage's place, for messages.
     """
     t, rate = arb(problem["sample_time"]), arb(stage["rate"])
-    centre = dict(zip(GAINS, map(arb, stage["gains"]), strict=True))
-    half = {name: abs(gains[name] - centre[name]).upper() for name in GAINS}
+    centre = dict(zip(MIDDLE_GAINS, map(arb, stage["gains"]), strict=True))
+    half = {name: abs(gains[name] - centre[name]).upper() for name in MIDDLE_GAINS}
     loop = middle_loop(problem, box, centre)
     p, bounds = symmetric_ball(stage["p"]), [arb(each) for each in stage["bounds"]]
     require_premise(rate > 0 and t * rate < 1, f"P7: lambda is not in (0, 1/T_s) in {where}")
     require_premise(len(bounds) == loop.rows.nrows(), f"P7: not one bound for each signal in {where}")
     falls = p * (1 - t * rate) - loop.a.transpose() * p * loop.a
     require_premise(positive_definite(falls), f"P7: V does not fall in {where}")
-    inputs = joined(loop.w, loop.deviations)
+    inputs = adjoined(loop.w, loop.deviations)
     starts = start_columns(problem) if started else arb_mat(p.nrows(), 0)
     responses = response_bounds(loop.a, loop.rows, inputs, starts, p, t * rate)
     require_premise(responses is not None, f"P7: the responses decay too slowly in {where}")
@@ -125,11 +125,11 @@ def implied_bounds(
         room = arb(problem["rho"]) - arb(problem["level"])
         slack = half["slide_p"] * bounds[CHANGE] + half["slide_i"] * bounds[SIGMA]
         require_premise(bounds[EQUIVALENT] + slack <= room, f"P5: the equivalent control may exceed rho in {where}")
-    bend = between_samples(problem, box, bounds, true_command(half, bounds, t))
-    return Limits(bounds[SIGMA], bounds[ERROR], (bounds[ERROR] + bend).upper())
+    bend = bend_between_samples(problem, box, bounds, true_command(half, bounds, t))
+    return StageLimits(bounds[SIGMA], bounds[ERROR], (bounds[ERROR] + bend).upper())
 
 
-def joined(left: arb_mat, right: arb_mat) -> arb_mat:
+def adjoined(left: arb_mat, right: arb_mat) -> arb_mat:
     """Two matrices side by side."""
     return arb_mat(
         [
@@ -158,7 +158,7 @@ def deviation_sizes(loop: MiddleLoop, half: Balls, bounds: list[arb], t: arb) ->
     return sizes
 
 
-def between_samples(problem: dict[str, Any], box: dict[str, Any], bounds: list[arb], command: arb) -> arb:
+def bend_between_samples(problem: dict[str, Any], box: dict[str, Any], bounds: list[arb], command: arb) -> arb:
     """How far e can deviate from the straight line between two samples: T_s^2/8 sup |e''|."""
     _, _, n = dimensions(problem)
     t, k_p = arb(problem["sample_time"]), arb(box["k_p"][1])

@@ -13,14 +13,14 @@ from typing import Any, NamedTuple
 
 from flint import arb, ctx
 
-from dssc_jax.proofs.balls import Limits, Rejected, require_premise
+from dssc_jax.proofs.balls import Rejected, StageLimits, require_premise
 from dssc_jax.proofs.gain_enclosures import enclosed_gains
 from dssc_jax.proofs.invariant_sets import invariant_bounds
 from dssc_jax.proofs.small_gain import implied_bounds
 
 PRECISION = 160  # bits
 ENTERED = "1.0001"  # a multiple of an upper limit, which a signal does not exceed from some sample on
-METHODS = {"invariant set": invariant_bounds, "small gain": implied_bounds}
+STAGE_METHODS = {"invariant set": invariant_bounds, "small gain": implied_bounds}
 
 
 class ProofVerdict(NamedTuple):
@@ -76,7 +76,7 @@ def verify_proof(problem: dict[str, Any], proof: dict[str, Any]) -> ProofVerdict
     return ProofVerdict(True, "", min(map(above, limits)), above(limits[0]))
 
 
-def above(limits: Limits) -> float:
+def above(limits: StageLimits) -> float:
     """The bound of |e(t)|, rounded up."""
     return math.nextafter(float(limits.between), math.inf)
 
@@ -109,7 +109,7 @@ def require_cover(problem: dict[str, Any], boxes: list[dict[str, Any]]) -> None:
         require_premise(held, f"P1: no box covers {dict(zip(names, cell, strict=True))}")
 
 
-def verified_stages(problem: dict[str, Any], proof: dict[str, Any]) -> list[Limits]:
+def verified_stages(problem: dict[str, Any], proof: dict[str, Any]) -> list[StageLimits]:
     """Check every stage of a box; return what each shows."""
     box = proof["box"]
     require_premise(bool(proof["stages"]), "P2: no stage")
@@ -118,10 +118,10 @@ def verified_stages(problem: dict[str, Any], proof: dict[str, Any]) -> list[Limi
     require_premise(problem["slope"] >= 0.0 and problem["level"] >= 0.0, "P2: a bound of the disturbance is negative")
     if problem["rho"] is not None:
         require_premise(arb(problem["rho"]) > arb(problem["level"]), "P5: rho does not exceed the disturbance")
-    limits: list[Limits] = []
+    limits: list[StageLimits] = []
     for number, stage in enumerate(proof["stages"], 1):
         where = f"stage {number} of the box {box}"
-        method = METHODS.get(stage["method"])
+        method = STAGE_METHODS.get(stage["method"])
         require_premise(method is not None, f"P2: unknown method '{stage['method']}' in {where}")
         assert method is not None
         if limits:
@@ -133,7 +133,7 @@ def verified_stages(problem: dict[str, Any], proof: dict[str, Any]) -> list[Limi
     return limits
 
 
-def require_region(limits: Limits, factor: arb, stage: dict[str, Any], who: str) -> None:
+def require_region(limits: StageLimits, factor: arb, stage: dict[str, Any], who: str) -> None:
     """(P4) What was shown lies in the region of a stage."""
     for name, limit in (("sigma", limits.sigma), ("e", limits.e)):
         require_premise(limit * factor <= arb(stage[name]), f"{who} leaves |{name}| <= {stage[name]}")

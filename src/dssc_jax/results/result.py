@@ -14,13 +14,14 @@ from dssc_jax.core.signals import Outcome
 from dssc_jax.design import certification
 from dssc_jax.engine.batching import Layout
 from dssc_jax.results import store
+from dssc_jax.results.proofs import SweepProofs, read_proofs
 from dssc_jax.results.schema import variables
 from dssc_jax.results.summary import lines, points
 from dssc_jax.statistics import CONFIDENCE, DataDriven, FixedCount, Method, Replicated
 from dssc_jax.study import Study
 
 ERRORS = ("error_rms", "position_error_rms")  # of a plant of one channel, and of a vehicle
-GIVEN = "with a rho that keeps sliding"
+GIVEN = "without lag and sampling and with a rho that keeps sliding"
 """What a certificate assumes besides the loop that it names."""
 
 DESIGN_NAMES = {"sobol": "scrambled Sobol", "lhs": "Latin hypercube"}
@@ -52,15 +53,38 @@ class Result:
         """
         certified = certification.mark(study).certified
         if certified is not None:
-            about = {"long_name": "certified by Theorem 1"}
+            about = {"long_name": "certified by Theorem 1, without lag and sampling"}
             dataset = dataset.assign_coords(certified=(tuple(study.axes), certified, about))
-        return cls(study, dataset, manifest, path)
+        result = cls(study, dataset, manifest, path)
+        proofs = read_proofs(path, study) if path is not None else None
+        return result if proofs is None else result.with_proofs(proofs)
+
+    def with_proofs(self, proofs: SweepProofs) -> "Result":
+        """The result with what is proved at each point: the coordinates ``proved`` and ``proved_error`` [m]."""
+        about = {"long_name": "proved for all plants, with lag and sampling"}
+        bound = {"long_name": "proved upper bound of |e| once settled", "units": "m"}
+        axes = tuple(self.study.axes)
+        coordinates = {"proved": (axes, proofs.proved, about), "proved_error": (axes, proofs.error, bound)}
+        return Result(self.study, self.dataset.assign_coords(coordinates), self.manifest, self.path)
 
     @property
     def certificate(self) -> str:
+        """What is proved of the loop, and what Theorem 1 says of it, in one line."""
+        return "; ".join(filter(None, (self.proofs, self.theorem)))
+
+    @property
+    def proofs(self) -> str:
+        """How many points are proved, with lag and sampling; empty if none was tried."""
+        if "proved" not in self.dataset:
+            return ""
+        proved = self.dataset["proved"].values
+        return f"{np.count_nonzero(proved)} of {proved.size} points are proved, with lag and sampling"
+
+    @property
+    def theorem(self) -> str:
         """The result of Theorem 1 for the loop, in one line."""
         if "certified" not in self.dataset:
-            return f"not certified: {certification.mark(self.study).reason}"
+            return f"Theorem 1 does not apply: {certification.mark(self.study).reason}"
         certified = self.dataset["certified"].values
         if not certified.ndim:
             return f"certified by Theorem 1, {GIVEN}" if certified else "not certified by Theorem 1"

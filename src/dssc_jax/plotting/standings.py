@@ -1,0 +1,30 @@
+"""How a point of a sweep stands: proved, surviving every draw, failing in some, or in all."""
+
+import numpy as np
+from matplotlib.colors import ListedColormap
+from matplotlib.patches import Patch
+
+from dssc_jax.plotting.style import BLUE, RED, SKY, YELLOW
+
+STANDINGS = (
+    (BLUE, "proved for every plant of the laws"),
+    (SKY, "survives: not proved, no draw fails"),
+    (YELLOW, "unknown: some draws fail"),
+    (RED, "fails in every draw"),
+)
+"""Colour and meaning."""
+
+
+def standing_of(proved: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """The index in :data:`STANDINGS`, from what is proved and the share of draws that fail."""
+    return np.select([proved, share == 0.0, share < 1.0], [0, 1, 2], 3)
+
+
+def standing_colours() -> ListedColormap:
+    """One colour for each standing."""
+    return ListedColormap([colour for colour, _ in STANDINGS])
+
+
+def standing_keys() -> list[Patch]:
+    """Legend entries."""
+    return [Patch(facecolor=colour, label=text) for colour, text in STANDINGS]

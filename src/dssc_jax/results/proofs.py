@@ -1,0 +1,72 @@
+"""Proofs of a sweep's points: as a record, and as a file of a results folder."""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.study import Study
+
+PROOFS_FILE = "proofs.json"
+
+
+@dataclass(frozen=True)
+class SweepProofs:
+    """What is proved at each point of a sweep.
+
+    Args:
+        study_hash: Hash of the study.
+        axes: Values of each swept parameter.
+        points: Summary of each point's proof; the last axis varies fastest.
+        certificates: Certificate of each point.
+        seconds: Time spent.
+    """
+
+    study_hash: str
+    axes: dict[str, tuple[float, ...]]
+    points: list[dict[str, Any]]
+    certificates: list[dict[str, Any]]
+    seconds: float
+
+    @property
+    def proved(self) -> np.ndarray:
+        """Whether each point is proved for all its plants, by axes."""
+        return self._by_axes([point["proved"] for point in self.points])
+
+    @property
+    def error(self) -> np.ndarray:
+        """Proved upper bound of |e| [m] once settled, by axes; NaN where the point is not proved."""
+        return self._by_axes([point["error"] if point["proved"] else np.nan for point in self.points])
+
+    def _by_axes(self, values: list[Any]) -> np.ndarray:
+        return np.array(values).reshape([len(each) for each in self.axes.values()])
+
+    def save(self, folder: str | Path) -> Path:
+        """Write the proofs with their certificates into a results folder."""
+        path = Path(folder) / PROOFS_FILE
+        path.write_text(json.dumps(asdict(self), allow_nan=False) + "\n", encoding="utf-8")
+        return path
+
+
+def read_proofs(folder: Path, study: Study) -> SweepProofs | None:
+    """The proofs in a results folder; None if there are none, or if they are another study's.
+
+    They are what the folder claims. ``dssc-jax prove FOLDER/proofs.json`` verifies every certificate.
+
+    Raises:
+        ConfigError: the file is damaged.
+    """
+    path = folder / PROOFS_FILE
+    if not path.exists():
+        return None
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        axes = {name: tuple(values) for name, values in content["axes"].items()}
+        proofs = SweepProofs(**{**content, "axes": axes})
+        proofs.error  # noqa: B018  (as many points as the axes have, each with its fields)
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise ConfigError(str(path), f"is damaged: {error!r}; delete it, and run sweep --prove again") from None
+    return proofs if proofs.study_hash == study.hash and axes == study.axes else None
