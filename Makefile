@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 QUICK := $(addprefix tests/,engine/test_batching.py backend closed_loop/test_settled.py test_protocols.py cli/test_commands.py)
 
-.PHONY: study test quick lint types check measure bench ratios paper conservatism noise notebooks pages pareto docs clean
+.PHONY: study test quick lint types check measure bench ratios proofs paper conservatism noise notebooks pages pareto docs clean
 
 study: $(VENV)/run  ## install, and run the main job: how much unmodelled lag does a DSSC loop survive?
 	$(BIN)/dssc-jax sweep studies/mu_robustness.toml
@@ -44,6 +44,9 @@ noise: $(VENV)/run  ## regenerate docs/noise.md: measurement noise in DSSC, othe
 
 ratios: $(VENV)/test  ## fail if the loop became slower than plain XLA and C allow; on a quiet machine
 	$(BIN)/python -m pytest benchmarks/speed/test_ratios.py
+
+proofs: $(VENV)/test  ## regenerate the measured part of docs/proofs.md: what is proved, and who tried to break it
+	$(BIN)/python -m benchmarks.proofs
 
 notebooks: $(VENV)/test  ## run the notebooks anew; a test tells where their stored output is old
 	$(BIN)/python -m benchmarks.notebooks

@@ -12,7 +12,7 @@ from flint import arb, arb_mat
 
 from dssc_jax.proofs.balls import larger
 
-BLOCK, MOST_BLOCKS = 64, 8000
+BLOCK, MOST_BLOCKS = 128, 4000
 """Samples of a block, and the largest number of blocks."""
 TAIL_SHARE = 2e-5
 """Share of a sum at which its tail is bounded instead of computed."""

@@ -1,0 +1,1 @@
+"""Regenerate the measured parts of docs/proofs.md and its figure: ``make proofs``."""

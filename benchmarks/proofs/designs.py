@@ -1,0 +1,86 @@
+"""Random designs with a lag of half their local margin: the proved residual against the exact worst case."""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.conservatism import random_cases
+from dssc_jax.design import guarantee
+from dssc_jax.design.practice import practice
+from dssc_jax.proofs.gains import gain_hull
+from dssc_jax.proofs.problem import ProofProblem
+from dssc_jax.proofs.prove import prove_problem
+from dssc_jax.proofs.sampled_loop import Step, box_middle, step_of
+
+FUNCTIONS = ("phi_a", "phi_b", "kappa_a", "kappa_b", "kappa_c", "kappa_d", "gamma", "delta")
+LONGEST, ENDED = 4_000_000, 1e-9
+
+
+class DesignProof(NamedTuple):
+    """A design's proved bound of |e|, the exact worst case of its loop at sigma = e = 0, and Theorem 1's bound [m]."""
+
+    proved: float
+    exact: float
+    theorem: float
+    reason: str
+
+
+def design_proofs(count: int, seed: int = 5) -> list[DesignProof]:
+    """Prove designs from rest, each with the plant at k_max and a_max and T_s a third of the proposed one."""
+    cases = random_cases(np.random.default_rng(seed), count)
+    result = []
+    for i in range(count):
+        p, b = (single(each, i) for each in (cases.parameters, cases.bounds))
+        functions = {"kind": "vgsta", "k_o": 1.0, "epsilon": float(p.eps)}
+        functions |= {name: float(getattr(p, name)) for name in FUNCTIONS}
+        period, k_p, a_p = float(practice(p, b).sample_time) / 3.0, float(b.k_max), float(b.a_max)
+        slope = float(b.alpha_d2)
+
+        problem = ProofProblem(
+            sample_time=period, l0=float(p.l0), form="implicit", functions=functions, rho=1e6, nominal=None,
+            k_p=(k_p, k_p), a_p=(a_p, a_p), zero_a=(), zero_c=(), lag_order=2, mu=(1.0, 1.0), level=0.0, slope=slope,
+            initial=((0.0, 0.0), (0.0, 0.0)), matched=True,
+        )  # fmt: skip
+        problem = with_lag(problem, 0.5 * local_margin(problem))
+        outcome = prove_problem(problem, 1)
+        reason = outcome.failures[0].reason if outcome.failures else ""
+        result.append(DesignProof(outcome.error, exact_worst(at_origin(problem)), float(guarantee(p, b).e), reason))
+    return result
+
+
+def single(arrays: Any, i: int) -> Any:
+    """One of the records whose fields are arrays."""
+    return type(arrays)(*(part[i] if np.ndim(part) else part for part in arrays))
+
+
+def at_origin(problem: ProofProblem) -> Step:
+    """The loop linearised at sigma = e = 0."""
+    return step_of(problem, box_middle(problem.box, gain_hull(problem, 1e-12, 1e-12)))
+
+
+def with_lag(problem: ProofProblem, mu: float) -> ProofProblem:
+    """The problem with another lag."""
+    return dataclasses.replace(problem, mu=(mu, mu))
+
+
+def local_margin(problem: ProofProblem) -> float:
+    """The lag at which the loop linearised at the origin becomes unstable [s]."""
+    low, high = problem.sample_time * 1e-3, problem.sample_time * 1e5
+    for _ in range(50):
+        middle = float(np.sqrt(low * high))
+        stable = np.max(np.abs(np.linalg.eigvals(at_origin(with_lag(problem, middle)).a))) < 1.0
+        low, high = (middle, high) if stable else (low, middle)
+    return low
+
+
+def exact_worst(step: Step) -> float:
+    """The l1 norm from the increments of d to e, summed one sample after the other."""
+    total, z = 0.0, step.b[:, 0]
+    for k in range(LONGEST):
+        part = abs(step.rows[0] @ z)
+        total += part
+        z = step.a @ z
+        if k % 1000 == 999 and np.abs(z).max() <= ENDED * np.abs(step.b[:, 0]).max():
+            break
+    return total
