@@ -44,6 +44,7 @@ def test_there_are_notebooks():
         "uav_wind",
         "compare_controllers",
         "tuning",
+        "proved_survived_unknown",
     ]
 
 

@@ -35,13 +35,14 @@ def map_text(result: dj.Result, proofs: SweepProofs) -> str:
     each = [point["seconds"] for point, here in zip(proofs.points, proved.ravel(), strict=True) if here]
     draws, certified = result.failed.sizes["draw"], int(theorem.sum())
     return (
-        f"`dssc-jax sweep design_map --prove --boxes 1`: {proved.size} points, {draws} draws at each. {int(proved.sum())} "
-        f"points are proved, {int((proved & stable).sum())} of the {int(stable.sum())} without an unstable draw; "
+        f"`dssc-jax sweep design_map --prove --boxes 1`: {proved.size} points, {draws} draws at each. "
+        f"{int(proved.sum())} points are proved, {int((proved & stable).sum())} of the {int(stable.sum())} without an "
+        f"unstable draw; "
         f"{int((proved & (failing > 0)).sum())} of them have a draw that fails. Theorem 1, which knows neither lag nor "
         f"sampling, certifies {certified}; in {int((theorem & (failing == 1.0)).sum())} of these every draw fails. The "
         f"proved bound of |e| is {np.median(ratio):.2g} times the largest seen in the draws (median; at most "
-        f"{ratio.max():.2g}), for all plants and disturbances. A proved point took {np.median(each):.2g} s (median), the "
-        f"map {proofs.seconds:.0f} s."
+        f"{ratio.max():.2g}), for all plants and disturbances. A proved point took {np.median(each):.2g} s "
+        f"(median), the map {proofs.seconds:.0f} s."
     )
 
 
@@ -52,9 +53,10 @@ def designs_text(designs: list[DesignProof]) -> str:
     theorem = np.median([each.theorem / each.exact for each in good])
     return (
         f"{len(designs)} random strict designs (those of [conservatism](conservatism.md)), T_s a third of the proposed "
-        f"one, with a lag of order 2 at half of the loop's local margin: {len(good)} are proved. The proved bound of |e| "
-        f"over the exact worst case of the loop linearised at the origin (the l1 norm): median {np.median(ratios):.4f}, "
-        f"largest {ratios.max():.4f}. Theorem 1's bound, without the lag: median {theorem:.3g}."
+        f"one, with a lag of order 2 at half of the loop's local margin: {len(good)} are proved. The proved bound of "
+        f"|e| over the exact worst case of the loop linearised at the origin (the l1 norm): median "
+        f"{np.median(ratios):.4f}, largest {ratios.max():.4f}. Theorem 1's bound, without the lag: "
+        f"median {theorem:.3g}."
     )
 
 

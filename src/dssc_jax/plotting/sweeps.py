@@ -124,7 +124,12 @@ def standing(result: Result, ax: Axes | None = None) -> Figure:
     required = "; ".join(r.text for r in result.study.requirements) or "the draw stays finite"
     ax.set_title(textwrap.fill(f"{result.failed.sizes['draw']} draws: {required}", 44), parse_math=False)
     finish_map(ax, result, down, across, [])
-    ax.legend(handles=[*standing_keys(), *map_keys(result, [])], loc="upper center", bbox_to_anchor=(0.5, -0.2))
+    ax.legend(
+        handles=[*standing_keys(), *map_keys(result, [])],
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.32),
+        frameon=False,
+    )
     return figure
 
 

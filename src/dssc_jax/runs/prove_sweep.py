@@ -5,8 +5,10 @@ import multiprocessing
 import os
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from functools import partial
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from multiprocessing.connection import Connection
+from queue import SimpleQueue
 from typing import Any
 
 from dssc_jax.core.errors import ConfigError
@@ -15,43 +17,98 @@ from dssc_jax.proofs.problem import ProofProblem, problem_of
 from dssc_jax.results.proofs import SweepProofs
 from dssc_jax.study import Study
 
+PointOutcome = tuple[dict[str, Any], dict[str, Any]]
+"""Summary and certificate of one point."""
+
 
 def prove_sweep(
-    study: Study, *, boxes: int = SWEEP_BOXES, progress: Callable[[int, int], None] | None = None
+    study: Study,
+    *,
+    boxes: int = SWEEP_BOXES,
+    processes: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> SweepProofs:
     """Prove a study at every point of its sweep.
-
-    Processes are spawned, so a script that calls this needs ``if __name__ == "__main__":``.
 
     Args:
         study: A study with a sweep; a swept value takes the place of its parameter's law.
         boxes: Largest number of boxes of uncertain numbers that are tried at each point.
+        processes: Number of processes; None: one for each core. They are spawned, so a script that asks for several
+            needs ``if __name__ == "__main__":``. With 1, this process does the work.
         progress: Called with the points done and the number of points.
 
     Raises:
         NotCovered: The loop is outside of what a proof covers; the message gives the reason.
-        ConfigError: ``boxes`` is not positive.
+        ConfigError: ``boxes`` or ``processes`` is not positive.
+        RuntimeError: A process has ended before its work.
     """
-    if boxes < 1:
-        raise ConfigError("boxes", f"must be at least 1, got {boxes}")
+    count = processes or os.cpu_count() or 1
+    for name, value in (("boxes", boxes), ("processes", 1 if processes is None else processes)):
+        if value < 1:
+            raise ConfigError(name, f"must be at least 1, got {value}")
     began, problems = time.perf_counter(), [problem_of(point) for point in sweep_points(study)]
-    outcomes: list[tuple[dict[str, Any], dict[str, Any]]] = []
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(len(problems), os.cpu_count() or 1), mp_context=spawn) as pool:
-        for outcome in pool.map(partial(prove_point, boxes=boxes), problems):
-            outcomes.append(outcome)
+    outcomes: list[PointOutcome] = []
+    with ExitStack() as stack:
+        if count == 1:
+            answers = (prove_point(problem, boxes) for problem in problems)
+        else:
+            idle: SimpleQueue[Connection] = SimpleQueue()
+            for _ in range(min(count, len(problems))):
+                idle.put(stack.enter_context(worker(boxes)))
+            pool = stack.enter_context(ThreadPoolExecutor(count))
+            answers = pool.map(lambda problem: ask(idle, problem), problems)
+        for answer in answers:
+            outcomes.append(answer)
             if progress is not None:
                 progress(len(outcomes), len(problems))
     summaries, certificates = ([each[i] for each in outcomes] for i in (0, 1))
     return SweepProofs(study.hash, study.axes, summaries, certificates, time.perf_counter() - began)
 
 
-def prove_point(problem: ProofProblem, boxes: int) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Summary and certificate of one point; runs in a process of its own."""
+def prove_point(problem: ProofProblem, boxes: int) -> PointOutcome:
+    """Summary and certificate of one point."""
     from dssc_jax.proofs.prove import prove_problem
 
     outcome = prove_problem(problem, boxes)
     return outcome.summary(), outcome.certificate()
+
+
+def answer_all(connection: Connection, boxes: int) -> None:
+    """Answer problems until the process is terminated."""
+    while True:
+        connection.send(prove_point(connection.recv(), boxes))
+
+
+@contextmanager
+def worker(boxes: int) -> Iterator[Connection]:
+    """A process that proves; it is terminated, since an idle one need not end by itself."""
+    spawn = multiprocessing.get_context("spawn")
+    ours, theirs = spawn.Pipe()
+    process = spawn.Process(target=answer_all, args=(theirs, boxes), daemon=True)
+    process.start()
+    theirs.close()
+    try:
+        yield ours
+    finally:
+        process.terminate()
+        process.join()
+        ours.close()
+
+
+def ask(idle: "SimpleQueue[Connection]", problem: ProofProblem) -> PointOutcome:
+    """Have an idle process prove a problem.
+
+    Raises:
+        RuntimeError: the process has ended.
+    """
+    connection = idle.get()
+    try:
+        connection.send(problem)
+        return connection.recv()
+    except (EOFError, OSError):
+        raise RuntimeError("a process that proves has ended before its work; is there enough memory?") from None
+    finally:
+        idle.put(connection)
 
 
 def sweep_points(study: Study) -> Iterator[Study]:
