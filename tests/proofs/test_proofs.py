@@ -9,12 +9,14 @@ from flint import arb
 
 import dssc_jax as dj
 from dssc_jax.cli import guarded
+from dssc_jax.core.errors import ConfigError
 from dssc_jax.design.certification import NotCovered
 from dssc_jax.proofs import small_gain
 from dssc_jax.proofs.enclosed_loop import held_generator, sampled
 from dssc_jax.proofs.gain_enclosures import functions_at
 from dssc_jax.proofs.problem import problem_from, problem_of
 from dssc_jax.proofs.prove import check_certificate, prove
+from dssc_jax.proofs.reach import proved_up_to
 from dssc_jax.proofs.sampled_loop import LoopGains, LoopPoint, state_sizes, step_of
 from dssc_jax.proofs.verifier import verify_certificate
 
@@ -253,6 +255,27 @@ def test_what_is_not_covered_is_named(changes, reason):
 
 def test_a_problem_survives_its_file(proved):
     assert problem_from(json.loads(json.dumps(proved.problem.to_dict()))) == proved.problem
+
+
+def test_the_last_proved_value_is_bisected(capsys):
+    """Between a proved and an unproved value of mu, each loop on its own; beyond a range, or before it, it says so."""
+    quick = LOOP.override({"loop.sample_time": 0.005, "controller.functions": CONSTANT, "controller.rho": 2.0})
+    reach = proved_up_to(quick, "unmodelled.mu", (0.01, 0.5), log=True)
+    assert reach.proved is not None
+    assert reach.refused is not None
+    assert reach.proved < reach.refused < 1.05 * reach.proved
+    assert prove(quick.override({"unmodelled.mu": reach.proved})).complete
+    assert reach.statement().startswith(f"Proved up to unmodelled.mu = {reach.proved:.4g}, each value on its own")
+    whole = proved_up_to(quick, "unmodelled.mu", (0.01, 0.02))
+    assert (whole.proved, whole.refused, len(whole.values)) == (0.02, None, 2)
+    none = proved_up_to(quick, "unmodelled.mu", (0.5, 0.6))
+    assert (none.proved, none.last) == (None, None)
+    assert "Not proved at the safe end" in none.statement()
+    with pytest.raises(ConfigError, match="two different positive ends"):
+        proved_up_to(quick, "unmodelled.mu", (0.0, 0.5), log=True)
+    fixed = ["--set=plant.k_p=1.0", "--set=plant.a_p=0.3", "--set=loop.sample_time=0.005", "--json"]
+    assert guarded(["prove", "certified_margin", "--over", "unmodelled.mu=0.5:0.6", *fixed]) == 1
+    assert json.loads(capsys.readouterr().out)["proved_up_to"] is None
 
 
 def test_command(tmp_path, capsys, monkeypatch):

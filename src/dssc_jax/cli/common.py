@@ -74,6 +74,16 @@ def parse_overs(texts: list[str]) -> dict[str, dict[str, list[Any]]]:
     return axes
 
 
+def parse_bounds(text: str) -> tuple[str, tuple[float, float]]:
+    """Parse name and bounds of ``NAME=LO:HI``."""
+    try:
+        name, value = text.split("=")
+        start, end = map(float, value.split(":"))
+    except ValueError:
+        raise ConfigError("--over", f"must be NAME=LO:HI, got '{text}'") from None
+    return name, (start, end)
+
+
 def require_proofs() -> None:
     """Check that what proofs need is installed.
 

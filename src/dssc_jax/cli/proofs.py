@@ -2,14 +2,18 @@
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from dssc_jax.cli import options as opt
-from dssc_jax.cli.common import DONE, FAILS, app, attempt, load_study, require_proofs
+from dssc_jax.cli.common import DONE, FAILS, app, attempt, load_study, parse_bounds, require_proofs
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.proofs import BOXES
+from dssc_jax.proofs import BOXES, SWEEP_BOXES
+
+if TYPE_CHECKING:
+    from dssc_jax.proofs.prove import Proved
+    from dssc_jax.study import Study
 
 
 @app.command()
@@ -19,8 +23,18 @@ def prove(
     ],
     out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write the certificate (.json).")] = None,
     boxes: Annotated[
-        int, typer.Option("--boxes", metavar="N", min=1, help="Boxes of uncertain numbers to try.")
-    ] = BOXES,
+        int | None,
+        typer.Option(
+            "--boxes",
+            metavar="N",
+            min=1,
+            help=f"Boxes of uncertain numbers [{BOXES}; {SWEEP_BOXES} with --over].",
+        ),
+    ] = None,
+    over: Annotated[
+        str | None, typer.Option("--over", metavar="NAME=LO:HI", help="Find the last value that is proved, from LO on.")
+    ] = None,
+    log: Annotated[bool, typer.Option("--log", help="Bisect --over on a logarithmic scale.")] = False,
     settings: opt.Set = None,
     as_json: opt.Json = False,
     allow_local: opt.Local = False,
@@ -29,7 +43,8 @@ def prove(
 
     The proof covers every value of k_p, a_p and mu within the support of their laws and every disturbance within its
     bounds, with sampling and lag. A verifier in exact ball arithmetic accepts it, or it does not count. A certificate's
-    file is verified from the file alone.
+    file is verified from the file alone. With --over, each value is proved on its own, from the safe end LO on, and the
+    last one that is proved is told.
     """
     require_proofs()
     from dssc_jax.console.proofs import show_proof, show_verdict
@@ -48,18 +63,46 @@ def prove(
             show_verdict(verdict)
         return DONE if verdict.proved else FAILS
     loaded = load_study(study, settings, None, None, allow_local).without_sweep()
+    if over is not None:
+        return prove_over(loaded, over, log, boxes or SWEEP_BOXES, out, as_json)
     try:
-        proved = search(loaded, boxes=boxes)
+        proved = search(loaded, boxes=boxes or BOXES)
     except NotCovered as error:
         raise ConfigError(loaded.source, f"is outside of what a proof covers: {error}") from None
-    if out is not None:
-        content = json.dumps(proved.certificate(), indent=1) + "\n"
-        attempt(out, lambda: out.write_text(content, encoding="utf-8"))
+    write_certificate(proved, out)
     if as_json:
         print(json.dumps(proved.summary(), allow_nan=False))
     else:
         show_proof(proved.summary(), out)
     return DONE if proved.complete else FAILS
+
+
+def write_certificate(proved: "Proved", out: Path | None) -> None:
+    """Write the certificate, if a file is given."""
+    if out is not None:
+        content = json.dumps(proved.certificate(), indent=1) + "\n"
+        attempt(out, lambda: out.write_text(content, encoding="utf-8"))
+
+
+def prove_over(study: "Study", over: str, log: bool, boxes: int, out: Path | None, as_json: bool) -> int:
+    """Find the last value of a number that is proved; ``out`` gets its certificate."""
+    from dssc_jax.console import output, progress_bar
+    from dssc_jax.proofs.problem import NotCovered
+    from dssc_jax.proofs.reach import proved_up_to
+
+    name, bounds = parse_bounds(over)
+    try:
+        with progress_bar(study, quiet=as_json, of="values") as advance:
+            reach = proved_up_to(study, name, bounds, log=log, boxes=boxes, progress=advance)
+    except NotCovered as error:
+        raise ConfigError(study.source, f"is outside of what a proof covers: {error}") from None
+    if reach.last is not None:
+        write_certificate(reach.last, out)
+    if as_json:
+        print(json.dumps(reach.summary(), allow_nan=False))
+    else:
+        output().print(reach.statement(), soft_wrap=True, markup=False)
+    return FAILS if reach.last is None else DONE
 
 
 def check_sweep(content: dict[str, Any], as_json: bool) -> int:

@@ -6,7 +6,7 @@ import typer
 
 from dssc_jax.analyses.defaults import BISECTIONS, CANDIDATES, POINTS
 from dssc_jax.cli import options as opt
-from dssc_jax.cli.common import DONE, app, default_out, load_study, output_analysis, save_analysis
+from dssc_jax.cli.common import DONE, app, default_out, load_study, output_analysis, parse_bounds, save_analysis
 from dssc_jax.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -20,16 +20,6 @@ PointsOption = Annotated[int, typer.Option("--points", metavar="N", help="Values
 BisectionsOption = Annotated[int, typer.Option("--bisections", metavar="N", help="Halvings of a grid's cell.")]
 SWITCHING = ("sta", "smc")
 WALKED = {"of": "simulations", "early": "every critical value is found"}
-
-
-def parse_bounds(text: str) -> tuple[str, tuple[float, float]]:
-    """Parse name and bounds of ``NAME=LO:HI``."""
-    try:
-        name, value = text.split("=")
-        start, end = map(float, value.split(":"))
-    except ValueError:
-        raise ConfigError("--over", f"must be NAME=LO:HI, got '{text}'") from None
-    return name, (start, end)
 
 
 @app.command()

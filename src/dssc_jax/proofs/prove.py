@@ -159,12 +159,15 @@ def prove_problem(problem: ProofProblem, boxes: int, progress: Callable[[int, in
 
 
 def attempt(problem: ProofProblem, content: dict[str, Any], box: Box) -> tuple[Proof | Failure, ProofVerdict | None]:
-    """Search and verify one box."""
+    """Search and verify one box; if the verifier rejects a later stage, those before it may still do."""
     result = prove_box(problem, box)
     if isinstance(result, Failure):
         return result, None
-    verdict = verify_proof(content, result.to_dict())
-    return (result, verdict) if verdict.proved else (Failure(box, "verifier"), None)
+    for count in range(len(result.stages), 0, -1):
+        proof = Proof(box, result.stages[:count])
+        if (verdict := verify_proof(content, proof.to_dict())).proved:
+            return proof, verdict
+    return Failure(box, "verifier"), None
 
 
 def check_certificate(content: Any) -> ProofVerdict:

@@ -1,0 +1,111 @@
+"""How far along one number a study can be proved, each value on its own."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.proofs import SWEEP_BOXES
+from dssc_jax.proofs.prove import REASONS, Proved, prove
+from dssc_jax.study import Study
+
+NARROWEST_GAP = 0.01
+"""Largest gap between the last proved and the first unproved value, as a share of the range."""
+
+
+@dataclass(frozen=True)
+class ProvedReach:
+    """The end of the proofs along a number.
+
+    Args:
+        name: Dotted name of the number.
+        values: Values that were tried, in order, and whether each is proved.
+        last: The proof at the last proved value; None if the safe end is not proved.
+        proved: That value; None likewise.
+        refused: The nearest value beyond that is not proved; None if the whole range is.
+        reason: Why it is not.
+    """
+
+    name: str
+    values: list[tuple[float, bool]]
+    last: Proved | None
+    proved: float | None
+    refused: float | None
+    reason: str
+
+    def statement(self) -> str:
+        """The outcome in one sentence."""
+        if self.last is None:
+            return f"Not proved at the safe end {self.name} = {self.values[0][0]:g}: {self.reason}."
+        tried = ", each value on its own"
+        if self.refused is None:
+            return f"Proved up to the end, {self.name} = {self.proved:.4g}{tried}. {self.last.statement()}"
+        where = f"Proved up to {self.name} = {self.proved:.4g}{tried}; not at {self.refused:.4g}: {self.reason}."
+        return f"{where} {self.last.statement()}"
+
+    def summary(self) -> dict[str, Any]:
+        """The outcome in plain numbers."""
+        return {
+            "over": self.name,
+            "proved_up_to": self.proved,
+            "not_proved_at": self.refused,
+            "reason": self.reason or None,
+            "tried": [{"value": value, "proved": proved} for value, proved in self.values],
+            "error": None if self.last is None else self.last.error,
+            "statement": self.statement(),
+        }
+
+
+def proved_up_to(
+    study: Study,
+    name: str,
+    bounds: tuple[float, float],
+    *,
+    log: bool = False,
+    boxes: int = SWEEP_BOXES,
+    progress: Callable[[int, int | None], None] | None = None,
+) -> ProvedReach:
+    """The furthest value of a number at which the study is proved, by bisection from its safe end.
+
+    Every value is proved on its own: the statement is on loops with this value, not on a number that varies.
+
+    Args:
+        study: The study; its sweep is ignored.
+        name: Dotted name of the number, whose law or value is replaced.
+        bounds: Safe end and far end.
+        log: Bisect on a logarithmic scale.
+        boxes: Largest number of boxes of uncertain numbers that are tried at each value.
+        progress: Called with the values done.
+
+    Raises:
+        NotCovered: The loop is outside of what a proof covers; the message gives the reason.
+        ConfigError: The bounds agree, or a logarithmic scale has a bound that is not positive.
+    """
+    safe, far = bounds
+    if safe == far or (log and min(bounds) <= 0.0):
+        raise ConfigError("--over", f"needs two different{' positive' if log else ''} ends, got {safe:g} and {far:g}")
+    single, values = study.without_sweep(), []
+
+    def at(share: float) -> tuple[float, Proved]:
+        value = safe * (far / safe) ** share if log else safe + share * (far - safe)
+        outcome = prove(single.override({name: value}), boxes=boxes)
+        values.append((value, outcome.complete))
+        if progress is not None:
+            progress(len(values), None)
+        return value, outcome
+
+    proved, last = at(0.0)
+    if not last.complete:
+        return ProvedReach(name, values, None, None, proved, REASONS[last.failures[0].reason])
+    refused, beyond = at(1.0)
+    if beyond.complete:
+        return ProvedReach(name, values, beyond, refused, None, "")
+    low, high = 0.0, 1.0
+    while high - low > NARROWEST_GAP:
+        middle = 0.5 * (low + high)
+        value, outcome = at(middle)
+        if outcome.complete:
+            low, proved, last = middle, value, outcome
+        else:
+            high, refused, beyond = middle, value, outcome
+    return ProvedReach(name, values, last, proved, refused, REASONS[beyond.failures[0].reason])
