@@ -71,7 +71,7 @@ class Proof:
 
 
 class Failure(NamedTuple):
-    """A box without a proof, and the reason: ``origin``, ``decay``, ``region`` or ``sliding``."""
+    """A box without a proof, and the reason: ``origin``, ``decay``, ``region``, ``sliding`` or ``verifier``."""
 
     box: Box
     reason: str
