@@ -14,10 +14,11 @@ from dssc_jax.design.certification import NotCovered
 from dssc_jax.proofs import small_gain
 from dssc_jax.proofs.enclosed_loop import held_generator, sampled
 from dssc_jax.proofs.gain_enclosures import functions_at
+from dssc_jax.proofs.gains import GAIN_NAMES, gain_hull
 from dssc_jax.proofs.problem import problem_from, problem_of
 from dssc_jax.proofs.prove import check_certificate, prove
 from dssc_jax.proofs.reach import proved_up_to
-from dssc_jax.proofs.sampled_loop import LoopGains, LoopPoint, state_sizes, step_of
+from dssc_jax.proofs.sampled_loop import LoopGains, LoopPoint, middle, state_sizes, step_of
 from dssc_jax.proofs.verifier import verify_certificate
 
 LOOP = dj.Study.load("studies/certified_margin.toml").override(
@@ -130,26 +131,38 @@ def falsified(certificate):
         content["problem"].update(changes)
         return content
 
-    yield "P7", with_stage(p=[[-x for x in row] for row in first["p"]])
+    yield "P2", with_stage(p=[[-x for x in row] for row in first["p"]])
     yield "P7", with_stage(p=np.eye(n).tolist())
     yield "P7", with_stage(rate=100.0 * first["rate"])
-    yield "P7", with_stage(rate=-first["rate"])
-    yield "P7", with_stage(bounds=first["bounds"][:-1])
+    yield "P0", with_stage(rate=-first["rate"])
+    yield "P0", with_stage(bounds=first["bounds"][:-1])
+    yield "P0", with_stage(bounds=[-x for x in first["bounds"]])
     yield "P7", with_stage(gains=[1.5 * first["gains"][0], *first["gains"][1:]])
     for i, bound in enumerate(first["bounds"]):
         if i != small_gain.EQUIVALENT:  # with which nothing is computed
             yield "P7", with_stage(bounds=[*first["bounds"][:i], 0.5 * bound, *first["bounds"][i + 1 :]])
     yield "P4", with_stage(sigma=0.9 * first["sigma"])
     yield "P7", with_stage(sigma=1.5 * first["sigma"], e=1.5 * first["e"])
-    yield "P2", with_stage(method="trust me")
+    yield "P0", with_stage(method="trust me")
     yield "P5", with_problem(rho=0.15)
     yield "P5", with_problem(rho=0.05)
     yield "P7", with_problem(initial=[[0.21, 0.21], [0.0, 0.0]])
     yield "P7", with_problem(slope=2.0 * certificate["problem"]["slope"])
     yield "P7", with_problem(sample_time=0.02)
-    yield "P2", with_problem(slope=-1.0)
+    yield "P0", with_problem(slope=-1.0)
     yield "P1", with_problem(mu=[0.005, 0.01])
-    yield "P1", with_problem(mu=[0.01, 0.005])
+    yield "P0", with_problem(mu=[0.01, 0.005])
+    yield "P0", with_problem(a_p=["0.3", "3"])  # as text, below "3e-1"
+    yield "P0", with_problem(form="explicit")
+    yield "P0", with_problem(form="conservative")
+    yield "P0", with_problem(initial=[[0.0, 0.0]] * 6)  # whose surplus would push d(0) out of the start
+    yield "P0", with_problem(zero_c=[1.0])
+    yield "P0", with_problem(matched="false")
+    yield "P0", with_problem(sample_time=True)
+    yield "P0", with_problem(rho=float("inf"))
+    yield "P0", with_problem(functions={**certificate["problem"]["functions"], "tau_av": 0.1})
+    yield "P0", with_problem(functions={**certificate["problem"]["functions"], "delta": -0.5})
+    yield "P0", with_stage(sigma=float("nan"))
     yield "P1", with_problem(k_p=[0.9, 1.1])
     content = copy.deepcopy(certificate)
     content["proofs"][0]["stages"][1]["e"] *= 0.5
@@ -232,6 +245,28 @@ def test_both_forms_of_other_functions(functions, form):
     print(f"\n{functions['kind']}, {form}: {outcome.error:.3g} m, at first {outcome.largest_error:.3g} m")
     assert flown["error_max"].values.max() <= outcome.largest_error
     assert np.all(flown["outside_sliding"].values == 0.0)
+
+
+def test_an_indefinite_p_does_not_prove_an_unstable_loop():
+    """P falls along A, as it must, but it is not positive definite: nothing bounds the tails."""
+    stable = {"controller.functions": CONSTANT, "loop.sample_time": 0.005, "controller.rho": 2.0}
+    certificate = json.loads(json.dumps(prove(LOOP.override(stable), boxes=1).certificate()))
+    assert verify_certificate(certificate).proved
+    content = copy.deepcopy(certificate)
+    (stage, *_) = content["proofs"][0]["stages"]
+    content["proofs"][0]["stages"] = [stage]
+    problem = problem_of(LOOP.override({**stable, "controller.functions.tau_m": 0.02}))
+    gains = {name: middle(pair) for name, pair in gain_hull(problem, 1e-9, 1e-9).items()}
+    a = step_of(problem, LoopPoint(1.0, 0.3, 100.0, LoopGains(gains["k_p"], gains["k_i"], 0.0), 1.0)).a
+    values, vectors = np.linalg.eig(a)
+    assert np.abs(values).max() > 1.0
+    inverse = np.linalg.inv(vectors)
+    p = (inverse.conj().T @ np.diag(np.where(np.abs(values) < 1.0, 1.0, -1e6)) @ inverse).real
+    content["problem"]["functions"]["tau_m"] = 0.02
+    stage.update(p=p.tolist(), rate=0.02, gains=[gains[name] for name in GAIN_NAMES])
+    verdict = verify_certificate(content)
+    assert not verdict.proved
+    assert verdict.reason.startswith("P2: P is not positive definite")
 
 
 @pytest.mark.parametrize(

@@ -315,3 +315,11 @@ def test_numbers_are_what_a_study_can_give(uncertain):
 
 def test_uncertain_table_is_valid():
     assert dj.Study.from_table(UNCERTAIN).requirements[0].text == "error_max after 2 s <= 1.6 m"
+
+
+def test_override_leaves_the_tables_that_it_is_given():
+    functions = {"kind": "constant", "k_o": 5.0, "tau_av": 0.05, "tau_m": 0.5}
+    study = dj.Study.load(find("mu_robustness"))
+    changes = {"controller.functions": functions, "controller.functions.tau_m": 0.02}
+    assert study.override(changes).leaves()["controller.functions.tau_m"] == 0.02
+    assert functions["tau_m"] == 0.5

@@ -10,8 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from flint import arb, arb_mat
 
-from dssc_jax.proofs.balls import larger
-
 BLOCK, MOST_BLOCKS = 128, 4000
 """Samples of a block, and the largest number of blocks."""
 TAIL_SHARE = 2e-5
@@ -67,7 +65,7 @@ def response_bounds(
     value, size = middles(whole), magnitudes(whole)
     jump, inverse = a**BLOCK, p.inv()
     shadow = rows * inverse * rows.transpose()
-    reach = np.array([float(shadow[i, i].upper().sqrt().upper()) if shadow[i, i] > 0 else 0.0 for i in range(m)])
+    reach = np.array([float(abs(shadow[i, i]).upper().sqrt().upper()) for i in range(m)])
     ones = sum((abs(p[i, j]) for i, j in product(range(n), range(n))), arb(0)).sqrt()
     z = arb_mat([[*(inputs[i, j] for j in range(q)), *(starts[i, j] for j in range(starts.ncols()))] for i in range(n)])
     lost = [arb(0)] * z.ncols()
@@ -86,7 +84,8 @@ def response_bounds(
             after = reach[:, None] * np.array([float(each) for each in ends])
             tails = after[:, :q] * float((2 / decay).upper())
             if np.all(tails <= TAIL_SHARE * sums) and np.all(after[:, q:] <= np.maximum(peaks, UNDERFLOW)):
-                peaks = np.maximum(peaks, after[:, q:]).max(axis=1, initial=0.0)
+                within = peaks + reach[:, None] * np.array([float(each.upper()) for each in lost[q:]])
+                peaks = np.maximum(within, after[:, q:]).max(axis=1, initial=0.0)
                 return ResponseBounds(SUMMED * (sums + tails), SUMMED * peaks)
     return None
 
@@ -94,4 +93,4 @@ def response_bounds(
 def state_size(p: arb_mat, z: arb_mat, j: int) -> arb:
     """Bound of V^(1/2) of a column."""
     state = arb_mat([[z[i, j]] for i in range(z.nrows())])
-    return larger((state.transpose() * p * state)[0, 0].upper(), arb(0)).sqrt()
+    return abs((state.transpose() * p * state)[0, 0]).upper().sqrt()

@@ -153,6 +153,8 @@ def controller_of(study: Study) -> dict[str, Any]:
     kind = next(kind for kind, entry in GAIN_FUNCTIONS.items() if isinstance(gains.functions, entry.members[None]))
     if kind == "vgsta" and form == Discretisation.CONSERVATIVE:
         raise NotCovered("in the conservative form, functions of Table 1 depend on e between samples")
+    if kind == "sta" and form == Discretisation.CONSERVATIVE:
+        raise NotCovered("in the conservative form, the slope of the standard STA's phi_1 jumps at its floor")
     constants = {name: float(value) for name, value in gains.functions._asdict().items() if value is not None}
     return common | {
         "form": form.value,

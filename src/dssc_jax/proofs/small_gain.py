@@ -108,7 +108,7 @@ def implied_bounds(
     loop = middle_loop(problem, box, centre)
     p, bounds = symmetric_ball(stage["p"]), [arb(each) for each in stage["bounds"]]
     require_premise(rate > 0 and t * rate < 1, f"P7: lambda is not in (0, 1/T_s) in {where}")
-    require_premise(len(bounds) == loop.rows.nrows(), f"P7: not one bound for each signal in {where}")
+    require_premise(positive_definite(p), f"P2: P is not positive definite in {where}")
     falls = p * (1 - t * rate) - loop.a.transpose() * p * loop.a
     require_premise(positive_definite(falls), f"P7: V does not fall in {where}")
     inputs = adjoined(loop.w, loop.deviations)

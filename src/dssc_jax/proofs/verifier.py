@@ -2,7 +2,7 @@
 
 It shares no code with the search, only the certificate's numbers. Every number is a ball (`arb` of FLINT) that contains
 the exact one; the floating-point numbers of the certificate are exact. docs/proofs.md states the theorem whose premises
-are checked here, (P1) to (P7).
+are checked here, (P0) to (P7).
 """
 
 import math
@@ -17,6 +17,7 @@ from dssc_jax.proofs.balls import Rejected, StageLimits, require_premise
 from dssc_jax.proofs.gain_enclosures import enclosed_gains
 from dssc_jax.proofs.invariant_sets import invariant_bounds
 from dssc_jax.proofs.small_gain import implied_bounds
+from dssc_jax.proofs.well_formed import require_problem, require_proof
 
 PRECISION = 160  # bits
 ENTERED = "1.0001"  # a multiple of an upper limit, which a signal does not exceed from some sample on
@@ -57,6 +58,9 @@ def verify_certificate(certificate: dict[str, Any]) -> ProofVerdict:
     """
     problem, proofs = certificate["problem"], certificate["proofs"]
     try:
+        require_problem(problem)
+        for proof in proofs:
+            require_proof(problem, proof)
         require_cover(problem, [proof["box"] for proof in proofs])
     except Rejected as rejected:
         return refused(rejected)
@@ -70,6 +74,8 @@ def verify_proof(problem: dict[str, Any], proof: dict[str, Any]) -> ProofVerdict
     """Verify the proof of one box alone."""
     with ball_precision():
         try:
+            require_problem(problem)
+            require_proof(problem, proof)
             limits = verified_stages(problem, proof)
         except Rejected as rejected:
             return refused(rejected)
@@ -91,9 +97,7 @@ def require_cover(problem: dict[str, Any], boxes: list[dict[str, Any]]) -> None:
     whole = {"k_p": problem["k_p"], "a_p": problem["a_p"]}
     if problem["lag_order"]:
         low, high = problem["mu"]
-        require_premise(0.0 < low <= high, "P1: mu must be positive")
         whole["rate"] = (1.0 / high, 1.0 / low)
-    require_premise(all(low <= high for low, high in whole.values()), "P1: an interval ends before it begins")
     require_premise(bool(boxes), "P1: no box")
     names = list(whole)
     grids = []
@@ -112,22 +116,15 @@ def require_cover(problem: dict[str, Any], boxes: list[dict[str, Any]]) -> None:
 def verified_stages(problem: dict[str, Any], proof: dict[str, Any]) -> list[StageLimits]:
     """Check every stage of a box; return what each shows."""
     box = proof["box"]
-    require_premise(bool(proof["stages"]), "P2: no stage")
-    positive = [box["k_p"][0], problem["sample_time"], problem["l0"]]
-    require_premise(all(each > 0.0 for each in positive), "P2: k_p, T_s and l0 must be positive")
-    require_premise(problem["slope"] >= 0.0 and problem["level"] >= 0.0, "P2: a bound of the disturbance is negative")
     if problem["rho"] is not None:
         require_premise(arb(problem["rho"]) > arb(problem["level"]), "P5: rho does not exceed the disturbance")
     limits: list[StageLimits] = []
     for number, stage in enumerate(proof["stages"], 1):
         where = f"stage {number} of the box {box}"
-        method = STAGE_METHODS.get(stage["method"])
-        require_premise(method is not None, f"P2: unknown method '{stage['method']}' in {where}")
-        assert method is not None
         if limits:
             require_region(limits[-1], arb(ENTERED), stage, f"P4: the stage before {where}")
         gains = enclosed_gains(problem, stage["sigma"], stage["e"])
-        limits.append(method(problem, box, stage, gains, started=number == 1, where=where))
+        limits.append(STAGE_METHODS[stage["method"]](problem, box, stage, gains, started=number == 1, where=where))
         if number == 1:
             require_region(limits[0], arb(1), stage, f"P4: {where}")
     return limits

@@ -116,7 +116,7 @@ def changed(table: Mapping[str, Any], changes: Mapping[str, Any], source: str) -
         require_shallow(table)
         copied = copy.deepcopy(dict(table))
         for name, value in changes.items():
-            set_dotted(copied, name, value)
+            set_dotted(copied, name, copy.deepcopy(value))  # a later name may lead into it
     except ConfigError as error:
         raise error.within(source) from None
     return copied
