@@ -25,9 +25,13 @@ if TYPE_CHECKING:
     from dssc_jax.analyses.splitting import Splitting
     from dssc_jax.analyses.tuning import Tuned, tune
     from dssc_jax.core.errors import ConfigError
+    from dssc_jax.proofs.prove import Proved, check_certificate, prove
+    from dssc_jax.proofs.reach import ProvedReach, proved_up_to
     from dssc_jax.results.analysis import Analysis
     from dssc_jax.results.export import export
+    from dssc_jax.results.proofs import SweepProofs
     from dssc_jax.results.result import Result
+    from dssc_jax.runs.prove_sweep import prove_sweep
     from dssc_jax.runs.run import run
     from dssc_jax.runs.run_until import run_until
     from dssc_jax.runs.trajectory import replay, simulate
@@ -44,13 +48,17 @@ __all__ = [
     "Falsified",
     "MarginContest",
     "Margins",
+    "Proved",
+    "ProvedReach",
     "RareEvent",
     "Result",
     "Sensitivity",
     "Splitting",
     "Study",
+    "SweepProofs",
     "Tuned",
     "UntilWidth",
+    "check_certificate",
     "compare",
     "compare_margins",
     "design",
@@ -61,6 +69,9 @@ __all__ = [
     "noise_spectrum",
     "plan",
     "plot",
+    "prove",
+    "prove_sweep",
+    "proved_up_to",
     "rare",
     "replay",
     "report",
@@ -93,6 +104,13 @@ _HOME = {
     "falsify": "dssc_jax.analyses.falsification",
     "Tuned": "dssc_jax.analyses.tuning",
     "tune": "dssc_jax.analyses.tuning",
+    "Proved": "dssc_jax.proofs.prove",
+    "ProvedReach": "dssc_jax.proofs.reach",
+    "SweepProofs": "dssc_jax.results.proofs",
+    "check_certificate": "dssc_jax.proofs.prove",
+    "prove": "dssc_jax.proofs.prove",
+    "prove_sweep": "dssc_jax.runs.prove_sweep",
+    "proved_up_to": "dssc_jax.proofs.reach",
     "replay": "dssc_jax.runs.trajectory",
     "run": "dssc_jax.runs.run",
     "simulate": "dssc_jax.runs.trajectory",
