@@ -11,9 +11,9 @@ import time
 from pathlib import Path
 from statistics import median
 
-import dssc_jax as dj  # isort: skip  (sets compiler flags before anything starts JAX)
 import numpy as np
 
+import dssc_jax as dj
 from dssc_jax.console import machine
 from dssc_jax.engine.batching import BLOCK, Engine, Layout, computing, execute
 from dssc_jax.results.schema import variables

@@ -9,12 +9,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-import dssc_jax as dj  # isort: skip  (sets compiler flags before anything starts JAX)
 import jax
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+import dssc_jax as dj
 from dssc_jax import plotting
 from dssc_jax.console import machine
 from dssc_jax.design import Bounds, Free, Guarantee, Parameters, certified, design, guarantee

@@ -10,11 +10,11 @@ from collections.abc import Callable
 from itertools import count
 from statistics import mode
 
-import dssc_jax as dj  # isort: skip  (sets compiler flags before anything starts JAX)
 import numpy as np
 from page import put
 from scipy import special, stats
 
+import dssc_jax as dj
 from dssc_jax.analyses.sensitivity import refusal, saltelli, sobol_indices
 from dssc_jax.analyses.splitting import Margin, split
 from dssc_jax.engine.sampling import latin_design, sobol_points

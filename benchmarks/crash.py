@@ -19,9 +19,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from random import Random
 
-import dssc_jax as dj  # isort: skip  (sets compiler flags before anything starts JAX)
 import xarray as xr
 
+import dssc_jax as dj
 from dssc_jax.console import machine
 
 ROOT = Path(__file__).parents[1]

@@ -16,23 +16,23 @@ import subprocess
 import sys
 import tempfile
 import time
-from contextlib import suppress
 from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
 
-import dssc_jax as dj  # isort: skip  (sets compiler flags before anything starts JAX)
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.interpreters import mlir
 from page import put
 
-from dssc_jax.backend.fusion import deduplicated
-from dssc_jax.backend.kernels import LANES, WARPS, Form, in_registers
+import dssc_jax as dj
+from dssc_jax.backend.forms import Form
+from dssc_jax.backend.kernels import LANES, WARPS, in_registers
+from dssc_jax.backend.translate import AXIS
 from dssc_jax.closed_loop.metrics import starts
 from dssc_jax.closed_loop.sample import initial_state
-from dssc_jax.engine.batching import TILE, Engine, drawn, medians, simulated
+from dssc_jax.engine.batching import Engine, drawn, medians, simulated
 from dssc_jax.study.library import find
 
 PAGE = Path(__file__).parents[1] / "docs" / "gpu.md"
@@ -65,13 +65,16 @@ CASES = {"1-DOF DSSC": axis, "full UAV": flight}
 
 def lanes_of(study: dj.Study) -> Any:
     """The study's program for many lanes."""
-    return jax.vmap(simulated(study), axis_name=TILE)
+    return jax.vmap(simulated(study), axis_name=AXIS)
 
 
 def state_numbers(study: dj.Study) -> int:
     """How many numbers a lane carries from sample to sample."""
     state = jax.eval_shape(lambda key: initial_state(study.loop, study.params(medians(study)), key), jax.random.key(0))
     return len(jax.tree.leaves((state, starts(study.measures))))
+
+
+FORMS = Form.SCAN, Form.PALLAS
 
 
 class Measured(NamedTuple):
@@ -84,8 +87,8 @@ class Measured(NamedTuple):
 def measured(study: dj.Study, lanes: int, repeats: int) -> Measured:
     """Both forms in turn, one wide tile each; medians."""
     values, indices = drawn(study, slice(0, lanes)), np.arange(lanes)
-    engines = {form: Engine(study, lanes, tile=lanes, devices=1, kernel=form) for form in Form}
-    seconds: dict[Form, list[float]] = {form: [] for form in Form}
+    engines = {form: Engine(study, lanes, tile=lanes, devices=1, kernel=form) for form in FORMS}
+    seconds: dict[Form, list[float]] = {form: [] for form in FORMS}
     for turn in range(repeats + 1):
         for form, engine in engines.items():
             before = engine.clock.run_seconds
@@ -126,7 +129,7 @@ def difference(study: dj.Study, lanes: int) -> tuple[float, int]:
     here = Engine(study, lanes, tile=lanes, devices=1, kernel=Form.PALLAS)(values, indices)()
     with jax.enable_x64(study.config.loop.precision == 64), jax.default_device(jax.devices("cpu")[0]):
         typed = {name: column.astype(jnp.result_type(float)) for name, column in values.items()}
-        there = {name: np.asarray(x) for name, x in jax.jit(deduplicated(lanes_of(study)))(typed, indices).items()}
+        there = {name: np.asarray(x) for name, x in jax.jit(lanes_of(study))(typed, indices).items()}
     alike = here["outcome"] == there["outcome"]
     largest = 0.0
     for name in {measure.name for measure in study.measures}:
@@ -166,12 +169,7 @@ def table(cases: dict[str, dj.Study], widths: tuple[int, ...], compared: int, co
 
 
 def lowered(study: dj.Study) -> Any:
-    """The kernel of a study, lowered for CUDA without a device; from 0.11 on JAX has to be told which one is meant."""
-    with suppress(ImportError):
-        from jax._src.pallas.triton.gpu_info import GpuInfo, registry
-
-        name, number = f"{ARCHITECTURE / 10:.1f}", ARCHITECTURE
-        registry["cpu"] = lambda: GpuInfo(gpu_version=None, arch_name=name, compute_capability=number)
+    """The kernel of a study, lowered for CUDA without a device; from 0.11 on JAX lowers it only where there is one."""
     with jax.enable_x64(study.config.loop.precision == 64):
         numbers = {name: jnp.zeros(LANES) for name in study.laws}
         run = jax.jit(in_registers(lanes_of(study), interpret=False))

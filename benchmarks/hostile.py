@@ -18,9 +18,9 @@ from pathlib import Path
 from random import Random
 from unittest import mock
 
-import dssc_jax as dj  # isort: skip  (sets compiler flags before anything starts JAX)
 import xarray as xr
 
+import dssc_jax as dj
 from dssc_jax.cli import guarded, simulation
 from dssc_jax.console import machine
 

@@ -10,11 +10,11 @@ import time
 from pathlib import Path
 from statistics import median
 
-import dssc_jax as dj  # isort: skip  (sets compiler flags before anything starts JAX)
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+import dssc_jax as dj
 from dssc_jax import plotting
 from dssc_jax.console import machine
 from dssc_jax.engine.batching import Engine, Layout, execute

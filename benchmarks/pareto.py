@@ -8,12 +8,12 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import dssc_jax as dj  # isort: skip  (sets compiler flags before anything starts JAX)
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
+import dssc_jax as dj
 from dssc_jax import plotting
 from dssc_jax.analyses.comparison.rivals import controller_table
 from dssc_jax.analyses.comparison.tuning import STATE_DEPENDENT

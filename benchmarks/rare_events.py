@@ -7,8 +7,9 @@ plain draws and splitting answer for the same study.
 import sys
 import time
 
-import dssc_jax as dj  # isort: skip  (sets compiler flags before anything starts JAX)
 from page import put
+
+import dssc_jax as dj
 
 DRAWS = 2_000_000
 STUDY = {

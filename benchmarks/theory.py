@@ -6,10 +6,10 @@ Every number of the page comes from here, with the machine and the date.
 import time
 from pathlib import Path
 
-import dssc_jax as dj  # isort: skip  (sets compiler flags before anything starts JAX)
 import numpy as np
 from gain_sets import CONSTANT, SQUARE_ROOT, random_gains
 
+import dssc_jax as dj
 from dssc_jax import plotting
 from dssc_jax.analyses.comparison import controller_table, with_controller
 from dssc_jax.analyses.margins import Margins

@@ -1,13 +1,11 @@
-"""Shared fixtures. Two host devices and float64 whatever the machine, set before JAX starts."""
+"""Shared fixtures; float64 whatever the machine."""
 
 import gc
-import os
 
-os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=2".strip()
-
-import dssc_jax  # noqa: I001  (sets the other compiler flags)
 import jax
 import pytest
+
+import dssc_jax
 
 jax.config.update("jax_enable_x64", True)
 gc.freeze()  # compiled programs are many long-lived objects, and a full collection visits all of them

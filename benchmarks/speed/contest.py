@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.speed import native, rivals
 from benchmarks.speed.workloads import Case, Found, agree, disagreement
-from dssc_jax.backend import xla
+from dssc_jax.backend import machine
 
 ROOT = Path(__file__).parents[2]
 SIZES = {"uav": (4096, 10.0), "axis": (16384, 40.0)}
@@ -38,8 +38,8 @@ class Contender(NamedTuple):
 
 
 OURS = Contender("dssc_jax", "engine")
-ONE_DEVICE = Contender("dssc_jax, one device", "engine", {"XLA_FLAGS": f"{xla.DEVICE_COUNT}=1"})
-PLAIN = Contender("jit(vmap(scan))", "scan", {xla.FLAGS_VARIABLE: "off"})
+ONE_DEVICE = Contender("dssc_jax, one device", "engine", {machine.CORES_VARIABLE: "1"})
+PLAIN = Contender("jit(vmap(scan))", "scan")
 C = Contender("C", "c")
 NUMBA = Contender("Numba", "numba")
 NUMPY = Contender("NumPy", "numpy", every=4)
@@ -55,7 +55,7 @@ def available() -> list[Contender]:
 
 def environment(more: dict[str, str]) -> dict[str, str]:
     """That of a process of its own: this one's without what importing the package has added to it, and ``more``."""
-    added = ("XLA_FLAGS", xla.FLAGS_VARIABLE)
+    added = (machine.CORES_VARIABLE,)
     path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     return {name: value for name, value in os.environ.items() if name not in added} | {"PYTHONPATH": path} | more
 

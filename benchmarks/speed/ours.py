@@ -3,10 +3,10 @@
 import time
 from collections.abc import Callable
 
-import dssc_jax as dj  # isort: skip  (sets compiler flags before anything starts JAX)
 import jax
 import numpy as np
 
+import dssc_jax as dj
 from benchmarks.speed.workloads import METRICS, Found, Task
 from dssc_jax.core.signals import Outcome
 from dssc_jax.engine.batching import Engine, simulated

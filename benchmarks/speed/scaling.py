@@ -16,7 +16,7 @@ from typing import NamedTuple
 from benchmarks.speed.contest import environment
 from benchmarks.speed.worker import peak
 from benchmarks.speed.workloads import Case, study_of
-from dssc_jax.backend import xla
+from dssc_jax.backend import machine
 
 REPEATS, ENOUGH = 5, 4.0  # runs, or seconds of running after which one is enough
 SWEPT = "controller.functions.tau_av"
@@ -49,7 +49,7 @@ def one(
     x: float, loop: str, draws: int, duration: float, points: int = 1, devices: int | None = None, keep: bool = False
 ):
     """A run in a process of its own."""
-    limited = {"XLA_FLAGS": f"{xla.DEVICE_COUNT}={devices}"} if devices else {}
+    limited = {machine.CORES_VARIABLE: str(devices)} if devices else {}
     arguments = [loop, str(draws), str(duration), str(points), *(["keep"] if keep else [])]
     command = [sys.executable, "-m", "benchmarks.speed.scaling", *arguments]
     done = subprocess.run(command, env=environment(limited), capture_output=True, text=True, check=True)
@@ -59,7 +59,7 @@ def one(
 def curves(quick: bool = False) -> dict[str, list[Run]]:
     """Every curve: over draws with each number of devices, over the duration, over sweep points."""
     every = slice(0, 4) if quick else slice(None)
-    cores = xla.usable_cores()
+    cores = machine.usable_cores()
     found = {
         f"draws, {count} device{'s' if count > 1 else ''}": [
             one(draws, "axis", draws, 1.0, devices=count) for draws in DRAWS[every]

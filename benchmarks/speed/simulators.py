@@ -13,7 +13,6 @@ from importlib.util import find_spec
 from statistics import median
 
 CORES = len(os.sched_getaffinity(0))
-os.environ["XLA_FLAGS"] = f"--xla_force_host_platform_device_count={CORES}"  # crazyflow shards its worlds
 DRAWS, STEPS, RATE, ROUNDS = 4096, 100, 200, 5
 
 

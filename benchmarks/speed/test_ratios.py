@@ -1,4 +1,4 @@
-"""Ratios in one run, of processor time, with bounds that a lost flag or a broken fusion falls below.
+"""Ratios in one run, of processor time, with bounds that a lost optimisation falls below.
 
 They read the clock, so `make ratios` runs them, and `make test` does not.
 """
@@ -8,9 +8,7 @@ import pytest
 from benchmarks.speed import native
 from benchmarks.speed.contest import OURS, PLAIN, C, Contender, contest, quartiles, ratios
 from benchmarks.speed.workloads import Case
-from dssc_jax.backend import xla
 
-UNFLAGGED = OURS._replace(name="unflagged", environment={xla.FLAGS_VARIABLE: "off"})
 needs_c = pytest.mark.skipif(
     native.compiler() is None,
     reason="no GCC on the path; install one to compare with compiled C",
@@ -23,11 +21,8 @@ def shares(case: Case, draws: int, duration: float, *others: Contender) -> list[
     return [quartiles(ratios(found[OURS.name], found[other.name]))[1] for other in others]
 
 
-def test_one_axis_against_the_plain_form_and_itself_without_flags():
-    """Measured: 3.3 times the plain form, 2.4 times the same engine without its flags."""
-    to_plain, to_unflagged = shares(Case("axis"), 16384, 5.0, PLAIN, UNFLAGGED)
-    assert to_plain > 1.8
-    assert to_unflagged > 1.5
+def test_one_axis_against_the_plain_form():
+    assert shares(Case("axis"), 16384, 5.0, PLAIN)[0] > 2.5
 
 
 @needs_c

@@ -4,9 +4,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
-import dssc_jax as dj  # isort: skip  (sets compiler flags before anything starts JAX)
 import numpy as np
 
+import dssc_jax as dj
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.engine.batching import drawn, medians
 from dssc_jax.models.environment.references import MISSION, Axis, SineParams

@@ -1,15 +1,10 @@
 """dssc_jax: vectorised Monte Carlo robustness analysis of Dynamic Smooth Sliding Control.
 
-Importing the package sets compiler flags (see :mod:`dssc_jax.backend.xla`) and nothing else; JAX is loaded on first
-use.
+Importing the package changes no setting of the process. JAX is loaded on first use.
 """
 
 import importlib
 from typing import TYPE_CHECKING, Any
-
-from dssc_jax.backend import xla
-
-xla.configure()
 
 if TYPE_CHECKING:
     from dssc_jax import design, report

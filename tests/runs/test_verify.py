@@ -8,6 +8,7 @@ import pytest
 import zarr
 
 import dssc_jax as dj
+from dssc_jax.backend.lanes import LaneBatch
 from dssc_jax.cli import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.reference import TOLERANCE, deviations
@@ -93,9 +94,8 @@ def test_rounding_may_move_a_settling_time_by_one_sample(uncertain):
 def test_a_program_that_computes_something_else_is_found(monkeypatch):
     """What makes the result is wrong, and makes it wrong again: only another program can tell."""
     study = dj.Study.from_table(UNCERTAIN | {"sweep": {}, "disturbance": {"kind": "step", "value": 0.3, "at": 1.0}})
-    monkeypatch.setattr(
-        "dssc_jax.engine.batching.deduplicated", lambda batch: lambda values, i: batch(wrong(values), i)
-    )
+    start = LaneBatch.start
+    monkeypatch.setattr(LaneBatch, "start", lambda own, values, index: start(own, wrong(values), index))
     result = dj.run(study)
     assert dj.verify(result, seed=1).verdict == "differs"
     assert dj.replay(result, 2).attrs["agreement"] == "differs"

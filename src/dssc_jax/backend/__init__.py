@@ -1,1 +1,1 @@
-"""Code that depends on JAX internals: compiler settings, program rewriting, kernels."""
+"""How lanes run: translation of JAX's trace, machine code, plain XLA, kernels of a GPU, the cache of programs."""

@@ -1,32 +1,28 @@
 """A cache of compiled programs in the user's cache directory, shared by all processes.
 
-JAX's own cache trusts its files: a truncated program causes a warning at every start, and a different program under
-the same name is run, which ends the process. Here every file begins with the digest of its name and content. A file
-that does not match is deleted with a one-line message, and the program is compiled again. Files are moved into place
-atomically, so processes need not wait for each other.
+A truncated program, or a different one under the same name, would end the process that runs it. Every file therefore
+begins with the digest of its name and content. A file that does not match is deleted with a one-line message, and the
+program is compiled again. Files are moved into place atomically, so processes need not wait for each other.
 
-The environment variable ``DSSC_JAX_CACHE=off`` disables the cache. A cache that the user has configured for JAX takes
-precedence.
+The environment variable ``DSSC_JAX_CACHE=off`` disables the cache.
 """
 
 import hashlib
 import os
 import sys
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from uuid import uuid4
 
-import jax
-
-from dssc_jax.backend import xla
-
 CACHE_VARIABLE = "DSSC_JAX_CACHE"
-LEAST_COMPILE_TIME = 0.05  # s of compiling, from which on a program is kept
+OFF = ("off", "0", "false")
 CACHE_SIZE = 2**28  # bytes; what has not been read for the longest time goes first
 DIGEST = hashlib.sha256().digest_size
 
 
 class ProgramCache:
-    """A folder of programs by name, with the interface that JAX requires.
+    """A folder of programs by name.
 
     Args:
         folder: The folder; created when a program is stored.
@@ -85,24 +81,31 @@ def digest(key: str, program: bytes) -> bytes:
     return hashlib.sha256(key.encode() + b"\n" + program).digest()
 
 
-def keep_programs() -> None:
-    """Make JAX store compiled programs in a :class:`ProgramCache`, unless the user has configured or disabled a cache.
+def kept(name: str, compile_it: Callable[[], bytes]) -> bytes:
+    """The program of a name from the user's cache, or compiled and kept there.
 
-    JAX has no public interface to change how a cache is read. If a version lacks the function that creates its
-    cache, programs are not cached: JAX's own cache would run a file without checking it.
+    Args:
+        name: Identifies everything that the program depends on.
+        compile_it: Makes it.
     """
-    folder = xla.cache_directory()
-    off = os.environ.get(CACHE_VARIABLE, "").lower() in xla.OFF
-    if off or folder is None or getattr(jax.config, "jax_compilation_cache_dir", ""):
-        return
-    try:
-        from jax._src import compilation_cache
+    folder = cache_directory()
+    if folder is None or os.environ.get(CACHE_VARIABLE, "").lower() in OFF:
+        return compile_it()
+    cache = ProgramCache(folder)
+    known = cache.get(name)
+    if known is not None:
+        return known
+    program = compile_it()
+    with suppress(OSError):  # a full disk: the program is compiled again next time
+        cache.put(name, program)
+    return program
 
-        others = compilation_cache.get_file_cache
-    except (ImportError, AttributeError):
-        return
-    own = str(folder)
-    compilation_cache.get_file_cache = lambda path: (ProgramCache(folder), path) if path == own else others(path)
-    jax.config.update("jax_compilation_cache_dir", str(folder))
-    if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", LEAST_COMPILE_TIME)
+
+def cache_directory() -> Path | None:
+    """The folder of compiled programs; None if the user's cache directory is not writable."""
+    try:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    except RuntimeError:  # no home
+        return None
+    existing = next(folder for folder in (home, *home.parents, Path.cwd()) if folder.exists())
+    return home / "dssc_jax" if os.access(existing, os.W_OK) else None

@@ -12,24 +12,20 @@ Three things are rewritten, because Triton, which compiles the kernel, treats th
 unsuitable, and the engine keeps the loop over time.
 """
 
-import os
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from enum import StrEnum
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.core import Tracer
-from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal
+from jax.extend.core import ClosedJaxpr, DebugInfo, Jaxpr, JaxprEqn, Literal, Var, jaxpr_as_fun
 
-from dssc_jax.backend.fusion import CALLS, VariableValues, bound, needed
-from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.errors import ConfigError
 
-KERNEL_VARIABLE = "DSSC_JAX_KERNEL"
 DEPRECATED = "The Pallas Triton backend is deprecated"  # by JAX 0.11; pyproject.toml admits no version without it
+CALLS = ("jit", "closed_call", "custom_jvp_call", "custom_vjp_call")
 LANES, WARPS = 32, 1  # of a program: one lane a thread, so that registers are all that bounds how many run
 KEYS = {"random_seed", "random_fold_in", "random_wrap"}
 ELEMENTWISE = {
@@ -47,65 +43,11 @@ Batch = Callable[[dict[str, jax.Array], jax.Array], Any]
 """(numbers of n lanes, their indices) -> a tree of arrays of shape (n,), for any n."""
 
 
-class Form(StrEnum):
-    """How a batch advances: all lanes sample by sample, or each warp of lanes to the end in a Pallas kernel."""
-
-    SCAN = "scan"
-    PALLAS = "pallas"
-
-
 class Unfit(ConfigError):
     """The program cannot be a kernel."""
 
     def __init__(self, rule: str) -> None:
-        super().__init__("kernel", f"{rule}; take '{Form.SCAN}'")
-
-
-class KernelWarning(UserWarning):
-    """A study advances sample by sample on a GPU."""
-
-
-def requested(choice: str = "") -> str:
-    """The requested form, from the argument or the environment; default ``scan``.
-
-    Raises:
-        ConfigError: There is no such form.
-    """
-    choice = choice or os.environ.get(KERNEL_VARIABLE) or Form.SCAN
-    if choice not in (*Form, "auto"):
-        raise ConfigError("kernel", f"must be scan, pallas or auto, got '{choice}'; {nearest(choice, (*Form, 'auto'))}")
-    return choice
-
-
-def requested_settings() -> list[str]:
-    """The environment's setting, for the manifest; empty if there is none."""
-    return [f"{KERNEL_VARIABLE}={requested()}"] if os.environ.get(KERNEL_VARIABLE) else []
-
-
-def compiled(choice: str, compile_for: Callable[[Batch], Any], scan: Batch, batch: Batch) -> Any:
-    """Compile a batch in the chosen form; ``auto`` selects the kernel on a GPU if possible.
-
-    Args:
-        choice: The result of :func:`requested`.
-        compile_for: Compiles a batch.
-        scan: The batch in the form that advances sample by sample.
-        batch: The batch as written.
-
-    Raises:
-        Unfit: A kernel was requested, but the batch cannot run as one.
-
-    Warns:
-        KernelWarning: ``auto`` was requested, but the batch cannot run as a kernel.
-    """
-    if choice == Form.PALLAS:
-        return compile_for(in_registers(batch))
-    if choice == "auto" and jax.default_backend() == "gpu":
-        try:
-            return compile_for(in_registers(batch))
-        # Our own refusal, JAX's of a primitive or device, Triton's of a program; what else is wrong, the scan meets.
-        except (Unfit, RuntimeError) as error:
-            warnings.warn(f"slower, sample by sample: {error}", KernelWarning, stacklevel=2)
-    return compile_for(scan)
+        super().__init__("kernel", f"{rule}; take 'scan'")
 
 
 def in_registers(batch: Batch, interpret: bool | None = None) -> Batch:
@@ -180,14 +122,35 @@ def translated(program: ClosedJaxpr, arguments: Sequence[Any]) -> list[Any]:
     """
     if any(np.ndim(constant) for constant in program.consts):
         raise Unfit(f"the loop holds an array of shape {max(map(np.shape, program.consts))}")
-    scope = VariableValues(program, arguments)
+    scope: dict[Var, Any] = dict(zip(program.jaxpr.constvars, program.consts, strict=True))
+    scope.update(zip(program.jaxpr.invars, arguments, strict=True))
 
     def values(atoms: Sequence[Any]) -> list[Any]:
-        return [typed(*pair) for pair in zip(atoms, scope.read(atoms), strict=True)]
+        return [typed(atom, atom.val) if isinstance(atom, Literal) else scope[atom] for atom in atoms]
 
     for equation in needed(program.jaxpr):
-        scope.write(equation.outvars, [strong(x) for x in applied(equation, values(equation.invars))])
+        results = [strong(x) for x in applied(equation, values(equation.invars))]
+        scope.update(zip(equation.outvars, results, strict=True))
     return values(program.jaxpr.outvars)
+
+
+def needed(jaxpr: Jaxpr) -> list[JaxprEqn]:
+    """The equations that a result depends on."""
+    wanted = {atom for atom in jaxpr.outvars if isinstance(atom, Var)}
+    equations = []
+    for equation in reversed(jaxpr.eqns):
+        if equation.effects or not wanted.isdisjoint(equation.outvars):
+            wanted.update(atom for atom in equation.invars if isinstance(atom, Var))
+            equations.append(equation)
+    return equations[::-1]
+
+
+def evaluated(equation: JaxprEqn, operands: list[Any]) -> list[Any]:
+    """The results of one equation, as JAX evaluates a program that consists of it."""
+    variables = {atom: x for atom, x in zip(equation.invars, operands, strict=True) if isinstance(atom, Var)}
+    about = DebugInfo(equation.primitive.name, __name__, None, None)
+    alone = Jaxpr((), list(variables), equation.outvars, [equation], equation.effects, about)
+    return list(jaxpr_as_fun(ClosedJaxpr(alone, ()))(*variables.values()))
 
 
 def applied(equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
@@ -210,10 +173,10 @@ def applied(equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
     shape = equation.outvars[0].aval.shape  # pyright: ignore[reportAttributeAccessIssue]
     if len(shape) > 1:
         raise Unfit(f"the loop computes with arrays ('{name}' has {shape[1:]} in a lane)")
-    if shape or any(isinstance(operand, Tracer) for operand in operands):
-        return bound(equation, operands, params)
+    if shape or any(isinstance(operand, jax.Array) for operand in operands):
+        return evaluated(equation, operands)
     with jax.ensure_compile_time_eval():  # Triton has no rule for functions of constants
-        return [np.asarray(x)[()] for x in bound(equation, operands, params)]
+        return [np.asarray(x)[()] for x in evaluated(equation, operands)]
 
 
 def typed(atom: Any, value: Any) -> Any:

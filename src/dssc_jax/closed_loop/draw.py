@@ -111,17 +111,6 @@ def sampler(
     return sample
 
 
-def samples_a_turn(loop: Loop) -> int:
-    """Samples by which one iteration of the compiled loop advances.
-
-    An iteration writes its results into the buffers that it reads, so a value written while its old value is still
-    needed is copied. With two samples per iteration, copies are less than half as frequent, which saves a loop of one
-    channel a tenth of its time or more. For several channels the copies hardly matter, and two samples double the
-    compile time.
-    """
-    return 2 if len(loop.channels) == 1 and loop.steps % 2 == 0 else 1
-
-
 def simulate_draw(
     loop: Loop,
     params: LoopParams,
@@ -157,7 +146,7 @@ def simulate_draw(
     if together is None:
         end = scan_segments(advance, begin, loop.steps, segment)
     else:
-        end = until_all_ended(advance, partial(is_running, loop), begin, loop.steps, together, samples_a_turn(loop))
+        end = until_all_ended(advance, partial(is_running, loop), begin, loop.steps, together)
     return conclude(loop, measures, requirements, end)
 
 

@@ -27,9 +27,7 @@ C = TypeVar("C", bound=Carry)
 R = TypeVar("R")
 
 
-def until_all_ended(
-    sample: Callable[[C], C], running: Callable[[C], Scalar], begin: C, steps: int, together: str, turn: int = 1
-) -> C:
+def until_all_ended(sample: Callable[[C], C], running: Callable[[C], Scalar], begin: C, steps: int, together: str) -> C:
     """Advance sample by sample until ``steps`` are done, or no draw of the mapped axis ``together`` is running.
 
     All draws of the axis share the check, so time and values that depend only on time stay scalars.
@@ -40,23 +38,14 @@ def until_all_ended(
         begin: The carry at the start.
         steps: Total number of samples.
         together: Name of the mapped axis.
-        turn: Samples by which one iteration of the compiled loop advances; ``steps`` and :data:`CHECK_INTERVAL` are
-            multiples of it.
     """
-
-    traced_once = jax.jit(sample)
-
-    def iteration(at: C) -> C:
-        for _ in range(turn):
-            at = traced_once(at)
-        return at
 
     def any_running(at: C) -> Scalar:
         return jax.lax.pmax(jnp.where(running(at), 1, 0), together)
 
     def block(carry: tuple[C, Scalar]) -> tuple[C, Scalar]:
         last = jnp.minimum(carry[0].k + CHECK_INTERVAL, steps)
-        after = jax.lax.while_loop(lambda at: at.k < last, iteration, carry[0])
+        after = jax.lax.while_loop(lambda at: at.k < last, sample, carry[0])
         return after, any_running(after)
 
     def goes_on(carry: tuple[C, Scalar]) -> Scalar:

@@ -1,6 +1,5 @@
 """Show the machine, the versions and every kind of model."""
 
-import os
 import platform
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -23,10 +22,10 @@ def machine() -> str:
 
 
 def environment() -> dict[str, Any]:
-    """Versions, devices, flags and registries."""
+    """Versions, devices, compiler and registries."""
     import jax
 
-    from dssc_jax.backend import xla
+    from dssc_jax.backend import forms
     from dssc_jax.console.kinds import kinds
     from dssc_jax.study.measuring import KNOWN
 
@@ -34,8 +33,7 @@ def environment() -> dict[str, Any]:
     return {
         "versions": {"python": platform.python_version(), **{name: version(name) for name in packages}},
         "devices": [str(device) for device in jax.devices()],
-        "xla_flags": os.environ.get("XLA_FLAGS", ""),
-        "xla_settings": "off" if os.environ.get(xla.FLAGS_VARIABLE, "").lower() in xla.OFF else "on",
+        "compiler": forms.compiler_settings(),
         "kinds": kinds(),
         "metrics": {
             name: {"unit": metric.unit, "meaning": metric.meaning, "of": metric.scope.value}
@@ -51,7 +49,7 @@ def show_environment(environment: dict[str, Any]) -> None:
     console = output()
     console.print("  ".join(f"{name} {number}" for name, number in environment["versions"].items()))
     console.print(
-        f"devices    {', '.join(environment['devices'])}\nXLA flags  {environment['xla_flags'] or 'none'}",
+        f"devices    {', '.join(environment['devices'])}\ncompiler   {', '.join(environment['compiler'])}",
         soft_wrap=True,
     )
     for slot, its_kinds in environment["kinds"].items():

@@ -1,40 +1,33 @@
-"""Batching of lanes: tile, vmap, map, shard, chunk. No other module adds batch axes.
+"""Batching of lanes. No other module adds batch axes.
 
 A lane is one draw at one sweep point. A block is the unit of work and of storage: a box of the grid
-(sweep axes..., draw), computed as one batch of lanes. A batch is divided into tiles whose state stays in cache; tiles
-are mapped in sequence and distributed over the devices. Lanes are independent, so results do not depend on any of
-these sizes.
+(sweep axes..., draw), computed as one batch of lanes in one of the forms of :mod:`dssc_jax.backend.forms`. Lanes are
+independent, so results do not depend on the size of a block, nor on the cores that share it.
 """
 
 import itertools
 import math
 import platform
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, PartitionSpec
 
-from dssc_jax.backend import kernels, xla
-from dssc_jax.backend.fusion import deduplicated
+from dssc_jax.backend import forms
+from dssc_jax.backend.translate import AXIS
 from dssc_jax.closed_loop.draw import simulate_draw
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine.sampling import draw, draw_key
 from dssc_jax.study import Study
 
-LANES = 64  # of a tile that one kernel advances: its state and temporaries stay in the second-level cache
-LANES_OF_KERNELS = 512  # of a tile that many kernels advance, so that calling them costs little
-TILE = "tile"  # name of the axis over the lanes of a tile
-TILE_STEP = 16  # every tile is a multiple of it: of 8, a 512-bit vector, the compiler may contract other products
 BLOCK = 16384  # lanes
 PROBES = 16  # draws that are simulated twice to find in-loop noise
-VERSIONS = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy", "xarray", "zarr")
+VERSIONS = ("dssc_jax", "jax", "jaxlib", "llvmlite", "numpy", "scipy", "xarray", "zarr")
 
 Arrays = dict[Any, np.ndarray]
 """Arrays by name; derivatives by :class:`dssc_jax.engine.evaluation.Derivative`."""
@@ -43,7 +36,7 @@ Lane = Callable[[dict[str, jax.Array], jax.Array], dict[str, Scalar]]
 """(each of the lane's own numbers, draw index) -> the results of the lane."""
 
 
-def simulated(study: Study, together: str | None = TILE, segment: int | None = None) -> Lane:
+def simulated(study: Study, together: str | None = AXIS, segment: int | None = None) -> Lane:
     """Compute a lane's metrics, slacks, outcome and the time of its early end.
 
     Args:
@@ -133,10 +126,10 @@ class Engine:
     Args:
         study: What to simulate.
         lanes: Lanes of a batch; smaller ones are padded.
-        tile: Lanes of a tile; None: chosen from the size of the batch.
-        devices: Devices over which to distribute tiles; None: all.
+        tile: Lanes of a tile, for the forms of XLA; None: chosen from the size of the batch.
+        devices: Cores of a CPU, or GPUs, that share a batch; None: all.
         program: The program to run for each lane.
-        kernel: ``scan``, ``pallas`` or ``auto``; empty: the value of the environment variable, or ``scan``.
+        kernel: The form, see :func:`dssc_jax.backend.forms.requested`.
         extra: Numbers of each lane that the program needs in addition to those of the study.
     """
 
@@ -150,15 +143,8 @@ class Engine:
     extra: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        self.kernel = kernels.requested(self.kernel)
-        usable = jax.devices()[: self.devices]
-        share = -(-self.lanes // len(usable))
-        wanted = min(self.tile, share) if self.tile else best_tile(usable, share)
-        self._tile = -(-wanted // TILE_STEP) * TILE_STEP
-        tiles = -(-self.lanes // self._tile)
-        self._tiles = -(-tiles // len(usable)) * len(usable)
-        self._mesh = Mesh(np.array(usable), ("device",))
-        self._run = None
+        self.kernel = forms.requested(self.kernel)
+        self._start: forms.Start | None = None
         self._finished = 0.0
 
     @property
@@ -174,20 +160,14 @@ class Engine:
             indices: Draw index of each lane, shape (n,).
         """
         count = len(indices)
-        padding = self._tiles * self._tile - count
+        columns = {name: np.asarray(values[name]) for name in self.names}
         with arithmetic(self.study.config.loop.precision):
-            dtype = jnp.result_type(float)
-            shaped = {
-                name: np.pad(values[name], (0, padding), mode="edge").astype(dtype).reshape(self._tiles, self._tile)
-                for name in self.names
-            }
-            index = np.pad(indices, (0, padding), mode="edge").astype(np.uint32).reshape(self._tiles, self._tile)
-            run = self.compiled()
+            start = self.compiled()
             began = time.perf_counter()
-            out = run(shaped, index)
+            results = start(columns, np.asarray(indices))
 
         def finish() -> Arrays:
-            arrays = {name: np.asarray(array).reshape(-1)[:count] for name, array in out.items()}
+            arrays = results()
             self.clock.run_seconds += time.perf_counter() - max(began, self._finished)
             self._finished = time.perf_counter()
             self.clock.lanes += count
@@ -195,36 +175,20 @@ class Engine:
 
         return finish
 
-    def compiled(self) -> Any:
-        """The compiled program of a batch, for JAX's inspection of it too; compiled once, on first use."""
-        if self._run is None:
-            shape = self._tiles, self._tile
+    def compiled(self) -> forms.Start:
+        """The compiled program of a batch; compiled once, on first use."""
+        if self._start is None:
+            began = time.perf_counter()
+            lane = self.program(self.study)
+
+            def one(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
+                self.clock.traces += 1
+                return lane(values, index)
+
             with arithmetic(self.study.config.loop.precision):
-                number = jax.ShapeDtypeStruct(shape, jnp.result_type(float))
-                self._run = self._compile(dict.fromkeys(self.names, number), jax.ShapeDtypeStruct(shape, jnp.uint32))
-        return self._run
-
-    def _compile(self, values: dict[str, jax.ShapeDtypeStruct], index: jax.ShapeDtypeStruct) -> Any:
-        began = time.perf_counter()
-        lane = self.program(self.study)
-
-        def one(values: dict[str, jax.Array], i: jax.Array) -> dict[str, Scalar]:
-            self.clock.traces += 1
-            return lane(values, i)
-
-        def compile_for(batch: kernels.Batch):
-            def share(lanes: dict[str, jax.Array], i: jax.Array) -> dict[str, Scalar]:
-                return jax.lax.map(lambda tile: batch(*tile), (lanes, i))
-
-            spec = PartitionSpec("device")
-            sharded = jax.shard_map(share, mesh=self._mesh, in_specs=spec, out_specs=spec, check_vma=False)
-            return jax.jit(sharded).lower(values, index).compile()
-
-        batch = jax.vmap(one, axis_name=TILE)
-        whole = xla.compiles_loops_whole() and on_cpu(self._mesh.devices)
-        compiled = kernels.compiled(self.kernel, compile_for, deduplicated(batch) if whole else batch, batch)
-        self.clock.compile_seconds += time.perf_counter() - began
-        return compiled
+                self._start = forms.compiled(self.kernel, one, self.names, self.lanes, self.tile, self.devices)
+            self.clock.compile_seconds += time.perf_counter() - began
+        return self._start
 
     @property
     def rate(self) -> float:
@@ -240,26 +204,6 @@ class Engine:
             "rate": self.rate,
             "traces": self.clock.traces,
         }
-
-
-def on_cpu(devices: Iterable[Any]) -> bool:
-    """Whether the devices are cores of a CPU."""
-    return all(device.platform == "cpu" for device in devices)
-
-
-def best_tile(devices: Sequence[Any], share: int) -> int:
-    """Best number of lanes of a tile, as measured; the same for the loop with one degree of freedom and the UAV.
-
-    Never fewer if a tile is one kernel: the compiler unrolls shorter loops, which slows both compilation and the
-    kernel.
-
-    Args:
-        devices: Devices in use.
-        share: Lanes of one device.
-    """
-    if not on_cpu(devices):
-        return share
-    return LANES if xla.compiles_loops_whole() else min(share, LANES_OF_KERNELS)
 
 
 def medians(study: Study) -> dict[str, float]:
@@ -297,7 +241,7 @@ def computing() -> dict[str, Any]:
     return {
         "versions": {"python": platform.python_version(), **{name: version(name) for name in VERSIONS}},
         "device": {"kind": device.device_kind, "platform": device.platform, "count": len(jax.devices())},
-        "compiler": [*xla.code_generation(), *kernels.requested_settings()],
+        "compiler": forms.compiler_settings(),
     }
 
 

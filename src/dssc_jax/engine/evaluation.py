@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dssc_jax.backend.forms import Form
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine.batching import BLOCK, Arrays, Engine, Lane, drawn, evaluate, simulated
@@ -92,7 +93,8 @@ class GradientEvaluator(Evaluator):
     def compiled(self) -> Engine:
         """The program with derivatives."""
         if self.reverse:
-            return Engine(self.swept, self.lanes, program=partial(reverse_mode, names=self.names))
+            program = partial(reverse_mode, names=self.names)
+            return Engine(self.swept, self.lanes, program=program, kernel=Form.SCAN)
         lanes = min(BLOCK, self.lanes * len(self.names))
         return Engine(self.swept, lanes, program=partial(forward_mode, names=self.names), extra=(DIRECTION,))
 

@@ -15,11 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
-from dssc_jax.backend import compiled_programs
 from dssc_jax.core.numerics import stream
 from dssc_jax.study import Study
-
-compiled_programs.keep_programs()  # before the first program is compiled
 
 OUTERMOST_LEVEL = 2.0**-53  # keeps quantiles of unbounded laws finite
 SOBOL_BITS = 30  # of a coordinate; scipy's fast_forward knows words of 32 bits only

@@ -20,7 +20,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from dssc_jax.backend import xla
+from dssc_jax.backend import machine
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Engine, Layout, computing, execute, lanes_in
 from dssc_jax.results.blocks import Block, Chunks
@@ -278,7 +278,7 @@ def worker_environment(index: int, count: int) -> dict[str, str]:
     """A worker's share of the machine: one GPU each where there are any, else an equal part of the cores."""
     gpus = visible_gpus()
     return {
-        "XLA_FLAGS": xla.flags_for(max(1, xla.usable_cores() // count)),
+        machine.CORES_VARIABLE: str(max(1, machine.usable_cores() // count)),
         **({"CUDA_VISIBLE_DEVICES": gpus[index % len(gpus)]} if gpus else {}),
     }
 

@@ -1,13 +1,13 @@
 """Trajectories of single draws: ``simulate`` for a study, ``replay`` for a stored result, with a check."""
 
 from collections.abc import Callable, Mapping
-from functools import partial
+from functools import cache
 
 import jax
 import numpy as np
 import xarray as xr
 
-from dssc_jax.backend.xla import COMPILED_FAST
+from dssc_jax.backend import forms
 from dssc_jax.closed_loop.draw import Run, simulate_recorded
 from dssc_jax.closed_loop.sample import Loop, Recorded
 from dssc_jax.core.errors import ConfigError, nearest
@@ -87,12 +87,13 @@ def simulate(study: Study, draw: int = 0, *, point: Mapping[str, float] | None =
     return recorder(study if point else study.without_sweep(), every)(draw, point or {})
 
 
-def recorder(study: Study, every: int = 1) -> Callable[[int, Mapping[str, float]], xr.Dataset]:
+def recorder(study: Study, every: int = 1, plain: bool = False) -> Callable[[int, Mapping[str, float]], xr.Dataset]:
     """Return a function that computes trajectories of several draws with one compiled program.
 
     Args:
         study: The study, including its sweep.
         every: Keep every ``every``-th sample.
+        plain: By plain XLA, independent of the program that computes results.
 
     Returns:
         ``(draw, point) -> trajectory``, as in :func:`simulate`.
@@ -107,21 +108,16 @@ def recorder(study: Study, every: int = 1) -> Callable[[int, Mapping[str, float]
     if kept > MOST_KEPT:
         raise ConfigError(study.source, f"a trajectory keeps at most {MOST_KEPT} samples, got {kept}; raise every")
 
-    @partial(jax.jit, compiler_options=COMPILED_FAST)
-    def one(lane: dict[str, jax.Array], index: jax.Array):
-        return simulate_recorded(
-            study.loop,
-            study.params(lane),
-            draw_key(study.config.seed, index),
-            study.measures,
-            study.requirements,
-            every,
-        )
+    def lane(values: dict[str, jax.Array], index: jax.Array) -> tuple[Run, Recorded]:
+        key = draw_key(study.config.seed, index)
+        return simulate_recorded(study.loop, study.params(values), key, study.measures, study.requirements, every)
+
+    program = cache(lambda: forms.compiled_single(lane, [*study.axes, *study.laws], plain))
 
     def record(draw: int, point: Mapping[str, float]) -> xr.Dataset:
         values = lane_values(study, draw, point)
         with arithmetic(study.config.loop.precision):
-            ended, recorded = jax.tree.map(np.asarray, one(values, np.uint32(draw)))
+            ended, recorded = program()(values, draw)
         return as_trajectory(study, draw, values, ended, recorded)
 
     return record
@@ -216,7 +212,7 @@ def replay(result: Result, draw: int, *, point: Mapping[str, float] | None = Non
     if not point:
         index = hardest(result, draw)
     exact = {name: study.axes[name][i] for name, i in index.items()}
-    trajectory = simulate(study, draw, point=exact or None, every=every)
+    trajectory = recorder(study if exact else study.without_sweep(), every, plain=True)(draw, exact)
     compared = agreement_of(result, trajectory)
     trajectory.attrs["deviation"] = float(compared.deviation[0])
     trajectory.attrs["agreement"] = compared.verdict

@@ -1,0 +1,65 @@
+"""What of a program its results depend on."""
+
+from collections.abc import Iterable
+from typing import Any
+
+from dssc_jax.backend.program import Branch, CodeBlock, CodeLoop, Program, Record, Recording, Value
+
+
+def reachable(program: Program) -> set[int]:
+    """Identities of the values, loops and branches that a result depends on."""
+    seen: set[int] = set()
+    waiting: list[Any] = [value for value in program.outputs if isinstance(value, Value)]
+    records: dict[int, list[Any]] = {}
+    collect_records(program.body, (), records)
+    for value in program.outputs:
+        waiting += records[id(value)] if isinstance(value, Recording) else []
+    while waiting:
+        node = waiting.pop()
+        if id(node) in seen:
+            continue
+        seen.add(id(node))
+        if isinstance(node, Value):
+            waiting += node.operands
+            if node.operation in ("state", "result"):
+                loop, position = node.detail
+                waiting += [loop, loop.begin[position], loop.then[position]]
+            elif node.operation == "joined":
+                branch, position = node.detail
+                waiting += [branch, branch.values[0][position], branch.values[1][position]]
+        elif isinstance(node, CodeLoop):
+            waiting += [value for value in (node.guard, node.again) if value is not None]
+        elif isinstance(node, Branch):
+            waiting.append(node.condition)
+        elif isinstance(node, Record):
+            waiting += [node.position, node.value]
+    return seen
+
+
+def collect_records(block: CodeBlock, around: tuple[Any, ...], records: dict[int, list[Any]]) -> None:
+    """The records of each recording, with the loops around them."""
+    for node in block.nodes:
+        if isinstance(node, Record):
+            records.setdefault(id(node.recording), []).extend([node, *around])
+        elif isinstance(node, CodeLoop):
+            collect_records(node.body, (*around, node), records)
+        elif isinstance(node, Branch):
+            for side in node.sides:
+                collect_records(side, (*around, node), records)
+
+
+def operation_counts(program: Program) -> dict[str, int]:
+    """How often each operation occurs among the values that are needed, for those who look at a program."""
+    alive, counts = reachable(program), {}
+
+    def visit(nodes: Iterable[Any]) -> None:
+        for node in nodes:
+            if isinstance(node, Value) and id(node) in alive:
+                counts[node.operation] = counts.get(node.operation, 0) + 1
+            elif isinstance(node, CodeLoop):
+                visit(node.body.nodes)
+            elif isinstance(node, Branch):
+                visit([*node.sides[0].nodes, *node.sides[1].nodes])
+
+    visit(program.body.nodes)
+    return counts

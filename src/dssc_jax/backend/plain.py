@@ -1,0 +1,72 @@
+"""Batches of lanes by XLA: ``vmap`` over the lanes of a tile, tiles in sequence, tiles over devices.
+
+This is the reference, and the form for whatever has no machine code.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+
+from dssc_jax.backend.translate import AXIS
+
+LANES = 512  # of a tile on a CPU, so that calling the kernels of a sample costs little
+TILE_STEP = 16  # every tile is a multiple of it: of 8, a 512-bit vector, the compiler may contract other products
+COMPILED_FAST: dict[str, str | bool] = {"xla_backend_optimization_level": "0"}
+"""Options of ``jax.jit`` for a program of one lane: its compilation takes longer than its run, so it is left simple."""
+
+TileProgram = Callable[[dict[str, jax.Array], jax.Array], Any]
+
+
+class PlainBatch:
+    """A lane's program by XLA, for batches of at most ``lanes`` lanes.
+
+    Args:
+        lane: (numbers by name, draw index) -> results.
+        names: Names of the numbers.
+        lanes: Most lanes of a batch; smaller ones are padded.
+        tile: Lanes of a tile; None: a share of the batch, on a CPU at most :data:`LANES`.
+        devices: Devices to use; None: all.
+        form: Changes the batch before it is compiled.
+    """
+
+    def __init__(
+        self,
+        lane: Callable[..., Any],
+        names: Sequence[str],
+        lanes: int,
+        tile: int | None,
+        devices: int | None,
+        form: Callable[[TileProgram], TileProgram] = lambda batch: batch,
+    ) -> None:
+        usable = jax.devices()[:devices]
+        share = -(-lanes // len(usable))
+        most = min(share, LANES) if usable[0].platform == "cpu" else share
+        self._tile = -(-min(tile or most, share) // TILE_STEP) * TILE_STEP
+        tiles = -(-lanes // self._tile)
+        self._tiles = -(-tiles // len(usable)) * len(usable)
+        self._real = np.dtype(jnp.result_type(float))
+        batch, mesh = form(jax.vmap(lane, axis_name=AXIS)), Mesh(np.array(usable), ("device",))
+
+        def part(values: dict[str, jax.Array], index: jax.Array) -> Any:
+            return jax.lax.map(lambda tile: batch(*tile), (values, index))
+
+        spec, shape = PartitionSpec("device"), (self._tiles, self._tile)
+        sharded = jax.shard_map(part, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
+        number = jax.ShapeDtypeStruct(shape, self._real)
+        lowered = jax.jit(sharded).lower(dict.fromkeys(names, number), jax.ShapeDtypeStruct(shape, jnp.uint32))
+        self._run = lowered.compile()
+
+    def start(self, values: dict[str, np.ndarray], index: np.ndarray) -> Callable[[], Any]:
+        """Begin to run a batch; see :data:`dssc_jax.backend.forms.Start`."""
+        count, shape = len(index), (self._tiles, self._tile)
+
+        def tiled(column: np.ndarray, dtype: Any) -> np.ndarray:
+            return np.pad(column, (0, self._tiles * self._tile - count), mode="edge").astype(dtype).reshape(shape)
+
+        columns = {name: tiled(column, self._real) for name, column in values.items()}
+        out = self._run(columns, tiled(index, np.uint32))
+        return lambda: jax.tree.map(lambda array: np.asarray(array).reshape(-1)[:count], out)

@@ -1,0 +1,300 @@
+"""The typed program of one lane: scalar values in static single assignment, within nested blocks.
+
+A value is *varying* if it may differ between lanes, and *uniform* otherwise: time, and all that follows from it alone.
+An emitter keeps varying values in vectors of lanes and uniform values in scalars. A block is the body of the program,
+of a loop or of one side of a branch.
+
+Construction simplifies. An operation on constants is evaluated, equal operations of a block become one value, and an
+operation joins the outermost block in which its operands are known, so that nothing is computed in a loop that does
+not change there. Only a branch keeps its operations, because it exists to skip them.
+"""
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+BOOL = np.dtype(bool)
+COMPARISONS: dict[str, Callable[..., Any]] = {
+    "eq": np.equal, "ne": np.not_equal, "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal,
+}  # fmt: skip
+ARITHMETIC: dict[str, Callable[..., Any]] = {
+    "add": np.add, "sub": np.subtract, "mul": np.multiply, "neg": np.negative, "abs": np.abs, "sqrt": np.sqrt,
+    "max": np.maximum, "min": np.minimum, "floor": np.floor, "ceil": np.ceil, "round": np.rint, "trunc": np.trunc,
+    "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor, "not": np.invert, "shl": np.left_shift,
+    "shr": np.right_shift,
+}  # fmt: skip
+"""Operations whose result has the type of their operands. ``shr`` keeps the sign of a signed integer."""
+
+
+@dataclass(eq=False, slots=True)
+class Value:
+    """A scalar of one lane.
+
+    Args:
+        operation: A name of :data:`ARITHMETIC` or :data:`COMPARISONS`; ``div`` and ``rem``, which truncate integers
+            towards zero; ``select``, ``convert``, ``bitcast``; ``any`` over the lanes that run together; ``lookup`` in
+            a table; ``constant``, ``input``; ``state`` and ``result`` of a loop; ``joined``, the result of a branch.
+        dtype: Its type.
+        operands: The values that it is computed from.
+        detail: The constant, the table, the number of the input, or the loop or branch with the position in it.
+        varying: Whether it may differ between lanes.
+        block: Where it is computed; None for a constant.
+    """
+
+    operation: str
+    dtype: np.dtype
+    operands: tuple["Value", ...] = ()
+    detail: Any = None
+    varying: bool = False
+    block: "CodeBlock | None" = None
+
+
+@dataclass(eq=False, slots=True)
+class CodeBlock:
+    """A sequence of values, loops, branches and records.
+
+    Args:
+        parent: The surrounding block.
+        keeps: Whether operations stay although the surrounding block knows their operands: a branch's side.
+    """
+
+    parent: "CodeBlock | None" = None
+    keeps: bool = False
+    depth: int = 0
+    nodes: list[Any] = field(default_factory=list)
+    known: dict[Hashable, Value] = field(default_factory=dict)
+
+
+@dataclass(eq=False, slots=True)
+class CodeLoop:
+    """A loop that tests at its end: do the body, again while ``again``.
+
+    Args:
+        body: Its block.
+        guard: Whether to enter at all; None: always.
+        begin: Values of the state before the first turn.
+        states: The state within the body.
+        then: The state after a turn.
+        again: A uniform condition, known in the body.
+        results: The state after the loop.
+    """
+
+    body: CodeBlock
+    guard: Value | None
+    begin: list[Value]
+    states: list[Value] = field(default_factory=list)
+    then: list[Value] = field(default_factory=list)
+    again: Value | None = None
+    results: list[Value] = field(default_factory=list)
+
+
+@dataclass(eq=False, slots=True)
+class Branch:
+    """Two sides, of which each lane takes one; a side that no lane takes is skipped.
+
+    Args:
+        condition: Whether a lane takes the first side.
+        sides: The two blocks.
+        values: Results of both sides.
+        results: The results.
+    """
+
+    condition: Value
+    sides: tuple[CodeBlock, CodeBlock]
+    values: tuple[list[Value], list[Value]] = ([], [])
+    results: list[Value] = field(default_factory=list)
+
+
+@dataclass(eq=False, slots=True)
+class Record:
+    """Stores a value at a position of a lane's output array, such as one sample of a trajectory.
+
+    Args:
+        output: Number of the output.
+        position: Uniform index in the array.
+        value: The value.
+    """
+
+    recording: "Recording"
+    position: Value
+    value: Value
+
+
+@dataclass(eq=False, slots=True)
+class Recording:
+    """An array that a loop writes and nobody reads within the program.
+
+    Args:
+        length: Number of its elements.
+        dtype: Their type.
+    """
+
+    length: int
+    dtype: np.dtype
+
+
+@dataclass(slots=True)
+class Program:
+    """The program of one lane.
+
+    Args:
+        inputs: Types of the lane's numbers.
+        body: The outermost block.
+        outputs: Its results: scalars, and arrays that a loop records.
+    """
+
+    inputs: list[np.dtype]
+    body: CodeBlock
+    outputs: list[Value | Recording]
+
+
+class Builder:
+    """Builds a program from the inside of the block ``here``."""
+
+    def __init__(self) -> None:
+        self.here = CodeBlock()
+        self._constants: dict[Hashable, Value] = {}
+
+    def constant(self, number: Any, dtype: np.dtype) -> Value:
+        """A number of the given type."""
+        scalar = np.asarray(number).astype(dtype)[()]
+        key = dtype, scalar.tobytes()
+        if key not in self._constants:
+            self._constants[key] = Value("constant", dtype, detail=scalar)
+        return self._constants[key]
+
+    def input(self, position: int, dtype: np.dtype) -> Value:
+        """A number of the lane."""
+        return self._placed("input", dtype, (), position, True, self.here)
+
+    def add(self, operation: str, *operands: Value, dtype: np.dtype | None = None, detail: Any = None) -> Value:
+        """The result of an operation.
+
+        Args:
+            operation: See :class:`Value`.
+            operands: Its operands.
+            dtype: Type of the result; None: that of the last operand, or a truth value for a comparison.
+            detail: The table of a ``lookup``.
+        """
+        dtype = dtype or (BOOL if operation in COMPARISONS else operands[-1].dtype)
+        simple = simplified(operation, operands, dtype)
+        if simple is not None:
+            return simple
+        if all(operand.operation == "constant" for operand in operands):
+            constant = constant_result(operation, [operand.detail for operand in operands], dtype, detail)
+            if constant is not None:
+                return self.constant(constant, dtype)
+        varying = operation != "any" and any(operand.varying for operand in operands)
+        return self._placed(operation, dtype, operands, detail, varying, self._home(operands))
+
+    def loop(self, begin: Sequence[Value], varying: Sequence[bool], guard: Value | None) -> CodeLoop:
+        """Enter a loop; :meth:`close` leaves it."""
+        loop = CodeLoop(CodeBlock(self.here, depth=self.here.depth + 1), guard, list(begin))
+        for position, (value, varies) in enumerate(zip(begin, varying, strict=True)):
+            state = Value("state", value.dtype, (), (loop, position), varies or value.varying, loop.body)
+            loop.states.append(state)
+        self.here = loop.body
+        return loop
+
+    def close(self, loop: CodeLoop, then: Sequence[Value], again: Value) -> list[Value]:
+        """Leave a loop and return its results."""
+        loop.then, loop.again = list(then), again
+        self.here = loop.body.parent or loop.body
+        self.here.nodes.append(loop)
+        loop.results = [
+            Value("result", state.dtype, (), (loop, position), state.varying, self.here)
+            for position, state in enumerate(loop.states)
+        ]
+        return loop.results
+
+    def branch(self, condition: Value, sides: Sequence[Callable[[], list[Value]]]) -> list[Value]:
+        """The results of one of two sides.
+
+        Args:
+            condition: Whether to take the first.
+            sides: Functions that build them.
+        """
+        outside, blocks, values = self.here, [], []
+        for side in sides:
+            self.here = CodeBlock(outside, keeps=True, depth=outside.depth + 1)
+            values.append(side())
+            blocks.append(self.here)
+        self.here = outside
+        branch = Branch(condition, (blocks[0], blocks[1]), (values[0], values[1]))
+        outside.nodes.append(branch)
+        for position, pair in enumerate(zip(*values, strict=True)):
+            varying = condition.varying or any(value.varying for value in pair)
+            branch.results.append(Value("joined", pair[0].dtype, (), (branch, position), varying, outside))
+        return branch.results
+
+    def record(self, recording: Recording, position: Value, value: Value) -> None:
+        """Store a value in a recorded array."""
+        self.here.nodes.append(Record(recording, position, value))
+
+    def _home(self, operands: Sequence[Value]) -> CodeBlock:
+        """The outermost block in which an operation on these operands may be computed."""
+        deepest = max((operand.block.depth for operand in operands if operand.block is not None), default=0)
+        block = self.here
+        while block.depth > deepest and not block.keeps and block.parent is not None:
+            block = block.parent
+        return block
+
+    def _placed(
+        self, operation: str, dtype: np.dtype, operands: tuple[Value, ...], detail: Any, varying: bool, home: CodeBlock
+    ) -> Value:
+        """A value that is already known to the block or one around it, or a new one."""
+        key = operation, dtype, tuple(map(id, operands)), detail if isinstance(detail, int) else id(detail)
+        block: CodeBlock | None = home
+        while block is not None:
+            if key in block.known:
+                return block.known[key]
+            block = block.parent
+        value = Value(operation, dtype, operands, detail, varying, home)
+        home.known[key] = value
+        home.nodes.append(value)
+        return value
+
+
+def simplified(operation: str, operands: Sequence[Value], dtype: np.dtype) -> Value | None:
+    """An operand that equals the result for every value, rounding included; None if there is none."""
+    first = operands[0]
+    if operation in ("convert", "bitcast") and first.dtype == dtype:
+        return first
+    if operation == "any" and first.operation == "constant":
+        return first
+    if operation == "select":
+        if operands[1] is operands[2]:
+            return operands[1]
+        if first.operation == "constant":
+            return operands[1] if first.detail else operands[2]
+    if operation in ("and", "or"):
+        for one, other in (operands, operands[::-1]):
+            if one is other or (
+                one.operation == "constant" and one.dtype == BOOL and one.detail == (operation == "and")
+            ):
+                return other
+    if operation == "mul":
+        for one, other in (operands, operands[::-1]):
+            if one.operation == "constant" and one.detail == 1:
+                return other
+    return None
+
+
+def constant_result(operation: str, numbers: Sequence[Any], dtype: np.dtype, detail: Any) -> Any:
+    """The result of an operation on constants; None if it is left to the machine."""
+    with np.errstate(all="ignore"):
+        if operation in COMPARISONS:
+            return COMPARISONS[operation](*numbers)
+        if operation in ARITHMETIC:
+            return ARITHMETIC[operation](*numbers)
+        if operation == "div" and dtype.kind == "f":
+            return np.divide(*numbers)
+        if operation == "convert" and not (dtype.kind in "iu" and numbers[0].dtype.kind == "f"):
+            return np.asarray(numbers[0]).astype(dtype)
+        if operation == "bitcast":
+            return np.asarray(numbers[0]).view(dtype)
+        if operation == "lookup":
+            return detail[numbers[0]]
+    return None
