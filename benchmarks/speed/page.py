@@ -198,7 +198,7 @@ median and quartiles. All programs use every core, except in the column "one dev
 * **C**: `benchmarks/speed/c`, the same arithmetic written by hand and used as the baseline: vectors of draws in
   registers, one thread per core, the study's fixed numbers as compile-time constants, and the faster of two sets of
   compiler options.
-* **jit(vmap(scan))**: the straightforward form of this package's own loop, without its compiler settings and tiles.
+* **jit(vmap(scan))**: the straightforward form of this package's own loop.
 * **Numba**: `prange` over draws, scalar code, fast mathematics. **NumPy**: all draws in one array. Both run
   `benchmarks/speed/by_hand.py`.
 

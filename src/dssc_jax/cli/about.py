@@ -38,7 +38,7 @@ def info(
 ) -> int:
     """Show versions, devices and every kind of model; or one kind's fields.
 
-    Each kind with its fields and options, and the compiler flags in force. Of one KIND: unit, meaning, admissible
+    Each kind with its fields and options, and the compiler of lanes. Of one KIND: unit, meaning, admissible
     values and default of each field.
     """
     from dssc_jax.console import environment, show_environment
