@@ -12,7 +12,9 @@ import pytest
 from dssc_jax.backend import machine
 
 CHECKOUT = Path(__file__).parents[2]
-FORBIDDEN = re.compile("|".join((r"\bjax\._" + "src", "XLA_" + "FLAGS", r"\bjax\." + r"core\b", r"primitive\." + "bind")))
+FORBIDDEN = re.compile(
+    "|".join((r"\bjax\._" + "src", "XLA_" + "FLAGS", r"\bjax\." + r"core\b", r"primitive\." + "bind"))
+)
 
 
 def python(code):

@@ -189,6 +189,11 @@ def test_equal_tables_are_told_apart_by_their_numbers():
     assert np.all(lanes == -0.25)
 
 
+def test_another_generator_is_refused():
+    with pytest.raises(Unsupported, match="another generator"):
+        translate(lambda i: jax.random.bits(jax.random.key(i, impl="rbg")), jax.ShapeDtypeStruct((), np.uint32))
+
+
 def sorts(values, index):
     return {"largest": jnp.sort(jnp.stack([values["a"], 1.0, -1.0]))[-1]}
 

@@ -116,26 +116,29 @@ class LoadedCode:
             width: Lanes of a vector.
             threads: How many threads to use.
         """
-        given, wanted = addresses(inputs), addresses(outputs)
         part = max(1, -(-lanes // (width * threads * PARTS))) * width
         starts = iter(range(0, lanes, part))
-        lock = threading.Lock()
+        lock, stopped = threading.Lock(), threading.Event()
 
-        def work() -> None:
+        def work() -> None:  # holds the columns as long as it runs, whoever else lets go of them
+            given, wanted = addresses(inputs), addresses(outputs)
             while True:
                 with lock:
                     first = next(starts, None)
-                if first is None:
+                if first is None or stopped.is_set():
                     return
                 self._function(given.ctypes.data, wanted.ctypes.data, first, min(first + part, lanes))
 
         running: list[Future[None]] = [workers(threads).submit(work) for _ in range(min(threads, -(-lanes // part)))]
 
         def finish() -> None:
-            for future in running:
-                future.result()
+            try:
+                for future in running:
+                    future.result()
+            except BaseException:  # such as Ctrl-C: the threads end with the part that they run
+                stopped.set()
+                raise
 
-        finish.columns = given, wanted, inputs, outputs  # type: ignore[attr-defined]  # in use until then
         return finish
 
 

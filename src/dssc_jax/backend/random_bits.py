@@ -48,6 +48,16 @@ def threefry(build: Builder, key: Key, high: Value, low: Value) -> tuple[Value, 
     return x, y
 
 
+def require_threefry(key_type: Any) -> None:
+    """Require keys of this generator.
+
+    Raises:
+        Unsupported: They belong to another.
+    """
+    if "fry" not in str(key_type):
+        raise Unsupported(f"random numbers of another generator, {key_type}")
+
+
 def fold_in(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Key:
     """A key derived from a key and a number."""
     key, number = operands
@@ -56,6 +66,7 @@ def fold_in(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], 
 
 def seed(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Key:
     """The key of a seed: its upper and its lower word."""
+    require_threefry(equation.outvars[0].aval.dtype)
     (number,) = operands
     if number.dtype.itemsize < 8:
         return Key(build.constant(0, WORD), build.add("convert", number, dtype=WORD))
@@ -118,6 +129,7 @@ def unwrap(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], e
 
 def wrap(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Key:
     """A key from an array of two words."""
+    require_threefry(equation.outvars[0].aval.dtype)
     words = as_tensor(operands[0], build)
     if words.shape != (2,):
         raise Unsupported(f"an array of keys of shape {words.shape[:-1]}")

@@ -87,6 +87,7 @@ class Translator:
     def constant(self, number: Any, dtype: Any = None) -> Any:
         """A number, a table or a random key that is known before the lane begins."""
         if is_key(jax.typeof(number)):
+            random_bits.require_threefry(number.dtype)
             words = np.asarray(jax.random.key_data(number))
             if words.shape != (2,):
                 raise Unsupported(f"a constant array of random keys of shape {words.shape}")
