@@ -8,6 +8,7 @@ import ctypes
 import hashlib
 import os
 import threading
+import weakref
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -139,6 +140,7 @@ class LoadedCode:
                 stopped.set()
                 raise
 
+        weakref.finalize(finish, stopped.set)  # nobody waits any more
         return finish
 
 
