@@ -39,8 +39,8 @@ def design_proofs(count: int, seed: int = 5) -> list[DesignProof]:
 
         problem = ProofProblem(
             sample_time=period, l0=float(p.l0), form="implicit", functions=functions, rho=1e6, nominal=None,
-            k_p=(k_p, k_p), a_p=(a_p, a_p), zero_a=(), zero_c=(), lag_order=2, mu=(1.0, 1.0), level=0.0, slope=slope,
-            initial=((0.0, 0.0), (0.0, 0.0)), matched=True,
+            k_p=(k_p, k_p), a_p=(a_p, a_p), zero_a=(), zero_c=(), numerator=(1.0,), denominator=(1.0, 2.0, 1.0), mu=(1.0, 1.0), delay=0.0, sensor_lag=0.0,
+            level=0.0, slope=slope, reference=(0.0, 0.0, 0.0), initial=((0.0, 0.0), (0.0, 0.0)), matched=True,
         )  # fmt: skip
         problem = with_lag(problem, 0.5 * local_margin(problem))
         outcome = prove_problem(problem, 1)
@@ -56,7 +56,7 @@ def single(arrays: Any, i: int) -> Any:
 
 def at_origin(problem: ProofProblem) -> Step:
     """The loop linearised at sigma = e = 0."""
-    return step_of(problem, box_middle(problem.box, gain_hull(problem, 1e-12, 1e-12)))
+    return step_of(problem, box_middle(problem.box, gain_hull(problem, 1e-12, 1e-12)), problem.box)
 
 
 def with_lag(problem: ProofProblem, mu: float) -> ProofProblem:

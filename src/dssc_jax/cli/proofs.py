@@ -48,7 +48,7 @@ def prove(
     """
     require_proofs()
     from dssc_jax.console.proofs import show_proof, show_verdict
-    from dssc_jax.proofs.problem import NotCovered
+    from dssc_jax.design.certification import NotCovered
     from dssc_jax.proofs.prove import check_certificate
     from dssc_jax.proofs.prove import prove as search
 
@@ -87,7 +87,7 @@ def write_certificate(proved: "Proved", out: Path | None) -> None:
 def prove_over(study: "Study", over: str, log: bool, boxes: int, out: Path | None, as_json: bool) -> int:
     """Find the last value of a number that is proved; ``out`` gets its certificate."""
     from dssc_jax.console import output, progress_bar
-    from dssc_jax.proofs.problem import NotCovered
+    from dssc_jax.design.certification import NotCovered
     from dssc_jax.proofs.reach import proved_up_to
 
     name, bounds = parse_bounds(over)

@@ -13,7 +13,8 @@ from typing import Any
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.proofs import SWEEP_BOXES
-from dssc_jax.proofs.problem import ProofProblem, problem_of
+from dssc_jax.proofs.coverage import problem_of
+from dssc_jax.proofs.problem import ProofProblem
 from dssc_jax.results.proofs import SweepProofs
 from dssc_jax.study import Study
 
