@@ -108,14 +108,11 @@ def prove_box(problem: ProofProblem, box: Box) -> Proof | Failure:
     """Search a proof for every plant of a box: bounds that imply themselves, or else sets to begin with."""
     if problem.rho is not None and problem.rho <= signal_sizes(problem, box).offset:
         return Failure(box, "sliding")
-    at = step_of(problem, box_middle(box, gain_hull(problem, 1e-9, 1e-9)), box)
-    if decay_rate(at, problem.sample_time) <= 0.0:
-        return Failure(box, "origin")
     first = from_start(problem, box)
     if isinstance(first, BoundsStage):
         sigma, e = first.bounds[fixed_point.SIGMA], first.bounds[fixed_point.ERROR]
         return Proof(box, [first, *towards_residual(problem, box, (sigma, e), e)])
-    return proof_by_sets(problem, box, decay_rate(at, problem.sample_time))
+    return proof_by_sets(problem, box)
 
 
 class Setting(NamedTuple):
@@ -153,16 +150,28 @@ class Setting(NamedTuple):
         starts, rate = self.starts if started else [], share * self.speed
         return invariant_set(steps, self.problem.sample_time, rate, rows, starts, self.scale, self.spare)
 
+    def falls(self, steps: list[Step]) -> bool:
+        """Whether any V falls at every step, slowly and without inputs' bounds or starts."""
+        return self.solve(steps, [], min(RATES), started=False) is not None
 
-def proof_by_sets(problem: ProofProblem, box: Box, speed: float) -> Proof | Failure:
-    """Sets from the start to a region in which bounds imply themselves."""
+
+def setting_of(problem: ProofProblem, box: Box) -> Setting | None:
+    """The setting of a box; None if the loop is not stable at sigma = e = 0."""
     integrated, origin = problem.form == "conservative", gain_hull(problem, 1e-9, 1e-9)
     at = step_of(problem, box_middle(box, origin), box, integrated=integrated)
     starts = start_corners(problem, box, start_means(problem) if integrated else None)
-    if (scale := scaling(at, starts, speed * problem.sample_time)) is None:
-        return Failure(box, "origin")
+    speed = decay_rate(at, problem.sample_time)
+    if speed <= 0.0 or (scale := scaling(at, starts, speed * problem.sample_time)) is None:
+        return None
     point = all(low == high for name, (low, high) in box.items() if name != "k_p")
-    setting = Setting(problem, box, at, starts, scale, speed, SPARE if point else SPARE_OF_BOXES)
+    return Setting(problem, box, at, starts, scale, speed, SPARE if point else SPARE_OF_BOXES)
+
+
+def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
+    """Sets from the start to a region in which bounds imply themselves."""
+    if (setting := setting_of(problem, box)) is None:
+        return Failure(box, "origin")
+    at = setting.at
     first = first_set(setting)
     if isinstance(first, str):
         return Failure(box, first)
@@ -197,10 +206,12 @@ def first_set(setting: Setting) -> SetStage | str:
         inside = [Bounded(at.rows[SIGMA], region.sigma, 1.0)]
         inside += [Bounded(at.rows[E], region.e, 1.0)] if by_e else []
         slides = slide_rows(problem, setting.box, region, at)
-        for share in RATES if all(each.bound > 0.0 for each in slides) else ():
+        for share in RATES if all(each.bound > 0.0 for each in slides) else RATES[:0]:
             if (result := setting.solve(steps, [*inside, *slides], share, started=True)) is not None:
                 return set_stage(result, region, at)
-        if setting.solve(steps, [], min(RATES), started=False) is None:  # nor in any larger region
+            if share == RATES[0] and not setting.falls(steps):
+                break
+        if not setting.falls(steps):  # nor in any larger region
             return "decay" if size == REGIONS[0] else "sliding" if held else "region"
         held = held or (bool(slides) and setting.solve(steps, inside, RATES[0], started=True) is not None)
     return "sliding" if held else "region"
