@@ -133,20 +133,20 @@ def unmodelled_of(study: Study, ends: Ends) -> dict[str, Any]:
         NotCovered: the unmodelled dynamics are neither linear nor a known delay.
     """
     model, (low, high) = study.loop.unmodelled[0], (end.unmodelled[0] for end in ends)
-    found = {"numerator": (), "denominator": (), "mu": (0.0, 0.0), "delay": 0.0}
+    nothing = {"numerator": (), "denominator": (), "mu": (0.0, 0.0), "delay": 0.0}
     if model is NO_DYNAMICS:
-        return found
+        return nothing
     if model is DELAY:
         if low.samples != high.samples:
             raise NotCovered("the delay is uncertain")
-        return found | {"delay": float(low.samples)}
+        return nothing | {"delay": float(low.samples)}
     if model in LAGS:
         numerator, denominator = LAGS[model]
     elif model is TRANSFER_FUNCTION:
         numerator, denominator = (tuple(map(float, side)) for side in (low.numerator, low.denominator))
     else:
         raise NotCovered("the unmodelled dynamics are neither a lag, a transfer function nor a delay")
-    return found | {"numerator": numerator, "denominator": denominator, "mu": (float(low.mu), float(high.mu))}
+    return nothing | {"numerator": numerator, "denominator": denominator, "mu": (float(low.mu), float(high.mu))}
 
 
 def controller_of(study: Study) -> dict[str, Any]:

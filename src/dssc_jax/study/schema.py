@@ -179,6 +179,7 @@ class TuneTable(BaseModel):
         default={}, description="interval of each number that is tuned"
     )
     certified: bool = Field(default=False, description="whether Theorem 1 chooses the gains")
+    proved: bool = Field(default=False, description="whether the sampled loop is proved at every accepted point")
     free: dict[str, Annotated[tuple[float, float] | float, BeforeValidator(parse_free)]] = Field(
         default={}, description="free parameter of the theorem: its interval, or its fixed value"
     )

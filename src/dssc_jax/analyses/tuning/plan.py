@@ -2,16 +2,20 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dssc_jax.analyses.tuning.certified import NUMBERS, Theorem, split_parameters
 from dssc_jax.analyses.tuning.mirror import Mirror, as_they_are
 from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.design.certification import NotCovered
 from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.models.controllers.dssc import DsscGains
 from dssc_jax.study import Law, Study
 from dssc_jax.study.schema import TuneTable
+
+if TYPE_CHECKING:
+    from dssc_jax.proofs.prove import Proved
 
 DESCENTS = ("adam", "adabelief", "amsgrad", "lion", "nadam", "rmsprop", "sgd")  # names in optax
 EVOLUTION = "differential_evolution"  # in scipy.optimize
@@ -87,6 +91,8 @@ class Plan:
             raise ConfigError("tune.free", "belongs to certified = true")
         elif table.slack is not None:
             theorem = Theorem(study, {}, "tune.slack")
+        if table.proved:
+            require_provable(study)
         if not varied:
             raise ConfigError("tune.parameters", "names nothing to tune; give NAME = [low, high]")
         mirror = Mirror(varied, starts, theorem.expand if theorem and table.certified else as_they_are)
@@ -97,6 +103,13 @@ class Plan:
         """The measures that objective and limits need, by name."""
         by_name = {measure.name: measure for measure in self.study.measures}
         return {name: by_name[name] for name in (*self.table.objective, *self.table.limits)}
+
+    def proof_at(self, numbers: Mapping[str, float]) -> "Proved":
+        """The proof of the study with other numbers, as far as there is one."""
+        from dssc_jax.proofs import SWEEP_BOXES
+        from dssc_jax.proofs.prove import prove
+
+        return prove(self.study.override(dict(numbers)), boxes=SWEEP_BOXES)
 
     def trial(self) -> Study:
         """The study used for training: with other draws, and only the metrics needed."""
@@ -119,6 +132,22 @@ class Plan:
             if name.rpartition(":")[2] == measure.kind:
                 return name
         return measure.kind
+
+
+def require_provable(study: Study) -> None:
+    """Require a loop that a proof covers, and what proofs need.
+
+    Raises:
+        ConfigError: it is outside of what a proof covers, or a package is missing.
+    """
+    try:
+        from dssc_jax.proofs.coverage import problem_of
+
+        problem_of(study)
+    except ImportError as error:
+        raise ConfigError("tune.proved", f"needs {error.name}: pip install 'dssc_jax[proofs]'") from None
+    except NotCovered as error:
+        raise ConfigError("tune.proved", f"a proof does not cover this loop: {error}") from None
 
 
 def seed_of(study: Study, table: TuneTable) -> int:
