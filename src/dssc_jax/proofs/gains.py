@@ -87,7 +87,8 @@ def region_of(problem: ProofProblem, sigma: float, e: float) -> Region:
     """The region of these bounds, in pieces in which K_P varies little."""
     hull = gain_hull(problem, sigma, e)
     low, high = hull["k_p"]
-    count = int(np.clip(np.ceil(np.log(high / low) / np.log(PIECE_RATIO)), 1, MOST_PIECES))
+    ratio = high / low if 0.0 < low < high < np.inf else 1.0  # elsewhere the functions are not positive
+    count = int(np.clip(np.ceil(np.log(ratio) / np.log(PIECE_RATIO)), 1, MOST_PIECES))
     ends = [sigma * (i / count) ** 2 for i in range(count + 1)]
     return Region(sigma, e, hull, ends[1:], [gain_hull(problem, high, e, low) for low, high in pairwise(ends)])
 

@@ -137,6 +137,8 @@ def invariant_set(
     Returns:
         None if the program has no solution.
     """
+    if not all(np.isfinite(step.a).all() and np.isfinite(step.b).all() for step in steps):
+        return None
     for _ in range(TRIES):
         solution = solved_set(steps, sample_time, rate, rows, starts, scale, spare)
         if solution is None or decreases(steps, sample_time, solution):
