@@ -23,7 +23,8 @@ DOCS = Path(__file__).parents[1] / "docs"
 STUDY_FILE = """# The study file
 
 Every table and field, generated from the schema (`make pages`). `dssc-jax info KIND` prints one kind in the terminal.
-Numbers are in SI units and radians. A law may replace a number unless *admissible* excludes it.
+Numbers are in SI units and radians; y stands for the unit of the plant's output and u for that of its command. A law
+may replace a number unless *admissible* excludes it.
 """
 COMMANDS = """# Commands
 

@@ -12,7 +12,6 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.closed_loop.metrics import METRICS, Instant, Measure, Scope, Window, starts, update_all, values
 from dssc_jax.closed_loop.performance import PERFORMANCE
-from dssc_jax.core.quantities import angular_unit
 from dssc_jax.results.schema import variables
 
 OWN = """
@@ -105,14 +104,6 @@ def test_metrics_of_an_angle_are_in_radians():
     assert units["chattering_index_psi"] == "1"
     assert units["tilt_max"] == units["error_max_psi"] == units["slack_error_max_psi"] == "rad"
     assert study.requirements[0].text == "error_max_psi <= 0.1 rad"
-
-
-@pytest.mark.parametrize(
-    ("unit", "angular"),
-    [("m", "rad"), ("m/s", "rad/s"), ("m^2/s", "rad^2/s"), ("mm", "mm"), ("1/m", "1/m")],
-)
-def test_angular_unit(unit, angular):
-    assert angular_unit(unit) == angular
 
 
 def test_chattering_is_the_share_above_the_cutoff():

@@ -8,6 +8,7 @@ from dssc_jax.console.terminal import output, show_table
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, Registry, Slot
+from dssc_jax.core.units import POSITION, UNNAMED
 from dssc_jax.study.build import REGISTRIES
 from dssc_jax.study.components import FieldSpec, field_specs
 
@@ -142,4 +143,7 @@ def show_kind(name: str) -> None:
         raise ConfigError(name, f"is no kind; {nearest(name, valid)}")
     for slot, entry in entries.items():
         output().print(f'[{HEADS.get(slot, slot)}] kind = "{name}": {entry.summary}', markup=False)
-        show_table(KIND_COLUMNS, rows_of(entry))
+        rows = rows_of(entry)
+        show_table(KIND_COLUMNS, rows)
+        if any(UNNAMED.of(row[1]) != POSITION.of(row[1]) for row in rows):
+            output().print("y and u are the units of the plant's output and of its command", markup=False)

@@ -12,10 +12,12 @@ from pydantic import BaseModel, ValidationError
 from dssc_jax.closed_loop.metrics import Measure, available_metrics
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.closed_loop.sample import Loop, LoopParams, Settled, initial_state, step
+from dssc_jax.core.contracts import Plant
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.registry import single
+from dssc_jax.core.units import UNNAMED, ChannelUnits
 from dssc_jax.models.controllers import CONTROLLERS, DIFFERENTIATORS
 from dssc_jax.models.environment import DISTURBANCES, REFERENCES, SENSORS, TRAJECTORIES, WINDS
 from dssc_jax.models.plants import PLANTS
@@ -32,6 +34,7 @@ from dssc_jax.study.schema import (
     SettledTable,
     StudyTable,
     TuneTable,
+    UnitsTable,
 )
 from dssc_jax.study.tables import has_dotted, merged, set_dotted
 
@@ -50,6 +53,7 @@ PER_CHANNEL = ("controller", "sensor", "differentiator", "unmodelled", "disturba
 FIXED_TABLES: dict[str, type[BaseModel]] = {
     "loop": LoopTable,
     "loop.settled": SettledTable,
+    "units": UnitsTable,
     "metrics": MetricsTable,
     "requirement": RequirementTable,
     "plot": PlotTable,
@@ -73,6 +77,7 @@ class Parts(NamedTuple):
     config: StudyTable
     loop: Loop
     template: LoopParams
+    units: tuple[ChannelUnits, ...]
     numbers: dict[str, Number]
     measures: tuple[Measure, ...]
     requirements: tuple[Requirement, ...]
@@ -95,7 +100,11 @@ def build(table: dict[str, Any]) -> Parts:
     }
     if not several and wholes["wind"].kind != "none":
         raise ConfigError("wind.kind", f"the plant '{plant.kind}' does not fly; use a disturbance")
+    units = parse_units(config.units, plant.model, channels)
+    if not several:
+        wholes = {slot: with_units(part, units[0]) for slot, part in wholes.items()}
     columns = {slot: parse_channels(getattr(config, slot), slot, channels) for slot in PER_CHANNEL}
+    columns = {slot: [*map(with_units, column, units)] for slot, column in columns.items()}
     for name, gains in zip(channels, columns["controller"], strict=True):
         if "l0" not in gains.params._fields:
             raise ConfigError(
@@ -116,17 +125,43 @@ def build(table: dict[str, Any]) -> Parts:
     check_swept_parts(table, config, channels)
     known = kinds_of(config)
     names = available_metrics(*info_fields(loop, template), known)
-    measures, requirements = measured(config, names, known, plant.model)
+    measures, requirements = measured(config, names, known, channels, units)
     check_settled(loop, measures)
-    return Parts(config, loop, template, numbers, measures, requirements)
+    return Parts(config, loop, template, units, numbers, measures, requirements)
+
+
+def parse_units(table: dict[str, Any], plant: Plant, channels: tuple[str, ...]) -> tuple[ChannelUnits, ...]:
+    """Units and meanings of each channel: the plant's own, overridden by ``[units]`` and ``[units.CHANNEL]``.
+
+    Raises:
+        ConfigError: A field is unknown or not valid.
+    """
+    own = plant.units or (UNNAMED,) * len(channels)
+    common = {name: value for name, value in table.items() if name not in channels}
+    found = []
+    for units, channel in zip(own, channels, strict=True):
+        with errors_under(dotted("units", channel if channel in table else "")):
+            given = as_table(table[channel]) if channel in table else {}
+            try:
+                changes = UnitsTable.model_validate(common | given).model_dump(exclude_none=True)
+            except ValidationError as error:
+                raise explain(error, [*UnitsTable.model_fields, *filter(None, channels)]) from None
+        found.append(units._replace(**changes))
+    return tuple(found)
+
+
+def with_units(component: Component, units: ChannelUnits) -> Component:
+    """The component whose numbers have the channel's own units."""
+    numbers = (replace(n, quantity=replace(n.quantity, unit=units.of(n.quantity.unit))) for n in component.numbers)
+    return replace(component, numbers=tuple(numbers))
 
 
 def by_name(numbers: Iterable[Number]) -> dict[str, Number]:
-    """The numbers by name; a number shared by several channels is a single number with a path in each."""
+    """The numbers by name; one shared by several channels has a path in each, and the first channel's unit."""
     merged_numbers: dict[str, Number] = {}
     for number in numbers:
-        others = merged_numbers[number.name].paths if number.name in merged_numbers else ()
-        merged_numbers[number.name] = replace(number, paths=others + number.paths)
+        first = merged_numbers.get(number.name)
+        merged_numbers[number.name] = replace(first, paths=first.paths + number.paths) if first else number
     return merged_numbers
 
 

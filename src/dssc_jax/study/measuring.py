@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from dssc_jax.closed_loop.metrics import BRIEF, METRICS, Measure, Metric, Scope, Window, first_sample
 from dssc_jax.closed_loop.performance import PERFORMANCE
 from dssc_jax.closed_loop.requirements import Requirement
-from dssc_jax.core.contracts import Plant
 from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.units import UNNAMED, ChannelUnits
 from dssc_jax.study.components import imported
 from dssc_jax.study.schema import StudyTable
 
@@ -39,7 +39,11 @@ def short(name: str) -> str:
 
 
 def measured(
-    config: StudyTable, names: dict[str, tuple[str, int | None]], known: Mapping[str, Metric], plant: Plant
+    config: StudyTable,
+    names: dict[str, tuple[str, int | None]],
+    known: Mapping[str, Metric],
+    channels: tuple[str, ...],
+    units: tuple[ChannelUnits, ...],
 ) -> tuple[tuple[Measure, ...], tuple[Requirement, ...]]:
     """The metrics over the study's window, and one more for each requirement with its own window.
 
@@ -47,12 +51,12 @@ def measured(
         config: The study's tables.
         names: Metrics that the loop can have: name -> kind and channel.
         known: All kinds of metric.
-        plant: The plant whose channels are measured.
+        channels: Names of the channels; one empty name for a plant with one channel.
+        units: Their units and meanings.
 
     Raises:
         ConfigError: A metric is unknown or not available here, there is none, or a window contains no sample.
     """
-    channels = plant.channels or ("",)
     several = len(channels) > 1
 
     def measure(name: str, of: str, window: Window) -> Measure:
@@ -64,7 +68,7 @@ def measured(
             window,
             channel,
             own=None if kind in METRICS else known[kind],
-            angular=channel_name in plant.angles,
+            units=UNNAMED if channel is None else units[channel],
             channel_name=channel_name,
         )
 

@@ -4,10 +4,11 @@ import math
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, model_validator
 
 from dssc_jax.core.errors import nearest
 from dssc_jax.core.integrators import Integrator
+from dssc_jax.core.units import parsed
 from dssc_jax.study.laws import is_number
 
 STRICT = ConfigDict(extra="forbid", strict=True, frozen=True)
@@ -20,6 +21,8 @@ def finite_number(value: Any) -> float:
     return float(value)
 
 
+LONGEST_UNIT, LONGEST_PHRASE = 40, 60
+Phrase = Annotated[str, StringConstraints(pattern=r"^[^\x00-\x1f]+$", max_length=LONGEST_PHRASE)]
 Finite = Annotated[float, BeforeValidator(finite_number)]
 
 
@@ -27,7 +30,7 @@ class SettledTable(BaseModel):
     """``[loop.settled]``: when a settled draw ends before its full duration."""
 
     model_config = STRICT
-    error: Finite = Field(gt=0.0, description="largest |e| of a settled loop [m]")
+    error: Finite = Field(gt=0.0, description="largest |e| of a settled loop, in the output's unit")
     hold: Finite = Field(gt=0.0, description="time for which |e| must stay below it [s]")
     after: Finite = Field(default=0.0, ge=0.0, description="time from which on a draw may settle [s]")
 
@@ -70,7 +73,9 @@ class MetricsTable(BaseModel):
 
     model_config = STRICT
     after: Finite = Field(default=0.0, ge=0.0, description="start of the window [s]")
-    settling_band: Finite = Field(default=0.05, gt=0.0, description="|e| below which the loop counts as settled [m]")
+    settling_band: Finite = Field(
+        default=0.05, gt=0.0, description="|e| below which the loop counts as settled, in the output's unit"
+    )
     names: list[str] | None = Field(default=None, description="metrics to report; absent: the usual ones")
 
 
@@ -83,7 +88,7 @@ class RequirementTable(BaseModel):
         default=None, ge=0.0, description="start of its window [s]; absent: that of `[metrics]`"
     )
     settling_band: Finite | None = Field(
-        default=None, gt=0.0, description="its settling band [m]; absent: that of `[metrics]`"
+        default=None, gt=0.0, description="its settling band, in the output's unit; absent: that of `[metrics]`"
     )
     max: Finite | None = Field(default=None, description="upper bound")
     min: Finite | None = Field(default=None, description="lower bound")
@@ -93,6 +98,31 @@ class RequirementTable(BaseModel):
         if (self.max is None) == (self.min is None):
             raise ValueError("needs exactly one of max and min")
         return self
+
+
+def unit_text(value: Any) -> str:
+    """A unit as a product of powers.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    if not isinstance(value, str) or len(value) > LONGEST_UNIT:
+        raise ValueError(f"must be a unit of at most {LONGEST_UNIT} characters, such as 'rad/s', got {value!r}")
+    parsed(value)
+    return value
+
+
+Unit = Annotated[str, BeforeValidator(unit_text)]
+
+
+class UnitsTable(BaseModel):
+    """``[units]``: units and meanings of the plant's output and command; `[units.z]` holds for one channel."""
+
+    model_config = STRICT
+    output: Unit | None = Field(default=None, description="unit of the output y; absent: the plant's own")
+    command: Unit | None = Field(default=None, description="unit of the command u; absent: the plant's own")
+    output_meaning: Phrase | None = Field(default=None, description="what the output is, such as `shaft speed`")
+    command_meaning: Phrase | None = Field(default=None, description="what the command is, such as `armature voltage`")
 
 
 class PlotTable(BaseModel):
@@ -232,6 +262,7 @@ class StudyTable(BaseModel):
     loop: LoopTable = Field(description="clock and precision")
     plant: dict[str, Any] = Field(description="model of the plant")
     controller: dict[str, Any] = Field(description="controller and its gains")
+    units: dict[str, Any] = Field(default={}, description="units and meanings of the output and the command")
     reference: dict[str, Any] = Field(default={"kind": "zero"}, description="desired output")
     sensor: dict[str, Any] = Field(default={"kind": "ideal"}, description="model of the sensors")
     differentiator: dict[str, Any] = Field(default={"kind": "none"}, description="estimator of the output's derivative")

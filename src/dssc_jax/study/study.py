@@ -16,6 +16,7 @@ from dssc_jax.closed_loop.sample import Loop, LoopParams
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
+from dssc_jax.core.units import ChannelUnits
 from dssc_jax.study.build import build
 from dssc_jax.study.components import Number
 from dssc_jax.study.correlation import matrix, paired, require_correlation
@@ -39,6 +40,7 @@ class Study:
         config: The fixed tables.
         loop: The models in their slots, and the clock.
         template: Parameters of the loop; leaves are numbers, or laws for uncertain numbers.
+        units: Units and meanings of each channel's output and command, in the order of the channels.
         numbers: Every number of the loop by dotted name: meaning, value or law, and its paths in the template.
         measures: The metrics to compute.
         requirements: The requirements.
@@ -49,6 +51,7 @@ class Study:
     config: StudyTable
     loop: Loop
     template: LoopParams
+    units: tuple[ChannelUnits, ...]
     numbers: dict[str, Number]
     measures: tuple[Measure, ...]
     requirements: tuple[Requirement, ...]
