@@ -5,11 +5,10 @@ import json
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.closed_loop.metrics import METRICS
-from dssc_jax.closed_loop.performance import PERFORMANCE
 from dssc_jax.console.kinds import registries, rows_of
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.units import ANGLE, POSITION, UNNAMED, ChannelUnits, parsed
+from dssc_jax.study.measuring import KNOWN
 
 MOTOR = ChannelUnits("rad/s", "V", "shaft speed", "armature voltage")
 PLANT = """
@@ -90,7 +89,7 @@ def test_what_is_no_product_of_powers_is_refused(text):
 
 def test_every_unit_of_the_package_is_one():
     """Each field and metric that names y or u keeps a unit without them, for every plant."""
-    units = {metric.unit for metric in (METRICS | PERFORMANCE).values()}
+    units = {metric.unit for metric in KNOWN.values()}
     for registry in registries().values():
         units |= {row[1] for entry in registry.values() for row in rows_of(entry)}
     named = {unit for unit in units if UNNAMED.of(unit) != POSITION.of(unit)}

@@ -108,6 +108,7 @@ def load_study(
         os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     from dssc_jax.study import Study, read_toml
     from dssc_jax.study.library import find
+    from dssc_jax.study.recorded import with_records
     from dssc_jax.study.tables import changed
 
     path = find(name)
@@ -118,7 +119,10 @@ def load_study(
         key, value = assignment(text, "--set")
         changes[key] = parse_value(value)
     changes |= {key: value for key, value in (("draws", draws), ("seed", seed)) if value is not None}
-    table = changed(read_toml(path), changes, str(path))
+    try:
+        table = with_records(changed(read_toml(path), changes, str(path)), path.parent)
+    except ConfigError as error:
+        raise error.within(str(path)) from None
     show_code("study", table)
     return Study.from_table(table, str(path))
 

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.core.numerics import root_abs
-from dssc_jax.core.signals import Info, Scalar
+from dssc_jax.core.signals import Info, ReferencePoint, Scalar
 from dssc_jax.core.units import UNNAMED, ChannelUnits
 
 
@@ -24,7 +24,7 @@ class Sample(NamedTuple):
 
     ``k`` is the sample index. ``e`` and ``sigma`` are true, ``sigma_measured`` is what the controller sees. ``u`` is
     the robust command and ``u_previous`` its previous value (at the first sample: ``u``); ``k_p`` is the draw's own
-    input gain.
+    input gain. The output is y = e + y_m with the desired output y_m = ``reference.y``.
     """
 
     k: Scalar
@@ -37,6 +37,7 @@ class Sample(NamedTuple):
     u_total: Scalar
     k_p: Scalar
     info: Info
+    reference: ReferencePoint = ReferencePoint(0.0, 0.0, 0.0)
 
 
 class Instant(NamedTuple):
@@ -57,10 +58,14 @@ class Scope(StrEnum):
 
 @dataclass(frozen=True)
 class Window:
-    """Samples at t >= ``after`` [s]; ``band``, in the output's unit, is the error that counts as settled."""
+    """Samples at t >= ``after`` [s].
+
+    The error that counts as settled is ``band``, in the output's unit; for a step response, ``percent`` of the step.
+    """
 
     after: float = 0.0
     band: float = 0.05
+    percent: float = 2.0
 
 
 class Span(NamedTuple):

@@ -179,6 +179,25 @@ def as_mimo_reference(reference: Reference[ReferencePoint]) -> Reference[Referen
     return Reference(reference.params, lambda params, t: (reference.at(params, t),), reference.prepare)
 
 
+class JoinedParams(NamedTuple):
+    """Parameters of a reference of several channels, and those of the channels that have a reference of their own."""
+
+    whole: Any
+    own: tuple[Any, ...]
+
+
+def joined_reference(whole: Reference[ReferencePoints], own: dict[int, Reference[ReferencePoint]]) -> Reference:
+    """The reference of several channels in which some, by index, follow references of their own."""
+
+    def at(params: JoinedParams, t: Scalar) -> ReferencePoints:
+        points = list(whole.at(params.whole, t))
+        for (index, reference), theirs in zip(own.items(), params.own, strict=True):
+            points[index] = reference.at(theirs, t)
+        return tuple(points)
+
+    return Reference(JoinedParams, at)
+
+
 class Disturbance(NamedTuple):
     """A matched disturbance d(y, y', t) [m/s].
 

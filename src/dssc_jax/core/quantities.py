@@ -17,6 +17,7 @@ class Quantity:
         below: Exclusive upper bound.
         at_most: Inclusive upper bound.
         law: Whether a probability law may replace the number.
+        data: Whether it is one of many values of a record, which have no names in the study.
     """
 
     unit: str
@@ -26,6 +27,7 @@ class Quantity:
     below: float | None = None
     at_most: float | None = None
     law: bool = True
+    data: bool = False
 
     def violated_by(self, low: float, high: float) -> str | None:
         """Return the rule that the interval [low, high] violates, or None."""

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 from dssc_jax.closed_loop.metrics import Measure, available_metrics
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.closed_loop.sample import Loop, LoopParams, Settled, initial_state, step
-from dssc_jax.core.contracts import Plant
+from dssc_jax.core.contracts import JoinedParams, Plant, joined_reference
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.numerics import arithmetic
@@ -27,6 +27,7 @@ from dssc_jax.study.components import Component, Number, as_table, dotted, expla
 from dssc_jax.study.laws import Law
 from dssc_jax.study.measuring import kinds_of, measured
 from dssc_jax.study.schema import (
+    EnvelopeTable,
     LoopTable,
     MetricsTable,
     PlotTable,
@@ -56,6 +57,7 @@ FIXED_TABLES: dict[str, type[BaseModel]] = {
     "units": UnitsTable,
     "metrics": MetricsTable,
     "requirement": RequirementTable,
+    "envelope": EnvelopeTable,
     "plot": PlotTable,
     "tune": TuneTable,
 }
@@ -93,16 +95,16 @@ def build(table: dict[str, Any]) -> Parts:
     plant = parse_whole(config.plant, "plant")
     channels = plant.model.channels or ("",)
     several = len(channels) > 1
+    units = parse_units(config.units, plant.model, channels)
     wholes = {
         "plant": plant,
-        "reference": parse_whole(config.reference, "reference", several),
+        "reference": parse_reference(config.reference, channels, units),
         "wind": parse_whole(config.wind, "wind"),
     }
     if not several and wholes["wind"].kind != "none":
         raise ConfigError("wind.kind", f"the plant '{plant.kind}' does not fly; use a disturbance")
-    units = parse_units(config.units, plant.model, channels)
     if not several:
-        wholes = {slot: with_units(part, units[0]) for slot, part in wholes.items()}
+        wholes["plant"] = with_units(plant, units[0])
     columns = {slot: parse_channels(getattr(config, slot), slot, channels) for slot in PER_CHANNEL}
     columns = {slot: [*map(with_units, column, units)] for slot, column in columns.items()}
     for name, gains in zip(channels, columns["controller"], strict=True):
@@ -185,17 +187,30 @@ def check_settled(loop: Loop, measures: tuple[Measure, ...]) -> None:
         raise ConfigError("loop.settled.after", f"{rule}; got {loop.settled.after:g}")
 
 
-def parse_whole(table: dict[str, Any], slot: str, several: bool = False) -> Component:
-    """Parse the component of a slot that the loop has once.
-
-    Args:
-        table: The slot's table.
-        slot: Its name.
-        several: Whether the loop has several channels; a reference is then a trajectory.
-    """
-    registry = REGISTRIES["trajectory" if slot == "reference" and several else slot]
-    component = parse_component(table, registry, slot)
+def parse_whole(table: dict[str, Any], slot: str) -> Component:
+    """Parse the component of a slot that the loop has once."""
+    component = parse_component(table, REGISTRIES[slot], slot)
     return replace(component, numbers=tuple(number.under(slot, slot) for number in component.numbers))
+
+
+def parse_reference(table: dict[str, Any], channels: tuple[str, ...], units: tuple[ChannelUnits, ...]) -> Component:
+    """Parse the reference: one signal, or a trajectory in which ``[reference.x]`` replaces that of channel x."""
+    slot = "reference"
+    if len(channels) == 1:
+        return with_units(parse_whole(table, slot), units[0])
+    common = {name: value for name, value in table.items() if name not in channels}
+    whole = parse_component(common, REGISTRIES["trajectory"], slot, default="zero")
+    named = [channel for channel in channels if channel in table]
+    if not named:
+        return replace(whole, numbers=tuple(number.under(slot, slot) for number in whole.numbers))
+    own = {channel: parse_component(table[channel], REFERENCES, dotted(slot, channel)) for channel in named}
+    numbers = [number.under(f"{slot}.whole", slot) for number in whole.numbers]
+    for place, (channel, part) in enumerate(own.items()):
+        theirs = with_units(part, units[channels.index(channel)]).numbers
+        numbers += [number.under(f"{slot}.own.{place}", dotted(slot, channel)) for number in theirs]
+    model = joined_reference(whole.model, {channels.index(channel): part.model for channel, part in own.items()})
+    params = JoinedParams(whole.params, tuple(part.params for part in own.values()))
+    return Component(whole.kind, model, params, tuple(numbers))
 
 
 def parse_channels(table: dict[str, Any], slot: str, channels: tuple[str, ...]) -> list[Component]:
@@ -261,7 +276,7 @@ def nearest_number(name: str, config: StudyTable, numbers: Mapping[str, Number])
     slot = name.partition(".")[0]
     table = getattr(config, slot) if slot in REGISTRIES.keys() & StudyTable.model_fields.keys() else None
     if table is not None and not any(known.startswith(f"{slot}.") for known in numbers):
-        return f"the study's {slot} is of the kind '{table['kind']}', which has no numbers"
+        return f"the study's {slot} is of the kind '{table.get('kind')}', which has no numbers"
     return nearest(name, numbers)
 
 
@@ -280,7 +295,9 @@ def check_swept_parts(table: dict[str, Any], config: StudyTable, channels: tuple
         try:
             if slot in PER_CHANNEL:
                 parse_channels(table[slot], slot, channels)
+            elif slot == "reference":
+                parse_reference(table[slot], channels, (UNNAMED,) * len(channels))
             else:
-                parse_whole(table[slot], slot, several=len(channels) > 1)
+                parse_whole(table[slot], slot)
         except ConfigError as error:
             raise error.within("sweep") from None

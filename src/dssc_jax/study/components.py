@@ -306,7 +306,7 @@ def parse_params(
     plain = {name: item for name, item in table.items() if name not in numbers}
     for name, value in parse_plain(plain, params, defaults, choices).items():
         fields[name], mark = value, specs[name].mark
-        if isinstance(mark, Quantity) and value is not None:
+        if isinstance(mark, Quantity) and value is not None and not mark.data:
             items = {f"{name}.{i}": item for i, item in enumerate(value)} if specs[name].many else {name: value}
             numbers[name] = tuple(Number(path, (path,), mark, item) for path, item in items.items())
     return params(**fields), tuple(number for name in specs for number in numbers.get(name, ()))

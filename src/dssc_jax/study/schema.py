@@ -1,11 +1,13 @@
 """The fixed tables of the study file, validated by pydantic before any model is looked up."""
 
 import math
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, model_validator
 
+from dssc_jax.closed_loop.step_response import crossing
 from dssc_jax.core.errors import nearest
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.units import parsed
@@ -21,7 +23,7 @@ def finite_number(value: Any) -> float:
     return float(value)
 
 
-LONGEST_UNIT, LONGEST_PHRASE = 40, 60
+LONGEST_UNIT, LONGEST_PHRASE, MOST_POINTS = 40, 60, 64
 Phrase = Annotated[str, StringConstraints(pattern=r"^[^\x00-\x1f]+$", max_length=LONGEST_PHRASE)]
 Finite = Annotated[float, BeforeValidator(finite_number)]
 
@@ -76,6 +78,9 @@ class MetricsTable(BaseModel):
     settling_band: Finite = Field(
         default=0.05, gt=0.0, description="|e| below which the loop counts as settled, in the output's unit"
     )
+    settling_percent: Finite = Field(
+        default=2.0, gt=0.0, lt=100.0, description="share of a step below which its response counts as settled [%]"
+    )
     names: list[str] | None = Field(default=None, description="metrics to report; absent: the usual ones")
 
 
@@ -89,6 +94,9 @@ class RequirementTable(BaseModel):
     )
     settling_band: Finite | None = Field(
         default=None, gt=0.0, description="its settling band, in the output's unit; absent: that of `[metrics]`"
+    )
+    settling_percent: Finite | None = Field(
+        default=None, gt=0.0, lt=100.0, description="its share of a step [%]; absent: that of `[metrics]`"
     )
     max: Finite | None = Field(default=None, description="upper bound")
     min: Finite | None = Field(default=None, description="lower bound")
@@ -113,6 +121,47 @@ def unit_text(value: Any) -> str:
 
 
 Unit = Annotated[str, BeforeValidator(unit_text)]
+
+
+def parse_points(value: Any) -> tuple[tuple[float, float], ...]:
+    """The points ``[[time, value], ...]`` of a bound over time.
+
+    Raises:
+        ValueError: they are not two or more pairs of numbers, or a time lies before the one above it.
+    """
+    pairs = isinstance(value, list | tuple) and len(value) >= 2
+    if not pairs or not all(isinstance(p, list | tuple) and len(p) == 2 and all(map(is_number, p)) for p in value):
+        raise ValueError(f"must be two or more points [time, value], got {value!r}")
+    if len(value) > MOST_POINTS:
+        raise ValueError(f"takes at most {MOST_POINTS} points, got {len(value)}")
+    points = tuple((float(t), float(y)) for t, y in value)
+    for before, after in pairwise(points):
+        if after[0] < before[0]:
+            raise ValueError(f"must have rising times, got {after[0]:g} s after {before[0]:g} s")
+    return points
+
+
+class EnvelopeTable(BaseModel):
+    """``[[envelope]]``: bounds of a signal over time, straight between their points; a requirement of its own."""
+
+    model_config = STRICT
+    signal: Literal["y", "e", "sigma", "u", "u_total"] = Field(default="y", description="the bounded signal")
+    channel: str | None = Field(default=None, description="its channel; required where there are several")
+    upper: Annotated[tuple[tuple[float, float], ...], BeforeValidator(parse_points)] = Field(
+        default=(), description="points [time, value] of the upper bound; before and after them there is none"
+    )
+    lower: Annotated[tuple[tuple[float, float], ...], BeforeValidator(parse_points)] = Field(
+        default=(), description="points [time, value] of the lower bound"
+    )
+
+    @model_validator(mode="after")
+    def _bounds(self) -> "EnvelopeTable":
+        if not self.upper and not self.lower:
+            raise ValueError("needs upper or lower, or both")
+        at = crossing(self.lower, self.upper)
+        if at is not None:
+            raise ValueError(f"the lower bound must not exceed the upper one, which it does at {at:g} s")
+        return self
 
 
 class UnitsTable(BaseModel):
@@ -272,6 +321,7 @@ class StudyTable(BaseModel):
     compare: dict[str, dict[str, Any]] = Field(default={}, description="gains of other controllers, for `compare`")
     metrics: MetricsTable = Field(default=MetricsTable(), description="metrics and their window")
     requirement: list[RequirementTable] = Field(default=[], description="bounds that a draw must keep")
+    envelope: list[EnvelopeTable] = Field(default=[], description="bounds over time that a draw must keep")
     tune: TuneTable | None = Field(default=None, description="problem of `tune`")
     sweep: dict[str, Annotated[tuple[float, ...], BeforeValidator(parse_axis)]] = Field(
         default={}, description="values of swept numbers"

@@ -21,6 +21,7 @@ from dssc_jax.study.build import build
 from dssc_jax.study.components import Number
 from dssc_jax.study.correlation import matrix, paired, require_correlation
 from dssc_jax.study.laws import Law
+from dssc_jax.study.recorded import with_records
 from dssc_jax.study.schema import StudyTable
 from dssc_jax.study.tables import changed, read_toml
 
@@ -60,13 +61,15 @@ class Study:
     def load(cls, path: str | Path) -> "Study":
         """Read and validate a study file; models that it refers to as ``module:object`` are imported.
 
+        Recorded signals (``file`` and ``column``) are read from files relative to the study's folder.
+
         Args:
             path: A TOML file.
 
         Raises:
             ConfigError: File, dotted path, rule and value of the first error.
         """
-        return cls.from_table(read_toml(path), str(path))
+        return cls.from_table(with_records(read_toml(path), Path(path).parent), str(path))
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any], source: str = "study") -> "Study":
@@ -90,7 +93,8 @@ class Study:
         Raises:
             ConfigError: A name does not exist, or the changed study is not valid.
         """
-        return Study.from_table(changed(self.table, changes, self.source), self.source)
+        table = with_records(changed(self.table, changes, self.source), Path(self.source).parent)
+        return Study.from_table(table, self.source)
 
     def without_sweep(self) -> "Study":
         """Return the study without its sweep."""
