@@ -7,7 +7,7 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.console.kinds import registries, rows_of
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.units import ANGLE, POSITION, UNNAMED, ChannelUnits, parsed
+from dssc_jax.core.units import ANGLE, POSITION, UNNAMED_UNITS, ChannelUnits, parsed_unit
 from dssc_jax.study.measuring import KNOWN
 
 MOTOR = ChannelUnits("rad/s", "V", "shaft speed", "armature voltage")
@@ -36,7 +36,7 @@ def plant(**about):
     )
 
 NAMED = plant(units=(ChannelUnits("rad/s", "V", "shaft speed", "armature voltage"),))
-UNNAMED = plant()
+UNNAMED_UNITS = plant()
 """
 STUDY = {
     "name": "shaft",
@@ -74,7 +74,7 @@ def shaft(tmp_path, monkeypatch):
         ("y, y/s", ChannelUnits("N m", "A"), "N m, N m/s"),
         ("1/s^(m-i)", MOTOR, "1/s^(m-i)"),
         ("kg m^2", MOTOR, "kg m^2"),
-        ("y/s", UNNAMED, "y/s"),
+        ("y/s", UNNAMED_UNITS, "y/s"),
     ],
 )
 def test_units_follow_from_those_of_output_and_command(unit, units, expected):
@@ -84,7 +84,7 @@ def test_units_follow_from_those_of_output_and_command(unit, units, expected):
 @pytest.mark.parametrize("text", ["", "rad/", "m//s", "(m", "m)", "m^", "5", "m^(1/0)"])
 def test_what_is_no_product_of_powers_is_refused(text):
     with pytest.raises(ValueError, match="must be a product of powers"):
-        parsed(text)
+        parsed_unit(text)
 
 
 def test_every_unit_of_the_package_is_one():
@@ -92,11 +92,11 @@ def test_every_unit_of_the_package_is_one():
     units = {metric.unit for metric in KNOWN.values()}
     for registry in registries().values():
         units |= {row[1] for entry in registry.values() for row in rows_of(entry)}
-    named = {unit for unit in units if UNNAMED.of(unit) != POSITION.of(unit)}
+    named = {unit for unit in units if UNNAMED_UNITS.of(unit) != POSITION.of(unit)}
     assert len(named) >= 19
     for unit in named:
         for part in MOTOR.of(unit).split(", "):
-            assert not {"y", "u"} & set(parsed(part))
+            assert not {"y", "u"} & set(parsed_unit(part))
 
 
 def test_everything_follows_the_plants_units(shaft, tmp_path):
@@ -127,7 +127,7 @@ def test_a_study_sets_units(shaft):
 
 
 def test_a_plant_without_units_shows_symbols(shaft):
-    study = shaft.override({"plant.kind": "shaft_units:UNNAMED"})
+    study = shaft.override({"plant.kind": "shaft_units:UNNAMED_UNITS"})
     assert study.requirements[0].text == "error_max after 0.9 s <= 0.5 y"
     assert {dj.simulate(study)[name].attrs["units"] for name in ("y", "e")} == {"y"}
 

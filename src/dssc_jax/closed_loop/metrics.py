@@ -16,7 +16,7 @@ import jax.numpy as jnp
 
 from dssc_jax.core.numerics import root_abs
 from dssc_jax.core.signals import Info, ReferencePoint, Scalar
-from dssc_jax.core.units import UNNAMED, ChannelUnits
+from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 
 
 class Sample(NamedTuple):
@@ -278,7 +278,7 @@ class Measure:
     window: Window
     channel: int | None = 0
     own: Metric | None = None
-    units: ChannelUnits = UNNAMED
+    units: ChannelUnits = UNNAMED_UNITS
     channel_name: str = ""
 
     @property

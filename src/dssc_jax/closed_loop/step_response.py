@@ -24,18 +24,18 @@ Points = tuple[tuple[float, float], ...]
 """Times [s] and values of a bound, by rising time; two points of one time are a jump."""
 
 
-class Step(NamedTuple):
+class StepSize(NamedTuple):
     """Samples so far, the output at the first of them, and the desired output there."""
 
     samples: Scalar = 0.0
     start: Scalar = 0.0
     goal: Scalar = 0.0
 
-    def after(self, sample: Sample) -> "Step":
+    def after(self, sample: Sample) -> "StepSize":
         """The step after one more sample; the first one defines it."""
         first = self.samples == 0.0
         output = sample.e + sample.reference.y
-        return Step(
+        return StepSize(
             self.samples + 1.0, jnp.where(first, output, self.start), jnp.where(first, sample.reference.y, self.goal)
         )
 
@@ -53,7 +53,7 @@ class Step(NamedTuple):
 class Rise(NamedTuple):
     """The step, its last progress, and the times at which 10 % and 90 % were first passed, in samples; -1: not yet."""
 
-    step: Step = Step()
+    step: StepSize = StepSize()
     last: Scalar = 0.0
     low: Scalar = -1.0
     high: Scalar = -1.0
@@ -81,7 +81,7 @@ def rise_time(acc: Rise, window: Window, span: Span) -> Scalar:
 class Peak(NamedTuple):
     """The step, and the largest progress."""
 
-    step: Step = Step()
+    step: StepSize = StepSize()
     largest: Scalar = 0.0
 
 
@@ -99,7 +99,7 @@ def overshoot(acc: Peak, window: Window, span: Span) -> Scalar:
 class Outside(NamedTuple):
     """The step, and the number of samples up to the last one outside the band."""
 
-    step: Step = Step()
+    step: StepSize = StepSize()
     last: Scalar = 0.0
 
 
@@ -110,7 +110,7 @@ def outside(acc: Outside, sample: Sample, window: Window) -> Outside:
     return Outside(step, jnp.where(far, step.samples, acc.last))
 
 
-def settling(acc: Outside, window: Window, span: Span) -> Scalar:
+def step_settling(acc: Outside, window: Window, span: Span) -> Scalar:
     """Time from the window's start to the first sample after which all lie in the band; infinite if none do."""
     time = acc.last * span.sample_time
     return acc.step.judged(jnp.where(acc.last >= span.inside, jnp.inf, time))
@@ -165,7 +165,7 @@ STEP_RESPONSE: dict[str, Metric] = {
     "rise_time": Metric("s", "time in which a step response goes from 10 % to 90 %", rise, rise_time, start=Rise()),
     "overshoot_percent": Metric("%", "overshoot of a step response", largest, overshoot, start=Peak()),
     "settling_time_percent": Metric(
-        "s", "time after which a step response stays within a per-cent band", outside, settling, start=Outside(),
+        "s", "time after which a step response stays within a per-cent band", outside, step_settling, start=Outside(),
         counted=True,
     ),
     "following_gain": Metric(
@@ -188,7 +188,9 @@ def line_at(points: Points, t: Scalar, beyond: float) -> Scalar:
     return value
 
 
-def envelope(signal: Callable[[Sample], Scalar], unit: str, meaning: str, lower: Points, upper: Points) -> Metric:
+def envelope_metric(
+    signal: Callable[[Sample], Scalar], unit: str, meaning: str, lower: Points, upper: Points
+) -> Metric:
     """The smallest distance of a signal from its bounds over time; negative if it crosses one.
 
     Args:

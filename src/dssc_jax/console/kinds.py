@@ -8,7 +8,7 @@ from dssc_jax.console.terminal import output, show_table
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, Registry, Slot
-from dssc_jax.core.units import POSITION, UNNAMED
+from dssc_jax.core.units import POSITION, UNNAMED_UNITS
 from dssc_jax.study.build import REGISTRIES
 from dssc_jax.study.components import FieldSpec, field_specs
 
@@ -105,7 +105,7 @@ def fields(params: type, prefix: str, preset: Any) -> Iterator[tuple[str, str, s
 def about(spec: FieldSpec) -> tuple[str, str, str]:
     """Unit, meaning and admissible values of a field."""
     if isinstance(spec.mark, Quantity):
-        meaning = f"{spec.mark.meaning} (a list)" if spec.many else spec.mark.meaning
+        meaning = spec.mark.meaning + ("", " (a list)", " (a list of rows)")[spec.depth]
         limits = [
             *([f"> {spec.mark.above:g}"] if spec.mark.above is not None else []),
             *([f">= {spec.mark.at_least:g}"] if spec.mark.at_least is not None else []),
@@ -145,5 +145,5 @@ def show_kind(name: str) -> None:
         output().print(f'[{HEADS.get(slot, slot)}] kind = "{name}": {entry.summary}', markup=False)
         rows = rows_of(entry)
         show_table(KIND_COLUMNS, rows)
-        if any(UNNAMED.of(row[1]) != POSITION.of(row[1]) for row in rows):
+        if any(UNNAMED_UNITS.of(row[1]) != POSITION.of(row[1]) for row in rows):
             output().print("y and u are the units of the plant's output and of its command", markup=False)

@@ -53,7 +53,7 @@ class ChannelUnits(NamedTuple):
         return re.sub(r"\b(output|command)\b", lambda word: words[word[0]], meaning)
 
 
-UNNAMED = ChannelUnits()
+UNNAMED_UNITS = ChannelUnits()
 """The units of a plant that names none."""
 
 POSITION = ChannelUnits("m", "m/s")
@@ -68,11 +68,11 @@ def resolved(unit: str, output: str, command: str) -> str:
     """A unit with ``y`` and ``u`` replaced by two others, reduced; one without these symbols is returned as it is."""
     if not re.search(rf"\b({OUTPUT}|{COMMAND})\b", unit):
         return unit
-    given = {OUTPUT: parsed(output), COMMAND: parsed(command)}
+    given = {OUTPUT: parsed_unit(output), COMMAND: parsed_unit(command)}
     total: Powers = {}
-    for symbol, power in parsed(unit).items():
+    for symbol, power in parsed_unit(unit).items():
         multiply(total, given.get(symbol, {symbol: Fraction(1)}), power)
-    return text_of(total)
+    return unit_text_of(total)
 
 
 def multiply(total: Powers, factor: Powers, power: Fraction) -> None:
@@ -81,18 +81,19 @@ def multiply(total: Powers, factor: Powers, power: Fraction) -> None:
         total[symbol] = total.get(symbol, Fraction(0)) + power * exponent
 
 
-def parsed(text: str) -> Powers:
+def parsed_unit(text: str) -> Powers:
     """The exponents of a unit such as ``N m``, ``rad/s^2`` or ``V (y/s)^(-1/2)``; a slash divides by the next factor.
 
     Raises:
         ValueError: the text is not a product of powers.
     """
+    wrong = f"must be a product of powers such as rad/s, N m or m/s^2, got {text!r}"
     try:
         powers, end = product(text, 0)
     except (StopIteration, ZeroDivisionError):
-        end = -1
+        raise ValueError(wrong) from None
     if end != len(text):
-        raise ValueError(f"must be a product of powers such as rad/s, N m or m/s^2, got {text!r}")
+        raise ValueError(wrong)
     return powers
 
 
@@ -126,7 +127,7 @@ def product(text: str, position: int) -> tuple[Powers, int]:
         sign, position = (-1, token.end()) if divides else (1, position)
 
 
-def text_of(powers: Powers) -> str:
+def unit_text_of(powers: Powers) -> str:
     """A unit as text: ``m/s^2``, ``rad/(s^3 V)``, ``(m/s)^(1/2)``; ``1`` if it is dimensionless.
 
     A root of a rate is written as such, because the square-root functions of DSSC are functions of |sigma|^(1/2).

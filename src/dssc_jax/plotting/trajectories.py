@@ -28,9 +28,9 @@ def trajectory(run: xr.Dataset) -> Figure:
     line(panels[0, 0], run, "y_ref", GREY, "desired $y_m$", linestyle="--")
     line(panels[0, 0], run, "y", BLUE, "output $y$")
     panels[0, 0].set_ylabel(signal_label(run, "y"))
-    line(panels[0, 1], run, "e", BLUE, f"error $e$ {unit_of(run, 'e')}")
-    line(panels[0, 1], run, "sigma", ORANGE, rf"$\sigma = \dot e + l_0 e$ {unit_of(run, 'sigma')}")
-    panels[0, 1].set_ylabel(rf"error $e$ {unit_of(run, 'e')}, $\sigma$ {unit_of(run, 'sigma')}")
+    line(panels[0, 1], run, "e", BLUE, f"error $e$ {bracketed_unit(run, 'e')}")
+    line(panels[0, 1], run, "sigma", ORANGE, rf"$\sigma = \dot e + l_0 e$ {bracketed_unit(run, 'sigma')}")
+    panels[0, 1].set_ylabel(rf"error $e$ {bracketed_unit(run, 'e')}, $\sigma$ {bracketed_unit(run, 'sigma')}")
     line(panels[1, 0], run, "u_total", GREY, "total $u + u_n$", linewidth=1.0)
     line(panels[1, 0], run, "u", RED, "robust $u$")
     panels[1, 0].set_ylabel(signal_label(run, "u_total"))
@@ -72,7 +72,7 @@ def line(ax: Axes, run: xr.Dataset, name: str, colour: str, text: str, **look: o
     ax.plot(*thinned(run["t"].values, run[name].values), color=colour, label=text, **look)  # type: ignore[arg-type]
 
 
-def unit_of(run: xr.Dataset, name: str) -> str:
+def bracketed_unit(run: xr.Dataset, name: str) -> str:
     """A signal's unit in brackets."""
     return f"[{run[name].attrs['units']}]"
 
@@ -106,10 +106,10 @@ def state_dependent(ax: Axes, run: xr.Dataset) -> None:
     shown = {"k_o": ("$k_o$", BLUE), "tau_m": (r"$\tau_m$", GREEN), "tau_av": (r"$\tau_{av}$", ORANGE)}
     for name, (text, colour) in shown.items():
         if name in run:
-            line(ax, run, name, colour, f"{text} {unit_of(run, name)}")
+            line(ax, run, name, colour, f"{text} {bracketed_unit(run, name)}")
     if ax.has_data():
         ax.set_yscale("log")
-        ax.set_ylabel(f"functions: gain {unit_of(run, 'k_o')}, time constants [s]")
+        ax.set_ylabel(f"functions: gain {bracketed_unit(run, 'k_o')}, time constants [s]")
     else:
         ax.set_axis_off()
 

@@ -39,6 +39,8 @@ UNITS = {
     "tau_m": ("s", "predictor time constant"),
     "tau_av": ("s", "averaging time constant"),
     "integral": ("u", "integral term of u"),
+    "proportional": ("u", "proportional term of u"),
+    "derivative": ("u", "derivative term of u"),
     "phi": ("rad", "roll"),
     "theta": ("rad", "pitch"),
     "psi": ("rad", "yaw"),

@@ -17,7 +17,7 @@ from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.registry import single
-from dssc_jax.core.units import UNNAMED, ChannelUnits
+from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.models.controllers import CONTROLLERS, DIFFERENTIATORS
 from dssc_jax.models.environment import DISTURBANCES, REFERENCES, SENSORS, TRAJECTORIES, WINDS
 from dssc_jax.models.plants import PLANTS
@@ -138,9 +138,9 @@ def parse_units(table: dict[str, Any], plant: Plant, channels: tuple[str, ...]) 
     Raises:
         ConfigError: A field is unknown or not valid.
     """
-    own = plant.units or (UNNAMED,) * len(channels)
+    own = plant.units or (UNNAMED_UNITS,) * len(channels)
     common = {name: value for name, value in table.items() if name not in channels}
-    found = []
+    named = []
     for units, channel in zip(own, channels, strict=True):
         with errors_under(dotted("units", channel if channel in table else "")):
             given = as_table(table[channel]) if channel in table else {}
@@ -148,8 +148,8 @@ def parse_units(table: dict[str, Any], plant: Plant, channels: tuple[str, ...]) 
                 changes = UnitsTable.model_validate(common | given).model_dump(exclude_none=True)
             except ValidationError as error:
                 raise explain(error, [*UnitsTable.model_fields, *filter(None, channels)]) from None
-        found.append(units._replace(**changes))
-    return tuple(found)
+        named.append(units._replace(**changes))
+    return tuple(named)
 
 
 def with_units(component: Component, units: ChannelUnits) -> Component:
@@ -296,7 +296,7 @@ def check_swept_parts(table: dict[str, Any], config: StudyTable, channels: tuple
             if slot in PER_CHANNEL:
                 parse_channels(table[slot], slot, channels)
             elif slot == "reference":
-                parse_reference(table[slot], channels, (UNNAMED,) * len(channels))
+                parse_reference(table[slot], channels, (UNNAMED_UNITS,) * len(channels))
             else:
                 parse_whole(table[slot], slot)
         except ConfigError as error:

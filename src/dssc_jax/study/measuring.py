@@ -6,9 +6,9 @@ from dataclasses import replace
 from dssc_jax.closed_loop.metrics import BRIEF, METRICS, Measure, Metric, Scope, Window, first_sample, suffixed
 from dssc_jax.closed_loop.performance import PERFORMANCE
 from dssc_jax.closed_loop.requirements import Requirement
-from dssc_jax.closed_loop.step_response import STEP_RESPONSE, envelope
+from dssc_jax.closed_loop.step_response import STEP_RESPONSE, envelope_metric
 from dssc_jax.core.errors import ConfigError, nearest
-from dssc_jax.core.units import UNNAMED, ChannelUnits
+from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.study.components import imported
 from dssc_jax.study.schema import StudyTable
 
@@ -70,7 +70,7 @@ def measured(
             window,
             channel,
             own=None if kind in METRICS else known[kind],
-            units=UNNAMED if channel is None else units[channel],
+            units=UNNAMED_UNITS if channel is None else units[channel],
             channel_name=channel_name,
         )
 
@@ -140,7 +140,7 @@ def enveloped(config: StudyTable, channels: tuple[str, ...], units: tuple[Channe
         number = channels.index(channel)
         kind = f"envelope_{table.signal}"
         unit, meaning, signal = SIGNALS[table.signal]
-        metric = envelope(signal, unit, units[number].named(meaning), table.lower, table.upper)
+        metric = envelope_metric(signal, unit, units[number].named(meaning), table.lower, table.upper)
         same = sum(r.measure.kind == kind and r.measure.channel == number for r in requirements)
         name = suffixed(kind, channel) + (f"_{same + 1}" if same else "")
         window = Window(config.metrics.after, config.metrics.settling_band, config.metrics.settling_percent)

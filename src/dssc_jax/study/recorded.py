@@ -48,12 +48,12 @@ def inlined(part: Mapping[str, Any], folder: Path) -> dict[str, Any]:
             raise ConfigError(name, f"must be a text, got {part[name]!r}")
     if "column" not in part:
         raise ConfigError("column", "is required and missing: the column with the values")
-    columns = columns_of(folder / part["file"], [part.get("time_column", TIME), part["column"]])
+    columns = recorded_columns(folder / part["file"], [part.get("time_column", TIME), part["column"]])
     kept = {name: value for name, value in part.items() if name not in FIELDS}
     return kept | dict(zip(("time", "value"), columns, strict=True))
 
 
-def columns_of(path: Path, names: list[str]) -> list[list[float]]:
+def recorded_columns(path: Path, names: list[str]) -> list[list[float]]:
     """Columns of a CSV or Parquet file, as numbers; rows in which one of them is missing are left out.
 
     Raises:

@@ -13,8 +13,8 @@ SOCCER_FIELD = WAYPOINTS._replace(defaults=waypoints.SOCCER_FIELD)
 REFERENCES: Registry = {
     "zero": single(references.ZERO, "regulation to the origin"),
     "sine": single(references.SINE, "offset + amplitude sin(2 pi t/period + phase)"),
-    "step": single(signals.STEP, "a step at a given time"),
-    "ramp": single(signals.RAMP, "a ramp, for a given time or without end"),
+    "step": single(signals.STEP_REFERENCE, "a step at a given time"),
+    "ramp": single(signals.RAMP_REFERENCE, "a ramp, for a given time or without end"),
     "pulses": single(signals.PULSES, "a train of rectangular pulses"),
     "chirp": signals.CHIRP,
     "multisine": single(signals.MULTISINE, "a sum of sines"),

@@ -47,24 +47,24 @@ class Interpolation(StrEnum):
     CUBIC = "cubic"
 
 
-def held(time: np.ndarray, value: np.ndarray) -> np.ndarray:
+def held_pieces(time: np.ndarray, value: np.ndarray) -> np.ndarray:
     """Coefficients of a value that holds until the next one, shape (n - 1, 4)."""
     return np.pad(value[:-1, None], ((0, 0), (0, 3)))
 
 
-def joined(time: np.ndarray, value: np.ndarray) -> np.ndarray:
+def line_pieces(time: np.ndarray, value: np.ndarray) -> np.ndarray:
     """Coefficients of straight lines, shape (n - 1, 4)."""
     return np.pad(np.column_stack([value[:-1], np.diff(value) / np.diff(time)]), ((0, 0), (0, 2)))
 
 
-def smooth(time: np.ndarray, value: np.ndarray) -> np.ndarray:
+def spline_pieces(time: np.ndarray, value: np.ndarray) -> np.ndarray:
     """Coefficients of the natural cubic spline, shape (n - 1, 4): y_m' and y_m'' are continuous."""
     from scipy.interpolate import CubicSpline  # slow to load, and few studies follow a record
 
     return CubicSpline(time, value, bc_type="natural").c[::-1].T
 
 
-RULES = {Interpolation.HOLD: held, Interpolation.LINEAR: joined, Interpolation.CUBIC: smooth}
+RULES = {Interpolation.HOLD: held_pieces, Interpolation.LINEAR: line_pieces, Interpolation.CUBIC: spline_pieces}
 
 
 def check_record(params: RecordParams) -> None:
@@ -78,7 +78,7 @@ def check_record(params: RecordParams) -> None:
         raise ConfigError("value", f"must hold as many numbers as time, {count}, got {len(params.value)}")
     if not 2 <= count <= MOST_VALUES:
         raise ConfigError("time", f"must hold 2 to {MOST_VALUES} numbers, got {count}")
-    fall = np.diff(params.time) <= 0.0
+    fall = np.diff(np.asarray(params.time, float)) <= 0.0
     if fall.any():
         index = int(fall.argmax()) + 1
         raise ConfigError(f"time.{index}", f"must be above the time before it, {params.time[index - 1]:g} s, got "

@@ -22,26 +22,26 @@ from dssc_jax.core.registry import Entry
 from dssc_jax.core.signals import ReferencePoint, Scalar
 
 AT = Quantity("s", "time at which it begins", at_least=0.0)
-OFFSET = Quantity("y", "value before it begins")
+BASELINE = Quantity("y", "value before it begins")
 FREQUENCY = "Hz"
 
 
-def begun(t: Scalar, at: Scalar) -> Scalar:
+def reached(t: Scalar, at: Scalar) -> Scalar:
     """Whether t >= at, up to the rounding of t = k T_s."""
     return t >= at - 4.0 * jnp.finfo(jnp.result_type(float)).eps * jnp.abs(t)
 
 
-class StepParams(NamedTuple):
+class StepReferenceParams(NamedTuple):
     """y_m = offset before ``at``, and offset + size from then on."""
 
     size: Annotated[Scalar, Quantity("y", "size of the step")]
     at: Annotated[Scalar, AT] = 0.0
-    offset: Annotated[Scalar, OFFSET] = 0.0
+    offset: Annotated[Scalar, BASELINE] = 0.0
 
 
-def step_at(params: StepParams, t: Scalar) -> ReferencePoint:
+def step_at(params: StepReferenceParams, t: Scalar) -> ReferencePoint:
     """The step at t."""
-    return ReferencePoint(params.offset + jnp.where(begun(t, params.at), params.size, 0.0), 0.0, 0.0)
+    return ReferencePoint(params.offset + jnp.where(reached(t, params.at), params.size, 0.0), 0.0, 0.0)
 
 
 class RampParams(NamedTuple):
@@ -50,15 +50,15 @@ class RampParams(NamedTuple):
     slope: Annotated[Scalar, Quantity("y/s", "slope")]
     at: Annotated[Scalar, AT] = 0.0
     rise: Annotated[Scalar | None, Quantity("s", "duration of the ramp", above=0.0)] = None
-    offset: Annotated[Scalar, OFFSET] = 0.0
+    offset: Annotated[Scalar, BASELINE] = 0.0
 
 
 def ramp_at(params: RampParams, t: Scalar) -> ReferencePoint:
     """The ramp at t."""
     elapsed = jnp.maximum(t - params.at, 0.0)
-    rising = begun(t, params.at)
+    rising = reached(t, params.at)
     if params.rise is not None:
-        rising = rising & ~begun(t, params.at + params.rise)
+        rising = rising & jnp.logical_not(reached(t, params.at + params.rise))
         elapsed = jnp.minimum(elapsed, params.rise)
     return ReferencePoint(params.offset + params.slope * elapsed, jnp.where(rising, params.slope, 0.0), 0.0)
 
@@ -70,7 +70,7 @@ class PulseParams(NamedTuple):
     period: Annotated[Scalar, Quantity("s", "time from one pulse to the next", above=0.0)]
     width: Annotated[Scalar, Quantity("s", "duration of a pulse", above=0.0)]
     at: Annotated[Scalar, AT] = 0.0
-    offset: Annotated[Scalar, OFFSET] = 0.0
+    offset: Annotated[Scalar, BASELINE] = 0.0
 
 
 def pulse_at(params: PulseParams, t: Scalar) -> ReferencePoint:
@@ -109,7 +109,7 @@ class ChirpParams(NamedTuple):
     end: Annotated[Scalar, Quantity(FREQUENCY, "last frequency", above=0.0)]
     duration: Annotated[Scalar, Quantity("s", "time from the first to the last frequency", above=0.0)]
     at: Annotated[Scalar, AT] = 0.0
-    offset: Annotated[Scalar, OFFSET] = 0.0
+    offset: Annotated[Scalar, BASELINE] = 0.0
 
 
 class Phase(NamedTuple):
@@ -148,7 +148,7 @@ def chirp(spacing: Spacing) -> Reference:
         within = jnp.minimum(elapsed, params.duration)
         angle, rate, sweep = moving(params, within)
         angle = angle + 2.0 * math.pi * params.end * (elapsed - within)
-        on = jnp.where(begun(t, params.at), params.amplitude, 0.0)
+        on = jnp.where(reached(t, params.at), params.amplitude, 0.0)
         sweep = jnp.where(elapsed < params.duration, sweep, 0.0)
         sine, cosine = on * jnp.sin(angle), on * jnp.cos(angle)
         return ReferencePoint(params.offset + sine, rate * cosine, sweep * cosine - rate * rate * sine)
@@ -193,8 +193,8 @@ def prepare_multisine(params: MultisineParams) -> MultisineParams:
     return params._replace(phases=phases)
 
 
-STEP = Reference(StepParams, step_at)
-RAMP = Reference(RampParams, ramp_at)
+STEP_REFERENCE = Reference(StepReferenceParams, step_at)
+RAMP_REFERENCE = Reference(RampParams, ramp_at)
 PULSES = Reference(PulseParams, pulse_at, prepare_pulse)
 MULTISINE = Reference(MultisineParams, multisine_at, prepare_multisine)
 CHIRP = Entry(
