@@ -22,10 +22,8 @@ LONGEST = 1000  # characters of a message
 
 app = typer.Typer(
     name="dssc-jax",
-    help="How much uncertainty does this controller survive, and how do I know?\n\n"
-    "Monte Carlo robustness of Dynamic Smooth Sliding Control and its rivals, on study files (TOML).",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )

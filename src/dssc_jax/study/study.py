@@ -21,6 +21,7 @@ from dssc_jax.study.build import build
 from dssc_jax.study.components import Number
 from dssc_jax.study.correlation import matrix, paired, require_correlation
 from dssc_jax.study.laws import Law
+from dssc_jax.study.library import find
 from dssc_jax.study.recorded import with_records
 from dssc_jax.study.schema import StudyTable
 from dssc_jax.study.tables import changed, read_toml
@@ -59,17 +60,18 @@ class Study:
 
     @classmethod
     def load(cls, path: str | Path) -> "Study":
-        """Read and validate a study file; models that it refers to as ``module:object`` are imported.
+        """Read and validate a study; models that it refers to as ``module:object`` are imported.
 
         Recorded signals (``file`` and ``column``) are read from files relative to the study's folder.
 
         Args:
-            path: A TOML file.
+            path: A TOML file, or the name of a packaged study, as on the command line.
 
         Raises:
             ConfigError: File, dotted path, rule and value of the first error.
         """
-        return cls.from_table(with_records(read_toml(path), Path(path).parent), str(path))
+        file = find(str(path))
+        return cls.from_table(with_records(read_toml(file), file.parent), str(path))
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any], source: str = "study") -> "Study":

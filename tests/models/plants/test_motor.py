@@ -1,4 +1,4 @@
-"""The study of the motor: its numbers are the tutorial's, its linear plant is of the class, its page tells the truth."""
+"""The study of the motor: its numbers are the tutorial's, and its linear plant is of the class."""
 
 import numpy as np
 import pytest
