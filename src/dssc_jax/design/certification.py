@@ -198,7 +198,10 @@ def design_of(study: Study) -> tuple[Parameters, Bounds]:
         NotCovered: The plant is not (5)-(8), the functions are not those of Table 1, or a number has no bound.
     """
     ends = ends_of(study)
-    plant_bounds(study.loop.plant, ends.part("plant"))  # what the plant lacks is told first
+    if study.loop.plant is not NORMAL_FORM:
+        plant_bounds(
+            study.loop.plant, ends.part("plant")
+        )  # what the plant lacks is told before what the controller lacks
     gains = ends.low.controller[0]
     own_model = study.loop.controller[0] not in DSSC.members.values()
     if own_model or not isinstance(gains.functions, Vgsta):

@@ -79,7 +79,7 @@ def bracketed_unit(run: xr.Dataset, name: str) -> str:
 
 def signal_label(run: xr.Dataset, name: str) -> str:
     """A signal's meaning without its symbol, and its unit."""
-    words = run[name].attrs["long_name"].partition(" u + u_n")[0].removesuffix(" y")
+    words = run[name].attrs["long_name"].removesuffix(" y").removesuffix(" u + u_n").removeprefix("total ")
     return label({"long_name": words, "units": run[name].attrs["units"]})
 
 
@@ -109,7 +109,8 @@ def state_dependent(ax: Axes, run: xr.Dataset) -> None:
             line(ax, run, name, colour, f"{text} {bracketed_unit(run, name)}")
     if ax.has_data():
         ax.set_yscale("log")
-        ax.set_ylabel(f"functions: gain {bracketed_unit(run, 'k_o')}, time constants [s]")
+        gain = f"gain {bracketed_unit(run, 'k_o')}, " if "k_o" in run else ""
+        ax.set_ylabel(f"functions: {gain}time constants [s]")
     else:
         ax.set_axis_off()
 
