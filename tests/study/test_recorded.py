@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 
 import dssc_jax as dj
+from dssc_jax.cli import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.study.tables import to_toml
 
@@ -49,6 +50,14 @@ def test_the_result_contains_the_record(folder):
     assert dj.replay(result, 0).attrs["agreement"] == "agrees"
 
 
+def test_a_command_runs_it(folder, monkeypatch, capsys):
+    """With the warning of noise, which looks at every number of the loop."""
+    monkeypatch.chdir(folder)
+    noise = "sensor={ kind = 'noisy', position_std = 1e-3 }"
+    assert guarded(["run", "study.toml", "--set", noise, "--draws", "2"]) == 0
+    assert "failure probability" in capsys.readouterr().out
+
+
 def test_another_time_column(folder):
     study = dj.Study.load(folder / "study.toml").override(
         {"reference": TABLE["reference"] | {"time_column": "time", "interpolation": "hold"}}
@@ -66,6 +75,7 @@ def test_another_time_column(folder):
         ({"time_column": "x"}, r"reference.time_column: 'log.csv' has no column 'x'"),
         ({"time": [1, 2]}, r"reference.time: is given by the file"),
         ({"file": 3}, r"reference.file: must be a text"),
+        ({"file": "/dev/zero"}, r"reference.file: '/dev/zero' cannot be read: it is no file"),
     ],
 )
 def test_bad_records_are_refused(folder, reference, complaint):

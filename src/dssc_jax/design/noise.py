@@ -99,7 +99,9 @@ def noise_drift(study: Study) -> dict[str, Drift]:
     Returns:
         Each noisy channel in the implicit form of DSSC, by name; the single channel of a SISO plant is ``""``.
     """
-    loop, template = study.loop, jax.tree.map(nominal, study.template)
+    loop, whole = study.loop, study.template
+    used = whole._replace(plant=(), reference=(), wind=())  # records and waypoints are arrays, which have no median
+    template = jax.tree.map(nominal, used)
     drifts = {}
     for i, name in enumerate(loop.channels):
         exact = not template.sensor[i] and not template.differentiator[i]

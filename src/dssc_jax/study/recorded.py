@@ -63,6 +63,8 @@ def recorded_columns(path: Path, names: list[str]) -> list[list[float]]:
 
     parquet = path.suffix.lower() in (".parquet", ".pq")
     try:
+        if not path.is_file():
+            raise ConfigError("file", f"'{path}' cannot be read: it is no file")
         if path.stat().st_size > LARGEST_RECORD:
             raise ConfigError("file", f"'{path}' is larger than a record can be ({LARGEST_RECORD} bytes)")
         frame = pd.read_parquet(path) if parquet else pd.read_csv(path, skipinitialspace=True, comment="#")
