@@ -166,7 +166,7 @@ def margins_text() -> str:
     shares = np.array(proved_shares(DESIGNS))
     return (
         f"{DESIGNS} random strict designs, at the four corners of their k_p and a_p: the largest lag of order 2 at "
-        f"which the verifier accepts a V for all gains of Theorem 1's residual set, over the local margin of the corners: "
+        "which the verifier accepts a V for all gains of Theorem 1's residual set, over the corners' local margin: "
         f"median {np.median(shares):.3g}, smallest {shares.min():.3g} (tried at most: 0.99)."
     )
 

@@ -25,6 +25,18 @@ WIDTH = "controller.sign_width"
 ASSUMED = ("plant", "reference", "disturbance")  # parts of the loop whose numbers the theorem's bounds are made of
 
 
+def example(study: Study) -> str:
+    """The smallest ``[tune]`` of a study: its controller's first positive gain, and its first metric."""
+    gains = {
+        name: value
+        for name, value in study.leaves().items()
+        if name.startswith("controller.") and isinstance(value, float) and value > 0.0 and study.quantities[name].law
+    }
+    ranges = [f'"{name}" = [{value / 3.0:.3g}, {value * 3.0:.3g}]' for name, value in list(gains.items())[:1]]
+    metric = next((measure.name for measure in study.measures), "error_rms")
+    return f"[tune] parameters = {{ {', '.join(ranges)} }}, objective = {{ {metric} = 1.0 }}"
+
+
 @dataclass(frozen=True)
 class Plan:
     """The settings of a tuning, read from the study's ``[tune]`` and checked.
@@ -59,7 +71,7 @@ class Plan:
     def _of(cls, study: Study) -> "Plan":
         table = study.config.tune
         if table is None:
-            raise ConfigError("tune", "is required and missing: parameters and objective")
+            raise ConfigError("tune", f"is required and missing; for example: {example(study)}")
         if table.optimiser not in OPTIMISERS:
             rule = f"unknown name '{table.optimiser}'; {nearest(table.optimiser, OPTIMISERS)}"
             raise ConfigError("tune.optimiser", rule)
