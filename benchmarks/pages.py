@@ -12,18 +12,18 @@ import typer
 from pydantic import BaseModel
 
 from dssc_jax.cli.common import app
-from dssc_jax.closed_loop.metrics import METRICS
-from dssc_jax.closed_loop.performance import PERFORMANCE
 from dssc_jax.console.kinds import HEADS, KIND_COLUMNS, registries, rows_of
 from dssc_jax.study.build import FIXED_TABLES
 from dssc_jax.study.laws import LAWS
+from dssc_jax.study.measuring import KNOWN
 from dssc_jax.study.schema import AXES, StudyTable
 
 DOCS = Path(__file__).parents[1] / "docs"
 STUDY_FILE = """# The study file
 
 Every table and field, generated from the schema (`make pages`). `dssc-jax info KIND` prints one kind in the terminal.
-Numbers are in SI units and radians. A law may replace a number unless *admissible* excludes it.
+Numbers are in SI units and radians; y stands for the unit of the plant's output and u for that of its command. A law
+may replace a number unless *admissible* excludes it.
 """
 COMMANDS = """# Commands
 
@@ -84,7 +84,7 @@ def study_file() -> str:
         ("law", "arguments", "rule"), ((f"`{n}`", f"`{law.signature}`", law.rule[0]) for n, law in LAWS.items())
     )
     lines += ["## Axes of a sweep", "", f"`[sweep]` gives, for a dotted name, one of {', '.join(AXES)}.", ""]
-    metrics = [(f"`{name}`", metric.unit, metric.meaning) for name, metric in {**METRICS, **PERFORMANCE}.items()]
+    metrics = [(f"`{name}`", metric.unit, metric.meaning) for name, metric in KNOWN.items()]
     lines += ["## Metrics", "", *table(("metric", "unit", "meaning"), metrics)]
     for slot, registry in registries().items():
         lines += [f"## [{HEADS.get(slot, slot)}]", ""]

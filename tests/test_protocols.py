@@ -34,6 +34,8 @@ PLAIN = {
     "vgsta": {**VGSTA_GAINS, "nominal": NOMINAL},
     "pi": {"k_p": 1.0, "k_i": 0.5, "nominal": NOMINAL},
     "smc": {"gain": 1.0, "nominal": NOMINAL},
+    "pid": {"k_p": 2.0, "k_i": 1.0, "k_d": 0.1, "filter": 0.02, "derivative_weight": 0.3, "low": -0.5, "high": 0.7},
+    "state_feedback": {"k_1": 2.0, "k_2": 1.0, "k_i": 0.5, "low": -9.0, "tracking": 0.4},
     "ssc": {"functions": {"kind": "constant", **FUNCTIONS["constant"]}, "rho": 2.0},
 }
 
@@ -48,8 +50,8 @@ def controller_cases():
                 tables.append({"functions": functions, "rho": NORM_BOUND, "predictor_start": "matched"})
         for option in entry.members:
             for index, table in enumerate(tables):
-                found = {"kind": kind, "l0": 0.5, entry.option: option.value, **table}
-                yield pytest.param(found, id=f"{kind}-{option}-{index}")
+                chosen = {entry.option: option.value} if entry.option else {}
+                yield pytest.param({"kind": kind, "l0": 0.5, **chosen, **table}, id=f"{kind}-{option}-{index}")
 
 
 def test_every_kind_has_a_case():
@@ -100,6 +102,8 @@ def test_gradients_are_finite(table, at):
 PLANT_TABLES = [
     {"kind": "normal_form", "initial": [1.0, 2.0]},
     {"kind": "normal_form", "zero_dynamics": {"a": [2.0, 3.0], "c": [0.1, 0.2]}, "initial": [1.0, 2.0, 0.3]},
+    {"kind": "state_space", "a": [[0.0, 1.0], [-2.0, -3.0]], "b": [0.0, 1.0], "c": [1.0, 0.0], "x0": [1.0]},
+    {"kind": "transfer_function", "numerator": [2.0, 1.0], "denominator": [2.0, 1.0, 0.0, 3.0]},
 ]
 
 

@@ -15,7 +15,8 @@ from scipy.linalg import expm
 
 import dssc_jax as dj
 from dssc_jax.core.signals import Measurement, ReferencePoint
-from dssc_jax.proofs.problem import ProofProblem, problem_of
+from dssc_jax.proofs.coverage import problem_of
+from dssc_jax.proofs.problem import ProofProblem
 
 SETTLED = 0.6
 """Share of a simulation after which the settled bound is held against it."""

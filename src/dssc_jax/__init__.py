@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from dssc_jax.runs.verify import verify
     from dssc_jax.statistics import AcceptReject, UntilWidth, plan
     from dssc_jax.study import Study
+    from dssc_jax.study.systems import plant_table
 
 __version__ = "0.1.0"
 __all__ = [
@@ -63,6 +64,7 @@ __all__ = [
     "margin",
     "noise_spectrum",
     "plan",
+    "plant_table",
     "plot",
     "prove",
     "prove_sweep",
@@ -114,6 +116,7 @@ _HOME = {
     "UntilWidth": "dssc_jax.statistics",
     "AcceptReject": "dssc_jax.statistics",
     "plan": "dssc_jax.statistics",
+    "plant_table": "dssc_jax.study.systems",
     "sensitivity": "dssc_jax.analyses.sensitivity",
     "rare": "dssc_jax.analyses.rare_events",
     "Splitting": "dssc_jax.analyses.splitting",

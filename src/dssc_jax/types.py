@@ -27,8 +27,10 @@ from dssc_jax.core.signals import (
     TrackingError,
     tracking_error,
 )
+from dssc_jax.core.units import ChannelUnits
 
 __all__ = [
+    "ChannelUnits",
     "Command",
     "Controller",
     "Differentiator",

@@ -65,4 +65,4 @@ def test_the_one_channel_of_a_plant_may_have_a_name(monkeypatch, tmp_path):
 
 def test_a_requirement_reads_its_channel_from_its_measure_whatever_the_channel_is_called():
     measure = Measure("error_max_x_after_2_after_5", "error_max", Window(5.0), 0, channel_name="x_after_2")
-    assert Requirement(measure, maximum=1.0).text == "error_max_x_after_2 after 5 s <= 1 m"
+    assert Requirement(measure, maximum=1.0).text == "error_max_x_after_2 after 5 s <= 1 y"

@@ -12,8 +12,8 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.closed_loop.metrics import METRICS, Instant, Measure, Scope, Window, starts, update_all, values
 from dssc_jax.closed_loop.performance import PERFORMANCE
-from dssc_jax.core.quantities import angular_unit
 from dssc_jax.results.schema import variables
+from dssc_jax.study.measuring import KNOWN
 
 OWN = """
 import jax.numpy as jnp
@@ -107,14 +107,6 @@ def test_metrics_of_an_angle_are_in_radians():
     assert study.requirements[0].text == "error_max_psi <= 0.1 rad"
 
 
-@pytest.mark.parametrize(
-    ("unit", "angular"),
-    [("m", "rad"), ("m/s", "rad/s"), ("m^2/s", "rad^2/s"), ("mm", "mm"), ("1/m", "1/m")],
-)
-def test_angular_unit(unit, angular):
-    assert angular_unit(unit) == angular
-
-
 def test_chattering_is_the_share_above_the_cutoff():
     """A relay at 1 ms chatters at 500 Hz, and the implicit one not at all."""
     table = {
@@ -168,5 +160,5 @@ def test_bad_names(case_2, own, name, rule):
 def test_the_page_has_every_metric_with_its_unit():
     page = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text()
     rows = re.findall(r"^\| `(\w+)` \|.*\| (\S.*) \|$", page, re.MULTILINE)
-    assert dict(rows) == {name: metric.unit for name, metric in (METRICS | PERFORMANCE).items()}
-    assert [name for name, _ in rows] == [*METRICS, *PERFORMANCE]
+    assert dict(rows) == {name: metric.unit for name, metric in KNOWN.items()}
+    assert [name for name, _ in rows] == list(KNOWN)

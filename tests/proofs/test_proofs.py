@@ -12,13 +12,14 @@ from dssc_jax.cli import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.design.certification import NotCovered
 from dssc_jax.proofs import small_gain
-from dssc_jax.proofs.enclosed_loop import held_generator, sampled
+from dssc_jax.proofs.coverage import problem_of
+from dssc_jax.proofs.enclosed_loop import held_sample, sampled
 from dssc_jax.proofs.gain_enclosures import functions_at
 from dssc_jax.proofs.gains import GAIN_NAMES, gain_hull
-from dssc_jax.proofs.problem import problem_from, problem_of
+from dssc_jax.proofs.problem import problem_from
 from dssc_jax.proofs.prove import check_certificate, prove
 from dssc_jax.proofs.reach import proved_up_to
-from dssc_jax.proofs.sampled_loop import LoopGains, LoopPoint, middle, state_sizes, step_of
+from dssc_jax.proofs.sampled_loop import LoopGains, LoopPoint, layout_of, middle, sensor_weights, step_of
 from dssc_jax.proofs.verifier import verify_certificate
 
 LOOP = dj.Study.load("studies/certified_margin.toml").override(
@@ -26,6 +27,7 @@ LOOP = dj.Study.load("studies/certified_margin.toml").override(
 )
 CONSTANT = {"kind": "constant", "k_o": 5.0, "tau_av": 0.05, "tau_m": 0.5}
 HIGHER = {"plant.zero_dynamics": {"a": [2.0, 1.5], "c": [0.3, 0.1]}}
+SINE = {"kind": "sine", "amplitude": 0.2, "period": 2.0 * np.pi}
 NOMINAL = {"controller.nominal": {"a": 0.8, "k": 1.1}}
 
 
@@ -36,9 +38,13 @@ def proved():
 
 def exact(point, problem):
     """A at a point by the verifier's own construction."""
-    held = (held_generator(problem, arb(point.a_p), arb(point.rate)) * arb(problem["sample_time"])).exp()
+    held = held_sample(problem, arb(point.a_p), arb(point.rate))
     matrix = sampled(problem, held, arb(point.k_p), tuple(map(arb, point.gains)))
     return np.array([[float(matrix[i, j].mid()) for j in range(matrix.ncols())] for i in range(matrix.nrows())])
+
+
+TRANSFER = {"kind": "transfer_function", "mu": 0.02, "numerator": [1.0, -0.3, 0.2], "denominator": [1.0, 1.1, 0.9, 0.4]}
+DIRECT = {"kind": "transfer_function", "mu": 0.03, "numerator": [2.0, 0.5], "denominator": [2.0, 1.5]}
 
 
 @pytest.mark.parametrize(
@@ -47,10 +53,19 @@ def exact(point, problem):
         {},
         {"unmodelled": {"kind": "none"}},
         {"unmodelled": {"kind": "lag", "order": 1, "mu": 0.05}},
+        {"unmodelled": TRANSFER},
+        {"unmodelled": DIRECT, **NOMINAL},
+        {"unmodelled": {"kind": "delay", "samples": 0.4, "memory": 4.0}},
+        {"unmodelled": {"kind": "delay", "samples": 2.0, "memory": 4.0}, **HIGHER},
+        {"unmodelled": {"kind": "delay", "samples": 2.7, "memory": 4.0}, "sensor": {"kind": "lag", "mu": 0.02}},
+        {"sensor": {"kind": "lag", "mu": 0.004}, **NOMINAL},
         {**HIGHER, **NOMINAL},
         {**NOMINAL, "controller.nominal.predictor_term": False, "unmodelled": {"kind": "none"}, **HIGHER},
+        {"reference": SINE},
+        {"reference": SINE, **NOMINAL, "unmodelled": DIRECT},
+        {"reference": SINE, **NOMINAL, "unmodelled": {"kind": "delay", "samples": 1.3, "memory": 4.0}},
     ],
-    ids=["lag 2", "no lag", "lag 1", "zero dynamics, nominal", "nominal without its pole"],
+    ids=lambda changes: " ".join(changes),
 )
 def test_one_sample_is_that_of_the_simulated_loop(changes):
     """Both constructions of A carry the recorded signals from sample to sample, with a constant disturbance."""
@@ -65,24 +80,34 @@ def test_one_sample_is_that_of_the_simulated_loop(changes):
         }
     )
     run, problem = dj.simulate(study), problem_of(study)
-    eta, lag, n = state_sizes(problem)
+    zeta, memory, n = layout_of(problem)
     gain, tau_m = 1.0 / (5.0 * 0.05), 0.5
-    pole = 1.0 / (1.1 * tau_m) if problem.nominal and problem.nominal[2] else 0.0
-    rate = 1.0 / problem.mu[0] if lag else 0.0
-    point = LoopPoint(1.0, 0.3, rate, LoopGains(gain, gain / tau_m, pole), 1.0)
-    a = step_of(problem, point).a
+    a_n, k_n, term = problem.nominal or (0.0, np.inf, False)
+    rate = 1.0 / problem.mu[0] if problem.denominator else 0.0
+    point = LoopPoint(1.0, 0.3, rate, LoopGains(gain, gain / tau_m, term / (k_n * tau_m)))
+    step = step_of(problem, point, problem.box)
+    a = step.a
     np.testing.assert_allclose(exact(point, problem.to_dict()), a, rtol=1e-12, atol=1e-14)
 
+    t = 0.01 * np.arange(201)
+    swing = SINE["amplitude"] if any(problem.reference) else 0.0
+    y_dot, y_ddot = swing * np.cos(t), -swing * np.sin(t)
+    d_r, f = 0.07 - y_ddot - 0.3 * y_dot, (y_ddot + a_n * y_dot) / k_n  # with k_p = 1
     z = np.zeros(n)
-    z[0], z[1] = run["e"].values[0], run["y_dot"].values[0]
-    z[2 + eta : 2 + eta + lag], z[n - 2] = 0.07, -0.07
+    z[0], z[1] = run["e"].values[0], run["y_dot"].values[0] - y_dot[0]
+    assert z[:2] == pytest.approx([pair[0] for pair in problem.initial[:2]], abs=1e-12)
+    z[zeta], z[n - 2] = d_r[0] * step.jump[zeta], -d_r[0] - f[0]
+    z[memory] = sensor_weights(problem)[0] * z[: memory.stop - memory.start]
     z[n - 1] = z[1] + problem.l0 * z[0]
-    assert eta + lag + 4 == n
+    inside, left = step.b[:, 2:], np.full(n, 3e-7)  # d_r(t) - d_r(t_k) acts between the samples
     for k in range(150):
-        assert z[0] == pytest.approx(run["e"].values[k], abs=3e-7)
-        assert z[1] == pytest.approx(run["y_dot"].values[k], abs=3e-7)
-        z = a @ z
-        assert z[n - 2] + 0.07 == pytest.approx(run["u_av"].values[k], abs=3e-7)
+        assert abs(z[0] - run["e"].values[k]) <= left[0]
+        assert abs(z[1] - run["y_dot"].values[k] + y_dot[k]) <= left[1]
+        z, left, inside = a @ z, left + np.abs(inside).sum(axis=1), a @ inside
+        assert abs(z[n - 2] + d_r[k] + f[k] - run["u_av"].values[k]) <= left[n - 2]
+        z += step.jump * (d_r[k + 1] - d_r[k])
+        z[n - 2] -= d_r[k + 1] + f[k + 1] - d_r[k] - f[k]
+    assert left[0] < 2e-4
 
 
 def test_a_certificate_is_proved(proved):
@@ -106,7 +131,8 @@ def test_no_disturbance_of_that_slope_leaves_the_bound(proved):
     (proof,) = proved.proofs
     product, tau_m = functions_at(proved.problem.to_dict(), (0.0, 0.0), 1, arb(0))
     gain = 1.0 / float(product.mid())
-    step = step_of(proved.problem, LoopPoint(1.0, 0.3, 100.0, LoopGains(gain, gain / float(tau_m.mid()), 0.0), 1.0))
+    point = LoopPoint(1.0, 0.3, 100.0, LoopGains(gain, gain / float(tau_m.mid()), 0.0))
+    step = step_of(proved.problem, point, proof.box)
     largest, z = 0.0, step.b[:, 0]
     for _ in range(40_000):
         largest += abs(step.rows[0] @ z)
@@ -257,7 +283,7 @@ def test_an_indefinite_p_does_not_prove_an_unstable_loop():
     content["proofs"][0]["stages"] = [stage]
     problem = problem_of(LOOP.override({**stable, "controller.functions.tau_m": 0.02}))
     gains = {name: middle(pair) for name, pair in gain_hull(problem, 1e-9, 1e-9).items()}
-    a = step_of(problem, LoopPoint(1.0, 0.3, 100.0, LoopGains(gains["k_p"], gains["k_i"], 0.0), 1.0)).a
+    a = step_of(problem, LoopPoint(1.0, 0.3, 100.0, LoopGains(gains["k_p"], gains["k_i"], 0.0)), problem.box).a
     values, vectors = np.linalg.eig(a)
     assert np.abs(values).max() > 1.0
     inverse = np.linalg.inv(vectors)
@@ -272,9 +298,13 @@ def test_an_indefinite_p_does_not_prove_an_unstable_loop():
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"sensor": {"kind": "noisy", "velocity_std": 0.01}}, "sigma is not measured exactly"),
-        ({"unmodelled": {"kind": "delay", "samples": 1.0, "memory": 4.0}}, "not a lag"),
-        ({"reference": {"kind": "sine", "amplitude": 1.0, "period": 10.0}}, "the reference is not zero"),
+        ({"sensor": {"kind": "noisy", "velocity_std": 0.01}}, "neither exactly nor through a lag"),
+        ({"unmodelled": {"kind": "rate_limit", "rate": 1.0}}, "neither a lag, a transfer function nor a delay"),
+        ({"unmodelled": {"kind": "delay", "samples": {"uniform": [0.0, 1.0]}}}, "unmodelled.samples is uncertain"),
+        ({"reference": SINE, **HIGHER}, "the reference moves, and the plant has zero dynamics"),
+        ({"reference": SINE, "sensor": {"kind": "lag", "mu": 0.01}}, "the reference moves, and the sensor lags"),
+        ({"disturbance": {"kind": "step", "value": 0.1, "at": 1.0}}, "no known bound"),
+        ({"disturbance": {"kind": "partition", "k_d3": 0.1}}, "depends on the state"),
         ({"controller.discretisation": "explicit"}, "in implicit or conservative form"),
         ({"controller.discretisation": "conservative"}, "depend on e between samples"),
         ({"controller.sign_width": 0.1}, "the sign is smoothed"),

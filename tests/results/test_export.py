@@ -89,7 +89,7 @@ def test_a_draw_that_ended_early(tmp_path):
 
 
 def test_what_is_missing_is_told(result, tmp_path, monkeypatch):
-    with pytest.raises(ConfigError, match="to: must be one of csv, parquet, netcdf, got 'xlsx'"):
+    with pytest.raises(ConfigError, match="to: must be one of csv, parquet, netcdf, mat, got 'xlsx'"):
         dj.export(result, "xlsx", tmp_path / "a.xlsx")
     with pytest.raises(ConfigError, match="cannot be written: No such file or directory"):
         dj.export(result, "csv", tmp_path / "nowhere" / "a.csv")

@@ -294,7 +294,7 @@ def test_a_loaded_result_is_saved_anew(stored, tmp_path):
     same(dj.load(stored.save(tmp_path / "again")), stored)
     without_digests(stored.path)
     saved = dj.load(stored.path).save(tmp_path / "anew")
-    assert json.loads((saved / "manifest.json").read_text())["schema"] == 2
+    assert json.loads((saved / "manifest.json").read_text())["schema"] == 3
     same(dj.load(saved), stored)
 
 

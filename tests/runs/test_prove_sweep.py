@@ -1,6 +1,7 @@
 """Proofs at the points of a sweep: beside the draws, in the results folder, in figures, and verified again."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from dssc_jax import plotting
 from dssc_jax.cli import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.plotting.standings import STANDINGS, standing_of
+from dssc_jax.report import html
 from dssc_jax.results.proofs import PROOFS_FILE
 from tests.cli.conftest import last_json
 
@@ -49,6 +51,13 @@ def test_a_sweep_knows_what_is_proved(folder):
         plotting.standing(along)
 
 
+def test_the_report_says_what_is_proved(folder):
+    text = html(dj.load(folder), worst=0)
+    assert "What is proved" in text
+    assert "proved for every plant of the laws" in text
+    assert "verifies every certificate again" in text
+
+
 def test_points_stand_in_one_of_four_ways():
     share = np.array([0.0, 0.3, 0.0, 0.3, 1.0])
     proved = np.array([True, True, False, False, False])
@@ -68,6 +77,13 @@ def test_the_proofs_of_a_folder_are_verified_again(folder, tmp_path, capsys):
     forged.write_text(json.dumps(content))
     assert guarded(["prove", str(forged)]) == 1
     assert "P7: " in capsys.readouterr().out
+    own = json.loads((folder / PROOFS_FILE).read_text())
+    swapped = tmp_path / "swapped"
+    shutil.copytree(folder, swapped)
+    own["certificates"][0] = own["certificates"][index ^ 1] if index ^ 1 else own["certificates"][1]
+    (swapped / PROOFS_FILE).write_text(json.dumps(own))
+    assert guarded(["prove", str(swapped / PROOFS_FILE)]) == 1
+    assert "point 0 is that of another loop" in capsys.readouterr().out
     del content["points"]
     forged.write_text(json.dumps(content))
     assert guarded(["prove", str(forged)]) == 2

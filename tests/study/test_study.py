@@ -71,7 +71,7 @@ BAD = {
     "number where a table belongs": ({"plant": 3}, "plant: .*dictionary"),
     "negative time constant": ({"controller.functions.tau_av": -0.1}, r"tau_av: .*must be > 0, got -0.1"),
     "zero time constant": ({"controller.functions.tau_av": 0.0}, r"tau_av: .*must be > 0, got 0.0"),
-    "negative input gain": ({"plant.k_p": -1.0}, r"plant.k_p: high-frequency gain k_p \[1/s\] must be > 0"),
+    "negative input gain": ({"plant.k_p": -1.0}, r"plant.k_p: high-frequency gain k_p \[y/\(s\^2 u\)\] must be > 0"),
     "negative rho": ({"controller.rho": -1.0}, r"controller.rho.rho: .*must be > 0"),
     "sample time above duration": (
         {"loop.sample_time": 100.0},

@@ -1,13 +1,47 @@
 """Commands that show what is available: studies, info."""
 
 import json
+import sys
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from dssc_jax.cli import options as opt
-from dssc_jax.cli.common import DONE, app
+from dssc_jax.cli.common import DONE, app, show_code
 from dssc_jax.core.errors import ConfigError
+
+
+def print_version(wanted: bool) -> None:
+    """Print the version and end."""
+    if wanted:
+        from dssc_jax import __version__
+
+        print(f"dssc-jax {__version__}")
+        raise typer.Exit(DONE)
+
+
+def silence(wanted: bool) -> None:
+    """Show no progress and no notices; errors are still reported."""
+    if wanted:
+        from dssc_jax.console.terminal import errors
+
+        errors().quiet = True
+
+
+@app.callback()
+def dssc_jax(
+    version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=print_version, help="Print the version and end.")
+    ] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", callback=silence, help="Show no progress and no notices, only errors.")
+    ] = False,
+) -> None:
+    """How much uncertainty does this controller survive, and how do I know?
+
+    Monte Carlo robustness of Dynamic Smooth Sliding Control and its rivals, on study files (TOML).
+    """
 
 
 @app.command()
@@ -33,13 +67,17 @@ def studies(as_json: opt.Json = False) -> int:
 
 @app.command()
 def info(
-    kind: Annotated[str | None, typer.Argument(metavar="[KIND]", help="Show only this kind of model or part.")] = None,
+    kind: Annotated[
+        str | None,
+        typer.Argument(metavar="[NAME]", help="One kind of model or part, law or metric, or your own module:OBJECT."),
+    ] = None,
     as_json: opt.Json = False,
+    allow_local: opt.Local = False,
 ) -> int:
     """Show versions, devices and every kind of model; or one kind's fields.
 
-    Each kind with its fields and options, and the compiler of lanes. Of one KIND: unit, meaning, admissible
-    values and default of each field.
+    Each kind with its fields and options, every law and metric, and the compiler of lanes. Of one kind: unit, meaning,
+    admissible values and default of each field. Of a law: its arguments. Of a metric: meaning and unit.
     """
     from dssc_jax.console import environment, show_environment
 
@@ -48,6 +86,10 @@ def info(
 
         if as_json:
             raise ConfigError("--json", "covers all kinds; omit KIND")
+        if allow_local:
+            sys.path.insert(0, str(Path.cwd()))
+        if ":" in kind:
+            show_code("command", {"kind": kind})
         show_kind(kind)
         return DONE
     machine = environment()

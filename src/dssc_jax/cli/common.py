@@ -22,10 +22,8 @@ LONGEST = 1000  # characters of a message
 
 app = typer.Typer(
     name="dssc-jax",
-    help="How much uncertainty does this controller survive, and how do I know?\n\n"
-    "Monte Carlo robustness of Dynamic Smooth Sliding Control and its rivals, on study files (TOML).",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -108,6 +106,7 @@ def load_study(
         os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     from dssc_jax.study import Study, read_toml
     from dssc_jax.study.library import find
+    from dssc_jax.study.recorded import with_records
     from dssc_jax.study.tables import changed
 
     path = find(name)
@@ -118,7 +117,10 @@ def load_study(
         key, value = assignment(text, "--set")
         changes[key] = parse_value(value)
     changes |= {key: value for key, value in (("draws", draws), ("seed", seed)) if value is not None}
-    table = changed(read_toml(path), changes, str(path))
+    try:
+        table = with_records(changed(read_toml(path), changes, str(path)), path.parent)
+    except ConfigError as error:
+        raise error.within(str(path)) from None
     show_code("study", table)
     return Study.from_table(table, str(path))
 

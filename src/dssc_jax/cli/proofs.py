@@ -48,14 +48,14 @@ def prove(
     """
     require_proofs()
     from dssc_jax.console.proofs import show_proof, show_verdict
-    from dssc_jax.proofs.problem import NotCovered
+    from dssc_jax.design.certification import NotCovered
     from dssc_jax.proofs.prove import check_certificate
     from dssc_jax.proofs.prove import prove as search
 
     if study.endswith(".json"):
         content = read_json(Path(study))
         if isinstance(content, dict) and "certificates" in content:
-            return check_sweep(content, as_json)
+            return check_sweep(content, Path(study).parent, as_json)
         verdict = check_certificate(content)
         if as_json:
             print(json.dumps(verdict._asdict() if verdict.proved else {"proved": False, "reason": verdict.reason}))
@@ -87,7 +87,7 @@ def write_certificate(proved: "Proved", out: Path | None) -> None:
 def prove_over(study: "Study", over: str, log: bool, boxes: int, out: Path | None, as_json: bool) -> int:
     """Find the last value of a number that is proved; ``out`` gets its certificate."""
     from dssc_jax.console import output, progress_bar
-    from dssc_jax.proofs.problem import NotCovered
+    from dssc_jax.design.certification import NotCovered
     from dssc_jax.proofs.reach import proved_up_to
 
     name, bounds = parse_bounds(over)
@@ -105,10 +105,14 @@ def prove_over(study: "Study", over: str, log: bool, boxes: int, out: Path | Non
     return FAILS if reach.last is None else DONE
 
 
-def check_sweep(content: dict[str, Any], as_json: bool) -> int:
-    """Verify the certificates of a sweep's points that are said to be proved."""
+def check_sweep(content: dict[str, Any], folder: Path, as_json: bool) -> int:
+    """Verify the certificates of a sweep's points that are said to be proved.
+
+    In a results folder, each must be a certificate of the folder's own loop at its point.
+    """
     from dssc_jax.console.proofs import show_sweep_verdicts
     from dssc_jax.proofs.prove import check_certificate
+    from dssc_jax.runs.prove_sweep import foreign_points
 
     try:
         pairs = zip(content["points"], content["certificates"], strict=True)
@@ -117,12 +121,27 @@ def check_sweep(content: dict[str, Any], as_json: bool) -> int:
         raise ConfigError("proofs", f"are damaged: {error!r}") from None
     verdicts = [check_certificate(each) for each in said]
     reasons = [each.reason for each in verdicts if not each.proved]
+    if (study := study_of_folder(folder)) is not None:
+        foreign = foreign_points(study, content["certificates"])
+        reasons += [f"P0: the certificate of point {i} is that of another loop than the folder's" for i in foreign]
     if as_json:
         counts = {"points": len(content["points"]), "certificates": len(said)}
         print(json.dumps({"proved": not reasons, **counts, "reasons": reasons}))
     else:
         show_sweep_verdicts(len(content["points"]), len(said), reasons)
     return FAILS if reasons else DONE
+
+
+def study_of_folder(folder: Path) -> "Study | None":
+    """The study of a results folder; None if it is none, or if its code is not loaded."""
+    from dssc_jax.results.manifest import MANIFEST
+    from dssc_jax.results.result import load_result
+    from dssc_jax.study import Described
+
+    if not (folder / MANIFEST).exists():
+        return None
+    study = load_result(folder).study
+    return None if isinstance(study, Described) else study
 
 
 def read_json(path: Path) -> Any:

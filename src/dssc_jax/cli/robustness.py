@@ -6,7 +6,16 @@ import typer
 
 from dssc_jax.analyses.defaults import BISECTIONS, CANDIDATES, POINTS
 from dssc_jax.cli import options as opt
-from dssc_jax.cli.common import DONE, app, default_out, load_study, output_analysis, parse_bounds, save_analysis
+from dssc_jax.cli.common import (
+    DONE,
+    app,
+    default_out,
+    load_study,
+    output_analysis,
+    parse_bounds,
+    require_proofs,
+    save_analysis,
+)
 from dssc_jax.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -17,6 +26,9 @@ WalkOption = Annotated[
 ]
 LogOption = Annotated[bool, typer.Option("--log", help="Walk evenly in the logarithm.")]
 PointsOption = Annotated[int, typer.Option("--points", metavar="N", help="Values of the bracketing grid.")]
+ProveOption = Annotated[
+    bool, typer.Option("--prove", help="Also prove the sampled loop, as far along the walk as a proof is found.")
+]
 BisectionsOption = Annotated[int, typer.Option("--bisections", metavar="N", help="Halvings of a grid's cell.")]
 SWITCHING = ("sta", "smc")
 WALKED = {"of": "simulations", "early": "every critical value is found"}
@@ -32,6 +44,7 @@ def margin(
     controllers: Annotated[
         str | None, typer.Option("--controllers", metavar="A,B,..", help="Of each of these, on the same draws.")
     ] = None,
+    prove: ProveOption = False,
     settings: opt.Set = None,
     draws: opt.Draws = None,
     seed: opt.Seed = None,
@@ -46,7 +59,12 @@ def margin(
 
     Prints the median, the value up to which 95 % of all draws pass with 95 % confidence (Wilks), the share of draws
     without a critical value between the bounds, the share that passes again beyond a failure, and what Theorem 1 says.
+    With --prove, it also tells how far the sampled loop is proved, for all plants of the laws at once.
     """
+    if prove:
+        require_proofs()
+    if prove and controllers is not None:
+        raise ConfigError("--prove", "is not for --controllers: prove each with `dssc-jax prove --over`")
     from dssc_jax.analyses.comparison import compare_margins
     from dssc_jax.analyses.margins import margin as find
     from dssc_jax.console import progress_bar, show_margin_contest, show_margins
@@ -60,7 +78,7 @@ def margin(
     require_free(folder, kind, loaded)
     with progress_bar(loaded, quiet=as_json, **WALKED) as advance:
         if controllers is None:
-            margins, show = find(loaded, **walk, progress=advance), show_margins
+            margins, show = find(loaded, **walk, prove=prove, progress=advance), show_margins
         else:
             names = split_names(controllers)
             margins, show = compare_margins(loaded, names, **walk, progress=advance), show_margin_contest
@@ -80,6 +98,7 @@ def theory(
     log: LogOption = False,
     points: PointsOption = POINTS,
     bisections: BisectionsOption = BISECTIONS,
+    prove: ProveOption = False,
     settings: opt.Set = None,
     draws: opt.Draws = None,
     seed: opt.Seed = None,
@@ -90,8 +109,11 @@ def theory(
     """Say what theory and simulation have to say of one number, side by side.
 
     Theorem 1 where it speaks, the linearised loop's local margin, describing functions (over unmodelled.mu), and the
-    simulated margin. They answer different questions; where one of them does not apply, the answer says why.
+    simulated margin. They answer different questions; where one of them does not apply, the answer says why. With
+    --prove, also how far the sampled loop is proved, for all plants of the laws at once.
     """
+    if prove:
+        require_proofs()
     from dssc_jax.analyses.theory import assess
     from dssc_jax.console import progress_bar, show_theory
     from dssc_jax.results.analysis_folder import require_free
@@ -103,7 +125,7 @@ def theory(
     require_free(folder, "theory", loaded)
     rivals = switching_rivals(loaded)
     with progress_bar(loaded, quiet=as_json, **WALKED) as advance:
-        assessment = assess(loaded, **walk, rivals=rivals, progress=advance)
+        assessment = assess(loaded, **walk, rivals=rivals, prove=prove, progress=advance)
     output_analysis(assessment, {"result": folder}, save_analysis(assessment, folder), as_json, show_theory)
     return DONE
 

@@ -224,7 +224,8 @@ def require_provable(study: "Study") -> None:
         ConfigError: they do not.
     """
     require_proofs()
-    from dssc_jax.proofs.problem import NotCovered, problem_of
+    from dssc_jax.design.certification import NotCovered
+    from dssc_jax.proofs.coverage import problem_of
     from dssc_jax.runs.prove_sweep import sweep_points
 
     try:

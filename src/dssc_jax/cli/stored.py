@@ -38,7 +38,7 @@ def verify(
 @app.command()
 def export(
     result: opt.StoredArgument,
-    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help="csv, parquet or netcdf.")],
+    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help="csv, parquet, netcdf or mat.")],
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="The file [draws.csv, ... in FOLDER].")
     ] = None,

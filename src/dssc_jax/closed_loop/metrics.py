@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.core.numerics import root_abs
-from dssc_jax.core.quantities import angular_unit
-from dssc_jax.core.signals import Info, Scalar
+from dssc_jax.core.signals import Info, ReferencePoint, Scalar
+from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 
 
 class Sample(NamedTuple):
@@ -24,7 +24,7 @@ class Sample(NamedTuple):
 
     ``k`` is the sample index. ``e`` and ``sigma`` are true, ``sigma_measured`` is what the controller sees. ``u`` is
     the robust command and ``u_previous`` its previous value (at the first sample: ``u``); ``k_p`` is the draw's own
-    input gain.
+    input gain. The output is y = e + y_m with the desired output y_m = ``reference.y``.
     """
 
     k: Scalar
@@ -37,6 +37,7 @@ class Sample(NamedTuple):
     u_total: Scalar
     k_p: Scalar
     info: Info
+    reference: ReferencePoint = ReferencePoint(0.0, 0.0, 0.0)
 
 
 class Instant(NamedTuple):
@@ -57,10 +58,14 @@ class Scope(StrEnum):
 
 @dataclass(frozen=True)
 class Window:
-    """Samples at t >= ``after`` [s]; ``band`` [m] is the error that counts as settled."""
+    """Samples at t >= ``after`` [s].
+
+    The error that counts as settled is ``band``, in the output's unit; for a step response, ``percent`` of the step.
+    """
 
     after: float = 0.0
     band: float = 0.05
+    percent: float = 2.0
 
 
 class Span(NamedTuple):
@@ -75,7 +80,7 @@ class Metric(NamedTuple):
     """A streaming measure.
 
     Args:
-        unit: SI unit.
+        unit: Unit, with the symbols ``y`` and ``u`` of :mod:`dssc_jax.core.units` for those of the channel.
         meaning: Long name.
         update: ``(accumulator, sample, window) -> accumulator`` for a sample within the window; a metric of the
             vehicle receives the :class:`Instant`.
@@ -183,17 +188,17 @@ def as_float(flag: Scalar, like: Scalar) -> Scalar:
 
 SLIDING, SAMPLING, FLYING = ("sliding_margin",), ("k_o", "tau_av", "tau_m"), ("tilt",)
 METRICS: dict[str, Metric] = {
-    "error_rms": Metric("m", "rms of the output error e", total(lambda s: s.e * s.e), root_mean),
-    "error_max": Metric("m", "largest |e|", peak(lambda s: s.e), itself),
-    "sigma_rms": Metric("m/s", "rms of sigma", total(lambda s: s.sigma * s.sigma), root_mean),
-    "sigma_max": Metric("m/s", "largest |sigma|", peak(lambda s: s.sigma), itself),
+    "error_rms": Metric("y", "rms of the output error e", total(lambda s: s.e * s.e), root_mean),
+    "error_max": Metric("y", "largest |e|", peak(lambda s: s.e), itself),
+    "sigma_rms": Metric("y/s", "rms of sigma", total(lambda s: s.sigma * s.sigma), root_mean),
+    "sigma_max": Metric("y/s", "largest |sigma|", peak(lambda s: s.sigma), itself),
     "settling_time": Metric("s", "time after which |e| stays within the band", last_outside, settling, counted=True),
     "command_tv": Metric(
-        "m/s", "total variation of the robust command u", total(lambda s: jnp.abs(s.u - s.u_previous)), itself
+        "u", "total variation of the robust command u", total(lambda s: jnp.abs(s.u - s.u_previous)), itself
     ),
-    "command_rms": Metric("m/s", "rms of the robust command u", total(lambda s: s.u * s.u), root_mean),
-    "command_max": Metric("m/s", "largest |u|", peak(lambda s: s.u), itself),
-    "total_command_max": Metric("m/s", "largest |u + u_n|", peak(lambda s: s.u_total), itself),
+    "command_rms": Metric("u", "rms of the robust command u", total(lambda s: s.u * s.u), root_mean),
+    "command_max": Metric("u", "largest |u|", peak(lambda s: s.u), itself),
+    "total_command_max": Metric("u", "largest |u + u_n|", peak(lambda s: s.u_total), itself),
     "outside_sliding": Metric(
         "1",
         "share of time outside sliding",
@@ -264,7 +269,7 @@ class Measure:
         window: The samples that count.
         channel: Index of the channel; None: the vehicle.
         own: The streaming form, for a kind that is not in :data:`METRICS`.
-        angular: Whether the channel's output is an angle.
+        units: Units and meanings of the channel's output and command.
         channel_name: The channel's name; empty for the vehicle and for the single channel of a SISO plant.
     """
 
@@ -273,7 +278,7 @@ class Measure:
     window: Window
     channel: int | None = 0
     own: Metric | None = None
-    angular: bool = False
+    units: ChannelUnits = UNNAMED_UNITS
     channel_name: str = ""
 
     @property
@@ -288,8 +293,13 @@ class Measure:
 
     @property
     def unit(self) -> str:
-        """SI unit of the value."""
-        return angular_unit(self.metric.unit) if self.angular else self.metric.unit
+        """Unit of the value."""
+        return self.units.of(self.metric.unit)
+
+    @property
+    def meaning(self) -> str:
+        """Long name of the value; a user's own metric keeps its words."""
+        return self.units.named(self.metric.meaning) if self.own is None else self.metric.meaning
 
     def of(self, instant: Instant) -> Any:
         """The argument with which the metric is updated."""

@@ -28,7 +28,7 @@ def timed_error(acc: Scalar, sample: Sample, window: Window) -> Scalar:
 
 
 class Beyond(NamedTuple):
-    """Sign of the window's first error that is not zero, and the largest error on the other side [m]."""
+    """Sign of the window's first error that is not zero, and the largest error on the other side."""
 
     side: Scalar = 0.0
     largest: Scalar = 0.0
@@ -41,7 +41,7 @@ def time_beyond(acc: Beyond, sample: Sample, window: Window) -> Beyond:
 
 
 class Bands(NamedTuple):
-    """Samples so far, the slow part of the command [m/s], its sum and sum of squares, and the fast part's."""
+    """Samples so far, the slow part of the command, its sum and sum of squares, and the fast part's."""
 
     samples: Scalar = 0.0
     slow: Scalar = 0.0
@@ -139,13 +139,13 @@ def slope(acc: Trend, window: Window, span: Span) -> Scalar:
 
 
 PERFORMANCE: dict[str, Metric] = {
-    "iae": Metric("m s", "integral of |e|", total(lambda s: jnp.abs(s.e)), integral),
-    "itae": Metric("m s^2", "integral of time, from the window's start, times |e|", timed_error, integral),
+    "iae": Metric("y s", "integral of |e|", total(lambda s: jnp.abs(s.e)), integral),
+    "itae": Metric("y s^2", "integral of time, from the window's start, times |e|", timed_error, integral),
     "overshoot": Metric(
-        "m", "largest error on the other side of zero", time_beyond, lambda acc, *_: acc.largest, start=Beyond()
+        "y", "largest error on the other side of zero", time_beyond, lambda acc, *_: acc.largest, start=Beyond()
     ),
-    "steady_state_error": Metric("m", "|mean of e| over the window", total(lambda s: s.e), magnitude_of_mean),
-    "command_energy": Metric("m^2/s", "integral of the robust command's square", total(lambda s: s.u * s.u), integral),
+    "steady_state_error": Metric("y", "|mean of e| over the window", total(lambda s: s.e), magnitude_of_mean),
+    "command_energy": Metric("u^2 s", "integral of the robust command's square", total(lambda s: s.u * s.u), integral),
     "chattering_index": Metric("1", "share of the robust command above 1 Hz", bands, fast_share, start=Bands()),
     "noise_amplification": Metric(
         "1",
@@ -155,14 +155,14 @@ PERFORMANCE: dict[str, Metric] = {
         start=Amplified(),
     ),
     "noise_drift": Metric(
-        "m/s^2",
+        "u/s",
         "rate at which measurement noise drives the implicit form's command",
         drift_sum,
         drift_rate,
         SAMPLING,
         start=DriftSum(),
     ),
-    "total_command_tv": Metric("m/s", "total variation of u + u_n", path, lambda acc, *_: acc.length, start=Path()),
+    "total_command_tv": Metric("u", "total variation of u + u_n", path, lambda acc, *_: acc.length, start=Path()),
     "roll_max": Metric("rad", "largest |roll|", peak(lambda i: i.plant.phi), itself, ("phi",), Scope.VEHICLE),
     "pitch_max": Metric("rad", "largest |pitch|", peak(lambda i: i.plant.theta), itself, ("theta",), Scope.VEHICLE),
     "growth_rate": Metric("1/s", "rate at which |sigma| grows, fitted over the window", trend, slope, start=Trend()),

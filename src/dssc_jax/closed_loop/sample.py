@@ -316,6 +316,7 @@ def step(loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Sc
                 u_total=command.total,
                 k_p=gains[i],
                 info=info,
+                reference=r,
             )
         )
         sampled = loop.unmodelled[i].sample(params.unmodelled[i], channel.unmodelled, command.total, dt)

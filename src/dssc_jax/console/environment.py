@@ -45,6 +45,7 @@ def environment() -> dict[str, Any]:
 def show_environment(environment: dict[str, Any]) -> None:
     """Print the environment."""
     from dssc_jax.console.kinds import HEADS
+    from dssc_jax.study.laws import LAWS
 
     console = output()
     console.print("  ".join(f"{name} {number}" for name, number in environment["versions"].items()))
@@ -60,4 +61,6 @@ def show_environment(environment: dict[str, Any]) -> None:
         show_table((f"[{HEADS.get(slot, slot)}]", "what", "fields", "options"), rows)
     rows = [(name, about["meaning"], about["unit"], about["of"]) for name, about in environment["metrics"].items()]
     show_table(("metric", "what", "unit", "of each"), rows)
-    console.print("`dssc-jax info KIND` shows unit, meaning, range and default of each field of a kind", markup=False)
+    rows = [(name, law.signature, law.rule[0]) for name, law in LAWS.items()]
+    show_table(("law", "arguments", "rule"), rows)
+    console.print("`dssc-jax info NAME` shows one kind's fields with unit, meaning, range and default", markup=False)

@@ -5,11 +5,15 @@ from enum import Enum
 from typing import Any
 
 from dssc_jax.console.terminal import output, show_table
+from dssc_jax.core.contracts import Preset
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.core.registry import Entry, Registry, Slot
+from dssc_jax.core.registry import Entry, Registry, Slot, single
+from dssc_jax.core.units import POSITION, UNNAMED_UNITS
 from dssc_jax.study.build import REGISTRIES
-from dssc_jax.study.components import FieldSpec, field_specs
+from dssc_jax.study.components import FieldSpec, field_specs, imported
+from dssc_jax.study.laws import LAWS
+from dssc_jax.study.measuring import KNOWN
 
 TRAJECTORY = "trajectory"
 HEADS = {TRAJECTORY: "reference, of a plant of several channels"}
@@ -104,7 +108,7 @@ def fields(params: type, prefix: str, preset: Any) -> Iterator[tuple[str, str, s
 def about(spec: FieldSpec) -> tuple[str, str, str]:
     """Unit, meaning and admissible values of a field."""
     if isinstance(spec.mark, Quantity):
-        meaning = f"{spec.mark.meaning} (a list)" if spec.many else spec.mark.meaning
+        meaning = spec.mark.meaning + ("", " (a list)", " (a list of rows)")[spec.depth]
         limits = [
             *([f"> {spec.mark.above:g}"] if spec.mark.above is not None else []),
             *([f">= {spec.mark.at_least:g}"] if spec.mark.at_least is not None else []),
@@ -129,17 +133,47 @@ def text_of(default: Any) -> str:
     return "absent" if default is None else f"{default:g}" if isinstance(default, int | float) else str(default)
 
 
-def show_kind(name: str) -> None:
-    """Print the fields of a kind, for every table that has a kind of this name.
+def entry_of(model: Any, name: str) -> Entry:
+    """A registry row of a user's own model, preset of parameters, or family of models.
 
     Raises:
-        ConfigError: there is no such kind.
+        ConfigError: the object is none of these.
+    """
+    if isinstance(model, Entry):
+        return model
+    if hasattr(model, "params") and hasattr(model.params, "_fields"):
+        return single(model, f"a {type(model).__name__.lower()} of your own")
+    if hasattr(model, "_fields"):
+        own = type(model) if not isinstance(model, type) else model
+        return single(Preset(own, None if own is model else model), "parameters of your own")
+    raise ConfigError(name, f"must be a model or its parameters, got {type(model).__name__}")
+
+
+def show_kind(name: str) -> None:
+    """Print the fields of a kind, for every table that has a kind of this name; a law; or a metric.
+
+    Args:
+        name: Its name, or that of a user's own model, ``module:OBJECT``, which is imported.
+
+    Raises:
+        ConfigError: there is none.
     """
     every = registries()
     entries = {slot: registry[name] for slot, registry in every.items() if name in registry}
-    if not entries:
-        valid = {kind for registry in every.values() for kind in registry}
+    if ":" in name:
+        entries = {"your own": entry_of(imported(name, name), name)}
+    if name in LAWS:
+        law = LAWS[name]
+        output().print(f"law {name} = {law.signature}: {law.rule[0]}", markup=False)
+    if name in KNOWN:
+        metric = KNOWN[name]
+        output().print(f"metric {name} [{metric.unit}]: {metric.meaning}, of each {metric.scope.value}", markup=False)
+    if not entries and name not in LAWS and name not in KNOWN:
+        valid = {kind for registry in every.values() for kind in registry} | LAWS.keys() | KNOWN.keys()
         raise ConfigError(name, f"is no kind; {nearest(name, valid)}")
     for slot, entry in entries.items():
         output().print(f'[{HEADS.get(slot, slot)}] kind = "{name}": {entry.summary}', markup=False)
-        show_table(KIND_COLUMNS, rows_of(entry))
+        rows = rows_of(entry)
+        show_table(KIND_COLUMNS, rows)
+        if any(UNNAMED_UNITS.of(row[1]) != POSITION.of(row[1]) for row in rows):
+            output().print("y and u are the units of the plant's output and of its command", markup=False)

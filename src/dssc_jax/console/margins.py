@@ -49,9 +49,16 @@ def show_margins(summary: Mapping[str, Any], files: list[Path]) -> None:
     ]
     show_table((summary["parameter"], ""), rows)
     console.print(summary["certificate"], markup=False, soft_wrap=True)
+    show_reach(summary["proof"])
     if min(summary["fail_at_start"], summary["non_monotone"]) > TURNED:
         console.print(f"most draws fail at {start:g} and pass further on: is {start:g} the safe end of the walk?")
     show_files(files)
+
+
+def show_reach(proof: Mapping[str, Any] | None) -> None:
+    """Print how far the sampled loop is proved, if that was asked."""
+    if proof is not None:
+        output().print(proof["statement"], markup=False, soft_wrap=True)
 
 
 def show_margin_contest(summary: Mapping[str, Any], files: list[Path]) -> None:
@@ -100,6 +107,7 @@ def show_theory(summary: Mapping[str, Any], files: list[Path]) -> None:
     if rows:
         show_table(("oscillation", "mu [s]", "amplitude of sigma [m/s]", "by describing function"), rows)
     console.print(summary["certificate"]["text"], markup=False, soft_wrap=True)
+    show_reach(summary["proof"])
     for name, reason in summary["not_covered"].items():
         console.print(f"{name}: {reason}", markup=False, soft_wrap=True)
     show_files(files)

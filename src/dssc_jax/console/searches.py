@@ -36,6 +36,9 @@ def show_tuning(summary: Mapping[str, Any], files: list[Path]) -> None:
         console.print(f"gradients: {summary['gradients']['text']}")
     if summary["certified_points"] is not None:
         console.print(f"certified: all {summary['certified_points']} points that were visited, by Theorem 1")
+    if summary.get("proof") is not None:
+        console.print(f"proved: all {summary['proved_points']} points that were accepted, with lag and sampling")
+        console.print(summary["proof"], markup=False, soft_wrap=True)
     for number, hunt in enumerate(summary["counterexamples"], start=1):
         slack = number_text(hunt["slack"], ".4g", ENDED)
         console.print(f"hunt {number}: worst slack {slack} in {hunt['simulations']} simulations")

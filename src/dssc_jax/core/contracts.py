@@ -24,6 +24,7 @@ from dssc_jax.core.signals import (
     Signals,
     State,
 )
+from dssc_jax.core.units import ChannelUnits
 from dssc_jax.core.vectors import Vec3
 
 Output = TypeVar("Output", bound=Measurement | Measurements)
@@ -80,11 +81,12 @@ class Plant(NamedTuple, Generic[Output, Signal]):
         init: ``(params) -> state`` at t = 0.
         derivative: ``(params, state, input, t) -> state'``, the same structure as the state.
         measure: ``(params, state) -> Measurement``.
-        input_gain: ``(params) -> k_p``, the high-frequency gain from command to y'' [1/s].
+        input_gain: ``(params) -> k_p``, the high-frequency gain from command to y''.
         velocities: Names of the state's fields that semi-implicit Euler advances first.
         prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
         channels: Names of the channels; empty for a plant with one channel.
         angles: Channels whose output is an angle: its error is wrapped to (-pi, pi].
+        units: Units and meanings of each channel's output and command; without them, results show the symbols y and u.
         project: ``(params, state) -> state`` after each integrator step, back onto the state's manifold.
         monitor: ``(params, state, input) -> info`` at each sample, a NamedTuple for metrics and plots.
         broken: ``(params, state) -> bool``: whether the model is no longer valid (a singular attitude); the draw is
@@ -100,6 +102,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     prepare: Callable[[Params], Params] = as_given
     channels: tuple[str, ...] = ()
     angles: tuple[str, ...] = ()
+    units: tuple[ChannelUnits, ...] = ()
     project: Callable[[Params, State], State] = no_constraint
     monitor: Callable[[Params, State, PlantInput[Signal]], Info] = no_info
     broken: Callable[[Params, State], Scalar | bool] = always_valid
@@ -122,6 +125,7 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
         prepare=plant.prepare,
         channels=plant.channels,
         angles=plant.angles,
+        units=plant.units,
         project=plant.project,
         monitor=lambda params, state, drive: plant.monitor(params, state, plain(drive)),
         broken=plant.broken,
@@ -173,6 +177,25 @@ class Reference(NamedTuple, Generic[Desired]):
 def as_mimo_reference(reference: Reference[ReferencePoint]) -> Reference[ReferencePoints]:
     """Adapt a reference with one channel to the interface of several: its point becomes a tuple of one point."""
     return Reference(reference.params, lambda params, t: (reference.at(params, t),), reference.prepare)
+
+
+class JoinedParams(NamedTuple):
+    """Parameters of a reference of several channels, and those of the channels that have a reference of their own."""
+
+    whole: Any
+    own: tuple[Any, ...]
+
+
+def joined_reference(whole: Reference[ReferencePoints], own: dict[int, Reference[ReferencePoint]]) -> Reference:
+    """The reference of several channels in which some, by index, follow references of their own."""
+
+    def at(params: JoinedParams, t: Scalar) -> ReferencePoints:
+        points = list(whole.at(params.whole, t))
+        for (index, reference), theirs in zip(own.items(), params.own, strict=True):
+            points[index] = reference.at(theirs, t)
+        return tuple(points)
+
+    return Reference(JoinedParams, at)
 
 
 class Disturbance(NamedTuple):

@@ -1,6 +1,5 @@
 """``Quantity``: unit, meaning and admissible interval of a model's number."""
 
-import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,13 +9,15 @@ class Quantity:
     """Unit, meaning and admissible interval of one number of a model.
 
     Args:
-        unit: SI unit; ``"1"`` when dimensionless.
+        unit: SI unit, with ``y`` and ``u`` for those of the plant's output and command (:mod:`dssc_jax.core.units`);
+            ``"1"`` when dimensionless.
         meaning: The standard term, with the paper's symbol.
         above: Exclusive lower bound.
         at_least: Inclusive lower bound.
         below: Exclusive upper bound.
         at_most: Inclusive upper bound.
         law: Whether a probability law may replace the number.
+        data: Whether it is one of many values of a record, which have no names in the study.
     """
 
     unit: str
@@ -26,6 +27,7 @@ class Quantity:
     below: float | None = None
     at_most: float | None = None
     law: bool = True
+    data: bool = False
 
     def violated_by(self, low: float, high: float) -> str | None:
         """Return the rule that the interval [low, high] violates, or None."""
@@ -49,8 +51,3 @@ def extent(value: Any) -> tuple[float, float]:
 def nominal(value: Any) -> float:
     """A number, or the median of the law that replaces it."""
     return float(getattr(value, "median", value))
-
-
-def angular_unit(unit: str) -> str:
-    """The unit of a channel whose output is an angle: a leading metre becomes rad."""
-    return re.sub(r"^m\b", "rad", unit)

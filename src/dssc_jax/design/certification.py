@@ -9,17 +9,21 @@ everything else in the study.
 import math
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from dssc_jax.closed_loop.sample import Loop
-from dssc_jax.core.contracts import Disturbance, Reference
+from dssc_jax.core.contracts import Disturbance, Plant, Reference
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.normal_form import NormalForm, RealisedSystem, normal_form, transfer_function
+from dssc_jax.core.zero_dynamics import ZeroDynamics
 from dssc_jax.design import Bounds, Parameters, certified
 from dssc_jax.design.arrays import greater
 from dssc_jax.design.practice import predictor_pole
 from dssc_jax.models.controllers.dssc import DSSC
 from dssc_jax.models.controllers.gain_functions import Vgsta
 from dssc_jax.models.environment import disturbances, references
+from dssc_jax.models.plants.linear import RATIONAL_PLANT, STATE_SPACE
 from dssc_jax.models.plants.normal_form import NORMAL_FORM
 from dssc_jax.study import Described, Study
 from dssc_jax.study.laws import SPREAD, Law
@@ -77,6 +81,16 @@ class Ends(NamedTuple):
         """The lowest and highest values of a part."""
         low, high = getattr(self.low, name), getattr(self.high, name)
         return Ends(low, high) if index is None else Ends(low[index], high[index])
+
+
+class PlantBounds(NamedTuple):
+    """The plant's share of the bounds: those of k_p, |a_p| and |stiffness|, and the zero dynamics."""
+
+    k_min: Any
+    k_max: Any
+    a_max: Any
+    zero_dynamics: ZeroDynamics | None = None
+    stiffness: Any = 0.0
 
 
 def mark(study: Study) -> Mark:
@@ -185,7 +199,9 @@ def design_of(study: Study) -> tuple[Parameters, Bounds]:
     """
     ends = ends_of(study)
     if study.loop.plant is not NORMAL_FORM:
-        raise NotCovered("the plant is not of the class (5)-(8)")
+        plant_bounds(
+            study.loop.plant, ends.part("plant")
+        )  # what the plant lacks is told before what the controller lacks
     gains = ends.low.controller[0]
     own_model = study.loop.controller[0] not in DSSC.members.values()
     if own_model or not isinstance(gains.functions, Vgsta):
@@ -216,21 +232,61 @@ def ends_of(study: Study) -> Ends:
 
 
 def bounds_of(loop: Loop, ends: Ends, p: Parameters) -> Bounds:
-    """The bounds (A0)-(A4) of a loop of the class (5)-(8)."""
-    plant = ends.low.plant
-    dynamics = plant.zero_dynamics
-    if dynamics is not None and not is_fixed(ends.part("plant").part("zero_dynamics")):
-        raise NotCovered("the zero dynamics are uncertain, or swept")
+    """The bounds (A0)-(A4) of a loop of the class (5)-(8); the plant's stiffness is a disturbance -stiffness y/k_p."""
+    plant = plant_bounds(loop.plant, ends.part("plant"))
     reference = reference_bounds(loop.reference, ends.part("reference"))
+    disturbance = disturbance_bounds(loop.disturbance[0], ends.part("disturbance", 0))
     return Bounds(
-        k_min=plant.k_p,
-        k_max=ends.high.plant.k_p,
-        a_max=ends.part("plant").largest("a_p"),
-        zero_dynamics=dynamics,
+        k_min=plant.k_min,
+        k_max=plant.k_max,
+        a_max=plant.a_max,
+        zero_dynamics=plant.zero_dynamics,
         **reference,
-        **disturbance_bounds(loop.disturbance[0], ends.part("disturbance", 0)),
+        **(disturbance | {"k_d4": disturbance.get("k_d4", 0.0) + plant.stiffness / plant.k_min}),
         **nominal_bounds(ends.part("controller", 0).part("nominal"), p, reference),
     )
+
+
+def plant_bounds(model: Plant, ends: Ends) -> PlantBounds:
+    """The bounds of a plant in normal form, or of a linear one that has this form.
+
+    Raises:
+        NotCovered: It is neither, or its zero dynamics are uncertain.
+    """
+    low, high = ends
+    if model is NORMAL_FORM:
+        if low.zero_dynamics is not None and not is_fixed(ends.part("zero_dynamics")):
+            raise NotCovered("the zero dynamics are uncertain, or swept")
+        return PlantBounds(low.k_p, high.k_p, ends.largest("a_p"), low.zero_dynamics)
+    if model not in (STATE_SPACE, RATIONAL_PLANT):
+        raise NotCovered("the plant is not of the class (5)-(8)")
+    if is_certain(low, high):
+        form = form_of(model, low)
+        if form.silence:
+            raise NotCovered(form.silence)
+        dynamics = ZeroDynamics(form.zero_a, form.zero_c) if form.zero_a else None
+        return PlantBounds(form.gain, form.gain, abs(form.damping), dynamics, abs(form.stiffness))
+    if model is STATE_SPACE or len(low.denominator) != 3 or len(low.numerator) != 1:
+        raise NotCovered("the plant is uncertain, and no transfer function of second order without zeros")
+    first, last = low.denominator[0], high.denominator[0]
+    if not np.all(np.asarray(first) > 0.0) or not np.all(np.asarray(low.numerator[0]) > 0.0):
+        raise NotCovered("the leading coefficients of the transfer function are not positive for every draw")
+    largest = [np.maximum(np.abs(a), np.abs(b)) for a, b in zip(low.denominator, high.denominator, strict=True)]
+    return PlantBounds(
+        low.numerator[0] / last, high.numerator[0] / first, largest[1] / first, stiffness=largest[2] / first
+    )
+
+
+def is_certain(low: Any, high: Any) -> bool:
+    """Whether a linear plant's numbers are plain, and the same at both ends."""
+    return low == high and all(isinstance(leaf, int | float) for leaf in jax.tree.leaves(low))
+
+
+def form_of(model: Plant, params: Any) -> NormalForm:
+    """The normal form of a linear plant in plain numbers."""
+    if model is STATE_SPACE:
+        return normal_form(*transfer_function(RealisedSystem(params.a, params.b, params.c)))
+    return normal_form(params.numerator, params.denominator)
 
 
 def is_fixed(ends: Ends) -> bool:

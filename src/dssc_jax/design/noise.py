@@ -33,7 +33,7 @@ class Drift(NamedTuple):
     Args:
         noise: Standard deviation of the noise of the measured sigma [m/s; rad/s for an angle].
         rate: Largest mean rate at which noise drives the command away from zero sigma [m/s^2].
-        error: The output error |e| at which the loop comes to rest [m]; 0 where it returns to zero.
+        error: The output error |e| at which the loop comes to rest; 0 where it returns to zero.
     """
 
     noise: float
@@ -99,7 +99,9 @@ def noise_drift(study: Study) -> dict[str, Drift]:
     Returns:
         Each noisy channel in the implicit form of DSSC, by name; the single channel of a SISO plant is ``""``.
     """
-    loop, template = study.loop, jax.tree.map(nominal, study.template)
+    loop, whole = study.loop, study.template
+    used = whole._replace(plant=(), reference=(), wind=())  # records and waypoints are arrays, which have no median
+    template = jax.tree.map(nominal, used)
     drifts = {}
     for i, name in enumerate(loop.channels):
         exact = not template.sensor[i] and not template.differentiator[i]
@@ -123,7 +125,7 @@ def noise_warning(study: Study) -> str | None:
     far = {name: drift for name, drift in noise_drift(study).items() if drift.error > band}
     if not far:
         return None
-    unit = {name: "rad" if name in study.loop.plant.angles else "m" for name in far}
+    unit = {name: units.output for name, units in zip(study.loop.channels, study.units, strict=True)}
     errors = [f"{drift.error:.2g} {unit[name]}{f' in {name}' if name else ''}" for name, drift in far.items()]
     return (
         f"measurement noise is predicted to move DSSC's implicit form off its reference by {', '.join(errors)}; "

@@ -70,10 +70,12 @@ def margin_distribution(ax: Axes, margins: Analysis, summary: Mapping[str, Any])
 
 
 def certificate(ax: Axes, summary: Mapping[str, Any]) -> None:
-    """Mark the end of the certified range, or draw an arrow towards it if it is off the axis."""
+    """Mark the ends of the certified and of the proved range, or draw an arrow if the former is off the axis."""
     figure = ax.get_figure(root=True)
     assert figure is not None
     figure.supxlabel(textwrap.fill(summary["certificate"], 105), fontsize=12, color=GREEN, parse_math=False)
+    if summary["proof"] is not None and (proved := summary["proof"]["proved_up_to"]) is not None:
+        ax.axvline(proved, color=GREEN, linewidth=3.0, label=f"proved as far as {proved:.3g}, for all plants")
     value, bounds = summary["certified"], summary["bounds"]
     if value is None:
         return

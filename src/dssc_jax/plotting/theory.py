@@ -58,6 +58,7 @@ def theory(
 
 def draw_beyond(ax: Axes, oscillations: Mapping[str, xr.Dataset], local: float | None) -> None:
     """Draw amplitudes over the lag's time constant, simulated and predicted."""
+    unit = next((f" [{one['amplitude'].attrs['units']}]" for one in oscillations.values()), "")
     for colour, (name, one) in zip(cycle(THEORY_COLOURS), oscillations.items(), strict=False):
         mu = one["unmodelled.mu"].values
         amplitude = np.where(one["amplitude"] > NO_ANSWER * one.attrs["push"], one["amplitude"], np.nan)
@@ -66,7 +67,7 @@ def draw_beyond(ax: Axes, oscillations: Mapping[str, xr.Dataset], local: float |
             ax.loglog(mu, one["predicted"], color=colour, label=f"{name}, describing function")
     if local is not None:
         ax.axvline(local, color=GREY, linestyle="--", label=f"local margin {local:.3g} s")
-    ax.set(xlabel="time constant $\\mu$ of the lag [s]", ylabel=r"amplitude of $\sigma$ that is left [m/s]")
+    ax.set(xlabel="time constant $\\mu$ of the lag [s]", ylabel=rf"amplitude of $\sigma$ that is left{unit}")
     ax.legend(frameon=False, fontsize=11)
     ax.set_title("beyond the local margin")
 

@@ -27,13 +27,13 @@ def trajectory(run: xr.Dataset) -> Figure:
     panels = figure.subplots(2, 2, sharex=True)
     line(panels[0, 0], run, "y_ref", GREY, "desired $y_m$", linestyle="--")
     line(panels[0, 0], run, "y", BLUE, "output $y$")
-    panels[0, 0].set_ylabel("output [m]")
-    line(panels[0, 1], run, "e", BLUE, "error $e$ [m]")
-    line(panels[0, 1], run, "sigma", ORANGE, r"$\sigma = \dot e + l_0 e$ [m/s]")
-    panels[0, 1].set_ylabel(r"error $e$ [m], $\sigma$ [m/s]")
+    panels[0, 0].set_ylabel(signal_label(run, "y"))
+    line(panels[0, 1], run, "e", BLUE, f"error $e$ {bracketed_unit(run, 'e')}")
+    line(panels[0, 1], run, "sigma", ORANGE, rf"$\sigma = \dot e + l_0 e$ {bracketed_unit(run, 'sigma')}")
+    panels[0, 1].set_ylabel(rf"error $e$ {bracketed_unit(run, 'e')}, $\sigma$ {bracketed_unit(run, 'sigma')}")
     line(panels[1, 0], run, "u_total", GREY, "total $u + u_n$", linewidth=1.0)
     line(panels[1, 0], run, "u", RED, "robust $u$")
-    panels[1, 0].set_ylabel("command [m/s]")
+    panels[1, 0].set_ylabel(signal_label(run, "u_total"))
     state_dependent(panels[1, 1], run)
     for ax in panels.flat:
         if ax.has_data():
@@ -72,6 +72,17 @@ def line(ax: Axes, run: xr.Dataset, name: str, colour: str, text: str, **look: o
     ax.plot(*thinned(run["t"].values, run[name].values), color=colour, label=text, **look)  # type: ignore[arg-type]
 
 
+def bracketed_unit(run: xr.Dataset, name: str) -> str:
+    """A signal's unit in brackets."""
+    return f"[{run[name].attrs['units']}]"
+
+
+def signal_label(run: xr.Dataset, name: str) -> str:
+    """A signal's meaning without its symbol, and its unit."""
+    words = run[name].attrs["long_name"].removesuffix(" y").removesuffix(" u + u_n").removeprefix("total ")
+    return label({"long_name": words, "units": run[name].attrs["units"]})
+
+
 def flight(run: xr.Dataset) -> Figure:
     """Plot commands and errors of every channel."""
     channels = [str(name).removesuffix("_y_ref") for name in run if str(name).endswith("_y_ref")]
@@ -92,13 +103,14 @@ def flight(run: xr.Dataset) -> Figure:
 
 def state_dependent(ax: Axes, run: xr.Dataset) -> None:
     """Draw k_o and the time constants on a logarithmic axis; the sliding margin is not shown."""
-    shown = {"k_o": ("$k_o$ [1/s]", BLUE), "tau_m": (r"$\tau_m$ [s]", GREEN), "tau_av": (r"$\tau_{av}$ [s]", ORANGE)}
+    shown = {"k_o": ("$k_o$", BLUE), "tau_m": (r"$\tau_m$", GREEN), "tau_av": (r"$\tau_{av}$", ORANGE)}
     for name, (text, colour) in shown.items():
         if name in run:
-            line(ax, run, name, colour, text)
+            line(ax, run, name, colour, f"{text} {bracketed_unit(run, name)}")
     if ax.has_data():
         ax.set_yscale("log")
-        ax.set_ylabel("functions: gain [1/s], time constants [s]")
+        gain = f"gain {bracketed_unit(run, 'k_o')}, " if "k_o" in run else ""
+        ax.set_ylabel(f"functions: {gain}time constants [s]")
     else:
         ax.set_axis_off()
 

@@ -1,5 +1,6 @@
 """The sampled loop in sliding, z+ = A z + B w, enclosed in balls: the verifier's own construction."""
 
+import math
 from collections.abc import Sequence
 from itertools import product
 from typing import Any, NamedTuple
@@ -20,23 +21,90 @@ class Corner(NamedTuple):
     b: arb_mat
 
 
-def dimensions(problem: dict[str, Any]) -> tuple[int, int, int]:
-    """Numbers of eta, of zeta, and of all states."""
-    eta, lag = len(problem["zero_a"]), problem["lag_order"]
-    return eta, lag, 4 + eta + lag
+class Layout(NamedTuple):
+    """Places in z: of zeta and of the sensor's memory, and the number of all states."""
+
+    zeta: range
+    memory: range
+    n: int
+
+
+class SignalSizes(NamedTuple):
+    """Bounds of |d_r| [m/s], |d_r'|, |f'| [m/s^2], |d_r + f| [m/s] and its derivative over a box."""
+
+    level: arb
+    slope: arb
+    feed_slope: arb
+    offset: arb
+    offset_slope: arb
+
+
+def layout_of(problem: dict[str, Any]) -> Layout:
+    """Where the states are: e, e', eta, zeta, the sensor's memory, v or q, s."""
+    first = 2 + len(problem["zero_a"])
+    orders = max(len(problem["denominator"]) - 1, math.ceil(problem["delay"]))
+    memory = first + orders
+    end = memory + (2 if problem["sensor_lag"] else 0)
+    return Layout(range(first, memory), range(memory, end), end + 2)
+
+
+def signal_sizes(problem: dict[str, Any], box: dict[str, Any]) -> SignalSizes:
+    """What disturbance and reference add up to: d_r = d - (y_m'' + a_p y_m')/k_p, f = (y_m'' + a_n y_m')/k_n."""
+    level, slope = arb(problem["level"]), arb(problem["slope"])
+    speed, acceleration, jerk = map(arb, problem["reference"])
+    a_n, inverse = arb(0), arb(0)
+    if problem["nominal"]:
+        a_n, inverse = arb(problem["nominal"][0]), 1 / arb(problem["nominal"][1])
+    worst = [arb(0)] * 5
+    for k_p, a_p in product(exact_ends(box["k_p"]), exact_ends(box["a_p"])):  # each is largest at a corner
+        push, left = abs(a_p) / k_p, abs(a_n * inverse - a_p / k_p)
+        here = (
+            level + acceleration / k_p + speed * push,
+            slope + jerk / k_p + acceleration * push,
+            inverse * (jerk + abs(a_n) * acceleration),
+            level + abs(inverse - 1 / k_p) * acceleration + left * speed,
+            slope + abs(inverse - 1 / k_p) * jerk + left * acceleration,
+        )
+        worst = [larger(each.upper(), before) for each, before in zip(here, worst, strict=True)]
+    return SignalSizes(*worst)
 
 
 def signal_rows(problem: dict[str, Any]) -> dict[str, arb_mat]:
-    """Rows of e, sigma, sigma - s and v."""
-    _, _, n = dimensions(problem)
-    e, speed, v, s = (arb_mat([[int(i == at) for i in range(n)]]) for at in (0, 1, n - 2, n - 1))
+    """Rows of e and sigma as they are measured, of sigma - s, of v or q, and of s."""
+    layout = layout_of(problem)
+    unit = [arb_mat([[int(i == at) for i in range(layout.n)]]) for at in range(layout.n)]
+    e, speed, v, s = unit[0], unit[1], unit[-2], unit[-1]
+    if layout.memory:
+        kappa, _ = sensor_weights(problem)
+        e, speed = (unit[i] * (1 - kappa) + unit[at] for i, at in enumerate(layout.memory))
     sigma = speed + e * arb(problem["l0"])
-    return {"e": e, "sigma": sigma, "change": sigma - s, "v": v}
+    return {"e": e, "sigma": sigma, "change": sigma - s, "v": v, "s": s}
+
+
+def sensor_weights(problem: dict[str, Any]) -> tuple[arb, arb]:
+    """kappa and lambda: the sensor shows (1 - kappa) y + m, and m+ = lambda m + kappa (1 - lambda) y."""
+    steps = arb(problem["sample_time"]) / arb(problem["sensor_lag"])
+    return -(-steps).expm1() / steps, (-steps).exp()
+
+
+def realised(problem: dict[str, Any]) -> tuple[list[arb], list[arb], arb]:
+    """G(mu s) in companion form: a_0 .. of the monic denominator, output row, feedthrough."""
+    below, above = ([arb(x) for x in problem[name]] for name in ("denominator", "numerator"))
+    above += [arb(0)] * (len(below) - len(above))
+    a, direct = [x / below[-1] for x in below[:-1]], above[-1] / below[-1]
+    return a, [x / below[-1] - direct * y for x, y in zip(above, a, strict=False)], direct
+
+
+def delay_weights(problem: dict[str, Any]) -> list[arb]:
+    """Weights of the commands of ages 0, 1, ... samples in what acts on the plant."""
+    whole = math.floor(problem["delay"])
+    late = arb(problem["delay"]) - whole
+    return [*([arb(0)] * whole), 1 - late, *([late] if late > 0 else [])]
 
 
 def held_generator(problem: dict[str, Any], a_p: arb, rate: arb) -> arb_mat:
-    """[[F, G], [0, 0]] of the held plant chi' = F chi + G U, U' = 0."""
-    eta, lag, n = dimensions(problem)
+    """[[F, G], [0, 0]] of the held plant chi' = F chi + G U, U' = 0; memories rest between samples."""
+    eta, (zeta, _, n) = len(problem["zero_a"]), layout_of(problem)
     size = n - 1
     f = [[arb(0)] * size for _ in range(size)]
     f[0][1], f[1][1] = arb(1), -a_p
@@ -48,88 +116,134 @@ def held_generator(problem: dict[str, Any], a_p: arb, rate: arb) -> arb_mat:
         f[1 + eta][1] = arb(1)
         for i, a in enumerate(problem["zero_a"]):
             f[1 + eta][2 + i] = f[1 + eta][2 + i] - arb(a)
-    first = 2 + eta
-    for i in range(lag):
-        f[first + i][first + i] = -rate
-        f[first + i][first + i - 1 if i else size - 1] = rate
-    f[1][first + lag - 1 if lag else size - 1] = arb(1)
+    if problem["denominator"]:
+        below, output, f[1][-1] = realised(problem)
+        for at, a, c in zip(zeta, below, output, strict=True):
+            f[1][at] = c
+            f[zeta[-1]][at] = -rate * a
+            if at < zeta[-1]:
+                f[at][at + 1] += rate
+        f[zeta[-1]][-1] = rate
+    else:
+        f[1][-1], *held = delay_weights(problem)
+        for at, weight in zip(zeta, held, strict=True):
+            f[1][at] = weight
     return arb_mat(f)
 
 
-def sample_corners(problem: dict[str, Any], box: dict[str, Any], gains: Balls) -> list[Corner]:
+def held_sample(problem: dict[str, Any], a_p: arb, rate: arb) -> arb_mat:
+    """[[Phi, Gamma], [0, 1]] of one sample, in which the memories of delay and sensor move on."""
+    zeta, memory, n = layout_of(problem)
+    held = (held_generator(problem, a_p, rate) * arb(problem["sample_time"])).exp()
+    rows = [[held[i, j] for j in range(n - 1)] for i in range(n - 1)]
+    if not problem["denominator"]:
+        for i in zeta:
+            rows[i] = [arb(int(j == (n - 2 if i == zeta[0] else i - 1))) for j in range(n - 1)]
+    if memory:
+        kappa, keeps = sensor_weights(problem)
+        for of, i in enumerate(memory):
+            rows[i] = [keeps if j == i else kappa * (1 - keeps) if j == of else arb(0) for j in range(n - 1)]
+    return arb_mat(rows)
+
+
+def sample_corners(problem: dict[str, Any], box: dict[str, Any], gains: Balls, *, integrated: bool) -> list[Corner]:
     """Every corner of plant and gains; each of its balls also holds what interpolation between corners leaves out."""
-    rate = box.get("rate", (0.0, 0.0))
     rest = interpolation_error(problem, box)
+    sizes = signal_sizes(problem, box)
     inside = inside_bounds(problem, box, arb(problem["sample_time"]))
-    result = []
-    for a_p, lag_rate in product(exact_ends(box["a_p"]), exact_ends(rate)):
-        held = (held_generator(problem, a_p, lag_rate) * arb(problem["sample_time"])).exp() + rest
+    first, result = "mean" if integrated else "k_p", []
+    for a_p, lag_rate in product(exact_ends(box["a_p"]), exact_ends(box.get("rate", (0.0, 0.0)))):
+        held = held_sample(problem, a_p, lag_rate) + rest
         for k_p in exact_ends(box["k_p"]):
-            b = input_columns(problem, k_p, inside)
-            for gain in product(*(both(gains[name]) for name in ("k_p", "k_i", "k_n"))):
-                result.append(Corner(sampled(problem, held, k_p, gain), b))
+            b = input_columns(problem, k_p, sizes, inside)
+            for gain in product(*(both(gains[name]) for name in (first, "k_i", "k_n"))):
+                result.append(Corner(sampled(problem, held, k_p, gain, integrated=integrated), b))
     return result
 
 
-def sampled(problem: dict[str, Any], held: arb_mat, k_p: arb, gain: Sequence[arb]) -> arb_mat:
-    """A at one corner."""
-    _, _, n = dimensions(problem)
+def sampled(
+    problem: dict[str, Any], held: arb_mat, k_p: arb, gain: Sequence[arb], *, integrated: bool = False
+) -> arb_mat:
+    """A at one corner; in the coordinate q = v - phi_1(s), the first gain is phi_1/sigma."""
+    _, _, n = layout_of(problem)
     chi, rows = n - 2, signal_rows(problem)
-    new = new_row(problem, gain[0], gain[1])
-    command = command_row(problem, new, gain[2])
+    new, command = control_rows(problem, gain, integrated=integrated)
     a = [
         [(held[i, j] if j < chi else arb(0)) + k_p * held[i, chi] * command[0, j] for j in range(n)] for i in range(chi)
     ]
     return arb_mat([*a, *([row[0, j] for j in range(n)] for row in (new, rows["sigma"]))])
 
 
-def new_row(problem: dict[str, Any], k_p: arb, k_i: arb) -> arb_mat:
-    """The row of v+, without the jump of d."""
-    rows = signal_rows(problem)
-    return rows["v"] + rows["change"] * k_p + rows["sigma"] * (arb(problem["sample_time"]) * k_i)
-
-
-def command_row(problem: dict[str, Any], new: arb_mat, k_n: arb) -> arb_mat:
-    """The row of u + d: -v+ and the nominal control."""
-    command, rows = -new, signal_rows(problem)
+def control_rows(problem: dict[str, Any], gain: Sequence[arb], *, integrated: bool) -> tuple[arb_mat, arb_mat]:
+    """The rows of v+ or q+, without what d_r + f changes by, and of the command plus d_r."""
+    rows, (first, k_i, k_n) = signal_rows(problem), gain
+    new = rows["v"] + rows["sigma"] * (arb(problem["sample_time"]) * k_i)
+    if integrated:
+        command = -new - rows["sigma"] * first
+    else:
+        new = new + rows["change"] * first
+        command = -new
     if problem["nominal"]:
-        a_n, k, _ = problem["nominal"]
-        a_n, k, l0 = arb(a_n), arb(k), arb(problem["l0"])
+        a_n, k, l0 = arb(problem["nominal"][0]), arb(problem["nominal"][1]), arb(problem["l0"])
         command = command - (rows["e"] * ((a_n - l0) * l0) + rows["sigma"] * (l0 - a_n)) * (1 / k)
         command = command - rows["sigma"] * k_n
-    return command
+    return new, command
 
 
-def input_columns(problem: dict[str, Any], k_p: arb, inside: list[arb]) -> arb_mat:
-    """Columns of Delta and of theta's components, for inputs of magnitude at most 1."""
-    eta, lag, n = dimensions(problem)
-    jump = arb(problem["sample_time"]) * arb(problem["slope"])
-    first = [arb(0)] * (2 + eta) + [k_p * jump] * lag + [-jump, arb(0)]
-    columns = [first, *([inside[i] if i == j else arb(0) for i in range(n)] for j in range(2 + eta))]
+def zeta_jump(problem: dict[str, Any]) -> list[arb]:
+    """What a change of k_p d_r by 1 adds to zeta."""
+    zeta = layout_of(problem).zeta
+    if problem["denominator"]:
+        return [1 / realised(problem)[0][0], *(arb(0) for _ in zeta[1:])]
+    return [arb(1) for _ in zeta]
+
+
+def input_columns(problem: dict[str, Any], k_p: arb, sizes: SignalSizes, inside: list[arb]) -> arb_mat:
+    """Columns of the changes of d_r + f and -f and of theta's components, for inputs of magnitude at most 1."""
+    zeta, _, n = layout_of(problem)
+    t, before, after = arb(problem["sample_time"]), [arb(0)] * zeta.start, [arb(0)] * (n - 2 - zeta.stop)
+    jump = [k_p * each for each in zeta_jump(problem)]
+    both_move = [*before, *jump, *after, arb(-1), arb(0)]
+    feed_moves = [*before, *jump, *after, arb(0), arb(0)]
+    columns = [[t * sizes.offset_slope * x for x in both_move], [t * sizes.feed_slope * x for x in feed_moves]]
+    columns += [[inside[i] if i == j else arb(0) for i in range(n)] for j in range(zeta.start)]
     return arb_mat([[column[i] for column in columns] for i in range(n)])
 
 
 def inside_bounds(problem: dict[str, Any], box: dict[str, Any], time: arb) -> list[arb]:
-    """Bound of each component of theta: D t^2/2 times the largest |exp(F s)| k_p from d to it, for s in [0, t]."""
-    _, _, n = dimensions(problem)
+    """Bound of each component of theta: D t^2/2 times the largest |exp(F s)| k_p from d_r to it, for s in [0, t]."""
+    _, _, n = layout_of(problem)
     f = held_generator(problem, enclosing(*box["a_p"]), enclosing(*box.get("rate", (0.0, 0.0))))
     largest = [arb(0)] * n
     for piece in range(SAMPLE_PIECES):
         s = time * enclosing(piece / SAMPLE_PIECES, (piece + 1) / SAMPLE_PIECES)
         flow = (f * s).exp()
         largest = [larger(largest[i], abs(flow[i, 1]).upper() if i < n - 2 else arb(0)) for i in range(n)]
-    factor = arb(problem["slope"]) * time * time / 2 * arb(box["k_p"][1])
+    factor = signal_sizes(problem, box).slope * time * time / 2 * arb(box["k_p"][1])
     return [(factor * each).upper() for each in largest]
 
 
-def start_columns(problem: dict[str, Any]) -> arb_mat:
-    """Every corner of the starts: z is affine in the initial state, in d(0) and in k_p d(0)."""
-    lag, level = problem["lag_order"], arb(problem["level"])
+def start_columns(problem: dict[str, Any], box: dict[str, Any], mean: arb | None = None) -> arb_mat:
+    """Every corner of the starts: z is affine in the initial state, in d_r(0), f(0), k_p d_r(0) and phi_1(s).
+
+    Args:
+        problem: The certificate's problem.
+        box: Its box.
+        mean: phi_1/sigma at the starts, where the coordinate is q = v - phi_1(s); else None.
+    """
+    layout, sizes, jump = layout_of(problem), signal_sizes(problem, box), zeta_jump(problem)
+    kappa = sensor_weights(problem)[0] if layout.memory else arb(0)
+    pairs = [(d, offset) for d in (-sizes.level, sizes.level) for offset in (-sizes.offset, sizes.offset)]
+    if not any(problem["reference"]):  # d_r and d_r + f are the same
+        pairs = [(-sizes.level, -sizes.level), (sizes.level, sizes.level)]
+    means = both(mean) if mean is not None else (arb(0),)
     columns = []
     for plant in product(*(exact_ends(pair) for pair in problem["initial"])):
-        for d, k_p in product((-level, level), exact_ends(problem["k_p"])):
-            sigma = plant[1] + arb(problem["l0"]) * plant[0]
-            columns.append([*plant, *([k_p * d] * lag), -d, sigma if problem["matched"] else arb(0)])
+        s = plant[1] + arb(problem["l0"]) * plant[0] if problem["matched"] else arb(0)
+        shown = [kappa * plant[i] for i, _ in enumerate(layout.memory)]
+        for (d, offset), k_p, ratio in product(pairs, exact_ends(box["k_p"]), means):
+            zeta = [k_p * d * each for each in jump]
+            columns.append([*plant, *zeta, *shown, -offset - ratio * s, s])
     return arb_mat([list(row) for row in zip(*columns, strict=True)])
 
 

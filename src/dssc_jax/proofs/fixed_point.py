@@ -11,9 +11,17 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 
-from dssc_jax.proofs.gains import GAIN_NAMES, gain_hull
+from dssc_jax.proofs.gains import GAIN_NAMES, Hull, gain_hull
 from dssc_jax.proofs.problem import Interval, ProofProblem
-from dssc_jax.proofs.sampled_loop import Step, box_middle, held_matrices, middle, start_corners, step_of
+from dssc_jax.proofs.sampled_loop import (
+    Step,
+    box_middle,
+    held_matrices,
+    middle,
+    signal_sizes,
+    start_corners,
+    step_of,
+)
 
 CHANGE, SIGMA, ERROR, COMMAND, EQUIVALENT, STATES = range(6)
 """Places of the signals in a list of bounds; the states follow."""
@@ -94,10 +102,10 @@ def responses(a: np.ndarray, rows: np.ndarray, inputs: np.ndarray, starts: np.nd
     return None
 
 
-def bounds_map(problem: ProofProblem, box: dict[str, Interval], hull: dict[str, Interval]) -> Map | None:
+def bounds_map(problem: ProofProblem, box: dict[str, Interval], hull: Hull) -> Map | None:
     """The map of bounds to bounds for gains within a hull; None if the middle loop is not stable."""
     point = box_middle(box, hull)
-    step, t = step_of(problem, point), problem.sample_time
+    step, t = step_of(problem, point, box), problem.sample_time
     n = step.a.shape[0]
     if np.max(np.abs(np.linalg.eigvals(step.a))) >= 1.0:
         return None
@@ -109,10 +117,9 @@ def bounds_map(problem: ProofProblem, box: dict[str, Interval], hull: dict[str, 
     rows = np.concatenate([[change, sigma, e, step.command, equivalent], np.eye(n)])
     share = (box["k_p"][1] - point.k_p) / point.k_p
     by_v = np.eye(n)[n - 2] - step.push
-    lag = np.zeros(n)
-    lag[n - 2 - problem.lag_order : n - 2] = t * problem.slope * share * point.k_p
-    inputs = np.concatenate([step.b, lag[:, None], by_v[:, None], step.push[:, None], np.eye(n)], axis=1)
-    result = responses(step.a, rows, inputs, np.stack(start_corners(problem), axis=1))
+    other = t * signal_sizes(problem, box).slope * share * step.jump  # zeta's at other values of k_p
+    inputs = np.concatenate([step.b, other[:, None], by_v[:, None], step.push[:, None], np.eye(n)], axis=1)
+    result = responses(step.a, rows, inputs, np.stack(start_corners(problem, box), axis=1))
     if result is None:
         return None
     m, w = rows.shape[0], step.b.shape[1] + 1
@@ -138,13 +145,13 @@ def held_deviations(
     problem: ProofProblem, box: dict[str, Interval], k_p: float, command: np.ndarray, count: int
 ) -> np.ndarray:
     """How the bounds act through the deviations of Phi and Gamma from the middle, (n, signals)."""
-    n, t = count - STATES, problem.sample_time
+    n = count - STATES
     result = np.zeros((n, count))
-    phi, gamma = held_matrices(problem, middle(box["a_p"]), middle(box.get("rate", (0.0, 0.0))), t)
+    phi, gamma = held_matrices(problem, middle(box["a_p"]), middle(box.get("rate", (0.0, 0.0))))
     chi = phi.shape[0]
     for a_p in set(box["a_p"]):
         for rate in set(box.get("rate", (0.0, 0.0))):
-            other, moved = held_matrices(problem, a_p, rate, t)
+            other, moved = held_matrices(problem, a_p, rate)
             own = np.zeros((n, count))
             own[:chi, STATES : STATES + chi] = np.abs(other - phi)
             own[:chi] += box["k_p"][1] * np.abs(moved - gamma)[:, None] * command
@@ -189,7 +196,7 @@ def from_start(problem: ProofProblem, box: dict[str, Interval]) -> BoundsStage |
             return "gain"
         if INFLATION * bounds[SIGMA] <= sigma and INFLATION * bounds[ERROR] <= e:
             slack = result.slide[0] * bounds[CHANGE] + result.slide[1] * bounds[SIGMA]
-            room = np.inf if problem.rho is None else problem.rho - problem.level
+            room = np.inf if problem.rho is None else problem.rho - signal_sizes(problem, box).offset
             if INFLATION * (bounds[EQUIVALENT] + slack) > room:
                 return "sliding"
             return bounds_stage(problem, (sigma, e), result, bounds)

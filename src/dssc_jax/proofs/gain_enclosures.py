@@ -68,15 +68,16 @@ class PointHull:
         )
 
 
-def enclosed_gains(problem: dict[str, Any], sigma: float, e: float) -> Balls:
-    """Balls of K_P, K_I, K_N, of the sliding condition's gains, and of tau_av for |sigma| and |e| up to bounds.
+def enclosed_gains(problem: dict[str, Any], sigma: float, e: float, least: float = 0.0) -> Balls:
+    """Balls of the gains for |sigma| from ``least`` to a bound, and |e| up to one.
 
-    The region is halved where a piece's ball exceeds the hull of the gains at points by more than a small share of its
+    Of K_P, K_I, K_N, of the sliding condition's gains, of tau_av, and in the conservative form of phi_1/sigma. The
+    region is halved where a piece's ball exceeds the hull of the gains at points by more than a small share of its
     width; in |sigma|^(1/2) or in e, whichever varies the gains more.
     """
     of_both = problem["functions"]["kind"] == "vgsta"
     signs, ends = ((1, -1), (0.0, e)) if of_both else ((1,), (0.0, 0.0))
-    pieces = [RegionPiece((0.0, sigma), sign, ends) for sign in signs]
+    pieces = [RegionPiece((least, sigma), sign, ends) for sign in signs]
     points, result, left = PointHull(problem), Balls(), MOST_PIECES
     for piece in pieces:
         for corner in piece.corners():
@@ -121,13 +122,14 @@ def gains_at(problem: dict[str, Any], piece: RegionPiece) -> Balls:
     integral = proportional / tau_m  # phi_2/sigma in the conservative form, too
     nominal = problem["nominal"]
     pole = 1 / (tau_m * arb(nominal[1])) if nominal and nominal[2] else arb(0)
-    return {
+    mean = {"mean": mean_gain(own, piece.size, product_)} if problem["form"] == "conservative" else {}
+    return mean | {
         "k_p": proportional,
         "k_i": integral,
         "k_n": pole,
         "slide_p": proportional + filtered / t,
         "slide_i": t * integral + filtered / tau_m,
-        "tau_av": filtered * product_,
+        "tau_av": arb(own["tau_av"]) if "tau_av" in own else product_ / arb(own["k_o"]),
     }
 
 
@@ -163,6 +165,24 @@ def functions_at(problem: dict[str, Any], size: tuple[float, float], sign: int, 
             raise Rejected(f"P2: unknown functions '{kind}'")
     require_premise(bool(product_ > 0) and bool(tau_m > 0), "P2: the functions are not positive in the region")
     return product_, tau_m
+
+
+def mean_gain(functions: dict[str, Any], size: tuple[float, float], product_: arb) -> arb:
+    """phi_1/sigma, the mean of K_P over [0, sigma], where k_o tau_av is alpha (r + beta) with r = |sigma|^(1/2)."""
+    own = {name: arb(value) for name, value in functions.items() if name != "kind"}
+    match functions["kind"]:
+        case "constant":
+            return 1 / product_
+        case "approx_sta_1" | "approx_sta_2":
+            alpha, beta = 2 / own["kappa1"], own["delta"]
+        case "square_root":
+            alpha, beta = own["kappa_o"] * own["tau_av"], own["delta_o"]
+        case "field":
+            alpha, beta = 2 / own["kappa1"], own["delta"] * own["k_o"] * own["kappa1"] / 2
+        case kind:
+            raise Rejected(f"P2: phi_1 of the functions '{kind}' is not known")
+    low, high = (over_defect(arb(end).sqrt() / beta) for end in size)
+    return 2 / (alpha * beta * low.union(high))
 
 
 def over_defect(x: arb) -> arb:

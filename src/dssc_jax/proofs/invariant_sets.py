@@ -1,6 +1,8 @@
 """(P3), (P5), (P6): a set {z'Pz <= 1} that is invariant and attracts, for all plants of a box and gains of a region."""
 
-from itertools import product
+import math
+from functools import reduce
+from itertools import pairwise, product
 from typing import Any
 
 from flint import arb, arb_mat
@@ -19,16 +21,16 @@ from dssc_jax.proofs.balls import (
 )
 from dssc_jax.proofs.enclosed_loop import (
     SAMPLE_PIECES,
-    command_row,
-    dimensions,
+    control_rows,
     held_generator,
     inside_bounds,
-    new_row,
+    layout_of,
     sample_corners,
     signal_rows,
+    signal_sizes,
     start_columns,
 )
-from dssc_jax.proofs.gain_enclosures import Balls
+from dssc_jax.proofs.gain_enclosures import Balls, enclosed_gains
 
 
 def invariant_bounds(
@@ -44,38 +46,77 @@ def invariant_bounds(
         started: Whether the set has to hold every start and keep sliding.
         where: The stage's place, for messages.
     """
-    p = symmetric_ball(stage["p"])
+    p, integrated = symmetric_ball(stage["p"]), problem["form"] == "conservative"
     require_premise(positive_definite(p), f"P2: P is not positive definite in {where}")
-    check_invariance(problem, box, stage, p, gains, where)
+    pieces = piece_gains(problem, stage)
+    for _, piece in pieces:
+        check_invariance(problem, box, stage, p, piece, integrated, where)
     inverse, rows = p.inv(), signal_rows(problem)
     if started:
-        check_start(problem, p, where)
-        check_sliding(problem, inverse, gains, where)
+        check_start(problem, box, p, start_mean(problem) if integrated else None, where)
+        check_sliding(problem, box, inverse, gains, pieces, where)
     sigma, e = (bound_in_set(inverse, rows[name]) for name in ("sigma", "e"))
-    return StageLimits(sigma, e, error_between_samples(problem, box, inverse, gains))
+    return StageLimits(sigma, e, error_between_samples(problem, box, inverse, gains, integrated))
 
 
-def check_start(problem: dict[str, Any], p: arb_mat, where: str) -> None:
+def piece_gains(problem: dict[str, Any], stage: dict[str, Any]) -> list[tuple[float, Balls]]:
+    """The upper end of each piece of |sigma|, and the gains there; the pieces cover the stage's region."""
+    count = stage["pieces"]
+    ends = [stage["sigma"] * (i / count) ** 2 for i in range(count)] + [stage["sigma"]]
+    return [(high, enclosed_gains(problem, high, stage["e"], low)) for low, high in pairwise(ends)]
+
+
+def start_mean(problem: dict[str, Any]) -> arb:
+    """phi_1/sigma over the starts."""
+    e, speed = (enclosing(*pair) for pair in problem["initial"][:2])
+    size = abs(speed + arb(problem["l0"]) * e)
+    least, largest = float(size.lower()), float(size.upper())
+    least, largest = max(0.0, math.nextafter(least, -math.inf)), math.nextafter(largest, math.inf)
+    return enclosed_gains(problem, largest, 0.0, least)["mean"]
+
+
+def check_start(problem: dict[str, Any], box: dict[str, Any], p: arb_mat, mean: arb | None, where: str) -> None:
     """(P3) Every start lies in the set."""
-    starts = start_columns(problem)
+    starts = start_columns(problem, box, mean)
     for j in range(starts.ncols()):
         z = arb_mat([[starts[i, j]] for i in range(starts.nrows())])
         require_premise((z.transpose() * p * z)[0, 0] <= 1, f"P3: a start lies outside of {where}")
 
 
-def check_sliding(problem: dict[str, Any], inverse: arb_mat, gains: Balls, where: str) -> None:
-    """(P5) |u_eq| <= rho, where u_eq - d is a row of z that is affine in its gains."""
+def check_sliding(
+    problem: dict[str, Any],
+    box: dict[str, Any],
+    inverse: arb_mat,
+    gains: Balls,
+    pieces: list[tuple[float, Balls]],
+    where: str,
+) -> None:
+    """(P5) |u_eq| <= rho, where u_eq - d_r - f is a row of z that is affine in its gains.
+
+    In the conservative form u_av = q + phi_1(s): phi_1(s) is within (mean - least) |s| of least s in each piece.
+    """
     if problem["rho"] is None:
         return
-    rows, room = signal_rows(problem), arb(problem["rho"]) - arb(problem["level"])
+    rows, room = signal_rows(problem), arb(problem["rho"]) - signal_sizes(problem, box).offset
+    held = rows["v"]
+    if problem["form"] == "conservative":
+        least = gains["mean"].lower()
+        held = held + rows["s"] * least
+        room = room - reduce(larger, [(abs(piece["mean"] - least) * arb(high)).upper() for high, piece in pieces])
     for a, b in product(both(gains["slide_p"]), both(gains["slide_i"])):
-        row = rows["v"] + rows["change"] * a + rows["sigma"] * b
+        row = held + rows["change"] * a + rows["sigma"] * b
         holds = bound_in_set(inverse, row) <= room
         require_premise(holds, f"P5: the equivalent control may exceed rho in {where}")
 
 
 def check_invariance(
-    problem: dict[str, Any], box: dict[str, Any], stage: dict[str, Any], p: arb_mat, gains: Balls, where: str
+    problem: dict[str, Any],
+    box: dict[str, Any],
+    stage: dict[str, Any],
+    p: arb_mat,
+    gains: Balls,
+    integrated: bool,
+    where: str,
 ) -> None:
     """(P6) V(z+) <= (1 - T lambda) V(z) + T sum of mu_j w_j^2 at every corner, mu_j >= 0 with a sum <= lambda."""
     t, rate = arb(problem["sample_time"]), arb(stage["rate"])
@@ -88,7 +129,7 @@ def check_invariance(
     to_own = root.transpose()
     from_own = to_own.inv()
     own_p = from_own.transpose() * p * from_own
-    for corner in sample_corners(problem, box, gains):
+    for corner in sample_corners(problem, box, gains, integrated=integrated):
         live = [j for j in range(corner.b.ncols()) if not all(corner.b[i, j] == 0 for i in range(corner.b.nrows()))]
         own_a, own_b = to_own * corner.a * from_own, to_own * corner.b
         ap = own_a.transpose() * own_p
@@ -101,16 +142,18 @@ def check_invariance(
         require_premise(positive_definite(symmetrised(block)), f"P6: the set is not invariant in {where}")
 
 
-def error_between_samples(problem: dict[str, Any], box: dict[str, Any], inverse: arb_mat, gains: Balls) -> arb:
+def error_between_samples(
+    problem: dict[str, Any], box: dict[str, Any], inverse: arb_mat, gains: Balls, integrated: bool
+) -> arb:
     """Upper bound of |e(t)| at all times, while z at the samples is in the set."""
-    _, _, n = dimensions(problem)
+    _, _, n = layout_of(problem)
     t, k_p = arb(problem["sample_time"]), enclosing(*box["k_p"])
     f = held_generator(problem, enclosing(*box["a_p"]), enclosing(*box.get("rate", (0.0, 0.0))))
     rest, largest = inside_bounds(problem, box, t)[0], arb(0)
     for piece in range(SAMPLE_PIECES):
         flow = (f * (t * enclosing(piece / SAMPLE_PIECES, (piece + 1) / SAMPLE_PIECES))).exp()
-        for gain in product(*(both(gains[name]) for name in ("k_p", "k_i", "k_n"))):
-            command = command_row(problem, new_row(problem, gain[0], gain[1]), gain[2])
+        for gain in product(*(both(gains[name]) for name in ("mean" if integrated else "k_p", "k_i", "k_n"))):
+            _, command = control_rows(problem, gain, integrated=integrated)
             row = [(flow[0, j] if j < n - 2 else arb(0)) + k_p * flow[0, n - 2] * command[0, j] for j in range(n)]
             largest = larger(largest, (bound_in_set(inverse, arb_mat([row])) + rest).upper())
     return largest

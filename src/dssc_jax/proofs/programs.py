@@ -15,6 +15,8 @@ SLACK = 1e-7
 """Smallest eigenvalue that is asked of every scaled matrix, so that rounding P does not spoil the proof."""
 TIGHT = 1e-4
 """Room that is left in every bound, for the same reason."""
+TRIES = 3
+"""Number of coordinates that are tried."""
 SOLVED = (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
 
 
@@ -121,7 +123,7 @@ def invariant_set(
     """Find V = z'Pz such that {V <= 1} holds every start, is invariant and attracts, with small |row z| in it.
 
     For every step (A, B) and inputs |w_j| <= 1: V(z+) <= (1 - T_s lambda) V(z) + T_s sum of mu_j w_j^2, and the sum of
-    mu_j is at most lambda.
+    mu_j is at most lambda. Where a solution is not accurate enough, its own P gives the coordinates of another try.
 
     Args:
         steps: The steps at every corner.
@@ -135,6 +137,40 @@ def invariant_set(
     Returns:
         None if the program has no solution.
     """
+    if not all(np.isfinite(step.a).all() and np.isfinite(step.b).all() for step in steps):
+        return None
+    for _ in range(TRIES):
+        solution = solved_set(steps, sample_time, rate, rows, starts, scale, spare)
+        if solution is None or decreases(steps, sample_time, solution):
+            return solution
+        scale = np.linalg.inv(np.linalg.cholesky(solution.p)).T
+    return None
+
+
+def decreases(steps: Sequence[Step], sample_time: float, solution: Solution) -> bool:
+    """Whether V obeys its inequality at every corner, in floating point and coordinates in which P is I."""
+    root = np.linalg.cholesky(solution.p)
+    live = solution.multipliers > 0.0
+    weights = np.sqrt(sample_time * solution.multipliers[live])
+    n, keep = root.shape[0], 1.0 - sample_time * solution.rate
+    limit = np.diag([*(keep for _ in range(n)), *(1.0 for _ in weights)])
+    for step in steps:
+        both = root.T @ np.concatenate([step.a @ np.linalg.inv(root).T, step.b[:, live] / weights], axis=1)
+        if np.any(step.b[:, ~live]) or np.linalg.eigvalsh(limit - both.T @ both)[0] <= 0.0:
+            return False
+    return True
+
+
+def solved_set(
+    steps: Sequence[Step],
+    sample_time: float,
+    rate: float,
+    rows: Sequence[Bounded],
+    starts: Sequence[np.ndarray],
+    scale: np.ndarray,
+    spare: float,
+) -> Solution | None:
+    """One try of :func:`invariant_set`."""
     n, inputs, m = scale.shape[0], steps[0].b.shape[1], scale.shape[0] * (scale.shape[0] + 1) // 2
     inverse = np.linalg.inv(scale)
     live = [j for j in range(inputs) if any(np.any(step.b[:, j]) for step in steps)]

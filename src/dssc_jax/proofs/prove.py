@@ -11,12 +11,13 @@ import numpy as np
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.proofs import BOXES
-from dssc_jax.proofs.problem import Interval, ProofProblem, problem_of
+from dssc_jax.proofs.coverage import problem_of
+from dssc_jax.proofs.problem import Interval, ProofProblem
 from dssc_jax.proofs.search import Box, Failure, Proof, halves, prove_box, volume
 from dssc_jax.proofs.verifier import ProofVerdict, verify_certificate, verify_proof
 from dssc_jax.study import Study
 
-VERSION = 1
+VERSION = 2
 REASONS = {
     "origin": "the loop is not stable at sigma = e = 0",
     "decay": "no common quadratic function decreases for all gains of the smallest region",

@@ -1,14 +1,19 @@
 """How far along one number a study can be proved, each value on its own."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.design.certification import widened
 from dssc_jax.proofs import SWEEP_BOXES
-from dssc_jax.proofs.prove import REASONS, Proved, prove
+from dssc_jax.proofs.coverage import problem_of
+from dssc_jax.proofs.problem import ProofProblem
+from dssc_jax.proofs.prove import REASONS, Proved, prove_problem
 from dssc_jax.study import Study
+from dssc_jax.study.laws import SPREAD
 
+CLOCK = "loop.sample_time"
 NARROWEST_GAP = 0.01
 """Largest gap between the last proved and the first unproved value, as a share of the range."""
 
@@ -71,7 +76,7 @@ def proved_up_to(
 
     Args:
         study: The study; its sweep is ignored.
-        name: Dotted name of the number, whose law or value is replaced.
+        name: Dotted name of the number, whose law or value is replaced; ``spread`` widens all laws about their medians.
         bounds: Safe end and far end.
         log: Bisect on a logarithmic scale.
         boxes: Largest number of boxes of uncertain numbers that are tried at each value.
@@ -88,7 +93,7 @@ def proved_up_to(
 
     def at(share: float) -> tuple[float, Proved]:
         value = safe * (far / safe) ** share if log else safe + share * (far - safe)
-        outcome = prove(single.override({name: value}), boxes=boxes)
+        outcome = prove_problem(problem_at(single, name, value), boxes)
         values.append((value, outcome.complete))
         if progress is not None:
             progress(len(values), None)
@@ -109,3 +114,14 @@ def proved_up_to(
         else:
             high, refused, beyond = middle, value, outcome
     return ProvedReach(name, values, last, proved, refused, REASONS[beyond.failures[0].reason])
+
+
+def problem_at(study: Study, name: str, value: float) -> ProofProblem:
+    """The problem of a study with one number at a value.
+
+    Raises:
+        NotCovered: the loop is outside of what a proof covers.
+    """
+    if name == CLOCK:  # the duration need not be a multiple of it
+        return replace(problem_of(study), sample_time=value)
+    return problem_of(study.override(widened(study, value) if name == SPREAD else {name: value}))

@@ -1,16 +1,19 @@
 """The sampled loop in sliding, z+ = A z + B w, in floating point: what the search works with.
 
-z = (e, e', eta, zeta, v, s): errors, zero dynamics, k_p times the lag's states plus d, u_av minus d, and the previous
-sigma. With U = k_p (u + d) held, chi = (e, e', eta, zeta) obeys chi' = F chi + G U between samples, and
+z = (chi, v, s), chi = (e, e', eta, zeta, m): errors, zero dynamics, k_p times what the unmodelled dynamics or the delay
+hold, the sensor's memory, u_av and the previous sigma. With f what the reference adds to the nominal control, and d_r =
+d - (y_m'' + a_p y_m')/k_p, zeta is relative to -d_r and v to d_r + f, so that U = k_p (command + d_r) vanishes where
+the loop rests. Between samples chi' = F chi + G U, and
 
-    v+ = v + K_P (sigma - s) + T_s K_I sigma - Delta,    s+ = sigma,    sigma = e' + l0 e,
-    chi+ = Phi chi + k_p Gamma (u_n - v - K_P (sigma - s) - T_s K_I sigma) + theta,    zeta+ also + k_p Delta,
+    v+ = v + K_P (sigma - s) + T_s K_I sigma - Delta,    s+ = sigma,    chi+ = Phi chi + Gamma U + theta,
 
-where Delta = d(t_(k+1)) - d(t_k) and theta is the effect of d(t) - d(t_k) within the sample. A is affine in each of
-k_p, K_P, K_I and K_N, so a convex function of z+ is largest at their ends. docs/proofs.md derives these equations.
+where Delta is the change of d_r + f and theta the effect of d_r(t) - d_r(t_k) within the sample. A is affine in each of
+k_p, K_P, K_I and K_N, so a convex function of z+ is largest at their ends. In the coordinate phi_1 of the conservative
+form, q = v - phi_1(s) takes the place of v. docs/proofs.md derives these equations.
 """
 
 from collections.abc import Iterable
+from functools import lru_cache
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -19,7 +22,7 @@ from scipy.linalg import expm
 
 from dssc_jax.proofs.problem import Interval, ProofProblem
 
-INNER_POINTS = 17  # points of a sample at which its inside is evaluated
+INNER_STEPS = 16  # of a sample, after each of which its inside is evaluated
 ROOM = 1.02  # widening of a bound, so that the verifier's enclosure fits in
 
 
@@ -32,13 +35,12 @@ class LoopGains(NamedTuple):
 
 
 class LoopPoint(NamedTuple):
-    """A plant and gains: k_p [1/s], a_p [1/s], 1/mu [1/s; 0 without lag], the gains, and the largest k_p of its box."""
+    """A plant and gains: k_p [1/s], a_p [1/s], 1/mu [1/s; 0 without G], and the gains."""
 
     k_p: float
     a_p: float
     rate: float
     gains: LoopGains
-    largest_k_p: float
 
 
 class Step(NamedTuple):
@@ -46,10 +48,11 @@ class Step(NamedTuple):
 
     Args:
         a: (n, n).
-        b: (n, inputs): columns for Delta and for each component of theta, of size one each.
-        rows: Rows of e, e', sigma and sigma - s, (4, n).
-        command: Row of u + d, (n,).
-        push: k_p Gamma, how the command acts, (n,).
+        b: (n, inputs): columns for the changes of d_r + f and of -f, and for theta's components, each of size one.
+        rows: Rows of the measured e, of e, of the measured sigma, and of sigma - s, (4, n).
+        command: Row of the command plus d_r, (n,).
+        push: How it acts, (n,).
+        jump: k_p times what a change of d_r adds to zeta, (n,).
     """
 
     a: np.ndarray
@@ -57,17 +60,65 @@ class Step(NamedTuple):
     rows: np.ndarray
     command: np.ndarray
     push: np.ndarray
+    jump: np.ndarray
 
 
-def state_sizes(problem: ProofProblem) -> tuple[int, int, int]:
-    """Numbers of eta, of zeta, and of all states."""
-    eta, lag = len(problem.zero_a), problem.lag_order
-    return eta, lag, 4 + eta + lag
+class Layout(NamedTuple):
+    """Places in z: of zeta and of the sensor's memory, and the number of all states."""
+
+    zeta: slice
+    memory: slice
+    n: int
+
+
+class SignalSizes(NamedTuple):
+    """Bounds of |d_r| [m/s], |d_r'|, |f'| [m/s^2], |d_r + f| [m/s] and its derivative over a box."""
+
+    level: float
+    slope: float
+    feed_slope: float
+    offset: float
+    offset_slope: float
+
+
+def layout_of(problem: ProofProblem) -> Layout:
+    """Where the states are."""
+    first = 2 + len(problem.zero_a)
+    memory = first + max(len(problem.denominator), len(problem.delay_weights)) - 1
+    end = memory + (2 if problem.sensor_lag else 0)
+    return Layout(slice(first, memory), slice(memory, end), end + 2)
+
+
+def signal_sizes(problem: ProofProblem, box: dict[str, Interval]) -> SignalSizes:
+    """What disturbance and reference add up to."""
+    speed, acceleration, jerk = problem.reference
+    a_n, k_n, _ = problem.nominal or (0.0, np.inf, False)
+    plants = list(product(box["k_p"], box["a_p"]))
+    fed, k_low = (problem.nominal is not None) * np.array([1.0, abs(a_n)]) / k_n, box["k_p"][0]
+    pushed = np.array([1.0, max(map(abs, box["a_p"]))]) / k_low
+    left = np.max([[abs(1.0 / k_n - 1.0 / k_p), abs(a_n / k_n - a_p / k_p)] for k_p, a_p in plants], axis=0)
+    low, high = np.array([acceleration, speed]), np.array([jerk, acceleration])
+    return SignalSizes(
+        float(problem.level + pushed @ low),
+        float(problem.slope + pushed @ high),
+        float(fed @ high),
+        float(problem.level + left @ low),
+        float(problem.slope + left @ high),
+    )
+
+
+def realised(problem: ProofProblem) -> tuple[np.ndarray, np.ndarray, float]:
+    """G(mu s) in companion form: coefficients a_0 .. a_(n-1) of the monic denominator, output row, feedthrough."""
+    below = np.array(problem.denominator)
+    above = np.zeros(below.size)
+    above[: len(problem.numerator)] = problem.numerator
+    below, above = below / below[-1], above / below[-1]
+    return below[:-1], above[:-1] - above[-1] * below[:-1], float(above[-1])
 
 
 def held_plant(problem: ProofProblem, a_p: float, rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """F and G of chi' = F chi + G U."""
-    eta, lag, n = state_sizes(problem)
+    """F and G of chi' = F chi + G U; memories rest between samples."""
+    eta, (zeta, _, n) = len(problem.zero_a), layout_of(problem)
     f, g = np.zeros((n - 2, n - 2)), np.zeros(n - 2)
     f[0, 1], f[1, 1] = 1.0, -a_p
     f[1, 2 : 2 + eta] = np.negative(problem.zero_c)
@@ -75,20 +126,19 @@ def held_plant(problem: ProofProblem, a_p: float, rate: float) -> tuple[np.ndarr
         f[2 + i, 3 + i] = 1.0
     if eta:
         f[1 + eta, 1], f[1 + eta, 2 : 2 + eta] = 1.0, np.negative(problem.zero_a)
-    first = 2 + eta
-    for i in range(lag):
-        f[first + i, first + i] = -rate
-        if i:
-            f[first + i, first + i - 1] = rate
-    if lag:
-        f[1, first + lag - 1], g[first] = 1.0, rate
+    if problem.denominator:
+        a, f[1, zeta], g[1] = realised(problem)
+        for i in range(zeta.start, zeta.stop - 1):
+            f[i, i + 1] = rate
+        f[zeta.stop - 1, zeta], g[zeta.stop - 1] = -rate * a, rate
     else:
-        g[1] = 1.0
+        g[1], *f[1, zeta] = problem.delay_weights
     return f, g
 
 
-def held_matrices(problem: ProofProblem, a_p: float, rate: float, time: float) -> tuple[np.ndarray, np.ndarray]:
-    """Phi and Gamma over a time."""
+@lru_cache(maxsize=256)
+def flow(problem: ProofProblem, a_p: float, rate: float, time: float) -> tuple[np.ndarray, np.ndarray]:
+    """exp(F t) and the integral of exp(F t) G over a time."""
     f, g = held_plant(problem, a_p, rate)
     size = f.shape[0]
     whole = np.zeros((size + 1, size + 1))
@@ -97,38 +147,73 @@ def held_matrices(problem: ProofProblem, a_p: float, rate: float, time: float) -
     return whole[:size, :size], whole[:size, size]
 
 
-def step_of(problem: ProofProblem, point: LoopPoint) -> Step:
-    """The matrices of one sample, with inputs scaled by their bounds."""
-    _, lag, n = state_sizes(problem)
-    t, chi = problem.sample_time, n - 2
-    phi, gamma = held_matrices(problem, point.a_p, point.rate, t)
-    e, speed, s = np.eye(n)[0], np.eye(n)[1], np.eye(n)[n - 1]
+def sensor_weights(problem: ProofProblem) -> tuple[float, float]:
+    """kappa and lambda of a sensor's lag: it shows (1 - kappa) y + m, and m+ = lambda m + kappa (1 - lambda) y."""
+    if not problem.sensor_lag:
+        return 0.0, 0.0
+    steps = problem.sample_time / problem.sensor_lag
+    return float(-np.expm1(-steps) / steps), float(np.exp(-steps))
+
+
+def held_matrices(problem: ProofProblem, a_p: float, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """Phi and Gamma of one sample; the delay's memory moves on, and the sensor's."""
+    phi, gamma = map(np.copy, flow(problem, a_p, rate, problem.sample_time))
+    zeta, memory, _ = layout_of(problem)
+    if not problem.denominator:
+        for i in range(zeta.start, zeta.stop):
+            phi[i], gamma[i] = np.eye(phi.shape[0])[i - 1] * (i > zeta.start), i == zeta.start
+    kappa, keeps = sensor_weights(problem)
+    for i in range(memory.start, memory.stop):
+        phi[i] = 0.0
+        phi[i, i], phi[i, i - memory.start] = keeps, kappa * (1.0 - keeps)
+    return phi, gamma
+
+
+def step_of(problem: ProofProblem, point: LoopPoint, box: dict[str, Interval], *, integrated: bool = False) -> Step:
+    """The matrices of one sample, with inputs scaled by their bounds over a box.
+
+    Args:
+        problem: What is to be proved.
+        point: Plant and gains.
+        box: The box that the point is of.
+        integrated: Whether the coordinate is q = v - phi_1(s), and the first gain phi_1/sigma.
+    """
+    zeta, memory, n = layout_of(problem)
+    t, chi, unit, sizes = problem.sample_time, n - 2, np.eye(n), signal_sizes(problem, box)
+    phi, gamma = held_matrices(problem, point.a_p, point.rate)
+    kappa, _ = sensor_weights(problem)
+    e, speed, v, s = unit[0], unit[1], unit[n - 2], unit[n - 1]
+    if problem.sensor_lag:
+        e, speed = (1.0 - kappa) * e + unit[memory.start], (1.0 - kappa) * speed + unit[memory.start + 1]
     sigma = speed + problem.l0 * e
-    change = point.gains.k_p * (sigma - s) + t * point.gains.k_i * sigma
-    command = -np.eye(n)[n - 2] - change
+    new = v + t * point.gains.k_i * sigma + (0.0 if integrated else point.gains.k_p) * (sigma - s)
+    command = -new - (point.gains.k_p if integrated else 0.0) * sigma
     if problem.nominal:
         a_n, k_n, _ = problem.nominal
         command = command - ((a_n - problem.l0) * problem.l0 * e + (problem.l0 - a_n) * sigma) / k_n
         command = command - point.gains.k_n * sigma
-    a = np.zeros((n, n))
-    a[:chi, :chi] = phi
-    push = np.concatenate([point.k_p * gamma, [0.0, 0.0]])
+    a, push, jump = np.zeros((n, n)), np.zeros(n), np.zeros(n)
+    a[:chi, :chi], push[:chi] = phi, point.k_p * gamma
     a += np.outer(push, command)
-    a[n - 2] = np.eye(n)[n - 2] + change
-    a[n - 1] = sigma
-    jump = np.zeros(n)
-    jump[chi - lag : chi], jump[n - 2] = point.k_p, -1.0
-    columns = [t * problem.slope * jump]
-    bounds = inside_bound(problem, point)
-    columns += [bound * np.eye(n)[i] for i, bound in enumerate(bounds[: chi - lag])]
-    return Step(a, np.stack(columns, axis=1), np.stack([e, speed, sigma, sigma - s]), command, push)
+    a[n - 2], a[n - 1] = new, sigma
+    if problem.denominator:
+        jump[zeta.start] = point.k_p / realised(problem)[0][0]
+    else:
+        jump[zeta] = point.k_p
+    columns = [t * sizes.offset_slope * (jump - v), t * sizes.feed_slope * jump]
+    bounds = inside_bound(problem, point, box)
+    columns += [bound * unit[i] for i, bound in enumerate(bounds[: zeta.start])]
+    return Step(a, np.stack(columns, axis=1), np.stack([e, unit[0], sigma, sigma - s]), command, push, jump)
 
 
-def inside_bound(problem: ProofProblem, point: LoopPoint) -> np.ndarray:
-    """Bound of each component of theta: D T_s^2/2 times the largest |exp(F t) k_p b| within a sample."""
-    times = np.linspace(0.0, problem.sample_time, INNER_POINTS)
-    largest = np.max([np.abs(held_matrices(problem, point.a_p, point.rate, t)[0][:, 1]) for t in times], axis=0)
-    return ROOM * 0.5 * problem.slope * problem.sample_time**2 * point.largest_k_p * largest
+def inside_bound(problem: ProofProblem, point: LoopPoint, box: dict[str, Interval]) -> np.ndarray:
+    """Bound of theta's components: D T_s^2/2 times the largest |exp(F t) k_p b| in a sample, D that of |d_r'|."""
+    between, _ = flow(problem, point.a_p, point.rate, problem.sample_time / INNER_STEPS)
+    along = [np.eye(between.shape[0])[1]]
+    for _ in range(INNER_STEPS):
+        along.append(between @ along[-1])
+    slope = signal_sizes(problem, box).slope
+    return ROOM * 0.5 * slope * problem.sample_time**2 * box["k_p"][1] * np.max(np.abs(along), axis=0)
 
 
 def interval_ends(interval: Interval) -> tuple[float, ...]:
@@ -144,28 +229,47 @@ def middle(interval: Interval) -> float:
 def box_middle(box: dict[str, Interval], gains: dict[str, Interval]) -> LoopPoint:
     """The middle of plant and gains."""
     own = LoopGains(*(middle(gains[name]) for name in ("k_p", "k_i", "k_n")))
-    return LoopPoint(middle(box["k_p"]), middle(box["a_p"]), middle(box.get("rate", (0.0, 0.0))), own, box["k_p"][1])
+    return LoopPoint(middle(box["k_p"]), middle(box["a_p"]), middle(box.get("rate", (0.0, 0.0))), own)
 
 
-def box_corners(box: dict[str, Interval], gains: dict[str, Interval]) -> Iterable[LoopPoint]:
-    """Every corner of plant and gains."""
-    names = ("k_p", "k_i", "k_n")
+def box_corners(box: dict[str, Interval], gains: dict[str, Interval], first: str = "k_p") -> Iterable[LoopPoint]:
+    """Every corner of plant and gains, of which ``first`` names the first."""
+    names = (first, "k_i", "k_n")
     for k_p, a_p, rate in product(*(interval_ends(box.get(name, (0.0, 0.0))) for name in ("k_p", "a_p", "rate"))):
         for corner in product(*(interval_ends(gains[name]) for name in names)):
-            yield LoopPoint(k_p, a_p, rate, LoopGains(*corner), box["k_p"][1])
+            yield LoopPoint(k_p, a_p, rate, LoopGains(*corner))
 
 
-def start_corners(problem: ProofProblem) -> list[np.ndarray]:
-    """Every corner of the states in which the loop may start: z is affine in the initial state and in d(0)."""
-    _, lag, n = state_sizes(problem)
+def start_corners(
+    problem: ProofProblem, box: dict[str, Interval], integrated: Interval | None = None
+) -> list[np.ndarray]:
+    """Every corner of the states in which the loop may start: z is affine in the initial state and in each signal.
+
+    Args:
+        problem: What is to be proved.
+        box: Intervals of the uncertain numbers.
+        integrated: Interval of phi_1/sigma at the start, where the coordinate is q = v - phi_1(s); else None.
+    """
+    zeta, memory, n = layout_of(problem)
+    sizes = signal_sizes(problem, box)
+    kappa, _ = sensor_weights(problem)
+    pairs = {(d, f) for d in (-sizes.level, sizes.level) for f in (-sizes.offset, sizes.offset)}
+    if not any(problem.reference):  # d_r and d_r + f are the same
+        pairs = {(d, d) for d, _ in pairs}
     result = []
     for plant in product(*(interval_ends(interval) for interval in problem.initial)):
-        for level in {-problem.level, problem.level}:
-            for k_p in interval_ends(problem.k_p):
+        sigma = plant[1] + problem.l0 * plant[0]
+        s = sigma if problem.matched else 0.0
+        for (level, offset), k_p in product(pairs, interval_ends(box["k_p"])):
+            for mean in interval_ends(integrated) if integrated and problem.matched else (0.0,):
                 z = np.zeros(n)
                 z[: len(plant)] = plant
-                z[n - 2 - lag : n - 2], z[n - 2] = k_p * level, -level
-                z[n - 1] = plant[1] + problem.l0 * plant[0] if problem.matched else 0.0
+                if problem.denominator:
+                    z[zeta.start] = k_p * level / realised(problem)[0][0]
+                else:
+                    z[zeta] = k_p * level
+                z[memory] = kappa * np.array(plant[:2])[: memory.stop - memory.start]
+                z[n - 2], z[n - 1] = -offset - mean * s, s
                 result.append(z)
     return result
 

@@ -5,16 +5,17 @@ Nothing that is found here counts as proved before :mod:`dssc_jax.proofs.verifie
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from dssc_jax.proofs import fixed_point
 from dssc_jax.proofs.fixed_point import BoundsStage, from_start, towards_residual
-from dssc_jax.proofs.gains import gain_hull
+from dssc_jax.proofs.gains import Region, gain_hull, region_of
 from dssc_jax.proofs.problem import Interval, ProofProblem
 from dssc_jax.proofs.programs import Bounded, Solution, invariant_set, largest_in_set, scaling
-from dssc_jax.proofs.sampled_loop import Step, box_corners, box_middle, start_corners, state_sizes, step_of
+from dssc_jax.proofs.sampled_loop import Step, box_corners, box_middle, signal_sizes, start_corners, step_of
 
 Box = dict[str, Interval]
 REGIONS = (1.02, 1.2, 1.6, 2.5, 4.0, 7.0, 12.0)
@@ -29,16 +30,19 @@ LONGEST = 20_000
 """Samples of the excursion that sizes the regions."""
 SPARE, SPARE_OF_BOXES = 0.01, 0.1
 """Share of the decay that is left to the verifier's balls, for one plant and for a box of a_p or mu."""
-E, SPEED, SIGMA, CHANGE = range(4)  # rows of a step
+E, TRUE_E, SIGMA, CHANGE = range(4)  # rows of a step
 
 
 @dataclass(frozen=True)
 class SetStage:
     """A set {z'Pz <= 1} that is invariant while |sigma| and |e| stay within a region.
 
+    In the conservative form z holds q = v - phi_1(s) in place of v.
+
     Args:
         sigma: Bound of |sigma| in which the gains are taken [m/s].
         e: Bound of |e| there [m].
+        pieces: Number of pieces of |sigma|, equal in its root, in each of which the gains have their own intervals.
         rate: lambda [1/s].
         multipliers: mu_j of the inputs, with a sum of at most lambda.
         p: P, row by row.
@@ -47,6 +51,7 @@ class SetStage:
 
     sigma: float
     e: float
+    pieces: int
     rate: float
     multipliers: list[float]
     p: list[list[float]]
@@ -77,13 +82,21 @@ class Failure(NamedTuple):
     reason: str
 
 
-def slide_rows(problem: ProofProblem, hull: dict[str, Interval], step: Step) -> list[np.ndarray]:
-    """Rows of u_eq - d at every corner of the gains; empty without a bound of the command."""
+def slide_rows(problem: ProofProblem, box: Box, region: Region, step: Step) -> list[Bounded]:
+    """Rows of u_eq - d_r - f at every corner of the gains, with their bound; empty without a bound of the command.
+
+    In the conservative form u_av = q + phi_1(s), of which phi_1(s) - mean s is bounded by itself.
+    """
     if problem.rho is None:
         return []
-    _, _, n = state_sizes(problem)
-    v, change, sigma = np.eye(n)[n - 2], step.rows[CHANGE], step.rows[SIGMA]
-    return [v + p * change + i * sigma for p in set(hull["slide_p"]) for i in set(hull["slide_i"])]
+    unit, hull, room = np.eye(step.a.shape[0]), region.hull, problem.rho - signal_sizes(problem, box).offset
+    change, sigma, held = step.rows[CHANGE], step.rows[SIGMA], unit[-2]
+    if "mean" in hull:
+        mean = hull["mean"][0]
+        room -= max((piece["mean"][1] - mean) * end for piece, end in zip(region.pieces, region.ends, strict=True))
+        held = held + mean * unit[-1]
+    corners = product(set(hull["slide_p"]), set(hull["slide_i"]))
+    return [Bounded(held + p * change + i * sigma, max(room, 0.0), 1.0) for p, i in corners]
 
 
 def decay_rate(step: Step, sample_time: float) -> float:
@@ -93,16 +106,13 @@ def decay_rate(step: Step, sample_time: float) -> float:
 
 def prove_box(problem: ProofProblem, box: Box) -> Proof | Failure:
     """Search a proof for every plant of a box: bounds that imply themselves, or else sets to begin with."""
-    if problem.rho is not None and problem.rho <= problem.level:
+    if problem.rho is not None and problem.rho <= signal_sizes(problem, box).offset:
         return Failure(box, "sliding")
-    at = step_of(problem, box_middle(box, gain_hull(problem, 1e-9, 1e-9)))
-    if decay_rate(at, problem.sample_time) <= 0.0:
-        return Failure(box, "origin")
     first = from_start(problem, box)
     if isinstance(first, BoundsStage):
         sigma, e = first.bounds[fixed_point.SIGMA], first.bounds[fixed_point.ERROR]
         return Proof(box, [first, *towards_residual(problem, box, (sigma, e), e)])
-    return proof_by_sets(problem, box, at)
+    return proof_by_sets(problem, box)
 
 
 class Setting(NamedTuple):
@@ -126,23 +136,42 @@ class Setting(NamedTuple):
     speed: float
     spare: float
 
-    def steps(self, hull: dict[str, Interval]) -> list[Step]:
-        """One sample at every corner of the box and of the gains."""
-        return [step_of(self.problem, point) for point in box_corners(self.box, hull)]
+    def steps(self, region: Region) -> list[Step]:
+        """One sample at every corner of the box and of the gains in each piece of a region."""
+        integrated = self.problem.form == "conservative"
+        return [
+            step_of(self.problem, point, self.box, integrated=integrated)
+            for hull in region.pieces
+            for point in box_corners(self.box, hull, "mean" if integrated else "k_p")
+        ]
 
     def solve(self, steps: list[Step], rows: list[Bounded], share: float, *, started: bool) -> Solution | None:
         """The set for lambda as a share of the slowest decay."""
         starts, rate = self.starts if started else [], share * self.speed
         return invariant_set(steps, self.problem.sample_time, rate, rows, starts, self.scale, self.spare)
 
+    def falls(self, steps: list[Step]) -> bool:
+        """Whether any V falls at every step, slowly and without inputs' bounds or starts."""
+        return self.solve(steps, [], min(RATES), started=False) is not None
 
-def proof_by_sets(problem: ProofProblem, box: Box, at: Step) -> Proof | Failure:
-    """Sets from the start to a region in which bounds imply themselves."""
-    starts, speed = start_corners(problem), decay_rate(at, problem.sample_time)
-    if (scale := scaling(at, starts, speed * problem.sample_time)) is None:
-        return Failure(box, "origin")
+
+def setting_of(problem: ProofProblem, box: Box) -> Setting | None:
+    """The setting of a box; None if the loop is not stable at sigma = e = 0."""
+    integrated, origin = problem.form == "conservative", gain_hull(problem, 1e-9, 1e-9)
+    at = step_of(problem, box_middle(box, origin), box, integrated=integrated)
+    starts = start_corners(problem, box, start_means(problem) if integrated else None)
+    speed = decay_rate(at, problem.sample_time)
+    if speed <= 0.0 or (scale := scaling(at, starts, speed * problem.sample_time)) is None:
+        return None
     point = all(low == high for name, (low, high) in box.items() if name != "k_p")
-    setting = Setting(problem, box, at, starts, scale, speed, SPARE if point else SPARE_OF_BOXES)
+    return Setting(problem, box, at, starts, scale, speed, SPARE if point else SPARE_OF_BOXES)
+
+
+def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
+    """Sets from the start to a region in which bounds imply themselves."""
+    if (setting := setting_of(problem, box)) is None:
+        return Failure(box, "origin")
+    at = setting.at
     first = first_set(setting)
     if isinstance(first, str):
         return Failure(box, first)
@@ -157,23 +186,32 @@ def proof_by_sets(problem: ProofProblem, box: Box, at: Step) -> Proof | Failure:
     return Proof(box, stages)
 
 
+def start_means(problem: ProofProblem) -> Interval:
+    """Interval of phi_1/sigma over the starts."""
+    ends = [e_dot + problem.l0 * e for e, e_dot in product(*problem.initial[:2])]
+    sizes = [abs(end) for end in ends]
+    least = min(sizes) if min(ends) * max(ends) > 0.0 else 0.0
+    return gain_hull(problem, max(*sizes, 1e-9), 1e-9, least)["mean"]
+
+
 def first_set(setting: Setting) -> SetStage | str:
     """A set that holds the start and keeps sliding; otherwise the reason why there is none."""
     problem, at = setting.problem, setting.at
-    bound = 0.0 if problem.rho is None else problem.rho - problem.level
     longest = min(LONGEST, int(5.0 / (setting.speed * problem.sample_time)))
     least_e, least_sigma = excursion(at, setting.starts, longest)
-    held = False
+    by_e, held = problem.functions["kind"] == "vgsta", False
     for size in REGIONS:
-        sigma, e = size * max(least_sigma, 1e-9), size * max(least_e, 1e-9)
-        hull = gain_hull(problem, sigma, e)
-        steps = setting.steps(hull)
-        inside = [Bounded(at.rows[SIGMA], sigma, 1.0), Bounded(at.rows[E], e, 1.0)]
-        slides = [Bounded(row, bound, 1.0) for row in slide_rows(problem, hull, at)]
-        for share in RATES:
+        region = region_of(problem, size * max(least_sigma, 1e-9), size * max(least_e, 1e-9))
+        steps = setting.steps(region)
+        inside = [Bounded(at.rows[SIGMA], region.sigma, 1.0)]
+        inside += [Bounded(at.rows[E], region.e, 1.0)] if by_e else []
+        slides = slide_rows(problem, setting.box, region, at)
+        for share in RATES if all(each.bound > 0.0 for each in slides) else RATES[:0]:
             if (result := setting.solve(steps, [*inside, *slides], share, started=True)) is not None:
-                return set_stage(result, sigma, e)
-        if setting.solve(steps, [], min(RATES), started=False) is None:  # nor in any larger region
+                return set_stage(result, region, at)
+            if share == RATES[0] and not setting.falls(steps):
+                break
+        if not setting.falls(steps):  # nor in any larger region
             return "decay" if size == REGIONS[0] else "sliding" if held else "region"
         held = held or (bool(slides) and setting.solve(steps, inside, RATES[0], started=True) is not None)
     return "sliding" if held else "region"
@@ -181,15 +219,15 @@ def first_set(setting: Setting) -> SetStage | str:
 
 def smaller_set(setting: Setting, sigma: float, e: float) -> SetStage | None:
     """The set with the least |e| that attracts within a region; None if it is not worth it."""
-    at = setting.at
-    steps = setting.steps(gain_hull(setting.problem, sigma, e))
+    at, region = setting.at, region_of(setting.problem, sigma, e)
+    steps = setting.steps(region)
     rows = [Bounded(at.rows[E], e, 1.0), Bounded(at.rows[SIGMA], sigma, 0.05)]
     tried = (setting.solve(steps, rows, share, started=False) for share in RATES)
     solutions = [each for each in tried if each is not None]
     best = min(solutions, key=lambda each: largest_in_set(each.p, at.rows[E]), default=None)
     if best is None or largest_in_set(best.p, at.rows[E]) > ENOUGH * e:
         return None
-    return set_stage(best, sigma, e)
+    return set_stage(best, region, at)
 
 
 def excursion(step: Step, first: list[np.ndarray], samples: int) -> tuple[float, float]:
@@ -204,9 +242,10 @@ def excursion(step: Step, first: list[np.ndarray], samples: int) -> tuple[float,
     return float(e), float(sigma)
 
 
-def set_stage(result: Solution, sigma: float, e: float) -> SetStage:
-    """The stage of a solution."""
-    return SetStage(sigma, e, result.rate, result.multipliers.tolist(), result.p.tolist())
+def set_stage(result: Solution, region: Region, at: Step) -> SetStage:
+    """The stage of a solution; where the gains do not depend on e, its region holds any e of the set."""
+    e = max(region.e, INFLATION * largest_in_set(result.p, at.rows[E]))
+    return SetStage(region.sigma, e, len(region.pieces), result.rate, result.multipliers.tolist(), result.p.tolist())
 
 
 def halves(box: Box, problem: ProofProblem) -> list[Box]:
@@ -214,7 +253,7 @@ def halves(box: Box, problem: ProofProblem) -> list[Box]:
     gains = gain_hull(problem, 1e-9, 1e-9)
 
     def eigenvalues(box: Box) -> np.ndarray:
-        return np.sort_complex(np.linalg.eigvals(step_of(problem, box_middle(box, gains)).a))
+        return np.sort_complex(np.linalg.eigvals(step_of(problem, box_middle(box, gains), box).a))
 
     def effect(name: str) -> float:
         low, high = (eigenvalues(box | {name: (end, end)}) for end in box[name])

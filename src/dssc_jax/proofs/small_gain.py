@@ -17,16 +17,18 @@ from flint import arb, arb_mat
 
 from dssc_jax.proofs.balls import StageLimits, enclosing, larger, positive_definite, require_premise, symmetric_ball
 from dssc_jax.proofs.enclosed_loop import (
-    command_row,
-    dimensions,
+    control_rows,
     held_generator,
+    held_sample,
     held_spread,
     input_columns,
     inside_bounds,
-    new_row,
+    layout_of,
     sampled,
     signal_rows,
+    signal_sizes,
     start_columns,
+    zeta_jump,
 )
 from dssc_jax.proofs.gain_enclosures import Balls
 from dssc_jax.proofs.impulse_responses import response_bounds
@@ -58,14 +60,14 @@ class MiddleLoop(NamedTuple):
 
 def middle_loop(problem: dict[str, Any], box: dict[str, Any], centre: Balls) -> MiddleLoop:
     """The loop of a box at its middle and at these gains."""
-    _, lag, n = dimensions(problem)
+    zeta, _, n = layout_of(problem)
     chi, t, rows = n - 2, arb(problem["sample_time"]), signal_rows(problem)
     low, high = map(arb, box["k_p"])
     middle = {name: ((arb(pair[0]) + arb(pair[1])) / 2).mid() for name, pair in box.items()}
-    k_p = middle["k_p"]
-    held = (held_generator(problem, middle["a_p"], middle.get("rate", arb(0))) * t).exp()
-    a = sampled(problem, held, k_p, [centre[name] for name in ("k_p", "k_i", "k_n")])
-    command = command_row(problem, new_row(problem, centre["k_p"], centre["k_i"]), centre["k_n"])
+    k_p, gain = middle["k_p"], [centre[name] for name in ("k_p", "k_i", "k_n")]
+    held = held_sample(problem, middle["a_p"], middle.get("rate", arb(0)))
+    a = sampled(problem, held, k_p, gain)
+    _, command = control_rows(problem, gain, integrated=False)
     equivalent = rows["v"] + rows["change"] * centre["slide_p"] + rows["sigma"] * centre["slide_i"]
     signals = [rows["change"], rows["sigma"], rows["e"], command, equivalent]
     unit = [[arb(int(i == j)) for j in range(n)] for i in range(n)]
@@ -75,9 +77,11 @@ def middle_loop(problem: dict[str, Any], box: dict[str, Any], centre: Balls) -> 
     if any(box[name][0] < box[name][1] for name in box if name != "k_p"):
         spread = [[*row[:chi], (row[chi] * high).upper()] for row in held_spread(problem, box)[:chi]]
         columns += unit
-    inputs = input_columns(problem, k_p, inside_bounds(problem, box, t))
-    jump = t * arb(problem["slope"]) * larger(high - k_p, k_p - low)  # zeta's jump at other values of k_p
-    other = [jump if chi - lag <= i < chi else arb(0) for i in range(n)]
+    sizes = signal_sizes(problem, box)
+    inputs = input_columns(problem, k_p, sizes, inside_bounds(problem, box, t))
+    other = [arb(0)] * n  # zeta's jump at other values of k_p
+    for at, jump in zip(zeta, zeta_jump(problem), strict=True):
+        other[at] = t * sizes.slope * larger(high - k_p, k_p - low) * jump
     w = [[*(inputs[i, j] for j in range(inputs.ncols())), other[i]] for i in range(n)]
     return MiddleLoop(
         a,
@@ -112,7 +116,7 @@ def implied_bounds(
     falls = p * (1 - t * rate) - loop.a.transpose() * p * loop.a
     require_premise(positive_definite(falls), f"P7: V does not fall in {where}")
     inputs = adjoined(loop.w, loop.deviations)
-    starts = start_columns(problem) if started else arb_mat(p.nrows(), 0)
+    starts = start_columns(problem, box) if started else arb_mat(p.nrows(), 0)
     responses = response_bounds(loop.a, loop.rows, inputs, starts, p, t * rate)
     require_premise(responses is not None, f"P7: the responses decay too slowly in {where}")
     assert responses is not None
@@ -122,11 +126,11 @@ def implied_bounds(
         total = forced + (arb(float(responses.peaks[i])) if started else arb(0))
         require_premise(total <= bound, f"P7: the bound of signal {i} does not imply itself in {where}")
     if started and problem["rho"] is not None:
-        room = arb(problem["rho"]) - arb(problem["level"])
+        room = arb(problem["rho"]) - signal_sizes(problem, box).offset
         slack = half["slide_p"] * bounds[CHANGE] + half["slide_i"] * bounds[SIGMA]
         require_premise(bounds[EQUIVALENT] + slack <= room, f"P5: the equivalent control may exceed rho in {where}")
     bend = bend_between_samples(problem, box, bounds, true_command(half, bounds, t))
-    return StageLimits(bounds[SIGMA], bounds[ERROR], (bounds[ERROR] + bend).upper())
+    return StageLimits(bounds[SIGMA], bounds[ERROR], (bounds[STATES] + bend).upper())
 
 
 def adjoined(left: arb_mat, right: arb_mat) -> arb_mat:
@@ -160,10 +164,10 @@ def deviation_sizes(loop: MiddleLoop, half: Balls, bounds: list[arb], t: arb) ->
 
 def bend_between_samples(problem: dict[str, Any], box: dict[str, Any], bounds: list[arb], command: arb) -> arb:
     """How far e can deviate from the straight line between two samples: T_s^2/8 sup |e''|."""
-    _, _, n = dimensions(problem)
+    _, _, n = layout_of(problem)
     t, k_p = arb(problem["sample_time"]), arb(box["k_p"][1])
     f = held_generator(problem, enclosing(*box["a_p"]), enclosing(*box.get("rate", (0.0, 0.0))))
     bent = f * (f * (t * enclosing(0.0, 1.0))).exp()
     by_states = sum((abs(bent[1, j]) * bounds[STATES + j] for j in range(n - 2)), arb(0))
-    disturbed = k_p * arb(problem["slope"]) * t * (1 + t * abs(bent[1, 1]))
+    disturbed = k_p * signal_sizes(problem, box).slope * t * (1 + t * abs(bent[1, 1]))
     return t * t / 8 * (by_states + k_p * abs(bent[1, n - 2]) * command + disturbed)

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 from flint import arb, ctx
 
 from dssc_jax.proofs.balls import Rejected, StageLimits, require_premise
+from dssc_jax.proofs.enclosed_loop import signal_sizes
 from dssc_jax.proofs.gain_enclosures import enclosed_gains
 from dssc_jax.proofs.invariant_sets import invariant_bounds
 from dssc_jax.proofs.small_gain import implied_bounds
@@ -95,7 +96,7 @@ def refused(rejected: Rejected) -> ProofVerdict:
 def require_cover(problem: dict[str, Any], boxes: list[dict[str, Any]]) -> None:
     """(P1) The boxes cover the intervals of k_p, a_p and 1/mu: every cell of the grid of all ends lies in one."""
     whole = {"k_p": problem["k_p"], "a_p": problem["a_p"]}
-    if problem["lag_order"]:
+    if problem["denominator"]:
         low, high = problem["mu"]
         whole["rate"] = (1.0 / high, 1.0 / low)
     require_premise(bool(boxes), "P1: no box")
@@ -117,7 +118,8 @@ def verified_stages(problem: dict[str, Any], proof: dict[str, Any]) -> list[Stag
     """Check every stage of a box; return what each shows."""
     box = proof["box"]
     if problem["rho"] is not None:
-        require_premise(arb(problem["rho"]) > arb(problem["level"]), "P5: rho does not exceed the disturbance")
+        exceeds = arb(problem["rho"]) > signal_sizes(problem, box).offset
+        require_premise(exceeds, "P5: rho does not exceed what disturbance and reference ask for")
     limits: list[StageLimits] = []
     for number, stage in enumerate(proof["stages"], 1):
         where = f"stage {number} of the box {box}"

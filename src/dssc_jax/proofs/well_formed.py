@@ -22,6 +22,8 @@ CONSTANTS = {
 MAY_VANISH = {"phi_a", "kappa_a", "kappa_b", "kappa_c", "gamma"}
 SIGNALS, MIDDLE_COUNT = 5, 5
 """Signals besides the states that a bound belongs to, and gains of a middle loop."""
+MOST_DELAY, MOST_PIECES = 200, 1000
+"""Longest delay, in samples, and largest number of pieces of a region."""
 
 
 def require_shape(holds: bool, place: str, rule: str) -> None:
@@ -64,9 +66,13 @@ def require_problem(problem: Any) -> None:
     for name in ("k_p", "a_p", "mu"):
         require_interval(problem[name], name)
     require_shape(problem["k_p"][0] > 0, "k_p", "is not positive")
-    lag = problem["lag_order"]
-    require_shape(type(lag) is int and 0 <= lag <= 2, "lag_order", "is not 0, 1 or 2")
-    require_shape(not lag or problem["mu"][0] > 0, "mu", "is not positive")
+    require_unmodelled(problem)
+    require_finite(problem["sensor_lag"], "sensor_lag")
+    require_shape(problem["sensor_lag"] >= 0, "sensor_lag", "is negative")
+    require_numbers(problem["reference"], 3, "reference")
+    require_shape(all(each >= 0 for each in problem["reference"]), "reference", "is negative")
+    still = not any(problem["reference"])
+    require_shape(still or not (problem["zero_a"] or problem["sensor_lag"]), "reference", "moves, which is not covered")
     require_numbers(problem["zero_a"], None, "zero_a")
     require_numbers(problem["zero_c"], len(problem["zero_a"]), "zero_c")
     require_shape(len(problem["initial"]) == 2 + len(problem["zero_a"]), "initial", "has not its length")
@@ -81,6 +87,23 @@ def require_problem(problem: Any) -> None:
         require_positive(k, "nominal")
         require_shape(type(predictor_term) is bool, "nominal", "is not true or false")
     require_functions(problem["functions"], problem["form"])
+
+
+def require_unmodelled(problem: dict[str, Any]) -> None:
+    """Reject a G(mu s) or a delay that the loop cannot have."""
+    above, below, delay = problem["numerator"], problem["denominator"], problem["delay"]
+    require_numbers(above, None, "numerator")
+    require_numbers(below, None, "denominator")
+    require_finite(delay, "delay")
+    require_shape(0 <= delay <= MOST_DELAY, "delay", f"is not within [0, {MOST_DELAY}]")
+    if not below:
+        require_shape(not above, "numerator", "has no denominator")
+        return
+    require_shape(len(below) > 1 and 0 < len(above) <= len(below), "numerator", "is not proper")
+    require_shape(above[0] == below[0] != 0, "numerator", "does not begin like the denominator")
+    require_shape(below[-1] != 0, "denominator", "ends with 0")
+    require_shape(not delay, "delay", "comes with a transfer function")
+    require_shape(problem["mu"][0] > 0, "mu", "is not positive")
 
 
 def require_functions(functions: Any, form: Any) -> None:
@@ -100,9 +123,12 @@ def require_functions(functions: Any, form: Any) -> None:
 
 def require_proof(problem: dict[str, Any], proof: Any) -> None:
     """Reject a box and stages of other shapes than the problem's."""
-    eta, lag = len(problem["zero_a"]), problem["lag_order"]
-    n, box = 4 + eta + lag, proof["box"]
-    require_shape(box.keys() == {"k_p", "a_p"} | ({"rate"} if lag else set()), "box", "has not its sides")
+    order = max(len(problem["denominator"]) - 1, math.ceil(problem["delay"])) + 2 * bool(problem["sensor_lag"])
+    eta, box = len(problem["zero_a"]), proof["box"]
+    n = 4 + eta + order
+    require_shape(
+        box.keys() == {"k_p", "a_p"} | ({"rate"} if problem["denominator"] else set()), "box", "has not its sides"
+    )
     for name, pair in box.items():
         require_interval(pair, f"box.{name}")
         require_shape(name == "a_p" or pair[0] > 0, f"box.{name}", "is not positive")
@@ -119,4 +145,6 @@ def require_proof(problem: dict[str, Any], proof: Any) -> None:
             require_shape(all(bound > 0 for bound in stage["bounds"]), "bounds", "are not positive")
         else:
             require_shape(stage["method"] == "invariant set", "method", "is unknown")
-            require_numbers(stage["multipliers"], 3 + eta, "multipliers")
+            require_numbers(stage["multipliers"], 4 + eta, "multipliers")
+            pieces = stage["pieces"]
+            require_shape(type(pieces) is int and 1 <= pieces <= MOST_PIECES, "pieces", "is no number of pieces")

@@ -61,7 +61,7 @@ class Drawing:
 
 def part_kind(study: Study, slot: str) -> str:
     """The kind that a slot of the study holds."""
-    return str(getattr(study.config, slot)["kind"])
+    return str(getattr(study.config, slot).get("kind", "by channel"))
 
 
 def present(study: Study, slot: str) -> bool:

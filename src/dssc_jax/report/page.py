@@ -9,7 +9,7 @@ import htpy as h
 from markupsafe import Markup
 
 from dssc_jax.analyses.defaults import WORST_DRAWS
-from dssc_jax.report import analysis_sections, result_sections, study_sections
+from dssc_jax.report import analysis_sections, proof_section, result_sections, study_sections
 from dssc_jax.report.elements import Section, facts
 from dssc_jax.report.subject import AnalysisSubject, Subject
 from dssc_jax.results.analysis import Analysis
@@ -25,6 +25,7 @@ SECTIONS: tuple[Callable[[Subject], Section | None], ...] = (
     study_sections.laws,
     result_sections.outcome,
     result_sections.sweep_section,
+    proof_section.proofs,
     result_sections.metrics,
     result_sections.causes,
     result_sections.worst_draws_section,

@@ -244,7 +244,7 @@ def chattering_section(about: Subject) -> Section | None:
         values = close.dataset[measure.name].values
         middle, high, largest = upper_quantiles(values, (0.5, 0.95, 1.0))
         unit = unit_of(close, measure)
-        rows.append((h.code[measure.name], measure.metric.meaning, unit, number(middle), number(high), number(largest)))
+        rows.append((h.code[measure.name], measure.meaning, unit, number(middle), number(high), number(largest)))
     head = ("metric", "meaning", "unit", "median", "95 %", "largest")
     body: list[h.Node] = [
         h.p[

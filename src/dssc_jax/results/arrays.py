@@ -12,7 +12,7 @@ from zarr.storage import MemoryStore
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Layout
-from dssc_jax.results.manifest import DATA
+from dssc_jax.results.manifest import DATA, IN_METRES, read_manifest
 from dssc_jax.results.schema import (
     NOT_COMPUTED,
     Variable,
@@ -80,8 +80,8 @@ def blank(dtype: str) -> dict[str, Any]:
     return create(group, "blank", Variable(("draw",), dtype, {}), ((1,), (1,))).metadata.to_dict()
 
 
-def metadata(variable: Variable, extent: Extent) -> str:
-    """All metadata of a variable's array when created, see :func:`as_json`."""
+def metadata(variable: Variable, extent: Extent) -> dict[str, Any]:
+    """All metadata of a variable's array when created."""
     shape, chunks = extent
     own = {
         "shape": shape,
@@ -89,16 +89,27 @@ def metadata(variable: Variable, extent: Extent) -> str:
         "attributes": dict(variable.attributes),
         "dimension_names": variable.dims,
     }
-    return as_json(blank(variable.dtype) | own)
+    return blank(variable.dtype) | own
 
 
-def as_json(content: dict[str, Any]) -> str:
-    """Metadata as JSON text, for comparison."""
-    return json.dumps(content, sort_keys=True, default=str)
+def as_json(content: dict[str, Any], without: tuple[str, ...] = ()) -> str:
+    """Metadata as JSON text, for comparison, without some of the attributes."""
+    attributes = {name: value for name, value in content["attributes"].items() if name not in without}
+    return json.dumps(content | {"attributes": attributes}, sort_keys=True, default=str)
+
+
+def free_attributes(folder: Path) -> tuple[str, ...]:
+    """Attributes that need not be the study's: units and meanings of a folder from before a plant named its own."""
+    return ("units", "long_name") if read_manifest(folder)["schema"] == IN_METRES else ()
 
 
 def checked_array(
-    group: zarr.Group, place: Path, variable: Variable, extent: Extent, growing: bool = False
+    group: zarr.Group,
+    place: Path,
+    variable: Variable,
+    extent: Extent,
+    growing: bool = False,
+    free: tuple[str, ...] = (),
 ) -> zarr.Array:
     """Open one array and require that all its metadata are those of its creation.
 
@@ -108,6 +119,7 @@ def checked_array(
         variable: The variable it contains.
         extent: Its shape and chunks.
         growing: Whether it may have a different number of draws.
+        free: Attributes that may differ.
 
     Raises:
         ConfigError: It is absent or different.
@@ -116,11 +128,11 @@ def checked_array(
     try:
         with zarr.config.set({"array.write_empty_chunks": True}):  # chunks of NaN too, since presence has a meaning
             array: Any = group[place.name]
-        actual = as_json(array.metadata.to_dict())
+        actual = as_json(array.metadata.to_dict(), free)
         shape = (*shape[:-1], array.shape[-1]) if growing else shape
     except Exception as error:  # zarr has no common base class of its errors
         raise ConfigError(str(place), f"is damaged: {one_line(error)}") from error
-    if actual != metadata(variable, (shape, chunks)):
+    if actual != as_json(metadata(variable, (shape, chunks)), free):
         raise ConfigError(str(place), "is damaged: its metadata are not those that its study lays out")
     return array
 
@@ -144,8 +156,9 @@ def checked_arrays(
     about = zarr.open_group(MemoryStore(), mode="w", zarr_format=3, attributes={**dataset_attributes(study)})
     if as_json(group.metadata.to_dict()) != as_json(about.metadata.to_dict()):
         raise ConfigError(str(folder / DATA), "is damaged: its attributes are not those that its study lays out")
+    free = free_attributes(folder)
     actual = {
-        name: checked_array(group, folder / DATA / name, variable, array_extent(variable, layout), growing)
+        name: checked_array(group, folder / DATA / name, variable, array_extent(variable, layout), growing, free)
         for name, variable in variables(study).items()
     }
     others = {file.name for file in (folder / DATA).iterdir() if file.is_dir()} - actual.keys() - {*coordinates(study)}
@@ -160,16 +173,19 @@ def require_coordinates(folder: Path, study: Study) -> None:
     Raises:
         ConfigError: one is not.
     """
-    group = open_group(folder, "r")
+    group, free = open_group(folder, "r"), free_attributes(folder)
     for name, values in coordinate_values(study).items():
-        if not is_coordinate(group, folder / DATA / name, coordinates(study)[name], values):
+        if not is_coordinate(group, folder / DATA / name, coordinates(study)[name], values, free):
             raise ConfigError(str(folder / DATA / name), f"is damaged: it is not the study's coordinate; {MEND}")
 
 
-def is_coordinate(group: zarr.Group, place: Path, variable: Variable, values: np.ndarray) -> bool:
+def is_coordinate(
+    group: zarr.Group, place: Path, variable: Variable, values: np.ndarray, free: tuple[str, ...] = ()
+) -> bool:
     """Whether a coordinate can be read and has these values."""
     try:
-        return np.array_equal(np.asarray(checked_array(group, place, variable, (values.shape, values.shape))), values)
+        array = checked_array(group, place, variable, (values.shape, values.shape), free=free)
+        return np.array_equal(np.asarray(array), values)
     except Exception:  # zarr and its codecs raise errors of many kinds
         return False
 
@@ -198,7 +214,7 @@ def reshape(folder: Path, study: Study, layout: Layout) -> None:
     group = open_group(folder, mode="r+")
     for name, values in coordinate_values(study).items():
         variable = coordinates(study)[name]
-        if not is_coordinate(group, folder / DATA / name, variable, values):
+        if not is_coordinate(group, folder / DATA / name, variable, values, free_attributes(folder)):
             create(group, name, variable, (values.shape, values.shape), overwrite=True)[...] = values
 
 

@@ -1,8 +1,9 @@
-"""Export of a result: a table of draws as CSV or Parquet, or the dataset as netCDF, with units and meanings."""
+"""Export of a result: a table as CSV or Parquet, or the dataset as netCDF or for MATLAB, with units and meanings."""
 
 import importlib
 import json
 import os
+import re
 from collections.abc import Callable, Iterable
 from enum import StrEnum
 from importlib.metadata import version
@@ -31,11 +32,12 @@ class Format(StrEnum):
     CSV = "csv"
     PARQUET = "parquet"
     NETCDF = "netcdf"
+    MAT = "mat"
 
 
-FILE_NAMES = {Format.CSV: "draws.csv", Format.PARQUET: "draws.parquet", Format.NETCDF: "result.nc"}
-ANALYSIS_FILES = {Format.CSV: "table.csv", Format.PARQUET: "table.parquet", Format.NETCDF: "dataset.nc"}
-NEEDS = {Format.CSV: (), Format.PARQUET: ("pyarrow",), Format.NETCDF: ("h5netcdf", "h5py")}
+FILE_NAMES = dict(zip(Format, ("draws.csv", "draws.parquet", "result.nc", "result.mat"), strict=True))
+ANALYSIS_FILES = dict(zip(Format, ("table.csv", "table.parquet", "dataset.nc", "dataset.mat"), strict=True))
+NEEDS = {Format.CSV: (), Format.PARQUET: ("pyarrow",), Format.NETCDF: ("h5netcdf", "h5py"), Format.MAT: ()}
 DATATYPES = {"i": "integer", "u": "integer", "b": "boolean", "U": "string", "O": "string", "f": "double"}
 """Datatypes of "CSV on the Web" by NumPy's kinds."""
 
@@ -60,7 +62,7 @@ def export(result: Result | Analysis, to: Format | str, out: str | Path | None =
     ``csv`` and ``parquet`` are a table, of a result with one row a lane: swept values, draw, drawn numbers, metrics,
     slacks and how it ended; of an analysis with a row for each index of its own dimensions. Units and long names stand
     in Parquet's column metadata; for a CSV in ``<file>-metadata.json``, which follows the W3C's "CSV on the Web".
-    ``netcdf`` is the dataset itself, with CF attributes.
+    ``netcdf`` is the dataset itself, with CF attributes, and ``mat`` for MATLAB, with one struct for each variable.
 
     Args:
         result: A loaded or fresh one.
@@ -82,7 +84,7 @@ def export(result: Result | Analysis, to: Format | str, out: str | Path | None =
         raise ConfigError("out", "is needed for a result that has no folder")
     names = ANALYSIS_FILES if isinstance(result, Analysis) else FILE_NAMES
     path = Path(out) if out is not None else Path(result.path or "") / names[form]
-    writers = {Format.CSV: write_csv, Format.PARQUET: write_parquet, Format.NETCDF: write_netcdf}
+    writers = {Format.CSV: write_csv, Format.PARQUET: write_parquet, Format.NETCDF: write_netcdf, Format.MAT: write_mat}
     written = [into_place(path, lambda partial: writers[form](result, partial))]
     if form is Format.CSV:
         about = path.with_name(f"{path.name}-metadata.json")
@@ -217,6 +219,29 @@ def write_netcdf(result: Result | Analysis, path: Path) -> None:
         if "flag_values" in one.attrs and one.dtype.kind in "iu":
             one.attrs["flag_values"] = np.asarray(one.attrs["flag_values"], dtype=one.dtype)  # CF: of its own type
     data.to_netcdf(path, engine="h5netcdf", encoding={name: {"zlib": True, "complevel": 4} for name in data.data_vars})
+
+
+def write_mat(result: Result | Analysis, path: Path) -> None:
+    """A MATLAB file of version 5: a struct for each variable, with ``values``, ``dimensions``, ``units`` and meaning.
+
+    Names are those of the dataset with an underscore for each character that MATLAB does not allow, at most 63 long.
+    """
+    from scipy.io import savemat
+
+    content: dict[str, Any] = {"study": file_provenance(result)}
+    for name, one in result.dataset.variables.items():
+        values = one.values if one.dtype.kind in "fiub" else one.values.astype(object)
+        about = {key: str(one.attrs[key]) for key in ("units", "long_name") if key in one.attrs}
+        content[matlab_name(str(name), content)] = {"values": values, "dimensions": list(map(str, one.dims)), **about}
+    savemat(path, content, long_field_names=True, do_compression=True, oned_as="column", appendmat=False)
+
+
+def matlab_name(name: str, taken: Iterable[str]) -> str:
+    """A name that MATLAB takes and that is not taken yet."""
+    plain = re.sub(r"\W", "_", name, flags=re.ASCII)[:60]
+    plain = plain if plain[:1].isalpha() else f"v{plain}"
+    alike = sum(other == plain or other.startswith(f"{plain}_v") for other in taken)
+    return f"{plain}_v{alike + 1}" if alike and plain in taken else plain
 
 
 def file_provenance(result: Result | Analysis) -> dict[str, str]:

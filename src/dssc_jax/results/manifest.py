@@ -16,7 +16,9 @@ from dssc_jax.study.described import describe
 from dssc_jax.study.laws import is_number
 from dssc_jax.study.tables import require_shallow
 
-SCHEMA, WITHOUT_DIGESTS = 2, 1
+SCHEMA, IN_METRES, WITHOUT_DIGESTS = 3, 2, 1
+"""Versions of the folder: the present one; with the units of a plant in metres, whatever the plant; without digests."""
+
 SEAL = "digest"
 DATA, MANIFEST, SUMMARY, PARTIAL = "data.zarr", "manifest.json", "summary.json", ".partial"
 MANIFEST_TABLES = ("study", "layout", "versions", "device", "times")
@@ -104,13 +106,13 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         raise ConfigError(str(path), f"is damaged, not valid JSON: {error}") from error
     if not isinstance(manifest, dict) or "schema" not in manifest:
         raise ConfigError(str(path), "is damaged: it has no schema version")
-    if manifest["schema"] not in (SCHEMA, WITHOUT_DIGESTS):
+    if manifest["schema"] not in (SCHEMA, IN_METRES, WITHOUT_DIGESTS):
         raise ConfigError(
             str(path),
-            f"has schema version {manifest['schema']!r}, this program reads {WITHOUT_DIGESTS} and {SCHEMA}; "
+            f"has schema version {manifest['schema']!r}, this program reads {WITHOUT_DIGESTS} to {SCHEMA}; "
             "use the dssc_jax that wrote it, or run its study again into another --out",
         )
-    if manifest["schema"] == SCHEMA or SEAL in manifest:
+    if manifest["schema"] != WITHOUT_DIGESTS or SEAL in manifest:
         manifest = unsealed(path, manifest)
     for name in MANIFEST_TABLES:
         if not isinstance(manifest.get(name), dict):

@@ -60,9 +60,9 @@ class Result:
         return result if proofs is None else result.with_proofs(proofs)
 
     def with_proofs(self, proofs: SweepProofs) -> "Result":
-        """The result with what is proved at each point: the coordinates ``proved`` and ``proved_error`` [m]."""
+        """The result with what is proved at each point: the coordinates ``proved`` and ``proved_error``."""
         about = {"long_name": "proved for all plants, with lag and sampling"}
-        bound = {"long_name": "proved upper bound of |e| once settled", "units": "m"}
+        bound = {"long_name": "proved upper bound of |e| once settled", "units": self.study.units[0].output}
         axes = tuple(self.study.axes)
         coordinates = {"proved": (axes, proofs.proved, about), "proved_error": (axes, proofs.error, bound)}
         return Result(self.study, self.dataset.assign_coords(coordinates), self.manifest, self.path)

@@ -64,7 +64,7 @@ def variables(study: Study) -> dict[str, Variable]:
         described[name] = Variable(("draw",), "float64", about)
     for measure in study.measures:
         window = f", t >= {measure.window.after:g} s" if measure.window.after > 0 else ""
-        about = {"units": measure.unit, "long_name": measure.metric.meaning + window}
+        about = {"units": measure.unit, "long_name": measure.meaning + window}
         described[measure.name] = Variable(grid, real, about)
     for requirement in study.requirements:
         about = {"units": requirement.measure.unit, "long_name": f"signed slack of {requirement.text}"}

@@ -1,10 +1,11 @@
 """Proofs at every point of a study's sweep, by one process for each core."""
 
 import itertools
+import json
 import multiprocessing
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from multiprocessing.connection import Connection
@@ -13,7 +14,8 @@ from typing import Any
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.proofs import SWEEP_BOXES
-from dssc_jax.proofs.problem import ProofProblem, problem_of
+from dssc_jax.proofs.coverage import problem_of
+from dssc_jax.proofs.problem import ProofProblem
 from dssc_jax.results.proofs import SweepProofs
 from dssc_jax.study import Study
 
@@ -63,6 +65,13 @@ def prove_sweep(
                 progress(len(outcomes), len(problems))
     summaries, certificates = ([each[i] for each in outcomes] for i in (0, 1))
     return SweepProofs(study.hash, study.axes, summaries, certificates, time.perf_counter() - began)
+
+
+def foreign_points(study: Study, certificates: Sequence[dict[str, Any]]) -> list[int]:
+    """Points of a sweep whose certificate is one of another loop, by their number."""
+    problems = (json.loads(json.dumps(problem_of(point).to_dict())) for point in sweep_points(study))
+    pairs = enumerate(zip(problems, certificates, strict=True))
+    return [i for i, (problem, certificate) in pairs if certificate["problem"] != problem]
 
 
 def prove_point(problem: ProofProblem, boxes: int) -> PointOutcome:

@@ -9,10 +9,9 @@ import xarray as xr
 
 from dssc_jax.backend import forms
 from dssc_jax.closed_loop.draw import Run, simulate_recorded
-from dssc_jax.closed_loop.sample import Loop, Recorded
+from dssc_jax.closed_loop.sample import Recorded
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.numerics import arithmetic
-from dssc_jax.core.quantities import angular_unit
 from dssc_jax.engine.batching import drawn
 from dssc_jax.engine.reference import Agreement, agreement
 from dssc_jax.engine.sampling import draw_key
@@ -22,24 +21,26 @@ from dssc_jax.study import Study
 
 MOST_KEPT = 5_000_000  # samples of a trajectory
 UNITS = {
-    "y": ("m", "output y"),
-    "y_dot": ("m/s", "output's derivative y'"),
-    "y_ref": ("m", "desired output y_m"),
-    "e": ("m", "output error e"),
-    "sigma": ("m/s", "sigma = e' + l_0 e"),
-    "sigma_measured": ("m/s", "sigma as the controller sees it"),
-    "u": ("m/s", "robust command u"),
-    "u_total": ("m/s", "total command u + u_n"),
-    "sigma_tilde": ("m/s", "sliding variable"),
-    "sigma_hat": ("m/s", "predictor's output"),
-    "u_av": ("m/s", "averaged control"),
-    "u_0": ("m/s", "switched control"),
-    "rho": ("m/s", "modulation"),
-    "sliding_margin": ("m/s", "rho - |u_eq|"),
-    "k_o": ("1/s", "predictor gain"),
+    "y": ("y", "output y"),
+    "y_dot": ("y/s", "output's derivative y'"),
+    "y_ref": ("y", "desired output y_m"),
+    "e": ("y", "output error e"),
+    "sigma": ("y/s", "sigma = e' + l_0 e"),
+    "sigma_measured": ("y/s", "sigma as the controller sees it"),
+    "u": ("u", "robust command u"),
+    "u_total": ("u", "total command u + u_n"),
+    "sigma_tilde": ("y/s", "sliding variable"),
+    "sigma_hat": ("y/s", "predictor's state"),
+    "u_av": ("u", "averaged control"),
+    "u_0": ("u", "switched control"),
+    "rho": ("u", "modulation"),
+    "sliding_margin": ("u", "rho - |u_eq|"),
+    "k_o": ("y/(s^2 u)", "predictor gain"),
     "tau_m": ("s", "predictor time constant"),
     "tau_av": ("s", "averaging time constant"),
-    "integral": ("m/s", "integral term of u"),
+    "integral": ("u", "integral term of u"),
+    "proportional": ("u", "proportional term of u"),
+    "derivative": ("u", "derivative term of u"),
     "phi": ("rad", "roll"),
     "theta": ("rad", "pitch"),
     "psi": ("rad", "yaw"),
@@ -130,7 +131,7 @@ def as_trajectory(study: Study, draw: int, values: Mapping[str, float], ended: R
         name: np.where(gone, np.nan, column) if gone.any() else column
         for name, column in trajectory_columns(study, recorded).items()
     }
-    described = {name: column_attributes(name, study.loop) for name in columns}
+    described = {name: column_attributes(name, study) for name in columns}
     code = int(ended.outcome)
     return xr.Dataset(
         {name: (("t",), column, described[name]) for name, column in columns.items()},
@@ -171,15 +172,16 @@ def trajectory_columns(study: Study, recorded: Recorded) -> dict[str, np.ndarray
     return columns | {name: values.astype(float) for name, values in seen.items()}
 
 
-def column_attributes(name: str, loop: Loop) -> dict[str, str]:
+def column_attributes(name: str, study: Study) -> dict[str, str]:
     """Attributes of a trajectory's column; a user's info field has none."""
     channel, _, rest = name.partition("_")
-    if channel not in loop.channels or not channel:
-        unit, meaning = UNITS.get(name, ("", name))
-        return {"units": unit, "long_name": meaning}
-    unit, meaning = UNITS.get(rest, ("", rest))
-    unit = angular_unit(unit) if channel in loop.plant.angles else unit
-    return {"units": unit, "long_name": f"{channel}: {meaning}"}
+    named = channel in study.loop.channels and bool(channel)
+    signal = rest if named else name
+    units = study.units[study.loop.channels.index(channel)] if named else study.units[0]
+    unit, meaning = UNITS.get(signal, ("", signal))
+    if signal in UNITS:
+        unit, meaning = units.of(unit), units.named(meaning)
+    return {"units": unit, "long_name": f"{channel}: {meaning}" if named else meaning}
 
 
 def replay(result: Result, draw: int, *, point: Mapping[str, float] | None = None, every: int = 1) -> xr.Dataset:

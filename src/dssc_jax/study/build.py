@@ -12,10 +12,12 @@ from pydantic import BaseModel, ValidationError
 from dssc_jax.closed_loop.metrics import Measure, available_metrics
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.closed_loop.sample import Loop, LoopParams, Settled, initial_state, step
+from dssc_jax.core.contracts import JoinedParams, Plant, joined_reference
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.registry import single
+from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.models.controllers import CONTROLLERS, DIFFERENTIATORS
 from dssc_jax.models.environment import DISTURBANCES, REFERENCES, SENSORS, TRAJECTORIES, WINDS
 from dssc_jax.models.plants import PLANTS
@@ -25,6 +27,7 @@ from dssc_jax.study.components import Component, Number, as_table, dotted, expla
 from dssc_jax.study.laws import Law
 from dssc_jax.study.measuring import kinds_of, measured
 from dssc_jax.study.schema import (
+    EnvelopeTable,
     LoopTable,
     MetricsTable,
     PlotTable,
@@ -32,6 +35,7 @@ from dssc_jax.study.schema import (
     SettledTable,
     StudyTable,
     TuneTable,
+    UnitsTable,
 )
 from dssc_jax.study.tables import has_dotted, merged, set_dotted
 
@@ -50,8 +54,10 @@ PER_CHANNEL = ("controller", "sensor", "differentiator", "unmodelled", "disturba
 FIXED_TABLES: dict[str, type[BaseModel]] = {
     "loop": LoopTable,
     "loop.settled": SettledTable,
+    "units": UnitsTable,
     "metrics": MetricsTable,
     "requirement": RequirementTable,
+    "envelope": EnvelopeTable,
     "plot": PlotTable,
     "tune": TuneTable,
 }
@@ -73,6 +79,7 @@ class Parts(NamedTuple):
     config: StudyTable
     loop: Loop
     template: LoopParams
+    units: tuple[ChannelUnits, ...]
     numbers: dict[str, Number]
     measures: tuple[Measure, ...]
     requirements: tuple[Requirement, ...]
@@ -88,14 +95,18 @@ def build(table: dict[str, Any]) -> Parts:
     plant = parse_whole(config.plant, "plant")
     channels = plant.model.channels or ("",)
     several = len(channels) > 1
+    units = parse_units(config.units, plant.model, channels)
     wholes = {
         "plant": plant,
-        "reference": parse_whole(config.reference, "reference", several),
+        "reference": parse_reference(config.reference, channels, units),
         "wind": parse_whole(config.wind, "wind"),
     }
     if not several and wholes["wind"].kind != "none":
         raise ConfigError("wind.kind", f"the plant '{plant.kind}' does not fly; use a disturbance")
+    if not several:
+        wholes["plant"] = with_units(plant, units[0])
     columns = {slot: parse_channels(getattr(config, slot), slot, channels) for slot in PER_CHANNEL}
+    columns = {slot: [*map(with_units, column, units)] for slot, column in columns.items()}
     for name, gains in zip(channels, columns["controller"], strict=True):
         if "l0" not in gains.params._fields:
             raise ConfigError(
@@ -116,17 +127,43 @@ def build(table: dict[str, Any]) -> Parts:
     check_swept_parts(table, config, channels)
     known = kinds_of(config)
     names = available_metrics(*info_fields(loop, template), known)
-    measures, requirements = measured(config, names, known, plant.model)
+    measures, requirements = measured(config, names, known, channels, units)
     check_settled(loop, measures)
-    return Parts(config, loop, template, numbers, measures, requirements)
+    return Parts(config, loop, template, units, numbers, measures, requirements)
+
+
+def parse_units(table: dict[str, Any], plant: Plant, channels: tuple[str, ...]) -> tuple[ChannelUnits, ...]:
+    """Units and meanings of each channel: the plant's own, overridden by ``[units]`` and ``[units.CHANNEL]``.
+
+    Raises:
+        ConfigError: A field is unknown or not valid.
+    """
+    own = plant.units or (UNNAMED_UNITS,) * len(channels)
+    common = {name: value for name, value in table.items() if name not in channels}
+    named = []
+    for units, channel in zip(own, channels, strict=True):
+        with errors_under(dotted("units", channel if channel in table else "")):
+            given = as_table(table[channel]) if channel in table else {}
+            try:
+                changes = UnitsTable.model_validate(common | given).model_dump(exclude_none=True)
+            except ValidationError as error:
+                raise explain(error, [*UnitsTable.model_fields, *filter(None, channels)]) from None
+        named.append(units._replace(**changes))
+    return tuple(named)
+
+
+def with_units(component: Component, units: ChannelUnits) -> Component:
+    """The component whose numbers have the channel's own units."""
+    numbers = (replace(n, quantity=replace(n.quantity, unit=units.of(n.quantity.unit))) for n in component.numbers)
+    return replace(component, numbers=tuple(numbers))
 
 
 def by_name(numbers: Iterable[Number]) -> dict[str, Number]:
-    """The numbers by name; a number shared by several channels is a single number with a path in each."""
+    """The numbers by name; one shared by several channels has a path in each, and the first channel's unit."""
     merged_numbers: dict[str, Number] = {}
     for number in numbers:
-        others = merged_numbers[number.name].paths if number.name in merged_numbers else ()
-        merged_numbers[number.name] = replace(number, paths=others + number.paths)
+        first = merged_numbers.get(number.name)
+        merged_numbers[number.name] = replace(first, paths=first.paths + number.paths) if first else number
     return merged_numbers
 
 
@@ -150,17 +187,30 @@ def check_settled(loop: Loop, measures: tuple[Measure, ...]) -> None:
         raise ConfigError("loop.settled.after", f"{rule}; got {loop.settled.after:g}")
 
 
-def parse_whole(table: dict[str, Any], slot: str, several: bool = False) -> Component:
-    """Parse the component of a slot that the loop has once.
-
-    Args:
-        table: The slot's table.
-        slot: Its name.
-        several: Whether the loop has several channels; a reference is then a trajectory.
-    """
-    registry = REGISTRIES["trajectory" if slot == "reference" and several else slot]
-    component = parse_component(table, registry, slot)
+def parse_whole(table: dict[str, Any], slot: str) -> Component:
+    """Parse the component of a slot that the loop has once."""
+    component = parse_component(table, REGISTRIES[slot], slot)
     return replace(component, numbers=tuple(number.under(slot, slot) for number in component.numbers))
+
+
+def parse_reference(table: dict[str, Any], channels: tuple[str, ...], units: tuple[ChannelUnits, ...]) -> Component:
+    """Parse the reference: one signal, or a trajectory in which ``[reference.x]`` replaces that of channel x."""
+    slot = "reference"
+    if len(channels) == 1:
+        return with_units(parse_whole(table, slot), units[0])
+    common = {name: value for name, value in table.items() if name not in channels}
+    whole = parse_component(common, REGISTRIES["trajectory"], slot, default="zero")
+    named = [channel for channel in channels if channel in table]
+    if not named:
+        return replace(whole, numbers=tuple(number.under(slot, slot) for number in whole.numbers))
+    own = {channel: parse_component(table[channel], REFERENCES, dotted(slot, channel)) for channel in named}
+    numbers = [number.under(f"{slot}.whole", slot) for number in whole.numbers]
+    for place, (channel, part) in enumerate(own.items()):
+        theirs = with_units(part, units[channels.index(channel)]).numbers
+        numbers += [number.under(f"{slot}.own.{place}", dotted(slot, channel)) for number in theirs]
+    model = joined_reference(whole.model, {channels.index(channel): part.model for channel, part in own.items()})
+    params = JoinedParams(whole.params, tuple(part.params for part in own.values()))
+    return Component(whole.kind, model, params, tuple(numbers))
 
 
 def parse_channels(table: dict[str, Any], slot: str, channels: tuple[str, ...]) -> list[Component]:
@@ -226,7 +276,7 @@ def nearest_number(name: str, config: StudyTable, numbers: Mapping[str, Number])
     slot = name.partition(".")[0]
     table = getattr(config, slot) if slot in REGISTRIES.keys() & StudyTable.model_fields.keys() else None
     if table is not None and not any(known.startswith(f"{slot}.") for known in numbers):
-        return f"the study's {slot} is of the kind '{table['kind']}', which has no numbers"
+        return f"the study's {slot} is of the kind '{table.get('kind')}', which has no numbers"
     return nearest(name, numbers)
 
 
@@ -245,7 +295,9 @@ def check_swept_parts(table: dict[str, Any], config: StudyTable, channels: tuple
         try:
             if slot in PER_CHANNEL:
                 parse_channels(table[slot], slot, channels)
+            elif slot == "reference":
+                parse_reference(table[slot], channels, (UNNAMED_UNITS,) * len(channels))
             else:
-                parse_whole(table[slot], slot, several=len(channels) > 1)
+                parse_whole(table[slot], slot)
         except ConfigError as error:
             raise error.within("sweep") from None

@@ -88,11 +88,21 @@ def parse_number(value: Any, quantity: Quantity) -> float | Law:
     return parsed
 
 
-def parse_numbers(value: Any, quantity: Quantity) -> tuple[float | Law, ...]:
-    """Parse a list of numbers or laws."""
+def parse_numbers(value: Any, quantity: Quantity, depth: int = 1) -> Any:
+    """Parse a list of numbers or laws; with depth 2, a list of rows of them."""
+    if depth == 0:
+        return parse_number(value, quantity)
     if not isinstance(value, list | tuple):
-        raise ValueError(f"must be a list of numbers ({quantity.meaning} [{quantity.unit}]), got {value!r}")
-    return tuple(parse_number(item, quantity) for item in value)
+        items = "rows of numbers" if depth > 1 else "numbers"
+        raise ValueError(f"must be a list of {items} ({quantity.meaning} [{quantity.unit}]), got {value!r}")
+    return tuple(parse_numbers(item, quantity, depth - 1) for item in value)
+
+
+def flattened(name: str, value: Any) -> dict[str, Any]:
+    """The numbers of a list, or of rows, by dotted name; a number alone has the name itself."""
+    if not isinstance(value, tuple):
+        return {name: value}
+    return {key: item for i, part in enumerate(value) for key, item in flattened(f"{name}.{i}", part).items()}
 
 
 @dataclass(frozen=True)
@@ -104,9 +114,12 @@ class FieldSpec:
     optional: bool
 
     @property
-    def many(self) -> bool:
-        """Whether the field is a list of numbers."""
-        return typing.get_origin(self.core) is tuple
+    def depth(self) -> int:
+        """0 for a number, 1 for a list of numbers, 2 for a list of rows."""
+        depth, core = 0, self.core
+        while typing.get_origin(core) is tuple:
+            depth, core = depth + 1, typing.get_args(core)[0]
+        return depth
 
     @property
     def nested(self) -> bool:
@@ -148,13 +161,11 @@ def field_specs(params: type) -> dict[str, FieldSpec]:
     return specs
 
 
-def number_type(quantity: Quantity, many: bool, optional: bool) -> Any:
-    """The pydantic type of one number, or of a list of them."""
-    parse = parse_numbers if many else parse_number
-    allow_none = optional
+def number_type(quantity: Quantity, depth: int, optional: bool) -> Any:
+    """The pydantic type of one number, of a list of them, or of a list of rows."""
 
     def check(value: Any) -> Any:
-        return None if value is None and allow_none else parse(value, quantity)
+        return None if value is None and optional else parse_numbers(value, quantity, depth)
 
     return Annotated[Any, BeforeValidator(check)]
 
@@ -166,7 +177,7 @@ def table_model(params: type) -> type[BaseModel]:
     for name, spec in field_specs(params).items():
         if spec.part or spec.derived:
             continue
-        kind = number_type(spec.mark, spec.many, spec.optional) if isinstance(spec.mark, Quantity) else spec.core
+        kind = number_type(spec.mark, spec.depth, spec.optional) if isinstance(spec.mark, Quantity) else spec.core
         if spec.enum:
             kind = Literal[tuple(member.value for member in spec.enum)]  # type: ignore[valid-type]
         fields[name] = (kind, ...)
@@ -306,9 +317,8 @@ def parse_params(
     plain = {name: item for name, item in table.items() if name not in numbers}
     for name, value in parse_plain(plain, params, defaults, choices).items():
         fields[name], mark = value, specs[name].mark
-        if isinstance(mark, Quantity) and value is not None:
-            items = {f"{name}.{i}": item for i, item in enumerate(value)} if specs[name].many else {name: value}
-            numbers[name] = tuple(Number(path, (path,), mark, item) for path, item in items.items())
+        if isinstance(mark, Quantity) and value is not None and not mark.data:
+            numbers[name] = tuple(Number(path, (path,), mark, item) for path, item in flattened(name, value).items())
     return params(**fields), tuple(number for name in specs for number in numbers.get(name, ()))
 
 

@@ -16,6 +16,7 @@ from dssc_jax.closed_loop.sample import Loop
 from dssc_jax.core.contracts import NoParams, Plant
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.units import ANGLE, POSITION, ChannelUnits
 from dssc_jax.study.build import clock, info_fields, validate_fixed
 from dssc_jax.study.code import code_names, describe_code
 from dssc_jax.study.components import Number
@@ -49,13 +50,15 @@ class OwnMetric(BaseModel):
 class Description(BaseModel):
     """Information about a study that only the models provide and readers need.
 
-    ``fields`` are the names in each channel's info, ``seen`` those in the plant's info. ``certified`` and ``silence``
-    are the results of Theorem 1 at every point of the sweep.
+    ``units`` are units and meanings of output and command in each channel; a folder from before a plant named its own
+    has none. ``fields`` are the names in each channel's info, ``seen`` those in the plant's info. ``certified`` and
+    ``silence`` are the results of Theorem 1 at every point of the sweep.
     """
 
     model_config = NO_EXTRA_FIELDS
     channels: tuple[str, ...]
     angles: tuple[str, ...]
+    units: tuple[tuple[str, str, str, str], ...] | None = None
     numbers: dict[str, DescribedNumber]
     fields: dict[str, tuple[str, ...]]
     seen: tuple[str, ...]
@@ -115,6 +118,10 @@ class Described(Study):
         absent: Any = Unloaded(refusal := ConfigError(source, rule))
         channels, angles = description.channels, description.angles
         plant = Plant(NoParams, absent, absent, absent, absent, channels=channels, angles=angles)
+        metres = tuple(ANGLE if name in angles else POSITION for name in channels or ("",))
+        units = metres if description.units is None else tuple(ChannelUnits(*texts) for texts in description.units)
+        if len(units) != len(metres):
+            raise ConfigError(source, "is damaged: its description is not that of its study")
         own = {
             name: Metric(a.unit, a.meaning, absent, absent, a.needs, a.scope) for name, a in description.metrics.items()
         }
@@ -122,7 +129,7 @@ class Described(Study):
         try:
             config = validate_fixed(dict(table))
             names = available_metrics(description.fields, description.seen, known)
-            measures, requirements = measured(config, names, known, plant)
+            measures, requirements = measured(config, names, known, channels or ("",), units)
         except ConfigError as error:
             raise error.within(source) from None
         shape = tuple(len(values) for values in config.sweep.values())
@@ -136,6 +143,7 @@ class Described(Study):
             config=config,
             loop=loop,
             template=absent,
+            units=units,
             numbers=numbers,
             measures=measures,
             requirements=requirements,
@@ -184,6 +192,7 @@ def describe(study: Study, certified: np.ndarray | None, silence: str) -> dict[s
     return {
         "channels": list(study.loop.plant.channels),
         "angles": list(study.loop.plant.angles),
+        "units": [list(units) for units in study.units],
         "numbers": numbers,
         "fields": {name: list(names) for name, names in fields.items()},
         "seen": list(seen),

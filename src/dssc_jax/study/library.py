@@ -1,5 +1,6 @@
 """Lookup of study files by name: in the current folder's ``studies``, and among those in the package."""
 
+import difflib
 from pathlib import Path
 
 from dssc_jax.core.errors import ConfigError, nearest
@@ -43,4 +44,9 @@ def find(name: str) -> Path:
         return known[name]
     if name.replace("-", "_") in known:
         return known[name.replace("-", "_")]
+    local = {str(file): file.stem for file in sorted(Path.cwd().glob("*.toml"))}
+    near = difflib.get_close_matches(name, local.values(), n=1, cutoff=0.6)
+    if near:
+        file = next(path for path, stem in local.items() if stem == near[0])
+        raise ConfigError(name, f"is no file; did you mean '{Path(file).name}'?")
     raise ConfigError(name, f"is neither a file nor the name of a study; {nearest(name, known)}")

@@ -1,16 +1,18 @@
 """Parsing of a study's metrics and requirements."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
-from dssc_jax.closed_loop.metrics import BRIEF, METRICS, Measure, Metric, Scope, Window, first_sample
+from dssc_jax.closed_loop.metrics import BRIEF, METRICS, Measure, Metric, Scope, Window, first_sample, suffixed
 from dssc_jax.closed_loop.performance import PERFORMANCE
 from dssc_jax.closed_loop.requirements import Requirement
-from dssc_jax.core.contracts import Plant
+from dssc_jax.closed_loop.step_response import STEP_RESPONSE, envelope_metric
 from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.study.components import imported
 from dssc_jax.study.schema import StudyTable
 
-KNOWN = METRICS | PERFORMANCE
+KNOWN = METRICS | PERFORMANCE | STEP_RESPONSE
 
 
 def kinds_of(config: StudyTable) -> dict[str, Metric]:
@@ -39,7 +41,11 @@ def short(name: str) -> str:
 
 
 def measured(
-    config: StudyTable, names: dict[str, tuple[str, int | None]], known: Mapping[str, Metric], plant: Plant
+    config: StudyTable,
+    names: dict[str, tuple[str, int | None]],
+    known: Mapping[str, Metric],
+    channels: tuple[str, ...],
+    units: tuple[ChannelUnits, ...],
 ) -> tuple[tuple[Measure, ...], tuple[Requirement, ...]]:
     """The metrics over the study's window, and one more for each requirement with its own window.
 
@@ -47,12 +53,12 @@ def measured(
         config: The study's tables.
         names: Metrics that the loop can have: name -> kind and channel.
         known: All kinds of metric.
-        plant: The plant whose channels are measured.
+        channels: Names of the channels; one empty name for a plant with one channel.
+        units: Their units and meanings.
 
     Raises:
         ConfigError: A metric is unknown or not available here, there is none, or a window contains no sample.
     """
-    channels = plant.channels or ("",)
     several = len(channels) > 1
 
     def measure(name: str, of: str, window: Window) -> Measure:
@@ -64,11 +70,11 @@ def measured(
             window,
             channel,
             own=None if kind in METRICS else known[kind],
-            angular=channel_name in plant.angles,
+            units=UNNAMED_UNITS if channel is None else units[channel],
             channel_name=channel_name,
         )
 
-    base = Window(config.metrics.after, config.metrics.settling_band)
+    base = Window(config.metrics.after, config.metrics.settling_band, config.metrics.settling_percent)
     require_samples(config, base, "metrics.after")
     named = config.metrics.names
     kinds = default_kinds(several) if named is None else [short(name) for name in named]
@@ -85,15 +91,20 @@ def measured(
                 raise ConfigError(f"{place}.metric", f"'{wanted}' needs {needs}, which this loop does not have")
             raise ConfigError(f"{place}.metric", f"unknown metric '{wanted}'; {nearest(wanted, names)}")
         after = base.after if table.after is None else table.after
-        window = Window(after, table.settling_band or base.band)
+        window = Window(after, table.settling_band or base.band, table.settling_percent or base.percent)
         require_samples(config, window, f"{place}.after")
         name = wanted if window == base else f"{wanted}_after_{after:.12g}"
         if window.band != base.band:
             name += f"_within_{window.band:.12g}"
+        if window.percent != base.percent:
+            name += f"_within_{window.percent:.12g}_percent"
         measures.setdefault(name, measure(name, wanted, window))
         requirement = Requirement(measures[name], table.max, table.min)
         if any(requirement.name == other.name for other in requirements):
             raise ConfigError(place, f"'{wanted}' is bounded on this side already; keep the stricter one")
+        requirements.append(requirement)
+    for requirement in enveloped(config, channels, units):
+        measures[requirement.measure.name] = requirement.measure
         requirements.append(requirement)
     if not measures:
         raise ConfigError("metrics.names", "names none, and nothing is required: nothing would be measured; name one")
@@ -102,6 +113,40 @@ def measured(
             "plot.metric", f"unknown metric '{config.plot.metric}'; {nearest(config.plot.metric, measures)}"
         )
     return tuple(measures.values()), tuple(requirements)
+
+
+SIGNALS = {
+    "y": ("y", "the output y", lambda s: s.e + s.reference.y),
+    "e": ("y", "the output error e", lambda s: s.e),
+    "sigma": ("y/s", "sigma", lambda s: s.sigma),
+    "u": ("u", "the robust command u", lambda s: s.u),
+    "u_total": ("u", "the command u + u_n", lambda s: s.u_total),
+}
+"""Unit, meaning and value of each signal that an envelope can bound."""
+
+
+def enveloped(config: StudyTable, channels: tuple[str, ...], units: tuple[ChannelUnits, ...]) -> list[Requirement]:
+    """The requirement of each envelope: that the signal's smallest distance from its bounds is not negative.
+
+    Raises:
+        ConfigError: Its channel is not one of the loop's.
+    """
+    requirements: list[Requirement] = []
+    for index, table in enumerate(config.envelope):
+        channel = table.channel or ""
+        if channel not in channels:
+            valid = ", ".join(filter(None, channels)) or "none, since the plant has a single one"
+            raise ConfigError(f"envelope.{index}.channel", f"must be one of the channels, {valid}; got {channel!r}")
+        number = channels.index(channel)
+        kind = f"envelope_{table.signal}"
+        unit, meaning, signal = SIGNALS[table.signal]
+        metric = envelope_metric(signal, unit, units[number].named(meaning), table.lower, table.upper)
+        same = sum(r.measure.kind == kind and r.measure.channel == number for r in requirements)
+        name = suffixed(kind, channel) + (f"_{same + 1}" if same else "")
+        window = Window(config.metrics.after, config.metrics.settling_band, config.metrics.settling_percent)
+        measure = Measure(name, kind, replace(window, after=0.0), number, metric, units[number], channel)
+        requirements.append(Requirement(measure, minimum=0.0))
+    return requirements
 
 
 def require_samples(config: StudyTable, window: Window, place: str) -> None:

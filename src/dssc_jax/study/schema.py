@@ -1,13 +1,16 @@
 """The fixed tables of the study file, validated by pydantic before any model is looked up."""
 
 import math
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, model_validator
 
+from dssc_jax.closed_loop.step_response import crossing
 from dssc_jax.core.errors import nearest
 from dssc_jax.core.integrators import Integrator
+from dssc_jax.core.units import parsed_unit
 from dssc_jax.study.laws import is_number
 
 STRICT = ConfigDict(extra="forbid", strict=True, frozen=True)
@@ -20,6 +23,8 @@ def finite_number(value: Any) -> float:
     return float(value)
 
 
+LONGEST_UNIT, LONGEST_PHRASE, MOST_POINTS = 40, 60, 64
+Phrase = Annotated[str, StringConstraints(pattern=r"^[^\x00-\x1f]+$", max_length=LONGEST_PHRASE)]
 Finite = Annotated[float, BeforeValidator(finite_number)]
 
 
@@ -27,7 +32,7 @@ class SettledTable(BaseModel):
     """``[loop.settled]``: when a settled draw ends before its full duration."""
 
     model_config = STRICT
-    error: Finite = Field(gt=0.0, description="largest |e| of a settled loop [m]")
+    error: Finite = Field(gt=0.0, description="largest |e| of a settled loop, in the output's unit")
     hold: Finite = Field(gt=0.0, description="time for which |e| must stay below it [s]")
     after: Finite = Field(default=0.0, ge=0.0, description="time from which on a draw may settle [s]")
 
@@ -70,7 +75,12 @@ class MetricsTable(BaseModel):
 
     model_config = STRICT
     after: Finite = Field(default=0.0, ge=0.0, description="start of the window [s]")
-    settling_band: Finite = Field(default=0.05, gt=0.0, description="|e| below which the loop counts as settled [m]")
+    settling_band: Finite = Field(
+        default=0.05, gt=0.0, description="|e| below which the loop counts as settled, in the output's unit"
+    )
+    settling_percent: Finite = Field(
+        default=2.0, gt=0.0, lt=100.0, description="share of a step below which its response counts as settled [%]"
+    )
     names: list[str] | None = Field(default=None, description="metrics to report; absent: the usual ones")
 
 
@@ -83,7 +93,10 @@ class RequirementTable(BaseModel):
         default=None, ge=0.0, description="start of its window [s]; absent: that of `[metrics]`"
     )
     settling_band: Finite | None = Field(
-        default=None, gt=0.0, description="its settling band [m]; absent: that of `[metrics]`"
+        default=None, gt=0.0, description="its settling band, in the output's unit; absent: that of `[metrics]`"
+    )
+    settling_percent: Finite | None = Field(
+        default=None, gt=0.0, lt=100.0, description="its share of a step [%]; absent: that of `[metrics]`"
     )
     max: Finite | None = Field(default=None, description="upper bound")
     min: Finite | None = Field(default=None, description="lower bound")
@@ -93,6 +106,72 @@ class RequirementTable(BaseModel):
         if (self.max is None) == (self.min is None):
             raise ValueError("needs exactly one of max and min")
         return self
+
+
+def unit_text(value: Any) -> str:
+    """A unit as a product of powers.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    if not isinstance(value, str) or len(value) > LONGEST_UNIT:
+        raise ValueError(f"must be a unit of at most {LONGEST_UNIT} characters, such as 'rad/s', got {value!r}")
+    parsed_unit(value)
+    return value
+
+
+Unit = Annotated[str, BeforeValidator(unit_text)]
+
+
+def parse_points(value: Any) -> tuple[tuple[float, float], ...]:
+    """The points ``[[time, value], ...]`` of a bound over time.
+
+    Raises:
+        ValueError: they are not two or more pairs of numbers, or a time lies before the one above it.
+    """
+    pairs = isinstance(value, list | tuple) and len(value) >= 2
+    if not pairs or not all(isinstance(p, list | tuple) and len(p) == 2 and all(map(is_number, p)) for p in value):
+        raise ValueError(f"must be two or more points [time, value], got {value!r}")
+    if len(value) > MOST_POINTS:
+        raise ValueError(f"takes at most {MOST_POINTS} points, got {len(value)}")
+    points = tuple((float(t), float(y)) for t, y in value)
+    for before, after in pairwise(points):
+        if after[0] < before[0]:
+            raise ValueError(f"must have rising times, got {after[0]:g} s after {before[0]:g} s")
+    return points
+
+
+class EnvelopeTable(BaseModel):
+    """``[[envelope]]``: bounds of a signal over time, straight between their points; a requirement of its own."""
+
+    model_config = STRICT
+    signal: Literal["y", "e", "sigma", "u", "u_total"] = Field(default="y", description="the bounded signal")
+    channel: str | None = Field(default=None, description="its channel; required where there are several")
+    upper: Annotated[tuple[tuple[float, float], ...], BeforeValidator(parse_points)] = Field(
+        default=(), description="points [time, value] of the upper bound; before and after them there is none"
+    )
+    lower: Annotated[tuple[tuple[float, float], ...], BeforeValidator(parse_points)] = Field(
+        default=(), description="points [time, value] of the lower bound"
+    )
+
+    @model_validator(mode="after")
+    def _bounds(self) -> "EnvelopeTable":
+        if not self.upper and not self.lower:
+            raise ValueError("needs upper or lower, or both")
+        at = crossing(self.lower, self.upper)
+        if at is not None:
+            raise ValueError(f"the lower bound must not exceed the upper one, which it does at {at:g} s")
+        return self
+
+
+class UnitsTable(BaseModel):
+    """``[units]``: units and meanings of the plant's output and command; `[units.z]` holds for one channel."""
+
+    model_config = STRICT
+    output: Unit | None = Field(default=None, description="unit of the output y; absent: the plant's own")
+    command: Unit | None = Field(default=None, description="unit of the command u; absent: the plant's own")
+    output_meaning: Phrase | None = Field(default=None, description="what the output is, such as `shaft speed`")
+    command_meaning: Phrase | None = Field(default=None, description="what the command is, such as `armature voltage`")
 
 
 class PlotTable(BaseModel):
@@ -179,6 +258,7 @@ class TuneTable(BaseModel):
         default={}, description="interval of each number that is tuned"
     )
     certified: bool = Field(default=False, description="whether Theorem 1 chooses the gains")
+    proved: bool = Field(default=False, description="whether the sampled loop is proved at every accepted point")
     free: dict[str, Annotated[tuple[float, float] | float, BeforeValidator(parse_free)]] = Field(
         default={}, description="free parameter of the theorem: its interval, or its fixed value"
     )
@@ -232,6 +312,7 @@ class StudyTable(BaseModel):
     loop: LoopTable = Field(description="clock and precision")
     plant: dict[str, Any] = Field(description="model of the plant")
     controller: dict[str, Any] = Field(description="controller and its gains")
+    units: dict[str, Any] = Field(default={}, description="units and meanings of the output and the command")
     reference: dict[str, Any] = Field(default={"kind": "zero"}, description="desired output")
     sensor: dict[str, Any] = Field(default={"kind": "ideal"}, description="model of the sensors")
     differentiator: dict[str, Any] = Field(default={"kind": "none"}, description="estimator of the output's derivative")
@@ -241,6 +322,7 @@ class StudyTable(BaseModel):
     compare: dict[str, dict[str, Any]] = Field(default={}, description="gains of other controllers, for `compare`")
     metrics: MetricsTable = Field(default=MetricsTable(), description="metrics and their window")
     requirement: list[RequirementTable] = Field(default=[], description="bounds that a draw must keep")
+    envelope: list[EnvelopeTable] = Field(default=[], description="bounds over time that a draw must keep")
     tune: TuneTable | None = Field(default=None, description="problem of `tune`")
     sweep: dict[str, Annotated[tuple[float, ...], BeforeValidator(parse_axis)]] = Field(
         default={}, description="values of swept numbers"

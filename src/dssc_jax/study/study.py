@@ -16,10 +16,13 @@ from dssc_jax.closed_loop.sample import Loop, LoopParams
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
+from dssc_jax.core.units import ChannelUnits
 from dssc_jax.study.build import build
 from dssc_jax.study.components import Number
 from dssc_jax.study.correlation import matrix, paired, require_correlation
 from dssc_jax.study.laws import Law
+from dssc_jax.study.library import find
+from dssc_jax.study.recorded import with_records
 from dssc_jax.study.schema import StudyTable
 from dssc_jax.study.tables import changed, read_toml
 
@@ -39,6 +42,7 @@ class Study:
         config: The fixed tables.
         loop: The models in their slots, and the clock.
         template: Parameters of the loop; leaves are numbers, or laws for uncertain numbers.
+        units: Units and meanings of each channel's output and command, in the order of the channels.
         numbers: Every number of the loop by dotted name: meaning, value or law, and its paths in the template.
         measures: The metrics to compute.
         requirements: The requirements.
@@ -49,21 +53,25 @@ class Study:
     config: StudyTable
     loop: Loop
     template: LoopParams
+    units: tuple[ChannelUnits, ...]
     numbers: dict[str, Number]
     measures: tuple[Measure, ...]
     requirements: tuple[Requirement, ...]
 
     @classmethod
     def load(cls, path: str | Path) -> "Study":
-        """Read and validate a study file; models that it refers to as ``module:object`` are imported.
+        """Read and validate a study; models that it refers to as ``module:object`` are imported.
+
+        Recorded signals (``file`` and ``column``) are read from files relative to the study's folder.
 
         Args:
-            path: A TOML file.
+            path: A TOML file, or the name of a packaged study, as on the command line.
 
         Raises:
             ConfigError: File, dotted path, rule and value of the first error.
         """
-        return cls.from_table(read_toml(path), str(path))
+        file = find(str(path))
+        return cls.from_table(with_records(read_toml(file), file.parent), str(path))
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any], source: str = "study") -> "Study":
@@ -87,7 +95,8 @@ class Study:
         Raises:
             ConfigError: A name does not exist, or the changed study is not valid.
         """
-        return Study.from_table(changed(self.table, changes, self.source), self.source)
+        table = with_records(changed(self.table, changes, self.source), Path(self.source).parent)
+        return Study.from_table(table, self.source)
 
     def without_sweep(self) -> "Study":
         """Return the study without its sweep."""

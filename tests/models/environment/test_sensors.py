@@ -203,7 +203,7 @@ def test_laws_stand_in_the_numbers():
     table = {"kind": "noisy", "position_std": {"uniform": [0.0, 0.1]}, "velocity_bias": {"normal": [0.0, 0.2]}}
     component = parse_component(table, SENSORS, "sensor")
     assert isinstance(component.params.position_std, Law)
-    assert {n.name: n for n in component.numbers}["velocity_bias"].quantity.unit == "m/s"
+    assert {n.name: n for n in component.numbers}["velocity_bias"].quantity.unit == "y/s"
 
 
 @pytest.mark.parametrize(

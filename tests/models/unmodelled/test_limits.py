@@ -59,7 +59,7 @@ def test_gradients_are_finite(kind, number):
     assert float(jax.grad(after)(2.0, 5.0)) == (0.5 if kind == "rate_limit" else 1.0)
 
 
-@pytest.mark.parametrize(("kind", "number", "unit"), [("rate_limit", "rate", "m/s^2"), ("saturation", "limit", "m/s")])
+@pytest.mark.parametrize(("kind", "number", "unit"), [("rate_limit", "rate", "u/s"), ("saturation", "limit", "u")])
 def test_the_number_may_be_a_law_and_is_positive(kind, number, unit):
     part = parsed(kind=kind, **{number: {"uniform": [1.0, 2.0]}})
     assert isinstance(part.params[0], Law)

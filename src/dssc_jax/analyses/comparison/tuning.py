@@ -28,7 +28,14 @@ STATE_DEPENDENT = {
     "field": ("kappa1", "kappa2"),
     "vgsta": ("kappa_d", "gamma"),
 }
-GAINS = {"pi": ("k_p", "k_i"), "sta": ("kappa1", "kappa2"), "vgsta": ("kappa_d", "gamma"), "smc": ("gain",)}
+GAINS = {
+    "pi": ("k_p", "k_i"),
+    "sta": ("kappa1", "kappa2"),
+    "vgsta": ("kappa_d", "gamma"),
+    "smc": ("gain",),
+    "pid": ("k_p", "k_i"),
+    "state_feedback": ("k_1", "k_2"),
+}
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,7 @@ class Margins(Analysis):
         criterion: The condition for a draw to pass, in words.
         times: Total time and compile time in seconds.
         stored: The range certified by Theorem 1, for a study whose code is not loaded; else computed from the study.
+        proof: How far the sampled loop is proved, as :meth:`dssc_jax.ProvedReach.summary` says it; None if not asked.
     """
 
     kind = "margin"
@@ -55,6 +56,7 @@ class Margins(Analysis):
     criterion: tuple[str, ...]
     times: dict[str, float] = field(default_factory=dict)
     stored: Reach | None = None
+    proof: dict[str, Any] | None = None
 
     @classmethod
     def of(
@@ -181,6 +183,7 @@ class Margins(Analysis):
             "non_monotone": float(data["non_monotone"].mean()),
             "certified": self.certificate.value,
             "certificate": self.certificate.text,
+            "proof": self.proof,
             "degradation": {
                 "band": curve.attrs["band"],
                 **{name: curve[name].values for name in ("value", "probability", "lower", "upper")},
@@ -196,6 +199,7 @@ class Margins(Analysis):
             "criterion": list(self.criterion),
             "times": self.times,
             "certificate": self.certificate._asdict(),
+            "proof": self.proof,
         }
 
     @classmethod
@@ -205,4 +209,5 @@ class Margins(Analysis):
         dataset = dataset.rename({old: new for old, new in FIRST_MARGIN_NAMES.items() if old in dataset})
         certificate = Reach(**settings["certificate"]) if isinstance(study, Described) else None
         walk, criterion = Walk(**settings["walk"]), tuple(settings["criterion"])
-        return cls(study, dataset, settings["parameter"], walk, criterion, settings["times"], certificate)
+        times, proof = settings["times"], settings.get("proof")
+        return cls(study, dataset, settings["parameter"], walk, criterion, times, certificate, proof)

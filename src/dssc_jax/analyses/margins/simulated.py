@@ -3,6 +3,8 @@
 import math
 import time
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +14,7 @@ from dssc_jax.analyses.margins.search import CLOCK, Critical, Walk, search_criti
 from dssc_jax.closed_loop.requirements import worst_slack
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.design.certification import NotCovered
 from dssc_jax.engine.batching import BLOCK, Arrays, Clock, Engine, Layout, drawn, execute
 from dssc_jax.engine.evaluation import Evaluator, require_independent
 from dssc_jax.study import Study
@@ -26,6 +29,7 @@ def margin(
     log: bool = False,
     points: int = POINTS,
     bisections: int = BISECTIONS,
+    prove: bool = False,
     progress: ProgressCallback | None = None,
 ) -> Margins:
     """Find the critical value of one number of the loop for every draw of a study.
@@ -45,6 +49,8 @@ def margin(
         points: Number of values in the bracketing grid. A failure between two neighbouring values is not noticed if the
             draw passes at both.
         bisections: Number of bisections of the grid cell.
+        prove: Also prove the sampled loop along the walk, for all plants of the laws at once, as far as a proof is
+            found (:func:`dssc_jax.proved_up_to`).
         progress: Called with the lanes done.
 
     Raises:
@@ -66,7 +72,18 @@ def margin(
     critical, values = find(study, over, walk, bisections, clock, progress or (lambda done, total: None))
     times = {"seconds": time.perf_counter() - began, "compile_seconds": clock.compile_seconds}
     criterion = tuple(requirement.text for requirement in study.requirements) or ("the draw stays finite",)
-    return Margins.of(study, over, walk, critical, values, times, criterion)
+    margins = Margins.of(study, over, walk, critical, values, times, criterion)
+    return replace(margins, proof=proof_along(study, walk, over)) if prove else margins
+
+
+def proof_along(study: Study, walk: Walk, over: str) -> dict[str, Any]:
+    """How far along a walk the sampled loop is proved, or why a proof does not cover it."""
+    from dssc_jax.proofs.reach import proved_up_to
+
+    try:
+        return proved_up_to(study, over, (walk.start, walk.end), log=walk.log).summary()
+    except NotCovered as error:
+        return {"over": over, "proved_up_to": None, "statement": f"A proof does not cover the loop: {error}."}
 
 
 def checked_walk(

@@ -99,6 +99,7 @@ class Assessment(Analysis):
         return {
             **{name: own[name] for name in ("parameter", "unit", "draws", "bounds")},
             "certificate": {"certified": own["certified"], "text": own["certificate"]},
+            "proof": own["proof"],
             PERFORMANCE: distribution_summary(self.performance),
             "local": {kind.value: distribution_summary(margins) for kind, margins in self.local.items()},
             "edge": self.edge,
@@ -150,13 +151,15 @@ def assess(
     points: int = POINTS,
     bisections: int = BISECTIONS,
     rivals: Mapping[str, Study] | None = None,
+    prove: bool = False,
     progress: ProgressCallback | None = None,
 ) -> Assessment:
     """Assess one number's critical value by Theorem 1, linearisation, describing functions and simulation.
 
     Each method answers a different question. The theorem covers all draws and all states, but the loop without lag and
-    sampling. Eigenvalues cover small deviations, describing functions the oscillations that switching laws sustain, and
-    simulation the requirements. If a method does not apply, the result gives the reason.
+    sampling. A proof covers the sampled loop with its lag, for all plants of the laws at once. Eigenvalues cover small
+    deviations, describing functions the oscillations that switching laws sustain, and simulation the requirements. If a
+    method does not apply, the result gives the reason.
 
     Args:
         study: The study; its own sweep is ignored.
@@ -166,6 +169,7 @@ def assess(
         points: Number of values in the bracketing grid.
         bisections: Number of bisections of the grid cell.
         rivals: The study with other controllers, whose oscillations over a lag's mu are shown for comparison.
+        prove: Also prove the sampled loop, as far as a proof is found.
         progress: Called with the lanes done for the simulated margin.
 
     Raises:
@@ -173,7 +177,7 @@ def assess(
     """
     began = time.perf_counter()
     walk = {"over": over, "bounds": bounds, "log": log, "points": points, "bisections": bisections}
-    performance = margin(study, **walk, progress=progress)
+    performance = margin(study, **walk, prove=prove, progress=progress)
     study = study.without_sweep()
     local, not_covered, edge = {}, {}, None
     for kind in Time:

@@ -23,7 +23,7 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
     Args:
         study: A study of one channel under a lag.
         values: Time constants mu [s].
-        push: Initial output [m].
+        push: Initial output.
         after: Time after which oscillations have settled or decayed [s].
 
     Returns:
@@ -53,10 +53,11 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
     cycles = [limit_cycle(rest, {MU: value}) if known else None for value in values]
     predicted = [(cycle.amplitude, cycle.frequency) if cycle else (np.nan, np.nan) for cycle in cycles]
     amplitude, frequency = np.array(predicted).T
+    unit = study.units[0].of("y/s")
     return xr.Dataset(
         {
-            "amplitude": ((MU,), largest, {"units": "m/s", "long_name": "largest |sigma| of what is left"}),
-            "predicted": ((MU,), amplitude, {"units": "m/s", "long_name": "amplitude by describing function"}),
+            "amplitude": ((MU,), largest, {"units": unit, "long_name": "largest |sigma| of what is left"}),
+            "predicted": ((MU,), amplitude, {"units": unit, "long_name": "amplitude by describing function"}),
             "frequency": ((MU,), frequency, {"units": "rad/s", "long_name": "frequency by describing function"}),
         },
         coords={MU: ((MU,), np.asarray(values, float), {"units": "s", "long_name": "time constant mu"})},

@@ -2,16 +2,20 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dssc_jax.analyses.tuning.certified import NUMBERS, Theorem, split_parameters
 from dssc_jax.analyses.tuning.mirror import Mirror, as_they_are
 from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.design.certification import NotCovered
 from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.models.controllers.dssc import DsscGains
 from dssc_jax.study import Law, Study
 from dssc_jax.study.schema import TuneTable
+
+if TYPE_CHECKING:
+    from dssc_jax.proofs.prove import Proved
 
 DESCENTS = ("adam", "adabelief", "amsgrad", "lion", "nadam", "rmsprop", "sgd")  # names in optax
 EVOLUTION = "differential_evolution"  # in scipy.optimize
@@ -19,6 +23,18 @@ PROGRAMMING = "sqp"  # in programming.py
 OPTIMISERS = (*DESCENTS, PROGRAMMING, EVOLUTION)
 WIDTH = "controller.sign_width"
 ASSUMED = ("plant", "reference", "disturbance")  # parts of the loop whose numbers the theorem's bounds are made of
+
+
+def example(study: Study) -> str:
+    """The smallest ``[tune]`` of a study: its controller's first positive gain, and its first metric."""
+    gains = {
+        name: value
+        for name, value in study.leaves().items()
+        if name.startswith("controller.") and isinstance(value, float) and value > 0.0 and study.quantities[name].law
+    }
+    ranges = [f'"{name}" = [{value / 3.0:.3g}, {value * 3.0:.3g}]' for name, value in list(gains.items())[:1]]
+    metric = next((measure.name for measure in study.measures), "error_rms")
+    return f"[tune] parameters = {{ {', '.join(ranges)} }}, objective = {{ {metric} = 1.0 }}"
 
 
 @dataclass(frozen=True)
@@ -55,7 +71,7 @@ class Plan:
     def _of(cls, study: Study) -> "Plan":
         table = study.config.tune
         if table is None:
-            raise ConfigError("tune", "is required and missing: parameters and objective")
+            raise ConfigError("tune", f"is required and missing; for example: {example(study)}")
         if table.optimiser not in OPTIMISERS:
             rule = f"unknown name '{table.optimiser}'; {nearest(table.optimiser, OPTIMISERS)}"
             raise ConfigError("tune.optimiser", rule)
@@ -87,6 +103,8 @@ class Plan:
             raise ConfigError("tune.free", "belongs to certified = true")
         elif table.slack is not None:
             theorem = Theorem(study, {}, "tune.slack")
+        if table.proved:
+            require_provable(study)
         if not varied:
             raise ConfigError("tune.parameters", "names nothing to tune; give NAME = [low, high]")
         mirror = Mirror(varied, starts, theorem.expand if theorem and table.certified else as_they_are)
@@ -97,6 +115,13 @@ class Plan:
         """The measures that objective and limits need, by name."""
         by_name = {measure.name: measure for measure in self.study.measures}
         return {name: by_name[name] for name in (*self.table.objective, *self.table.limits)}
+
+    def proof_at(self, numbers: Mapping[str, float]) -> "Proved":
+        """The proof of the study with other numbers, as far as there is one."""
+        from dssc_jax.proofs import SWEEP_BOXES
+        from dssc_jax.proofs.prove import prove
+
+        return prove(self.study.override(dict(numbers)), boxes=SWEEP_BOXES)
 
     def trial(self) -> Study:
         """The study used for training: with other draws, and only the metrics needed."""
@@ -119,6 +144,22 @@ class Plan:
             if name.rpartition(":")[2] == measure.kind:
                 return name
         return measure.kind
+
+
+def require_provable(study: Study) -> None:
+    """Require a loop that a proof covers, and what proofs need.
+
+    Raises:
+        ConfigError: it is outside of what a proof covers, or a package is missing.
+    """
+    try:
+        from dssc_jax.proofs.coverage import problem_of
+
+        problem_of(study)
+    except ImportError as error:
+        raise ConfigError("tune.proved", f"needs {error.name}: pip install 'dssc_jax[proofs]'") from None
+    except NotCovered as error:
+        raise ConfigError("tune.proved", f"a proof does not cover this loop: {error}") from None
 
 
 def seed_of(study: Study, table: TuneTable) -> int:

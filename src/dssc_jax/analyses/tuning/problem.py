@@ -59,6 +59,7 @@ class Problem:
     added: Arrays = field(default_factory=dict)
     width: float | None = field(default=None, init=False)
     certified: int = field(default=0, init=False)
+    proved: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
         trial, mirror, table = self.plan.trial(), self.plan.mirror, self.plan.table
@@ -154,10 +155,14 @@ class Problem:
         return Point(z, merit, along(merit.gradient), slopes)
 
     def allowed(self, z: np.ndarray) -> bool:
-        """Whether the point passes the strict check of Theorem 1, if that is required."""
-        if self.plan.theorem is None:
-            return True
+        """Whether the point passes the strict check of Theorem 1, and is proved, if either is required."""
         numbers = {name: float(column[0]) for name, column in self.plan.mirror.numbers(z[None]).items()}
-        holds = self.plan.theorem.certificate(numbers).certified
-        self.certified += holds
-        return holds
+        if self.plan.theorem is not None:
+            if not self.plan.theorem.certificate(numbers).certified:
+                return False
+            self.certified += 1
+        if self.plan.table.proved:
+            if not self.plan.proof_at(numbers).complete:
+                return False
+            self.proved += 1
+        return True

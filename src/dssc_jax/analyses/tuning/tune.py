@@ -56,9 +56,11 @@ def tune(
         require_falsifiable(plan.study, rounds, budget)
     if plan.theorem is not None:
         require_certified(plan)
+    if plan.table.proved:
+        require_proved(plan)
     problem, added, hunts = Problem(plan), {}, []
     outcome, gradients = solve(problem, progress)
-    certified = problem.certified
+    certified, proved = problem.certified, problem.proved
     while robust:
         tuned = plan.study.override(numbers_at(plan, outcome.best.z))
         worst = falsify(tuned, budget=budget, seed=len(hunts))
@@ -68,7 +70,7 @@ def tune(
         added = joined(added, worst.witness)
         problem = Problem(plan, added)
         outcome, gradients = solve(problem, progress)
-        certified += problem.certified
+        certified, proved = certified + problem.certified, proved + problem.proved
     start, numbers = (numbers_at(plan, z) for z in (plan.mirror.origin, outcome.best.z))
     verdict, costs = judge_tuning(plan, problem.goal, start, numbers)
     facts = {
@@ -78,6 +80,8 @@ def tune(
         "violation": outcome.best.merit.violation,
         "shortened": outcome.shortened,
         "certified_points": certified if plan.theorem else None,
+        "proved_points": proved if plan.table.proved else None,
+        "proof": plan.proof_at(numbers).statement() if plan.table.proved else None,
         "counterexamples": hunts,
         "seconds": time.perf_counter() - began,
     }
@@ -135,6 +139,18 @@ def require_certified(plan: Plan) -> None:
     if not plan.theorem.certificate(numbers).certified:
         place = "tune.free" if plan.table.certified else "tune.slack"
         raise ConfigError(plan.study.source, f"{place}: the start is infeasible: its design is not certified")
+
+
+def require_proved(plan: Plan) -> None:
+    """Require that the start is proved.
+
+    Raises:
+        ConfigError: it is not.
+    """
+    proof = plan.proof_at(numbers_at(plan, plan.mirror.origin))
+    if not proof.complete:
+        reason = proof.summary()["failures"][0]["text"]
+        raise ConfigError(plan.study.source, f"tune.proved: the start is infeasible: it is not proved: {reason}")
 
 
 def require_falsifiable(study: Study, rounds: int, budget: int) -> None:

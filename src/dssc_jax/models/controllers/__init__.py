@@ -4,10 +4,21 @@ from dssc_jax.core.registry import Registry
 from dssc_jax.models.controllers.differentiators import DIFFERENTIATORS
 from dssc_jax.models.controllers.dssc import DSSC, SSC
 from dssc_jax.models.controllers.pi import PI
+from dssc_jax.models.controllers.pid import PID
 from dssc_jax.models.controllers.smc import SMC
 from dssc_jax.models.controllers.sta import STA
+from dssc_jax.models.controllers.state_feedback import STATE_FEEDBACK
 from dssc_jax.models.controllers.vgsta import VGSTA
 
-CONTROLLERS: Registry = {"dssc": DSSC, "ssc": SSC, "sta": STA, "vgsta": VGSTA, "pi": PI, "smc": SMC}
+CONTROLLERS: Registry = {
+    "dssc": DSSC,
+    "ssc": SSC,
+    "sta": STA,
+    "vgsta": VGSTA,
+    "pi": PI,
+    "smc": SMC,
+    "pid": PID,
+    "state_feedback": STATE_FEEDBACK,
+}
 
 __all__ = ["CONTROLLERS", "DIFFERENTIATORS"]

@@ -29,7 +29,7 @@ TAU_F = Quantity("s", "time constant tau_f of the lead filter", above=0.0)
 EPSILON = Quantity("s", "time constant epsilon of the high-gain observer", above=0.0)
 ALPHA_1 = Quantity("1", "alpha_1 of the high-gain observer", above=0.0)
 ALPHA_2 = Quantity("1", "alpha_2 of the high-gain observer", above=0.0)
-LIPSCHITZ = Quantity("m/s^2", "bound L of |y''|", above=0.0)
+LIPSCHITZ = Quantity("y/s^2", "bound L of |y''|", above=0.0)
 LAMBDA_1 = Quantity("1", "lambda_1 of the robust exact differentiator", above=0.0)
 LAMBDA_0 = Quantity("1", "lambda_0 of the robust exact differentiator", above=1.0)
 

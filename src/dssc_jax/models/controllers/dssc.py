@@ -49,7 +49,7 @@ class DsscGains(NamedTuple):
     rho: Annotated[State, Slot(MODULATIONS, number="constant")]
     nominal: NominalGains | None = None
     predictor_start: PredictorStart = PredictorStart.ZERO
-    sign_width: Annotated[Scalar | None, Quantity("m/s", "width of the smoothed sign", at_least=0.0)] = None
+    sign_width: Annotated[Scalar | None, Quantity("y/s", "width of the smoothed sign", at_least=0.0)] = None
 
 
 class DsscState(NamedTuple):

@@ -15,10 +15,10 @@ from dssc_jax.core.signals import Scalar
 
 ROOT_FLOOR = 1e-9  # [(m/s)^(1/2)]: the standard STA's k_o tau_av and tau_m vanish at sigma = 0
 
-KAPPA_1 = Quantity("(m/s)^(1/2)", "proportional gain kappa_1 in Table 2's normalisation", above=0.0)
-KAPPA_2 = Quantity("m/s^2", "integral gain kappa_2 in Table 2's normalisation: sgn times kappa_2/2", above=0.0)
-DELTA = Quantity("(m/s)^(1/2)", "smoothing delta", above=0.0)
-K_O = Quantity("1/s", "predictor gain k_o", above=0.0)
+KAPPA_1 = Quantity("u (y/s)^(-1/2)", "proportional gain kappa_1 in Table 2's normalisation", above=0.0)
+KAPPA_2 = Quantity("u/s", "integral gain kappa_2 in Table 2's normalisation: sgn times kappa_2/2", above=0.0)
+DELTA = Quantity("(y/s)^(1/2)", "smoothing delta", above=0.0)
+K_O = Quantity("y/(s^2 u)", "predictor gain k_o", above=0.0)
 TAU_AV = Quantity("s", "averaging time constant tau_av", above=0.0)
 TAU_M = Quantity("s", "predictor time constant tau_m", above=0.0)
 
@@ -154,8 +154,8 @@ class ApproximateSta2(NamedTuple):
 class SquareRoot(NamedTuple):
     """The functions of the article's simulations (Section V-B)."""
 
-    kappa_o: Annotated[Scalar, Quantity("(m/s)^(-1/2)/s", "predictor gain's slope kappa_o", above=0.0)]
-    kappa_m: Annotated[Scalar, Quantity("s (m/s)^(-1/2)", "predictor time constant's slope kappa_m", above=0.0)]
+    kappa_o: Annotated[Scalar, Quantity("y/(s^2 u) (y/s)^(-1/2)", "predictor gain's slope kappa_o", above=0.0)]
+    kappa_m: Annotated[Scalar, Quantity("s (y/s)^(-1/2)", "predictor time constant's slope kappa_m", above=0.0)]
     delta_o: Annotated[Scalar, DELTA]
     delta_m: Annotated[Scalar, DELTA]
     tau_av: Annotated[Scalar, TAU_AV]
@@ -175,7 +175,7 @@ class Field(NamedTuple):
 
     k_o: Annotated[Scalar, K_O]
     kappa1: Annotated[Scalar, KAPPA_1]
-    kappa2: Annotated[Scalar, Quantity("m/s^2", "integral gain kappa_2, multiplying sgn itself", above=0.0)]
+    kappa2: Annotated[Scalar, Quantity("u/s", "integral gain kappa_2, multiplying sgn itself", above=0.0)]
     delta: Annotated[Scalar, Quantity("s", "smoothing delta of both time constants", above=0.0)]
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
@@ -223,7 +223,7 @@ class Vgsta(NamedTuple):
     otherwise the predictor can be unstable, which the draws then show.
     """
 
-    phi_a: Annotated[Scalar, Quantity("(m/s)^(1/2)", "square-root part phi_a", at_least=0.0)]
+    phi_a: Annotated[Scalar, Quantity("(y/s)^(1/2)", "square-root part phi_a", at_least=0.0)]
     phi_b: Annotated[Scalar, Quantity("1", "linear part phi_b", above=0.0)]
     kappa_a: Annotated[Scalar, Quantity("SI", f"{KAPPA_ABC} of |sigma|, kappa_a", at_least=0.0)]
     kappa_b: Annotated[Scalar, Quantity("SI", f"{KAPPA_ABC} of |e|, kappa_b", at_least=0.0)]

@@ -32,7 +32,7 @@ class ModulationSignals(NamedTuple):
 class ConstantModulation(NamedTuple):
     """A constant rho, as in all of the article's runs."""
 
-    rho: Annotated[Scalar, Quantity("m/s", "modulation rho", above=0.0)]
+    rho: Annotated[Scalar, Quantity("u", "modulation rho", above=0.0)]
 
     def init(self) -> tuple[()]:
         """No state."""
@@ -50,14 +50,14 @@ class NormBound(NamedTuple):
     controller's model of (A_eta, C_eta); the observer's rate and gain follow from it before tracing.
     """
 
-    k_p_max: Annotated[Scalar, Quantity("1/s", "upper bound of k_p", above=0.0)]
+    k_p_max: Annotated[Scalar, Quantity("y/(s^2 u)", "upper bound of k_p", above=0.0)]
     a_p_max: Annotated[Scalar, Quantity("1/s", "bound of |a_p|", at_least=0.0)]
-    delta_rho: Annotated[Scalar, Quantity("m/s^2", "margin delta_rho", above=0.0)]
-    alpha_d: Annotated[Scalar, Quantity("m/s", "bound of |d|, constant part", at_least=0.0)] = 0.0
-    alpha_y: Annotated[Scalar, Quantity("1/s", "bound of |d|, part growing with |y|", at_least=0.0)] = 0.0
-    alpha_y_dot: Annotated[Scalar, Quantity("1", "bound of |d|, part growing with |y'|", at_least=0.0)] = 0.0
+    delta_rho: Annotated[Scalar, Quantity("y/s^2", "margin delta_rho", above=0.0)]
+    alpha_d: Annotated[Scalar, Quantity("u", "bound of |d|, constant part", at_least=0.0)] = 0.0
+    alpha_y: Annotated[Scalar, Quantity("u/y", "bound of |d|, part growing with |y|", at_least=0.0)] = 0.0
+    alpha_y_dot: Annotated[Scalar, Quantity("u s/y", "bound of |d|, part growing with |y'|", at_least=0.0)] = 0.0
     zero_dynamics: ZeroDynamics | None = None
-    eta_bar_initial: Annotated[Scalar, Quantity("m/s^2", "initial value of eta_bar", at_least=0.0)] = 0.0
+    eta_bar_initial: Annotated[Scalar, Quantity("y/s^2", "initial value of eta_bar", at_least=0.0)] = 0.0
     observer_rate: Annotated[Scalar | None, Quantity("1/s", "lambda of the norm observer", above=0.0)] = None
     observer_gain: Annotated[Scalar | None, Quantity("1/s", "c of the norm observer", at_least=0.0)] = None
 

@@ -14,7 +14,7 @@ class NominalGains(NamedTuple):
     """Nominal plant of (37): a_n, k_n, and whether c_sigma keeps 1/tau_m."""
 
     a: Annotated[Scalar, Quantity("1/s", "nominal damping a_n")]
-    k: Annotated[Scalar, Quantity("1/s", "nominal input gain k_n", above=0.0)]
+    k: Annotated[Scalar, Quantity("y/(s^2 u)", "nominal input gain k_n", above=0.0)]
     predictor_term: bool = True
 
 

@@ -13,8 +13,8 @@ class PiGains(NamedTuple):
     """Gains of the PI controller."""
 
     l0: Annotated[Scalar, L0]
-    k_p: Annotated[Scalar, Quantity("1", "proportional gain K_P", at_least=0.0)]
-    k_i: Annotated[Scalar, Quantity("1/s", "integral gain K_I", at_least=0.0)]
+    k_p: Annotated[Scalar, Quantity("u s/y", "proportional gain K_P", at_least=0.0)]
+    k_i: Annotated[Scalar, Quantity("u/y", "integral gain K_I", at_least=0.0)]
     nominal: NominalGains | None = None
 
 

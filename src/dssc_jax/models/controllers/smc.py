@@ -15,7 +15,7 @@ class SmcGains(NamedTuple):
     """Gains of first-order sliding mode."""
 
     l0: Annotated[Scalar, L0]
-    gain: Annotated[Scalar, Quantity("m/s", "switching gain K", above=0.0)]
+    gain: Annotated[Scalar, Quantity("u", "switching gain K", above=0.0)]
     k_n: Annotated[Scalar, K_N] = 1.0
     nominal: NominalGains | None = None
 

@@ -22,8 +22,8 @@ from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, 
 from dssc_jax.models.controllers.gain_functions import KAPPA_1, KAPPA_2
 from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
 
-K_N = Quantity("1/s", "nominal input gain k_n", above=0.0)
-LIMIT = Quantity("m/s", "limit of |u|", above=0.0)
+K_N = Quantity("y/(s^2 u)", "nominal input gain k_n", above=0.0)
+LIMIT = Quantity("u", "limit of |u|", above=0.0)
 
 
 class StaGains(NamedTuple):

@@ -27,7 +27,7 @@ class VgstaGains(NamedTuple):
     """Gains of the VGSTA."""
 
     l0: Annotated[Scalar, L0]
-    phi_a: Annotated[Scalar, Quantity("(m/s)^(1/2)", "square-root part phi_a", at_least=0.0)]
+    phi_a: Annotated[Scalar, Quantity("(y/s)^(1/2)", "square-root part phi_a", at_least=0.0)]
     phi_b: Annotated[Scalar, Quantity("1", "linear part phi_b", at_least=0.0)]
     kappa_a: Annotated[Scalar, Quantity("SI", f"{KAPPA_ABC} of |sigma|, kappa_a", at_least=0.0)]
     kappa_b: Annotated[Scalar, Quantity("SI", f"{KAPPA_ABC} of |e|, kappa_b", at_least=0.0)]
@@ -35,7 +35,7 @@ class VgstaGains(NamedTuple):
     kappa_d: Annotated[Scalar, Quantity("SI", f"{KAPPA_ABC} kappa_d", at_least=0.0)]
     epsilon: Annotated[Scalar, Quantity("SI", "integral gain's share eps", at_least=0.0)]
     gamma: Annotated[Scalar, Quantity("SI", "integral gain's offset gamma", at_least=0.0)]
-    delta: Annotated[Scalar, Quantity("(m/s)^(1/2)", "smoothing delta", at_least=0.0)] = 0.0
+    delta: Annotated[Scalar, Quantity("(y/s)^(1/2)", "smoothing delta", at_least=0.0)] = 0.0
     k_n: Annotated[Scalar, K_N] = 1.0
     limit: Annotated[Scalar | None, LIMIT] = None
     nominal: NominalGains | None = None

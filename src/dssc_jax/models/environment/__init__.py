@@ -2,7 +2,8 @@
 
 from dssc_jax.core.contracts import Reference
 from dssc_jax.core.registry import Registry, single
-from dssc_jax.models.environment import disturbances, references, waypoints
+from dssc_jax.models.environment import disturbances, references, signals, waypoints
+from dssc_jax.models.environment.records import RECORD
 from dssc_jax.models.environment.sensors import SENSORS
 from dssc_jax.models.environment.wind import WINDS
 
@@ -12,6 +13,12 @@ SOCCER_FIELD = WAYPOINTS._replace(defaults=waypoints.SOCCER_FIELD)
 REFERENCES: Registry = {
     "zero": single(references.ZERO, "regulation to the origin"),
     "sine": single(references.SINE, "offset + amplitude sin(2 pi t/period + phase)"),
+    "step": single(signals.STEP_REFERENCE, "a step at a given time"),
+    "ramp": single(signals.RAMP_REFERENCE, "a ramp, for a given time or without end"),
+    "pulses": single(signals.PULSES, "a train of rectangular pulses"),
+    "chirp": signals.CHIRP,
+    "multisine": single(signals.MULTISINE, "a sum of sines"),
+    "record": RECORD,
     "mission": references.MISSION_ENTRY,
 }
 TRAJECTORIES: Registry = {

@@ -12,7 +12,7 @@ from dssc_jax.core.numerics import begun, cubic_spline, standard_normal
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurement, Scalar
 
-VALUE = Quantity("m/s", "value of d")
+VALUE = Quantity("u", "value of d")
 
 
 class ConstantParams(NamedTuple):
@@ -31,7 +31,7 @@ class StepParams(NamedTuple):
 class SineDisturbanceParams(NamedTuple):
     """amplitude sin(2 pi t/period + phase)."""
 
-    amplitude: Annotated[Scalar, Quantity("m/s", "amplitude")]
+    amplitude: Annotated[Scalar, Quantity("u", "amplitude")]
     period: Annotated[Scalar, Quantity("s", "period", above=0.0)]
     phase: Annotated[Scalar, Quantity("rad", "phase")] = 0.0
 
@@ -44,7 +44,7 @@ class SplineParams(NamedTuple):
     intervals outside the knots.
     """
 
-    knots: Annotated[tuple[Scalar, ...], Quantity("m/s", "coefficient of the spline at a knot")]
+    knots: Annotated[tuple[Scalar, ...], Quantity("u", "coefficient of the spline at a knot")]
     interval: Annotated[Scalar, Quantity("s", "time between two knots", above=0.0)]
     at: Annotated[Scalar, Quantity("s", "time of the first knot")] = 0.0
 
@@ -52,7 +52,7 @@ class SplineParams(NamedTuple):
 class NoiseParams(NamedTuple):
     """Gaussian noise of the given standard deviation and correlation time (a first-order Gauss-Markov process)."""
 
-    std: Annotated[Scalar, Quantity("m/s", "standard deviation", at_least=0.0)]
+    std: Annotated[Scalar, Quantity("u", "standard deviation", at_least=0.0)]
     correlation_time: Annotated[Scalar, Quantity("s", "correlation time", above=0.0)]
 
 
@@ -65,13 +65,13 @@ class PartitionParams(NamedTuple):
     |dd_2/dt| <= k_d5 |y| + alpha_d2; d_3 = value + (alpha_d3/omega) s.
     """
 
-    k_d1: Annotated[Scalar, Quantity("1/m", "k_d1 of (A1)", at_least=0.0)] = 0.0
-    k_d2: Annotated[Scalar, Quantity("s/m", "k_d2 of (A1)", at_least=0.0)] = 0.0
-    k_d3: Annotated[Scalar, Quantity("1", "k_d3 of (A1)", at_least=0.0)] = 0.0
-    k_d4: Annotated[Scalar, Quantity("1/s", "k_d4 of (A2)", at_least=0.0)] = 0.0
-    k_d5: Annotated[Scalar, Quantity("1/s^2", "k_d5 of (A2)", at_least=0.0)] = 0.0
-    alpha_d2: Annotated[Scalar, Quantity("m/s^2", "alpha_d2 of (A2)", at_least=0.0)] = 0.0
-    alpha_d3: Annotated[Scalar, Quantity("m/s^2", "alpha_d3 of (A3)", at_least=0.0)] = 0.0
+    k_d1: Annotated[Scalar, Quantity("u s/y^2", "k_d1 of (A1)", at_least=0.0)] = 0.0
+    k_d2: Annotated[Scalar, Quantity("u s^2/y^2", "k_d2 of (A1)", at_least=0.0)] = 0.0
+    k_d3: Annotated[Scalar, Quantity("u s/y", "k_d3 of (A1)", at_least=0.0)] = 0.0
+    k_d4: Annotated[Scalar, Quantity("u/y", "k_d4 of (A2)", at_least=0.0)] = 0.0
+    k_d5: Annotated[Scalar, Quantity("u/(s y)", "k_d5 of (A2)", at_least=0.0)] = 0.0
+    alpha_d2: Annotated[Scalar, Quantity("u/s", "alpha_d2 of (A2)", at_least=0.0)] = 0.0
+    alpha_d3: Annotated[Scalar, Quantity("u/s", "alpha_d3 of (A3)", at_least=0.0)] = 0.0
     value: Annotated[Scalar, VALUE] = 0.0
     period: Annotated[Scalar, Quantity("s", "period of the time-varying parts", above=0.0)] = 10.0
 

@@ -16,10 +16,10 @@ from dssc_jax.core.signals import ReferencePoint, Scalar
 class SineParams(NamedTuple):
     """y_m = offset + amplitude sin(2 pi t/period + phase)."""
 
-    amplitude: Annotated[Scalar, Quantity("m", "amplitude")]
+    amplitude: Annotated[Scalar, Quantity("y", "amplitude")]
     period: Annotated[Scalar, Quantity("s", "period", above=0.0)]
     phase: Annotated[Scalar, Quantity("rad", "phase")] = 0.0
-    offset: Annotated[Scalar, Quantity("m", "offset")] = 0.0
+    offset: Annotated[Scalar, Quantity("y", "offset")] = 0.0
 
 
 class Axis(StrEnum):

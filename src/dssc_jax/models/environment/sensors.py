@@ -14,10 +14,10 @@ from dssc_jax.core.signals import Measurement, Scalar
 
 MOST_DELAY = 200  # samples: the state holds two scalars for each, and every scalar is copied at every sample
 
-POSITION_STD = Quantity("m", "standard deviation of the noise on y", at_least=0.0)
-VELOCITY_STD = Quantity("m/s", "standard deviation of the noise on y'", at_least=0.0)
-POSITION_BIAS = Quantity("m", "constant error of y")
-VELOCITY_BIAS = Quantity("m/s", "constant error of y'")
+POSITION_STD = Quantity("y", "standard deviation of the noise on y", at_least=0.0)
+VELOCITY_STD = Quantity("y/s", "standard deviation of the noise on y'", at_least=0.0)
+POSITION_BIAS = Quantity("y", "constant error of y")
+VELOCITY_BIAS = Quantity("y/s", "constant error of y'")
 DELAY_SAMPLES = Quantity("1", "delay, in controller samples", at_least=0.0, at_most=float(MOST_DELAY), law=False)
 PERIOD = Quantity("1", "controller samples from one reading to the next", at_least=1.0, law=False)
 

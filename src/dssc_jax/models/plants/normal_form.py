@@ -7,6 +7,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import dot
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurement, PlantInput, Scalar
+from dssc_jax.core.units import POSITION
 from dssc_jax.core.zero_dynamics import ZeroDynamics, require_hurwitz
 
 
@@ -16,10 +17,10 @@ class NormalFormParams(NamedTuple):
     ``zero_dynamics`` holds A_eta's characteristic coefficients and C_eta; absent, the order is two.
     """
 
-    k_p: Annotated[Scalar, Quantity("1/s", "high-frequency gain k_p", above=0.0)] = 1.0
+    k_p: Annotated[Scalar, Quantity("y/(s^2 u)", "high-frequency gain k_p", above=0.0)] = 1.0
     a_p: Annotated[Scalar, Quantity("1/s", "damping a_p")] = 1.0
     zero_dynamics: ZeroDynamics | None = None
-    initial: Annotated[tuple[Scalar, ...], Quantity("m, m/s", "initial x1, x2, then eta")] = (0.0, 0.0)
+    initial: Annotated[tuple[Scalar, ...], Quantity("y, y/s", "initial x1, x2, then eta")] = (0.0, 0.0)
 
 
 class NormalFormState(NamedTuple):
@@ -91,4 +92,4 @@ def from_inner_pi(k_p: Scalar, k_i: Scalar) -> NormalFormParams:
     )
 
 
-NORMAL_FORM = Plant(NormalFormParams, init, derivative, measure, input_gain, ("x2",), prepare)
+NORMAL_FORM = Plant(NormalFormParams, init, derivative, measure, input_gain, ("x2",), prepare, units=(POSITION,))

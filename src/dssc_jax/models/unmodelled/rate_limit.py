@@ -11,7 +11,7 @@ from dssc_jax.core.signals import Scalar
 class RateLimitParams(NamedTuple):
     """The largest slope; infinite for an ideal actuator."""
 
-    rate: Annotated[Scalar, Quantity("m/s^2", "largest slope of the plant input", above=0.0)]
+    rate: Annotated[Scalar, Quantity("u/s", "largest slope of the plant input", above=0.0)]
 
 
 def step(params: RateLimitParams, state: tuple[Scalar], command: Scalar, dt: Scalar) -> tuple[Scalar]:

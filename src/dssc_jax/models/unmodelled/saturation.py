@@ -11,7 +11,7 @@ from dssc_jax.core.signals import Scalar
 class SaturationParams(NamedTuple):
     """The largest magnitude; infinite for an ideal actuator."""
 
-    limit: Annotated[Scalar, Quantity("m/s", "largest magnitude of the plant input", above=0.0)]
+    limit: Annotated[Scalar, Quantity("u", "largest magnitude of the plant input", above=0.0)]
 
 
 SATURATION = Unmodelled(

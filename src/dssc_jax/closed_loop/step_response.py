@@ -1,0 +1,220 @@
+"""Metrics of following a reference: the response to a step, gain and lag at one frequency, response envelopes.
+
+A step response is measured from the window's first sample: the step is from the output there, y_0, to the desired
+output there, r_0. Its progress is p = (y - y_0)/(r_0 - y_0), 0 at the start and 1 at the goal. Let the window begin
+with the step (``after`` equal to its time).
+
+References:
+    K. J. Astrom, R. M. Murray, Feedback Systems, 2nd ed. (2021), section 6.3 (rise time, overshoot, settling time).
+"""
+
+import math
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from dssc_jax.closed_loop.metrics import Metric, Sample, Span, Window
+from dssc_jax.core.numerics import arithmetic, atan2, root_abs
+from dssc_jax.core.signals import Scalar
+
+LOW, HIGH = 0.1, 0.9
+Points = tuple[tuple[float, float], ...]
+"""Times [s] and values of a bound, by rising time; two points of one time are a jump."""
+
+
+class StepSize(NamedTuple):
+    """Samples so far, the output at the first of them, and the desired output there."""
+
+    samples: Scalar = 0.0
+    start: Scalar = 0.0
+    goal: Scalar = 0.0
+
+    def after(self, sample: Sample) -> "StepSize":
+        """The step after one more sample; the first one defines it."""
+        first = self.samples == 0.0
+        output = sample.e + sample.reference.y
+        return StepSize(
+            self.samples + 1.0, jnp.where(first, output, self.start), jnp.where(first, sample.reference.y, self.goal)
+        )
+
+    def progress(self, sample: Sample) -> Scalar:
+        """The share p of the step that is done; 0 where there is no step."""
+        size = self.goal - self.start
+        done = sample.e + sample.reference.y - self.start
+        return jnp.where(size == 0.0, 0.0, done / jnp.where(size == 0.0, 1.0, size))
+
+    def judged(self, value: Scalar) -> Scalar:
+        """The value of a metric of this step; NaN where there is no step."""
+        return jnp.where(self.goal == self.start, jnp.nan, value)
+
+
+class Rise(NamedTuple):
+    """The step, its last progress, and the times at which 10 % and 90 % were first passed, in samples; -1: not yet."""
+
+    step: StepSize = StepSize()
+    last: Scalar = 0.0
+    low: Scalar = -1.0
+    high: Scalar = -1.0
+
+
+def rise(acc: Rise, sample: Sample, window: Window) -> Rise:
+    """Note when the progress first passes 10 % and 90 %, between two samples by a straight line."""
+    step = acc.step.after(sample)
+    p = step.progress(sample)
+    gain = p - acc.last
+
+    def passed(before: Scalar, level: float) -> Scalar:
+        now = (before < 0.0) & (p >= level)
+        share = (level - acc.last) / jnp.where(gain > 0.0, gain, 1.0)
+        return jnp.where(now, jnp.maximum(acc.step.samples - 1.0 + share, 0.0), before)
+
+    return Rise(step, p, passed(acc.low, LOW), passed(acc.high, HIGH))
+
+
+def rise_time(acc: Rise, window: Window, span: Span) -> Scalar:
+    """Time from 10 % to 90 %; infinite if 90 % is not reached."""
+    return acc.step.judged(jnp.where(acc.high < 0.0, jnp.inf, (acc.high - acc.low) * span.sample_time))
+
+
+class Peak(NamedTuple):
+    """The step, and the largest progress."""
+
+    step: StepSize = StepSize()
+    largest: Scalar = 0.0
+
+
+def largest(acc: Peak, sample: Sample, window: Window) -> Peak:
+    """The largest progress so far."""
+    step = acc.step.after(sample)
+    return Peak(step, jnp.maximum(acc.largest, step.progress(sample)))
+
+
+def overshoot(acc: Peak, window: Window, span: Span) -> Scalar:
+    """How far the largest progress exceeds 1, in per cent."""
+    return acc.step.judged(100.0 * jnp.maximum(acc.largest - 1.0, 0.0))
+
+
+class Outside(NamedTuple):
+    """The step, and the number of samples up to the last one outside the band."""
+
+    step: StepSize = StepSize()
+    last: Scalar = 0.0
+
+
+def outside(acc: Outside, sample: Sample, window: Window) -> Outside:
+    """Note a sample whose distance from the goal exceeds the band."""
+    step = acc.step.after(sample)
+    far = jnp.abs(step.progress(sample) - 1.0) > 0.01 * window.percent
+    return Outside(step, jnp.where(far, step.samples, acc.last))
+
+
+def step_settling(acc: Outside, window: Window, span: Span) -> Scalar:
+    """Time from the window's start to the first sample after which all lie in the band; infinite if none do."""
+    time = acc.last * span.sample_time
+    return acc.step.judged(jnp.where(acc.last >= span.inside, jnp.inf, time))
+
+
+class Following(NamedTuple):
+    """Sums over the window: y, r, r', r^2, r'^2, y r and y r'."""
+
+    y: Scalar = 0.0
+    r: Scalar = 0.0
+    r_dot: Scalar = 0.0
+    rr: Scalar = 0.0
+    dd: Scalar = 0.0
+    yr: Scalar = 0.0
+    yd: Scalar = 0.0
+
+
+def following(acc: Following, sample: Sample, window: Window) -> Following:
+    """Add a sample."""
+    r, d = sample.reference.y, sample.reference.y_dot
+    y = sample.e + r
+    new = Following(y, r, d, r * r, d * d, y * r, y * d)
+    return Following(*(total + value for total, value in zip(acc, new, strict=True)))
+
+
+def in_phase(acc: Following, span: Span) -> tuple[Scalar, Scalar]:
+    """The parts of y in phase with a sine r and 90 degrees ahead of it, as shares of r's amplitude.
+
+    r' is 90 degrees ahead of r, and its amplitude is larger by the angular frequency, whose square is var r'/var r.
+    """
+    n = span.inside
+    rr, dd = acc.rr - acc.r * acc.r / n, acc.dd - acc.r_dot * acc.r_dot / n
+    moves = (rr > 0.0) & (dd > 0.0)
+    ahead = (acc.yd - acc.y * acc.r_dot / n) / jnp.sqrt(jnp.where(moves, rr * dd, 1.0))
+    level = (acc.yr - acc.y * acc.r / n) / jnp.where(moves, rr, 1.0)
+    return jnp.where(moves, level, jnp.nan), jnp.where(moves, ahead, jnp.nan)
+
+
+def following_gain(acc: Following, window: Window, span: Span) -> Scalar:
+    """Amplitude of y over that of r."""
+    level, ahead = in_phase(acc, span)
+    return root_abs(level * level + ahead * ahead)
+
+
+def following_lag(acc: Following, window: Window, span: Span) -> Scalar:
+    """Phase of r less that of y, in (-pi, pi] [rad]."""
+    level, ahead = in_phase(acc, span)
+    return atan2(-ahead, level)
+
+
+STEP_RESPONSE: dict[str, Metric] = {
+    "rise_time": Metric("s", "time in which a step response goes from 10 % to 90 %", rise, rise_time, start=Rise()),
+    "overshoot_percent": Metric("%", "overshoot of a step response", largest, overshoot, start=Peak()),
+    "settling_time_percent": Metric(
+        "s", "time after which a step response stays within a per-cent band", outside, step_settling, start=Outside(),
+        counted=True,
+    ),
+    "following_gain": Metric(
+        "1", "amplitude of the output over that of a sine reference", following, following_gain, start=Following()
+    ),
+    "following_lag": Metric(
+        "rad", "phase by which the output lags a sine reference", following, following_lag, start=Following()
+    ),
+}  # fmt: skip
+
+
+def line_at(points: Points, t: Scalar, beyond: float) -> Scalar:
+    """A bound at t: straight between two points, and ``beyond`` before the first and after the last one."""
+    early = 4.0 * jnp.finfo(jnp.result_type(float)).eps * jnp.abs(t)
+    value: Scalar = beyond
+    for (begin, low), (end, high) in pairwise(points):
+        if end > begin:
+            share = (t - begin) / (end - begin)
+            value = jnp.where((t >= begin - early) & (t <= end + early), low + share * (high - low), value)
+    return value
+
+
+def envelope_metric(
+    signal: Callable[[Sample], Scalar], unit: str, meaning: str, lower: Points, upper: Points
+) -> Metric:
+    """The smallest distance of a signal from its bounds over time; negative if it crosses one.
+
+    Args:
+        signal: The signal at a sample.
+        unit: Its unit.
+        meaning: What it is.
+        lower: Points of the lower bound; empty: none.
+        upper: Points of the upper bound; empty: none.
+    """
+
+    def update(acc: Any, sample: Sample, window: Window) -> Scalar:
+        t, value = sample.k * sample.dt, signal(sample)
+        above = value - line_at(lower, t, -math.inf) if lower else math.inf
+        below = line_at(upper, t, math.inf) - value if upper else math.inf
+        return jnp.minimum(acc, jnp.minimum(above, below))
+
+    about = f"smallest distance of {meaning} from its envelope"
+    return Metric(unit, about, update, lambda acc, *_: acc, start=math.inf)
+
+
+def crossing(lower: Points, upper: Points) -> float | None:
+    """The first time of a point at which the lower bound lies above the upper one; None if it never does."""
+    with arithmetic():
+        for t in sorted({point[0] for point in (*lower, *upper)}):
+            if line_at(lower, t, -math.inf) > line_at(upper, t, math.inf):
+                return t
+    return None

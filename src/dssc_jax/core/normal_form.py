@@ -1,0 +1,141 @@
+"""Relative degree, zeros and normal form of a linear plant: whether it is of the class (5)-(8).
+
+With G(s) = k N(s)/D(s), N and D monic and r = deg D - deg N = 2, division gives D = (s^2 + q_1 s + q_0) N + R. Then
+
+    y'' = -q_1 y' - q_0 y - (R/N) y + k u.
+
+R/N is split into its static gain R(0)/N(0) and a rest that is driven by y': R/N = R(0)/N(0) + s P/N. So the plant has
+the form of (5)-(8) with k_p = k, a_p = q_1, the zero dynamics of N with output row P, and the stiffness
+q_0 + R(0)/N(0) = D(0)/N(0), which is a part of the disturbance: d = -(stiffness/k_p) y.
+
+References:
+    A. Isidori, Nonlinear Control Systems, 3rd ed. (1995), sections 4.1 and 4.3.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+VANISHING = 1e-9
+"""Relative size below which a coefficient is rounding (assumed)."""
+
+
+class RealisedSystem(NamedTuple):
+    """x' = A x + b u, y = c x, in plain numbers."""
+
+    a: tuple[tuple[float, ...], ...]
+    b: tuple[float, ...]
+    c: tuple[float, ...]
+
+
+class NormalForm(NamedTuple):
+    """A linear plant's place in the class (5)-(8).
+
+    Args:
+        relative_degree: Order of the first derivative of the output that depends on the command.
+        gain: Gain from the command to that derivative.
+        zeros: Zeros [rad/s].
+        damping: a_p [1/s]; NaN unless the relative degree is two.
+        stiffness: D(0)/N(0) [1/s^2], a part of the disturbance; NaN unless the relative degree is two.
+        zero_a: Characteristic coefficients of the zero dynamics, rising powers, without the leading 1.
+        zero_c: Output row of the zero dynamics, driven by y'.
+    """
+
+    relative_degree: int
+    gain: float
+    zeros: tuple[complex, ...]
+    damping: float
+    stiffness: float
+    zero_a: tuple[float, ...]
+    zero_c: tuple[float, ...]
+
+    @property
+    def minimum_phase(self) -> bool:
+        """Whether all zeros lie in the open left half plane."""
+        return all(zero.real < 0.0 for zero in self.zeros)
+
+    @property
+    def silence(self) -> str:
+        """Why the plant is not of the class (5)-(8); empty if it is."""
+        if self.relative_degree != 2:
+            return f"the plant has relative degree {self.relative_degree}, not two as (5)-(8)"
+        if not self.minimum_phase:
+            worst = max(self.zeros, key=lambda zero: zero.real)
+            place = f"{worst.real:.4g}" + (f" +- {abs(worst.imag):.4g}j" if worst.imag else "")
+            return f"the plant is not minimum phase, as (5)-(8) are: a zero at {place} rad/s"
+        return "" if self.gain > 0.0 else f"the plant's high-frequency gain is {self.gain:.4g}, and k_p > 0 in (5)-(8)"
+
+
+def polynomial_degree(coefficients: tuple[float, ...]) -> int | None:
+    """Degree of a polynomial, highest power first, without leading coefficients that are rounding; None if it is 0."""
+    size = np.abs(coefficients)
+    significant = np.flatnonzero(size > VANISHING * size.max())
+    return len(coefficients) - 1 - int(significant[0]) if size.max() > 0.0 else None
+
+
+def relative_degree(system: RealisedSystem) -> int | None:
+    """The smallest r with c A^(r-1) b not zero; None if the command does not reach the output.
+
+    A product counts as zero if it is rounding of the terms that it is the sum of.
+    """
+    a, row, b = np.array(system.a), np.array(system.c), np.array(system.b)
+    for degree in range(1, len(b) + 1):
+        if abs(row @ b) > VANISHING * (np.abs(row) @ np.abs(b)):
+            return degree
+        row = row @ a
+    return None
+
+
+def transfer_function(system: RealisedSystem) -> tuple[np.ndarray, np.ndarray]:
+    """Numerator and monic denominator, highest power first; the numerator without leading zeros.
+
+    With chi the characteristic polynomial of A, the numerator's coefficients are its convolution with the Markov
+    parameters c A^k b, which no subtraction of two determinants spoils.
+
+    Raises:
+        ValueError: the command does not reach the output.
+    """
+    degree = relative_degree(system)
+    if degree is None:
+        raise ValueError("the command does not reach the output")
+    a, row, b = np.array(system.a, float), np.array(system.c, float), np.array(system.b, float)
+    chi = np.real(np.poly(a))
+    markov = []
+    for k in range(len(b)):
+        markov.append(float(row @ b) if k + 1 >= degree else 0.0)
+        row = row @ a
+    return np.convolve(chi, markov)[degree - 1 : len(b)], chi
+
+
+def normal_form(numerator: np.ndarray, denominator: np.ndarray) -> NormalForm:
+    """The normal form of a strictly proper transfer function.
+
+    Args:
+        numerator: Coefficients, highest power first, shape (m + 1,), the first not zero.
+        denominator: Coefficients, highest power first, shape (n + 1,), n > m, the first not zero.
+    """
+    numerator, denominator = np.asarray(numerator, float), np.asarray(denominator, float)
+    gain = float(numerator[0] / denominator[0])
+    n, d = numerator / numerator[0], denominator / denominator[0]
+    degree = len(d) - len(n)
+    zeros = tuple(complex(zero) for zero in np.roots(n))
+    if degree != 2:
+        return NormalForm(degree, gain, zeros, np.nan, np.nan, (), ())
+    quotient, rest = np.polydiv(d, n)
+    order = len(n) - 1
+    if not order:
+        return NormalForm(degree, gain, zeros, float(d[1]), float(d[2]), (), ())
+    rest = np.pad(rest, (order - len(rest), 0))  # degree below m
+    if n[-1] == 0.0:  # a zero at the origin: not minimum phase, and no static gain
+        return NormalForm(degree, gain, zeros, float(quotient[1]), np.nan, tuple(map(float, n[:0:-1])), ())
+    static = rest[-1] / n[-1]
+    driven = np.concatenate([[0.0], rest]) - static * n  # divisible by s
+    return NormalForm(
+        degree,
+        gain,
+        zeros,
+        damping=float(quotient[1]),
+        stiffness=float(quotient[2] + static),
+        zero_a=tuple(map(float, n[:0:-1])),
+        zero_c=tuple(map(float, driven[-2::-1])),
+    )

@@ -1,0 +1,158 @@
+"""Units of a channel's signals, and the units of numbers that follow from them.
+
+Models and metrics do not know the plant that they meet. They write their units with two symbols: ``y``, the unit of
+the plant's output, and ``u``, the unit of its command. ``y/s^2`` is the unit of y'', and ``y/(s^2 u)`` that of the
+high-frequency gain. :meth:`ChannelUnits.of` puts in the plant's own units and reduces the result.
+"""
+
+import re
+from fractions import Fraction
+from functools import cache
+from typing import NamedTuple, TypeAlias
+
+OUTPUT, COMMAND = "y", "u"
+POWER = r"\^(?P<power>-?\d+|\(-?\d+(?:/\d+)?\))"
+TOKEN = re.compile(rf"\s*(?:(?P<symbol>[^\W\d_]+|[%°]\w*|1)(?:{POWER})?|(?P<sign>[/()]))\s*")
+CLOSING = re.compile(rf"\)(?:{POWER})?\s*")
+
+Powers: TypeAlias = dict[str, Fraction]
+"""Exponent of each base unit, in the order in which the units were first named."""
+
+
+class ChannelUnits(NamedTuple):
+    """Units and meanings of one channel's output and command.
+
+    A plant that names none keeps the symbols ``y`` and ``u``: its errors have the unit y, and so on.
+
+    Args:
+        output: Unit of the output y.
+        command: Unit of the command u.
+        output_meaning: What the output is, such as ``shaft speed``.
+        command_meaning: What the command is, such as ``armature voltage``.
+
+    Example:
+        >>> motor = ChannelUnits("rad/s", "V", "shaft speed", "armature voltage")
+        >>> motor.of("y/(s^2 u)"), motor.of("u^2 s"), motor.of("u (y/s)^(-1/2)")
+        ('rad/(s^3 V)', 'V^2 s', 'V s rad^(-1/2)')
+        >>> motor.named("largest output error")
+        'largest shaft speed error'
+    """
+
+    output: str = OUTPUT
+    command: str = COMMAND
+    output_meaning: str = "output"
+    command_meaning: str = "command"
+
+    def of(self, unit: str) -> str:
+        """The unit with this channel's own units in place of ``y`` and ``u``; several are separated by commas."""
+        return ", ".join(resolved(part, self.output, self.command) for part in unit.split(", "))
+
+    def named(self, meaning: str) -> str:
+        """The meaning with this channel's own words in place of ``output`` and ``command``."""
+        words = {"output": self.output_meaning, "command": self.command_meaning}
+        return re.sub(r"\b(output|command)\b", lambda word: words[word[0]], meaning)
+
+
+UNNAMED_UNITS = ChannelUnits()
+"""The units of a plant that names none."""
+
+POSITION = ChannelUnits("m", "m/s")
+"""A position driven by a velocity command, as in the article's class (5)-(8)."""
+
+ANGLE = ChannelUnits("rad", "rad/s")
+"""An angle driven by a rate command."""
+
+
+@cache
+def resolved(unit: str, output: str, command: str) -> str:
+    """A unit with ``y`` and ``u`` replaced by two others, reduced; one without these symbols is returned as it is."""
+    if not re.search(rf"\b({OUTPUT}|{COMMAND})\b", unit):
+        return unit
+    given = {OUTPUT: parsed_unit(output), COMMAND: parsed_unit(command)}
+    total: Powers = {}
+    for symbol, power in parsed_unit(unit).items():
+        multiply(total, given.get(symbol, {symbol: Fraction(1)}), power)
+    return unit_text_of(total)
+
+
+def multiply(total: Powers, factor: Powers, power: Fraction) -> None:
+    """Multiply ``total`` by a power of a factor, in place."""
+    for symbol, exponent in factor.items():
+        total[symbol] = total.get(symbol, Fraction(0)) + power * exponent
+
+
+def parsed_unit(text: str) -> Powers:
+    """The exponents of a unit such as ``N m``, ``rad/s^2`` or ``V (y/s)^(-1/2)``; a slash divides by the next factor.
+
+    Raises:
+        ValueError: the text is not a product of powers.
+    """
+    wrong = f"must be a product of powers such as rad/s, N m or m/s^2, got {text!r}"
+    try:
+        powers, end = product(text, 0)
+    except (StopIteration, ZeroDivisionError):
+        raise ValueError(wrong) from None
+    if end != len(text):
+        raise ValueError(wrong)
+    return powers
+
+
+def product(text: str, position: int) -> tuple[Powers, int]:
+    """The exponents of the product that begins at a position, and where it ends: the text's end, or a parenthesis.
+
+    Raises:
+        StopIteration: a factor is missing, or a parenthesis.
+    """
+    total: Powers = {}
+    sign = 1
+    while True:
+        token = TOKEN.match(text, position)
+        if token is None or token["sign"] in ("/", ")"):
+            raise StopIteration
+        position = token.end()
+        if token["sign"] == "(":
+            factor, position = product(text, position)
+            closed = CLOSING.match(text, position)
+            if closed is None:
+                raise StopIteration
+            position, power = closed.end(), closed["power"]
+        else:
+            factor = {} if token["symbol"] == "1" else {token["symbol"]: Fraction(1)}
+            power = token["power"]
+        multiply(total, factor, sign * Fraction((power or "1").strip("()")))
+        token = TOKEN.match(text, position)
+        if token is None or token["sign"] == ")":
+            return total, position
+        divides = token["sign"] == "/"
+        sign, position = (-1, token.end()) if divides else (1, position)
+
+
+def unit_text_of(powers: Powers) -> str:
+    """A unit as text: ``m/s^2``, ``rad/(s^3 V)``, ``(m/s)^(1/2)``; ``1`` if it is dimensionless.
+
+    A root of a rate is written as such, because the square-root functions of DSSC are functions of |sigma|^(1/2).
+    """
+    powers = {symbol: power for symbol, power in powers.items() if power}
+    roots = [symbol for symbol, power in powers.items() if power.denominator == 2 and symbol != "s"]
+    group = ""
+    if len(roots) == 1 and powers.get("s", Fraction(0)).denominator == 2:
+        (root,) = roots
+        half = Fraction(1, 2) if powers[root] > 0 else Fraction(-1, 2)
+        group = f"({root}/s)^({half})"
+        powers = dict(powers)
+        powers[root] -= half
+        powers["s"] += half
+    above = [powered(symbol, power) for symbol, power in powers.items() if power > 0]
+    below = [powered(symbol, -power) for symbol, power in powers.items() if power < 0 and power.denominator == 1]
+    above += [powered(symbol, power) for symbol, power in powers.items() if power < 0 and power.denominator != 1]
+    numerator = " ".join([*above, *([group] if group else [])]) or "1"
+    if not below:
+        return numerator
+    return f"{numerator}/{below[0] if len(below) == 1 else '(' + ' '.join(below) + ')'}"
+
+
+def powered(symbol: str, power: Fraction) -> str:
+    """One factor."""
+    if power == 1:
+        return symbol
+    return f"{symbol}^{power}" if power.denominator == 1 else f"{symbol}^({power})"

@@ -1,0 +1,126 @@
+"""The PID controller with filtered derivative, set-point weights, limits and anti-windup by back-calculation.
+
+    v  = k_p (b y_m - y) + I + D,  u = v clipped to [low, high]
+    I' = k_i (y_m - y) + (u - v)/T_t
+    D  = k_d s/(T_f s + 1) (c y_m - y)
+
+Sampled as is usual: the integral by forward Euler, so that I does not depend on the present command, and the derivative
+by backward Euler, which is stable for every T_f >= 0.
+
+References:
+    K. J. Astrom, R. M. Murray, Feedback Systems, 2nd ed. (2021), sections 11.4 and 11.5.
+    K. J. Astrom, T. Hagglund, Advanced PID Control (2006), sections 3.5 and 13.4.
+"""
+
+from typing import Annotated, NamedTuple
+
+import jax.numpy as jnp
+
+from dssc_jax.core.contracts import Controller
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity, extent
+from dssc_jax.core.registry import Entry, single
+from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar
+from dssc_jax.models.controllers.nominal import L0
+
+LOW, HIGH = Quantity("u", "lower limit of the command"), Quantity("u", "upper limit of the command")
+
+
+class PidGains(NamedTuple):
+    """Gains of the PID controller.
+
+    Without ``tracking``, T_t = k_p/k_i, the integral time. ``l0`` defines sigma of the metrics; the controller does not
+    use it.
+    """
+
+    k_p: Annotated[Scalar, Quantity("u/y", "proportional gain", at_least=0.0)]
+    k_i: Annotated[Scalar, Quantity("u/(y s)", "integral gain", at_least=0.0)] = 0.0
+    k_d: Annotated[Scalar, Quantity("u s/y", "derivative gain", at_least=0.0)] = 0.0
+    filter: Annotated[Scalar, Quantity("s", "time constant T_f of the derivative's filter", at_least=0.0)] = 0.0
+    proportional_weight: Annotated[Scalar, Quantity("1", "set-point weight b of the proportional part")] = 1.0
+    derivative_weight: Annotated[Scalar, Quantity("1", "set-point weight c of the derivative part")] = 0.0
+    low: Annotated[Scalar | None, LOW] = None
+    high: Annotated[Scalar | None, HIGH] = None
+    tracking: Annotated[Scalar | None, Quantity("s", "time constant T_t of the anti-windup", above=0.0)] = None
+    l0: Annotated[Scalar, L0] = 1.0
+
+
+class PidState(NamedTuple):
+    """Integral part and derivative part [u], and the last c y_m - y."""
+
+    integral: Scalar
+    derivative: Scalar
+    last: Scalar
+
+
+class PidInfo(NamedTuple):
+    """The three parts of the command before its limits."""
+
+    proportional: Scalar
+    integral: Scalar
+    derivative: Scalar
+
+
+def init(gains: PidGains, measurement: Measurement, reference: ReferencePoint) -> PidState:
+    """No integral, and a derivative at rest."""
+    return PidState(0.0, 0.0, gains.derivative_weight * reference.y - measurement.y)
+
+
+def within_limits(v: Scalar, low: Scalar | None, high: Scalar | None) -> Scalar:
+    """The command within its limits; None: no limit on this side."""
+    v = v if low is None else jnp.maximum(v, low)
+    return v if high is None else jnp.minimum(v, high)
+
+
+def tracking_rate(proportional: Scalar, integral: Scalar, tracking: Scalar | None, dt: Scalar) -> Scalar:
+    """1/T_t [1/s], at most 1/T_s; without a time constant k_i/k_p, or 1/T_s for pure integral control."""
+    if tracking is not None:
+        return 1.0 / jnp.maximum(tracking, dt)
+    ratio = integral / jnp.where(proportional > 0.0, proportional, 1.0)
+    return jnp.where(proportional > 0.0, jnp.minimum(ratio, 1.0 / dt), 1.0 / dt)
+
+
+def step(
+    gains: PidGains, state: PidState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
+) -> tuple[PidState, Command, PidInfo]:
+    """One sample of the PID controller."""
+    proportional = gains.k_p * (gains.proportional_weight * reference.y - measurement.y)
+    weighted = gains.derivative_weight * reference.y - measurement.y
+    change = gains.k_d * (weighted - state.last)
+    derivative = (gains.filter * state.derivative + change) / (gains.filter + dt)
+    v = proportional + state.integral + derivative
+    u = within_limits(v, gains.low, gains.high)
+    integral = state.integral + dt * gains.k_i * (reference.y - measurement.y)
+    if gains.low is not None or gains.high is not None:
+        integral = integral + dt * tracking_rate(gains.k_p, gains.k_i, gains.tracking, dt) * (u - v)
+    info = PidInfo(proportional, state.integral, derivative)
+    return PidState(integral, derivative, weighted), Command(u, 0.0), info
+
+
+def prepare(gains: PidGains) -> PidGains:
+    """Require limits in order.
+
+    Raises:
+        ConfigError: the lower limit may exceed the upper one.
+    """
+    require_order(gains.low, gains.high)
+    return gains
+
+
+def require_order(low: Scalar | None, high: Scalar | None) -> None:
+    """Require that a lower limit lies below an upper one.
+
+    Raises:
+        ConfigError: it may not.
+    """
+    if low is None or high is None:
+        return
+    top, bottom = extent(low)[1], extent(high)[0]
+    if not top < bottom:
+        raise ConfigError("low", f"must be below high = {bottom:g}, got up to {top:g}")
+
+
+PID: Entry = single(
+    Controller(PidGains, init, step, prepare),
+    "PID with filtered derivative, set-point weights, limits and anti-windup",
+)

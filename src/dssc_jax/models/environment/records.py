@@ -1,0 +1,116 @@
+"""A recorded desired output: given values at given times, held, joined by lines, or by a cubic spline."""
+
+from enum import StrEnum
+from typing import Annotated, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.core.contracts import Reference
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.registry import Entry
+from dssc_jax.core.signals import ReferencePoint, Scalar
+
+MOST_VALUES = 50_000
+
+
+class RecordParams(NamedTuple):
+    """Times and values; before the first time and after the last, the first and the last value hold.
+
+    A study file gives ``file`` and ``column`` instead; the values become part of the study when it is read.
+    """
+
+    time: Annotated[tuple[Scalar, ...], Quantity("s", "times, rising", law=False, data=True)]
+    value: Annotated[tuple[Scalar, ...], Quantity("y", "values at these times", law=False, data=True)]
+
+
+class Pieces(NamedTuple):
+    """A piecewise cubic function.
+
+    Args:
+        begins: Time at which each piece begins [s], shape (n,).
+        coefficients: Shape (n + 1, 4), in ascending powers of the time since the piece began; the first row holds
+            before the first time.
+    """
+
+    begins: jax.Array | np.ndarray
+    coefficients: jax.Array | np.ndarray
+
+
+class Interpolation(StrEnum):
+    """How values between two recorded times are found."""
+
+    HOLD = "hold"
+    LINEAR = "linear"
+    CUBIC = "cubic"
+
+
+def held_pieces(time: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Coefficients of a value that holds until the next one, shape (n - 1, 4)."""
+    return np.pad(value[:-1, None], ((0, 0), (0, 3)))
+
+
+def line_pieces(time: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Coefficients of straight lines, shape (n - 1, 4)."""
+    return np.pad(np.column_stack([value[:-1], np.diff(value) / np.diff(time)]), ((0, 0), (0, 2)))
+
+
+def spline_pieces(time: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Coefficients of the natural cubic spline, shape (n - 1, 4): y_m' and y_m'' are continuous."""
+    from scipy.interpolate import CubicSpline  # slow to load, and few studies follow a record
+
+    return CubicSpline(time, value, bc_type="natural").c[::-1].T
+
+
+RULES = {Interpolation.HOLD: held_pieces, Interpolation.LINEAR: line_pieces, Interpolation.CUBIC: spline_pieces}
+
+
+def check_record(params: RecordParams) -> None:
+    """Require at least two values, one for each time, at rising times.
+
+    Raises:
+        ConfigError: otherwise.
+    """
+    count = len(params.time)
+    if len(params.value) != count:
+        raise ConfigError("value", f"must hold as many numbers as time, {count}, got {len(params.value)}")
+    if not 2 <= count <= MOST_VALUES:
+        raise ConfigError("time", f"must hold 2 to {MOST_VALUES} numbers, got {count}")
+    fall = np.diff(np.asarray(params.time, float)) <= 0.0
+    if fall.any():
+        index = int(fall.argmax()) + 1
+        raise ConfigError(f"time.{index}", f"must be above the time before it, {params.time[index - 1]:g} s, got "
+                          f"{params.time[index]:g} s")  # fmt: skip
+
+
+def record(rule: Interpolation) -> Reference:
+    """The reference that follows a record by the given rule."""
+
+    def prepare(params: RecordParams) -> Pieces:
+        check_record(params)
+        time, value = np.asarray(params.time, float), np.asarray(params.value, float)
+        ends = np.pad(value[[0, -1], None], ((0, 0), (0, 3)))
+        return Pieces(time, np.concatenate([ends[:1], RULES[rule](time, value), ends[1:]]))
+
+    return Reference(RecordParams, piece_at, prepare)
+
+
+def piece_at(pieces: Pieces, t: Scalar) -> ReferencePoint:
+    """The value at t with its derivatives; a piece begins at its time, up to the rounding of t = k T_s."""
+    t = jnp.asarray(t, jnp.result_type(float))
+    begins = jnp.asarray(pieces.begins, t.dtype)
+    rounded = t + 4.0 * jnp.finfo(t.dtype).eps * jnp.abs(t)
+    after = jnp.searchsorted(begins, rounded, side="right", method="scan_unrolled")
+    a, b, c, d = jnp.asarray(pieces.coefficients, t.dtype)[after]
+    x = jnp.maximum(t - begins[jnp.maximum(after - 1, 0)], 0.0)
+    return ReferencePoint(a + x * (b + x * (c + x * d)), b + x * (2.0 * c + 3.0 * x * d), 2.0 * c + 6.0 * x * d)
+
+
+RECORD = Entry(
+    {rule: record(rule) for rule in Interpolation},
+    "a recorded signal: `file` (CSV or Parquet), `column` and `time_column`, or `time` and `value`",
+    "interpolation",
+    Interpolation.LINEAR,
+)

@@ -1,0 +1,191 @@
+"""Linear plants with one input and one output: state space, and transfer function.
+
+Both have the form x' = A x + b (u_p + d), y = c x, without feedthrough. The relative degree r is the smallest number
+with c A^(r-1) b not zero, or the excess of poles over zeros. It decides what the controller may rely on:
+
+* r = 2: y' does not depend on the command, and y'' depends on it with the gain c A b. The plant is of the class
+  (5)-(8) where its zeros are stable (:mod:`dssc_jax.core.normal_form`).
+* r = 1: y' jumps with the command. What is measured is its part c A x, which does not; a differentiator
+  (``[differentiator]``) or a controller that uses y alone (PID) does not need it.
+* r > 2: y' is exact, but sigma = e' + l_0 e does not have relative degree one.
+"""
+
+from typing import Annotated, Any, NamedTuple
+
+from dssc_jax.core.contracts import Plant
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.normal_form import RealisedSystem, polynomial_degree, relative_degree
+from dssc_jax.core.numerics import dot
+from dssc_jax.core.quantities import Quantity, nominal
+from dssc_jax.core.signals import Measurement, PlantInput, Scalar
+
+MOST_STATES = 20
+ENTRY = Quantity("SI", "entry of A, row by row")
+INPUT = Quantity("SI", "entry of the input column b")
+OUTPUT = Quantity("SI", "entry of the output row c")
+PLANT_NUMERATOR = Quantity("SI", "numerator's coefficient, highest power of s first")
+PLANT_DENOMINATOR = Quantity("SI", "denominator's coefficient, highest power of s first")
+INITIAL_STATE = Quantity("SI", "initial state; the rest of it is zero")
+
+MatrixRows = tuple[tuple[Scalar, ...], ...]
+
+
+class StateSpaceParams(NamedTuple):
+    """x' = A x + b (u + d), y = c x; the relative degree is found before tracing."""
+
+    a: Annotated[MatrixRows, ENTRY]
+    b: Annotated[tuple[Scalar, ...], INPUT]
+    c: Annotated[tuple[Scalar, ...], OUTPUT]
+    x0: Annotated[tuple[Scalar, ...], INITIAL_STATE] = ()
+    degree: int | None = None
+
+
+class RationalParams(NamedTuple):
+    """G(s) from the command to the output, in controllable canonical form; the state of a plant at rest is zero."""
+
+    numerator: Annotated[tuple[Scalar, ...], PLANT_NUMERATOR]
+    denominator: Annotated[tuple[Scalar, ...], PLANT_DENOMINATOR]
+    x0: Annotated[tuple[Scalar, ...], INITIAL_STATE] = ()
+    degree: int | None = None
+
+
+class LinearState(NamedTuple):
+    """The state x."""
+
+    x: tuple[Scalar, ...]
+
+
+def state_of(x0: tuple[Scalar, ...], order: int) -> LinearState:
+    """The initial state, filled up with zeros."""
+    return LinearState((*x0, *(0.0,) * (order - len(x0))))
+
+
+def state_space_derivative(params: StateSpaceParams, state: LinearState, drive: PlantInput, t: Scalar) -> LinearState:
+    """A x + b (u + d)."""
+    del t
+    u = drive.command + drive.disturbance
+    return LinearState(tuple(dot(row, state.x) + dot((b,), (u,)) for row, b in zip(params.a, params.b, strict=True)))
+
+
+def state_space_measure(params: StateSpaceParams, state: LinearState) -> Measurement:
+    """y = c x, and c A x."""
+    slope = tuple(dot(row, state.x) for row in params.a)
+    return Measurement(dot(params.c, state.x), dot(params.c, slope))
+
+
+def state_space_gain(params: StateSpaceParams) -> Scalar:
+    """c A^(r-1) b: the gain from the command to the r-th derivative of the output."""
+    column = params.b
+    for _ in range(int(params.degree or 1) - 1):
+        column = tuple(dot(row, column) for row in params.a)
+    return dot(params.c, column)
+
+
+def prepare_state_space(params: StateSpaceParams) -> StateSpaceParams:
+    """Check the sizes, and find the relative degree of the nominal plant.
+
+    Raises:
+        ConfigError: a size does not fit, or the command does not reach the output.
+    """
+    order = len(params.a)
+    if not 1 <= order <= MOST_STATES:
+        raise ConfigError("a", f"must have 1 to {MOST_STATES} rows, got {order}")
+    for i, row in enumerate(params.a):
+        if len(row) != order:
+            raise ConfigError(f"a.{i}", f"must have {order} numbers, one for each row, got {len(row)}")
+    for name in ("b", "c"):
+        if len(getattr(params, name)) != order:
+            raise ConfigError(name, f"must have {order} numbers, one for each state, got {len(getattr(params, name))}")
+    require_start(params.x0, order)
+    system = RealisedSystem(*(nominal_values(part) for part in (params.a, params.b, params.c)))
+    return params._replace(degree=required(relative_degree(system), "c"))
+
+
+def last_slope(params: RationalParams, state: LinearState) -> Scalar:
+    """The last state's slope without the command: -(a_0 x_1 + a_1 x_2 + ...)/a_n."""
+    leading, *rest = params.denominator
+    return -dot(tuple(reversed(rest)), state.x) / leading
+
+
+def transfer_function_derivative(
+    params: RationalParams, state: LinearState, drive: PlantInput, t: Scalar
+) -> LinearState:
+    """Controllable canonical form: x_i' = x_(i+1), and the last state's slope takes the command."""
+    del t
+    return LinearState((*state.x[1:], last_slope(params, state) + drive.command + drive.disturbance))
+
+
+def transfer_function_measure(params: RationalParams, state: LinearState) -> Measurement:
+    """y = (b_0 x_1 + b_1 x_2 + ...)/a_n, and its slope without the command's own part."""
+    rising = tuple(reversed(params.numerator))
+    slope = (*state.x[1:], last_slope(params, state))
+    count, leading = len(rising), params.denominator[0]
+    return Measurement(dot(rising, state.x[:count]) / leading, dot(rising, slope[:count]) / leading)
+
+
+def transfer_function_gain(params: RationalParams) -> Scalar:
+    """b_m/a_n: the gain from the command to the derivative of the output whose order is the relative degree."""
+    return params.numerator[0] / params.denominator[0]
+
+
+def prepare_transfer_function(params: RationalParams) -> RationalParams:
+    """Check that the plant is strictly proper and that its leading coefficients cannot vanish.
+
+    Raises:
+        ConfigError: otherwise.
+    """
+    order = len(params.denominator) - 1
+    if not 1 <= order <= MOST_STATES:
+        raise ConfigError("denominator", f"must have 2 to {MOST_STATES + 1} coefficients, got {order + 1}")
+    if not 1 <= len(params.numerator) <= order:
+        rule = f"must have 1 to {order} coefficients: fewer than the denominator, so that the plant is strictly proper"
+        raise ConfigError("numerator", f"{rule}; got {len(params.numerator)}")
+    for name in ("numerator", "denominator"):
+        if polynomial_degree(nominal_values(getattr(params, name))) != len(getattr(params, name)) - 1:
+            raise ConfigError(f"{name}.0", "is the coefficient of the highest power and must not be zero; leave it out")
+    require_start(params.x0, order)
+    return params._replace(degree=order + 1 - len(params.numerator))
+
+
+def require_start(x0: tuple[Scalar, ...], order: int) -> None:
+    """Require an initial state with at most as many numbers as the plant has states.
+
+    Raises:
+        ConfigError: otherwise.
+    """
+    if len(x0) > order:
+        raise ConfigError("x0", f"must have at most {order} numbers, one for each state, got {len(x0)}")
+
+
+def required(degree: int | None, place: str) -> int:
+    """The relative degree.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    if degree is None:
+        raise ConfigError(place, "the command does not reach the output: c A^k b is zero for every k")
+    return degree
+
+
+def nominal_values(values: Any) -> Any:
+    """Numbers, or rows of numbers, with the median in place of each law."""
+    return tuple(nominal_values(value) if isinstance(value, tuple) else nominal(value) for value in values)
+
+
+STATE_SPACE = Plant(
+    StateSpaceParams,
+    init=lambda params: state_of(params.x0, len(params.a)),
+    derivative=state_space_derivative,
+    measure=state_space_measure,
+    input_gain=state_space_gain,
+    prepare=prepare_state_space,
+)
+RATIONAL_PLANT = Plant(
+    RationalParams,
+    init=lambda params: state_of(params.x0, len(params.denominator) - 1),
+    derivative=transfer_function_derivative,
+    measure=transfer_function_measure,
+    input_gain=transfer_function_gain,
+    prepare=prepare_transfer_function,
+)

@@ -1,0 +1,189 @@
+"""What of a study a proof covers: from its loop to the plain numbers of a problem."""
+
+from typing import Any
+
+import jax
+
+from dssc_jax.core.registry import Discretisation
+from dssc_jax.design.certification import Ends, NotCovered, disturbance_bounds, ends_of, reference_bounds
+from dssc_jax.models.controllers.differentiators import NO_DIFFERENTIATOR
+from dssc_jax.models.controllers.dssc import DSSC, SSC, DsscGains, PredictorStart
+from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS
+from dssc_jax.models.controllers.modulation import ConstantModulation
+from dssc_jax.models.controllers.pi import PI, PiGains
+from dssc_jax.models.environment import sensors
+from dssc_jax.models.environment.disturbances import STEP
+from dssc_jax.models.plants.normal_form import NORMAL_FORM
+from dssc_jax.models.unmodelled.delay import DELAY
+from dssc_jax.models.unmodelled.lag import LAG, NO_DYNAMICS, Order
+from dssc_jax.models.unmodelled.transfer_function import TRANSFER_FUNCTION
+from dssc_jax.proofs.problem import Interval, ProofProblem
+from dssc_jax.study import Study
+from dssc_jax.study.laws import Law
+
+UNCERTAIN = ("plant.k_p", "plant.a_p", "unmodelled.mu")
+"""Numbers of a loop that a proof covers over an interval."""
+SIGNALS = ("plant.initial", "disturbance.", "reference.")
+"""Beginnings of the names of numbers that only bound a signal."""
+LAGS = {
+    LAG.members[Order.ONE]: ((1.0,), (1.0, 1.0)),
+    LAG.members[Order.TWO]: ((1.0,), (1.0, 2.0, 1.0)),
+}
+"""Numerator and denominator of each lag, in rising powers of mu s."""
+
+
+def problem_of(study: Study) -> ProofProblem:
+    """The problem of a study at its own values; laws of k_p, a_p and mu become the intervals of their support.
+
+    Raises:
+        NotCovered: a part of the loop is outside of the class; the message gives the reason.
+    """
+    loop, ends = study.loop, ends_of(study.without_sweep())
+    for name, law in study.laws.items():
+        if name not in UNCERTAIN and not name.startswith(SIGNALS):
+            raise NotCovered(f"{name} is uncertain; a proof takes intervals of {', '.join(UNCERTAIN)} only")
+        if not all(abs(end) < float("inf") for end in law.support):
+            raise NotCovered(f"the law of {name} has no bounds; give one with bounded support")
+    if loop.plant is not NORMAL_FORM:
+        raise NotCovered("the plant is not of the class (5)-(8)")
+    low, high = ends
+    zero = low.plant.zero_dynamics
+    if zero is not None and (any(isinstance(row, Law) for row in zero) or zero != high.plant.zero_dynamics):
+        raise NotCovered("the zero dynamics are uncertain")
+    level, slope = disturbance_of(study, ends)
+    moves = reference_bounds(loop.reference, ends.part("reference"))
+    lag = sensor_lag(loop.sensor[0], loop.differentiator[0], ends)
+    if moves and zero is not None:
+        raise NotCovered("the reference moves, and the plant has zero dynamics")
+    if moves and lag:
+        raise NotCovered("the reference moves, and the sensor lags")
+    speed, acceleration, jerk = (float(moves.get(name, 0.0)) for name in ("y_m_dot", "y_m_ddot", "y_m_dddot"))
+    return ProofProblem(
+        sample_time=loop.sample_time,
+        k_p=(float(low.plant.k_p), float(high.plant.k_p)),
+        a_p=(float(low.plant.a_p), float(high.plant.a_p)),
+        zero_a=tuple(map(float, zero.a)) if zero else (),
+        zero_c=tuple(map(float, zero.c)) if zero else (),
+        sensor_lag=lag,
+        level=level,
+        slope=slope,
+        reference=(speed, acceleration, jerk),
+        initial=initial_errors(study, ends),
+        **unmodelled_of(study, ends),
+        **controller_of(study),
+    )
+
+
+def disturbance_of(study: Study, ends: Ends) -> tuple[float, float]:
+    """Bounds of |d| [m/s] and |d'| [m/s^2].
+
+    Raises:
+        NotCovered: one is not known, or they depend on the state.
+    """
+    model = study.loop.disturbance[0]
+    try:
+        if model is STEP and ends.high.disturbance[0].at > 0.0:
+            raise NotCovered("a step")
+        bounds = disturbance_bounds(model, ends.part("disturbance", 0))
+    except NotCovered:
+        raise NotCovered("the disturbance's derivative has no known bound") from None
+    if set(bounds) - {"alpha_d", "alpha_d3"}:
+        raise NotCovered("the disturbance depends on the state")
+    return float(bounds.get("alpha_d", 0.0)), float(bounds.get("alpha_d3", 0.0))
+
+
+def sensor_lag(sensor: Any, differentiator: Any, ends: Ends) -> float:
+    """The time constant [s] of the sensor's lag, 0 for none.
+
+    Raises:
+        NotCovered: sigma is measured with something else than a known lag.
+    """
+    if differentiator is not NO_DIFFERENTIATOR or sensor not in (sensors.IDEAL, sensors.SENSOR_LAG):
+        raise NotCovered("sigma is measured neither exactly nor through a lag")
+    if sensor is sensors.IDEAL:
+        return 0.0
+    low, high = (end.sensor[0].mu for end in ends)
+    if low != high:
+        raise NotCovered("the sensor's lag is uncertain")
+    return float(low)
+
+
+def initial_errors(study: Study, ends: Ends) -> tuple[Interval, ...]:
+    """Intervals of e, e' and eta at t = 0.
+
+    Raises:
+        NotCovered: the reference's start is uncertain.
+    """
+    if any(name.startswith("reference.") for name in study.laws):
+        raise NotCovered("the reference's start is uncertain")
+    zero = ends.low.plant.zero_dynamics
+    size = 2 + (len(zero.a) if zero else 0)
+    with jax.enable_x64(True):
+        y, y_dot, _ = map(float, study.loop.reference.at(ends.low.reference, 0.0))
+    begins = (y, y_dot, *(0.0 for _ in range(size - 2)))
+    starts = [tuple(map(float, end.plant.initial)) + (0.0,) * (size - len(end.plant.initial)) for end in ends]
+    pairs = zip(*starts, begins, strict=True)
+    return tuple((min(a, b) - begin, max(a, b) - begin) for a, b, begin in pairs)
+
+
+def unmodelled_of(study: Study, ends: Ends) -> dict[str, Any]:
+    """The problem's G(mu s) and its delay.
+
+    Raises:
+        NotCovered: the unmodelled dynamics are neither linear nor a known delay.
+    """
+    model, (low, high) = study.loop.unmodelled[0], (end.unmodelled[0] for end in ends)
+    nothing = {"numerator": (), "denominator": (), "mu": (0.0, 0.0), "delay": 0.0}
+    if model is NO_DYNAMICS:
+        return nothing
+    if model is DELAY:
+        if low.samples != high.samples:
+            raise NotCovered("the delay is uncertain")
+        return nothing | {"delay": float(low.samples)}
+    if model in LAGS:
+        numerator, denominator = LAGS[model]
+    elif model is TRANSFER_FUNCTION:
+        numerator, denominator = (tuple(map(float, side)) for side in (low.numerator, low.denominator))
+    else:
+        raise NotCovered("the unmodelled dynamics are neither a lag, a transfer function nor a delay")
+    return nothing | {"numerator": numerator, "denominator": denominator, "mu": (float(low.mu), float(high.mu))}
+
+
+def controller_of(study: Study) -> dict[str, Any]:
+    """The controller's part of a problem.
+
+    Raises:
+        NotCovered: the controller, or one of its options, is outside of the class.
+    """
+    member, gains = study.loop.controller[0], study.template.controller[0]
+    nominal = gains.nominal and (float(gains.nominal.a), float(gains.nominal.k), bool(gains.nominal.predictor_term))
+    common = {"l0": float(gains.l0), "nominal": nominal}
+    if isinstance(gains, PiGains):
+        if member is not PI.members[Discretisation.IMPLICIT]:
+            raise NotCovered("PI is covered in its implicit form only")
+        if not (gains.k_p > 0.0 and gains.k_i > 0.0):
+            raise NotCovered("PI needs K_P > 0 and K_I > 0")
+        constants = {"k_o": 1.0, "tau_av": 1.0 / gains.k_p, "tau_m": gains.k_p / gains.k_i}
+        functions = {"kind": "constant", **constants}
+        own = (*common["nominal"][:2], False) if common["nominal"] else None
+        return common | {"nominal": own, "form": "implicit", "functions": functions, "rho": None, "matched": False}
+    forms = {Discretisation.IMPLICIT, Discretisation.CONSERVATIVE}
+    form = next((f for f in forms if member in (DSSC.members[f], SSC.members[f])), None)
+    if form is None or not isinstance(gains, DsscGains):
+        raise NotCovered("the controller is not DSSC, SSC or PI, in implicit or conservative form")
+    if not isinstance(gains.rho, ConstantModulation):
+        raise NotCovered("rho is not constant")
+    if gains.sign_width is not None:
+        raise NotCovered("the sign is smoothed")
+    kind = next(kind for kind, entry in GAIN_FUNCTIONS.items() if isinstance(gains.functions, entry.members[None]))
+    if kind == "vgsta" and form == Discretisation.CONSERVATIVE:
+        raise NotCovered("in the conservative form, functions of Table 1 depend on e between samples")
+    if kind == "sta" and form == Discretisation.CONSERVATIVE:
+        raise NotCovered("in the conservative form, the slope of the standard STA's phi_1 jumps at its floor")
+    constants = {name: float(value) for name, value in gains.functions._asdict().items() if value is not None}
+    return common | {
+        "form": form.value,
+        "functions": {"kind": kind, **constants},
+        "rho": float(gains.rho.rho),
+        "matched": gains.predictor_start == PredictorStart.MATCHED,
+    }

@@ -1,0 +1,40 @@
+"""Section on proofs: what is proved at each point of a sweep, beside what its draws do."""
+
+import htpy as h
+import numpy as np
+
+from dssc_jax import plotting
+from dssc_jax.plotting.standings import STANDINGS, standing_of
+from dssc_jax.report.elements import Section, counted, figure, folded, number, table
+from dssc_jax.report.subject import Subject
+from dssc_jax.report.vector import inline
+
+CLAIM = (
+    "A proof covers every plant of the laws and every disturbance within its bounds, with sampling and lag. These are "
+    "the folder's claims; dssc-jax prove FOLDER/proofs.json verifies every certificate again."
+)
+
+
+def proofs(about: Subject) -> Section | None:
+    """How the points stand, and the proved bounds of |e|; None without proofs."""
+    result = about.result
+    if "proved" not in result.dataset:
+        return None
+    axes = list(result.study.axes)
+    share = result.failed.mean("draw").transpose(*axes).values
+    proved, error = (result.dataset[name].transpose(*axes).values for name in ("proved", "proved_error"))
+    kinds = standing_of(proved, share)
+    counts = [(text, f"{np.count_nonzero(kinds == kind):,}") for kind, (_, text) in enumerate(STANDINGS)]
+    body: list[h.Node] = [table(counted(proved.size, "point"), ("how a point stands", "points"), counts), h.p[CLAIM]]
+    if sum(size > 1 for size in proved.shape) == 2:
+        text = f"{np.count_nonzero(proved)} of {proved.size} points are proved."
+        body.append(figure(inline(lambda: plotting.standing(result), text, "standing"), text))
+    rows = [
+        (*(number(result.study.axes[name][i]) for name, i in zip(axes, at, strict=True)), number(float(error[at])))
+        for at in np.ndindex(proved.shape)
+        if proved[at]
+    ]
+    if rows:
+        listed = table("Proved points", (*axes, "largest |e| once settled, proved [m]"), rows)
+        body.append(folded(f"All {counted(len(rows), 'proved point')}", listed))
+    return Section("proofs", "What is proved", body)

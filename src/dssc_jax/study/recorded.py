@@ -1,0 +1,85 @@
+"""Columns of CSV and Parquet files in a study: they become part of the study when its file is read.
+
+A results folder therefore contains the data that it was computed with, and reading it opens no other file.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from dssc_jax.core.errors import ConfigError, errors_under, nearest
+
+FIELDS = ("file", "column", "time_column")
+TIME = "t"
+LARGEST_RECORD = 2**27  # bytes of a file
+
+
+def with_records(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """A study's table with the times and values of each record in place of its file.
+
+    Args:
+        table: The study's table.
+        folder: The folder that names of files are relative to.
+
+    Raises:
+        ConfigError: a file cannot be read, or does not have the column.
+    """
+    content = dict(table)
+    reference = content.get("reference")
+    if not isinstance(reference, Mapping):
+        return content
+    with errors_under("reference"):
+        channels = {}
+        for name, part in reference.items():
+            if isinstance(part, Mapping) and "file" in part:
+                with errors_under(name):
+                    channels[name] = inlined(part, folder)
+        whole = inlined(reference, folder) if "file" in reference else dict(reference)
+    return content | {"reference": whole | channels}
+
+
+def inlined(part: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """A table with ``time`` and ``value`` in place of ``file``, ``column`` and ``time_column``."""
+    for name in ("time", "value"):
+        if name in part:
+            raise ConfigError(name, "is given by the file; give a file, or time and value")
+    for name in FIELDS:
+        if not isinstance(part.get(name, TIME), str):
+            raise ConfigError(name, f"must be a text, got {part[name]!r}")
+    if "column" not in part:
+        raise ConfigError("column", "is required and missing: the column with the values")
+    columns = recorded_columns(folder / part["file"], [part.get("time_column", TIME), part["column"]])
+    kept = {name: value for name, value in part.items() if name not in FIELDS}
+    return kept | dict(zip(("time", "value"), columns, strict=True))
+
+
+def recorded_columns(path: Path, names: list[str]) -> list[list[float]]:
+    """Columns of a CSV or Parquet file, as numbers; rows in which one of them is missing are left out.
+
+    Raises:
+        ConfigError: the file cannot be read, a column is absent, or its values are not numbers.
+    """
+    import pandas as pd  # slow to load, and few studies follow a record
+
+    parquet = path.suffix.lower() in (".parquet", ".pq")
+    try:
+        if not path.is_file():
+            raise ConfigError("file", f"'{path}' cannot be read: it is no file")
+        if path.stat().st_size > LARGEST_RECORD:
+            raise ConfigError("file", f"'{path}' is larger than a record can be ({LARGEST_RECORD} bytes)")
+        frame = pd.read_parquet(path) if parquet else pd.read_csv(path, skipinitialspace=True, comment="#")
+    except ImportError as error:
+        raise ConfigError("file", "a Parquet file needs pyarrow: pip install 'dssc_jax[export]'") from error
+    except ConfigError:
+        raise
+    except Exception as error:  # readers of files raise errors of many kinds
+        raise ConfigError("file", f"'{path}' cannot be read: {' '.join(str(error).split())}") from error
+    for name in names:
+        if name not in frame:
+            field = "time_column" if name == names[0] else "column"
+            raise ConfigError(field, f"'{path.name}' has no column '{name}'; {nearest(name, map(str, frame.columns))}")
+    frame = frame[names].dropna()
+    try:
+        return [[float(value) for value in frame[name]] for name in names]
+    except (TypeError, ValueError) as error:
+        raise ConfigError("column", f"'{path.name}' must hold numbers there: {error}") from error

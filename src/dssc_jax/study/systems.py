@@ -1,0 +1,61 @@
+"""Linear systems of SciPy and python-control as plants of a study."""
+
+from typing import Any
+
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError
+
+
+def plant_table(system: Any) -> dict[str, Any]:
+    """The ``[plant]`` table of a linear system, of kind ``state_space`` or ``transfer_function``.
+
+    The study then contains the system's numbers, and no reference to code. Any of them may be replaced by a law.
+
+    Args:
+        system: A continuous-time system with one input and one output: ``scipy.signal.StateSpace``,
+            ``TransferFunction`` or ``ZerosPolesGain``, or ``control.StateSpace`` or ``TransferFunction``.
+
+    Returns:
+        A table for ``study.override({"plant": ...})`` or ``dj.Study.from_table``.
+
+    Raises:
+        ConfigError: The system is sampled, has several inputs or outputs, passes its input directly to its output, or
+            is no linear system.
+
+    Example:
+        >>> from scipy import signal
+        >>> plant_table(signal.TransferFunction([2.0], [1.0, 3.0, 0.0]))
+        {'kind': 'transfer_function', 'numerator': [2.0], 'denominator': [1.0, 3.0, 0.0]}
+    """
+    name = type(system).__name__
+    if getattr(system, "dt", None) not in (None, 0):
+        raise ConfigError("plant", f"must be a system in continuous time, got {name} with dt = {system.dt}")
+    if all(hasattr(system, part) for part in "ABCD"):
+        a, b, c, d = (np.atleast_2d(np.asarray(getattr(system, part), float)) for part in "ABCD")
+        if b.shape[1] != 1 or c.shape[0] != 1:
+            raise ConfigError("plant", f"must have one input and one output, got {b.shape[1]} and {c.shape[0]}")
+        if np.any(d):
+            raise ConfigError("plant", f"must not pass its input directly to its output, got D = {d.item():g}")
+        return {"kind": "state_space", "a": a.tolist(), "b": b[:, 0].tolist(), "c": c[0].tolist()}
+    if hasattr(system, "zeros") and hasattr(system, "gain") and hasattr(system, "to_tf"):
+        system = system.to_tf()
+    if not hasattr(system, "num") or not hasattr(system, "den"):
+        raise ConfigError("plant", f"must be a linear system of scipy.signal or control, got {name}")
+    numerator, denominator = coefficients(system.num, name), coefficients(system.den, name)
+    if len(numerator) >= len(denominator):
+        raise ConfigError("plant", "must have more poles than zeros: a plant does not pass its input to its output")
+    return {"kind": "transfer_function", "numerator": numerator, "denominator": denominator}
+
+
+def coefficients(polynomial: Any, name: str) -> list[float]:
+    """A polynomial without its leading zeros; python-control has one for each pair of output and input.
+
+    Raises:
+        ConfigError: There are several.
+    """
+    while isinstance(polynomial, list | np.ndarray) and len(polynomial) and np.ndim(polynomial[0]) > 0:
+        if len(polynomial) != 1:
+            raise ConfigError("plant", f"must have one input and one output, got a {name} of several")
+        polynomial = polynomial[0]
+    return np.trim_zeros(np.asarray(polynomial, float), "f").tolist()

@@ -1,0 +1,123 @@
+"""What a command line is expected to know: its version, help, completion, names of everything, and nearby mistakes."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import loadmat
+
+import dssc_jax as dj
+from dssc_jax.cli import guarded
+from dssc_jax.core.errors import ConfigError
+
+
+def test_version(capsys):
+    assert guarded(["--version"]) == 0
+    assert capsys.readouterr().out == f"dssc-jax {dj.__version__}\n"
+
+
+@pytest.mark.parametrize("options", [[], ["--quiet"]])
+def test_quiet(options, tmp_path):
+    """As a program of its own, because progress goes to standard error once and for all."""
+    arguments = [*options, "run", "motor", "--draws", "4", "--out", str(tmp_path / "out")]
+    command = [Path(sys.executable).parent / "dssc-jax", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0
+    assert "failure probability" in done.stdout
+    assert bool(done.stderr) != bool(options)
+
+
+@pytest.mark.parametrize("arguments", [["-h"], ["run", "-h"], ["info", "-h"]])
+def test_short_help(arguments, capsys):
+    assert guarded(arguments) == 0
+    short = capsys.readouterr().out
+    assert guarded([*arguments[:-1], "--help"]) == 0
+    assert capsys.readouterr().out == short
+    assert "Usage: " in short
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion(shell):
+    """As the script of each shell asks for it: commands that begin with `sim`."""
+    words = {"bash": {"COMP_WORDS": "dssc-jax sim", "COMP_CWORD": "1"}}
+    asked = words.get(shell, {"_TYPER_COMPLETE_ARGS": "dssc-jax sim", "_TYPER_COMPLETE_FISH_ACTION": "get-args"})
+    environment = {**os.environ, "_DSSC_JAX_COMPLETE": f"complete_{shell}", **asked}
+    command = Path(sys.executable).parent / "dssc-jax"
+    done = subprocess.run([command], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "simulate" in done.stdout
+    assert "report" not in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("uniform", "law uniform = "),
+        ("rise_time", "metric rise_time [s]: time in which a step response"),
+        ("chirp", "first frequency"),
+        ("pid", "set-point weight b"),
+        ("lag", "time constant mu"),
+    ],
+)
+def test_info_knows_every_name(name, shown, capsys):
+    assert guarded(["info", name]) == 0
+    assert shown in " ".join(capsys.readouterr().out.split())
+
+
+def test_info_of_ones_own_model(tmp_path, monkeypatch, capsys):
+    (tmp_path / "own_gains.py").write_text(
+        "from typing import Annotated, NamedTuple\n"
+        "from dssc_jax.types import Controller, Quantity\n"
+        "class Gains(NamedTuple):\n"
+        '    l0: Annotated[float, Quantity("1/s", "error pole", above=0.0)]\n'
+        '    stiff: Annotated[float, Quantity("u/y", "stiffness of a spring", above=0.0)] = 2.0\n'
+        "OWN = Controller(Gains, None, None)\n"
+        "WORD = 'no model'\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    assert guarded(["info", "own_gains:OWN"]) == 2
+    assert "cannot import 'own_gains:OWN'" in capsys.readouterr().err
+    assert guarded(["info", "own_gains:OWN", "--allow-local"]) == 0
+    said = capsys.readouterr()
+    assert "stiffness of a spring" in said.out
+    assert "this command runs code: own_gains:OWN from " in said.err
+    assert guarded(["info", "own_gains:WORD", "--allow-local"]) == 2
+    assert "must be a model or its parameters, got str" in capsys.readouterr().err
+    sys.modules.pop("own_gains", None)
+
+
+def test_a_file_beside_is_suggested_before_a_packaged_study(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mu_robustnes2.toml").write_text("")
+    assert guarded(["run", "mu_robustnes"]) == 2
+    assert "did you mean 'mu_robustnes2.toml'?" in capsys.readouterr().err
+
+
+def test_python_takes_a_packaged_study_by_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert dj.Study.load("motor").name == "motor"
+    with pytest.raises(ConfigError, match="did you mean 'motor'"):
+        dj.Study.load("motro")
+
+
+def test_tune_without_a_table_shows_one(capsys):
+    assert guarded(["tune", "motor"]) == 2
+    said = capsys.readouterr().err
+    table = '[tune] parameters = { "controller.k_p" = [33.3, 300] }, objective = { error_rms = 1.0 }'
+    assert f"is required and missing; for example: {table}" in said
+
+
+def test_matlab_reads_a_result(tmp_path):
+    study = dj.Study.load("motor").override({"draws": 5})
+    result = dj.run(study)
+    (file,) = dj.export(result, "mat", tmp_path / "motor.mat")
+    content = loadmat(file, simplify_cells=True)
+    np.testing.assert_array_equal(content["rise_time"]["values"], result.dataset["rise_time"].values)
+    assert content["plant_a_0_0"]["units"] == "SI"
+    assert content["steady_state_error_after_4_5"]["units"] == "rad/s"
+    assert content["study"]["study_hash"] == study.hash
+    assert all(len(name) <= 63 for name in content)

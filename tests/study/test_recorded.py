@@ -1,0 +1,126 @@
+"""Recorded references from CSV and Parquet files, and references of a vehicle's own channels."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import dssc_jax as dj
+from dssc_jax.cli import guarded
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.study.tables import to_toml
+
+TIMES = np.arange(0.0, 5.0, 0.25)
+VALUES = np.sin(TIMES)
+TABLE = {
+    "name": "recorded",
+    "loop": {"duration": 4.0, "sample_time": 0.01},
+    "plant": {"kind": "normal_form"},
+    "controller": {"kind": "pi", "l0": 1.0, "k_p": 3.0, "k_i": 0.0},
+    "reference": {"kind": "record", "file": "log.csv", "column": "set point"},
+}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    frame = pd.DataFrame({"t": TIMES, "time": TIMES + 1.0, "set point": VALUES, "word": ["a"] * len(TIMES)})
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    frame.to_parquet(tmp_path / "log.parquet")
+    (tmp_path / "study.toml").write_text(to_toml(TABLE))
+    return tmp_path
+
+
+@pytest.mark.parametrize("changes", [{}, {"reference.file": "log.parquet"}])
+def test_a_column_is_followed(folder, changes):
+    study = dj.Study.load(folder / "study.toml")
+    if changes:
+        study = dj.Study.from_table(TABLE | {"reference": {"kind": "zero"}}, str(folder / "study.toml")).override(
+            {"reference": TABLE["reference"], **changes}
+        )
+    run = dj.simulate(study)
+    np.testing.assert_allclose(run["y_ref"], np.interp(run["t"], TIMES, VALUES), atol=1e-12)
+    assert not any(name.startswith("reference") for name in study.numbers)
+
+
+def test_the_result_contains_the_record(folder):
+    """It is read, and simulated again, where the file is gone."""
+    dj.run(dj.Study.load(folder / "study.toml")).save(folder / "out")
+    (folder / "log.csv").unlink()
+    result = dj.load(folder / "out")
+    assert result.study.table["reference"] == {"kind": "record", "time": list(TIMES), "value": list(VALUES)}
+    assert dj.replay(result, 0).attrs["agreement"] == "agrees"
+
+
+def test_a_command_runs_it(folder, monkeypatch, capsys):
+    """With the warning of noise, which looks at every number of the loop."""
+    monkeypatch.chdir(folder)
+    noise = "sensor={ kind = 'noisy', position_std = 1e-3 }"
+    assert guarded(["run", "study.toml", "--set", noise, "--draws", "2"]) == 0
+    assert "failure probability" in capsys.readouterr().out
+
+
+def test_another_time_column(folder):
+    study = dj.Study.load(folder / "study.toml").override(
+        {"reference": TABLE["reference"] | {"time_column": "time", "interpolation": "hold"}}
+    )
+    run = dj.simulate(study)
+    assert float(run["y_ref"][150]) == VALUES[2]  # 1.5 s is 0.5 s after the first
+
+
+@pytest.mark.parametrize(
+    ("reference", "complaint"),
+    [
+        ({"file": "absent.csv"}, r"reference.file: '.*absent.csv' cannot be read"),
+        ({"column": "setpoint"}, r"reference.column: 'log.csv' has no column 'setpoint'; did you mean 'set point'"),
+        ({"column": "word"}, r"reference.column: 'log.csv' must hold numbers"),
+        ({"time_column": "x"}, r"reference.time_column: 'log.csv' has no column 'x'"),
+        ({"time": [1, 2]}, r"reference.time: is given by the file"),
+        ({"file": 3}, r"reference.file: must be a text"),
+        ({"file": "/dev/zero"}, r"reference.file: '/dev/zero' cannot be read: it is no file"),
+    ],
+)
+def test_bad_records_are_refused(folder, reference, complaint):
+    (folder / "study.toml").write_text(to_toml(TABLE | {"reference": TABLE["reference"] | reference}))
+    with pytest.raises(ConfigError, match=complaint):
+        dj.Study.load(folder / "study.toml")
+
+
+def test_a_received_folder_opens_no_file(folder):
+    """A manifest that names a file is not one that this program wrote."""
+    with pytest.raises(ConfigError, match=r"reference.time: is required and missing"):
+        dj.Study.from_table(TABLE, str(folder / "study.toml"))
+
+
+def test_each_channel_follows_its_own():
+    """x a step, psi a record, y and z the whole trajectory's."""
+    study = dj.Study.load("studies/uav_robustness.toml").without_sweep()
+    study = study.override(
+        {
+            "loop.duration": 2.0,
+            "requirement": [],
+            "metrics": {"names": ["error_rms"]},
+            "reference": {
+                "kind": "hover",
+                "position": [1.0, 2.0, 3.0],
+                "x": {"kind": "step", "size": {"uniform": [1.0, 3.0]}, "at": 1.0},
+                "psi": {"kind": "record", "time": [0.0, 2.0], "value": [0.0, 0.4]},
+            },
+        }
+    )
+    run = dj.simulate(study, draw=3)
+    t, size = run["t"].values, run.attrs["reference.x.size"]
+    assert 1.0 < size < 3.0
+    np.testing.assert_allclose(run["x_y_ref"], np.where(t >= 1.0 - 1e-9, size, 0.0))
+    np.testing.assert_allclose(run["psi_y_ref"], 0.2 * t, atol=1e-12)
+    assert np.all(run["y_y_ref"] == 2.0)
+    assert np.all(run["z_y_ref"] == 3.0)
+    assert study.quantities["reference.x.size"].unit == "m"
+    assert "reference.position.0" in study.numbers
+
+
+def test_only_channels():
+    study = dj.Study.load("studies/uav_robustness.toml").override(
+        {"sweep": {}, "reference": {"psi": {"kind": "ramp", "slope": 0.1}}}
+    )
+    assert study.quantities["reference.psi.slope"].unit == "rad/s"
+    with pytest.raises(ConfigError, match=r"reference.psi: must be a table|reference.psi"):
+        study.override({"reference": {"psi": {"kind": "rampe"}}})
