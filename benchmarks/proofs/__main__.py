@@ -173,9 +173,9 @@ def margins_text() -> str:
 
 def case2_text() -> str:
     """How far along the lag the gains of Case 2 are proved from 40 m."""
-    own = {"predictor_start": "matched"}
-    base = dj.Study.load(CASE2).override({"controller": own, "disturbance": {"kind": "none"}, "requirement": []})
-    base = base.override({"reference": {"kind": "zero"}, "unmodelled": {"kind": "lag", "order": 2, "mu": 0.01}})
+    changes: dict[str, Any] = {"controller.predictor_start": "matched", "disturbance": {"kind": "none"}}
+    changes |= {"reference": {"kind": "zero"}, "unmodelled": {"kind": "lag", "order": 2, "mu": 0.01}, "requirement": []}
+    base = dj.Study.load(CASE2).override(changes)
     parts = []
     for form in ("implicit", "conservative"):
         study = base.override({"controller.discretisation": form})
