@@ -13,101 +13,19 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.design.certification import NotCovered
 from dssc_jax.proofs import small_gain
 from dssc_jax.proofs.coverage import problem_of
-from dssc_jax.proofs.enclosed_loop import held_sample, sampled
 from dssc_jax.proofs.gain_enclosures import functions_at
 from dssc_jax.proofs.gains import GAIN_NAMES, gain_hull
 from dssc_jax.proofs.problem import problem_from
 from dssc_jax.proofs.prove import check_certificate, prove
 from dssc_jax.proofs.reach import proved_up_to
-from dssc_jax.proofs.sampled_loop import LoopGains, LoopPoint, middle, sensor_weights, state_layout, step_of
+from dssc_jax.proofs.sampled_loop import LoopGains, LoopPoint, middle, step_of
 from dssc_jax.proofs.verifier import verify_certificate
-
-LOOP = dj.Study.load("studies/certified_margin.toml").override(
-    {"plant.k_p": 1.0, "plant.a_p": 0.3, "unmodelled.mu": 0.01, "requirement": [], "draws": 1}
-)
-CONSTANT = {"kind": "constant", "k_o": 5.0, "tau_av": 0.05, "tau_m": 0.5}
-HIGHER = {"plant.zero_dynamics": {"a": [2.0, 1.5], "c": [0.3, 0.1]}}
-SINE = {"kind": "sine", "amplitude": 0.2, "period": 2.0 * np.pi}
-NOMINAL = {"controller.nominal": {"a": 0.8, "k": 1.1}}
+from tests.proofs.cases import CONSTANT, HIGHER, LOOP, SINE
 
 
 @pytest.fixture(scope="module")
 def proved():
     return prove(LOOP)
-
-
-def exact(point, problem):
-    """A at a point by the verifier's own construction."""
-    held = held_sample(problem, arb(point.a_p), arb(point.rate))
-    matrix = sampled(problem, held, arb(point.k_p), tuple(map(arb, point.gains)))
-    return np.array([[float(matrix[i, j].mid()) for j in range(matrix.ncols())] for i in range(matrix.nrows())])
-
-
-TRANSFER = {"kind": "transfer_function", "mu": 0.02, "numerator": [1.0, -0.3, 0.2], "denominator": [1.0, 1.1, 0.9, 0.4]}
-DIRECT = {"kind": "transfer_function", "mu": 0.03, "numerator": [2.0, 0.5], "denominator": [2.0, 1.5]}
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {},
-        {"unmodelled": {"kind": "none"}},
-        {"unmodelled": {"kind": "lag", "order": 1, "mu": 0.05}},
-        {"unmodelled": TRANSFER},
-        {"unmodelled": DIRECT, **NOMINAL},
-        {"unmodelled": {"kind": "delay", "samples": 0.4, "memory": 4.0}},
-        {"unmodelled": {"kind": "delay", "samples": 2.0, "memory": 4.0}, **HIGHER},
-        {"unmodelled": {"kind": "delay", "samples": 2.7, "memory": 4.0}, "sensor": {"kind": "lag", "mu": 0.02}},
-        {"sensor": {"kind": "lag", "mu": 0.004}, **NOMINAL},
-        {**HIGHER, **NOMINAL},
-        {**NOMINAL, "controller.nominal.predictor_term": False, "unmodelled": {"kind": "none"}, **HIGHER},
-        {"reference": SINE},
-        {"reference": SINE, **NOMINAL, "unmodelled": DIRECT},
-        {"reference": SINE, **NOMINAL, "unmodelled": {"kind": "delay", "samples": 1.3, "memory": 4.0}},
-    ],
-    ids=lambda changes: " ".join(changes),
-)
-def test_one_sample_is_that_of_the_simulated_loop(changes):
-    """Both constructions of A carry the recorded signals from sample to sample, with a constant disturbance."""
-    study = LOOP.override(
-        {
-            "controller.functions": CONSTANT,
-            "disturbance": {"kind": "constant", "value": 0.07},
-            "loop.duration": 2.0,
-            "loop.sample_time": 0.01,
-            "loop.substeps": 16,
-            **changes,
-        }
-    )
-    run, problem = dj.simulate(study), problem_of(study)
-    zeta, memory, n = state_layout(problem)
-    gain, tau_m = 1.0 / (5.0 * 0.05), 0.5
-    a_n, k_n, term = problem.nominal or (0.0, np.inf, False)
-    rate = 1.0 / problem.mu[0] if problem.denominator else 0.0
-    point = LoopPoint(1.0, 0.3, rate, LoopGains(gain, gain / tau_m, term / (k_n * tau_m)))
-    step = step_of(problem, point, problem.box)
-    a = step.a
-    np.testing.assert_allclose(exact(point, problem.to_dict()), a, rtol=1e-12, atol=1e-14)
-
-    t = 0.01 * np.arange(201)
-    swing = SINE["amplitude"] if any(problem.reference) else 0.0
-    y_dot, y_ddot = swing * np.cos(t), -swing * np.sin(t)
-    d_r, f = 0.07 - y_ddot - 0.3 * y_dot, (y_ddot + a_n * y_dot) / k_n  # with k_p = 1
-    z = np.zeros(n)
-    z[0], z[1] = run["e"].values[0], run["y_dot"].values[0] - y_dot[0]
-    assert z[:2] == pytest.approx([pair[0] for pair in problem.initial[:2]], abs=1e-12)
-    z[zeta], z[n - 2] = d_r[0] * step.jump[zeta], -d_r[0] - f[0]
-    z[memory] = sensor_weights(problem)[0] * z[: memory.stop - memory.start]
-    z[n - 1] = z[1] + problem.l0 * z[0]
-    inside, left = step.b[:, 2:], np.full(n, 3e-7)  # d_r(t) - d_r(t_k) acts between the samples
-    for k in range(150):
-        assert abs(z[0] - run["e"].values[k]) <= left[0]
-        assert abs(z[1] - run["y_dot"].values[k] + y_dot[k]) <= left[1]
-        z, left, inside = a @ z, left + np.abs(inside).sum(axis=1), a @ inside
-        assert abs(z[n - 2] + d_r[k] + f[k] - run["u_av"].values[k]) <= left[n - 2]
-        z += step.jump * (d_r[k + 1] - d_r[k])
-        z[n - 2] -= d_r[k + 1] + f[k + 1] - d_r[k] - f[k]
-    assert left[0] < 2e-4
 
 
 def test_a_certificate_is_proved(proved):
@@ -366,71 +284,3 @@ def test_command(tmp_path, capsys, monkeypatch):
     assert "is outside of what a proof covers" in capsys.readouterr().err
     (tmp_path / "bad.json").write_text("{}")
     assert guarded(["prove", "bad.json"]) == 2
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"unmodelled": {**TRANSFER, "mu": 0.004}},
-        {"unmodelled": {"kind": "delay", "samples": 1.6, "memory": 3.0}},
-        {"sensor": {"kind": "lag", "mu": 0.003}, "unmodelled.mu": 0.004},
-        {"reference": SINE, **NOMINAL, "plant.initial": [0.1, 0.2]},
-        {"unmodelled": {"kind": "none"}, **HIGHER, "plant.initial": [0.1, 0.0, 0.05, -0.05]},
-    ],
-    ids=lambda changes: " ".join(changes),
-)
-def test_flights_stay_within_what_is_proved(changes):
-    """With transfer functions, delays, lagging sensors, moving references and zero dynamics."""
-    study = LOOP.override({"loop.sample_time": 0.004, "plant.k_p": {"uniform": [0.98, 1.02]}, **changes})
-    outcome = prove(study)
-    assert outcome.complete, outcome.failures
-    waves = {"draws": 64, "disturbance.phase": {"uniform": [0.0, 6.28]}, "disturbance.period": 6.0}
-    early = {"metrics": {"after": 0.0, "names": ["error_max", "outside_sliding"]}}
-    flown = dj.run(study.override({**waves, **early, "loop.duration": 20.0})).dataset
-    settled = dj.run(study.override({**waves, "metrics": {"after": 25.0, "names": ["error_max"]}})).dataset
-    print(f"\n{outcome.error:.3g} m, flown {float(settled['error_max'].max()):.3g} m")
-    assert float(flown["error_max"].max()) <= outcome.largest_error
-    assert np.all(flown["outside_sliding"].values == 0.0)
-    assert float(settled["error_max"].max()) <= outcome.error
-
-
-@pytest.mark.parametrize("form", ["implicit", "conservative"])
-def test_case_2_is_proved_from_40_m(form):
-    """Its own gains, whose slope changes by a factor of five on the way."""
-    study = dj.Study.load("studies/paper_case2.toml").override(
-        {
-            "controller.discretisation": form,
-            "controller.predictor_start": "matched",
-            "disturbance": {"kind": "none"},
-            "reference": {"kind": "zero"},
-            "unmodelled": {"kind": "lag", "order": 2, "mu": 0.1},
-            "requirement": [],
-            "metrics": {"after": 0.0, "names": ["error_max", "outside_sliding"]},
-        }
-    )
-    outcome = prove(study, boxes=1)
-    assert outcome.complete, outcome.failures
-    assert outcome.error < 1e-12
-    flown = dj.run(study).dataset
-    assert 40.0 <= float(flown["error_max"].max()) <= outcome.largest_error < 200.0
-    assert float(flown["outside_sliding"].max()) == 0.0
-    first = json.loads(json.dumps(outcome.certificate()))
-    assert first["proofs"][0]["stages"][0]["pieces"] > 1
-    for pieces, premise in ((1, "P6"), (0, "P0"), (2.0, "P0")):
-        content = copy.deepcopy(first)
-        content["proofs"][0]["stages"][0]["pieces"] = pieces
-        assert verify_certificate(content).reason.startswith(premise)
-
-
-def test_a_channel_near_hover_is_that_of_the_vehicle():
-    """x of the vehicle and of its model, from 0.1 m on, with the same controller."""
-    own = {"controller.discretisation": "conservative", "controller.predictor_start": "matched"}
-    calm = {"requirement": [], "loop.duration": 12.0, "metrics": {}}
-    channel = dj.Study.load("studies/channel_x.toml").override(
-        {**calm, "plant.k_p": 1.0, "plant.initial": [0.1, 0.0], "disturbance": {"kind": "none"}}
-    )
-    start = {"plant.position": [0.1, 0.0, 0.0], "plant.yaw": 0.0}
-    still = {"reference": {"kind": "hover"}, "wind": {"kind": "none"}, **start}
-    vehicle = dj.Study.load("studies/paper_case1.toml").override({**calm, **own, **still})
-    x, model = dj.simulate(vehicle)["x_e"].values, dj.simulate(channel)["e"].values
-    assert np.abs(x - model).max() < 0.01 * np.abs(model).max()
