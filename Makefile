@@ -34,7 +34,7 @@ paper: $(VENV)/run  ## regenerate docs/paper.md: the article's figures and a tab
 	$(BIN)/python -m benchmarks.paper
 
 conservatism: $(VENV)/run  ## regenerate docs/conservatism.md: certified against simulated
-	$(BIN)/python benchmarks/conservatism.py
+	$(BIN)/python -m benchmarks.conservatism
 
 docs: $(VENV)/docs  ## build the documentation site into site/; a warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict

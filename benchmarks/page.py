@@ -7,6 +7,12 @@ from dssc_jax.console import machine
 PAGE = Path(__file__).parents[1] / "docs" / "statistics.md"
 
 
+def stored_part(part: str, page: Path) -> str:
+    """What stands on a page between the marks of a part, with the marks: for a script that writes the rest anew."""
+    start, end = f"<!-- {part} -->", f"<!-- end of {part} -->"
+    return start + page.read_text().split(start)[1].split(end)[0] + end
+
+
 def put(part: str, text: str, page: Path = PAGE) -> None:
     """Replace what stands on the page between ``<!-- part -->`` and ``<!-- end of part -->``, with machine and date."""
     whole = page.read_text()

@@ -57,6 +57,12 @@ REFERENCE_TABLES = [
     {"kind": "zero"},
     {"kind": "sine", "amplitude": 0.5, "period": 2.0},
     {"kind": "mission", "axis": "x"},
+    {"kind": "step", "size": 0.5, "at": 0.3},
+    {"kind": "ramp", "slope": {"uniform": [0.2, 0.4]}, "rise": 0.5},
+    {"kind": "pulses", "size": 0.2, "period": 0.4, "width": 0.1},
+    {"kind": "chirp", "amplitude": 0.1, "start": 0.5, "end": 2.0, "duration": 1.0},
+    {"kind": "multisine", "amplitudes": [0.1, 0.2], "frequencies": [0.5, 1.0]},
+    {"kind": "record", "time": [0.0, 0.3, 0.6, 1.0], "value": [0.0, 0.2, 0.1, 0.3]},
 ]
 SENSOR_TABLES = [
     {"kind": "ideal"},
@@ -103,7 +109,8 @@ def random_studies():
     columns = {slot: shuffled(random, tables, count) for slot, tables in slots.items()}
     for i in range(count):
         study = {slot: dict(column[i]) for slot, column in columns.items()}
-        study["plant"] |= {"k_p": {"uniform": [0.8, 1.2]}, "a_p": {"uniform": [0.8, 1.2]}}
+        if study["plant"]["kind"] == "normal_form":
+            study["plant"] |= {"k_p": {"uniform": [0.8, 1.2]}, "a_p": {"uniform": [0.8, 1.2]}}
         study["controller"] |= {"l0": 0.5}
         substeps, steps = random.choice([1, 2, 3]), random.choice([60, 61])
         loop = {"sample_time": 0.02, "duration": 0.02 * steps, "substeps": substeps}

@@ -16,6 +16,7 @@ from dssc_jax.design import (
     certified,
     check,
     derive,
+    design,
     guarantee,
     small_gain,
     synthesise,
@@ -119,6 +120,13 @@ def test_numbers_out_of_range_are_not_certified(change):
     assert not certified(p._replace(**change), BOUNDS)
     assert not certified(p, BOUNDS._replace(alpha_d3=np.inf))
     assert not certified(p, BOUNDS._replace(k_d3=-1.0))
+
+
+def test_a_singular_p_is_not_certified():
+    """gamma k_min = 4 eps^2 exactly, in plain numbers."""
+    p, b = design(BOUNDS, FREE), BOUNDS
+    assert not certified(p._replace(gamma=4.0 * p.eps**2 / float(b.k_min)), b)
+    assert not certified(p._replace(gamma=1.0, eps=0.5), b._replace(k_min=1.0, k_max=1.0))
 
 
 def test_an_ill_conditioned_p_eta_is_not_certified():

@@ -13,101 +13,19 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.design.certification import NotCovered
 from dssc_jax.proofs import small_gain
 from dssc_jax.proofs.coverage import problem_of
-from dssc_jax.proofs.enclosed_loop import held_sample, sampled
 from dssc_jax.proofs.gain_enclosures import functions_at
 from dssc_jax.proofs.gains import GAIN_NAMES, gain_hull
 from dssc_jax.proofs.problem import problem_from
 from dssc_jax.proofs.prove import check_certificate, prove
 from dssc_jax.proofs.reach import proved_up_to
-from dssc_jax.proofs.sampled_loop import LoopGains, LoopPoint, layout_of, middle, sensor_weights, step_of
+from dssc_jax.proofs.sampled_loop import LoopGains, LoopPoint, middle, step_of
 from dssc_jax.proofs.verifier import verify_certificate
-
-LOOP = dj.Study.load("studies/certified_margin.toml").override(
-    {"plant.k_p": 1.0, "plant.a_p": 0.3, "unmodelled.mu": 0.01, "requirement": [], "draws": 1}
-)
-CONSTANT = {"kind": "constant", "k_o": 5.0, "tau_av": 0.05, "tau_m": 0.5}
-HIGHER = {"plant.zero_dynamics": {"a": [2.0, 1.5], "c": [0.3, 0.1]}}
-SINE = {"kind": "sine", "amplitude": 0.2, "period": 2.0 * np.pi}
-NOMINAL = {"controller.nominal": {"a": 0.8, "k": 1.1}}
+from tests.proofs.cases import CONSTANT, HIGHER, LOOP, SINE
 
 
 @pytest.fixture(scope="module")
 def proved():
     return prove(LOOP)
-
-
-def exact(point, problem):
-    """A at a point by the verifier's own construction."""
-    held = held_sample(problem, arb(point.a_p), arb(point.rate))
-    matrix = sampled(problem, held, arb(point.k_p), tuple(map(arb, point.gains)))
-    return np.array([[float(matrix[i, j].mid()) for j in range(matrix.ncols())] for i in range(matrix.nrows())])
-
-
-TRANSFER = {"kind": "transfer_function", "mu": 0.02, "numerator": [1.0, -0.3, 0.2], "denominator": [1.0, 1.1, 0.9, 0.4]}
-DIRECT = {"kind": "transfer_function", "mu": 0.03, "numerator": [2.0, 0.5], "denominator": [2.0, 1.5]}
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {},
-        {"unmodelled": {"kind": "none"}},
-        {"unmodelled": {"kind": "lag", "order": 1, "mu": 0.05}},
-        {"unmodelled": TRANSFER},
-        {"unmodelled": DIRECT, **NOMINAL},
-        {"unmodelled": {"kind": "delay", "samples": 0.4, "memory": 4.0}},
-        {"unmodelled": {"kind": "delay", "samples": 2.0, "memory": 4.0}, **HIGHER},
-        {"unmodelled": {"kind": "delay", "samples": 2.7, "memory": 4.0}, "sensor": {"kind": "lag", "mu": 0.02}},
-        {"sensor": {"kind": "lag", "mu": 0.004}, **NOMINAL},
-        {**HIGHER, **NOMINAL},
-        {**NOMINAL, "controller.nominal.predictor_term": False, "unmodelled": {"kind": "none"}, **HIGHER},
-        {"reference": SINE},
-        {"reference": SINE, **NOMINAL, "unmodelled": DIRECT},
-        {"reference": SINE, **NOMINAL, "unmodelled": {"kind": "delay", "samples": 1.3, "memory": 4.0}},
-    ],
-    ids=lambda changes: " ".join(changes),
-)
-def test_one_sample_is_that_of_the_simulated_loop(changes):
-    """Both constructions of A carry the recorded signals from sample to sample, with a constant disturbance."""
-    study = LOOP.override(
-        {
-            "controller.functions": CONSTANT,
-            "disturbance": {"kind": "constant", "value": 0.07},
-            "loop.duration": 2.0,
-            "loop.sample_time": 0.01,
-            "loop.substeps": 16,
-            **changes,
-        }
-    )
-    run, problem = dj.simulate(study), problem_of(study)
-    zeta, memory, n = layout_of(problem)
-    gain, tau_m = 1.0 / (5.0 * 0.05), 0.5
-    a_n, k_n, term = problem.nominal or (0.0, np.inf, False)
-    rate = 1.0 / problem.mu[0] if problem.denominator else 0.0
-    point = LoopPoint(1.0, 0.3, rate, LoopGains(gain, gain / tau_m, term / (k_n * tau_m)))
-    step = step_of(problem, point, problem.box)
-    a = step.a
-    np.testing.assert_allclose(exact(point, problem.to_dict()), a, rtol=1e-12, atol=1e-14)
-
-    t = 0.01 * np.arange(201)
-    swing = SINE["amplitude"] if any(problem.reference) else 0.0
-    y_dot, y_ddot = swing * np.cos(t), -swing * np.sin(t)
-    d_r, f = 0.07 - y_ddot - 0.3 * y_dot, (y_ddot + a_n * y_dot) / k_n  # with k_p = 1
-    z = np.zeros(n)
-    z[0], z[1] = run["e"].values[0], run["y_dot"].values[0] - y_dot[0]
-    assert z[:2] == pytest.approx([pair[0] for pair in problem.initial[:2]], abs=1e-12)
-    z[zeta], z[n - 2] = d_r[0] * step.jump[zeta], -d_r[0] - f[0]
-    z[memory] = sensor_weights(problem)[0] * z[: memory.stop - memory.start]
-    z[n - 1] = z[1] + problem.l0 * z[0]
-    inside, left = step.b[:, 2:], np.full(n, 3e-7)  # d_r(t) - d_r(t_k) acts between the samples
-    for k in range(150):
-        assert abs(z[0] - run["e"].values[k]) <= left[0]
-        assert abs(z[1] - run["y_dot"].values[k] + y_dot[k]) <= left[1]
-        z, left, inside = a @ z, left + np.abs(inside).sum(axis=1), a @ inside
-        assert abs(z[n - 2] + d_r[k] + f[k] - run["u_av"].values[k]) <= left[n - 2]
-        z += step.jump * (d_r[k + 1] - d_r[k])
-        z[n - 2] -= d_r[k + 1] + f[k + 1] - d_r[k] - f[k]
-    assert left[0] < 2e-4
 
 
 def test_a_certificate_is_proved(proved):
@@ -186,6 +104,15 @@ def falsified(certificate):
     yield "P0", with_problem(matched="false")
     yield "P0", with_problem(sample_time=True)
     yield "P0", with_problem(rho=float("inf"))
+    yield "P0", with_problem(delay=1.0)  # beside a transfer function
+    yield "P0", with_problem(denominator=[1.0, 2.0, 0.0])
+    yield "P0", with_problem(numerator=[0.9])
+    yield "P0", with_problem(numerator=[1.0] * 4)
+    yield "P0", with_problem(sensor_lag=-0.1)
+    yield "P0", with_problem(sensor_lag=0.1)  # of which the sets know no memory
+    yield "P0", with_problem(reference=[0.0, -1.0, 0.0])
+    yield "P7", with_problem(reference=[0.1, 0.1, 0.1])
+    yield "P7", with_problem(denominator=[1.0, 2.5, 1.0])
     yield "P0", with_problem(functions={**certificate["problem"]["functions"], "tau_av": 0.1})
     yield "P0", with_problem(functions={**certificate["problem"]["functions"], "delta": -0.5})
     yield "P0", with_stage(sigma=float("nan"))

@@ -13,7 +13,7 @@ depend on k_p: a concave function of k_p, since lmin is concave, det P affine an
 
 from typing import NamedTuple
 
-from dssc_jax.design.arrays import Numeric, greater, namespace
+from dssc_jax.design.arrays import Numeric, greater, namespace, ratio_where
 from dssc_jax.design.bounds import Bounds, Constants, derive
 from dssc_jax.design.lyapunov import Spread, eigenvalues_of_p, norm_of_pb
 from dssc_jax.design.table1 import BOUNDARY_WIDTH, ULPS, Parameters
@@ -116,7 +116,7 @@ def small_gain_holds(p: Parameters, bounds: Bounds) -> Numeric:
     """Whether phi_b exceeds the derived bound by more than its rounding error, including that of P's determinant."""
     bound = small_gain(p, bounds).derived
     determinant = p.gamma * bounds.k_min - 4.0 * p.eps**2
-    cancelled = ULPS * (p.gamma * bounds.k_min + 4.0 * p.eps**2) / abs(determinant)
+    cancelled = ratio_where(determinant > 0.0, ULPS * (p.gamma * bounds.k_min + 4.0 * p.eps**2), determinant)
     return p.phi_b > bound * (1.0 + BOUNDARY_WIDTH + cancelled)
 
 

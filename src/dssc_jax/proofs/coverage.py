@@ -23,7 +23,7 @@ from dssc_jax.study.laws import Law
 
 UNCERTAIN = ("plant.k_p", "plant.a_p", "unmodelled.mu")
 """Numbers of a loop that a proof covers over an interval."""
-SIGNALS = ("plant.initial", "disturbance.", "reference.")
+BOUNDED_SIGNALS = ("plant.initial", "disturbance.", "reference.")
 """Beginnings of the names of numbers that only bound a signal."""
 LAGS = {
     LAG.members[Order.ONE]: ((1.0,), (1.0, 1.0)),
@@ -40,7 +40,7 @@ def problem_of(study: Study) -> ProofProblem:
     """
     loop, ends = study.loop, ends_of(study.without_sweep())
     for name, law in study.laws.items():
-        if name not in UNCERTAIN and not name.startswith(SIGNALS):
+        if name not in UNCERTAIN and not name.startswith(BOUNDED_SIGNALS):
             raise NotCovered(f"{name} is uncertain; a proof takes intervals of {', '.join(UNCERTAIN)} only")
         if not all(abs(end) < float("inf") for end in law.support):
             raise NotCovered(f"the law of {name} has no bounds; give one with bounded support")

@@ -21,7 +21,7 @@ class Corner(NamedTuple):
     b: arb_mat
 
 
-class Layout(NamedTuple):
+class StatePlaces(NamedTuple):
     """Places in z: of zeta and of the sensor's memory, and the number of all states."""
 
     zeta: range
@@ -29,7 +29,7 @@ class Layout(NamedTuple):
     n: int
 
 
-class SignalSizes(NamedTuple):
+class SignalBounds(NamedTuple):
     """Bounds of |d_r| [m/s], |d_r'|, |f'| [m/s^2], |d_r + f| [m/s] and its derivative over a box."""
 
     level: arb
@@ -39,16 +39,16 @@ class SignalSizes(NamedTuple):
     offset_slope: arb
 
 
-def layout_of(problem: dict[str, Any]) -> Layout:
+def state_places(problem: dict[str, Any]) -> StatePlaces:
     """Where the states are: e, e', eta, zeta, the sensor's memory, v or q, s."""
     first = 2 + len(problem["zero_a"])
     orders = max(len(problem["denominator"]) - 1, math.ceil(problem["delay"]))
     memory = first + orders
     end = memory + (2 if problem["sensor_lag"] else 0)
-    return Layout(range(first, memory), range(memory, end), end + 2)
+    return StatePlaces(range(first, memory), range(memory, end), end + 2)
 
 
-def signal_sizes(problem: dict[str, Any], box: dict[str, Any]) -> SignalSizes:
+def signal_bounds(problem: dict[str, Any], box: dict[str, Any]) -> SignalBounds:
     """What disturbance and reference add up to: d_r = d - (y_m'' + a_p y_m')/k_p, f = (y_m'' + a_n y_m')/k_n."""
     level, slope = arb(problem["level"]), arb(problem["slope"])
     speed, acceleration, jerk = map(arb, problem["reference"])
@@ -66,28 +66,28 @@ def signal_sizes(problem: dict[str, Any], box: dict[str, Any]) -> SignalSizes:
             slope + abs(inverse - 1 / k_p) * jerk + left * acceleration,
         )
         worst = [larger(each.upper(), before) for each, before in zip(here, worst, strict=True)]
-    return SignalSizes(*worst)
+    return SignalBounds(*worst)
 
 
 def signal_rows(problem: dict[str, Any]) -> dict[str, arb_mat]:
     """Rows of e and sigma as they are measured, of sigma - s, of v or q, and of s."""
-    layout = layout_of(problem)
+    layout = state_places(problem)
     unit = [arb_mat([[int(i == at) for i in range(layout.n)]]) for at in range(layout.n)]
     e, speed, v, s = unit[0], unit[1], unit[-2], unit[-1]
     if layout.memory:
-        kappa, _ = sensor_weights(problem)
+        kappa, _ = memory_weights(problem)
         e, speed = (unit[i] * (1 - kappa) + unit[at] for i, at in enumerate(layout.memory))
     sigma = speed + e * arb(problem["l0"])
     return {"e": e, "sigma": sigma, "change": sigma - s, "v": v, "s": s}
 
 
-def sensor_weights(problem: dict[str, Any]) -> tuple[arb, arb]:
+def memory_weights(problem: dict[str, Any]) -> tuple[arb, arb]:
     """kappa and lambda: the sensor shows (1 - kappa) y + m, and m+ = lambda m + kappa (1 - lambda) y."""
     steps = arb(problem["sample_time"]) / arb(problem["sensor_lag"])
     return -(-steps).expm1() / steps, (-steps).exp()
 
 
-def realised(problem: dict[str, Any]) -> tuple[list[arb], list[arb], arb]:
+def companion_of(problem: dict[str, Any]) -> tuple[list[arb], list[arb], arb]:
     """G(mu s) in companion form: a_0 .. of the monic denominator, output row, feedthrough."""
     below, above = ([arb(x) for x in problem[name]] for name in ("denominator", "numerator"))
     above += [arb(0)] * (len(below) - len(above))
@@ -104,7 +104,7 @@ def delay_weights(problem: dict[str, Any]) -> list[arb]:
 
 def held_generator(problem: dict[str, Any], a_p: arb, rate: arb) -> arb_mat:
     """[[F, G], [0, 0]] of the held plant chi' = F chi + G U, U' = 0; memories rest between samples."""
-    eta, (zeta, _, n) = len(problem["zero_a"]), layout_of(problem)
+    eta, (zeta, _, n) = len(problem["zero_a"]), state_places(problem)
     size = n - 1
     f = [[arb(0)] * size for _ in range(size)]
     f[0][1], f[1][1] = arb(1), -a_p
@@ -117,7 +117,7 @@ def held_generator(problem: dict[str, Any], a_p: arb, rate: arb) -> arb_mat:
         for i, a in enumerate(problem["zero_a"]):
             f[1 + eta][2 + i] = f[1 + eta][2 + i] - arb(a)
     if problem["denominator"]:
-        below, output, f[1][-1] = realised(problem)
+        below, output, f[1][-1] = companion_of(problem)
         for at, a, c in zip(zeta, below, output, strict=True):
             f[1][at] = c
             f[zeta[-1]][at] = -rate * a
@@ -133,14 +133,14 @@ def held_generator(problem: dict[str, Any], a_p: arb, rate: arb) -> arb_mat:
 
 def held_sample(problem: dict[str, Any], a_p: arb, rate: arb) -> arb_mat:
     """[[Phi, Gamma], [0, 1]] of one sample, in which the memories of delay and sensor move on."""
-    zeta, memory, n = layout_of(problem)
+    zeta, memory, n = state_places(problem)
     held = (held_generator(problem, a_p, rate) * arb(problem["sample_time"])).exp()
     rows = [[held[i, j] for j in range(n - 1)] for i in range(n - 1)]
     if not problem["denominator"]:
         for i in zeta:
             rows[i] = [arb(int(j == (n - 2 if i == zeta[0] else i - 1))) for j in range(n - 1)]
     if memory:
-        kappa, keeps = sensor_weights(problem)
+        kappa, keeps = memory_weights(problem)
         for of, i in enumerate(memory):
             rows[i] = [keeps if j == i else kappa * (1 - keeps) if j == of else arb(0) for j in range(n - 1)]
     return arb_mat(rows)
@@ -149,7 +149,7 @@ def held_sample(problem: dict[str, Any], a_p: arb, rate: arb) -> arb_mat:
 def sample_corners(problem: dict[str, Any], box: dict[str, Any], gains: Balls, *, integrated: bool) -> list[Corner]:
     """Every corner of plant and gains; each of its balls also holds what interpolation between corners leaves out."""
     rest = interpolation_error(problem, box)
-    sizes = signal_sizes(problem, box)
+    sizes = signal_bounds(problem, box)
     inside = inside_bounds(problem, box, arb(problem["sample_time"]))
     first, result = "mean" if integrated else "k_p", []
     for a_p, lag_rate in product(exact_ends(box["a_p"]), exact_ends(box.get("rate", (0.0, 0.0)))):
@@ -165,7 +165,7 @@ def sampled(
     problem: dict[str, Any], held: arb_mat, k_p: arb, gain: Sequence[arb], *, integrated: bool = False
 ) -> arb_mat:
     """A at one corner; in the coordinate q = v - phi_1(s), the first gain is phi_1/sigma."""
-    _, _, n = layout_of(problem)
+    _, _, n = state_places(problem)
     chi, rows = n - 2, signal_rows(problem)
     new, command = control_rows(problem, gain, integrated=integrated)
     a = [
@@ -192,15 +192,15 @@ def control_rows(problem: dict[str, Any], gain: Sequence[arb], *, integrated: bo
 
 def zeta_jump(problem: dict[str, Any]) -> list[arb]:
     """What a change of k_p d_r by 1 adds to zeta."""
-    zeta = layout_of(problem).zeta
+    zeta = state_places(problem).zeta
     if problem["denominator"]:
-        return [1 / realised(problem)[0][0], *(arb(0) for _ in zeta[1:])]
+        return [1 / companion_of(problem)[0][0], *(arb(0) for _ in zeta[1:])]
     return [arb(1) for _ in zeta]
 
 
-def input_columns(problem: dict[str, Any], k_p: arb, sizes: SignalSizes, inside: list[arb]) -> arb_mat:
+def input_columns(problem: dict[str, Any], k_p: arb, sizes: SignalBounds, inside: list[arb]) -> arb_mat:
     """Columns of the changes of d_r + f and -f and of theta's components, for inputs of magnitude at most 1."""
-    zeta, _, n = layout_of(problem)
+    zeta, _, n = state_places(problem)
     t, before, after = arb(problem["sample_time"]), [arb(0)] * zeta.start, [arb(0)] * (n - 2 - zeta.stop)
     jump = [k_p * each for each in zeta_jump(problem)]
     both_move = [*before, *jump, *after, arb(-1), arb(0)]
@@ -212,14 +212,14 @@ def input_columns(problem: dict[str, Any], k_p: arb, sizes: SignalSizes, inside:
 
 def inside_bounds(problem: dict[str, Any], box: dict[str, Any], time: arb) -> list[arb]:
     """Bound of each component of theta: D t^2/2 times the largest |exp(F s)| k_p from d_r to it, for s in [0, t]."""
-    _, _, n = layout_of(problem)
+    _, _, n = state_places(problem)
     f = held_generator(problem, enclosing(*box["a_p"]), enclosing(*box.get("rate", (0.0, 0.0))))
     largest = [arb(0)] * n
     for piece in range(SAMPLE_PIECES):
         s = time * enclosing(piece / SAMPLE_PIECES, (piece + 1) / SAMPLE_PIECES)
         flow = (f * s).exp()
         largest = [larger(largest[i], abs(flow[i, 1]).upper() if i < n - 2 else arb(0)) for i in range(n)]
-    factor = signal_sizes(problem, box).slope * time * time / 2 * arb(box["k_p"][1])
+    factor = signal_bounds(problem, box).slope * time * time / 2 * arb(box["k_p"][1])
     return [(factor * each).upper() for each in largest]
 
 
@@ -231,8 +231,8 @@ def start_columns(problem: dict[str, Any], box: dict[str, Any], mean: arb | None
         box: Its box.
         mean: phi_1/sigma at the starts, where the coordinate is q = v - phi_1(s); else None.
     """
-    layout, sizes, jump = layout_of(problem), signal_sizes(problem, box), zeta_jump(problem)
-    kappa = sensor_weights(problem)[0] if layout.memory else arb(0)
+    layout, sizes, jump = state_places(problem), signal_bounds(problem, box), zeta_jump(problem)
+    kappa = memory_weights(problem)[0] if layout.memory else arb(0)
     pairs = [(d, offset) for d in (-sizes.level, sizes.level) for offset in (-sizes.offset, sizes.offset)]
     if not any(problem["reference"]):  # d_r and d_r + f are the same
         pairs = [(-sizes.level, -sizes.level), (sizes.level, sizes.level)]

@@ -18,7 +18,7 @@ GAIN_NAMES = ("k_p", "k_i", "k_n", "slide_p", "slide_i")
 MOST_PIECES, PIECE_RATIO = 12, 1.2
 """Largest number of pieces of a region, and the ratio of the largest to the smallest K_P in one."""
 Hull = dict[str, Interval]
-Gains = dict[str, jax.Array]
+GainArrays = dict[str, jax.Array]
 
 
 def gain_hull(problem: ProofProblem, sigma: float, e: float, least: float = 0.0) -> Hull:
@@ -43,7 +43,7 @@ def gain_hull(problem: ProofProblem, sigma: float, e: float, least: float = 0.0)
 
 
 @jax.jit
-def implicit_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar, t: Scalar, pole: Scalar) -> Gains:
+def implicit_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar, t: Scalar, pole: Scalar) -> GainArrays:
     """The gains at points (sigma, e) of the implicit form; ``pole`` is 1/k_n where u_n has its term 1/tau_m."""
     k_o, tau_av, tau_m = functions.at(s, e, l0)
     proportional, reach = 1.0 / (k_o * tau_av), 1.0 + tau_av / t
@@ -53,7 +53,7 @@ def implicit_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar, t: Sc
 
 
 @jax.jit
-def conservative_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar, t: Scalar, pole: Scalar) -> Gains:
+def conservative_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar, t: Scalar, pole: Scalar) -> GainArrays:
     """The same of the conservative form, in which K_P is a mean over sigma, and tau_av belongs to its last value."""
     at = functions.at(s, e, l0)
     law = functions.law(s, e, at)

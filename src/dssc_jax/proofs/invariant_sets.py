@@ -24,11 +24,11 @@ from dssc_jax.proofs.enclosed_loop import (
     control_rows,
     held_generator,
     inside_bounds,
-    layout_of,
     sample_corners,
+    signal_bounds,
     signal_rows,
-    signal_sizes,
     start_columns,
+    state_places,
 )
 from dssc_jax.proofs.gain_enclosures import Balls, enclosed_gains
 
@@ -97,7 +97,7 @@ def check_sliding(
     """
     if problem["rho"] is None:
         return
-    rows, room = signal_rows(problem), arb(problem["rho"]) - signal_sizes(problem, box).offset
+    rows, room = signal_rows(problem), arb(problem["rho"]) - signal_bounds(problem, box).offset
     held = rows["v"]
     if problem["form"] == "conservative":
         least = gains["mean"].lower()
@@ -146,7 +146,7 @@ def error_between_samples(
     problem: dict[str, Any], box: dict[str, Any], inverse: arb_mat, gains: Balls, integrated: bool
 ) -> arb:
     """Upper bound of |e(t)| at all times, while z at the samples is in the set."""
-    _, _, n = layout_of(problem)
+    _, _, n = state_places(problem)
     t, k_p = arb(problem["sample_time"]), enclosing(*box["k_p"])
     f = held_generator(problem, enclosing(*box["a_p"]), enclosing(*box.get("rate", (0.0, 0.0))))
     rest, largest = inside_bounds(problem, box, t)[0], arb(0)

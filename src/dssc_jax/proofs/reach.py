@@ -13,7 +13,7 @@ from dssc_jax.proofs.prove import REASONS, Proved, prove_problem
 from dssc_jax.study import Study
 from dssc_jax.study.laws import SPREAD
 
-CLOCK = "loop.sample_time"
+SAMPLE_TIME = "loop.sample_time"
 NARROWEST_GAP = 0.01
 """Largest gap between the last proved and the first unproved value, as a share of the range."""
 
@@ -122,6 +122,6 @@ def problem_at(study: Study, name: str, value: float) -> ProofProblem:
     Raises:
         NotCovered: the loop is outside of what a proof covers.
     """
-    if name == CLOCK:  # the duration need not be a multiple of it
+    if name == SAMPLE_TIME:  # the duration need not be a multiple of it
         return replace(problem_of(study), sample_time=value)
     return problem_of(study.override(widened(study, value) if name == SPREAD else {name: value}))

@@ -63,7 +63,7 @@ class Step(NamedTuple):
     jump: np.ndarray
 
 
-class Layout(NamedTuple):
+class StateLayout(NamedTuple):
     """Places in z: of zeta and of the sensor's memory, and the number of all states."""
 
     zeta: slice
@@ -81,12 +81,12 @@ class SignalSizes(NamedTuple):
     offset_slope: float
 
 
-def layout_of(problem: ProofProblem) -> Layout:
+def state_layout(problem: ProofProblem) -> StateLayout:
     """Where the states are."""
     first = 2 + len(problem.zero_a)
     memory = first + max(len(problem.denominator), len(problem.delay_weights)) - 1
     end = memory + (2 if problem.sensor_lag else 0)
-    return Layout(slice(first, memory), slice(memory, end), end + 2)
+    return StateLayout(slice(first, memory), slice(memory, end), end + 2)
 
 
 def signal_sizes(problem: ProofProblem, box: dict[str, Interval]) -> SignalSizes:
@@ -107,7 +107,7 @@ def signal_sizes(problem: ProofProblem, box: dict[str, Interval]) -> SignalSizes
     )
 
 
-def realised(problem: ProofProblem) -> tuple[np.ndarray, np.ndarray, float]:
+def companion_form(problem: ProofProblem) -> tuple[np.ndarray, np.ndarray, float]:
     """G(mu s) in companion form: coefficients a_0 .. a_(n-1) of the monic denominator, output row, feedthrough."""
     below = np.array(problem.denominator)
     above = np.zeros(below.size)
@@ -118,7 +118,7 @@ def realised(problem: ProofProblem) -> tuple[np.ndarray, np.ndarray, float]:
 
 def held_plant(problem: ProofProblem, a_p: float, rate: float) -> tuple[np.ndarray, np.ndarray]:
     """F and G of chi' = F chi + G U; memories rest between samples."""
-    eta, (zeta, _, n) = len(problem.zero_a), layout_of(problem)
+    eta, (zeta, _, n) = len(problem.zero_a), state_layout(problem)
     f, g = np.zeros((n - 2, n - 2)), np.zeros(n - 2)
     f[0, 1], f[1, 1] = 1.0, -a_p
     f[1, 2 : 2 + eta] = np.negative(problem.zero_c)
@@ -127,7 +127,7 @@ def held_plant(problem: ProofProblem, a_p: float, rate: float) -> tuple[np.ndarr
     if eta:
         f[1 + eta, 1], f[1 + eta, 2 : 2 + eta] = 1.0, np.negative(problem.zero_a)
     if problem.denominator:
-        a, f[1, zeta], g[1] = realised(problem)
+        a, f[1, zeta], g[1] = companion_form(problem)
         for i in range(zeta.start, zeta.stop - 1):
             f[i, i + 1] = rate
         f[zeta.stop - 1, zeta], g[zeta.stop - 1] = -rate * a, rate
@@ -158,7 +158,7 @@ def sensor_weights(problem: ProofProblem) -> tuple[float, float]:
 def held_matrices(problem: ProofProblem, a_p: float, rate: float) -> tuple[np.ndarray, np.ndarray]:
     """Phi and Gamma of one sample; the delay's memory moves on, and the sensor's."""
     phi, gamma = map(np.copy, flow(problem, a_p, rate, problem.sample_time))
-    zeta, memory, _ = layout_of(problem)
+    zeta, memory, _ = state_layout(problem)
     if not problem.denominator:
         for i in range(zeta.start, zeta.stop):
             phi[i], gamma[i] = np.eye(phi.shape[0])[i - 1] * (i > zeta.start), i == zeta.start
@@ -178,7 +178,7 @@ def step_of(problem: ProofProblem, point: LoopPoint, box: dict[str, Interval], *
         box: The box that the point is of.
         integrated: Whether the coordinate is q = v - phi_1(s), and the first gain phi_1/sigma.
     """
-    zeta, memory, n = layout_of(problem)
+    zeta, memory, n = state_layout(problem)
     t, chi, unit, sizes = problem.sample_time, n - 2, np.eye(n), signal_sizes(problem, box)
     phi, gamma = held_matrices(problem, point.a_p, point.rate)
     kappa, _ = sensor_weights(problem)
@@ -197,7 +197,7 @@ def step_of(problem: ProofProblem, point: LoopPoint, box: dict[str, Interval], *
     a += np.outer(push, command)
     a[n - 2], a[n - 1] = new, sigma
     if problem.denominator:
-        jump[zeta.start] = point.k_p / realised(problem)[0][0]
+        jump[zeta.start] = point.k_p / companion_form(problem)[0][0]
     else:
         jump[zeta] = point.k_p
     columns = [t * sizes.offset_slope * (jump - v), t * sizes.feed_slope * jump]
@@ -250,7 +250,7 @@ def start_corners(
         box: Intervals of the uncertain numbers.
         integrated: Interval of phi_1/sigma at the start, where the coordinate is q = v - phi_1(s); else None.
     """
-    zeta, memory, n = layout_of(problem)
+    zeta, memory, n = state_layout(problem)
     sizes = signal_sizes(problem, box)
     kappa, _ = sensor_weights(problem)
     pairs = {(d, f) for d in (-sizes.level, sizes.level) for f in (-sizes.offset, sizes.offset)}
@@ -265,7 +265,7 @@ def start_corners(
                 z = np.zeros(n)
                 z[: len(plant)] = plant
                 if problem.denominator:
-                    z[zeta.start] = k_p * level / realised(problem)[0][0]
+                    z[zeta.start] = k_p * level / companion_form(problem)[0][0]
                 else:
                     z[zeta] = k_p * level
                 z[memory] = kappa * np.array(plant[:2])[: memory.stop - memory.start]

@@ -23,11 +23,11 @@ from dssc_jax.proofs.enclosed_loop import (
     held_spread,
     input_columns,
     inside_bounds,
-    layout_of,
     sampled,
+    signal_bounds,
     signal_rows,
-    signal_sizes,
     start_columns,
+    state_places,
     zeta_jump,
 )
 from dssc_jax.proofs.gain_enclosures import Balls
@@ -60,7 +60,7 @@ class MiddleLoop(NamedTuple):
 
 def middle_loop(problem: dict[str, Any], box: dict[str, Any], centre: Balls) -> MiddleLoop:
     """The loop of a box at its middle and at these gains."""
-    zeta, _, n = layout_of(problem)
+    zeta, _, n = state_places(problem)
     chi, t, rows = n - 2, arb(problem["sample_time"]), signal_rows(problem)
     low, high = map(arb, box["k_p"])
     middle = {name: ((arb(pair[0]) + arb(pair[1])) / 2).mid() for name, pair in box.items()}
@@ -77,7 +77,7 @@ def middle_loop(problem: dict[str, Any], box: dict[str, Any], centre: Balls) -> 
     if any(box[name][0] < box[name][1] for name in box if name != "k_p"):
         spread = [[*row[:chi], (row[chi] * high).upper()] for row in held_spread(problem, box)[:chi]]
         columns += unit
-    sizes = signal_sizes(problem, box)
+    sizes = signal_bounds(problem, box)
     inputs = input_columns(problem, k_p, sizes, inside_bounds(problem, box, t))
     other = [arb(0)] * n  # zeta's jump at other values of k_p
     for at, jump in zip(zeta, zeta_jump(problem), strict=True):
@@ -126,7 +126,7 @@ def implied_bounds(
         total = forced + (arb(float(responses.peaks[i])) if started else arb(0))
         require_premise(total <= bound, f"P7: the bound of signal {i} does not imply itself in {where}")
     if started and problem["rho"] is not None:
-        room = arb(problem["rho"]) - signal_sizes(problem, box).offset
+        room = arb(problem["rho"]) - signal_bounds(problem, box).offset
         slack = half["slide_p"] * bounds[CHANGE] + half["slide_i"] * bounds[SIGMA]
         require_premise(bounds[EQUIVALENT] + slack <= room, f"P5: the equivalent control may exceed rho in {where}")
     bend = bend_between_samples(problem, box, bounds, true_command(half, bounds, t))
@@ -164,10 +164,10 @@ def deviation_sizes(loop: MiddleLoop, half: Balls, bounds: list[arb], t: arb) ->
 
 def bend_between_samples(problem: dict[str, Any], box: dict[str, Any], bounds: list[arb], command: arb) -> arb:
     """How far e can deviate from the straight line between two samples: T_s^2/8 sup |e''|."""
-    _, _, n = layout_of(problem)
+    _, _, n = state_places(problem)
     t, k_p = arb(problem["sample_time"]), arb(box["k_p"][1])
     f = held_generator(problem, enclosing(*box["a_p"]), enclosing(*box.get("rate", (0.0, 0.0))))
     bent = f * (f * (t * enclosing(0.0, 1.0))).exp()
     by_states = sum((abs(bent[1, j]) * bounds[STATES + j] for j in range(n - 2)), arb(0))
-    disturbed = k_p * signal_sizes(problem, box).slope * t * (1 + t * abs(bent[1, 1]))
+    disturbed = k_p * signal_bounds(problem, box).slope * t * (1 + t * abs(bent[1, 1]))
     return t * t / 8 * (by_states + k_p * abs(bent[1, n - 2]) * command + disturbed)

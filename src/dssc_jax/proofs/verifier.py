@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from flint import arb, ctx
 
 from dssc_jax.proofs.balls import Rejected, StageLimits, require_premise
-from dssc_jax.proofs.enclosed_loop import signal_sizes
+from dssc_jax.proofs.enclosed_loop import signal_bounds
 from dssc_jax.proofs.gain_enclosures import enclosed_gains
 from dssc_jax.proofs.invariant_sets import invariant_bounds
 from dssc_jax.proofs.small_gain import implied_bounds
@@ -118,7 +118,7 @@ def verified_stages(problem: dict[str, Any], proof: dict[str, Any]) -> list[Stag
     """Check every stage of a box; return what each shows."""
     box = proof["box"]
     if problem["rho"] is not None:
-        exceeds = arb(problem["rho"]) > signal_sizes(problem, box).offset
+        exceeds = arb(problem["rho"]) > signal_bounds(problem, box).offset
         require_premise(exceeds, "P5: rho does not exceed what disturbance and reference ask for")
     limits: list[StageLimits] = []
     for number, stage in enumerate(proof["stages"], 1):
