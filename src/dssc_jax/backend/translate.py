@@ -18,7 +18,7 @@ from dssc_jax.backend.primitives import ELEMENT_RULES
 from dssc_jax.backend.program import BOOL, Builder, Program, Recording, Value
 from dssc_jax.backend.random_bits import Key
 from dssc_jax.backend.unsupported import Unsupported
-from dssc_jax.backend.varying import is_key, varying_results
+from dssc_jax.backend.varying import VaryingResults, is_key
 
 INLINED = {"jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint", "custom_jvp_call",
          "custom_vjp_call", "custom_vjp_call_jaxpr", "custom_lin"}  # fmt: skip
@@ -65,6 +65,7 @@ class Translator:
 
     def __init__(self, build: Builder) -> None:
         self.build = build
+        self.varying_results = VaryingResults()
         self._functions: dict[Any, ClosedJaxpr] = {}
 
     def run(self, program: ClosedJaxpr, operands: Sequence[Any]) -> list[Any]:
@@ -186,7 +187,7 @@ def while_rule(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list
     first, second = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
     head_constants, constants, begin = operands[:first], operands[first:second], operands[second:]
     flags = [is_varying(value) for value in operands]
-    varying, lanes_differ = varying_results.of_while(head.jaxpr, body.jaxpr, flags, first, second)
+    varying, lanes_differ = own.varying_results.of_while(head.jaxpr, body.jaxpr, flags, first, second)
     enter = own.run(head, [*head_constants, *begin])[0]
     scalars = flat(begin, build)
     differs = [flag for flag, value in zip(varying, begin, strict=True) for _ in components(value, build)]
@@ -219,7 +220,7 @@ def scan_rule(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list[
     recordings = [Recording(length, np.dtype(type_of(variable).dtype)) for variable in kept]
     if any(type_of(variable).shape != (length,) or is_key(type_of(variable)) for variable in kept):
         raise Unsupported("a loop that records arrays")
-    flags = varying_results.of_scan(body.jaxpr, [is_varying(value) for value in operands], first, second)
+    flags = own.varying_results.of_scan(body.jaxpr, [is_varying(value) for value in operands], first, second)
     scalars, index = flat(begin, build), np.dtype(np.int32)
     differs = [flag for flag, value in zip(flags, begin, strict=True) for _ in components(value, build)]
     loop = build.loop([build.constant(0, index), *scalars], [False, *differs], None)

@@ -84,6 +84,3 @@ class VaryingResults:
             if len(jaxpr.invars) == len(operands) and len(jaxpr.outvars) == count:
                 return self.of(jaxpr, operands)
         return [any(operands)] * count
-
-
-varying_results = VaryingResults()

@@ -183,7 +183,7 @@ def test_counterexamples(study):
 def test_bad_input_is_said_before_compiling(study, change, rule, monkeypatch):
     from dssc_jax.engine.batching import Engine
 
-    monkeypatch.setattr(Engine, "_compile", lambda self, *a: pytest.fail("compiled"))
+    monkeypatch.setattr(Engine, "compiled", lambda self, *a: pytest.fail("compiled"))
     with pytest.raises(dj.ConfigError, match=rule):
         dj.tune(study.override(change))
 
