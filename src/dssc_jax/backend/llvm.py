@@ -11,7 +11,7 @@ from dssc_jax.backend.instructions import FAST, STRICT, Instructions, scalar_typ
 from dssc_jax.backend.needed import reachable
 from dssc_jax.backend.program import BOOL, Branch, CodeBlock, CodeLoop, Program, Record, Value
 
-ENTRY = "lanes"
+ENTRY_POINT = "lanes"
 
 
 class Emitter(Instructions):
@@ -51,7 +51,7 @@ class Emitter(Instructions):
             "done:",
             "  ret void",
         ]
-        head = f"define void @{ENTRY}(ptr noalias %inputs, ptr noalias %outputs, i64 %first, i64 %last) #0 {{"
+        head = f"define void @{ENTRY_POINT}(ptr noalias %inputs, ptr noalias %outputs, i64 %first, i64 %last) #0 {{"
         attributes = 'attributes #0 = { nounwind "prefer-vector-width"="512" "min-legal-vector-width"="512" }'
         start = [*self.tables, *sorted(self.declared), head, "entry:", *self.allocated]
         return "\n".join([*start, *self.lines, "}", attributes, ""])

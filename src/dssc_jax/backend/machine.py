@@ -19,7 +19,7 @@ import llvmlite
 import llvmlite.binding as llvm
 import numpy as np
 
-from dssc_jax.backend.llvm import ENTRY
+from dssc_jax.backend.llvm import ENTRY_POINT
 
 CORES_VARIABLE = "DSSC_JAX_CORES"
 CODE_LEVEL = 2  # of LLVM's code generation
@@ -91,7 +91,7 @@ class LoadedCode:
     """Machine code in this process.
 
     Args:
-        code: An object file with the function :data:`~dssc_jax.backend.llvm.ENTRY`.
+        code: An object file with the function :data:`~dssc_jax.backend.llvm.ENTRY_POINT`.
     """
 
     code: bytes
@@ -103,7 +103,7 @@ class LoadedCode:
         self._engine.finalize_object()
         pointer, count = ctypes.c_void_p, ctypes.c_int64
         signature = ctypes.CFUNCTYPE(None, pointer, pointer, count, count)
-        self._function = signature(self._engine.get_function_address(ENTRY))
+        self._function = signature(self._engine.get_function_address(ENTRY_POINT))
 
     def start(
         self, inputs: Sequence[np.ndarray], outputs: Sequence[np.ndarray], lanes: int, width: int, threads: int
