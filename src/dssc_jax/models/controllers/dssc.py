@@ -93,11 +93,21 @@ class Sampled(NamedTuple):
     u_eq: Scalar
 
 
+class SampleRatios(NamedTuple):
+    """Ratios of the functions to T_s: 1/tau_m [1/s], 1/(1+b), c [1/s] and its inverse [s]."""
+
+    pole: Scalar
+    decay: Scalar
+    c: Scalar
+    inverse_c: Scalar
+
+
 class ControlSample(NamedTuple):
-    """What filter and predictor see at one sample: the error, the functions there, and the bound rho."""
+    """What filter and predictor see at one sample: the error, the functions and their ratios there, the bound rho."""
 
     error: TrackingError
     at: StateFunctions
+    ratios: SampleRatios
     rho: Scalar
 
 
@@ -137,13 +147,20 @@ def limited(wanted: Scalar, u_av: Scalar, rho: Scalar, c: Scalar, width: Scalar 
     return wanted - smoothed_rest(c * (wanted + u_av), c, rho, width) / c
 
 
+def sample_ratios(at: StateFunctions, dt: Scalar) -> SampleRatios:
+    """The ratios from one common division, since a division costs far more than a product; for tau_m > 0."""
+    gain = dt * at.k_o * at.tau_av / (at.tau_av + dt)  # T_s k_o/(1+a)
+    longer = at.tau_m + dt
+    inverse = 1.0 / (gain * at.tau_m * longer)
+    decay = gain * at.tau_m * inverse * at.tau_m
+    return SampleRatios(gain * longer * inverse, decay, gain * decay, longer * inverse * longer)
+
+
 def implicit_update(gains: DsscGains, state: DsscState, sample: ControlSample, dt: Scalar) -> Sampled:
-    """Backward Euler for (15)-(18), solved exactly; the ratios stay finite if tau_av or tau_m vanishes."""
+    """Backward Euler for (15)-(18), solved exactly."""
     u_av, sigma_hat, at = state.u_av, state.predictor, sample.at
-    keep = at.tau_av / (at.tau_av + dt)  # 1/(1+a)
-    decay = at.tau_m / (at.tau_m + dt)  # 1/(1+b)
-    c = dt * at.k_o * keep * decay
-    wanted = (sample.error.sigma - decay * sigma_hat) / c  # u_eq - u_av
+    _, decay, c, inverse_c = sample.ratios
+    wanted = (sample.error.sigma - decay * sigma_hat) * inverse_c  # u_eq - u_av
     change = limited(wanted, u_av, sample.rho, c, gains.sign_width)
     after = decay * sigma_hat + c * change
     return Sampled(u_av + change, u_av + dt / (at.tau_av + dt) * change, after, after, u_av + wanted)
@@ -188,8 +205,8 @@ def explicit_update(gains: DsscGains, state: DsscState, sample: ControlSample, d
     sigma, sigma_hat, at = sample.error.sigma, state.predictor, sample.at
     u_0 = sample.rho * smoothed_sign(sigma - sigma_hat, gains.sign_width)
     change = u_0 - state.u_av
-    u_eq = ((sigma - state.sigma) / dt + sigma / at.tau_m) / at.k_o + state.u_av
-    after = sigma_hat + dt * (at.k_o * change - sigma_hat / at.tau_m)
+    u_eq = ((sigma - state.sigma) / dt + sigma * sample.ratios.pole) / at.k_o + state.u_av
+    after = sigma_hat + dt * (at.k_o * change - sigma_hat * sample.ratios.pole)
     return Sampled(u_0, state.u_av + dt / at.tau_av * change, after, after, u_eq)
 
 
@@ -226,7 +243,8 @@ def dssc(form: SampledForm) -> Controller:
     ) -> tuple[DsscState, Command, DsscInfo]:
         error: TrackingError = tracking_error(measurement, reference, gains.l0)
         at: StateFunctions = gains.functions.at(error.sigma, error.e, gains.l0)
-        u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, 1.0 / at.tau_m)
+        ratios = sample_ratios(at, dt)
+        u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, ratios.pole)
         signals = ModulationSignals(
             u_av=state.u_av,
             u_nominal=u_nominal,
@@ -239,7 +257,7 @@ def dssc(form: SampledForm) -> Controller:
             l0=gains.l0,
         )
         modulation, rho = gains.rho.at(state.modulation, signals, dt)
-        after = form.update(gains, state, ControlSample(error, at, rho), dt)
+        after = form.update(gains, state, ControlSample(error, at, ratios, rho), dt)
         info = DsscInfo(
             sigma_tilde=error.sigma - after.sigma_hat,
             sigma_hat=after.sigma_hat,
