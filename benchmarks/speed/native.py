@@ -34,8 +34,8 @@ def version() -> str:
 
 def vector_bytes() -> int:
     """Bytes of this machine's vectors."""
-    flags = Path("/proc/cpuinfo")
-    return 64 if flags.exists() and " avx512f" in flags.read_text() else 32
+    flags = Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else ""
+    return 64 if " avx512f" in flags else 32 if " avx" in flags else 16
 
 
 def initialiser(value: Any) -> str:

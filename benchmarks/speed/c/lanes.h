@@ -1,7 +1,8 @@
 /* Vectors of LANES draws, one draw a lane, by GCC's vector extensions; numbers.h says BITS (64, 32) and LANES.
 
-   With AVX-512 a mask is a bit a lane, and what the extensions lack are intrinsics. Without it a mask is a vector, and
-   loops over lanes stand in, which -fno-math-errno -fno-trapping-math let the compiler turn into vector instructions. */
+   With AVX-512 a mask is a bit a lane, otherwise a vector. With either AVX, what the extensions lack are intrinsics for
+   one register; for other widths loops over lanes stand in, which -fno-math-errno -fno-trapping-math let the compiler
+   turn into vector instructions. */
 #ifndef LANES_H
 #define LANES_H
 
@@ -50,6 +51,24 @@ INLINE vec ceiling(vec x) { return SIMD(ceil)(x); }
 #else
 typedef words mask;
 #define ALL ((mask){0} == (mask){0})
+#if defined(__AVX__) && BITS * LANES == 256
+#if BITS == 64
+#define SIMD(name) _mm256_##name##_pd
+typedef __m256d bits;
+#else
+#define SIMD(name) _mm256_##name##_ps
+typedef __m256 bits;
+#endif
+INLINE mask above(vec a, vec b) { return a > b; }
+INLINE int any(mask m) { return SIMD(movemask)((bits)m) != 0; }
+INLINE int holds(mask m, int lane) { return m[lane] != 0; }
+INLINE vec choose(mask m, vec yes, vec no) { return SIMD(blendv)(no, yes, (bits)m); }
+INLINE vec least(vec a, vec b) { return SIMD(min)(a, b); }
+INLINE vec most(vec a, vec b) { return SIMD(max)(a, b); }
+INLINE vec root(vec x) { return SIMD(sqrt)(x); }
+INLINE vec size(vec x) { return SIMD(andnot)(fill(R(-0.0)), x); }
+INLINE vec ceiling(vec x) { return SIMD(ceil)(x); }
+#else
 #define BY_LANE(expression) \
     vec y; \
     EACH(i) y[i] = expression; \
@@ -67,6 +86,7 @@ INLINE vec most(vec a, vec b) { BY_LANE(a[i] > b[i] ? a[i] : b[i]); }
 INLINE vec root(vec x) { BY_LANE(R(BITS == 64 ? sqrt(x[i]) : sqrtf(R(x[i])))); }
 INLINE vec size(vec x) { BY_LANE(R(BITS == 64 ? fabs(x[i]) : fabsf(R(x[i])))); }
 INLINE vec ceiling(vec x) { BY_LANE(R(BITS == 64 ? ceil(x[i]) : ceilf(R(x[i])))); }
+#endif
 #endif
 
 INLINE vec clip(vec x, vec low, vec high) { return least(most(x, low), high); }
