@@ -94,9 +94,9 @@ def shuffled(random, tables, count):
     return chosen
 
 
-def random_studies():
-    random = Random(20)
-    count = len(CONTROLLER_TABLES)
+def random_studies(seed=20, count=len(CONTROLLER_TABLES)):
+    """Tables of studies in which every kind of part occurs."""
+    random = Random(seed)
     slots = {
         "plant": PLANT_TABLES,
         "controller": CONTROLLER_TABLES,

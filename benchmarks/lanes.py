@@ -1,0 +1,178 @@
+"""``python -m benchmarks.lanes PART..``: machine code of lanes against plain XLA, and what compiling takes.
+
+Parts: ``packaged`` (deviation over every packaged study), ``random`` (over 200 random studies), ``compiling`` (seconds
+from a study to machine code, each in a process of its own without a cache, and the rate of a noisy study). Each writes
+its part of docs/lanes.md.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import jax
+import numpy as np
+import xarray as xr
+
+import dssc_jax as dj
+from benchmarks.page import put
+from dssc_jax.backend import machine
+from dssc_jax.backend.compiled_programs import CACHE_VARIABLE
+from dssc_jax.engine.batching import Engine, drawn, evaluate
+from dssc_jax.engine.reference import agreement, computed_again
+from dssc_jax.study.library import available_studies
+
+PAGE = Path(__file__).parents[1] / "docs" / "lanes.md"
+LANES, LONGEST = 16, 20.0  # draws and seconds of each study that is compared
+RANDOM = 200
+ROUNDS = 5
+AXIS, VEHICLE = (Path(__file__).parent / "speed" / f"{name}.toml" for name in ("axis", "uav"))
+SENSOR = {"kind": "noisy", "position_std": 0.01, "velocity_std": 0.01}
+COMPILED: dict[str, tuple[Path, dict[str, Any]]] = {
+    "1-DOF": (AXIS, {}),
+    "1-DOF behind a delay of 150 samples": (AXIS, {"unmodelled": {"kind": "delay", "samples": 150, "memory": 150}}),
+    "1-DOF behind a transfer function of order 6": (
+        AXIS,
+        {
+            "unmodelled": {
+                "kind": "transfer_function",
+                "mu": {"loguniform": [0.02, 1.0]},
+                "numerator": [1.0],
+                "denominator": [1.0, 6.0, 15.0, 20.0, 15.0, 6.0, 1.0],
+            }
+        },
+    ),
+    "UAV": (VEHICLE, {}),
+    "UAV with noise": (VEHICLE, {"sensor": SENSOR}),
+}
+
+
+def compared(study: dj.Study) -> tuple[float, float, int, int]:
+    """Deviation of a study's lanes from plain XLA.
+
+    Returns:
+        The median and the largest relative deviation of a lane's most deviating result; lanes beyond what rounding
+        explains; lanes whose outcome or failure differs.
+    """
+    count = study.config.draws
+    results = evaluate(Engine(study, count), drawn(study, slice(0, count)), np.arange(count))
+    plain = computed_again(study, (np.arange(count),))
+    dataset = xr.Dataset({name: ("draw", column) for name, column in results.items()})
+    found = agreement(study, dataset, (np.arange(count),), plain)
+    differ = sum(int(np.count_nonzero(results[name] != plain[name])) for name in ("outcome",))
+    return (
+        float(np.median(found.deviation)),
+        float(found.deviation.max()),
+        int((found.deviation > found.allowed).sum()),
+        differ,
+    )
+
+
+def table(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """A Markdown table."""
+    header = list(header)
+    lines = [header, ["---"] * len(header), *map(list, rows)]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+def packaged() -> str:
+    """Every packaged study, its first point."""
+    rows = []
+    for name, path in available_studies().items():
+        study = dj.Study.load(path).without_sweep()
+        study = study.override({"draws": LANES, "loop.duration": min(study.config.loop.duration, LONGEST)})
+        middle, largest, beyond, differ = compared(study)
+        rows.append([f"`{name}`", f"{middle:.1g}", f"{largest:.1g}", str(beyond), str(differ)])
+        print(*rows[-1], flush=True)
+    header = ["study", "median", "largest", "lanes beyond rounding", "outcomes that differ"]
+    return (
+        f"Relative deviation of a lane's results from those of plain XLA, {LANES} draws of at most {LONGEST:g} s. A\n"
+        "lane is beyond rounding if it deviates by more than a hundred times what a change of its numbers' last bits\n"
+        "does.\n\n" + table(header, rows)
+    )
+
+
+def random_ones() -> str:
+    """Random studies of all kinds of parts."""
+    from tests.test_programs import random_studies
+
+    deviations, beyond, differ, lanes = [], 0, 0, 0
+    for number, parts in enumerate(random_studies(seed=1, count=RANDOM)):
+        study = dj.Study.from_table(parts)
+        _, largest, worse, other = compared(study)
+        deviations.append(largest)
+        beyond, differ, lanes = beyond + worse, differ + other, lanes + study.config.draws
+        if worse or other:
+            print(number, largest, worse, other, parts, flush=True)
+    return (
+        f"{RANDOM} random studies of {lanes:,} draws in all, every kind of controller, plant, reference, sensor,\n"
+        "differentiator, unmodelled dynamics and disturbance among them:\n"
+        f"{beyond} lanes deviate from plain XLA by more than rounding explains, {differ} have another outcome.\n"
+        f"Of the studies' largest relative deviations the median is {median(deviations):.1g}, and\n"
+        f"{sum(value < 1e-9 for value in deviations)} are below 1e-9."
+    )
+
+
+def seconds_to_compile(name: str) -> float:
+    """Seconds from a study to machine code, tracing included."""
+    path, changes = COMPILED[name]
+    study = dj.Study.load(path).without_sweep().override({"draws": 64, **changes})
+    with jax.enable_x64(True):
+        jax.block_until_ready(jax.numpy.zeros(1))
+        engine = Engine(study, 64)
+        began = time.perf_counter()
+        engine.compiled()
+        return time.perf_counter() - began
+
+
+def compiling() -> str:
+    """Seconds of compilation in fresh processes, and the rate with noise over that without."""
+    rows = []
+    for name in COMPILED:
+        command = [sys.executable, "-m", "benchmarks.lanes", "one", name]
+        own = {**os.environ, CACHE_VARIABLE: "off"}
+        runs = [subprocess.run(command, env=own, capture_output=True, text=True, check=True) for _ in range(3)]
+        rows.append([name, f"{median(json.loads(run.stdout) for run in runs):.2f}"])
+        print(*rows[-1], flush=True)
+    return (
+        "From a study to machine code in a fresh process without a cache, median of 3:\n\n"
+        + table(["loop", "seconds"], rows)
+        + f"\n\nThe vehicle with a noisy sensor advances at {noisy_share():.2f} of the rate without noise: each draw\n"
+        f"makes its own random numbers, the same bits as `jax.random`. Vectors have {machine.vector_bits()} bits."
+    )
+
+
+def noisy_share() -> float:
+    """Rate of the vehicle with noise over that without, interleaved, median of :data:`ROUNDS`."""
+    quiet = dj.Study.load(VEHICLE).override({"draws": 1024, "loop.duration": 10.0})
+    values, index = drawn(quiet, slice(0, 1024)), np.arange(1024)
+    engines = [Engine(study, 1024) for study in (quiet, quiet.override({"sensor": SENSOR}))]
+    seconds: list[list[float]] = [[], []]
+    for turn in range(1 + ROUNDS):
+        for engine, times in zip(engines, seconds, strict=True):
+            began = time.perf_counter()
+            engine(values, index)()
+            if turn:
+                times.append(time.perf_counter() - began)
+    return median(one / other for one, other in zip(*seconds, strict=True))
+
+
+PARTS = {"packaged": packaged, "random": random_ones, "compiling": compiling}
+
+
+def main(arguments: list[str]) -> None:
+    """Measure the given parts, or all."""
+    if arguments[:1] == ["one"]:
+        print(json.dumps(seconds_to_compile(arguments[1])))
+        return
+    for part in arguments or PARTS:
+        put(part, PARTS[part](), PAGE)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
