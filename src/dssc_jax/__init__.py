@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from dssc_jax.analyses.splitting import Splitting
     from dssc_jax.analyses.tuning import Tuned, tune
     from dssc_jax.core.errors import ConfigError
+    from dssc_jax.exploration import explore
     from dssc_jax.proofs.prove import Proved, check_certificate, prove
     from dssc_jax.proofs.reach import ProvedReach, proved_up_to
     from dssc_jax.results.analysis import Analysis
@@ -58,6 +59,7 @@ __all__ = [
     "compare",
     "compare_margins",
     "design",
+    "explore",
     "export",
     "falsify",
     "load",
@@ -105,6 +107,7 @@ _HOME = {
     "ProvedReach": "dssc_jax.proofs.reach",
     "SweepProofs": "dssc_jax.results.proofs",
     "check_certificate": "dssc_jax.proofs.prove",
+    "explore": "dssc_jax.exploration",
     "prove": "dssc_jax.proofs.prove",
     "prove_sweep": "dssc_jax.runs.prove_sweep",
     "proved_up_to": "dssc_jax.proofs.reach",

@@ -1,0 +1,281 @@
+"""The page of a study: sliders, and what they do to failures, signals and the worst draw."""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import htpy as h
+import numpy as np
+import panel as pn
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.exploration.figures import DrawsFigure, FanFigure, PathFigure, ProbabilityFigure, shown_signals
+from dssc_jax.exploration.latest import Latest
+from dssc_jax.exploration.live import LiveRun, LiveStudy, Notice, Stale
+from dssc_jax.exploration.saving import differing_draws, save_study
+from dssc_jax.exploration.sliders import Slider, grid
+
+WORST_DRAW, MEDIAN_DRAW, RANDOM_DRAW = "worst draw", "median draw", "random draw"
+COLOUR_KEY = "blue: now (median, half and 90 % of the draws); grey: before; red: one draw, chosen here or by a click"
+SIDE = 330  # px
+PAGE_STYLE = """
+:host { font-size: 15px; }
+.bk-slider-title { font-size: 13px; }
+p.error { color: #a00000; font-weight: 600; }
+p.headline { font-size: 20px; font-weight: 600; margin: 0; }
+p { margin: 2px 0; }
+"""
+
+
+class StudyPage:
+    """A study to explore: moving a slider simulates all draws again.
+
+    In a notebook or a program, a move returns when its run is shown. With ``background`` runs happen in a thread, and
+    a newer move replaces an older one.
+
+    Args:
+        live: The study with its sliders.
+        background: Whether to run in a thread; a served page does.
+        folder: Where "save as study" writes.
+        seed: Seed of the choice of random draws.
+    """
+
+    def __init__(self, live: LiveStudy, background: bool = False, folder: Path | None = None, seed: int = 0) -> None:
+        self.live, self.folder = live, folder or Path.cwd()
+        self.now: LiveRun | None = None
+        self.before: LiveRun | None = None
+        self.draw = 0
+        self._latest = Latest() if background else None
+        self._document = pn.state.curdoc if background else None
+        self._random = np.random.default_rng(seed)
+        self._moving = False
+        self.sliders = {slider: slider_widget(slider) for slider in live.sliders}
+        self._make_widgets()
+        self._make_figures()
+        for widget in self.sliders.values():
+            widget.param.watch(self._moved, "value")
+        self.show(live.first)
+
+    def _make_widgets(self) -> None:
+        """Buttons and texts."""
+        self.headline, self.details, self.status = (pn.pane.HTML("", stylesheets=[PAGE_STYLE]) for _ in range(3))
+        self.keep = pn.widgets.Button(label="Compare with this", color="primary")
+        self.reset = pn.widgets.Button(label="Reset")
+        self.which = pn.widgets.RadioButtonGroup(
+            label="Draw", options=[WORST_DRAW, MEDIAN_DRAW, RANDOM_DRAW], value=WORST_DRAW
+        )
+        self.over = pn.widgets.Select(label="", options=list(self.live.first.values) or [""], width=220)
+        self.over.param.watch(lambda _: self._choose_draw(), "value")
+        self.file = pn.widgets.TextInput(label="Save as study", value=f"{self.live.base.name}-explored.toml")
+        self.save = pn.widgets.Button(label="Save")
+        self.keep.on_click(lambda _: self.compare_with_this())
+        self.reset.on_click(lambda _: self.move({s.key: s.start for s in self.sliders}))
+        self.save.on_click(lambda _: self.save_as(self.file.value))
+        self.which.param.watch(lambda _: self._choose_draw(), "value")
+
+    def _make_figures(self) -> None:
+        """The figures; their time axes move together."""
+        study = self.live.base
+        self.probability = ProbabilityFigure()
+        self.fans: list[FanFigure] = []
+        for name in shown_signals(study):
+            x_range = self.fans[0].figure.x_range if self.fans else None
+            self.fans.append(FanFigure(study, name, x_range))
+        self.draws = DrawsFigure(self.choose_draw)
+        has_path = {"x", "y", "z"} <= set(study.loop.channels)
+        self.paths = [PathFigure("x", "y"), PathFigure("x", "z")] if has_path else []
+
+    @property
+    def view(self) -> pn.Row:
+        """The page for Panel."""
+        figures = [
+            pn.pane.Bokeh(part.figure, sizing_mode="stretch_width") for part in (*self.fans, self.draws, *self.paths)
+        ]
+        save = pn.Column(self.file, self.save, pn.Row(self.keep, self.reset))
+        side = pn.Column(*self.sliders.values(), save, width=SIDE)
+        probability = pn.pane.Bokeh(self.probability.figure, sizing_mode="stretch_width")
+        main = pn.Column(
+            self.headline,
+            probability,
+            self.details,
+            pn.Row(self.which, self.over),
+            pn.pane.HTML(markup(h.p[COLOUR_KEY]), stylesheets=[PAGE_STYLE]),
+            pn.GridBox(*figures, ncols=2, sizing_mode="stretch_width"),
+            self.status,
+            sizing_mode="stretch_width",
+        )
+        return pn.Row(side, main, sizing_mode="stretch_width")
+
+    def _repr_mimebundle_(self, *args: Any, **options: Any) -> Any:
+        """How a notebook shows the page."""
+        return self.view._repr_mimebundle_(*args, **options)
+
+    @property
+    def positions(self) -> dict[Slider, float]:
+        """Where the sliders stand."""
+        return {slider: float(widget.value) for slider, widget in self.sliders.items()}
+
+    def move(self, positions: dict[str, float]) -> None:
+        """Move some sliders together, each to its nearest position, and run once.
+
+        Args:
+            positions: Positions by the slider's key: the number's dotted name, for a law with ``(median)`` or
+                ``(width)``.
+
+        Raises:
+            ConfigError: There is no such slider.
+        """
+        by_key = {slider.key: slider for slider in self.sliders}
+        if unknown := positions.keys() - by_key.keys():
+            raise ConfigError("move", f"'{sorted(unknown)[0]}' is none of the sliders: {', '.join(by_key)}")
+        self._moving = True
+        try:
+            for key, position in positions.items():
+                values = np.asarray(grid(by_key[key]))
+                self.sliders[by_key[key]].value = float(values[np.argmin(np.abs(values - position))])
+        finally:
+            self._moving = False
+        self.start()
+
+    def _moved(self, _: Any) -> None:
+        if not self._moving:
+            self.start()
+
+    def start(self) -> None:
+        """Run at the present positions."""
+        positions = self.positions
+        self._say("running ...")
+        if self._latest is None:
+            self._run(positions, lambda: False, lambda _: None)
+        else:
+            report = partial(self._in_document, self._say)
+            self._latest.submit(lambda stale: self._run(positions, stale, report))
+
+    def _run(self, positions: dict[Slider, float], stale: Stale, progress: Notice) -> None:
+        """Simulate, and show the result, or the reason why there is none."""
+        try:
+            run = self.live.run(positions, stale, progress)
+        except ConfigError as error:
+            self._in_document(self._complain, f"{error}; the figures show the run before")
+        except MemoryError:
+            self._in_document(self._complain, "not enough memory for so many draws")
+        except Exception as error:  # a user's model may raise anything, and the page goes on
+            self._in_document(self._complain, f"the study cannot run: {type(error).__name__}: {error}")
+        else:
+            if run is not None and not stale():
+                self._in_document(self.show, run)
+
+    def _in_document(self, act: Callable[..., None], *arguments: Any) -> None:
+        """Change the page, from whatever thread."""
+        if self._document is None:
+            act(*arguments)
+        else:
+            self._document.add_next_tick_callback(partial(act, *arguments))
+
+    def show(self, run: LiveRun) -> None:
+        """Show a run."""
+        self.now = run
+        self.before = self.before or run
+        self._show(run, self._chosen(run))
+
+    def choose_draw(self, draw: int) -> None:
+        """Show a draw of the present run."""
+        if self.now is not None:
+            self._show(self.now, draw)
+
+    def _show(self, run: LiveRun, draw: int) -> None:
+        """Show a run and one of its draws."""
+        self.draw = draw
+        before = self.before if self.before is not run else None
+        self.headline.object = markup(h.p(".headline")[run.statement])
+        rows = [
+            h.p[f"{text}: violated by {count:,} of {run.failed.size:,} draws"] for text, count in run.by_requirement
+        ]
+        early = [h.p[f"{run.ended_early:,} draws ended early"]] if run.ended_early else []
+        self.details.object = markup(h.div[rows, early, h.p[run.certificate]])
+        self.probability.show(run, before)
+        for fan in self.fans:
+            fan.show(run, before, self.draw)
+        self.draws.show(run, self.over.value, draw)
+        for path in self.paths:
+            path.show_draw(run, self.draw)
+        self._say(f"{run.failed.size:,} draws; red: draw {self.draw}{self._outcome(run)}")
+
+    def _outcome(self, run: LiveRun) -> str:
+        return ", which fails" if run.failed[self.draw] else ", which passes"
+
+    def _chosen(self, run: LiveRun) -> int:
+        """The draw that the buttons choose."""
+        order = run.order
+        place = {WORST_DRAW: 0, MEDIAN_DRAW: len(order) // 2}.get(self.which.value)
+        return int(self._random.integers(len(order)) if place is None else order[place])
+
+    def _choose_draw(self) -> None:
+        if self.now is not None:
+            self.show(self.now)
+
+    def compare_with_this(self) -> None:
+        """Make the present run the one that later ones are compared with."""
+        self.before = self.now
+        if self.now is not None:
+            self.show(self.now)
+
+    def save_as(self, name: str) -> None:
+        """Write the study that is shown, run it as a study of its own, and tell whether all outcomes agree.
+
+        Args:
+            name: Name of a new file in the page's folder.
+        """
+        run = self.now
+        if run is None:
+            self._complain("nothing to save yet")
+            return
+        try:
+            path = save_study(run, self.folder, name)
+        except ConfigError as error:
+            self._complain(str(error))
+            return
+        command = f"dssc-jax run {path.name}"
+        self._say(f"saved {path}; {command} is being compared with what is shown ...")
+
+        def compare(_: Stale) -> None:
+            try:
+                count = differing_draws(run, path)
+            except ConfigError as error:
+                self._in_document(self._complain, str(error))
+                return
+            same = "the same outcome in every draw" if not count else f"another outcome in {count:,} draws"
+            self._in_document(self._say, f"saved {path}; {command} gives {same}")
+
+        if self._latest is None:
+            compare(lambda: False)
+        else:
+            self._latest.submit(compare)
+
+    def _say(self, text: str) -> None:
+        self.status.object = markup(h.p(role="status")[text])
+
+    def _complain(self, text: str) -> None:
+        self.status.object = markup(h.p(".error", role="alert")[text])
+
+    def close(self) -> None:
+        """End the page's thread."""
+        if self._latest is not None:
+            self._latest.close()
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until nothing is running; see :meth:`dssc_jax.exploration.latest.Latest.wait`."""
+        return self._latest is None or self._latest.wait(timeout)
+
+
+def markup(element: h.Element) -> str:
+    """An element as plain text of HTML, in which all strings are escaped."""
+    return "".join(element.iter_chunks())
+
+
+def slider_widget(slider: Slider) -> pn.widgets.DiscreteSlider:
+    """The widget of a slider; its texts are numbers with four digits."""
+    options = {f"{value:.4g}": value for value in grid(slider)}
+    start = next(value for value in options.values() if np.isclose(value, slider.start, rtol=1e-3, atol=1e-12))
+    return pn.widgets.DiscreteSlider(label=slider.label, options=options, value=start, width=SIDE - 20)

@@ -1,0 +1,173 @@
+"""The served page in Chromium, where there is one: sliders by keyboard, two tabs, a wrong token, nothing outside."""
+
+import shutil
+import threading
+from contextlib import contextmanager
+from urllib.error import HTTPError
+from urllib.request import urlopen
+
+import pytest
+
+import dssc_jax as dj
+from dssc_jax.exploration.live import LiveStudy
+from dssc_jax.exploration.serving import PageServer
+from dssc_jax.exploration.study_page import StudyPage
+
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+pytestmark = pytest.mark.skipif(
+    BROWSER is None,
+    reason="no Chromium on the path; a browser is no Python package to ask for, .ci/run installs it",
+)
+PATIENCE = 120_000  # ms; the machine may be busy
+HEADLINE = "failure probability"
+
+
+@contextmanager
+def serving(make):
+    """A server in a thread, as the command has it in the process."""
+    started, servers = threading.Event(), []
+
+    def serve():
+        servers.append(PageServer(make, "explore"))
+        started.set()
+        servers[0].serve()
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    assert started.wait(60)
+    try:
+        yield servers[0]
+    finally:
+        servers[0].stop()
+        thread.join(60)
+
+
+@pytest.fixture(scope="module")
+def served(live, tmp_path_factory):
+    """The page of the small study, and its pages in the order of their sessions."""
+    pages, folder = [], tmp_path_factory.mktemp("saved")
+
+    def make():
+        pages.append(StudyPage(live, background=True, folder=folder))
+        return pages[-1]
+
+    with serving(make) as server:
+        server.pages, server.folder = pages, folder
+        yield server
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    sync_api = pytest.importorskip("playwright.sync_api")
+    with sync_api.sync_playwright() as tool:
+        browser = tool.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def tab(chromium):
+    """A tab as wide as a small screen; what it complains of, and what it asks others for, fails the test."""
+    page, wrong = chromium.new_page(viewport={"width": 1280, "height": 900}), []
+    page.set_default_timeout(PATIENCE)
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.on("console", lambda line: wrong.append(line.text) if line.type in ("error", "warning") else None)
+    page.on("request", lambda request: wrong.append(request.url) if is_outside(request.url) else None)
+    yield page
+    page.close()
+    assert wrong == []
+
+
+def is_outside(url):
+    return not url.startswith(("http://127.0.0.1:", "ws://127.0.0.1:", "data:", "blob:"))
+
+
+def headline(tab):
+    return tab.get_by_text(HEADLINE).first
+
+
+def test_a_slider_by_keyboard(served, tab):
+    """The arrow key moves the focused slider; the headline changes to what the page's own run says."""
+    tab.goto(served.url)
+    headline(tab).wait_for()
+    page = served.pages[-1]
+    before = headline(tab).inner_text()
+    slider = next(widget for slider, widget in page.sliders.items() if slider.key == "unmodelled.mu")
+    tab.locator(".noUi-handle").nth(list(page.sliders.values()).index(slider)).focus()
+    for _ in range(20):
+        tab.keyboard.press("ArrowRight")
+    tab.get_by_text("unmodelled.mu [s]: 0.0").first.wait_for()
+    tab.wait_for_function("old => !document.body.innerText.includes(old)", arg=before)
+    tab.wait_for_timeout(300)
+    assert page.wait(60)
+    assert page.now.study.leaves()["unmodelled.mu"] == slider.value > 0.02
+    tab.get_by_text(page.now.statement).wait_for()
+    assert tab.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+
+
+def test_save_from_the_browser(served, tab):
+    tab.goto(served.url)
+    headline(tab).wait_for()
+    tab.get_by_label("Save as study").fill("from-browser.toml")
+    tab.get_by_label("Save as study").press("Enter")
+    tab.get_by_role("button", name="Save", exact=True).click()
+    tab.get_by_text("gives the same outcome in every draw").wait_for()
+    assert dj.Study.load(served.folder / "from-browser.toml").config.draws == 120
+
+
+def test_two_tabs_are_two_sessions(served, tab, chromium):
+    """Moving one leaves the other alone, and closing one does not end the other."""
+    tab.goto(served.url)
+    headline(tab).wait_for()
+    first = served.pages[-1]
+    other = chromium.new_page()
+    other.goto(served.url)
+    headline(other).wait_for(timeout=PATIENCE)
+    assert served.pages[-1] is not first
+    other.locator(".noUi-handle").nth(0).focus()
+    other.keyboard.press("ArrowRight")
+    other.close()
+    assert first.positions == first.live.start
+    tab.locator(".noUi-handle").nth(5).focus()
+    tab.keyboard.press("ArrowRight")
+    tab.wait_for_timeout(500)
+    assert first.wait(60)
+    assert first.positions != first.live.start
+
+
+@pytest.mark.parametrize("path", ["", "wrong", "wrong/ws", "index.html"])
+def test_a_wrong_token_finds_nothing(served, path):
+    root = served.url.removesuffix(served.token)
+    with pytest.raises(HTTPError) as error:
+        urlopen(root + path, timeout=60)
+    assert error.value.code == 404
+    assert served.token not in error.value.read().decode()
+
+
+def test_only_this_machine(served):
+    assert served.url.startswith("http://127.0.0.1:")
+    assert len(served.token) >= 32
+
+
+def test_a_page_of_another_origin_cannot_connect(served):
+    """A script elsewhere that knew the token could still not open the channel."""
+    from tornado.httpclient import HTTPClientError, HTTPRequest
+    from tornado.ioloop import IOLoop
+    from tornado.websocket import websocket_connect
+
+    address = served.url.replace("http", "ws", 1) + "/ws"
+
+    async def connect():
+        await websocket_connect(HTTPRequest(address, headers={"Origin": "http://evil.example"}))
+
+    with pytest.raises(HTTPClientError, match="403"):
+        IOLoop(make_current=False).run_sync(connect, timeout=60)
+
+
+def test_markup_in_names_is_text(explored, tab):
+    """Names, units and errors are shown, never run."""
+    nasty = explored.override({"units": {"output_meaning": "<img src=x onerror=alert(1)> y"}})
+    with serving(lambda: StudyPage(LiveStudy(nasty, ["controller.rho"], draws=4))) as server:
+        tab.goto(server.url)
+        headline(tab).wait_for()
+        assert tab.locator("img[src=x]").count() == 0
