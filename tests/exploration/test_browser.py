@@ -1,17 +1,24 @@
 """The served page in Chromium, where there is one: sliders by keyboard, two tabs, a wrong token, nothing outside."""
 
+import asyncio
+import re
 import shutil
 import threading
 from contextlib import contextmanager
 from urllib.error import HTTPError
 from urllib.request import urlopen
 
+import numpy as np
 import pytest
 
 import dssc_jax as dj
+from dssc_jax.exploration.brushing import SCRIPT
+from dssc_jax.exploration.draw_table import DrawTable
+from dssc_jax.exploration.interactive_report import interactive_html
 from dssc_jax.exploration.live import LiveStudy
 from dssc_jax.exploration.serving import PageServer
 from dssc_jax.exploration.study_page import StudyPage
+from dssc_jax.statistics import clopper_pearson
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 pytestmark = pytest.mark.skipif(
@@ -79,7 +86,7 @@ def tab(chromium):
 
 
 def is_outside(url):
-    return not url.startswith(("http://127.0.0.1:", "ws://127.0.0.1:", "data:", "blob:"))
+    return not url.startswith(("http://127.0.0.1:", "ws://127.0.0.1:", "data:", "blob:", "file:"))
 
 
 def headline(tab):
@@ -96,8 +103,7 @@ def test_a_slider_by_keyboard(served, tab):
     tab.locator(".noUi-handle").nth(list(page.sliders.values()).index(slider)).focus()
     for _ in range(20):
         tab.keyboard.press("ArrowRight")
-    tab.get_by_text("unmodelled.mu [s]: 0.0").first.wait_for()
-    tab.wait_for_function("old => !document.body.innerText.includes(old)", arg=before)
+    tab.get_by_text(before).wait_for(state="detached")
     tab.wait_for_timeout(300)
     assert page.wait(60)
     assert page.now.study.leaves()["unmodelled.mu"] == slider.value > 0.02
@@ -108,9 +114,9 @@ def test_a_slider_by_keyboard(served, tab):
 def test_save_from_the_browser(served, tab):
     tab.goto(served.url)
     headline(tab).wait_for()
-    tab.get_by_label("Save as study").fill("from-browser.toml")
-    tab.get_by_label("Save as study").press("Enter")
-    tab.get_by_role("button", name="Save", exact=True).click()
+    tab.locator("input[type=text]").first.fill("from-browser.toml")
+    tab.locator("input[type=text]").first.press("Enter")
+    tab.locator(".bk-btn", has_text=re.compile("^Save$")).click()
     tab.get_by_text("gives the same outcome in every draw").wait_for()
     assert dj.Study.load(served.folder / "from-browser.toml").config.draws == 120
 
@@ -152,7 +158,6 @@ def test_only_this_machine(served):
 def test_a_page_of_another_origin_cannot_connect(served):
     """A script elsewhere that knew the token could still not open the channel."""
     from tornado.httpclient import HTTPClientError, HTTPRequest
-    from tornado.ioloop import IOLoop
     from tornado.websocket import websocket_connect
 
     address = served.url.replace("http", "ws", 1) + "/ws"
@@ -161,7 +166,7 @@ def test_a_page_of_another_origin_cannot_connect(served):
         await websocket_connect(HTTPRequest(address, headers={"Origin": "http://evil.example"}))
 
     with pytest.raises(HTTPClientError, match="403"):
-        IOLoop(make_current=False).run_sync(connect, timeout=60)
+        asyncio.run(connect())
 
 
 def test_markup_in_names_is_text(explored, tab):
@@ -171,3 +176,43 @@ def test_markup_in_names_is_text(explored, tab):
         tab.goto(server.url)
         headline(tab).wait_for()
         assert tab.locator("img[src=x]").count() == 0
+
+
+@pytest.fixture(scope="module")
+def brushed_page(explored, tmp_path_factory):
+    """The interactive report of 300 draws, and its table."""
+    result = dj.run(explored.override({"draws": 300}))
+    file = tmp_path_factory.mktemp("interactive") / "interactive.html"
+    file.write_text(interactive_html(result))
+    return file, DrawTable(result)
+
+
+def test_a_brush_counts_its_draws(brushed_page, tab):
+    """Dragged over the left part of the scatter: the page's counts are NumPy's and SciPy's of the draws selected."""
+    file, table = brushed_page
+    tab.goto(file.as_uri())
+    tab.get_by_text("all 300 draws").wait_for()
+    box = tab.locator(".bk-events").first.bounding_box()
+    left, top = box["x"] + 60, box["y"] + 5
+    tab.mouse.move(left, top)
+    tab.mouse.down()
+    tab.mouse.move(left + 150, top + 200)
+    tab.mouse.move(left + 250, top + 530)
+    tab.mouse.up()
+    tab.get_by_text("brushed: ").first.wait_for()
+    said = tab.get_by_text("brushed: ").first.inner_text()
+    indices = tab.evaluate("[...Bokeh.documents[0].get_model_by_name('draws').selected.indices]")
+    assert 0 < len(indices) < 300
+    failures = int(table.failed[indices].sum())
+    low, high = clopper_pearson(failures, len(indices))
+    assert f"{len(indices)} draws, {failures} fail" in said
+    found = [float(text) for text in re.search(r"\[(.*), (.*)\]", said).groups()]
+    np.testing.assert_allclose(found, [low, high], rtol=6e-3)
+
+
+def test_the_script_s_interval_is_exact(tab):
+    """Against SciPy's inverse of the incomplete beta function, from no failure to all, up to 100,000 draws."""
+    cases = [(0, 1), (1, 1), (0, 100_000), (3, 100_000), (50_000, 100_000), (100_000, 100_000), (7, 24), (999, 1000)]
+    found = tab.evaluate(f"(cases) => {{ {SCRIPT}; return cases.map(([k, n]) => exactInterval(k, n, 0.95)) }}", cases)
+    failures, draws = np.array(cases).T
+    np.testing.assert_allclose(found, clopper_pearson(failures, draws), rtol=1e-8)
