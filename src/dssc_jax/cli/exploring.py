@@ -1,16 +1,22 @@
 """Command that shows a page to explore: explore."""
 
-from typing import Annotated
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from dssc_jax.cli import options as opt
-from dssc_jax.cli.common import DONE, app, load_study, say
+from dssc_jax.cli.common import DONE, app, load_result, load_study, say
+from dssc_jax.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from dssc_jax.study import Study
 
 
 @app.command()
 def explore(
-    study: opt.StudyArgument,
+    subject: Annotated[str, typer.Argument(metavar="STUDY|RESULT", help="A study, or the folder of a run or sweep.")],
     settings: opt.Set = None,
     sliders: Annotated[
         list[str] | None,
@@ -21,26 +27,28 @@ def explore(
     ] = None,
     port: Annotated[int, typer.Option("--port", metavar="P", min=0, max=65535, help="Port; 0: any free one.")] = 0,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
+    trust_code: opt.TrustCode = False,
     allow_local: opt.Local = False,
 ) -> int:
-    """Move a study's numbers and see its failures move: a page in the browser.
+    """Move a study's numbers and see its failures move, or brush a result's draws: a page in the browser.
 
-    Whenever a slider moves, all draws are simulated again: failure probability with interval, fans of the signals, and
-    the worst draw. "Save" writes a study file that reproduces what is shown.
+    For a study, all draws are simulated again whenever a slider moves: failure probability with interval, fans of the
+    signals, and the worst draw. "Save" writes a study file that reproduces what is shown. For a result, brushed draws
+    are counted, and a click on a draw simulates it again.
 
     The page is served to this machine only (127.0.0.1), under an address with a random token. Ctrl-C ends it.
     """
     from dssc_jax.exploration import require_panel
 
     require_panel()
-    from dssc_jax.exploration.live import LiveStudy
+    if Path(subject).is_dir():
+        require_unset("a result", {"--set": settings, "--slider": sliders, "--draws": draws})
+        name, make = result_pages(Path(subject), trust_code, allow_local)
+    else:
+        name, make = study_pages(load_study(subject, settings, None, None, allow_local), sliders, draws)
     from dssc_jax.exploration.serving import PageServer
-    from dssc_jax.exploration.study_page import StudyPage
 
-    live = LiveStudy(load_study(study, settings, None, None, allow_local), sliders, draws)
-    say(f"{live.base.name}: compiling")
-    assert live.first  # compiled once for all pages
-    server = PageServer(lambda: StudyPage(live, background=True), f"{live.base.name}: explore", port)
+    server = PageServer(make, f"{name}: explore", port)
     print(server.url, flush=True)
     say("the page is served to this machine only; Ctrl-C ends it")
     if browser:
@@ -49,3 +57,29 @@ def explore(
         webbrowser.open(server.url)
     server.serve()
     return DONE
+
+
+def require_unset(what: str, given: dict[str, Any]) -> None:
+    """Require that options without a meaning here are not given."""
+    for option, value in given.items():
+        if value:
+            raise ConfigError(option, f"has no meaning with {what}")
+
+
+def study_pages(study: "Study", sliders: list[str] | None, draws: int | None) -> tuple[str, Callable[[], Any]]:
+    """The name of a study, and what makes its pages; all of them use the same compiled program."""
+    from dssc_jax.exploration.live import LiveStudy
+    from dssc_jax.exploration.study_page import StudyPage
+
+    live = LiveStudy(study, sliders, draws)
+    say(f"{study.name}: compiling")
+    assert live.first  # compiled once for all pages
+    return study.name, lambda: StudyPage(live, background=True)
+
+
+def result_pages(folder: Path, trust_code: bool, local: bool) -> tuple[str, Callable[[], Any]]:
+    """The name of a result's study, and what makes its pages."""
+    from dssc_jax.exploration.result_page import ResultPage
+
+    result = load_result(folder, trust_code, local)
+    return result.study.name, lambda: ResultPage(result, background=True)

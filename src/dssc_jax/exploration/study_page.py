@@ -1,6 +1,5 @@
 """The page of a study: sliders, and what they do to failures, signals and the worst draw."""
 
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,24 +10,16 @@ import panel as pn
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.exploration.figures import DrawsFigure, FanFigure, PathFigure, ProbabilityFigure, shown_signals
-from dssc_jax.exploration.latest import Latest
-from dssc_jax.exploration.live import LiveRun, LiveStudy, Notice, Stale
+from dssc_jax.exploration.live import LiveRun, LiveStudy, Stale
+from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page, html_pane, markup
 from dssc_jax.exploration.saving import differing_draws, save_study
 from dssc_jax.exploration.sliders import Slider, grid
 
-WORST_DRAW, MEDIAN_DRAW, RANDOM_DRAW = "worst draw", "median draw", "random draw"
 COLOUR_KEY = "blue: now (median, half and 90 % of the draws); grey: before; red: one draw, chosen here or by a click"
 SIDE = 330  # px
-PAGE_STYLE = """
-:host { font-size: 15px; }
-.bk-slider-title { font-size: 13px; }
-p.error { color: #a00000; font-weight: 600; }
-p.headline { font-size: 20px; font-weight: 600; margin: 0; }
-p { margin: 2px 0; }
-"""
 
 
-class StudyPage:
+class StudyPage(Page):
     """A study to explore: moving a slider simulates all draws again.
 
     In a notebook or a program, a move returns when its run is shown. With ``background`` runs happen in a thread, and
@@ -42,12 +33,11 @@ class StudyPage:
     """
 
     def __init__(self, live: LiveStudy, background: bool = False, folder: Path | None = None, seed: int = 0) -> None:
+        super().__init__(background)
         self.live, self.folder = live, folder or Path.cwd()
         self.now: LiveRun | None = None
         self.before: LiveRun | None = None
         self.draw = 0
-        self._latest = Latest() if background else None
-        self._document = pn.state.curdoc if background else None
         self._random = np.random.default_rng(seed)
         self._moving = False
         self.sliders = {slider: slider_widget(slider) for slider in live.sliders}
@@ -59,7 +49,7 @@ class StudyPage:
 
     def _make_widgets(self) -> None:
         """Buttons and texts."""
-        self.headline, self.details, self.status = (pn.pane.HTML("", stylesheets=[PAGE_STYLE]) for _ in range(3))
+        self.headline, self.details = html_pane(""), html_pane("")
         self.keep = pn.widgets.Button(label="Compare with this", color="primary")
         self.reset = pn.widgets.Button(label="Reset")
         self.which = pn.widgets.RadioButtonGroup(
@@ -100,16 +90,12 @@ class StudyPage:
             probability,
             self.details,
             pn.Row(self.which, self.over),
-            pn.pane.HTML(markup(h.p[COLOUR_KEY]), stylesheets=[PAGE_STYLE]),
+            html_pane(markup(h.p[COLOUR_KEY])),
             pn.GridBox(*figures, ncols=2, sizing_mode="stretch_width"),
             self.status,
             sizing_mode="stretch_width",
         )
         return pn.Row(side, main, sizing_mode="stretch_width")
-
-    def _repr_mimebundle_(self, *args: Any, **options: Any) -> Any:
-        """How a notebook shows the page."""
-        return self.view._repr_mimebundle_(*args, **options)
 
     @property
     def positions(self) -> dict[Slider, float]:
@@ -145,33 +131,22 @@ class StudyPage:
     def start(self) -> None:
         """Run at the present positions."""
         positions = self.positions
-        self._say("running ...")
-        if self._latest is None:
-            self._run(positions, lambda: False, lambda _: None)
-        else:
-            report = partial(self._in_document, self._say)
-            self._latest.submit(lambda stale: self._run(positions, stale, report))
+        self.say("running ...")
+        self.work(partial(self._run, positions))
 
-    def _run(self, positions: dict[Slider, float], stale: Stale, progress: Notice) -> None:
+    def _run(self, positions: dict[Slider, float], stale: Stale) -> None:
         """Simulate, and show the result, or the reason why there is none."""
         try:
-            run = self.live.run(positions, stale, progress)
+            run = self.live.run(positions, stale, partial(self.update, self.say))
         except ConfigError as error:
-            self._in_document(self._complain, f"{error}; the figures show the run before")
+            self.update(self.complain, f"{error}; the figures show the run before")
         except MemoryError:
-            self._in_document(self._complain, "not enough memory for so many draws")
+            self.update(self.complain, "not enough memory for so many draws")
         except Exception as error:  # a user's model may raise anything, and the page goes on
-            self._in_document(self._complain, f"the study cannot run: {type(error).__name__}: {error}")
+            self.update(self.complain, f"the study cannot run: {type(error).__name__}: {error}")
         else:
             if run is not None and not stale():
-                self._in_document(self.show, run)
-
-    def _in_document(self, act: Callable[..., None], *arguments: Any) -> None:
-        """Change the page, from whatever thread."""
-        if self._document is None:
-            act(*arguments)
-        else:
-            self._document.add_next_tick_callback(partial(act, *arguments))
+                self.update(self.show, run)
 
     def show(self, run: LiveRun) -> None:
         """Show a run."""
@@ -200,7 +175,7 @@ class StudyPage:
         self.draws.show(run, self.over.value, draw)
         for path in self.paths:
             path.show_draw(run, self.draw)
-        self._say(f"{run.failed.size:,} draws; red: draw {self.draw}{self._outcome(run)}")
+        self.say(f"{run.failed.size:,} draws; red: draw {self.draw}{self._outcome(run)}")
 
     def _outcome(self, run: LiveRun) -> str:
         return ", which fails" if run.failed[self.draw] else ", which passes"
@@ -229,49 +204,26 @@ class StudyPage:
         """
         run = self.now
         if run is None:
-            self._complain("nothing to save yet")
+            self.complain("nothing to save yet")
             return
         try:
             path = save_study(run, self.folder, name)
         except ConfigError as error:
-            self._complain(str(error))
+            self.complain(str(error))
             return
         command = f"dssc-jax run {path.name}"
-        self._say(f"saved {path}; {command} is being compared with what is shown ...")
+        self.say(f"saved {path}; {command} is being compared with what is shown ...")
 
         def compare(_: Stale) -> None:
             try:
                 count = differing_draws(run, path)
             except ConfigError as error:
-                self._in_document(self._complain, str(error))
+                self.update(self.complain, str(error))
                 return
             same = "the same outcome in every draw" if not count else f"another outcome in {count:,} draws"
-            self._in_document(self._say, f"saved {path}; {command} gives {same}")
+            self.update(self.say, f"saved {path}; {command} gives {same}")
 
-        if self._latest is None:
-            compare(lambda: False)
-        else:
-            self._latest.submit(compare)
-
-    def _say(self, text: str) -> None:
-        self.status.object = markup(h.p(role="status")[text])
-
-    def _complain(self, text: str) -> None:
-        self.status.object = markup(h.p(".error", role="alert")[text])
-
-    def close(self) -> None:
-        """End the page's thread."""
-        if self._latest is not None:
-            self._latest.close()
-
-    def wait(self, timeout: float | None = None) -> bool:
-        """Wait until nothing is running; see :meth:`dssc_jax.exploration.latest.Latest.wait`."""
-        return self._latest is None or self._latest.wait(timeout)
-
-
-def markup(element: h.Element) -> str:
-    """An element as plain text of HTML, in which all strings are escaped."""
-    return "".join(element.iter_chunks())
+        self.work(compare)
 
 
 def slider_widget(slider: Slider) -> pn.widgets.DiscreteSlider:
