@@ -22,7 +22,7 @@ def test_a_click_shows_the_stored_draw_again(page):
     page.brushing.picked.data = {"row": [row]}
     draw, point = int(page.table.draw[row]), page.table.point(row)
     assert page.flight.attrs["draw"] == draw
-    assert page.flight.attrs["agreement"] == "equal within rounding" or "agree" in page.status.object
+    assert page.flight.attrs["agreement"] == "agrees"
     alone = dj.simulate(page.result.study, draw=draw, point=point)
     np.testing.assert_allclose(page.flight["y"].values, alone["y"].values, rtol=1e-9)
     np.testing.assert_array_equal(page.sources["y"].data["value"][0], page.flight["y"].values)
@@ -49,10 +49,11 @@ def test_pinned_draws_stay(page):
 
 
 def test_a_result_from_others_is_brushed_but_not_run(tmp_path, monkeypatch):
-    """A study that names code of its own is not imported: its draws can be counted, and the page says what is needed."""
-    (tmp_path / "own.py").write_text("from dssc_jax.models.environment import REFERENCES\nsine = REFERENCES['zero']\n")
+    """A study that names code of its own is not imported: its draws are counted, and a click says what is needed."""
+    code = "from dssc_jax.models.environment.sensors import SENSORS\nSENSOR = SENSORS['ideal'].members[None]\n"
+    (tmp_path / "explored_code.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
-    table = {**copy.deepcopy(UNCERTAIN), "reference": {"kind": "own:sine"}}
+    table = {**copy.deepcopy(UNCERTAIN), "sensor": {"kind": "explored_code:SENSOR"}}
     dj.run(dj.Study.from_table(table), out=tmp_path / "result")
     page = ResultPage(dj.load(tmp_path / "result"))
     assert page.brushing.statement().startswith("all 144 draws")
