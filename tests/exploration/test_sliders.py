@@ -67,6 +67,15 @@ def test_positions(explored):
         assert {slider.low, slider.start, slider.high} <= set(values)
 
 
+def test_the_study_s_own_value_is_a_position_whatever_its_digits():
+    """kappa_o = 110.651 has the text 110.7, and so has no second position of that text."""
+    study = dj.Study.load("mu_robustness")
+    slider = sliders_of(study, ["controller.functions.kappa_o"])[0]
+    values = grid(slider)
+    assert 110.651 in values
+    assert len({f"{value:.4g}" for value in values}) == len(values)
+
+
 def test_a_study_is_as_its_sliders_stand(explored):
     by_key = {slider.key: slider for slider in sliders_of(explored)}
     assert changes_of(explored, {slider: slider.start for slider in by_key.values()}) == {}

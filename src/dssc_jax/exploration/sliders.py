@@ -240,7 +240,10 @@ def changes_of(study: Study, positions: Positions) -> dict[str, Any]:
 
 
 def grid(slider: Slider, count: int = POSITION_COUNT) -> tuple[float, ...]:
-    """The positions of a slider, rounded to four significant digits, with its ends and its start."""
+    """The positions of a slider: its ends and its start as they are, and others rounded to four significant digits.
+
+    No two positions have the same text.
+    """
     if slider.steps:
         return slider.steps
     if slider.log:
@@ -248,5 +251,11 @@ def grid(slider: Slider, count: int = POSITION_COUNT) -> tuple[float, ...]:
         values = [math.exp(value) for value in np.linspace(*ends, count)]
     else:
         values = np.linspace(slider.low, slider.high, count).tolist()
-    rounded = {float(f"{value:.4g}") for value in values[1:-1]} | {slider.low, slider.start, slider.high}
-    return tuple(sorted(value for value in rounded if slider.low <= value <= slider.high))
+    by_text = {position_text(value): float(position_text(value)) for value in values[1:-1]}
+    by_text |= {position_text(value): value for value in (slider.low, slider.high, slider.start)}
+    return tuple(sorted(value for value in by_text.values() if slider.low <= value <= slider.high))
+
+
+def position_text(value: float) -> str:
+    """A position as the page shows it."""
+    return f"{value:.4g}"

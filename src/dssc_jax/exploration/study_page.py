@@ -13,7 +13,7 @@ from dssc_jax.exploration.figures import DrawsFigure, FanFigure, PathFigure, Pro
 from dssc_jax.exploration.live import LiveRun, LiveStudy, Stale
 from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page, html_pane, markup
 from dssc_jax.exploration.saving import differing_draws, save_study
-from dssc_jax.exploration.sliders import Slider, grid
+from dssc_jax.exploration.sliders import Slider, grid, position_text
 
 COLOUR_KEY = "blue: now (median, half and 90 % of the draws); grey: before; red: one draw, chosen here or by a click"
 SIDE = 330  # px
@@ -228,6 +228,5 @@ class StudyPage(Page):
 
 def slider_widget(slider: Slider) -> pn.widgets.DiscreteSlider:
     """The widget of a slider; its texts are numbers with four digits."""
-    options = {f"{value:.4g}": value for value in grid(slider)}
-    start = next(value for value in options.values() if np.isclose(value, slider.start, rtol=1e-3, atol=1e-12))
-    return pn.widgets.DiscreteSlider(label=slider.label, options=options, value=start, width=SIDE - 20)
+    options = {position_text(value): value for value in grid(slider)}
+    return pn.widgets.DiscreteSlider(label=slider.label, options=options, value=slider.start, width=SIDE - 20)
