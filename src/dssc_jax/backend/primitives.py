@@ -109,6 +109,15 @@ def finite(build: Builder, operands: Sequence[Value], params: Mapping[str, Any],
     return build.add("lt", build.add("abs", x), build.constant(np.inf, x.dtype))
 
 
+def below_in_total_order(
+    build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype
+) -> Value:
+    """Whether one number is less than another, with NaN above all; JAX makes the signs of 0 and NaN alike before."""
+    a, b = operands
+    last = build.add("and", build.add("eq", a, a), build.add("ne", b, b))
+    return build.add("or", build.add("lt", a, b), last)
+
+
 def complement(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
     """Every bit inverted."""
     ones = build.constant(True if dtype == BOOL else -1, dtype)
@@ -131,6 +140,7 @@ ELEMENT_RULES: dict[str, ElementRule] = {
     "shift_right_arithmetic": shift("shr"),
     "shift_right_logical": shift("shr", unsigned=True),
     "not": complement,
+    "lt_to": below_in_total_order,
     "sign": sign_of,
     "clamp": clamp,
     "select_n": select_n,
