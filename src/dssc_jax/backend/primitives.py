@@ -109,13 +109,17 @@ def finite(build: Builder, operands: Sequence[Value], params: Mapping[str, Any],
     return build.add("lt", build.add("abs", x), build.constant(np.inf, x.dtype))
 
 
-def below_in_total_order(
-    build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype
-) -> Value:
-    """Whether one number is less than another, with NaN above all; JAX makes the signs of 0 and NaN alike before."""
-    a, b = operands
-    last = build.add("and", build.add("eq", a, a), build.add("ne", b, b))
-    return build.add("or", build.add("lt", a, b), last)
+def in_total_order(operation: str) -> ElementRule:
+    """A comparison with NaN above all numbers; JAX itself makes the signs of 0 and of NaN alike before."""
+
+    def rule(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+        a, b = operands
+        last = build.add("ne", b, b)
+        if operation == "lt":
+            last = build.add("and", last, build.add("eq", a, a))
+        return build.add("or", build.add(operation, a, b), last)
+
+    return rule
 
 
 def complement(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
@@ -140,7 +144,8 @@ ELEMENT_RULES: dict[str, ElementRule] = {
     "shift_right_arithmetic": shift("shr"),
     "shift_right_logical": shift("shr", unsigned=True),
     "not": complement,
-    "lt_to": below_in_total_order,
+    "lt_to": in_total_order("lt"),
+    "le_to": in_total_order("le"),
     "sign": sign_of,
     "clamp": clamp,
     "select_n": select_n,
