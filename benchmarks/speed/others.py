@@ -57,13 +57,26 @@ class Sweep(NamedTuple):
     running: float
 
 
+WAITED = {
+    "simulate paper_case1": ("simulate", "paper_case1"),
+    "run uav_robustness --draws 16 --set loop.duration=45.0": (
+        "run", "uav_robustness", "--draws", "16", "--set", "loop.duration=45.0"),
+    "tune tune_uav": ("tune", "tune_uav"),
+}  # fmt: skip
+"""Commands that people wait for, beside the main study."""
+
+
 class Start(NamedTuple):
-    """Seconds of commands: help, imports alone, the main study with an empty cache, and with a filled one."""
+    """Seconds of commands: help, imports alone, the main study with an empty cache, and with a filled one.
+
+    ``waited`` has the seconds of :data:`WAITED` with an empty cache and with a filled one.
+    """
 
     help: float
     imports: float
     cold: Sweep
     warm: Sweep
+    waited: dict[str, tuple[float, float]]
 
 
 def start() -> Start:
@@ -90,4 +103,11 @@ def start() -> Start:
         told = seconds("", "-m", "dssc_jax.cli", "--help")[1]
         imported = sorted(seconds("", "-c", IMPORTS)[1] for _ in range(AGAIN))[AGAIN // 2]
         cold, *warm = (sweep(f"sweep-{i}") for i in range(1 + AGAIN))
-        return Start(told, imported, cold, sorted(warm, key=lambda sweep: sweep.end)[AGAIN // 2])
+
+        def waited(number: int, words: tuple[str, ...]) -> tuple[float, float]:
+            outs = (str(Path(folder) / f"waited-{number}-{turn}") for turn in range(2))
+            first, again = (seconds("", "-m", "dssc_jax.cli", *words, "--out", out)[1] for out in outs)
+            return first, again
+
+        commands = {name: waited(number, words) for number, (name, words) in enumerate(WAITED.items())}
+        return Start(told, imported, cold, sorted(warm, key=lambda sweep: sweep.end)[AGAIN // 2], commands)
