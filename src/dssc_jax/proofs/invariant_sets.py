@@ -8,6 +8,7 @@ from typing import Any
 from flint import arb, arb_mat
 
 from dssc_jax.proofs.balls import (
+    Balls,
     StageLimits,
     approximate_root,
     both,
@@ -30,7 +31,7 @@ from dssc_jax.proofs.enclosed_loop import (
     start_columns,
     state_places,
 )
-from dssc_jax.proofs.gain_enclosures import Balls, enclosed_gains
+from dssc_jax.proofs.gain_enclosures import enclosed_gains
 
 
 def invariant_bounds(

@@ -22,6 +22,7 @@ CONSTANTS = {
 MAY_VANISH = {"phi_a", "kappa_a", "kappa_b", "kappa_c", "gamma"}
 SIGNALS, MIDDLE_COUNT = 5, 5
 """Signals besides the states that a bound belongs to, and gains of a middle loop."""
+LARGEST = float("inf")
 MOST_DELAY, MOST_PIECES = 200, 1000
 """Longest delay, in samples, and largest number of pieces of a region."""
 
@@ -32,8 +33,9 @@ def require_shape(holds: bool, place: str, rule: str) -> None:
 
 
 def require_finite(value: Any, place: str) -> None:
-    """Reject what is not a finite number; text and truth values are none."""
-    require_shape(type(value) in (int, float) and math.isfinite(value), place, "is not a finite number")
+    """Reject what is not a finite number of float64; text and truth values are none."""
+    require_shape(type(value) in (int, float), place, "is not a finite number")
+    require_shape(abs(value) < LARGEST and float(value) == value, place, "is not a finite number")
 
 
 def require_positive(value: Any, place: str) -> None:
