@@ -14,16 +14,18 @@ from dssc_jax.proofs import fixed_point
 from dssc_jax.proofs.fixed_point import BoundsStage, from_start, towards_residual
 from dssc_jax.proofs.gains import Region, gain_hull, region_of
 from dssc_jax.proofs.problem import Interval, ProofProblem
-from dssc_jax.proofs.programs import Bounded, Solution, invariant_set, largest_in_set, scaling
+from dssc_jax.proofs.programs import TIGHT, Bounded, Programs, Solution, invariant_set, largest_in_set, scaling
 from dssc_jax.proofs.sampled_loop import Step, box_corners, box_middle, signal_sizes, start_corners, step_of
 
 Box = dict[str, Interval]
-REGIONS = (1.02, 1.2, 1.6, 2.5, 4.0, 7.0, 12.0)
-"""Sizes of the region that are tried, in sizes of the start."""
+FIRST_REGION, LARGEST_REGION, REGION_GROWTH = 1.02, 15.0, 1.03
+"""Smallest and largest region that are tried, in sizes of the start, and room around the excursion that sizes one."""
 RATES = (0.3, 0.6, 0.12, 0.04)
 """Values of lambda that are tried, in units of the loop's slowest decay."""
 SHRINKING, ENOUGH = 8, 0.98
 """Largest number of residual stages, and the least improvement that is worth another."""
+ENOUGH_RATES = 2
+"""Number of rates with a set after which no other is tried."""
 INFLATION = 1.001
 """A set attracts; its trajectories enter this multiple of it in finite time."""
 LONGEST = 20_000
@@ -122,19 +124,15 @@ class Setting(NamedTuple):
         problem: What is to be proved.
         box: The box.
         at: One sample at the box's middle, with the gains at sigma = e = 0.
-        starts: Corners of the start.
-        scale: Coordinates of the programs.
         speed: Decay of the slowest mode [1/s].
-        spare: Share of the decay that is left to the verifier's balls.
+        shared: Starts, coordinates and precision of the programs.
     """
 
     problem: ProofProblem
     box: Box
     at: Step
-    starts: list[np.ndarray]
-    scale: np.ndarray
     speed: float
-    spare: float
+    shared: Programs
 
     def steps(self, region: Region) -> list[Step]:
         """One sample at every corner of the box and of the gains in each piece of a region."""
@@ -147,8 +145,7 @@ class Setting(NamedTuple):
 
     def solve(self, steps: list[Step], rows: list[Bounded], share: float, *, started: bool) -> Solution | None:
         """The set for lambda as a share of the slowest decay."""
-        starts, rate = self.starts if started else [], share * self.speed
-        return invariant_set(steps, self.problem.sample_time, rate, rows, starts, self.scale, self.spare)
+        return invariant_set(self.shared, steps, share * self.speed, rows, started=started)
 
     def falls(self, steps: list[Step]) -> bool:
         """Whether any V falls at every step, slowly and without inputs' bounds or starts."""
@@ -164,7 +161,8 @@ def setting_of(problem: ProofProblem, box: Box) -> Setting | None:
     if speed <= 0.0 or (scale := scaling(at, starts, speed * problem.sample_time)) is None:
         return None
     point = all(low == high for name, (low, high) in box.items() if name != "k_p")
-    return Setting(problem, box, at, starts, scale, speed, SPARE if point else SPARE_OF_BOXES)
+    shared = Programs(problem.sample_time, starts, scale, SPARE if point else SPARE_OF_BOXES, [])
+    return Setting(problem, box, at, speed, shared)
 
 
 def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
@@ -180,7 +178,8 @@ def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
         sigma, e = (INFLATION * largest_in_set(np.array(stages[-1].p), at.rows[row]) for row in (SIGMA, E))
         if rest := towards_residual(problem, box, (sigma, e), e):
             return Proof(box, [*stages, *rest])
-        if (smaller := smaller_set(setting, sigma, e)) is None:
+        shares = RATES if len(stages) == 1 else (stages[-1].rate / setting.speed,)
+        if (smaller := smaller_set(setting, sigma, e, shares)) is None:
             break
         stages.append(smaller)
     return Proof(box, stages)
@@ -196,34 +195,71 @@ def start_means(problem: ProofProblem) -> Interval:
 
 def first_set(setting: Setting) -> SetStage | str:
     """A set that holds the start and keeps sliding; otherwise the reason why there is none."""
-    problem, at = setting.problem, setting.at
-    longest = min(LONGEST, int(5.0 / (setting.speed * problem.sample_time)))
-    least_e, least_sigma = excursion(at, setting.starts, longest)
-    by_e, held = problem.functions["kind"] == "vgsta", False
-    for size in REGIONS:
-        region = region_of(problem, size * max(least_sigma, 1e-9), size * max(least_e, 1e-9))
+    longest = min(LONGEST, int(5.0 / (setting.speed * setting.problem.sample_time)))
+    least = excursion(setting.at, setting.shared.starts, longest)
+    if (found := held_start(setting, least, slides=True)) is not None:
+        return found
+    if not setting.falls(setting.steps(start_region(setting, least, FIRST_REGION))):
+        return "decay"
+    return "region" if setting.problem.rho is None or held_start(setting, least, slides=False) is None else "sliding"
+
+
+def start_region(setting: Setting, least: tuple[float, float], size: float) -> Region:
+    """The region of a size, in sizes of the excursion of |e| and |sigma| from the start."""
+    e, sigma = (size * max(each, 1e-9) for each in least)
+    return region_of(setting.problem, sigma, e)
+
+
+def held_start(setting: Setting, least: tuple[float, float], *, slides: bool) -> SetStage | None:
+    """A set that holds the start, and stays in a region whose gains it allows.
+
+    The excursion of a set grows with the gains that its region allows. So no region smaller than the least excursion in
+    this one will do, and the next region is as large as that.
+
+    Args:
+        setting: The box.
+        least: |e| and |sigma| that no set can avoid.
+        slides: Whether the set has to keep sliding, too.
+    """
+    at, by_e, size = setting.at, setting.problem.functions["kind"] == "vgsta", FIRST_REGION
+    while size <= LARGEST_REGION:
+        region = start_region(setting, least, size)
         steps = setting.steps(region)
-        inside = [Bounded(at.rows[SIGMA], region.sigma, 1.0)]
-        inside += [Bounded(at.rows[E], region.e, 1.0)] if by_e else []
-        slides = slide_rows(problem, setting.box, region, at)
-        for share in RATES if all(each.bound > 0.0 for each in slides) else RATES[:0]:
-            if (result := setting.solve(steps, [*inside, *slides], share, started=True)) is not None:
-                return set_stage(result, region, at)
-            if share == RATES[0] and not setting.falls(steps):
-                break
-        if not setting.falls(steps):  # nor in any larger region
-            return "decay" if size == REGIONS[0] else "sliding" if held else "region"
-        held = held or (bool(slides) and setting.solve(steps, inside, RATES[0], started=True) is not None)
-    return "sliding" if held else "region"
+        inside = [Bounded(at.rows[SIGMA], region.sigma, None)]
+        inside += [Bounded(at.rows[E], region.e, None)] if by_e else []
+        sliding = slide_rows(setting.problem, setting.box, region, at) if slides else []
+        if not all(each.bound > 0.0 for each in sliding):
+            return None
+        if (found := started_set(setting, steps, [*inside, *sliding])) is None:
+            return None
+        excess = max(largest_in_set(found.p, one.row) / one.bound for one in inside)
+        if excess <= 1.0 - TIGHT:
+            return set_stage(found, region, at)
+        size *= max(REGION_GROWTH * excess, 1.0 + TIGHT)
+    return None
 
 
-def smaller_set(setting: Setting, sigma: float, e: float) -> SetStage | None:
-    """The set with the least |e| that attracts within a region; None if it is not worth it."""
+def started_set(setting: Setting, steps: list[Step], rows: list[Bounded]) -> Solution | None:
+    """A set that holds the start, with the first rate that allows one; its excursion hardly depends on the rate."""
+    for number, share in enumerate(RATES):
+        if (found := setting.solve(steps, rows, share, started=True)) is not None:
+            return found
+        if number == 0 and not setting.falls(steps):
+            return None
+    return None
+
+
+def smaller_set(setting: Setting, sigma: float, e: float, shares: Sequence[float] = RATES) -> SetStage | None:
+    """The set with the least |e| that attracts within a region, of those with some rates; None if it is not worth it."""
     at, region = setting.at, region_of(setting.problem, sigma, e)
     steps = setting.steps(region)
     rows = [Bounded(at.rows[E], e, 1.0), Bounded(at.rows[SIGMA], sigma, 0.05)]
-    tried = (setting.solve(steps, rows, share, started=False) for share in RATES)
-    solutions = [each for each in tried if each is not None]
+    solutions: list[Solution] = []
+    for share in shares:
+        if (found := setting.solve(steps, rows, share, started=False)) is not None:
+            solutions.append(found)
+        if len(solutions) == ENOUGH_RATES:
+            break
     best = min(solutions, key=lambda each: largest_in_set(each.p, at.rows[E]), default=None)
     if best is None or largest_in_set(best.p, at.rows[E]) > ENOUGH * e:
         return None
