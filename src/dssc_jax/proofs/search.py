@@ -11,25 +11,25 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dssc_jax.proofs import fixed_point
-from dssc_jax.proofs.fixed_point import BoundsStage, from_start, towards_residual
+from dssc_jax.proofs.fixed_point import BoundsStage, from_start, responses, towards_residual
 from dssc_jax.proofs.gains import Region, gain_hull, region_of
 from dssc_jax.proofs.problem import Interval, ProofProblem
 from dssc_jax.proofs.programs import TIGHT, Bounded, Programs, Solution, invariant_set, largest_in_set, scaling
 from dssc_jax.proofs.sampled_loop import Step, box_corners, box_middle, signal_sizes, start_corners, step_of
 
 Box = dict[str, Interval]
-FIRST_REGION, LARGEST_REGION, REGION_GROWTH = 1.02, 15.0, 1.03
-"""Smallest and largest region that are tried, in sizes of the start, and room around the excursion that sizes one."""
-RATES = (0.3, 0.6, 0.12, 0.04)
-"""Values of lambda that are tried, in units of the loop's slowest decay."""
+FIRST_REGION, LARGEST_REGION, MOST_REGIONS = 1.02, 30.0, 20
+"""Smallest and largest region that are tried, in sizes of the start, and the largest number of regions."""
+REGION_ROOM = 1.03
+"""Room around the set that sizes the next region."""
+START_RATES, RATES = (0.3, 0.12, 0.04), (0.3, 0.6, 0.12, 0.04)
+"""Values of lambda that are tried for a set that holds the start, and for others; in the loop's slowest decay."""
 SHRINKING, ENOUGH = 8, 0.98
 """Largest number of residual stages, and the least improvement that is worth another."""
 ENOUGH_RATES = 2
 """Number of rates with a set after which no other is tried."""
 INFLATION = 1.001
 """A set attracts; its trajectories enter this multiple of it in finite time."""
-LONGEST = 20_000
-"""Samples of the excursion that sizes the regions."""
 SPARE, SPARE_OF_BOXES = 0.01, 0.1
 """Share of the decay that is left to the verifier's balls, for one plant and for a box of a_p or mu."""
 E, TRUE_E, SIGMA, CHANGE = range(4)  # rows of a step
@@ -195,53 +195,55 @@ def start_means(problem: ProofProblem) -> Interval:
 
 def first_set(setting: Setting) -> SetStage | str:
     """A set that holds the start and keeps sliding; otherwise the reason why there is none."""
-    longest = min(LONGEST, int(5.0 / (setting.speed * setting.problem.sample_time)))
-    least = excursion(setting.at, setting.shared.starts, longest)
-    if (found := held_start(setting, least, slides=True)) is not None:
+    least = excursion(setting.at, setting.shared.starts)
+    if not all(np.isfinite(least)):
+        return "region"
+    first = tuple(FIRST_REGION * max(each, 1e-9) for each in least)
+    if (found := held_start(setting, first, slides=True)) is not None:
         return found
-    if not setting.falls(setting.steps(start_region(setting, least, FIRST_REGION))):
+    if not setting.falls(setting.steps(region_of(setting.problem, *first))):
         return "decay"
-    return "region" if setting.problem.rho is None or held_start(setting, least, slides=False) is None else "sliding"
+    return "region" if setting.problem.rho is None or held_start(setting, first, slides=False) is None else "sliding"
 
 
-def start_region(setting: Setting, least: tuple[float, float], size: float) -> Region:
-    """The region of a size, in sizes of the excursion of |e| and |sigma| from the start."""
-    e, sigma = (size * max(each, 1e-9) for each in least)
-    return region_of(setting.problem, sigma, e)
-
-
-def held_start(setting: Setting, least: tuple[float, float], *, slides: bool) -> SetStage | None:
+def held_start(setting: Setting, first: tuple[float, float], *, slides: bool) -> SetStage | None:
     """A set that holds the start, and stays in a region whose gains it allows.
 
-    The excursion of a set grows with the gains that its region allows. So no region smaller than the least excursion in
-    this one will do, and the next region is as large as that.
+    Of the sets of a region's gains, the one that exceeds the region by the least sizes the next region.
 
     Args:
         setting: The box.
-        least: |e| and |sigma| that no set can avoid.
+        first: Bounds of |sigma| and |e| of the first region.
         slides: Whether the set has to keep sliding, too.
     """
-    at, by_e, size = setting.at, setting.problem.functions["kind"] == "vgsta", FIRST_REGION
-    while size <= LARGEST_REGION:
-        region = start_region(setting, least, size)
+    at, by_e = setting.at, setting.problem.functions["kind"] == "vgsta"
+    shares = START_RATES if slides else START_RATES[:1]  # else it is about the reason of a failure
+    limits = np.array(first)
+    for _ in range(MOST_REGIONS):
+        region = region_of(setting.problem, *limits.tolist())
         steps = setting.steps(region)
         inside = [Bounded(at.rows[SIGMA], region.sigma, None)]
         inside += [Bounded(at.rows[E], region.e, None)] if by_e else []
         sliding = slide_rows(setting.problem, setting.box, region, at) if slides else []
         if not all(each.bound > 0.0 for each in sliding):
             return None
-        if (found := started_set(setting, steps, [*inside, *sliding])) is None:
+        if (found := started_set(setting, steps, [*inside, *sliding], shares)) is None:
             return None
-        excess = max(largest_in_set(found.p, one.row) / one.bound for one in inside)
-        if excess <= 1.0 - TIGHT:
+        sizes = np.array([largest_in_set(found.p, at.rows[row]) for row in (SIGMA, E)])
+        if np.all((sizes <= (1.0 - TIGHT) * limits)[: len(inside)]):
             return set_stage(found, region, at)
-        size *= max(REGION_GROWTH * excess, 1.0 + TIGHT)
+        limits = REGION_ROOM * sizes
+        if np.any(limits > LARGEST_REGION * np.array(first)):
+            return None
+        shares = [share for share in shares if share * setting.speed <= found.rate * (1.0 + TIGHT)]
     return None
 
 
-def started_set(setting: Setting, steps: list[Step], rows: list[Bounded]) -> Solution | None:
+def started_set(
+    setting: Setting, steps: list[Step], rows: list[Bounded], shares: Sequence[float]
+) -> Solution | None:
     """A set that holds the start, with the first rate that allows one; its excursion hardly depends on the rate."""
-    for number, share in enumerate(RATES):
+    for number, share in enumerate(shares):
         if (found := setting.solve(steps, rows, share, started=True)) is not None:
             return found
         if number == 0 and not setting.falls(steps):
@@ -266,16 +268,13 @@ def smaller_set(setting: Setting, sigma: float, e: float, shares: Sequence[float
     return set_stage(best, region, at)
 
 
-def excursion(step: Step, first: list[np.ndarray], samples: int) -> tuple[float, float]:
-    """The largest |e| and |sigma| of the loop at one point, from the starts and under inputs of size one."""
-    rows, z, inputs = step.rows[[E, SIGMA]], np.stack(first, axis=1), step.b
-    from_start, from_inputs = np.zeros(2), np.zeros(2)
-    for _ in range(samples):
-        from_start = np.maximum(from_start, np.abs(rows @ z).max(axis=1))
-        from_inputs += np.abs(rows @ inputs).sum(axis=1)
-        z, inputs = step.a @ z, step.a @ inputs
-    e, sigma = from_start + from_inputs
-    return float(e), float(sigma)
+def excursion(step: Step, starts: Sequence[np.ndarray]) -> tuple[float, float]:
+    """The largest |sigma| and |e| of the loop at one point, from the starts and under inputs of size one."""
+    found = responses(step.a, step.rows[[SIGMA, E]], step.b, np.stack(starts, axis=1))
+    if found is None:
+        return np.inf, np.inf
+    sigma, e = found.peaks + found.sums.sum(axis=1)
+    return float(sigma), float(e)
 
 
 def set_stage(result: Solution, region: Region, at: Step) -> SetStage:
