@@ -158,4 +158,3 @@ def over_defect(x: arb) -> arb:
     if x < arb("1e-12"):  # 2 + 4 x/3 - ..., within [2, 2 + 2 x]
         return arb(2).union(2 + 2 * x)
     return x * x / (x - x.log1p())
-

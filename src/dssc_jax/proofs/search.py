@@ -6,6 +6,7 @@ Nothing that is found here counts as proved before :mod:`dssc_jax.proofs.verifie
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
+from math import factorial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,11 +16,13 @@ from dssc_jax.proofs.fixed_point import BoundsStage, from_start, responses, towa
 from dssc_jax.proofs.gains import Region, gain_hull, region_of
 from dssc_jax.proofs.problem import Interval, ProofProblem
 from dssc_jax.proofs.programs import TIGHT, Bounded, Programs, Solution, invariant_set, largest_in_set, scaling
-from dssc_jax.proofs.sampled_loop import Step, box_corners, box_middle, signal_sizes, start_corners, step_of
+from dssc_jax.proofs.sampled_loop import Step, box_middle, box_steps, signal_sizes, start_corners, step_of
 
 Box = dict[str, Interval]
 FIRST_REGION, LARGEST_REGION, MOST_REGIONS = 1.02, 30.0, 20
 """Smallest and largest region that are tried, in sizes of the start, and the largest number of regions."""
+CURVE_SHARE, MOST_DEGREE = 1e-3, 6
+"""Share of the decay that the rest of a polynomial in 1/mu may take, and its largest degree."""
 REGION_ROOM = 1.03
 """Room around the set that sizes the next region."""
 START_RATES, RATES = (0.3, 0.12, 0.04), (0.3, 0.6, 0.12, 0.04)
@@ -45,6 +48,7 @@ class SetStage:
         sigma: Bound of |sigma| in which the gains are taken [m/s].
         e: Bound of |e| there [m].
         pieces: Number of pieces of |sigma|, equal in its root, in each of which the gains have their own intervals.
+        degree: Of the polynomial in 1/mu that stands for the held plant.
         rate: lambda [1/s].
         multipliers: mu_j of the inputs, with a sum of at most lambda.
         p: P, row by row.
@@ -54,6 +58,7 @@ class SetStage:
     sigma: float
     e: float
     pieces: int
+    degree: int
     rate: float
     multipliers: list[float]
     p: list[list[float]]
@@ -138,10 +143,18 @@ class Setting(NamedTuple):
         """One sample at every corner of the box and of the gains in each piece of a region."""
         integrated = self.problem.form == "conservative"
         return [
-            step_of(self.problem, point, self.box, integrated=integrated)
+            step
             for hull in region.pieces
-            for point in box_corners(self.box, hull, "mean" if integrated else "k_p")
+            for step in box_steps(self.problem, self.box, hull, self.degree, integrated=integrated)
         ]
+
+    @property
+    def degree(self) -> int:
+        """Degree of the polynomial in 1/mu, such that its rest is far below what V falls by in a sample."""
+        low, high = self.box.get("rate", (0.0, 0.0))
+        half = 0.5 * (high - low) * self.problem.sample_time
+        falls = CURVE_SHARE * min(RATES) * self.speed * self.problem.sample_time
+        return next((d for d in range(1, MOST_DEGREE) if half ** (d + 1) / factorial(d + 1) <= falls), MOST_DEGREE)
 
     def solve(self, steps: list[Step], rows: list[Bounded], share: float, *, started: bool) -> Solution | None:
         """The set for lambda as a share of the slowest decay."""
@@ -231,7 +244,7 @@ def held_start(setting: Setting, first: tuple[float, float], *, slides: bool) ->
             return None
         sizes = np.array([largest_in_set(found.p, at.rows[row]) for row in (SIGMA, E)])
         if np.all((sizes <= (1.0 - TIGHT) * limits)[: len(inside)]):
-            return set_stage(found, region, at)
+            return set_stage(found, region, setting)
         limits = REGION_ROOM * sizes
         if np.any(limits > LARGEST_REGION * np.array(first)):
             return None
@@ -239,9 +252,7 @@ def held_start(setting: Setting, first: tuple[float, float], *, slides: bool) ->
     return None
 
 
-def started_set(
-    setting: Setting, steps: list[Step], rows: list[Bounded], shares: Sequence[float]
-) -> Solution | None:
+def started_set(setting: Setting, steps: list[Step], rows: list[Bounded], shares: Sequence[float]) -> Solution | None:
     """A set that holds the start, with the first rate that allows one; its excursion hardly depends on the rate."""
     for number, share in enumerate(shares):
         if (found := setting.solve(steps, rows, share, started=True)) is not None:
@@ -265,7 +276,7 @@ def smaller_set(setting: Setting, sigma: float, e: float, shares: Sequence[float
     best = min(solutions, key=lambda each: largest_in_set(each.p, at.rows[E]), default=None)
     if best is None or largest_in_set(best.p, at.rows[E]) > ENOUGH * e:
         return None
-    return set_stage(best, region, at)
+    return set_stage(best, region, setting)
 
 
 def excursion(step: Step, starts: Sequence[np.ndarray]) -> tuple[float, float]:
@@ -277,10 +288,11 @@ def excursion(step: Step, starts: Sequence[np.ndarray]) -> tuple[float, float]:
     return float(sigma), float(e)
 
 
-def set_stage(result: Solution, region: Region, at: Step) -> SetStage:
+def set_stage(result: Solution, region: Region, setting: Setting) -> SetStage:
     """The stage of a solution; where the gains do not depend on e, its region holds any e of the set."""
-    e = max(region.e, INFLATION * largest_in_set(result.p, at.rows[E]))
-    return SetStage(region.sigma, e, len(region.pieces), result.rate, result.multipliers.tolist(), result.p.tolist())
+    e, pieces = max(region.e, INFLATION * largest_in_set(result.p, setting.at.rows[E])), len(region.pieces)
+    multipliers, p = result.multipliers.tolist(), result.p.tolist()
+    return SetStage(region.sigma, e, pieces, setting.degree, result.rate, multipliers, p)
 
 
 def halves(box: Box, problem: ProofProblem) -> list[Box]:

@@ -15,7 +15,15 @@ from typing import Any, NamedTuple
 
 from flint import arb, arb_mat
 
-from dssc_jax.proofs.balls import Balls, StageLimits, enclosing, larger, positive_definite, require_premise, symmetric_ball
+from dssc_jax.proofs.balls import (
+    Balls,
+    StageLimits,
+    enclosing,
+    larger,
+    positive_definite,
+    require_premise,
+    symmetric_ball,
+)
 from dssc_jax.proofs.enclosed_loop import (
     control_rows,
     held_generator,

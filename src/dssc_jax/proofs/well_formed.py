@@ -23,8 +23,8 @@ MAY_VANISH = {"phi_a", "kappa_a", "kappa_b", "kappa_c", "gamma"}
 SIGNALS, MIDDLE_COUNT = 5, 5
 """Signals besides the states that a bound belongs to, and gains of a middle loop."""
 LARGEST = float("inf")
-MOST_DELAY, MOST_PIECES = 200, 1000
-"""Longest delay, in samples, and largest number of pieces of a region."""
+MOST_DELAY, MOST_PIECES, MOST_DEGREE = 200, 1000, 8
+"""Longest delay, in samples, largest number of pieces of a region, and largest degree of a polynomial in 1/mu."""
 
 
 def require_shape(holds: bool, place: str, rule: str) -> None:
@@ -148,5 +148,6 @@ def require_proof(problem: dict[str, Any], proof: Any) -> None:
         else:
             require_shape(stage["method"] == "invariant set", "method", "is unknown")
             require_numbers(stage["multipliers"], 4 + eta, "multipliers")
-            pieces = stage["pieces"]
+            pieces, degree = stage["pieces"], stage["degree"]
             require_shape(type(pieces) is int and 1 <= pieces <= MOST_PIECES, "pieces", "is no number of pieces")
+            require_shape(type(degree) is int and 1 <= degree <= MOST_DEGREE, "degree", "is no degree of a polynomial")
