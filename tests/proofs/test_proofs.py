@@ -5,7 +5,6 @@ import json
 
 import numpy as np
 import pytest
-from flint import arb
 
 import dssc_jax as dj
 from dssc_jax.cli import guarded

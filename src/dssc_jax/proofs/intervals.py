@@ -45,7 +45,7 @@ class Intervals:
         ends = self.low / low, self.low / other.high, self.high / low, self.high / other.high
         return widened(np.minimum.reduce(ends), np.maximum.reduce(ends))
 
-    def taken(self, where: np.ndarray) -> "Intervals":
+    def selected(self, where: np.ndarray) -> "Intervals":
         """Some of the intervals."""
         return Intervals(self.low[where], self.high[where])
 

@@ -16,7 +16,7 @@ SLACK = 1e-7
 TIGHT = 1e-4
 """Room that is left in every bound, for the same reason."""
 TRIES, FIRST_STEPS, ADDED = 3, 16, 6
-"""Number of coordinates that are tried, of steps in the first program, and of violated ones that are added at a time."""
+"""Number of coordinates that are tried, of steps in the first program, and of violated ones that join at a time."""
 GAP = 1e-4
 """Accuracy of a program's cost; its inequalities are met as well as Clarabel meets them by default."""
 SOLVED = (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
@@ -140,7 +140,7 @@ class Programs(NamedTuple):
 
 
 def invariant_set(
-    shared: Programs, steps: Sequence[Step], rate: float, rows: Sequence[Bounded], *, started: bool
+    programs: Programs, steps: Sequence[Step], rate: float, rows: Sequence[Bounded], *, started: bool
 ) -> Solution | None:
     """Find V = z'Pz such that {V <= 1} holds every start, is invariant and attracts, with small |row z| in it.
 
@@ -149,7 +149,7 @@ def invariant_set(
     solution is not accurate enough, its own P gives the coordinates of another try.
 
     Args:
-        shared: What the programs of the loop share.
+        programs: What the programs of the loop share.
         steps: The steps at every corner.
         rate: lambda [1/s].
         rows: Rows to bound.
@@ -161,21 +161,21 @@ def invariant_set(
     a, b = (np.stack([step[i] for step in steps]) for i in (0, 1))
     if not (np.isfinite(a).all() and np.isfinite(b).all()):
         return None
-    active, tries = shared.active, 0
+    active, tries = programs.active, 0
     first = np.linspace(0, len(steps) - 1, min(FIRST_STEPS, len(steps))).astype(int).tolist()
     active[:] = [i for i in active if i < len(steps)] or first
     while tries < TRIES:
-        solution = solved_set(shared, [steps[i] for i in active], rate, rows, started=started)
+        solution = solved_set(programs, [steps[i] for i in active], rate, rows, started=started)
         if solution is None:
             return None
-        slack = decrease_slack(a, b, shared.sample_time, solution)
+        slack = decrease_slack(a, b, programs.sample_time, solution)
         if np.all(slack > 0.0):
             return solution
         missing = [int(i) for i in np.argsort(slack) if slack[i] <= 0.0 and i not in active][:ADDED]
         active += missing
         if not missing:
             tries += 1
-            shared = shared._replace(scale=np.linalg.inv(np.linalg.cholesky(solution.p)).T)
+            programs = programs._replace(scale=np.linalg.inv(np.linalg.cholesky(solution.p)).T)
     return None
 
 
@@ -199,10 +199,11 @@ def decrease_slack(a: np.ndarray, b: np.ndarray, sample_time: float, solution: S
 
 
 def solved_set(
-    shared: Programs, steps: Sequence[Step], rate: float, rows: Sequence[Bounded], *, started: bool
+    programs: Programs, steps: Sequence[Step], rate: float, rows: Sequence[Bounded], *, started: bool
 ) -> Solution | None:
     """One program of :func:`invariant_set`."""
-    sample_time, scale, spare, starts = shared.sample_time, shared.scale, shared.spare, shared.starts if started else ()
+    sample_time, starts, scale, spare, _ = programs
+    starts = starts if started else []
     n, inputs, m = scale.shape[0], steps[0].b.shape[1], scale.shape[0] * (scale.shape[0] + 1) // 2
     inverse = np.linalg.inv(scale)
     live = [j for j in range(inputs) if any(np.any(step.b[:, j]) for step in steps)]

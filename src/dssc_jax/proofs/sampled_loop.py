@@ -203,7 +203,7 @@ def control_points(problem: ProofProblem, a_p: float, rates: Interval, degree: i
     terms = [blocks[: n - 1, k * (n - 1) : (k + 1) * (n - 1)] for k in range(degree + 1)]
     result = []
     for i in range(degree + 1):
-        whole = sum(bernstein_weight(degree, i, k) * term for k, term in enumerate(terms))
+        whole = np.sum([bernstein_weight(degree, i, k) * term for k, term in enumerate(terms)], axis=0)
         result.append(moved_on(problem, HeldSample(whole[:-1, :-1].copy(), whole[:-1, -1].copy())))
     return result
 

@@ -45,7 +45,7 @@ class SetStage:
     In the conservative form z holds q = v - phi_1(s) in place of v.
 
     Args:
-        sigma: Bound of |sigma| in which the gains are taken [m/s].
+        sigma: Bound of |sigma| in which the gains are selected [m/s].
         e: Bound of |e| there [m].
         pieces: Number of pieces of |sigma|, equal in its root, in each of which the gains have their own intervals.
         degree: Of the polynomial in 1/mu that stands for the held plant.
@@ -130,14 +130,14 @@ class Setting(NamedTuple):
         box: The box.
         at: One sample at the box's middle, with the gains at sigma = e = 0.
         speed: Decay of the slowest mode [1/s].
-        shared: Starts, coordinates and precision of the programs.
+        programs: Starts, coordinates and precision of the programs.
     """
 
     problem: ProofProblem
     box: Box
     at: Step
     speed: float
-    shared: Programs
+    programs: Programs
 
     def steps(self, region: Region) -> list[Step]:
         """One sample at every corner of the box and of the gains in each piece of a region."""
@@ -158,7 +158,7 @@ class Setting(NamedTuple):
 
     def solve(self, steps: list[Step], rows: list[Bounded], share: float, *, started: bool) -> Solution | None:
         """The set for lambda as a share of the slowest decay."""
-        return invariant_set(self.shared, steps, share * self.speed, rows, started=started)
+        return invariant_set(self.programs, steps, share * self.speed, rows, started=started)
 
     def falls(self, steps: list[Step]) -> bool:
         """Whether any V falls at every step, slowly and without inputs' bounds or starts."""
@@ -174,8 +174,8 @@ def setting_of(problem: ProofProblem, box: Box) -> Setting | None:
     if speed <= 0.0 or (scale := scaling(at, starts, speed * problem.sample_time)) is None:
         return None
     point = all(low == high for name, (low, high) in box.items() if name != "k_p")
-    shared = Programs(problem.sample_time, starts, scale, SPARE if point else SPARE_OF_BOXES, [])
-    return Setting(problem, box, at, speed, shared)
+    programs = Programs(problem.sample_time, starts, scale, SPARE if point else SPARE_OF_BOXES, [])
+    return Setting(problem, box, at, speed, programs)
 
 
 def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
@@ -208,18 +208,18 @@ def start_means(problem: ProofProblem) -> Interval:
 
 def first_set(setting: Setting) -> SetStage | str:
     """A set that holds the start and keeps sliding; otherwise the reason why there is none."""
-    least = excursion(setting.at, setting.shared.starts)
+    least = excursion(setting.at, setting.programs.starts)
     if not all(np.isfinite(least)):
         return "region"
-    first = tuple(FIRST_REGION * max(each, 1e-9) for each in least)
-    if (found := held_start(setting, first, slides=True)) is not None:
-        return found
-    if not setting.falls(setting.steps(region_of(setting.problem, *first))):
+    first = [FIRST_REGION * max(each, 1e-9) for each in least]
+    if (solution := held_start(setting, first, slides=True)) is not None:
+        return solution
+    if not setting.falls(setting.steps(region_of(setting.problem, first[0], first[1]))):
         return "decay"
     return "region" if setting.problem.rho is None or held_start(setting, first, slides=False) is None else "sliding"
 
 
-def held_start(setting: Setting, first: tuple[float, float], *, slides: bool) -> SetStage | None:
+def held_start(setting: Setting, first: Sequence[float], *, slides: bool) -> SetStage | None:
     """A set that holds the start, and stays in a region whose gains it allows.
 
     Of the sets of a region's gains, the one that exceeds the region by the least sizes the next region.
@@ -233,44 +233,44 @@ def held_start(setting: Setting, first: tuple[float, float], *, slides: bool) ->
     shares = START_RATES if slides else START_RATES[:1]  # else it is about the reason of a failure
     limits = np.array(first)
     for _ in range(MOST_REGIONS):
-        region = region_of(setting.problem, *limits.tolist())
+        region = region_of(setting.problem, float(limits[0]), float(limits[1]))
         steps = setting.steps(region)
         inside = [Bounded(at.rows[SIGMA], region.sigma, None)]
         inside += [Bounded(at.rows[E], region.e, None)] if by_e else []
         sliding = slide_rows(setting.problem, setting.box, region, at) if slides else []
         if not all(each.bound > 0.0 for each in sliding):
             return None
-        if (found := started_set(setting, steps, [*inside, *sliding], shares)) is None:
+        if (solution := started_set(setting, steps, [*inside, *sliding], shares)) is None:
             return None
-        sizes = np.array([largest_in_set(found.p, at.rows[row]) for row in (SIGMA, E)])
+        sizes = np.array([largest_in_set(solution.p, at.rows[row]) for row in (SIGMA, E)])
         if np.all((sizes <= (1.0 - TIGHT) * limits)[: len(inside)]):
-            return set_stage(found, region, setting)
+            return set_stage(solution, region, setting)
         limits = REGION_ROOM * sizes
         if np.any(limits > LARGEST_REGION * np.array(first)):
             return None
-        shares = [share for share in shares if share * setting.speed <= found.rate * (1.0 + TIGHT)]
+        shares = [share for share in shares if share * setting.speed <= solution.rate * (1.0 + TIGHT)]
     return None
 
 
 def started_set(setting: Setting, steps: list[Step], rows: list[Bounded], shares: Sequence[float]) -> Solution | None:
     """A set that holds the start, with the first rate that allows one; its excursion hardly depends on the rate."""
     for number, share in enumerate(shares):
-        if (found := setting.solve(steps, rows, share, started=True)) is not None:
-            return found
+        if (solution := setting.solve(steps, rows, share, started=True)) is not None:
+            return solution
         if number == 0 and not setting.falls(steps):
             return None
     return None
 
 
 def smaller_set(setting: Setting, sigma: float, e: float, shares: Sequence[float] = RATES) -> SetStage | None:
-    """The set with the least |e| that attracts within a region, of those with some rates; None if it is not worth it."""
+    """The set with the least |e| that attracts within a region, for some rates; None if it is not worth it."""
     at, region = setting.at, region_of(setting.problem, sigma, e)
     steps = setting.steps(region)
     rows = [Bounded(at.rows[E], e, 1.0), Bounded(at.rows[SIGMA], sigma, 0.05)]
     solutions: list[Solution] = []
     for share in shares:
-        if (found := setting.solve(steps, rows, share, started=False)) is not None:
-            solutions.append(found)
+        if (solution := setting.solve(steps, rows, share, started=False)) is not None:
+            solutions.append(solution)
         if len(solutions) == ENOUGH_RATES:
             break
     best = min(solutions, key=lambda each: largest_in_set(each.p, at.rows[E]), default=None)
@@ -281,10 +281,10 @@ def smaller_set(setting: Setting, sigma: float, e: float, shares: Sequence[float
 
 def excursion(step: Step, starts: Sequence[np.ndarray]) -> tuple[float, float]:
     """The largest |sigma| and |e| of the loop at one point, from the starts and under inputs of size one."""
-    found = responses(step.a, step.rows[[SIGMA, E]], step.b, np.stack(starts, axis=1))
-    if found is None:
+    response = responses(step.a, step.rows[[SIGMA, E]], step.b, np.stack(starts, axis=1))
+    if response is None:
         return np.inf, np.inf
-    sigma, e = found.peaks + found.sums.sum(axis=1)
+    sigma, e = response.peaks + solution.sums.sum(axis=1)
     return float(sigma), float(e)
 
 

@@ -7,7 +7,6 @@ gains at points span by more than a small share.
 from typing import Any
 
 import numpy as np
-from flint import arb
 
 from dssc_jax.proofs.balls import Balls, enclosing, require_premise
 from dssc_jax.proofs.intervals import Intervals, exactly, square_root
@@ -16,13 +15,12 @@ PRECISE = 0.02  # largest excess over the gains at points, in widths of what the
 ROUNDING = 2.0**-36  # and in sizes of the gain
 FIRST_CUTS = 6  # of r and of |e|
 MOST_PIECES = 100_000
-UNBOUNDED = np.inf
 
 
 def table_gains(problem: dict[str, Any], sigma: float, e: float, least: float) -> Balls:
     """Balls of the gains for |sigma| from ``least`` to a bound, and |e| up to one.
 
-    They are the same at (-sigma, -e). At e = 0, where sgn e jumps, both signs are taken; with sgn 0 = 0 the gains lie
+    They are the same at (-sigma, -e). At e = 0, where sgn e jumps, both signs are selected; with sgn 0 = 0 the gains lie
     between.
 
     Args:
@@ -44,7 +42,7 @@ def table_gains(problem: dict[str, Any], sigma: float, e: float, least: float) -
     while sign.size:
         left -= sign.size
         for name, at in gains_of(problem, r.middle(), sign, x.middle()).items():
-            spans[name] = merged(spans.get(name), float(np.min(at.low)), float(np.max(at.high)))
+            spans[name] = spanned(spans.get(name), float(np.min(at.low)), float(np.max(at.high)))
         pieces, again = gains_of(problem, r, sign, x), np.zeros(sign.shape, bool)
         for name, at in pieces.items():
             lowest, highest = spans[name]
@@ -54,9 +52,9 @@ def table_gains(problem: dict[str, Any], sigma: float, e: float, least: float) -
             again[:] = False
         if not again.all():
             for name, at in pieces.items():
-                kept = at.taken(~again)
-                result[name] = merged(result.get(name), float(np.min(kept.low)), float(np.max(kept.high)))
-        halves = [(half, other) for half in r.taken(again).halves() for other in x.taken(again).halves()]
+                kept = at.selected(~again)
+                result[name] = spanned(result.get(name), float(np.min(kept.low)), float(np.max(kept.high)))
+        halves = [(half, other) for half in r.selected(again).halves() for other in x.selected(again).halves()]
         r, x = (joined([pair[i] for pair in halves]) for i in (0, 1))
         sign = np.tile(sign[again], len(halves))
     positive = all(result[name][0] > 0.0 for name in ("k_p", "k_i"))
@@ -66,7 +64,7 @@ def table_gains(problem: dict[str, Any], sigma: float, e: float, least: float) -
     return {name: enclosing(*ends) for name, ends in result.items()}
 
 
-def merged(ends: tuple[float, float] | None, low: float, high: float) -> tuple[float, float]:
+def spanned(ends: tuple[float, float] | None, low: float, high: float) -> tuple[float, float]:
     """The smallest interval with both; NaN if one has it."""
     return (low, high) if ends is None else (float(np.minimum(ends[0], low)), float(np.maximum(ends[1], high)))
 
