@@ -61,9 +61,9 @@ def response_bounds(
     """
     n, m, q = a.nrows(), rows.nrows(), inputs.ncols()
     near, far = powers(rows, a), powers(identity(n), a**SIDE)
-    value, size = (of(stacked(near)) for of in (middles, magnitudes))
-    jumps = middles(stacked(far)).reshape(SIDE, n, n)
-    error = ROUNDED * TWICE * size @ np.concatenate(list(magnitudes(stacked(far)).reshape(SIDE, n, n)), axis=1)
+    value, size = (of(rows_below(near)) for of in (middles, magnitudes))
+    jumps = middles(rows_below(far)).reshape(SIDE, n, n)
+    error = ROUNDED * TWICE * size @ np.concatenate(list(magnitudes(rows_below(far)).reshape(SIDE, n, n)), axis=1)
     error = error.reshape(SIDE, m, SIDE, n)
     error_sum, error_peak = SUMMED * error.sum(axis=(0, 2)), error.max(axis=(0, 2))
     jump, inverse = far[-1] * a**SIDE, p.inv()
@@ -106,7 +106,7 @@ def powers(first: arb_mat, a: arb_mat) -> list[arb_mat]:
     return result
 
 
-def stacked(parts: list[arb_mat]) -> arb_mat:
+def rows_below(parts: list[arb_mat]) -> arb_mat:
     """Matrices below one another."""
     return arb_mat([[each[i, j] for j in range(each.ncols())] for each in parts for i in range(each.nrows())])
 

@@ -10,7 +10,7 @@ import numpy as np
 
 UNIT = 2.0**-52
 """Twice the relative error of one rounding: the other half covers the rounding of the widened end."""
-UNDERFLOW = 1e-300
+LOST_TO_ZERO = 1e-300
 """More than what any rounding to zero loses."""
 
 
@@ -28,22 +28,22 @@ class Intervals:
 
     def __add__(self, other: "Intervals") -> "Intervals":
         """The sum."""
-        return widened(self.low + other.low, self.high + other.high)
+        return outwards(self.low + other.low, self.high + other.high)
 
     def __sub__(self, other: "Intervals") -> "Intervals":
         """The difference."""
-        return widened(self.low - other.high, self.high - other.low)
+        return outwards(self.low - other.high, self.high - other.low)
 
     def __mul__(self, other: "Intervals") -> "Intervals":
         """The product."""
         ends = self.low * other.low, self.low * other.high, self.high * other.low, self.high * other.high
-        return widened(np.minimum.reduce(ends), np.maximum.reduce(ends))
+        return outwards(np.minimum.reduce(ends), np.maximum.reduce(ends))
 
     def __truediv__(self, other: "Intervals") -> "Intervals":
         """The quotient; NaN where the divisor is not positive."""
         low = np.where(other.low > 0.0, other.low, np.nan)
         ends = self.low / low, self.low / other.high, self.high / low, self.high / other.high
-        return widened(np.minimum.reduce(ends), np.maximum.reduce(ends))
+        return outwards(np.minimum.reduce(ends), np.maximum.reduce(ends))
 
     def selected(self, where: np.ndarray) -> "Intervals":
         """Some of the intervals."""
@@ -60,9 +60,9 @@ class Intervals:
         return Intervals(self.low, points), Intervals(points, self.high)
 
 
-def widened(low: np.ndarray, high: np.ndarray) -> Intervals:
+def outwards(low: np.ndarray, high: np.ndarray) -> Intervals:
     """The intervals of rounded ends, widened by what their rounding may have lost."""
-    return Intervals(low - (UNIT * np.abs(low) + UNDERFLOW), high + (UNIT * np.abs(high) + UNDERFLOW))
+    return Intervals(low - (UNIT * np.abs(low) + LOST_TO_ZERO), high + (UNIT * np.abs(high) + LOST_TO_ZERO))
 
 
 def exactly(value: float) -> Intervals:
@@ -73,5 +73,5 @@ def exactly(value: float) -> Intervals:
 
 def square_root(low: float, high: float) -> tuple[float, float]:
     """Ends of an interval that holds the square roots of another."""
-    root = widened(np.sqrt(np.float64(low)), np.sqrt(np.float64(high)))
+    root = outwards(np.sqrt(np.float64(low)), np.sqrt(np.float64(high)))
     return max(float(root.low), 0.0), float(root.high)

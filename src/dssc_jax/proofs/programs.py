@@ -121,7 +121,7 @@ def solved(cost: np.ndarray, psd: Sequence[Affine], least: np.ndarray) -> np.nda
     return np.asarray(solution.x) if solution.status in SOLVED else None
 
 
-class Programs(NamedTuple):
+class SetPrograms(NamedTuple):
     """What the programs of one loop share.
 
     Args:
@@ -140,7 +140,7 @@ class Programs(NamedTuple):
 
 
 def invariant_set(
-    programs: Programs, steps: Sequence[Step], rate: float, rows: Sequence[Bounded], *, started: bool
+    programs: SetPrograms, steps: Sequence[Step], rate: float, rows: Sequence[Bounded], *, started: bool
 ) -> Solution | None:
     """Find V = z'Pz such that {V <= 1} holds every start, is invariant and attracts, with small |row z| in it.
 
@@ -199,7 +199,7 @@ def decrease_slack(a: np.ndarray, b: np.ndarray, sample_time: float, solution: S
 
 
 def solved_set(
-    programs: Programs, steps: Sequence[Step], rate: float, rows: Sequence[Bounded], *, started: bool
+    programs: SetPrograms, steps: Sequence[Step], rate: float, rows: Sequence[Bounded], *, started: bool
 ) -> Solution | None:
     """One program of :func:`invariant_set`."""
     sample_time, starts, scale, spare, _ = programs

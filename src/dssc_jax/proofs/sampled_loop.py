@@ -147,11 +147,11 @@ def held_plant(problem: ProofProblem, a_p: float, rate: float) -> tuple[np.ndarr
 @lru_cache(maxsize=256)
 def flow(problem: ProofProblem, a_p: float, rate: float, time: float) -> tuple[np.ndarray, np.ndarray]:
     """exp(F t) and the integral of exp(F t) G over a time."""
-    whole = expm(generator(problem, a_p, rate) * time)
+    whole = expm(held_matrix(problem, a_p, rate) * time)
     return whole[:-1, :-1], whole[:-1, -1]
 
 
-def generator(problem: ProofProblem, a_p: float, rate: float) -> np.ndarray:
+def held_matrix(problem: ProofProblem, a_p: float, rate: float) -> np.ndarray:
     """[[F, G], [0, 0]]."""
     f, g = held_plant(problem, a_p, rate)
     size = f.shape[0]
@@ -170,10 +170,10 @@ def sensor_weights(problem: ProofProblem) -> tuple[float, float]:
 
 def held_matrices(problem: ProofProblem, a_p: float, rate: float) -> HeldSample:
     """Phi and Gamma of one sample; the delay's memory moves on, and the sensor's."""
-    return moved_on(problem, HeldSample(*map(np.copy, flow(problem, a_p, rate, problem.sample_time))))
+    return memories_moved(problem, HeldSample(*map(np.copy, flow(problem, a_p, rate, problem.sample_time))))
 
 
-def moved_on(problem: ProofProblem, held: HeldSample) -> HeldSample:
+def memories_moved(problem: ProofProblem, held: HeldSample) -> HeldSample:
     """With the rows of the delay's memory and of the sensor's, which move on at the samples."""
     phi, gamma = held
     zeta, memory, _ = state_layout(problem)
@@ -197,14 +197,14 @@ def control_points(problem: ProofProblem, a_p: float, rates: Interval, degree: i
     if low == high:
         return [held_matrices(problem, a_p, low)]
     half, (_, _, n) = 0.5 * (high - low), state_layout(problem)
-    origin, along = (generator(problem, a_p, rate) * problem.sample_time for rate in (middle(rates), 0.0))
+    origin, along = (held_matrix(problem, a_p, rate) * problem.sample_time for rate in (middle(rates), 0.0))
     along = (origin - along) / middle(rates) * half
     blocks = expm(np.kron(np.eye(degree + 1), origin) + np.kron(np.eye(degree + 1, k=1), along))
     terms = [blocks[: n - 1, k * (n - 1) : (k + 1) * (n - 1)] for k in range(degree + 1)]
     result = []
     for i in range(degree + 1):
         whole = np.sum([bernstein_weight(degree, i, k) * term for k, term in enumerate(terms)], axis=0)
-        result.append(moved_on(problem, HeldSample(whole[:-1, :-1].copy(), whole[:-1, -1].copy())))
+        result.append(memories_moved(problem, HeldSample(whole[:-1, :-1].copy(), whole[:-1, -1].copy())))
     return result
 
 

@@ -15,7 +15,7 @@ from dssc_jax.proofs import fixed_point
 from dssc_jax.proofs.fixed_point import BoundsStage, from_start, responses, towards_residual
 from dssc_jax.proofs.gains import Region, gain_hull, region_of
 from dssc_jax.proofs.problem import Interval, ProofProblem
-from dssc_jax.proofs.programs import TIGHT, Bounded, Programs, Solution, invariant_set, largest_in_set, scaling
+from dssc_jax.proofs.programs import TIGHT, Bounded, SetPrograms, Solution, invariant_set, largest_in_set, scaling
 from dssc_jax.proofs.sampled_loop import Step, box_middle, box_steps, signal_sizes, start_corners, step_of
 
 Box = dict[str, Interval]
@@ -137,7 +137,7 @@ class Setting(NamedTuple):
     box: Box
     at: Step
     speed: float
-    programs: Programs
+    programs: SetPrograms
 
     def steps(self, region: Region) -> list[Step]:
         """One sample at every corner of the box and of the gains in each piece of a region."""
@@ -174,7 +174,7 @@ def setting_of(problem: ProofProblem, box: Box) -> Setting | None:
     if speed <= 0.0 or (scale := scaling(at, starts, speed * problem.sample_time)) is None:
         return None
     point = all(low == high for name, (low, high) in box.items() if name != "k_p")
-    programs = Programs(problem.sample_time, starts, scale, SPARE if point else SPARE_OF_BOXES, [])
+    programs = SetPrograms(problem.sample_time, starts, scale, SPARE if point else SPARE_OF_BOXES, [])
     return Setting(problem, box, at, speed, programs)
 
 
@@ -284,7 +284,7 @@ def excursion(step: Step, starts: Sequence[np.ndarray]) -> tuple[float, float]:
     response = responses(step.a, step.rows[[SIGMA, E]], step.b, np.stack(starts, axis=1))
     if response is None:
         return np.inf, np.inf
-    sigma, e = response.peaks + solution.sums.sum(axis=1)
+    sigma, e = response.peaks + response.sums.sum(axis=1)
     return float(sigma), float(e)
 
 

@@ -11,16 +11,16 @@ import numpy as np
 from dssc_jax.proofs.balls import Balls, enclosing, require_premise
 from dssc_jax.proofs.intervals import Intervals, exactly, square_root
 
-PRECISE = 0.02  # largest excess over the gains at points, in widths of what they span
-ROUNDING = 2.0**-36  # and in sizes of the gain
+TABLE_ROOM = 0.02  # largest excess over the gains at points, in widths of what they span
+TABLE_ROUNDING = 2.0**-36  # and in sizes of the gain
 FIRST_CUTS = 6  # of r and of |e|
-MOST_PIECES = 100_000
+MOST_CELLS = 100_000
 
 
 def table_gains(problem: dict[str, Any], sigma: float, e: float, least: float) -> Balls:
     """Balls of the gains for |sigma| from ``least`` to a bound, and |e| up to one.
 
-    They are the same at (-sigma, -e). At e = 0, where sgn e jumps, both signs are selected; with sgn 0 = 0 the gains lie
+    They are the same at (-sigma, -e). Both signs are taken at e = 0, where sgn e jumps; with sgn 0 = 0 the gains lie
     between.
 
     Args:
@@ -38,7 +38,7 @@ def table_gains(problem: dict[str, Any], sigma: float, e: float, least: float) -
     sign = low[2].ravel()
     spans: dict[str, tuple[float, float]] = {}
     result: dict[str, tuple[float, float]] = {}
-    left = MOST_PIECES
+    left = MOST_CELLS
     while sign.size:
         left -= sign.size
         for name, at in gains_of(problem, r.middle(), sign, x.middle()).items():
@@ -46,7 +46,7 @@ def table_gains(problem: dict[str, Any], sigma: float, e: float, least: float) -
         pieces, again = gains_of(problem, r, sign, x), np.zeros(sign.shape, bool)
         for name, at in pieces.items():
             lowest, highest = spans[name]
-            room = PRECISE * (highest - lowest) + ROUNDING * max(abs(lowest), abs(highest))
+            room = TABLE_ROOM * (highest - lowest) + TABLE_ROUNDING * max(abs(lowest), abs(highest))
             again |= ~((at.low >= lowest - room) & (at.high <= highest + room))
         if left <= 0:
             again[:] = False
@@ -55,7 +55,7 @@ def table_gains(problem: dict[str, Any], sigma: float, e: float, least: float) -
                 kept = at.selected(~again)
                 result[name] = spanned(result.get(name), float(np.min(kept.low)), float(np.max(kept.high)))
         halves = [(half, other) for half in r.selected(again).halves() for other in x.selected(again).halves()]
-        r, x = (joined([pair[i] for pair in halves]) for i in (0, 1))
+        r, x = (concatenated([pair[i] for pair in halves]) for i in (0, 1))
         sign = np.tile(sign[again], len(halves))
     positive = all(result[name][0] > 0.0 for name in ("k_p", "k_i"))
     require_premise(positive, "P2: the functions are not positive in the region")
@@ -69,7 +69,7 @@ def spanned(ends: tuple[float, float] | None, low: float, high: float) -> tuple[
     return (low, high) if ends is None else (float(np.minimum(ends[0], low)), float(np.maximum(ends[1], high)))
 
 
-def joined(parts: list[Intervals]) -> Intervals:
+def concatenated(parts: list[Intervals]) -> Intervals:
     """All intervals of some arrays."""
     return Intervals(np.concatenate([each.low for each in parts]), np.concatenate([each.high for each in parts]))
 

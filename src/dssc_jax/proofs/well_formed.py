@@ -22,7 +22,6 @@ CONSTANTS = {
 MAY_VANISH = {"phi_a", "kappa_a", "kappa_b", "kappa_c", "gamma"}
 SIGNALS, MIDDLE_COUNT = 5, 5
 """Signals besides the states that a bound belongs to, and gains of a middle loop."""
-LARGEST = float("inf")
 MOST_DELAY, MOST_PIECES, MOST_DEGREE = 200, 1000, 8
 """Longest delay, in samples, largest number of pieces of a region, and largest degree of a polynomial in 1/mu."""
 
@@ -35,7 +34,7 @@ def require_shape(holds: bool, place: str, rule: str) -> None:
 def require_finite(value: Any, place: str) -> None:
     """Reject what is not a finite number of float64; text and truth values are none."""
     require_shape(type(value) in (int, float), place, "is not a finite number")
-    require_shape(abs(value) < LARGEST and float(value) == value, place, "is not a finite number")
+    require_shape(abs(value) < math.inf and float(value) == value, place, "is not a finite number")
 
 
 def require_positive(value: Any, place: str) -> None:
