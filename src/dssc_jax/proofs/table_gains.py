@@ -98,7 +98,8 @@ def gains_of(problem: dict[str, Any], r: Intervals, sign: np.ndarray, e: Interva
     else:
         filtered, by_pole = own["tau_av"] * proportional, own["tau_av"] * integral
     nominal = problem["nominal"]
-    term = pole / exactly(nominal[1]) if nominal and nominal[2] else exactly(0.0) * pole
+    nothing = np.zeros(sign.shape)
+    term = pole / exactly(nominal[1]) if nominal and nominal[2] else Intervals(nothing, nothing)
     return {
         "k_p": proportional,
         "k_i": integral,
