@@ -105,13 +105,14 @@ def load_study(
     if cluster:  # validation starts JAX: leave a GPU's memory to the worker that computes on it
         os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     from dssc_jax.study import Study, read_toml
+    from dssc_jax.study.importing import allow_imports
     from dssc_jax.study.library import find
     from dssc_jax.study.recorded import with_records
     from dssc_jax.study.tables import changed
 
     path = find(name)
     if local:
-        sys.path.insert(0, str(path.resolve().parent))
+        allow_imports(path.parent)
     changes: dict[str, Any] = {}
     for text in settings or []:
         key, value = assignment(text, "--set")
@@ -151,9 +152,16 @@ def load_any(folder: Path, trust_code: bool = False, local: bool = False) -> "Lo
 
 
 def trust(about: dict[str, Any], local: bool) -> None:
-    """Show which code of a stored study is about to run, and make it importable if requested."""
+    """Show which code of a stored study is about to run, and make it importable if requested.
+
+    It may then come from the folder of the study file, or from the folders of the modules that the run used.
+    """
     if local:
-        sys.path.insert(0, str(Path(str(about.get("source", ""))).resolve().parent))
+        from dssc_jax.study.code import folders_of
+        from dssc_jax.study.importing import allow_imports
+
+        for folder in (Path(str(about.get("source", ""))).parent, *folders_of(about.get("code"))):
+            allow_imports(folder)
     show_code("result", about["study"], about.get("code"))
 
 

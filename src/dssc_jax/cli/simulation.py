@@ -41,6 +41,7 @@ def run(
     seed: opt.Seed = None,
     out: opt.Out = None,
     resume: opt.Resume = False,
+    fresh: opt.Fresh = False,
     until_width: Annotated[
         float | None, typer.Option("--until-width", metavar="W", help="Draw until the interval is no wider than W.")
     ] = None,
@@ -71,7 +72,13 @@ def run(
         return finish_sequential(loaded, rule, max_draws, out, as_json)
     require_unset("a fixed number of draws", max_draws=max_draws)
     return finish(
-        loaded, out or default_out(loaded, "run", settings, draws, seed), resume, as_json, cluster, allow_local
+        loaded,
+        out or default_out(loaded, "run", settings, draws, seed),
+        resume,
+        as_json,
+        cluster,
+        allow_local,
+        fresh=fresh,
     )
 
 
@@ -84,6 +91,7 @@ def sweep(
     seed: opt.Seed = None,
     out: opt.Out = None,
     resume: opt.Resume = False,
+    fresh: opt.Fresh = False,
     cluster: opt.ClusterOption = None,
     prove: Annotated[
         bool, typer.Option("--prove", help="Also prove what can be proved at each point, with lag and sampling.")
@@ -103,7 +111,8 @@ def sweep(
     draws, and in all. The proofs and their certificates are in proofs.json of the results folder.
 
     All points see the same draws. A swept value takes the place of the law of that parameter. Running the same study
-    into the same folder again starts over, unless --resume is given; another study's folder is never touched.
+    into the same folder again shows the complete result, or starts over if it is not complete and --resume is not given;
+    another study's folder is never touched.
     """
     loaded = load_study(study, settings, draws, seed, allow_local, cluster)
     if over:
@@ -113,7 +122,7 @@ def sweep(
     if prove:
         require_provable(loaded)
     out = out or default_out(loaded, "sweep", over, settings, draws, seed)
-    return finish(loaded, out, resume, as_json, cluster, allow_local, boxes if prove else None)
+    return finish(loaded, out, resume, as_json, cluster, allow_local, boxes if prove else None, fresh)
 
 
 @app.command()
@@ -253,11 +262,18 @@ def finish(
     cluster: str | None = None,
     local: bool = False,
     boxes: int | None = None,
+    fresh: bool = False,
 ) -> int:
-    """Simulate all draws, and prove every point if there is a number of boxes."""
+    """Simulate all draws unless a complete result has them, and prove every point if there is a number of boxes."""
     from dssc_jax.console import notify, progress_bar
     from dssc_jax.runs import run as running
 
+    if not fresh and (result := complete_result(study, out)) is not None:
+        notify(f"{out} is complete, computed {result.manifest['started']}; --fresh computes it again")
+        if boxes is not None and not result.proofs:
+            result = proved_sweep(result, out, boxes, as_json)
+        output_result(result, out, as_json)
+        return DONE
     warn_of_noise(study)
     folder = str(Path(study.source).resolve().parent) if local else None
     with progress_bar(study, quiet=as_json) as advance:
@@ -266,6 +282,25 @@ def finish(
         result = proved_sweep(result, out, boxes, as_json)
     output_result(result, out, as_json)
     return DONE
+
+
+def complete_result(study: "Study", out: Path) -> "Result | None":
+    """The complete result of the same study in a folder, computed with the same software and device; None otherwise."""
+    from dssc_jax.engine.batching import computing
+    from dssc_jax.results.manifest import MANIFEST, about_code, machinery_differences, read_manifest
+    from dssc_jax.results.result import Result
+    from dssc_jax.results.store import read_dataset
+
+    if not (out / MANIFEST).exists():
+        return None
+    try:
+        manifest = read_manifest(out)
+        same = manifest["hash"] == study.hash and manifest.get("complete") and not manifest.get("stopping")
+        if not same or machinery_differences(manifest, {**computing(), **about_code(study)}):
+            return None
+        return Result.of(study, read_dataset(out, study, manifest), manifest, out)
+    except ConfigError:  # damaged: it is computed again
+        return None
 
 
 def output_result(result: "Result", out: Path, as_json: bool) -> None:

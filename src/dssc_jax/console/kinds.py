@@ -11,7 +11,8 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, Registry, Slot, single
 from dssc_jax.core.units import POSITION, UNNAMED_UNITS
 from dssc_jax.study.build import REGISTRIES
-from dssc_jax.study.components import FieldSpec, field_specs, imported
+from dssc_jax.study.components import FieldSpec, field_specs
+from dssc_jax.study.importing import imported
 from dssc_jax.study.laws import LAWS
 from dssc_jax.study.measuring import KNOWN
 

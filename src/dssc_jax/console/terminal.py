@@ -34,6 +34,12 @@ def notify(text: str) -> None:
     errors().print(text, markup=False, soft_wrap=True)
 
 
+def announce_compiling(study: "Study") -> None:
+    """Say on standard error that the loop is about to be compiled, which takes longer the more channels it has."""
+    usual = "about half a minute for a vehicle" if len(study.loop.channels) > 1 else "a few seconds"
+    notify(f"{study.name}: compiling, which usually takes {usual} the first time and is kept for the next")
+
+
 @contextmanager
 def progress_bar(study: "Study", quiet: bool, of: str = "draws", early: str = "") -> Iterator[ProgressCallback]:
     """Show a progress bar with the time left on stderr; with ``quiet`` only if stderr is a terminal.
@@ -59,9 +65,13 @@ def progress_bar(study: "Study", quiet: bool, of: str = "draws", early: str = ""
     bar = Progress(*columns, console=console, disable=quiet and not console.is_terminal)
     task = bar.add_task(f"{study.name} (compiling)", total=None)
     counted = most = 0
+    announced = False
 
     def advance(done: int, total: int | None) -> None:
-        nonlocal counted, most
+        nonlocal counted, most, announced
+        if not announced and not bar.disable and not quiet:
+            announce_compiling(study)
+        announced = True
         counted, most = done, done if total is None else total
         bar.start()  # not before the first call: bad input shows no bar
         bar.update(task, completed=done, total=total, description=study.name if done else f"{study.name} (compiling)")
