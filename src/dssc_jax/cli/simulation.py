@@ -141,10 +141,12 @@ def simulate(
 
     Values are the study's own. Tells how the draw ended; --csv and --figure keep the trajectory.
     """
+    from dssc_jax.console import announce_compiling
     from dssc_jax.runs import trajectory as trajectories
 
     loaded = load_study(study, settings, None, seed, allow_local)
     warn_of_noise(loaded)
+    announce_compiling(loaded, quiet=as_json)
     return output_trajectory(trajectories.simulate(loaded, draw, every=every), csv, figure, as_json)
 
 
@@ -167,6 +169,7 @@ def replay(
     In a sweep, --at picks the point (the nearest one); without it, the point where the draw's slack is smallest.
     A result whose study names code of its own needs --trust-code.
     """
+    from dssc_jax.console import announce_compiling
     from dssc_jax.runs import trajectory as trajectories
 
     point = {}
@@ -178,9 +181,9 @@ def replay(
             point[name] = math.nan
         if not math.isfinite(point[name]):
             raise ConfigError("--at", f"must be NAME=NUMBER, got '{text}'")
-    trajectory = trajectories.replay(
-        load_result(result, trust_code, allow_local), draw, point=point or None, every=every
-    )
+    stored = load_result(result, trust_code, allow_local)
+    announce_compiling(stored.study, quiet=as_json)
+    trajectory = trajectories.replay(stored, draw, point=point or None, every=every)
     done = output_trajectory(trajectory, csv, figure, as_json)
     return FAILS if trajectory.attrs["agreement"] == "differs" else done
 
@@ -248,7 +251,7 @@ def proved_sweep(result: "Result", out: Path, boxes: int, quiet: bool) -> "Resul
     from dssc_jax.console import progress_bar
     from dssc_jax.runs.prove_sweep import prove_sweep
 
-    with progress_bar(result.study, quiet=quiet, of="proofs") as advance:
+    with progress_bar(result.study, quiet=quiet, of="proofs", compiles=False) as advance:
         proofs = prove_sweep(result.study, boxes=boxes, progress=advance)
     attempt(out, lambda: proofs.save(out))
     return result.with_proofs(proofs)

@@ -34,14 +34,18 @@ def notify(text: str) -> None:
     errors().print(text, markup=False, soft_wrap=True)
 
 
-def announce_compiling(study: "Study") -> None:
+def announce_compiling(study: "Study", quiet: bool = False) -> None:
     """Say on standard error that the loop is about to be compiled, which takes longer the more channels it has."""
+    if quiet:
+        return
     usual = "about half a minute for a vehicle" if len(study.loop.channels) > 1 else "a few seconds"
     notify(f"{study.name}: compiling, which usually takes {usual} the first time and is kept for the next")
 
 
 @contextmanager
-def progress_bar(study: "Study", quiet: bool, of: str = "draws", early: str = "") -> Iterator[ProgressCallback]:
+def progress_bar(
+    study: "Study", quiet: bool, of: str = "draws", early: str = "", compiles: bool = True
+) -> Iterator[ProgressCallback]:
     """Show a progress bar with the time left on stderr; with ``quiet`` only if stderr is a terminal.
 
     Args:
@@ -49,6 +53,7 @@ def progress_bar(study: "Study", quiet: bool, of: str = "draws", early: str = ""
         quiet: Whether a program reads the command's output.
         of: The unit that is counted.
         early: The reason why the work may end early, if it may.
+        compiles: Whether the loop is compiled first.
 
     Yields:
         The progress callback; if the total is not known, the bar only counts.
@@ -69,8 +74,8 @@ def progress_bar(study: "Study", quiet: bool, of: str = "draws", early: str = ""
 
     def advance(done: int, total: int | None) -> None:
         nonlocal counted, most, announced
-        if not announced and not bar.disable and not quiet:
-            announce_compiling(study)
+        if compiles and not announced:
+            announce_compiling(study, quiet)
         announced = True
         counted, most = done, done if total is None else total
         bar.start()  # not before the first call: bad input shows no bar
