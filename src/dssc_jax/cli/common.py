@@ -33,7 +33,9 @@ def assignment(text: str, option: str) -> tuple[str, str]:
     """Parse name and value of ``NAME=VALUE``."""
     name, equals, value = text.partition("=")
     if not equals or not name or not value:
-        raise ConfigError(option, f"must be NAME=VALUE, got '{text}'")
+        from dssc_jax.study.separators import separated
+
+        raise ConfigError(option, f"must be NAME=VALUE, got '{text}'{separated(text, 1)}")
     return name, value
 
 
@@ -50,12 +52,14 @@ def parse_value(text: str) -> Any:
 
 def parse_over(text: str) -> tuple[str, dict[str, list[Any]]]:
     """Parse name and axis of ``NAME=LO:HI:COUNT[:log]``."""
-    name, value = assignment(text, "--over")
+    from dssc_jax.study.separators import separated
+
     try:
+        name, value = text.split("=")
         low, high, count, *rest = value.split(":")
         numbers = [float(low), float(high), int(count)]
     except ValueError:
-        raise ConfigError("--over", f"must be NAME=LO:HI:COUNT[:log], got '{text}'") from None
+        raise ConfigError("--over", f"must be NAME=LO:HI:COUNT[:log], got '{text}'{separated(text, 3)}") from None
     if rest not in ([], ["log"]):
         raise ConfigError("--over", f"only ':log' may follow COUNT, got '{text}'")
     return name, {"logspace" if rest else "linspace": numbers}
@@ -74,11 +78,13 @@ def parse_overs(texts: list[str]) -> dict[str, dict[str, list[Any]]]:
 
 def parse_bounds(text: str) -> tuple[str, tuple[float, float]]:
     """Parse name and bounds of ``NAME=LO:HI``."""
+    from dssc_jax.study.separators import separated
+
     try:
         name, value = text.split("=")
         start, end = map(float, value.split(":"))
     except ValueError:
-        raise ConfigError("--over", f"must be NAME=LO:HI, got '{text}'") from None
+        raise ConfigError("--over", f"must be NAME=LO:HI, got '{text}'{separated(text, 2)}") from None
     return name, (start, end)
 
 

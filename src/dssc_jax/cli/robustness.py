@@ -1,5 +1,6 @@
 """Commands on a loop's robustness: margin, theory, compare."""
 
+import re
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -91,6 +92,9 @@ def margin(
 def named(text: str) -> list[str]:
     """Parse the names of ``A,B,..``, and show which code is about to run if some are of one's own."""
     names = [name.strip() for name in text.split(",")]
+    if any(set(name) & set("; +&") for name in names):
+        wanted = ",".join(re.split(r"[\s,;+&]+", text.strip()))
+        raise ConfigError("--controllers", f"takes names separated by commas; did you mean '{wanted}'?")
     show_code("command", {"names": names})
     return names
 

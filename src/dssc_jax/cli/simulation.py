@@ -110,9 +110,9 @@ def sweep(
     With --prove, figures tell four things apart: points that are proved, that survive every draw, that fail in some
     draws, and in all. The proofs and their certificates are in proofs.json of the results folder.
 
-    All points see the same draws. A swept value takes the place of the law of that parameter. Running the same study
-    into the same folder again shows the complete result, or starts over if it is not complete and --resume is not given;
-    another study's folder is never touched.
+    All points see the same draws. A swept value takes the place of the law of that parameter. The same study into the
+    same folder again: a complete result is shown, --fresh computes it again; an incomplete one starts over, unless
+    --resume is given. Another study's folder is never touched.
     """
     loaded = load_study(study, settings, draws, seed, allow_local, cluster)
     if over:

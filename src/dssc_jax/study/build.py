@@ -37,6 +37,7 @@ from dssc_jax.study.schema import (
     TuneTable,
     UnitsTable,
 )
+from dssc_jax.study.sections import with_section
 from dssc_jax.study.tables import has_dotted, merged, set_dotted
 
 REGISTRIES = {
@@ -89,8 +90,16 @@ def build(table: dict[str, Any]) -> Parts:
     """Look up and parse every part of a study.
 
     Raises:
-        ConfigError: Dotted path, rule and value of the first error.
+        ConfigError: Dotted path, rule and value of the first error, and the section that a misplaced name belongs to.
     """
+    try:
+        return parsed_parts(table)
+    except ConfigError as error:
+        raise with_section(error, table, {"": StudyTable, **FIXED_TABLES}, REGISTRIES) from None
+
+
+def parsed_parts(table: dict[str, Any]) -> Parts:
+    """The parts of a study; see :func:`build`."""
     config = validate_fixed(table)
     plant = parse_whole(config.plant, "plant")
     channels = plant.model.channels or ("",)

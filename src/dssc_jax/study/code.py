@@ -58,13 +58,13 @@ def digested(file: Path | None) -> dict[str, str | None]:
 
 def folders_of(then: Any) -> tuple[Path, ...]:
     """The folders from which a run imported its modules, as far as :func:`recorded` tells; the top one of packages."""
-    found = []
+    paths = []
     for name, about in then.items() if isinstance(then, Mapping) else ():
         file = about.get("file") if isinstance(about, Mapping) else None
         if isinstance(file, str) and Path(file).is_file():
             depth = name.partition(":")[0].count(".") + (Path(file).name == "__init__.py")
-            found.append(Path(file).parents[depth])
-    return tuple(dict.fromkeys(found))
+            paths.append(Path(file).parents[depth])
+    return tuple(dict.fromkeys(paths))
 
 
 def describe_code(table: Mapping[str, Any], then: Mapping[str, Any] | None = None) -> str:

@@ -182,6 +182,9 @@ def table_model(params: type) -> type[BaseModel]:
     return create_model(params.__name__, __config__=ConfigDict(extra="forbid", strict=True), **fields)
 
 
+UNKNOWN_NAME = "unknown name"
+
+
 def explain(error: ValidationError, names: typing.Iterable[str]) -> ConfigError:
     """The first validation error as one line: path, rule, value, nearest name."""
     first = error.errors()[0]
@@ -189,7 +192,7 @@ def explain(error: ValidationError, names: typing.Iterable[str]) -> ConfigError:
     value = first.get("input")
     match first["type"]:
         case "extra_forbidden":
-            return ConfigError(path, f"unknown name; {nearest(str(first['loc'][-1]), names)}")
+            return ConfigError(path, f"{UNKNOWN_NAME}; {nearest(str(first['loc'][-1]), names)}")
         case "missing":
             return ConfigError(path, "is required and missing")
         case "value_error":
