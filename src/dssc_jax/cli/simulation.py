@@ -146,6 +146,8 @@ def simulate(
 
     loaded = load_study(study, settings, None, seed, allow_local)
     warn_of_noise(loaded)
+    require_writable(csv, figure)
+    trajectories.lane_values(loaded.without_sweep(), draw, {})  # bad input is reported before anything is compiled
     announce_compiling(loaded, quiet=as_json)
     return output_trajectory(trajectories.simulate(loaded, draw, every=every), csv, figure, as_json)
 
@@ -171,6 +173,7 @@ def replay(
     """
     from dssc_jax.console import announce_compiling
     from dssc_jax.runs import trajectory as trajectories
+    from dssc_jax.study import Described
 
     point = {}
     for text in at or []:
@@ -182,7 +185,9 @@ def replay(
         if not math.isfinite(point[name]):
             raise ConfigError("--at", f"must be NAME=NUMBER, got '{text}'")
     stored = load_result(result, trust_code, allow_local)
-    announce_compiling(stored.study, quiet=as_json)
+    require_writable(csv, figure)
+    trajectories.point_of(stored, draw, point)
+    announce_compiling(stored.study, quiet=as_json or isinstance(stored.study, Described))
     trajectory = trajectories.replay(stored, draw, point=point or None, every=every)
     done = output_trajectory(trajectory, csv, figure, as_json)
     return FAILS if trajectory.attrs["agreement"] == "differs" else done
@@ -324,12 +329,23 @@ def output_result(result: "Result", out: Path, as_json: bool) -> None:
         show_figures(figures)
 
 
+def require_writable(csv: Path | None, figure: Path | None) -> None:
+    """Require that the files of a trajectory can be written, before it is simulated.
+
+    Raises:
+        ConfigError: the figure's type is unknown, or a folder does not exist.
+    """
+    if figure is not None and figure.suffix.lower() not in FIGURES:
+        raise ConfigError(str(figure), f"cannot be written: the name must end in one of {', '.join(FIGURES)}")
+    for file in (csv, figure):
+        if file is not None and not file.parent.is_dir():
+            raise ConfigError(str(file), "cannot be written: there is no such folder")
+
+
 def output_trajectory(trajectory: Any, csv: Path | None, figure: Path | None, as_json: bool) -> int:
     """Write the requested files of a trajectory, and show how the draw ended."""
     from dssc_jax.console import show_draw
 
-    if figure is not None and figure.suffix.lower() not in FIGURES:
-        raise ConfigError(str(figure), f"cannot be written: the name must end in one of {', '.join(FIGURES)}")
     if csv is not None:
         attempt(csv, lambda: trajectory.to_dataframe().to_csv(csv, index_label="t"))
     if figure is not None:
