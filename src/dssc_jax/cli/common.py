@@ -186,10 +186,25 @@ def say(text: str) -> None:
     print("".join(c if c.isprintable() else "?" for c in line), file=sys.stderr)
 
 
+def warn_of_vehicle(study: "Study") -> None:
+    """Print a warning for each number of the study's own vehicle that multirotors usually do not have."""
+    from dssc_jax.models.uav.plausibility import implausible
+    from dssc_jax.models.uav.vehicle import Vehicle
+    from dssc_jax.study import Described
+
+    if isinstance(study, Described):
+        return
+    vehicle, table = getattr(study.template.plant, "vehicle", None), study.config.plant.get("vehicle")
+    if isinstance(vehicle, Vehicle) and isinstance(table, dict):
+        for text in implausible(vehicle, table):
+            say(f"warning: {text}")
+
+
 def warn_of_noise(study: "Study") -> None:
-    """Print a warning if measurement noise is predicted to move the loop off its reference."""
+    """Print a warning if measurement noise is predicted to move the loop off its reference, and of odd vehicles."""
     from dssc_jax.design import noise_warning
 
+    warn_of_vehicle(study)
     if text := noise_warning(study):
         say(f"warning: {text}")
 

@@ -3,9 +3,9 @@
 from dssc_jax.core.contracts import Reference
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.models.environment import disturbances, references, signals, waypoints
-from dssc_jax.models.environment.records import RECORD, RECORDED_DISTURBANCE, RECORDED_WIND
+from dssc_jax.models.environment.records import RECORD, RECORDED_DISTURBANCE
 from dssc_jax.models.environment.sensors import SENSORS
-from dssc_jax.models.environment.wind import WINDS as COMPUTED_WINDS
+from dssc_jax.models.environment.wind import WINDS
 
 WAYPOINTS = Reference(waypoints.WaypointParams, waypoints.at, waypoints.curve)
 SOCCER_FIELD = WAYPOINTS._replace(defaults=waypoints.SOCCER_FIELD)
@@ -39,6 +39,4 @@ DISTURBANCES: Registry = {
     "filtered_noise": single(disturbances.FILTERED_NOISE, "Gauss-Markov noise, exactly sampled"),
     "partition": single(disturbances.PARTITION, "d_1 + d_2 + d_3 of (30), attaining the bounds of (A1)-(A3)"),
 }
-WINDS: Registry = {**COMPUTED_WINDS, "record": RECORDED_WIND}
-
 __all__ = ["DISTURBANCES", "REFERENCES", "SENSORS", "TRAJECTORIES", "WINDS"]

@@ -105,10 +105,10 @@ def check_record(params: RecordParams | RecordedDisturbanceParams) -> None:
 def record(rule: Interpolation) -> Reference:
     """The reference that follows a record by the given rule."""
 
-    return Reference(RecordParams, piece_at, lambda params: pieces_of(params, rule))
+    return Reference(RecordParams, piece_at, lambda params: cubic_pieces(params, rule))
 
 
-def pieces_of(params: RecordParams | RecordedDisturbanceParams, rule: Interpolation) -> Pieces:
+def cubic_pieces(params: RecordParams | RecordedDisturbanceParams, rule: Interpolation) -> Pieces:
     """The piecewise cubic through a record.
 
     Raises:
@@ -127,7 +127,7 @@ def recorded_disturbance(rule: Interpolation) -> Disturbance:
         stateless,
         unchanged,
         lambda pieces, state, measurement, sigma, t: piece_at(pieces, t).y,
-        lambda params: pieces_of(params, rule),
+        lambda params: cubic_pieces(params, rule),
     )
 
 
@@ -139,7 +139,7 @@ def recorded_wind(rule: Interpolation) -> Wind:
         for name in "xyz":
             values = getattr(params, name)
             with errors_under("" if len(values) == len(params.time) else name):
-                parts.append(pieces_of(RecordParams(params.time, values), rule))
+                parts.append(cubic_pieces(RecordParams(params.time, values), rule))
         return tuple(parts)
 
     return Wind(

@@ -22,7 +22,7 @@ VELOCITY_STD = Quantity("y/s", "standard deviation of the noise on y'", at_least
 POSITION_BIAS = Quantity("y", "constant error of y")
 VELOCITY_BIAS = Quantity("y/s", "constant error of y'")
 DELAY_SAMPLES = Quantity("1", "delay, in controller samples", at_least=0.0, at_most=float(MOST_DELAY), law=False)
-LOSS = Quantity("1", "probability that a reading is lost and the last one holds", at_least=0.0, below=1.0)
+READING_LOSS = Quantity("1", "probability that a reading is lost and the last one holds", at_least=0.0, below=1.0)
 POSITION_RESOLUTION = Quantity("y", "readings of y are multiples of it", above=0.0)
 VELOCITY_RESOLUTION = Quantity("y/s", "readings of y' are multiples of it", above=0.0)
 JITTER = Quantity("s", "largest age of a reading; it is uniform between 0 and this, at most one sample", at_least=0.0)
@@ -47,7 +47,7 @@ class NoisyParams(NamedTuple):
     period_samples: Annotated[Scalar, PERIOD] = 1.0
     position_resolution: Annotated[Scalar | None, POSITION_RESOLUTION] = None
     velocity_resolution: Annotated[Scalar | None, VELOCITY_RESOLUTION] = None
-    loss: Annotated[Scalar | None, LOSS] = None
+    loss: Annotated[Scalar | None, READING_LOSS] = None
     jitter: Annotated[Scalar | None, JITTER] = None
 
 
