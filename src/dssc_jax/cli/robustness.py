@@ -33,7 +33,7 @@ ProveOption = Annotated[
 ]
 BisectionsOption = Annotated[int, typer.Option("--bisections", metavar="N", help="Halvings of a grid's cell.")]
 SWITCHING = ("sta", "smc")
-WALKED = {"of": "simulations", "early": "every critical value is found"}
+WALKED: dict[str, Any] = {"of": "simulations", "early": "every critical value is found"}
 
 
 @app.command()

@@ -4,12 +4,12 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patheffects import withStroke
+from matplotlib.patheffects import AbstractPathEffect, withStroke
 
 from dssc_jax.plotting.style import DARK
 
 FINE = 2500  # a map of more cells is written as an image, not cell by cell
-OUTLINE = [withStroke(linewidth=3.0, foreground=DARK)]
+OUTLINE: list[AbstractPathEffect] = [withStroke(linewidth=3.0, foreground=DARK)]
 """White lines have a dark rim, so that they are seen on every colour, and in the legend as in the map."""
 
 

@@ -26,6 +26,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     Raises:
         ConfigError: it cannot be read, is too large, or is not TOML.
     """
+    text = ""
     try:
         with Path(path).open("rb") as file:
             content = file.read(LARGEST_FILE + 1)

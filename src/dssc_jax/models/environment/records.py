@@ -121,13 +121,25 @@ def cubic_pieces(params: RecordParams | RecordedDisturbanceParams, rule: Interpo
 
 
 def recorded_disturbance(rule: Interpolation) -> Disturbance:
-    """The disturbance that follows a record by the given rule."""
+    """The disturbance that follows a record by the given rule; one that holds its values holds them over a sample."""
+
+    def prepare(params: RecordedDisturbanceParams) -> Pieces:
+        return cubic_pieces(params, rule)
+
+    if rule == Interpolation.HOLD:
+        return Disturbance(
+            RecordedDisturbanceParams,
+            lambda pieces, key: 0.0,
+            lambda pieces, state, key, t, dt: piece_at(pieces, t).y,
+            lambda pieces, state, measurement, sigma, t: state,
+            prepare,
+        )
     return Disturbance(
         RecordedDisturbanceParams,
         stateless,
         unchanged,
         lambda pieces, state, measurement, sigma, t: piece_at(pieces, t).y,
-        lambda params: cubic_pieces(params, rule),
+        prepare,
     )
 
 
