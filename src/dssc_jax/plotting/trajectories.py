@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, label, panel, styled, title
 from dssc_jax.plotting.thinning import picked, thinned
 
-ROUNDING = 1e-9  # of a signal's size: what is smaller is rounding noise
+STILL = 1e-9  # of a signal's size: what is smaller is rounding noise
 CYCLE = (BLUE, ORANGE, GREEN, RED, GREY)
 
 
@@ -122,11 +122,11 @@ def flight(run: xr.Dataset) -> Figure:
 
 def is_still(run: xr.Dataset, channel: str) -> bool:
     """Whether a channel's error and command are rounding noise."""
-    size = max(1.0, *(largest(run, f"{channel}_{name}") for name in ("y", "y_ref")))
-    return all(largest(run, f"{channel}_{name}") <= ROUNDING * size for name in ("e", "u_total"))
+    size = max(1.0, *(largest_magnitude(run, f"{channel}_{name}") for name in ("y", "y_ref")))
+    return all(largest_magnitude(run, f"{channel}_{name}") <= STILL * size for name in ("e", "u_total"))
 
 
-def largest(run: xr.Dataset, name: str) -> float:
+def largest_magnitude(run: xr.Dataset, name: str) -> float:
     """Largest finite magnitude of a signal; 0 if there is none."""
     values = np.abs(run[name].values)
     return float(np.max(values[np.isfinite(values)], initial=0.0))
