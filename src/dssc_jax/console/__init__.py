@@ -6,6 +6,7 @@ from dssc_jax.console.margins import show_margin_contest, show_margins, show_the
 from dssc_jax.console.results import show_draw, show_figures, show_result, show_verification
 from dssc_jax.console.searches import show_falsification, show_tuning
 from dssc_jax.console.terminal import (
+    announce_compiling,
     notify,
     output,
     progress_bar,
@@ -16,6 +17,7 @@ from dssc_jax.console.terminal import (
 from dssc_jax.results.summary import jsonable
 
 __all__ = [
+    "announce_compiling",
     "environment",
     "jsonable",
     "machine",
