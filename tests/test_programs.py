@@ -53,6 +53,7 @@ CONTROLLER_TABLES = [
         for i, (kind, numbers) in enumerate(FUNCTIONS.items())
     ),
 ]
+COUNT = len(CONTROLLER_TABLES)
 REFERENCE_TABLES = [
     {"kind": "zero"},
     {"kind": "sine", "amplitude": 0.5, "period": 2.0},
@@ -94,7 +95,7 @@ def shuffled(random, tables, count):
     return chosen
 
 
-def random_studies(seed=20, count=len(CONTROLLER_TABLES)):
+def random_studies(seed=20, count=COUNT):
     """Tables of studies in which every kind of part occurs."""
     random = Random(seed)
     slots = {
