@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from dssc_jax.closed_loop.sample import Loop, LoopParams, initial_state, measure, step
+from dssc_jax.closed_loop.sample import Loop, LoopParams, LoopState, initial_state, measure, step
 from dssc_jax.core.contracts import NoParams, Reference, Sensor, Unmodelled
 from dssc_jax.core.signals import Measurement, ReferencePoint, Scalar
 from dssc_jax.models.environment.disturbances import NO_DISTURBANCE
@@ -38,22 +38,6 @@ class WithAdded(NamedTuple):
 
     own: Any
     added: Any
-
-
-class StateMatrices(NamedTuple):
-    """x+ = A x + B w, v = C x about an operating point; one column of B and one row of C for each break point.
-
-    Args:
-        after: The state after one sample, shape (states,).
-        a: Shape (states, states).
-        b: Shape (states, break points).
-        c: Shape (break points, states).
-    """
-
-    after: jax.Array
-    a: jax.Array
-    b: jax.Array
-    c: jax.Array
 
 
 def with_added_command(model: Unmodelled) -> Unmodelled:
@@ -98,18 +82,20 @@ def undisturbed(loop: Loop, params: LoopParams) -> tuple[Loop, LoopParams]:
     return rest, params._replace(reference=NoParams(), wind=NoParams(), sensor=quiet, disturbance=none)
 
 
-def linearise(loop: Loop, params: LoopParams, key: jax.Array, state: jax.Array, k: Scalar) -> StateMatrices:
-    """State matrices of one sample of the loop.
+def sample_map(
+    loop: Loop, params: LoopParams, key: jax.Array, k: Scalar
+) -> Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
+    """One sample of the loop as a function of its state and of what is added at the break points.
 
     Args:
         loop: The models and the clock.
         params: Their parameters.
         key: The draw's random key.
-        state: The loop's state as a vector, see :func:`start_state`.
         k: Index of the sample.
 
     Returns:
-        The matrices; break points in the order of :func:`break_points`.
+        ``(state, added) -> (state after the sample, signals before the sums)``; the state is a vector, see
+        :func:`start_state`; break points are in the order of :func:`break_points`.
     """
     _, unravel = ravel_pytree(initial_state(loop, params, key))
     opened = replace(
@@ -117,27 +103,23 @@ def linearise(loop: Loop, params: LoopParams, key: jax.Array, state: jax.Array, 
         unmodelled=tuple(map(with_added_command, loop.unmodelled)),
         sensor=tuple(map(with_added_measurement, loop.sensor)),
     )
-    count = len(loop.channels)
 
-    def sample(x: jax.Array, added: jax.Array) -> tuple[jax.Array, jax.Array]:
-        signals = added.reshape(count, len(BreakPoint))
+    def sample(state: jax.Array, added: jax.Array) -> tuple[jax.Array, jax.Array]:
+        signals = added.reshape(len(loop.channels), len(BreakPoint))
         with_inputs = params._replace(
             unmodelled=tuple(WithAdded(own, signals[i, 0]) for i, own in enumerate(params.unmodelled)),
             sensor=tuple(
                 WithAdded(own, Measurement(signals[i, 1], signals[i, 2])) for i, own in enumerate(params.sensor)
             ),
         )
-        after, recorded = step(opened, with_inputs, key, unravel(x), k)
-        rows = [
-            jnp.stack([recorded.instant.channels[i].u_total, recorded.measurements[i].y, recorded.measurements[i].y_dot])
-            for i in range(count)
+        after, recorded = step(opened, with_inputs, key, unravel(state), k)
+        read = [
+            (sample.u_total, measurement.y, measurement.y_dot)
+            for sample, measurement in zip(recorded.instant.channels, recorded.measurements, strict=True)
         ]
-        return ravel_pytree(after)[0], jnp.concatenate(rows)
+        return ravel_pytree(after)[0], jnp.asarray(read).reshape(-1)
 
-    none = jnp.zeros(count * len(BreakPoint), state.dtype)
-    after, _ = sample(state, none)
-    (a, b), (c, _) = jax.jacfwd(sample, argnums=(0, 1))(state, none)
-    return StateMatrices(after, a, b, c)
+    return sample
 
 
 def break_points(loop: Loop) -> list[str]:
@@ -153,12 +135,13 @@ def start_state(loop: Loop, params: LoopParams, key: jax.Array) -> jax.Array:
 def states_along(loop: Loop, samples: tuple[int, ...]) -> Callable[[LoopParams, jax.Array], jax.Array]:
     """The states before the given samples of a flight: (params, key) -> shape (samples, states)."""
 
+    segments = jnp.array([(0, *samples[:-1]), samples]).T
+
     def flight(params: LoopParams, key: jax.Array) -> jax.Array:
-        state, states, reached = initial_state(loop, params, key), [], 0
-        for k in samples:
-            state = jax.lax.fori_loop(reached, k, lambda k, at: step(loop, params, key, at, k)[0], state)
-            states.append(ravel_pytree(state)[0])
-            reached = k
-        return jnp.stack(states)
+        def advance(state: LoopState, ends: jax.Array) -> tuple[LoopState, jax.Array]:
+            after = jax.lax.fori_loop(ends[0], ends[1], lambda k, at: step(loop, params, key, at, k)[0], state)
+            return after, ravel_pytree(after)[0]
+
+        return jax.lax.scan(advance, initial_state(loop, params, key), segments)[1]
 
     return flight

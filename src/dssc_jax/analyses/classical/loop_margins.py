@@ -9,9 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.analyses.classical.break_points import (
-    StateMatrices,
     break_points,
-    linearise,
+    sample_map,
     start_state,
     states_along,
     undisturbed,
@@ -25,20 +24,38 @@ from dssc_jax.analyses.classical.response import (
 )
 from dssc_jax.analyses.classical.result import EQUILIBRIUM, LoopAnswer, LoopMargins, Status, margins_dataset
 from dssc_jax.analyses.theory.linearised import require_smooth
+from dssc_jax.backend.xla import COMPILED_FAST
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import Arrays, drawn
 from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.study import Study
 
-TOGETHER = 32  # draws that are linearised at once
+LANES_TOGETHER = 2048  # derivatives that are computed at once
 NEWTON_STEPS_OF_REST, AT_REST = 30, 1e-9  # largest change of the state by a sample, relative to 1 + |state|
 PUSH, SMOOTH_WITHIN = 1e-7, 0.2  # size of a test of smoothness, and the largest relative deviation from the derivative
 SILENT = 1e-12  # response of a break point without effect
 
-Linearisation = Callable[[Arrays, np.ndarray, np.ndarray], StateMatrices]
-"""(laws' values, draw indices, states of shape (n, states)) -> matrices with a leading axis of n draws."""
+class StateMatrices(NamedTuple):
+    """x+ = A x + B w, v = C x of n draws; one column of B and one row of C for each break point.
+
+    Args:
+        after: The state after one sample, shape (n, states).
+        a: Shape (n, states, states).
+        b: Shape (n, states, break points).
+        c: Shape (n, break points, states).
+    """
+
+    after: np.ndarray
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+
+
+Linearisation = Callable[[Arrays, np.ndarray, np.ndarray, int], StateMatrices]
+"""(laws' values, draw indices, states of shape (n, states), sample) -> matrices with a leading axis of n draws."""
 
 
 class Operating(NamedTuple):
@@ -112,21 +129,40 @@ def at_origin(study: Study) -> Study:
     return study.override({"plant.initial": [0.0] * len(initial)})
 
 
-def linearisation(study: Study, k: int, rest: bool) -> Linearisation:
-    """The compiled linearisation of a study at sample k; without disturbances for a loop at rest."""
+def linearisation(study: Study, rest: bool) -> Linearisation:
+    """The compiled linearisation of a study; without disturbances for a loop at rest.
 
-    def one(lane: tuple[dict[str, jax.Array], jax.Array, jax.Array]) -> StateMatrices:
-        values, index, state = lane
+    A lane is one draw and one direction: one derivative a lane compiles and runs far faster than all in one.
+    """
+    points = len(break_points(study.loop))
+
+    def one(
+        values: dict[str, jax.Array], index: jax.Array, state: jax.Array, direction: jax.Array, k: jax.Array
+    ) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
         loop, params, key = study.loop, study.params(values), draw_key(study.config.seed, index)
         if rest:
             loop, params = undisturbed(loop, params)
-        return linearise(loop, params, key, state, k)
+        sample = sample_map(loop, params, key, k)
+        at = (state, jnp.zeros(points, state.dtype))
+        return jax.jvp(sample, at, (direction[:-points], direction[-points:]))
 
-    program = jax.jit(lambda lanes: jax.lax.map(one, lanes, batch_size=TOGETHER))
+    program = jax.jit(jax.vmap(one, in_axes=(0, 0, 0, 0, None)), compiler_options=COMPILED_FAST)
 
-    def of(values: Arrays, indices: np.ndarray, states: np.ndarray) -> StateMatrices:
-        with jax.enable_x64(True):
-            return jax.tree.map(np.asarray, program((values, indices, states)))
+    def of(values: Arrays, indices: np.ndarray, states: np.ndarray, k: int) -> StateMatrices:
+        (count, order), directions = states.shape, np.eye(states.shape[1] + points)
+        size = len(directions)
+        parts = []
+        for first in range(0, count * size, LANES_TOGETHER):
+            lane = np.minimum(np.arange(first, first + LANES_TOGETHER), count * size - 1)
+            draw, direction = np.divmod(lane, size)
+            own = {name: column[draw] for name, column in values.items()}
+            with arithmetic():
+                (after, _), slopes = program(own, indices[draw], states[draw], directions[direction], k)
+                parts.append([np.asarray(part) for part in (after, *slopes)])
+        after, state_slopes, signal_slopes = (np.concatenate(each)[: count * size] for each in zip(*parts, strict=True))
+        a = state_slopes.reshape(count, size, order).swapaxes(1, 2)
+        c = signal_slopes.reshape(count, size, points).swapaxes(1, 2)
+        return StateMatrices(after.reshape(count, size, order)[:, 0], a[..., :order], a[..., order:], c[..., :order])
 
     return of
 
@@ -138,8 +174,8 @@ def starts(study: Study, values: Arrays, indices: np.ndarray) -> np.ndarray:
         loop, params = undisturbed(study.loop, study.params(lane[0]))
         return start_state(loop, params, draw_key(study.config.seed, lane[1]))
 
-    with jax.enable_x64(True):
-        return np.asarray(jax.jit(jax.vmap(one))((values, indices)))
+    with arithmetic():
+        return np.asarray(jax.jit(jax.vmap(one), compiler_options=COMPILED_FAST)((values, indices)))
 
 
 def equilibrium(study: Study) -> Operating:
@@ -151,9 +187,9 @@ def equilibrium(study: Study) -> Operating:
     study = at_origin(study)
     indices = np.arange(study.config.draws)
     values = drawn(study, slice(0, study.config.draws))
-    of = linearisation(study, 1, rest=True)
+    of = linearisation(study, rest=True)
     states = starts(study, values, indices)
-    matrices = of(values, indices, states)
+    matrices = of(values, indices, states, 1)
     for _ in range(NEWTON_STEPS_OF_REST):
         move = matrices.after - states
         still = np.max(np.abs(move) / (1.0 + np.abs(states)), axis=1) <= AT_REST
@@ -163,11 +199,11 @@ def equilibrium(study: Study) -> Operating:
         slopes = np.eye(states.shape[1]) - matrices.a[wrong]
         states = states.copy()
         states[wrong] += np.stack([np.linalg.lstsq(m, r)[0] for m, r in zip(slopes, move[wrong], strict=True)])
-        matrices = of(values, indices, states)
+        matrices = of(values, indices, states, 1)
     still = np.max(np.abs(matrices.after - states) / (1.0 + np.abs(states)), axis=1) <= AT_REST
     if not still.any():
         raise ConfigError(study.source, "no draw has an equilibrium at a constant reference; linearise along the flight")
-    require_derivative(study, lambda at: of(values, indices, at).after, states, matrices, still)
+    require_derivative(study, lambda at: of(values, indices, at, 1).after, states, matrices, still)
     return Operating(matrices, still)
 
 
@@ -214,11 +250,11 @@ def along(study: Study, times: tuple[float, ...]) -> dict[str, Operating]:
     def one(lane: tuple[dict[str, jax.Array], jax.Array]) -> jax.Array:
         return flight(study.params(lane[0]), draw_key(study.config.seed, lane[1]))
 
-    with jax.enable_x64(True):
-        states = np.asarray(jax.jit(jax.vmap(one))((values, jnp.asarray(indices))))
-    operating = {}
+    with arithmetic():
+        states = np.asarray(jax.jit(jax.vmap(one), compiler_options=COMPILED_FAST)((values, indices)))
+    of, operating = linearisation(study, rest=False), {}
     for place, (t, k) in enumerate(zip(times, samples, strict=True)):
-        matrices = linearisation(study, k, rest=False)(values, indices, states[:, place])
+        matrices = of(values, indices, states[:, place], k)
         finite = np.all(np.isfinite(states[:, place]), axis=1) & np.all(np.isfinite(matrices.a), axis=(1, 2))
         operating[f"t = {t:g} s"] = Operating(matrices, finite)
     return operating
