@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from dssc_jax import design, report
     from dssc_jax import plotting as plot
     from dssc_jax.analyses import theory
+    from dssc_jax.analyses.classical import LoopMargins, loop_margins
     from dssc_jax.analyses.comparison import Comparison, MarginContest, compare, compare_margins
     from dssc_jax.analyses.falsification import Falsified, falsify
     from dssc_jax.analyses.loading import load
@@ -47,6 +48,7 @@ __all__ = [
     "Comparison",
     "ConfigError",
     "Falsified",
+    "LoopMargins",
     "MarginContest",
     "Margins",
     "Proved",
@@ -66,6 +68,7 @@ __all__ = [
     "export",
     "falsify",
     "load",
+    "loop_margins",
     "margin",
     "noise_spectrum",
     "plan",
@@ -99,6 +102,8 @@ _HOME = {
     "Comparison": "dssc_jax.analyses.comparison",
     "compare": "dssc_jax.analyses.comparison",
     "compare_margins": "dssc_jax.analyses.comparison",
+    "LoopMargins": "dssc_jax.analyses.classical",
+    "loop_margins": "dssc_jax.analyses.classical",
     "Margins": "dssc_jax.analyses.margins",
     "margin": "dssc_jax.analyses.margins",
     "noise_spectrum": "dssc_jax.analyses.noise_spectrum",

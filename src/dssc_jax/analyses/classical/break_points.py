@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from dssc_jax.closed_loop.sample import Loop, LoopParams, LoopState, initial_state, measure, step
+from dssc_jax.closed_loop.sample import Loop, LoopParams, initial_state, measure, step
 from dssc_jax.core.contracts import NoParams, Reference, Sensor, Unmodelled
 from dssc_jax.core.signals import Measurement, ReferencePoint, Scalar
 from dssc_jax.models.environment.disturbances import NO_DISTURBANCE
@@ -130,18 +130,3 @@ def break_points(loop: Loop) -> list[str]:
 def start_state(loop: Loop, params: LoopParams, key: jax.Array) -> jax.Array:
     """The state at t = 0 as a vector."""
     return ravel_pytree(initial_state(loop, params, key))[0]
-
-
-def states_along(loop: Loop, samples: tuple[int, ...]) -> Callable[[LoopParams, jax.Array], jax.Array]:
-    """The states before the given samples of a flight: (params, key) -> shape (samples, states)."""
-
-    segments = jnp.array([(0, *samples[:-1]), samples]).T
-
-    def flight(params: LoopParams, key: jax.Array) -> jax.Array:
-        def advance(state: LoopState, ends: jax.Array) -> tuple[LoopState, jax.Array]:
-            after = jax.lax.fori_loop(ends[0], ends[1], lambda k, at: step(loop, params, key, at, k)[0], state)
-            return after, ravel_pytree(after)[0]
-
-        return jax.lax.scan(advance, initial_state(loop, params, key), segments)[1]
-
-    return flight

@@ -12,7 +12,6 @@ from dssc_jax.analyses.classical.break_points import (
     break_points,
     sample_map,
     start_state,
-    states_along,
     undisturbed,
 )
 from dssc_jax.analyses.classical.response import (
@@ -37,6 +36,7 @@ LANES_TOGETHER = 2048  # derivatives that are computed at once
 NEWTON_STEPS_OF_REST, AT_REST = 30, 1e-9  # largest change of the state by a sample, relative to 1 + |state|
 PUSH, SMOOTH_WITHIN = 1e-7, 0.2  # size of a test of smoothness, and the largest relative deviation from the derivative
 SILENT = 1e-12  # response of a break point without effect
+
 
 class StateMatrices(NamedTuple):
     """x+ = A x + B w, v = C x of n draws; one column of B and one row of C for each break point.
@@ -65,9 +65,7 @@ class Operating(NamedTuple):
     reached: np.ndarray
 
 
-def loop_margins(
-    study: Study, *, times: Sequence[float] = (), progress: ProgressCallback | None = None
-) -> LoopMargins:
+def loop_margins(study: Study, *, times: Sequence[float] = (), progress: ProgressCallback | None = None) -> LoopMargins:
     """Compute gain, phase, delay and disk margins, peak sensitivities, crossover and bandwidth of every draw.
 
     The loop is linearised as it is sampled and simulated: one step of the simulation is differentiated. It is broken at
@@ -181,30 +179,48 @@ def starts(study: Study, values: Arrays, indices: np.ndarray) -> np.ndarray:
 def equilibrium(study: Study) -> Operating:
     """Every draw's matrices at its equilibrium, found by Newton's method from the initial state.
 
+    A state that no signal of the loop depends on, as an integrator whose gain is 0, need not be at rest.
+
     Raises:
         ConfigError: no draw has an equilibrium, or the loop is not smooth there.
     """
     study = at_origin(study)
-    indices = np.arange(study.config.draws)
-    values = drawn(study, slice(0, study.config.draws))
+    indices, values = np.arange(study.config.draws), drawn(study, slice(0, study.config.draws))
     of = linearisation(study, rest=True)
     states = starts(study, values, indices)
-    matrices = of(values, indices, states, 1)
     for _ in range(NEWTON_STEPS_OF_REST):
+        matrices = of(values, indices, states, 1)
         move = matrices.after - states
-        still = np.max(np.abs(move) / (1.0 + np.abs(states)), axis=1) <= AT_REST
-        wrong = ~still & np.all(np.isfinite(matrices.a), axis=(1, 2)) & np.all(np.isfinite(move), axis=1)
+        finite = np.all(np.isfinite(matrices.a), axis=(1, 2)) & np.all(np.isfinite(move), axis=1)
+        felt = closure(matrices.c[finite].any(axis=(0, 1)), matrices.a[finite].any(axis=0))
+        still = np.max(np.abs(move) * felt / (1.0 + np.abs(states)), axis=1) <= AT_REST
+        wrong = finite & ~still
         if not wrong.any():
             break
-        slopes = np.eye(states.shape[1]) - matrices.a[wrong]
+        own = np.ix_(wrong, felt, felt)
+        slopes = np.eye(np.count_nonzero(felt)) - matrices.a[own]
+        moves = [np.linalg.lstsq(m, r)[0] for m, r in zip(slopes, move[np.ix_(wrong, felt)], strict=True)]
         states = states.copy()
-        states[wrong] += np.stack([np.linalg.lstsq(m, r)[0] for m, r in zip(slopes, move[wrong], strict=True)])
-        matrices = of(values, indices, states, 1)
-    still = np.max(np.abs(matrices.after - states) / (1.0 + np.abs(states)), axis=1) <= AT_REST
+        states[np.ix_(wrong, felt)] += np.stack(moves)
     if not still.any():
-        raise ConfigError(study.source, "no draw has an equilibrium at a constant reference; linearise along the flight")
-    require_derivative(study, lambda at: of(values, indices, at, 1).after, states, matrices, still)
+        raise ConfigError(
+            study.source, "no draw has an equilibrium at a constant reference; linearise along the flight"
+        )
+    require_derivative(study, lambda at: of(values, indices, at, 1).after, states, matrices, still, felt)
     return Operating(matrices, still)
+
+
+def closure(begin: np.ndarray, influences: np.ndarray) -> np.ndarray:
+    """The states in ``begin`` and those that influence them, directly or not.
+
+    Args:
+        begin: Mask of states, shape (states,).
+        influences: Whether the state of each row depends on that of each column, shape (states, states).
+    """
+    reached = begin
+    for _ in range(len(begin)):
+        reached = reached | reached @ influences
+    return reached
 
 
 def require_derivative(
@@ -213,17 +229,26 @@ def require_derivative(
     states: np.ndarray,
     matrices: StateMatrices,
     still: np.ndarray,
+    felt: np.ndarray,
 ) -> None:
     """Require that a small push of the equilibrium has the effect that the derivative predicts.
+
+    Args:
+        study: The study.
+        after: (states of shape (n, states)) -> the states after one sample.
+        states: The equilibria, shape (n, states).
+        matrices: Their derivatives.
+        still: Which draws have an equilibrium, shape (n,).
+        felt: The states on which the loop's signals depend, which alone are pushed and compared; shape (states,).
 
     Raises:
         ConfigError: it has not: the loop switches, or its gain is infinite there.
     """
-    push = PUSH * np.random.default_rng(0).choice([-1.0, 1.0], states.shape)
+    push = PUSH * felt * np.random.default_rng(0).choice([-1.0, 1.0], states.shape)
     for side in (push, -push):
         predicted = np.einsum("nij,nj->ni", matrices.a, side)
         actual = after(states + side) - matrices.after
-        excess = np.max(np.abs(actual - predicted), axis=1) / np.max(np.abs(predicted), axis=1, initial=PUSH)
+        excess = np.max(np.abs(actual - predicted) * felt, axis=1) / np.max(np.abs(predicted), axis=1, initial=PUSH)
         worst = np.max(excess[still])
         if not worst <= SMOOTH_WITHIN:
             raise ConfigError(
@@ -245,28 +270,44 @@ def along(study: Study, times: tuple[float, ...]) -> dict[str, Operating]:
         rule = f"must ascend within [0, {study.config.loop.duration:g}) s, got {', '.join(f'{t:g}' for t in times)}"
         raise ConfigError("times", rule)
     indices, values = np.arange(study.config.draws), drawn(study, slice(0, study.config.draws))
-    flight = states_along(study.loop, samples)
-
-    def one(lane: tuple[dict[str, jax.Array], jax.Array]) -> jax.Array:
-        return flight(study.params(lane[0]), draw_key(study.config.seed, lane[1]))
-
-    with arithmetic():
-        states = np.asarray(jax.jit(jax.vmap(one), compiler_options=COMPILED_FAST)((values, indices)))
+    flown = states_before(study, values, indices, samples)
     of, operating = linearisation(study, rest=False), {}
     for place, (t, k) in enumerate(zip(times, samples, strict=True)):
-        matrices = of(values, indices, states[:, place], k)
-        finite = np.all(np.isfinite(states[:, place]), axis=1) & np.all(np.isfinite(matrices.a), axis=(1, 2))
+        matrices = of(values, indices, flown[place], k)
+        finite = np.all(np.isfinite(flown[place]), axis=1) & np.all(np.isfinite(matrices.a), axis=(1, 2))
         operating[f"t = {t:g} s"] = Operating(matrices, finite)
     return operating
 
 
+def states_before(study: Study, values: Arrays, indices: np.ndarray, samples: tuple[int, ...]) -> list[np.ndarray]:
+    """The states of all draws before the given samples, each of shape (n, states).
+
+    The time loop runs on the host: compiling one of a vehicle takes minutes, and its steps take seconds.
+    """
+
+    def start(values: dict[str, jax.Array], index: jax.Array) -> jax.Array:
+        return start_state(study.loop, study.params(values), draw_key(study.config.seed, index))
+
+    def advance(values: dict[str, jax.Array], index: jax.Array, state: jax.Array, k: jax.Array) -> jax.Array:
+        sample = sample_map(study.loop, study.params(values), draw_key(study.config.seed, index), k)
+        return sample(state, jnp.zeros(len(break_points(study.loop)), state.dtype))[0]
+
+    states = []
+    with arithmetic():
+        at = jax.jit(jax.vmap(start), compiler_options=COMPILED_FAST)(values, indices)
+        program = jax.jit(jax.vmap(advance, in_axes=(0, 0, 0, None)), compiler_options=COMPILED_FAST)
+        for k in range(samples[-1] + 1):
+            if k in samples:
+                states.append(np.asarray(at))
+            at = program(values, indices, at, k)
+    return states
+
+
 def in_loop(matrices: StateMatrices, reached: np.ndarray, point: int) -> np.ndarray:
     """Indices of the states that a break point's input reaches and its output depends on, in any draw."""
-    a = np.any(matrices.a[reached] != 0.0, axis=0)
-    forward = np.any(matrices.b[reached, :, point] != 0.0, axis=0)
-    backward = np.any(matrices.c[reached, point] != 0.0, axis=0)
-    for _ in range(len(a)):
-        forward, backward = forward | a @ forward, backward | backward @ a
+    influences = np.any(matrices.a[reached] != 0.0, axis=0)
+    forward = closure(np.any(matrices.b[reached, :, point] != 0.0, axis=0), influences.T)
+    backward = closure(np.any(matrices.c[reached, point] != 0.0, axis=0), influences)
     return np.flatnonzero(forward & backward)
 
 

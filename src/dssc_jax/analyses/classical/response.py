@@ -20,7 +20,7 @@ import numpy as np
 
 FREQUENCIES = 240  # of the common grid
 BELOW, DECADES = 0.03, 6.0  # first frequency relative to the slowest pole; largest span below the Nyquist frequency
-ROOT_STEPS, PEAK_STEPS = 24, 40
+ROOT_STEPS, PEAK_STEPS = 14, 24
 LEAST_FACTOR = 1e-6  # smallest gain factor that counts as a crossing, above the rounding of a large loop gain
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 HALF_POWER = 0.5  # |T|^2 at the bandwidth
@@ -94,9 +94,7 @@ def own_grid(common: np.ndarray, poles: np.ndarray) -> np.ndarray:
     return np.sort(np.concatenate([np.broadcast_to(ends, (len(poles), ends.size)), np.abs(np.angle(poles))], axis=1))
 
 
-def with_touching(
-    function: Response, angles: np.ndarray, values: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def with_touching(function: Response, angles: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Add the angles at which a function comes nearest to 0 between two angles, so that no pair of roots is missed.
 
     Returns:
@@ -147,7 +145,9 @@ def roots(function: Response, angles: np.ndarray, values: np.ndarray) -> tuple[n
         f_low, f_high = (np.take_along_axis(values, at + k, 1) for k in (0, 1))
         for _ in range(ROOT_STEPS):
             difference = f_high - f_low
-            middle = np.where(difference == 0.0, high, high - f_high * (high - low) / np.where(difference, difference, 1.0))
+            middle = np.where(
+                difference == 0.0, high, high - f_high * (high - low) / np.where(difference, difference, 1.0)
+            )
             middle = np.clip(middle, np.minimum(low, high), np.maximum(low, high))
             f_middle = function(middle)
             beyond = f_middle * f_high < 0.0
