@@ -38,6 +38,7 @@ WALK = {"over": "unmodelled.mu", "bounds": (0.02, 1.5), "log": True, "points": 4
 SPENT = dj.Splitting(particles=10, killed=5, moves=1, repeats=10, plain=64)
 RUN = {
     "margin": lambda study: dj.margin(study, **WALK),
+    "loop": lambda study: dj.loop_margins(study),
     "margins": lambda study: dj.compare_margins(study, ["dssc", "pi"], **WALK),
     "compare": lambda study: dj.compare(study, ["dssc", "pi"], candidates=2, tuning_draws=4),
     "sensitivity": lambda study: dj.sensitivity(study.override({"draws": 256})),

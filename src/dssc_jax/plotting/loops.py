@@ -42,7 +42,7 @@ def loop(margins: Analysis, point: str | None = None, broken_at: str | None = No
     axes[1, 1].axhline(0.0, color="black", linewidth=0.8)
     axes[1, 1].set(ylabel="sensitivities [dB]", xlabel="frequency [rad/s]")
     axes[1, 1].set_ylim(max(FLOOR_OF_BODE, axes[1, 1].get_ylim()[0]), None)
-    axes[1, 1].legend(frameon=False)
+    axes[1, 1].legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=10)
     statistics = summary["operating_points"][point][broken_at]
     for ax, name, factor, unit in ((axes[0, 2], "phase", 180.0 / np.pi, "deg"), (axes[1, 2], "delay", 1.0, "s")):
         distribution_of_margin(ax, factor * own[name].values, f"{name} margin [{unit}]")
@@ -50,7 +50,7 @@ def loop(margins: Analysis, point: str | None = None, broken_at: str | None = No
         if limit is not None:
             text = f"95 % of draws, confidence 95 %: {factor * limit:.3g}"
             ax.axvline(factor * limit, color=ORANGE, linestyle="--", label=text)
-        ax.legend(frameon=False, loc="lower right", fontsize=9)
+        ax.legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=10)
     config = margins.study.config
     where = point if point == "equilibrium" else f"linearised at {point}"
     title(figure, f"{config.description or config.name}: loop broken at {broken_at}, {where}, {summary['draws']} draws")

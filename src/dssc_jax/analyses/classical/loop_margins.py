@@ -35,7 +35,7 @@ from dssc_jax.study import Study
 LANES_TOGETHER = 2048  # derivatives that are computed at once
 NEWTON_STEPS_OF_REST, AT_REST = 30, 1e-9  # largest change of the state by a sample, relative to 1 + |state|
 PUSH, SMOOTH_WITHIN = 1e-7, 0.2  # size of a test of smoothness, and the largest relative deviation from the derivative
-SILENT = 1e-12  # response of a break point without effect
+NEGLIGIBLE = 1e-12  # response of a break point without effect
 
 
 class StateMatrices(NamedTuple):
@@ -253,9 +253,9 @@ def require_derivative(
         if not worst <= SMOOTH_WITHIN:
             raise ConfigError(
                 study.source,
-                f"has no linearisation at its equilibrium: a deviation of {PUSH:g} acts {worst:.3g} times as much as "
-                "the derivative says, as where a controller switches or its gain is infinite; describing functions "
-                "(dssc-jax theory) cover such loops",
+                f"has no linearisation at its equilibrium: the effect of a deviation of {PUSH:g} differs by "
+                f"{100.0 * worst:.3g} % from that of the derivative, as where a controller switches or its gain is "
+                "infinite there; describing functions (dssc-jax theory) cover such loops",
             )
 
 
@@ -352,7 +352,7 @@ def answer_of(part: Part, reached: np.ndarray, common: np.ndarray, sample_time: 
     a, b, c, poles = part
     g = np.full((len(reached), common.size), np.nan, complex)
     g[reached] = response_of(a, b, c)(np.broadcast_to(common, (len(a), common.size)))
-    if np.nanmax(np.abs(g)) < SILENT:
+    if np.nanmax(np.abs(g)) < NEGLIGIBLE:
         return None
     stable = np.max(np.abs(poles), axis=1) < 1.0
     status = np.full(len(reached), Status.NO_OPERATING_POINT.value)

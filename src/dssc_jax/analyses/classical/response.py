@@ -9,7 +9,7 @@ follow from G without cancellation:
 * The disk margin of balanced disks is 1/max |S - T|/2 = 1/max |G + 1/2|.
 
 References:
-    K. J. Astrom, R. M. Murray, Feedback Systems: An Introduction for Scientists and Engineers, 2nd ed. (2021), chapter 10.
+    K. J. Astrom, R. M. Murray, Feedback Systems, 2nd ed. (2021), chapter 10.
     P. Seiler, A. Packard, P. Gahinet, "An introduction to disk margins", IEEE Control Systems Magazine 40 (2020) 78-95.
 """
 
@@ -89,9 +89,14 @@ def common_grid(poles: np.ndarray, count: int = FREQUENCIES) -> np.ndarray:
 
 
 def own_grid(common: np.ndarray, poles: np.ndarray) -> np.ndarray:
-    """The common angles of n loops with 0, pi and the angles of each loop's own poles, ascending; shape (n, m)."""
+    """The common angles of n loops with 0, pi and those of each loop's own poles, ascending; shape (n, m).
+
+    A pole above the real axis adds its damped frequency, any other one its natural frequency.
+    """
     ends = np.concatenate([[0.0], common, [np.pi]])
-    return np.sort(np.concatenate([np.broadcast_to(ends, (len(poles), ends.size)), np.abs(np.angle(poles))], axis=1))
+    natural = np.abs(np.log(np.where(poles == 0.0, -1.0, poles).astype(complex)))
+    own = np.where(np.imag(poles) > 0.0, np.angle(poles), np.minimum(natural, np.pi))
+    return np.sort(np.concatenate([np.broadcast_to(ends, (len(poles), ends.size)), own], axis=1))
 
 
 def with_touching(function: Response, angles: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -192,7 +197,7 @@ def classical_margins(respond: Response, angles: np.ndarray, sample_time: float)
     """
     g = respond(angles)
     upper, lower = gain_margins(respond, angles, g)
-    crossings, crossed = roots(lambda theta: respond(theta).real + 0.5, angles, g.real + 0.5)
+    crossings, crossed = roots(lambda theta: np.real(respond(theta)) + 0.5, angles, np.real(g) + 0.5)
     at = respond(crossings) if crossings.size else np.empty(crossings.shape, complex)
     lag = np.angle(at / (1.0 + at))  # of -L: the phase that is left to -180 degrees
     size = np.where(crossed, np.abs(lag), np.inf)
@@ -222,10 +227,10 @@ def classical_margins(respond: Response, angles: np.ndarray, sample_time: float)
 
 def gain_margins(respond: Response, angles: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Upper and lower gain margin, each of shape (n,); G is real at z = 1 and z = -1, the ends of the angles, too."""
-    crossings, crossed = roots(lambda theta: respond(theta).imag, angles, g.imag)
-    at = respond(crossings).real if crossings.size else np.empty(crossings.shape)
+    crossings, crossed = roots(lambda theta: np.imag(respond(theta)), angles, np.imag(g))
+    at = np.real(respond(crossings)) if crossings.size else np.empty(crossings.shape)
     with np.errstate(all="ignore"):
-        factors = 1.0 + 1.0 / np.concatenate([np.where(crossed, at, np.nan), g.real[:, [0, -1]]], axis=1)
+        factors = 1.0 + 1.0 / np.concatenate([np.where(crossed, at, np.nan), np.real(g)[:, [0, -1]]], axis=1)
     counts = np.isfinite(factors) & (factors > LEAST_FACTOR) & (factors < 1.0 / LEAST_FACTOR)
     upper = np.where(counts & (factors > 1.0), factors, np.inf).min(axis=1)
     lower = np.where(counts & (factors < 1.0), factors, 0.0).max(axis=1)
