@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from dssc_jax.analyses.margins import Margins, margin
     from dssc_jax.analyses.noise_spectrum import noise_spectrum
     from dssc_jax.analyses.rare_events import RareEvent, rare
+    from dssc_jax.analyses.region import Axis, Region, region
     from dssc_jax.analyses.sensitivity import Sensitivity, sensitivity
     from dssc_jax.analyses.splitting import Splitting
     from dssc_jax.analyses.tuning import Tuned, tune
@@ -45,6 +46,7 @@ __version__ = "0.1.0"
 __all__ = [
     "AcceptReject",
     "Analysis",
+    "Axis",
     "Comparison",
     "ConfigError",
     "Falsified",
@@ -54,6 +56,7 @@ __all__ = [
     "Proved",
     "ProvedReach",
     "RareEvent",
+    "Region",
     "Result",
     "Sensitivity",
     "Splitting",
@@ -78,6 +81,7 @@ __all__ = [
     "prove_sweep",
     "proved_up_to",
     "rare",
+    "region",
     "replay",
     "report",
     "run",
@@ -107,6 +111,9 @@ _HOME = {
     "Margins": "dssc_jax.analyses.margins",
     "margin": "dssc_jax.analyses.margins",
     "noise_spectrum": "dssc_jax.analyses.noise_spectrum",
+    "Axis": "dssc_jax.analyses.region",
+    "Region": "dssc_jax.analyses.region",
+    "region": "dssc_jax.analyses.region",
     "Falsified": "dssc_jax.analyses.falsification",
     "falsify": "dssc_jax.analyses.falsification",
     "Tuned": "dssc_jax.analyses.tuning",

@@ -17,6 +17,7 @@ MODULES = (
     "simulation",
     "robustness",
     "loops",
+    "regions",
     "tuning",
     "statistics",
     "stored",

@@ -14,6 +14,7 @@ from dssc_jax.plotting.indices import sensitivity
 from dssc_jax.plotting.loops import loop
 from dssc_jax.plotting.margins import margin
 from dssc_jax.plotting.rare import rare
+from dssc_jax.plotting.regions import region
 from dssc_jax.plotting.searches import falsification, tuning
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, STYLE, write
 from dssc_jax.plotting.sweeps import fitted_slope, probability, standing, sweep, typical
@@ -39,6 +40,7 @@ __all__ = [
     "margin",
     "probability",
     "rare",
+    "region",
     "save_all",
     "save_figure",
     "sensitivity",
