@@ -32,7 +32,11 @@ from dssc_jax.statistics.order import first
 from dssc_jax.study import Study
 
 PASSING = 0.95  # share of all plants that has to meet the requirements
-COARSE, HALVINGS, MOST_HALVINGS = 8, 3, 8  # cells of the coarse lattice in each direction, and how often they are halved
+COARSE, HALVINGS, MOST_HALVINGS = (
+    8,
+    3,
+    8,
+)  # cells of the coarse lattice in each direction, and how often they are halved
 
 
 class Verdict(IntEnum):
@@ -186,7 +190,9 @@ def region(
     count = COARSE * 2**halvings + 1
     if thresholds(study.config.draws, count**2)[0] < 0:
         needed = first(lambda draws: thresholds(draws, count**2)[0] >= 0, study.config.draws)
-        raise ConfigError("draws", f"must be at least {needed} to decide a point of {count**2}, got {study.config.draws}")
+        raise ConfigError(
+            "draws", f"must be at least {needed} to decide a point of {count**2}, got {study.config.draws}"
+        )
     lattice = Lattice(study, over, count, progress)
     lattice.follow(2**halvings)
     certified, text = certified_points(study, over, lattice)

@@ -245,7 +245,9 @@ def fan_of(response: np.ndarray) -> dict[str, np.ndarray]:
     phase = np.unwrap(np.angle(loop), axis=1)
     with np.errstate(divide="ignore"):
         crossing = np.argmin(np.abs(np.log(np.abs(loop))), axis=1)[:, None]
-    phase -= 2.0 * np.pi * np.ceil(np.take_along_axis(phase, crossing, 1) / (2.0 * np.pi))  # in (-2 pi, 0] where |L| = 1
+    phase -= (
+        2.0 * np.pi * np.ceil(np.take_along_axis(phase, crossing, 1) / (2.0 * np.pi))
+    )  # in (-2 pi, 0] where |L| = 1
     columns = {
         "loop_gain": np.abs(loop),
         "loop_phase": phase,
