@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from dssc_jax.analyses.margins import Margins, margin
     from dssc_jax.analyses.noise_spectrum import noise_spectrum
     from dssc_jax.analyses.rare_events import RareEvent, rare
-    from dssc_jax.analyses.region import Axis, Region, region
+    from dssc_jax.analyses.region import RegionAxis, SafeRegion, region
     from dssc_jax.analyses.sensitivity import Sensitivity, sensitivity
     from dssc_jax.analyses.splitting import Splitting
     from dssc_jax.analyses.tuning import Tuned, tune
@@ -46,7 +46,6 @@ __version__ = "0.1.0"
 __all__ = [
     "AcceptReject",
     "Analysis",
-    "Axis",
     "Comparison",
     "ConfigError",
     "Falsified",
@@ -56,8 +55,9 @@ __all__ = [
     "Proved",
     "ProvedReach",
     "RareEvent",
-    "Region",
+    "RegionAxis",
     "Result",
+    "SafeRegion",
     "Sensitivity",
     "Splitting",
     "Study",
@@ -111,8 +111,8 @@ _HOME = {
     "Margins": "dssc_jax.analyses.margins",
     "margin": "dssc_jax.analyses.margins",
     "noise_spectrum": "dssc_jax.analyses.noise_spectrum",
-    "Axis": "dssc_jax.analyses.region",
-    "Region": "dssc_jax.analyses.region",
+    "RegionAxis": "dssc_jax.analyses.region",
+    "SafeRegion": "dssc_jax.analyses.region",
     "region": "dssc_jax.analyses.region",
     "Falsified": "dssc_jax.analyses.falsification",
     "falsify": "dssc_jax.analyses.falsification",

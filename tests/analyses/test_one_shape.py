@@ -35,7 +35,7 @@ TABLE = LAGGED | {
     },
 }
 WALK = {"over": "unmodelled.mu", "bounds": (0.02, 1.5), "log": True, "points": 4, "bisections": 3}
-PAIR = (dj.Axis("unmodelled.mu", 0.02, 1.0, True), dj.Axis("plant.k_p", 0.5, 1.5))
+PAIR = (dj.RegionAxis("unmodelled.mu", 0.02, 1.0, True), dj.RegionAxis("plant.k_p", 0.5, 1.5))
 SPENT = dj.Splitting(particles=10, killed=5, moves=1, repeats=10, plain=64)
 RUN = {
     "margin": lambda study: dj.margin(study, **WALK),

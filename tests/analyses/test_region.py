@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 import dssc_jax as dj
-from dssc_jax.analyses.region import COARSE, Lattice, Verdict, thresholds
+from dssc_jax.analyses.region import COARSE, Lattice, PairVerdict, thresholds
 from tests.loops import LAGGED
 
 TABLE = LAGGED | {
@@ -15,7 +15,7 @@ TABLE = LAGGED | {
     "loop": {"duration": 1.0, "sample_time": 0.05},
     "requirement": [{"metric": "error_max", "after": 0.8, "max": 0.28}],
 }
-OVER = (dj.Axis("controller.l0", 0.3, 3.0, True), dj.Axis("unmodelled.mu", 0.02, 0.6, True))
+OVER = (dj.RegionAxis("controller.l0", 0.3, 3.0, True), dj.RegionAxis("unmodelled.mu", 0.02, 0.6, True))
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def test_the_boundary_followed_is_that_of_the_full_lattice(halvings):
     followed.follow(2**halvings)
     full.simulate(np.ndindex(count, count))
     own, every = followed.verdicts(), full.verdicts()
-    simulated = own != Verdict.NOT_SIMULATED
+    simulated = own != PairVerdict.NOT_SIMULATED
     assert np.array_equal(own[simulated], every[simulated])
     sides = np.zeros_like(simulated)
     for axis in (0, 1):
@@ -76,6 +76,6 @@ def test_what_cannot_be_decided_or_is_malformed(study):
     with pytest.raises(dj.ConfigError, match="must be at least"):
         dj.region(study.override({"draws": 40}), over=OVER)
     with pytest.raises(dj.ConfigError, match="needs finite LO < HI"):
-        dj.region(study, over=(OVER[0], dj.Axis("unmodelled.mu", 0.0, 1.0, True)))
+        dj.region(study, over=(OVER[0], dj.RegionAxis("unmodelled.mu", 0.0, 1.0, True)))
     with pytest.raises(dj.ConfigError, match="two different numbers"):
         dj.region(study, over=(OVER[0], OVER[0]))

@@ -39,7 +39,7 @@ COARSE, HALVINGS, MOST_HALVINGS = (
 )  # cells of the coarse lattice in each direction, and how often they are halved
 
 
-class Verdict(IntEnum):
+class PairVerdict(IntEnum):
     """What the draws say of a point, with the simultaneous confidence."""
 
     NOT_SIMULATED = -1
@@ -48,7 +48,7 @@ class Verdict(IntEnum):
     FAILS = 2
 
 
-class Axis(NamedTuple):
+class RegionAxis(NamedTuple):
     """One of the two numbers.
 
     Args:
@@ -69,10 +69,10 @@ class Axis(NamedTuple):
 
 
 @dataclass(eq=False)
-class Region(Analysis):
+class SafeRegion(Analysis):
     """The region of two numbers in which at least 95 % of all plants meet the requirements.
 
-    The dataset has along ``first`` and ``second``, the values of the two numbers: ``verdict`` (a :class:`Verdict`),
+    The dataset has along ``first`` and ``second``, the values of the two numbers: ``verdict`` (a :class:`PairVerdict`),
     ``failures`` (-1 where nothing was simulated) and ``certified`` (whether Theorem 1 certifies the point).
 
     Args:
@@ -93,7 +93,7 @@ class Region(Analysis):
     certificate: str
     seconds: float
 
-    def points(self, verdict: Verdict) -> int:
+    def points(self, verdict: PairVerdict) -> int:
         """Number of lattice points with a verdict."""
         return int(np.count_nonzero(self.dataset["verdict"].values == verdict))
 
@@ -102,8 +102,8 @@ class Region(Analysis):
         """The answer in one line."""
         total = self.dataset["verdict"].size
         return (
-            f"at {self.points(Verdict.MEETS)} of {total - self.points(Verdict.NOT_SIMULATED)} simulated pairs of "
-            f"{self.names[0]} and {self.names[1]} at least {100 * PASSING:g} % of all plants meet the requirements"
+            f"at {self.points(PairVerdict.MEETS)} of {total - self.points(PairVerdict.NOT_SIMULATED)} simulated pairs of "
+            f"{' and '.join(self.names)} at least {100 * PASSING:g} % of all plants meet the requirements"
         )
 
     def figure(self) -> Figure:
@@ -124,9 +124,9 @@ class Region(Analysis):
             "failures_allowed": low,
             "failures_refuting": high,
             "lattice": list(self.dataset["verdict"].shape),
-            "simulated_points": self.dataset["verdict"].size - self.points(Verdict.NOT_SIMULATED),
+            "simulated_points": self.dataset["verdict"].size - self.points(PairVerdict.NOT_SIMULATED),
             "simulations": self.simulations,
-            **{verdict.name.lower(): self.points(verdict) for verdict in Verdict if verdict >= 0},
+            **{verdict.name.lower(): self.points(verdict) for verdict in PairVerdict if verdict >= 0},
             "certified": int(self.dataset["certified"].sum()),
             "certificate": self.certificate,
             "seconds": self.seconds,
@@ -157,8 +157,12 @@ def thresholds(draws: int, points: int) -> tuple[int, int]:
 
 
 def region(
-    study: Study, *, over: tuple[Axis, Axis], halvings: int = HALVINGS, progress: ProgressCallback | None = None
-) -> Region:
+    study: Study,
+    *,
+    over: tuple[RegionAxis, RegionAxis],
+    halvings: int = HALVINGS,
+    progress: ProgressCallback | None = None,
+) -> SafeRegion:
     """Find where at least 95 % of all plants meet the requirements, over two numbers, with 95 % confidence.
 
     Args:
@@ -175,7 +179,7 @@ def region(
     Example:
         >>> import dssc_jax as dj
         >>> study = dj.Study.load("studies/motor.toml").override({"draws": 300, "loop.sample_time": 0.01})
-        >>> over = (dj.Axis("controller.k_p", 20.0, 400.0, True), dj.Axis("unmodelled.mu", 0.005, 0.1, True))
+        >>> over = (dj.RegionAxis("controller.k_p", 20.0, 400.0, True), dj.RegionAxis("unmodelled.mu", 0.005, 0.1, True))
         >>> dj.region(study, over=over, halvings=0).summary()["simulated_points"]
         81
     """
@@ -199,7 +203,7 @@ def region(
     dataset = lattice.dataset(certified)
     simulations = int(np.count_nonzero(lattice.failures >= 0)) * study.config.draws
     names, log = (over[0].name, over[1].name), (over[0].log, over[1].log)
-    return Region(study, dataset, names, log, simulations, text, time.perf_counter() - began)
+    return SafeRegion(study, dataset, names, log, simulations, text, time.perf_counter() - began)
 
 
 class Lattice:
@@ -212,7 +216,9 @@ class Lattice:
         progress: Called with the simulations done.
     """
 
-    def __init__(self, study: Study, over: tuple[Axis, Axis], count: int, progress: ProgressCallback | None) -> None:
+    def __init__(
+        self, study: Study, over: tuple[RegionAxis, RegionAxis], count: int, progress: ProgressCallback | None
+    ) -> None:
         self.study, self.over, self.progress = study, over, progress
         self.axes = [axis.values(count) for axis in over]
         self.failures = np.full((count, count), -1)
@@ -223,9 +229,9 @@ class Lattice:
 
     def verdicts(self) -> np.ndarray:
         """The verdict at each point, shape (count, count)."""
-        decided = np.where(self.failures <= self.meets, Verdict.MEETS, Verdict.UNDECIDED)
-        decided = np.where(self.failures >= self.fails, Verdict.FAILS, decided)
-        return np.where(self.failures < 0, Verdict.NOT_SIMULATED, decided)
+        decided = np.where(self.failures <= self.meets, PairVerdict.MEETS, PairVerdict.UNDECIDED)
+        decided = np.where(self.failures >= self.fails, PairVerdict.FAILS, decided)
+        return np.where(self.failures < 0, PairVerdict.NOT_SIMULATED, decided)
 
     def simulate(self, points: Iterable[tuple[int, int]]) -> None:
         """Simulate the points among these that have not been."""
@@ -287,21 +293,24 @@ class Lattice:
             self.simulate(wanted)
 
     def dataset(self, certified: np.ndarray) -> xr.Dataset:
-        """The dataset of :class:`Region`."""
-        flags = {"flag_values": [v.value for v in Verdict], "flag_meanings": " ".join(v.name.lower() for v in Verdict)}
+        """The dataset of :class:`SafeRegion`."""
+        flags = {
+            "flag_values": [v.value for v in PairVerdict],
+            "flag_meanings": " ".join(v.name.lower() for v in PairVerdict),
+        }
         columns = {
-            "verdict": (Region.table, self.verdicts(), {"long_name": "whether 95 % of all plants pass", **flags}),
-            "failures": (Region.table, self.failures, {"long_name": "failed draws, -1: not simulated"}),
-            "certified": (Region.table, certified, {"long_name": "whether Theorem 1 certifies the point"}),
+            "verdict": (SafeRegion.table, self.verdicts(), {"long_name": "whether 95 % of all plants pass", **flags}),
+            "failures": (SafeRegion.table, self.failures, {"long_name": "failed draws, -1: not simulated"}),
+            "certified": (SafeRegion.table, certified, {"long_name": "whether Theorem 1 certifies the point"}),
         }
         coords = {}
-        for dimension, axis, values in zip(Region.table, self.over, self.axes, strict=True):
+        for dimension, axis, values in zip(SafeRegion.table, self.over, self.axes, strict=True):
             about = self.study.quantities[axis.name]
             coords[dimension] = (dimension, values, {"units": about.unit, "long_name": about.meaning})
         return xr.Dataset(columns, coords=coords, attrs={"title": self.study.name})
 
 
-def certified_points(study: Study, over: tuple[Axis, Axis], lattice: Lattice) -> tuple[np.ndarray, str]:
+def certified_points(study: Study, over: tuple[RegionAxis, RegionAxis], lattice: Lattice) -> tuple[np.ndarray, str]:
     """Which points Theorem 1 certifies, for all draws at once, and what it says; shape (count, count)."""
     swept = study.override({"sweep": {axis.name: own.tolist() for axis, own in zip(over, lattice.axes, strict=True)}})
     certified, reason = mark(swept)

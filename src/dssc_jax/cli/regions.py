@@ -9,12 +9,12 @@ from dssc_jax.cli.common import DONE, app, assignment, default_out, load_study, 
 from dssc_jax.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from dssc_jax.analyses.region import Axis
+    from dssc_jax.analyses.region import RegionAxis
 
 
-def parse_axis(text: str) -> "Axis":
+def parse_axis(text: str) -> "RegionAxis":
     """Parse a number and its range from ``NAME=LO:HI[:log]``."""
-    from dssc_jax.analyses.region import Axis
+    from dssc_jax.analyses.region import RegionAxis
 
     name, value = assignment(text, "--over")
     low, colon, rest = value.partition(":")
@@ -22,7 +22,7 @@ def parse_axis(text: str) -> "Axis":
     try:
         if not colon or scale not in ("", "log"):
             raise ValueError
-        return Axis(name, float(low), float(high), scale == "log")
+        return RegionAxis(name, float(low), float(high), scale == "log")
     except ValueError:
         raise ConfigError("--over", f"must be NAME=LO:HI[:log], got '{text}'") from None
 
@@ -58,6 +58,6 @@ def region(
     folder = out or default_out(loaded, f"region-{one.name}-{other.name}", settings, draws, seed)
     require_free(folder, "region", loaded)
     with progress_bar(loaded, quiet=as_json, of="simulations") as advance:
-        found = search(loaded, over=(one, other), halvings=halvings, progress=advance)
-    output_analysis(found, {"result": folder}, save_analysis(found, folder), as_json, show_region)
+        answer = search(loaded, over=(one, other), halvings=halvings, progress=advance)
+    output_analysis(answer, {"result": folder}, save_analysis(answer, folder), as_json, show_region)
     return DONE

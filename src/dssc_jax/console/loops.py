@@ -16,7 +16,7 @@ def decibels(factor: float) -> str:
     return f"{factor:.4g} ({20.0 * math.log10(factor):.3g} dB)" if factor > 0.0 else "none"
 
 
-ROWS: dict[str, tuple[str, Callable[[float], str]]] = {
+MARGIN_ROWS: dict[str, tuple[str, Callable[[float], str]]] = {
     "gain_upper": ("gain margin", decibels),
     "gain_lower": ("lower gain margin", decibels),
     "phase": ("phase margin", lambda value: f"{math.degrees(value):.3g} deg"),
@@ -41,7 +41,7 @@ def show_loop(summary: Mapping[str, Any], files: list[Path]) -> None:
         for broken_at, own in loops.items():
             rows = [
                 (text, *(margin_text(own[name][part], form) for part in ("median", "tolerance_limit", "worst")))
-                for name, (text, form) in ROWS.items()
+                for name, (text, form) in MARGIN_ROWS.items()
             ]
             where = point if point == "equilibrium" else f"at {point}"
             show_table((f"{broken_at}, {where}: {own['stable']} of {draws} stable", *head), rows)

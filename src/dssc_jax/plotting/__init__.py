@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from dssc_jax.plotting.comparisons import comparison
 from dssc_jax.plotting.draws import distribution, factor, failures
 from dssc_jax.plotting.indices import sensitivity
-from dssc_jax.plotting.loops import loop
+from dssc_jax.plotting.loops import loop_margins
 from dssc_jax.plotting.margins import margin
 from dssc_jax.plotting.rare import rare
 from dssc_jax.plotting.regions import region
@@ -36,7 +36,7 @@ __all__ = [
     "failures",
     "falsification",
     "fitted_slope",
-    "loop",
+    "loop_margins",
     "margin",
     "probability",
     "rare",

@@ -13,7 +13,7 @@ FLOOR_OF_BODE = -60.0  # [dB]
 
 
 @styled
-def loop(margins: Analysis, point: str | None = None, broken_at: str | None = None) -> Figure:
+def loop_margins(margins: Analysis, point: str | None = None, broken_at: str | None = None) -> Figure:
     """Plot Bode and Nyquist diagrams of L, both sensitivities, and the distributions of phase and delay margin.
 
     Bands hold 90 % of the draws at each frequency; lines in the Nyquist diagram are single draws.

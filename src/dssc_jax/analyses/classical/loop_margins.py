@@ -35,7 +35,7 @@ from dssc_jax.study import Study
 LANES_TOGETHER = 2048  # derivatives that are computed at once
 NEWTON_STEPS_OF_REST, AT_REST = 30, 1e-9  # largest change of the state by a sample, relative to 1 + |state|
 PUSH, SMOOTH_WITHIN = 1e-7, 0.2  # size of a test of smoothness, and the largest relative deviation from the derivative
-NEGLIGIBLE = 1e-12  # response of a break point without effect
+NO_EFFECT = 1e-12  # response of a break point without effect
 
 
 class StateMatrices(NamedTuple):
@@ -99,8 +99,10 @@ def loop_margins(study: Study, *, times: Sequence[float] = (), progress: Progres
     parts = {name: parts_of(study, operating) for name, operating in study_at.items()}
     common = common_grid(np.concatenate([part.poles.ravel() for own in parts.values() for part in own.values()]))
     for count, (name, own) in enumerate(parts.items(), start=1):
-        found = {point: answer_of(part, study_at[name].reached, common, sample_time) for point, part in own.items()}
-        answers[name] = {point: answer for point, answer in found.items() if answer is not None}
+        own_answers = {
+            point: answer_of(part, study_at[name].reached, common, sample_time) for point, part in own.items()
+        }
+        answers[name] = {point: answer for point, answer in own_answers.items() if answer is not None}
         if progress:
             progress(count * study.config.draws, len(parts) * study.config.draws)
     dataset = margins_dataset(study, answers, common / sample_time)
@@ -165,7 +167,7 @@ def linearisation(study: Study, rest: bool) -> Linearisation:
     return of
 
 
-def starts(study: Study, values: Arrays, indices: np.ndarray) -> np.ndarray:
+def resting_starts(study: Study, values: Arrays, indices: np.ndarray) -> np.ndarray:
     """The state at t = 0 of every draw of the undisturbed loop, shape (n, states)."""
 
     def one(lane: tuple[dict[str, jax.Array], jax.Array]) -> jax.Array:
@@ -177,7 +179,7 @@ def starts(study: Study, values: Arrays, indices: np.ndarray) -> np.ndarray:
 
 
 def equilibrium(study: Study) -> Operating:
-    """Every draw's matrices at its equilibrium, found by Newton's method from the initial state.
+    """Every draw's matrices at its equilibrium, own_answers by Newton's method from the initial state.
 
     A state that no signal of the loop depends on, as an integrator whose gain is 0, need not be at rest.
 
@@ -187,7 +189,7 @@ def equilibrium(study: Study) -> Operating:
     study = at_origin(study)
     indices, values = np.arange(study.config.draws), drawn(study, slice(0, study.config.draws))
     of = linearisation(study, rest=True)
-    states = starts(study, values, indices)
+    states = resting_starts(study, values, indices)
     for _ in range(NEWTON_STEPS_OF_REST):
         matrices = of(values, indices, states, 1)
         move = matrices.after - states
@@ -352,7 +354,7 @@ def answer_of(part: Part, reached: np.ndarray, common: np.ndarray, sample_time: 
     a, b, c, poles = part
     g = np.full((len(reached), common.size), np.nan, complex)
     g[reached] = response_of(a, b, c)(np.broadcast_to(common, (len(a), common.size)))
-    if np.nanmax(np.abs(g)) < NEGLIGIBLE:
+    if np.nanmax(np.abs(g)) < NO_EFFECT:
         return None
     stable = np.max(np.abs(poles), axis=1) < 1.0
     status = np.full(len(reached), Status.NO_OPERATING_POINT.value)

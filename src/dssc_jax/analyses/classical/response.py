@@ -179,7 +179,7 @@ def golden(function: Response, low: np.ndarray, high: np.ndarray) -> tuple[np.nd
     return np.where(better, right, left), np.where(better, f_right, f_left)
 
 
-def peak(function: Response, angles: np.ndarray, values: np.ndarray) -> np.ndarray:
+def refined_peak(function: Response, angles: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Largest value of a real function, refined around the largest value of the grid; shape (n,)."""
     top = np.argmax(values, axis=1)[:, None]
     low = np.take_along_axis(angles, np.maximum(top - 1, 0), 1)
@@ -210,7 +210,7 @@ def classical_margins(respond: Response, angles: np.ndarray, sample_time: float)
         crossover = np.where(np.isfinite(phase), where, np.nan)
 
     def largest(offset: float) -> np.ndarray:
-        return peak(lambda theta: np.abs(respond(theta) + offset), angles, np.abs(g + offset))
+        return refined_peak(lambda theta: np.abs(respond(theta) + offset), angles, np.abs(g + offset))
 
     return ClassicalMargins(
         gain_upper=upper,

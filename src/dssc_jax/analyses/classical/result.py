@@ -17,7 +17,7 @@ from dssc_jax.statistics.order import upper_quantiles
 from dssc_jax.study import Study
 
 EQUILIBRIUM = "equilibrium"
-SHARE = 0.95  # of all draws, within the tolerance limit
+SHARE_WITHIN = 0.95  # of all draws, within the tolerance limit
 LINES = 60  # draws whose frequency responses are stored
 LEVELS_OF_FAN = (0.05, 0.5, 0.95)
 
@@ -111,7 +111,7 @@ class LoopMargins(Analysis):
         }
         for name, about in MARGIN_KINDS.items():
             values = self.values(name, point, loop)
-            limits = tolerance_limits(values, SHARE, CONFIDENCE, about.side)
+            limits = tolerance_limits(values, SHARE_WITHIN, CONFIDENCE, about.side)
             summary[name] = {
                 "unit": about.unit,
                 "median": float(upper_quantiles(values, [0.5])[0]),
@@ -150,7 +150,7 @@ class LoopMargins(Analysis):
 
     def figure(self) -> Figure:
         """Plot the answer."""
-        return plotting.loop(self)
+        return plotting.loop_margins(self)
 
     def content(self) -> dict[str, Any]:
         """See :class:`Analysis`."""
@@ -158,7 +158,7 @@ class LoopMargins(Analysis):
         return {
             "draws": self.dataset.sizes["draw"],
             "sample_time": self.study.config.loop.sample_time,
-            "share": SHARE,
+            "share": SHARE_WITHIN,
             "confidence": CONFIDENCE,
             "limits": "Wilks; each limit holds with this confidence for itself",
             "loops": every[self.points[0]],
