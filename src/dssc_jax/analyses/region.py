@@ -100,9 +100,9 @@ class SafeRegion(Analysis):
     @property
     def headline(self) -> str:
         """The answer in one line."""
-        total = self.dataset["verdict"].size
+        simulated = self.dataset["verdict"].size - self.points(PairVerdict.NOT_SIMULATED)
         return (
-            f"at {self.points(PairVerdict.MEETS)} of {total - self.points(PairVerdict.NOT_SIMULATED)} simulated pairs of "
+            f"at {self.points(PairVerdict.MEETS)} of {simulated} simulated pairs of "
             f"{' and '.join(self.names)} at least {100 * PASSING:g} % of all plants meet the requirements"
         )
 
@@ -179,8 +179,9 @@ def region(
     Example:
         >>> import dssc_jax as dj
         >>> study = dj.Study.load("studies/motor.toml").override({"draws": 300, "loop.sample_time": 0.01})
-        >>> over = (dj.RegionAxis("controller.k_p", 20.0, 400.0, True), dj.RegionAxis("unmodelled.mu", 0.005, 0.1, True))
-        >>> dj.region(study, over=over, halvings=0).summary()["simulated_points"]
+        >>> gain = dj.RegionAxis("controller.k_p", 20.0, 400.0, True)
+        >>> lag = dj.RegionAxis("unmodelled.mu", 0.005, 0.1, True)
+        >>> dj.region(study, over=(gain, lag), halvings=0).summary()["simulated_points"]
         81
     """
     require_independent(study, "a binomial interval")
