@@ -71,7 +71,7 @@ def undisturbed(loop: Loop, params: LoopParams) -> tuple[Loop, LoopParams]:
     if len(loop.channels) > 1:
         start = measure(loop, params, loop.plant.init(params.plant), origin)
         desired = tuple(ReferencePoint(m.y, 0.0, 0.0) for m in start)
-    fixed = Reference(NoParams, lambda params, t: desired if len(desired) > 1 else desired[0])
+    fixed = Reference(NoParams, lambda params, t: desired if len(desired) > 1 else ReferencePoint(0.0, 0.0, 0.0))
     quiet = tuple(
         own._replace(**{name: 0.0 for name in getattr(own, "_fields", ()) if name.endswith("_std")})
         for own in params.sensor

@@ -190,17 +190,19 @@ def equilibrium(study: Study) -> Operating:
     indices, values = np.arange(study.config.draws), drawn(study, slice(0, study.config.draws))
     of = linearisation(study, rest=True)
     states = resting_starts(study, values, indices)
-    for _ in range(NEWTON_STEPS_OF_REST):
+    trial = 0
+    while True:
         matrices = of(values, indices, states, 1)
         move = matrices.after - states
         finite = np.all(np.isfinite(matrices.a), axis=(1, 2)) & np.all(np.isfinite(move), axis=1)
-        felt = closure(matrices.c[finite].any(axis=(0, 1)), matrices.a[finite].any(axis=0))
+        felt = closure(np.any(matrices.c[finite], axis=(0, 1)), np.any(matrices.a[finite], axis=0))
         still = np.max(np.abs(move) * felt / (1.0 + np.abs(states)), axis=1) <= AT_REST
         wrong = finite & ~still
-        if not wrong.any():
+        if not wrong.any() or trial == NEWTON_STEPS_OF_REST:
             break
+        trial += 1
         own = np.ix_(wrong, felt, felt)
-        slopes = np.eye(np.count_nonzero(felt)) - matrices.a[own]
+        slopes = np.eye(int(np.count_nonzero(felt))) - matrices.a[own]
         moves = [np.linalg.lstsq(m, r)[0] for m, r in zip(slopes, move[np.ix_(wrong, felt)], strict=True)]
         states = states.copy()
         states[np.ix_(wrong, felt)] += np.stack(moves)
@@ -337,8 +339,8 @@ def parts_of(study: Study, operating: Operating) -> dict[str, Part]:
         kept = in_loop(matrices, reached, point)
         if kept.size:
             a = matrices.a[np.ix_(reached, kept, kept)]
-            b, c = matrices.b[np.ix_(reached, kept, [point])], matrices.c[np.ix_(reached, [point], kept)]
-            parts[name] = Part(a, b[..., 0], c[:, 0], np.linalg.eigvals(a))
+            b, c = matrices.b[reached][:, kept, point], matrices.c[reached][:, point, kept]
+            parts[name] = Part(a, b, c, np.linalg.eigvals(a))
     return parts
 
 
