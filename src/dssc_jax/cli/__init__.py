@@ -13,7 +13,19 @@ import typer
 from dssc_jax.cli.common import BAD_INPUT, DONE, app, say
 from dssc_jax.core.errors import ConfigError
 
-MODULES = ("simulation", "robustness", "tuning", "statistics", "stored", "reports", "designs", "proofs", "about")
+MODULES = (
+    "simulation",
+    "robustness",
+    "loops",
+    "regions",
+    "tuning",
+    "statistics",
+    "stored",
+    "reports",
+    "designs",
+    "proofs",
+    "about",
+)
 """The modules that register the commands; help lists them in this order."""
 
 for module in MODULES:
