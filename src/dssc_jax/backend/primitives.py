@@ -128,7 +128,7 @@ def complement(build: Builder, operands: Sequence[Value], params: Mapping[str, A
     return build.add("xor", operands[0], ones)
 
 
-def identity(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+def unchanged(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
     """The operand itself."""
     return operands[0]
 
@@ -155,18 +155,18 @@ ELEMENT_RULES: dict[str, ElementRule] = {
     "square": lambda build, operands, params, dtype: build.add("mul", operands[0], operands[0]),
     "rsqrt": lambda build, operands, params, dtype: build.add(
         "div", build.constant(1, dtype), build.add("sqrt", operands[0])),
-    "round": lambda build, operands, params, dtype: rounded(build, operands[0], params["rounding_method"].name),
+    "round": lambda build, operands, params, dtype: rounded_by(build, operands[0], params["rounding_method"].name),
     "is_finite": finite,
-    "stop_gradient": identity,
-    "copy": identity,
-    "copy_p": identity,
-    "reduce_precision": identity,
-    "pvary": identity,
+    "stop_gradient": unchanged,
+    "copy": unchanged,
+    "copy_p": unchanged,
+    "reduce_precision": unchanged,
+    "pvary": unchanged,
 }  # fmt: skip
 """ElementRule of each primitive by its name."""
 
 
-def rounded(build: Builder, x: Value, method: str) -> Value:
+def rounded_by(build: Builder, x: Value, method: str) -> Value:
     """The nearest whole number; halves to even, or away from zero."""
     if method == "TO_NEAREST_EVEN":
         return build.add("round", x)

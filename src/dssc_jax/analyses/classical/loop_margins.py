@@ -23,7 +23,7 @@ from dssc_jax.analyses.classical.response import (
 )
 from dssc_jax.analyses.classical.result import EQUILIBRIUM, LoopAnswer, LoopMargins, Status, margins_dataset
 from dssc_jax.analyses.theory.linearised import require_smooth
-from dssc_jax.backend.xla import COMPILED_FAST
+from dssc_jax.backend.plain import COMPILED_FAST
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import ProgressCallback
