@@ -128,7 +128,7 @@ def complement(build: Builder, operands: Sequence[Value], params: Mapping[str, A
     return build.add("xor", operands[0], ones)
 
 
-def unchanged(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+def same_value(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
     """The operand itself."""
     return operands[0]
 
@@ -157,11 +157,11 @@ ELEMENT_RULES: dict[str, ElementRule] = {
         "div", build.constant(1, dtype), build.add("sqrt", operands[0])),
     "round": lambda build, operands, params, dtype: rounded_by(build, operands[0], params["rounding_method"].name),
     "is_finite": finite,
-    "stop_gradient": unchanged,
-    "copy": unchanged,
-    "copy_p": unchanged,
-    "reduce_precision": unchanged,
-    "pvary": unchanged,
+    "stop_gradient": same_value,
+    "copy": same_value,
+    "copy_p": same_value,
+    "reduce_precision": same_value,
+    "pvary": same_value,
 }  # fmt: skip
 """ElementRule of each primitive by its name."""
 
