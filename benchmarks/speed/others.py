@@ -84,9 +84,9 @@ def start() -> Start:
     with TemporaryDirectory() as folder:
         own = environment({"XDG_CACHE_HOME": folder})
 
-        def seconds(until: str, *words: str) -> tuple[float, float]:
+        def seconds(until: str, *words: str, within: Path = ROOT) -> tuple[float, float]:
             began, told = time.perf_counter(), 0.0
-            process = subprocess.Popen([sys.executable, *words], env=own, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+            process = subprocess.Popen([sys.executable, *words], env=own, cwd=within, stdout=subprocess.PIPE, text=True)
             with process:
                 for line in process.stdout or ():
                     told = told or (time.perf_counter() - began if line.startswith(until) else 0.0)
@@ -105,8 +105,10 @@ def start() -> Start:
         cold, *warm = (sweep(f"sweep-{i}") for i in range(1 + AGAIN))
 
         def waited(number: int, words: tuple[str, ...]) -> tuple[float, float]:
-            outs = (str(Path(folder) / f"waited-{number}-{turn}") for turn in range(2))
-            first, again = (seconds("", "-m", "dssc_jax.cli", *words, "--out", out)[1] for out in outs)
+            folders = [Path(folder) / f"waited-{number}-{turn}" for turn in range(2)]
+            for within in folders:
+                within.mkdir()
+            first, again = (seconds("", "-m", "dssc_jax.cli", *words, within=within)[1] for within in folders)
             return first, again
 
         commands = {name: waited(number, words) for number, (name, words) in enumerate(WAITED.items())}
