@@ -1,6 +1,5 @@
 """Sensors between plant and controller: one per channel, evaluated once per controller sample."""
 
-import math
 from typing import Annotated, Any, NamedTuple
 
 import jax
@@ -14,7 +13,6 @@ from dssc_jax.core.registry import Registry, single
 from dssc_jax.core.signals import Measurement, Scalar
 
 EXTRA = 2  # index of the random numbers of losses and jitter; those of noise have 0 and 1
-ROOT_HALF = math.sqrt(0.5)
 MOST_DELAY = 200  # samples: the state holds two scalars for each, and every scalar is copied at every sample
 
 POSITION_STD = Quantity("y", "standard deviation of the noise on y", at_least=0.0)
@@ -121,9 +119,9 @@ def rounded(value: Scalar, resolution: Scalar | None) -> Scalar:
 
 
 def uniforms(key: jax.Array) -> tuple[Scalar, Scalar]:
-    """Two numbers, uniform in [0, 1], independent of those of :func:`reading`."""
-    first, second = standard_normals(jax.random.fold_in(key, EXTRA), 2)
-    return 0.5 + 0.5 * jax.lax.erf(first * ROOT_HALF), 0.5 + 0.5 * jax.lax.erf(second * ROOT_HALF)
+    """Two numbers, uniform in [0, 1), independent of those of :func:`reading`."""
+    first, second = jax.random.uniform(jax.random.fold_in(key, EXTRA), (2,))
+    return first, second
 
 
 def earlier(now: Measurement, before: Measurement, age: Scalar, dt: Scalar) -> Measurement:
