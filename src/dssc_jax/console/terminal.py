@@ -42,8 +42,7 @@ def announce_compiling(study: "Study", quiet: bool = False) -> None:
     """Say on standard error that the loop is about to be compiled, which takes longer the more channels it has."""
     if quiet:
         return
-    usual = "about half a minute for a vehicle" if len(study.loop.channels) > 1 else "a few seconds"
-    notify(f"{study.name}: compiling, which usually takes {usual} the first time and is kept for the next")
+    notify(f"{study.name}: compiling, which usually takes a few seconds the first time and is kept for the next")
 
 
 @contextmanager
