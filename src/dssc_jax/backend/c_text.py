@@ -20,13 +20,83 @@ from dssc_jax.backend.unsupported import Unsupported
 LONGEST = 88
 """Characters of an expression on a line."""
 
-RESERVED = frozenset(
-    """auto break case char const continue default do double else enum extern float for goto if inline int long register
-    restrict return short signed sizeof static struct switch typedef union unsigned void volatile while bool true false
-    sqrt sqrtf fabs fabsf fmod fmodf maximum minimum nearest round_down round_up toward_zero bits_of number_of
-    near far y0 y1 yn j0 j1 jn gamma exp log sin cos tan pow floor ceil index""".split()
+KEYWORDS = frozenset(
+    [
+        "auto",
+        "break",
+        "case",
+        "char",
+        "const",
+        "continue",
+        "default",
+        "do",
+        "double",
+        "else",
+        "enum",
+        "extern",
+        "float",
+        "for",
+        "goto",
+        "if",
+        "inline",
+        "int",
+        "long",
+        "register",
+        "restrict",
+        "return",
+        "short",
+        "signed",
+        "sizeof",
+        "static",
+        "struct",
+        "switch",
+        "typedef",
+        "union",
+        "unsigned",
+        "void",
+        "volatile",
+        "while",
+        "bool",
+        "true",
+        "false",
+    ]
 )
-"""Words that are no name of a local variable: C's own, and functions that it would hide."""
+FUNCTIONS = frozenset(
+    [
+        "sqrt",
+        "sqrtf",
+        "fabs",
+        "fabsf",
+        "fmod",
+        "fmodf",
+        "maximum",
+        "minimum",
+        "nearest",
+        "round_down",
+        "round_up",
+        "toward_zero",
+        "bits_of",
+        "number_of",
+        "finite",
+        "y0",
+        "y1",
+        "yn",
+        "j0",
+        "j1",
+        "jn",
+        "gamma",
+        "exp",
+        "log",
+        "sin",
+        "cos",
+        "tan",
+        "pow",
+        "floor",
+        "ceil",
+        "index",
+    ]
+)
+"""Functions that a variable of the same name would hide."""
 
 
 class CText:
@@ -55,7 +125,7 @@ class CText:
         self.notation = Notation(real)
         self.tables: list[str] = []
         self.lines: list[str] = []
-        self._taken = {*RESERVED, *taken}
+        self._taken = {*KEYWORDS, *FUNCTIONS, *taken}
         self._written: dict[int, tuple[str, int]] = {}
         self._uses = use_counts(program)
         self._function = ""

@@ -45,7 +45,7 @@ class Place(NamedTuple):
 class Source(NamedTuple):
     """The syntax tree of a file: the node at each place, and the parent of each node."""
 
-    nodes: dict[tuple[Any, ...], ast.AST]
+    nodes: dict[tuple[Any, ...], ast.expr]
     parents: dict[ast.AST, ast.AST]
 
 
@@ -127,7 +127,7 @@ def source(file: str) -> Source:
     except (OSError, SyntaxError, ValueError):
         return Source({}, {})
     parents = {child: node for node in ast.walk(tree) for child in ast.iter_child_nodes(node)}
-    nodes: dict[tuple[Any, ...], ast.AST] = {}
+    nodes: dict[tuple[Any, ...], ast.expr] = {}
     for node in ast.walk(tree):
         if isinstance(node, ast.expr):
             nodes.setdefault((node.lineno, node.end_lineno, node.col_offset, node.end_col_offset), node)
@@ -151,9 +151,10 @@ def assigned_name(places: Sequence[Place]) -> str:
     elements: list[int] = []  # positions in the tuples that the value is returned in, innermost last
     for place in places:
         nodes, parents = source(place.code.co_filename)
-        node = nodes.get(place.span)
-        if node is None:
+        found = nodes.get(place.span)
+        if found is None:
             return ""
+        node: ast.expr = found
         while True:
             parent = parents.get(node)
             if isinstance(parent, ast.IfExp) and node is not parent.test:

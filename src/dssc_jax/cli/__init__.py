@@ -13,7 +13,18 @@ import typer
 from dssc_jax.cli.common import BAD_INPUT, DONE, app, say
 from dssc_jax.core.errors import ConfigError
 
-MODULES = ("simulation", "robustness", "tuning", "statistics", "stored", "reports", "designs", "proofs", "about")
+MODULES = (
+    "simulation",
+    "robustness",
+    "tuning",
+    "statistics",
+    "stored",
+    "reports",
+    "designs",
+    "proofs",
+    "flight",
+    "about",
+)
 """The modules that register the commands; help lists them in this order."""
 
 for module in MODULES:

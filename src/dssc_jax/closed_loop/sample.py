@@ -207,9 +207,7 @@ def control(
         The next state, and what the controller saw and gave.
     """
     dt = loop.sample_time
-    differentiator, sensed = loop.differentiator[i].step(
-        params.differentiator[i], state.differentiator, reading, dt
-    )
+    differentiator, sensed = loop.differentiator[i].step(params.differentiator[i], state.differentiator, reading, dt)
     controller, command, info = loop.controller[i].step(params.controller[i], state.controller, sensed, reference, dt)
     return ControlState(differentiator, controller), Controlled(reading, sensed, command, info)
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from importlib.resources import files
 
 from dssc_jax.backend.c_operations import c_type
-from dssc_jax.flight.controller import COMMAND, SIGNALS, SampledController
+from dssc_jax.flight.controller import COMMAND, SampledController
 from dssc_jax.flight.recording import row_names
 from dssc_jax.flight.source_text import identifier, prefix
 from dssc_jax.study import Study
@@ -156,17 +156,17 @@ def tables(study: Study, controllers: Sequence[SampledController]) -> str:
     names = [prefix(study, each) for each in controllers]
     cases = {
         f"static void {use}": [f"    case {i}:\n        {call.format(name=name)}" for i, name in enumerate(names)]
-        for use, call in (("prepare(unsigned channel, const real *given)", "prepare_{name}(given);\n        break;"),)
+        for use, call in (
+            ("prepare(unsigned channel, const real *given)", "prepare_{name}(given);\n        break;"),
+            ("restart(unsigned channel)", "{name}_reset(&{name});\n        break;"),
+        )
     }
-    advance = [f"    case {i}:\n        return advance_{name}(row, results, telemetry);" for i, name in enumerate(names)]
+    advance = [
+        f"    case {i}:\n        return advance_{name}(row, results, telemetry);" for i, name in enumerate(names)
+    ]
     lines += ["", "static const channel_shape shapes[] = {", *shapes, "};"]
     for head, body in cases.items():
         lines += ["", head, "{", "    switch (channel) {", *body, "    default:\n        break;", "    }", "}"]
     signature = "static unsigned advance(unsigned channel, const real *row, real *results, bool telemetry)"
     lines += ["", signature, "{", "    switch (channel) {", *advance, "    default:\n        return 0;", "    }", "}"]
     return "\n".join([*lines, ""])
-
-
-def signal_count() -> int:
-    """Signals of a row."""
-    return len(SIGNALS)

@@ -1,5 +1,6 @@
 """The part of a loop that runs on a flight computer, traced by itself: differentiator and controller of one channel."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -9,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import keystr, tree_flatten_with_path
 
+from dssc_jax.backend.c_text import KEYWORDS
 from dssc_jax.backend.origins import Origin, translate_with_origins
 from dssc_jax.backend.program import Program
 from dssc_jax.backend.unsupported import Unsupported
@@ -105,15 +107,13 @@ def sampled_controllers(study: Study) -> list[SampledController]:
 def sampled_controller(study: Study, index: int) -> SampledController:
     """The controller of a channel by its position."""
     parameters, loop = parameters_of(study, index), study.loop
-    number = jax.ShapeDtypeStruct((), jnp.result_type(float))
+    number: Any = jax.ShapeDtypeStruct((), jnp.result_type(float))
 
     def start(numbers: tuple[Any, ...], measurement: Measurement, reference: ReferencePoint) -> Any:
         params = study.params(dict(zip(keys, numbers, strict=True)))
         return as_arrays(initial_control(loop, params, index, measurement, reference))
 
-    def step(
-        numbers: tuple[Any, ...], state: ControlState, measurement: Measurement, reference: ReferencePoint
-    ) -> Any:
+    def step(numbers: tuple[Any, ...], state: ControlState, measurement: Measurement, reference: ReferencePoint) -> Any:
         params = study.params(dict(zip(keys, numbers, strict=True)))
         after, controlled = control(loop, params, index, state, measurement, reference)
         command = controlled.command
@@ -162,7 +162,7 @@ def parameters_of(study: Study, index: int) -> tuple[Parameter, ...]:
         label = "_".join([*([] if slot == "controller" else [slot]), *own])
         value = float(leaf.median) if isinstance(leaf, Law) else leaf
         key = number.name if number is not None else dotted
-        found[key] = Parameter(key, label, number and number.quantity, value, isinstance(leaf, Law))
+        found[key] = Parameter(key, member_name(label), number and number.quantity, value, isinstance(leaf, Law))
     return tuple(found.values())
 
 
@@ -171,8 +171,14 @@ def leaf_names(tree: Any, prefix: tuple[str, ...] = ()) -> tuple[str, ...]:
     names = []
     for path, _ in tree_flatten_with_path(tree)[0]:
         parts = [part.strip("_") for part in keystr(path, simple=True, separator=".").split(".")]
-        names.append("_".join(parts[1:] if parts[0] in prefix else parts))
+        names.append(member_name("_".join(parts[1:] if parts[0] in prefix else parts)))
     return tuple(names)
+
+
+def member_name(name: str) -> str:
+    """A name for a member of a structure in C."""
+    text = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return f"{text}_" if text in KEYWORDS else text
 
 
 def numbers_by_key(controllers: list[SampledController]) -> Mapping[str, float]:

@@ -86,9 +86,7 @@ def recorded_draws(
         number = jax.ShapeDtypeStruct((), jnp.result_type(float))
         names = sorted({*study.laws, *constants})
         index = jax.ShapeDtypeStruct((), jnp.uint32)
-        lanes = CompiledLanes(
-            recorder(study, controllers, samples), dict.fromkeys(names, number), index, strict=True
-        )
+        lanes = CompiledLanes(recorder(study, controllers, samples), dict.fromkeys(names, number), index, strict=True)
         columns = len(lanes.program.outputs)
         together = max(1, BYTES // (samples * columns * np.dtype(number.dtype).itemsize * lanes.width)) * lanes.width
         for first in range(0, draws, together):

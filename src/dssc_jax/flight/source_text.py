@@ -5,7 +5,6 @@ from collections.abc import Sequence
 
 from dssc_jax.backend.c_operations import c_literal, c_type
 from dssc_jax.backend.c_text import CText, comment
-from dssc_jax.backend.needed import operation_counts
 from dssc_jax.backend.origins import Origin
 from dssc_jax.backend.program import Program, Value
 from dssc_jax.core.signals import Measurement, ReferencePoint
@@ -15,8 +14,9 @@ from dssc_jax.study import Study
 INPUT_BROKEN, RESULT_BROKEN = 1, 2
 """Bits of the flag that a step returns: an input, or a result, is not finite."""
 
-ARGUMENTS = """{name}_controller *controller, {name}_measurement measurement,
-                     {name}_reference reference, {name}_command *command, {name}_telemetry *telemetry"""
+ARGUMENTS = """
+    {name}_controller *controller, {name}_measurement measurement, {name}_reference reference,
+    {name}_command *command, {name}_telemetry *telemetry"""
 
 
 def identifier(name: str) -> str:
@@ -80,7 +80,7 @@ def declarations(study: Study, controller: SampledController) -> str:
     for each in controller.parameters:
         text = "computed from the study" if each.quantity is None else f"{each.quantity.unit}: {each.quantity.meaning}"
         median = ", median of its law" if each.uncertain else ""
-        parameters.append((each.name, f"{text}; {each.value:.17g}{median}"))
+        parameters.append((each.name, f"{text}; {each.value!r}{median}"))
     return "\n\n".join(
         [
             struct(f"{name}_parameters", parameters, kind),
@@ -188,7 +188,8 @@ def start_function(study: Study, controller: SampledController) -> tuple[str, CT
         text.line("state->unused = 0;")
     body = "\n".join(text.lines)
     arguments = (
-        f"const {name}_parameters *p, {name}_measurement measurement, {name}_reference reference, {name}_state *state"
+        f"const {name}_parameters *p, {name}_measurement measurement,\n"
+        f"    {name}_reference reference, {name}_state *state"
     )
     unread = ignored(traced.program, ("p", "measurement", "reference"), body)
     head = [f"/* The state before the first step. */\nstatic void {name}_start({arguments})", "{", *unread]
@@ -225,8 +226,8 @@ def step_function(study: Study, controller: SampledController) -> tuple[str, CTe
     states = [f"controller->state.{state}" for state in controller.states]
     checks = [(SIGNALS, INPUT_BROKEN), ([*(f"command->{member}" for member in COMMAND), *states], RESULT_BROKEN)]
     for members, bit in checks:
-        whole = " && ".join(f"finite({member})" for member in members)
-        text.line(f"flag |= {whole} ? 0u : {bit}u;")
+        for member in members:
+            text.line(f"flag |= finite({member}) ? 0u : {bit}u;")
     body = "\n".join(text.lines)
     head = [f"unsigned {name}_step({ARGUMENTS.format(name=name)})", "{", "    unsigned flag = 0;"]
     starting = [
@@ -245,12 +246,3 @@ def step_function(study: Study, controller: SampledController) -> tuple[str, CTe
 def values_of(program: Program) -> list[Value]:
     """The results of a program without recorded arrays."""
     return [output for output in program.outputs if isinstance(output, Value)]
-
-
-def step_operations(controller: SampledController, telemetry: bool) -> dict[str, int]:
-    """How often each operation occurs in a step, with or without telemetry; all of them on the longest path."""
-    program = controller.step.program
-    count = len(controller.states) + len(COMMAND)
-    outputs = program.outputs if telemetry else program.outputs[:count]
-    counts = operation_counts(Program(program.inputs, program.body, outputs))
-    return {name: number for name, number in sorted(counts.items()) if name != "input"}
