@@ -70,7 +70,7 @@ HELPERS = {
 }
 """Functions of floating-point numbers that a program may need."""
 
-NEEDS = {"round_down": "nearest", "round_up": "nearest", "toward_zero": "nearest"}
+NEEDS = {"round_down": "nearest", "round_up": "nearest", "toward_zero": "nearest", "quotient": "signed"}
 
 INTEGER_HELPERS = {
     "signed": """static {I} signed_{w}({U} bits)
@@ -82,6 +82,14 @@ INTEGER_HELPERS = {
     "shift_right": """static {I} shift_right_{w}({I} x, {I} count)  /* keeps the sign */
 {{
     return x < 0 ? ~(~x >> count) : x >> count;
+}}""",
+    "quotient": """static {I} quotient_{w}({I} a, {I} b)  /* towards zero; b is not 0 */
+{{
+    return b == -1 ? signed_{w}(0u - ({U})a) : a / b;
+}}""",
+    "remainder": """static {I} remainder_{w}({I} a, {I} b)  /* has the sign of a; b is not 0 */
+{{
+    return b == -1 ? 0 : a % b;
 }}""",
     "truncated": """static {I} truncated_{w}({T} x)  /* 0 for what is not a number, the extremes beyond the range */
 {{
@@ -147,12 +155,14 @@ class Notation:
 
     def helpers(self) -> list[str]:
         """Definitions of the functions that were needed, in an order that C accepts."""
-        return [self._needed[key] for key in sorted(self._needed, key=lambda key: (key[0] != "nearest", str(key)))]
+        return [
+            self._needed[key] for key in sorted(self._needed, key=lambda key: (key[0] not in NEEDS.values(), str(key)))
+        ]
 
     def need(self, name: str, integer: np.dtype | None = None) -> str:
         """The name of a function, whose definition is needed from now on."""
         if name in NEEDS:
-            self.need(NEEDS[name])
+            self.need(NEEDS[name], integer)
         single = self.real.itemsize == 4
         width = 8 * (integer.itemsize if integer is not None else self.real.itemsize)
         words = {
@@ -222,8 +232,11 @@ class Notation:
         operation, dtype = value.operation, value.dtype
         texts = [text for text, _ in operands]
         unsigned = f"uint{8 * dtype.itemsize}_t"
-        if operation == "shr" and dtype.kind == "i":
-            return f"{self.need('shift_right', dtype)}({texts[0]}, {texts[1]})", ATOM
+        called = {"shr": "shift_right", "div": "quotient", "rem": "remainder"}
+        if operation in called and dtype.kind == "i":
+            return f"{self.need(called[operation], dtype)}({texts[0]}, {texts[1]})", ATOM
+        if operation == "neg":
+            operation, texts = "sub", ["0", texts[0]]
         signs = {**{name: SIGNS[name][0] for name in ("add", "sub", "mul", "and", "or", "xor")}, "shl": "<<"}
         if dtype.kind == "u":
             signs |= {"shr": ">>", "div": "/", "rem": "%"}

@@ -20,82 +20,17 @@ from dssc_jax.backend.unsupported import Unsupported
 LONGEST = 88
 """Characters of an expression on a line."""
 
-KEYWORDS = frozenset(
-    [
-        "auto",
-        "break",
-        "case",
-        "char",
-        "const",
-        "continue",
-        "default",
-        "do",
-        "double",
-        "else",
-        "enum",
-        "extern",
-        "float",
-        "for",
-        "goto",
-        "if",
-        "inline",
-        "int",
-        "long",
-        "register",
-        "restrict",
-        "return",
-        "short",
-        "signed",
-        "sizeof",
-        "static",
-        "struct",
-        "switch",
-        "typedef",
-        "union",
-        "unsigned",
-        "void",
-        "volatile",
-        "while",
-        "bool",
-        "true",
-        "false",
-    ]
-)
-FUNCTIONS = frozenset(
-    [
-        "sqrt",
-        "sqrtf",
-        "fabs",
-        "fabsf",
-        "fmod",
-        "fmodf",
-        "maximum",
-        "minimum",
-        "nearest",
-        "round_down",
-        "round_up",
-        "toward_zero",
-        "bits_of",
-        "number_of",
-        "finite",
-        "y0",
-        "y1",
-        "yn",
-        "j0",
-        "j1",
-        "jn",
-        "gamma",
-        "exp",
-        "log",
-        "sin",
-        "cos",
-        "tan",
-        "pow",
-        "floor",
-        "ceil",
-        "index",
-    ]
-)
+KEYWORDS = frozenset({
+    "auto", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern",
+    "float", "for", "goto", "if", "inline", "int", "long", "register", "restrict", "return", "short", "signed",
+    "sizeof", "static", "struct", "switch", "typedef", "union", "unsigned", "void", "volatile", "while", "bool",
+    "true", "false"
+})  # fmt: skip
+FUNCTIONS = frozenset({
+    "sqrt", "sqrtf", "fabs", "fabsf", "fmod", "fmodf", "maximum", "minimum", "nearest", "round_down",
+    "round_up", "toward_zero", "bits_of", "number_of", "finite", "y0", "y1", "yn", "j0", "j1", "jn", "gamma",
+    "exp", "log", "sin", "cos", "tan", "pow", "floor", "ceil", "index"
+})  # fmt: skip
 """Functions that a variable of the same name would hide."""
 
 
@@ -273,10 +208,10 @@ class CText:
 
 def comment(text: str) -> list[str]:
     """The lines of a comment."""
-    lines = textwrap.wrap(re.sub(r"\*/|/\*", "", text).encode("ascii", "replace").decode(), LONGEST)
-    return [f"/* {line}" if not i else f" * {line}" for i, line in enumerate(lines[:-1] or [])] + (
-        [f" * {lines[-1]} */" if len(lines) > 1 else f"/* {lines[0]} */"] if lines else []
-    )
+    plain = re.sub(r"\*/|/\*", "", text).encode("ascii", "replace").decode()
+    lines = textwrap.wrap(plain, LONGEST, break_on_hyphens=False) or [""]
+    return [*(f"{' *' if i else '/*'} {line}" for i, line in enumerate(lines[:-1])),
+            f"{' *' if len(lines) > 1 else '/*'} {lines[-1]} */"]  # fmt: skip
 
 
 def use_counts(program: Program) -> dict[int, int]:
