@@ -24,9 +24,9 @@ def code(
 ) -> int:
     """Write the sampled controller as C99, with a bench that compares it bit by bit with the analysis.
 
-    Differentiator and controller of every channel, traced from the same functions that the analysis runs. `make` in
-    the folder replays recorded draws; `make arm64 armhf` does so under qemu, `make detected` shows that builds which
-    change bits are found. For float32 give --set loop.precision=32.
+    Differentiator and controller of every channel come from the functions that the analysis runs. `make -C DIR`
+    replays recorded draws and compares every bit; docs/flight.md tells how to do so for ARM. For float32 give
+    --set loop.precision=32.
     """
     from dssc_jax.console.flight import show_code
     from dssc_jax.flight.folder import FlightFolder
