@@ -1,7 +1,7 @@
 """``python -m benchmarks.flight PART..``: the controllers in C against the strict analysis, bit by bit.
 
-Parts: ``bits`` (every kind of controller and row, every sampled form, float64 and float32, on x86-64 by gcc and clang,
-64-bit ARM and 32-bit ARM under qemu; --draws and --samples of each), ``cost`` (operations, memory and cycles of a step).
+Parts: ``bits`` (every kind of controller, row and sampled form, float64 and float32, on x86-64 by gcc and clang, on
+64-bit and 32-bit ARM under qemu; --draws and --samples of each), ``cost`` (operations, memory and cycles of a step).
 Each writes its part of docs/flight.md. The recordings are never stored: they are piped into all benches at once.
 """
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -16,7 +17,7 @@ from dssc_jax.core.signals import Command
 from dssc_jax.engine.sampling import draw
 from dssc_jax.flight.controller import sampled_controllers
 from dssc_jax.flight.folder import FlightFolder
-from dssc_jax.flight.recording import recorded_draws, recorder
+from dssc_jax.flight.recording import recorded_draws, recording_lane
 from dssc_jax.models.controllers import CONTROLLERS, DIFFERENTIATORS
 from tests.cli.conftest import last_json
 from tests.flight.compiling import made, require
@@ -125,7 +126,7 @@ def test_changed_arithmetic_is_detected_and_named(case2):
     printed = made(case2[64], "detected")
     for fault in ("compiled with -ffast-math", "sums are reordered", "NaN is taken not to occur"):
         assert f"fault: {fault}" in printed
-    if "fma" in open("/proc/cpuinfo").read().split():
+    if "fma" in Path("/proc/cpuinfo").read_text().split():
         assert "fault: products and sums are contracted" in printed
         assert "differs: command.u" in printed
 
@@ -151,7 +152,7 @@ def test_numbers_as_inputs_change_no_bit_of_the_analysis(kind):
     recorded = [each.rows for each in recorded_draws(study, controllers, 8, samples)]
     with arithmetic():
         number, index = jax.ShapeDtypeStruct((), np.float64), jax.ShapeDtypeStruct((), np.uint32)
-        lane = recorder(study, controllers, samples)
+        lane = recording_lane(study, controllers, samples)
         lanes = CompiledLanes(lane, dict.fromkeys(study.laws, number), index, strict=True)
         (columns,) = lanes.start((draw(study, np.arange(8)), np.arange(8)), 8, 1)()
     assert np.array_equal(np.stack(recorded), np.stack(columns, axis=2))
@@ -185,7 +186,7 @@ def test_command(tmp_path, capsys):
 
 
 def test_what_has_no_c_is_refused():
-    study = dj.Study.from_table(table({"kind": "tests.flight.test_code:SORTING", "k_p": 1.0}))
+    study = dj.Study.from_table(table({"kind": "tests.flight.test_code:SORTING", "k_p": 1.0, "k_i": 0.5}))
     with pytest.raises(ConfigError, match=r"controller: has no exact form in C.*sort.*test_code.py"):
         FlightFolder(study)
 

@@ -70,7 +70,7 @@ HELPERS = {
 }
 """Functions of floating-point numbers that a program may need."""
 
-NEEDS = {"round_down": "nearest", "round_up": "nearest", "toward_zero": "nearest", "quotient": "signed"}
+HELPERS_NEEDED = {"round_down": "nearest", "round_up": "nearest", "toward_zero": "nearest", "quotient": "signed"}
 
 INTEGER_HELPERS = {
     "signed": """static {I} signed_{w}({U} bits)
@@ -156,13 +156,14 @@ class Notation:
     def helpers(self) -> list[str]:
         """Definitions of the functions that were needed, in an order that C accepts."""
         return [
-            self._needed[key] for key in sorted(self._needed, key=lambda key: (key[0] not in NEEDS.values(), str(key)))
+            self._needed[key]
+            for key in sorted(self._needed, key=lambda key: (key[0] not in HELPERS_NEEDED.values(), str(key)))
         ]
 
     def need(self, name: str, integer: np.dtype | None = None) -> str:
         """The name of a function, whose definition is needed from now on."""
-        if name in NEEDS:
-            self.need(NEEDS[name], integer)
+        if name in HELPERS_NEEDED:
+            self.need(HELPERS_NEEDED[name], integer)
         single = self.real.itemsize == 4
         width = 8 * (integer.itemsize if integer is not None else self.real.itemsize)
         words = {

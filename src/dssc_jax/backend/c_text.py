@@ -17,7 +17,7 @@ from dssc_jax.backend.origins import Origin
 from dssc_jax.backend.program import Branch, CodeBlock, CodeLoop, Program, Value
 from dssc_jax.backend.unsupported import Unsupported
 
-LONGEST = 88
+LONGEST_EXPRESSION = 88
 """Characters of an expression on a line."""
 
 KEYWORDS = frozenset({
@@ -102,7 +102,7 @@ class CText:
         origin = self.origins.get(id(value), Origin(""))
         text, precedence = self._operation(value)
         simple = precedence >= UNARY and len(text) < 30 and not origin.name and value.operation == "neg"
-        if origin.name or (self._uses.get(id(value), 0) > 1 and not simple) or len(text) > LONGEST:
+        if origin.name or (self._uses.get(id(value), 0) > 1 and not simple) or len(text) > LONGEST_EXPRESSION:
             self._heading(origin)
             name = self._variable(origin.name or "part")
             self.line(f"const {c_type(value.dtype)} {name} = {text};")
@@ -121,7 +121,7 @@ class CText:
 
     def _variable(self, wanted: str) -> str:
         """A new name like the wanted one."""
-        base = re.sub(r"\W", "_", wanted)
+        base = re.sub(r"\W", "_", wanted, flags=re.ASCII).strip("_") or "part"
         name, count = base, 1
         while name in self._taken or (count == 1 and base == "part"):
             name = f"{base}_{count}"
@@ -209,7 +209,7 @@ class CText:
 def comment(text: str) -> list[str]:
     """The lines of a comment."""
     plain = re.sub(r"\*/|/\*", "", text).encode("ascii", "replace").decode()
-    lines = textwrap.wrap(plain, LONGEST, break_on_hyphens=False) or [""]
+    lines = textwrap.wrap(plain, LONGEST_EXPRESSION, break_on_hyphens=False) or [""]
     return [*(f"{' *' if i else '/*'} {line}" for i, line in enumerate(lines[:-1])),
             f"{' *' if len(lines) > 1 else '/*'} {lines[-1]} */"]  # fmt: skip
 

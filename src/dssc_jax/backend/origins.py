@@ -151,10 +151,10 @@ def assigned_name(places: Sequence[Place]) -> str:
     elements: list[int] = []  # positions in the tuples that the value is returned in, innermost last
     for place in places:
         nodes, parents = source(place.code.co_filename)
-        found = nodes.get(place.span)
-        if found is None:
+        start = nodes.get(place.span)
+        if start is None:
             return ""
-        node: ast.expr = found
+        node: ast.expr = start
         while True:
             parent = parents.get(node)
             if isinstance(parent, ast.IfExp) and node is not parent.test:

@@ -121,7 +121,7 @@ def channels_text(study: Study, controllers: Sequence[SampledController]) -> str
         f"#define MOST_PARAMETERS {max(1, *(len(each.parameters) for each in controllers), 1)}",
         f"#define MOST_RESULTS {max(len(row_names(each)) for each in controllers)}",
     ]  # fmt: skip
-    return "\n".join([*lines, *(channel_text(study, each) for each in controllers), tables(study, controllers)])
+    return "\n".join([*lines, *(channel_text(study, each) for each in controllers), tables_text(study, controllers)])
 
 
 def channel_text(study: Study, controller: SampledController) -> str:
@@ -141,7 +141,7 @@ def channel_text(study: Study, controller: SampledController) -> str:
     return text if controller.infos else text.replace("_telemetry seen;", "_telemetry seen;\n    (void)telemetry;")
 
 
-def tables(study: Study, controllers: Sequence[SampledController]) -> str:
+def tables_text(study: Study, controllers: Sequence[SampledController]) -> str:
     """The names of parameters and results, and the choice of a channel's functions."""
     lines, shapes = [], []
     for each in controllers:

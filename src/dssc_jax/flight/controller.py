@@ -87,7 +87,7 @@ class SampledController:
         return np.dtype(f"float{self.precision}")
 
 
-SIGNALS = (
+SAMPLED_SIGNALS = (
     *(f"measurement.{name}" for name in Measurement._fields),
     *(f"reference.{name}" for name in ReferencePoint._fields),
 )
@@ -148,7 +148,7 @@ def parameters_of(study: Study, index: int) -> tuple[Parameter, ...]:
     """
     names = {path: name for name, number in study.numbers.items() for path in number.paths}
     flat, _ = tree_flatten_with_path(study.template, is_leaf=lambda leaf: isinstance(leaf, Law))
-    found: dict[str, Parameter] = {}
+    parameters: dict[str, Parameter] = {}
     for path, leaf in flat:
         dotted = keystr(path, simple=True, separator=".")
         slot, place, *rest = dotted.split(".")
@@ -162,8 +162,8 @@ def parameters_of(study: Study, index: int) -> tuple[Parameter, ...]:
         label = "_".join([*([] if slot == "controller" else [slot]), *own])
         value = float(leaf.median) if isinstance(leaf, Law) else leaf
         key = number.name if number is not None else dotted
-        found[key] = Parameter(key, member_name(label), number and number.quantity, value, isinstance(leaf, Law))
-    return tuple(found.values())
+        parameters[key] = Parameter(key, member_name(label), number and number.quantity, value, isinstance(leaf, Law))
+    return tuple(parameters.values())
 
 
 def leaf_names(tree: Any, prefix: tuple[str, ...] = ()) -> tuple[str, ...]:

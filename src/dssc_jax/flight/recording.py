@@ -18,7 +18,7 @@ from dssc_jax.closed_loop.sample import ControlState, LoopState, initial_state, 
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine.sampling import draw, draw_key
-from dssc_jax.flight.controller import SIGNALS, SampledController, numbers_by_key
+from dssc_jax.flight.controller import SampledController, numbers_by_key
 from dssc_jax.study import Study
 
 MAGIC = b"dssc-jax recording 1"
@@ -40,7 +40,7 @@ class RecordedDraw(NamedTuple):
     rows: np.ndarray
 
 
-def recorder(study: Study, controllers: Sequence[SampledController], samples: int) -> Any:
+def recording_lane(study: Study, controllers: Sequence[SampledController], samples: int) -> Any:
     """The program of a lane: (numbers by name, draw index) -> for each channel a column of each member of a row."""
 
     def lane(values: dict[str, jax.Array], index: jax.Array) -> Any:
@@ -86,7 +86,9 @@ def recorded_draws(
         number = jax.ShapeDtypeStruct((), jnp.result_type(float))
         names = sorted({*study.laws, *constants})
         index = jax.ShapeDtypeStruct((), jnp.uint32)
-        lanes = CompiledLanes(recorder(study, controllers, samples), dict.fromkeys(names, number), index, strict=True)
+        lanes = CompiledLanes(
+            recording_lane(study, controllers, samples), dict.fromkeys(names, number), index, strict=True
+        )
         columns = len(lanes.program.outputs)
         together = max(1, BYTES // (samples * columns * np.dtype(number.dtype).itemsize * lanes.width)) * lanes.width
         for first in range(0, draws, together):
@@ -117,8 +119,3 @@ def recording(draws: Iterator[RecordedDraw], precision: int) -> Iterator[bytes]:
     for each in draws:
         yield np.array([each.channel, len(each.rows)], "<u4").tobytes()
         yield each.parameters.astype(real).tobytes() + np.ascontiguousarray(each.rows, real).tobytes()
-
-
-def row_length(controller: SampledController) -> int:
-    """Numbers of a row."""
-    return len(SIGNALS) + len(row_names(controller))

@@ -8,7 +8,7 @@ from dssc_jax.backend.c_text import CText, comment
 from dssc_jax.backend.origins import Origin
 from dssc_jax.backend.program import Program, Value
 from dssc_jax.core.signals import Measurement, ReferencePoint
-from dssc_jax.flight.controller import COMMAND, SIGNALS, SampledController
+from dssc_jax.flight.controller import COMMAND, SAMPLED_SIGNALS, SampledController
 from dssc_jax.study import Study
 
 INPUT_BROKEN, RESULT_BROKEN = 1, 2
@@ -160,7 +160,7 @@ def init_functions(study: Study, controller: SampledController) -> str:
     )  # fmt: skip
 
 
-def text_of(
+def emitter_of(
     controller: SampledController, program: Program, origins: dict[int, Origin], inputs: list[str], sample_time: float
 ) -> CText:
     """The emitter of a function of the controller."""
@@ -169,7 +169,7 @@ def text_of(
     return CText(program, origins, inputs, controller.real, taken, constants)
 
 
-def ignored(program: Program, names: Sequence[str], text: str) -> list[str]:
+def ignored(names: Sequence[str], text: str) -> list[str]:
     """Statements that tell the compiler which arguments are not read."""
     return [f"    (void){name};" for name in names if not re.search(rf"\b{name}\b", text)]
 
@@ -177,9 +177,9 @@ def ignored(program: Program, names: Sequence[str], text: str) -> list[str]:
 def start_function(study: Study, controller: SampledController) -> tuple[str, CText]:
     """The state before the first step."""
     name = prefix(study, controller)
-    inputs = [*(f"p->{each.name}" for each in controller.parameters), *SIGNALS]
+    inputs = [*(f"p->{each.name}" for each in controller.parameters), *SAMPLED_SIGNALS]
     traced = controller.start
-    text = text_of(controller, traced.program, traced.origins, inputs, study.loop.sample_time)
+    text = emitter_of(controller, traced.program, traced.origins, inputs, study.loop.sample_time)
     outputs = values_of(traced.program)
     text.compute(outputs)
     for state, output in zip(controller.states, outputs, strict=True):
@@ -191,7 +191,7 @@ def start_function(study: Study, controller: SampledController) -> tuple[str, CT
         f"const {name}_parameters *p, {name}_measurement measurement,\n"
         f"    {name}_reference reference, {name}_state *state"
     )
-    unread = ignored(traced.program, ("p", "measurement", "reference"), body)
+    unread = ignored(("p", "measurement", "reference"), body)
     head = [f"/* The state before the first step. */\nstatic void {name}_start({arguments})", "{", *unread]
     return "\n".join([*head, body, "}"]), text
 
@@ -202,9 +202,9 @@ def step_function(study: Study, controller: SampledController) -> tuple[str, CTe
     inputs = [
         *(f"p->{each.name}" for each in controller.parameters),
         *(f"before.{state}" for state in controller.states),
-        *SIGNALS,
+        *SAMPLED_SIGNALS,
     ]
-    text = text_of(controller, traced.program, traced.origins, inputs, study.loop.sample_time)
+    text = emitter_of(controller, traced.program, traced.origins, inputs, study.loop.sample_time)
     outputs = values_of(traced.program)
     count = len(controller.states) + len(COMMAND)
     text.compute(outputs[:count])
@@ -224,7 +224,10 @@ def step_function(study: Study, controller: SampledController) -> tuple[str, CTe
     else:
         text.line("(void)telemetry;")
     states = [f"controller->state.{state}" for state in controller.states]
-    checks = [(SIGNALS, INPUT_BROKEN), ([*(f"command->{member}" for member in COMMAND), *states], RESULT_BROKEN)]
+    checks = [
+        (SAMPLED_SIGNALS, INPUT_BROKEN),
+        ([*(f"command->{member}" for member in COMMAND), *states], RESULT_BROKEN),
+    ]
     for members, bit in checks:
         for member in members:
             text.line(f"flag |= finite({member}) ? 0u : {bit}u;")
