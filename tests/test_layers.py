@@ -131,7 +131,7 @@ CONTRACTS = {
 }
 """What every model of a kind has."""
 
-FIGURES = {"margin", "sensitivity", "rare"}
+FIGURES = {"loop_margins", "margin", "region", "sensitivity", "rare"}
 """What `plotting` names as the analysis that it draws."""
 
 SAME = {"write", "SOCCER_FIELD"}

@@ -53,6 +53,7 @@ CONTROLLER_TABLES = [
         for i, (kind, numbers) in enumerate(FUNCTIONS.items())
     ),
 ]
+COUNT = len(CONTROLLER_TABLES)
 REFERENCE_TABLES = [
     {"kind": "zero"},
     {"kind": "sine", "amplitude": 0.5, "period": 2.0},
@@ -68,6 +69,7 @@ SENSOR_TABLES = [
     {"kind": "ideal"},
     {"kind": "lag", "mu": 0.02},
     {"kind": "noisy", "position_std": 0.01, "velocity_std": 0.02, "delay_samples": 1, "period_samples": 2},
+    {"kind": "noisy", "velocity_std": 0.02, "velocity_resolution": 0.01, "loss": 0.1, "jitter": 0.005},
 ]
 DIFFERENTIATOR_TABLES = [
     {"kind": "none"},
@@ -81,6 +83,7 @@ DISTURBANCE_TABLES = [
     {"kind": "step", "value": 0.3, "at": 0.5},
     {"kind": "sine", "amplitude": 0.3, "period": 0.7},
     {"kind": "spline", "knots": [0.2, -0.3, 0.1], "interval": 0.3},
+    {"kind": "record", "time": [0.0, 0.3, 0.9], "value": [0.0, 0.3, -0.1]},
     {"kind": "filtered_noise", "std": {"uniform": [0.1, 0.2]}, "correlation_time": 0.5},
     {"kind": "partition", "k_d1": 0.1, "k_d4": 0.2, "alpha_d2": 0.1, "period": 3.0},
     {"kind": "tests.test_programs:TABULATED", "at": {"uniform": [0.3, 0.7]}},
@@ -94,7 +97,7 @@ def shuffled(random, tables, count):
     return chosen
 
 
-def random_studies(seed=20, count=len(CONTROLLER_TABLES)):
+def random_studies(seed=20, count=COUNT):
     """Tables of studies in which every kind of part occurs."""
     random = Random(seed)
     slots = {

@@ -198,6 +198,7 @@ UNMODELLED_TABLES = {
     "transfer_function": {"mu": 0.03, "numerator": [1.0, -0.2, 0.5], "denominator": [1.0, 0.4, 1.0]},
     "delay": {"samples": 1.25, "memory": 3},
     "rate_limit": {"rate": 20.0},
+    "quantisation": {"resolution": 0.3},
     "saturation": {"limit": 0.7},
 }
 

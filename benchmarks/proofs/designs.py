@@ -87,7 +87,7 @@ def holds_in(problem: ProofProblem, sigma: float, e: float) -> bool:
     rows = [Bounded(setting.at.rows[SIGMA], sigma, 1.0), Bounded(setting.at.rows[E], e, 1.0)]
     for share in (min(RATES), 0.01):
         if (found := setting.solve(steps, rows, share, started=False)) is not None:
-            proof = Proof(problem.box, [set_stage(found, region, setting.at)])
+            proof = Proof(problem.box, [set_stage(found, region, setting)])
             if verify_proof(problem.to_dict(), proof.to_dict()).proved:
                 return True
     return False

@@ -57,13 +57,26 @@ class Sweep(NamedTuple):
     running: float
 
 
+WAITED = {
+    "simulate paper_case1": ("simulate", "paper_case1"),
+    "run uav_robustness --draws 16 --set loop.duration=45.0": (
+        "run", "uav_robustness", "--draws", "16", "--set", "loop.duration=45.0"),
+    "tune tune_uav": ("tune", "tune_uav"),
+}  # fmt: skip
+"""Commands that people wait for, beside the main study."""
+
+
 class Start(NamedTuple):
-    """Seconds of commands: help, imports alone, the main study with an empty cache, and with a filled one."""
+    """Seconds of commands: help, imports alone, the main study with an empty cache, and with a filled one.
+
+    ``waited`` has the seconds of :data:`WAITED` with an empty cache and with a filled one.
+    """
 
     help: float
     imports: float
     cold: Sweep
     warm: Sweep
+    waited: dict[str, tuple[float, float]]
 
 
 def start() -> Start:
@@ -71,9 +84,9 @@ def start() -> Start:
     with TemporaryDirectory() as folder:
         own = environment({"XDG_CACHE_HOME": folder})
 
-        def seconds(until: str, *words: str) -> tuple[float, float]:
+        def seconds(until: str, *words: str, within: Path = ROOT) -> tuple[float, float]:
             began, told = time.perf_counter(), 0.0
-            process = subprocess.Popen([sys.executable, *words], env=own, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+            process = subprocess.Popen([sys.executable, *words], env=own, cwd=within, stdout=subprocess.PIPE, text=True)
             with process:
                 for line in process.stdout or ():
                     told = told or (time.perf_counter() - began if line.startswith(until) else 0.0)
@@ -90,4 +103,13 @@ def start() -> Start:
         told = seconds("", "-m", "dssc_jax.cli", "--help")[1]
         imported = sorted(seconds("", "-c", IMPORTS)[1] for _ in range(AGAIN))[AGAIN // 2]
         cold, *warm = (sweep(f"sweep-{i}") for i in range(1 + AGAIN))
-        return Start(told, imported, cold, sorted(warm, key=lambda sweep: sweep.end)[AGAIN // 2])
+
+        def waited(number: int, words: tuple[str, ...]) -> tuple[float, float]:
+            folders = [Path(folder) / f"waited-{number}-{turn}" for turn in range(2)]
+            for within in folders:
+                within.mkdir()
+            first, again = (seconds("", "-m", "dssc_jax.cli", *words, within=within)[1] for within in folders)
+            return first, again
+
+        commands = {name: waited(number, words) for number, (name, words) in enumerate(WAITED.items())}
+        return Start(told, imported, cold, sorted(warm, key=lambda sweep: sweep.end)[AGAIN // 2], commands)

@@ -262,6 +262,10 @@ def starts_table(mission: Run, start: Start) -> str:
             ]
             for cache, sweep in (("empty cache", start.cold), ("again, median of 5", start.warm))
         ),
+        *(
+            [f"`dssc-jax {name}`", f"{cold:.1f} s with an empty cache, {again:.1f} s again"]
+            for name, (cold, again) in start.waited.items()
+        ),
     ]
     return table(["what", "measured"], rows)
 

@@ -10,12 +10,14 @@ if TYPE_CHECKING:
     from dssc_jax import design, report
     from dssc_jax import plotting as plot
     from dssc_jax.analyses import theory
+    from dssc_jax.analyses.classical import LoopMargins, loop_margins
     from dssc_jax.analyses.comparison import Comparison, MarginContest, compare, compare_margins
     from dssc_jax.analyses.falsification import Falsified, falsify
     from dssc_jax.analyses.loading import load
     from dssc_jax.analyses.margins import Margins, margin
     from dssc_jax.analyses.noise_spectrum import noise_spectrum
     from dssc_jax.analyses.rare_events import RareEvent, rare
+    from dssc_jax.analyses.region import RegionAxis, SafeRegion, region
     from dssc_jax.analyses.sensitivity import Sensitivity, sensitivity
     from dssc_jax.analyses.splitting import Splitting
     from dssc_jax.analyses.tuning import Tuned, tune
@@ -42,12 +44,15 @@ __all__ = [
     "Comparison",
     "ConfigError",
     "Falsified",
+    "LoopMargins",
     "MarginContest",
     "Margins",
     "Proved",
     "ProvedReach",
     "RareEvent",
+    "RegionAxis",
     "Result",
+    "SafeRegion",
     "Sensitivity",
     "Splitting",
     "Study",
@@ -61,6 +66,7 @@ __all__ = [
     "export",
     "falsify",
     "load",
+    "loop_margins",
     "margin",
     "noise_spectrum",
     "plan",
@@ -70,6 +76,7 @@ __all__ = [
     "prove_sweep",
     "proved_up_to",
     "rare",
+    "region",
     "replay",
     "report",
     "run",
@@ -94,9 +101,14 @@ _HOME = {
     "Comparison": "dssc_jax.analyses.comparison",
     "compare": "dssc_jax.analyses.comparison",
     "compare_margins": "dssc_jax.analyses.comparison",
+    "LoopMargins": "dssc_jax.analyses.classical",
+    "loop_margins": "dssc_jax.analyses.classical",
     "Margins": "dssc_jax.analyses.margins",
     "margin": "dssc_jax.analyses.margins",
     "noise_spectrum": "dssc_jax.analyses.noise_spectrum",
+    "RegionAxis": "dssc_jax.analyses.region",
+    "SafeRegion": "dssc_jax.analyses.region",
+    "region": "dssc_jax.analyses.region",
     "Falsified": "dssc_jax.analyses.falsification",
     "falsify": "dssc_jax.analyses.falsification",
     "Tuned": "dssc_jax.analyses.tuning",

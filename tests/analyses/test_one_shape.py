@@ -35,12 +35,15 @@ TABLE = LAGGED | {
     },
 }
 WALK = {"over": "unmodelled.mu", "bounds": (0.02, 1.5), "log": True, "points": 4, "bisections": 3}
+PAIR = (dj.RegionAxis("unmodelled.mu", 0.02, 1.0, True), dj.RegionAxis("plant.k_p", 0.5, 1.5))
 SPENT = dj.Splitting(particles=10, killed=5, moves=1, repeats=10, plain=64)
 RUN = {
     "margin": lambda study: dj.margin(study, **WALK),
+    "loop": lambda study: dj.loop_margins(study),
     "margins": lambda study: dj.compare_margins(study, ["dssc", "pi"], **WALK),
     "compare": lambda study: dj.compare(study, ["dssc", "pi"], candidates=2, tuning_draws=4),
     "sensitivity": lambda study: dj.sensitivity(study.override({"draws": 256})),
+    "region": lambda study: dj.region(study.override({"draws": 200}), over=PAIR, halvings=0),
     "rare": lambda study: dj.rare(study, SPENT),
     "falsify": lambda study: dj.falsify(study, budget=40),
     "tune": lambda study: dj.tune(study),

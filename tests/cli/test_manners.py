@@ -1,5 +1,6 @@
 """What a command line is expected to know: its version, help, completion, names of everything, and nearby mistakes."""
 
+import json
 import os
 import subprocess
 import sys
@@ -121,3 +122,33 @@ def test_matlab_reads_a_result(tmp_path):
     assert content["steady_state_error_after_4_5"]["units"] == "rad/s"
     assert content["study"]["study_hash"] == study.hash
     assert all(len(name) <= 63 for name in content)
+
+
+def test_a_complete_result_is_shown_and_not_computed_again(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    command = ["run", "motor", "--draws", "4", "--out", "here", "--json"]
+    assert guarded(command) == 0
+    first = capsys.readouterr()
+    assert guarded(command) == 0
+    second = capsys.readouterr()
+    assert "here is complete, computed " in second.err
+    assert "--fresh computes it again" in second.err
+    assert json.loads(second.out) == json.loads(first.out)  # times too: nothing ran
+    assert guarded([*command, "--fresh"]) == 0
+    third = capsys.readouterr()
+    assert "is complete" not in third.err
+    assert json.loads(third.out)["points"] == json.loads(first.out)["points"]
+    (array,) = (tmp_path / "here" / "data.zarr" / "rise_time" / "c").iterdir()
+    array.write_bytes(array.read_bytes()[:-1])
+    assert guarded(command) == 0  # a damaged one is computed again
+    last = capsys.readouterr()
+    assert "is complete" not in last.err
+    assert json.loads(last.out)["points"] == json.loads(first.out)["points"]
+
+
+def test_compiling_is_announced_before_it_begins(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    command = Path(sys.executable).parent / "dssc-jax"
+    for arguments in (["simulate", "motor"], ["run", "motor", "--draws", "4"]):
+        done = subprocess.run([command, *arguments], capture_output=True, text=True, cwd=tmp_path)
+        assert done.stderr.startswith("motor: compiling, which usually takes a few seconds the first time")

@@ -11,8 +11,8 @@ from matplotlib.patches import Rectangle
 
 import dssc_jax as dj
 from dssc_jax.plotting import thinning
+from dssc_jax.plotting.cells import cell_edges
 from dssc_jax.plotting.style import label
-from dssc_jax.plotting.sweeps import cell_edges
 from dssc_jax.plotting.thinning import PIXEL_COLUMNS, picked, thinned
 from dssc_jax.results.result import headline_measure
 from dssc_jax.statistics import clopper_pearson

@@ -20,6 +20,8 @@ KINDS = {
     "rare": "dssc_jax.analyses.rare_events:RareEvent",
     "falsify": "dssc_jax.analyses.falsification:Falsified",
     "tune": "dssc_jax.analyses.tuning:Tuned",
+    "loop": "dssc_jax.analyses.classical:LoopMargins",
+    "region": "dssc_jax.analyses.region:SafeRegion",
     "theory": "dssc_jax.analyses.theory:Assessment",
 }
 """The class of each kind of analysis, imported when needed."""

@@ -109,13 +109,26 @@ def finite(build: Builder, operands: Sequence[Value], params: Mapping[str, Any],
     return build.add("lt", build.add("abs", x), build.constant(np.inf, x.dtype))
 
 
+def in_total_order(operation: str) -> ElementRule:
+    """A comparison with NaN above all numbers; JAX itself makes the signs of 0 and of NaN alike before."""
+
+    def rule(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+        a, b = operands
+        last = build.add("ne", b, b)
+        if operation == "lt":
+            last = build.add("and", last, build.add("eq", a, a))
+        return build.add("or", build.add(operation, a, b), last)
+
+    return rule
+
+
 def complement(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
     """Every bit inverted."""
     ones = build.constant(True if dtype == BOOL else -1, dtype)
     return build.add("xor", operands[0], ones)
 
 
-def identity(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+def same_value(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
     """The operand itself."""
     return operands[0]
 
@@ -131,6 +144,8 @@ ELEMENT_RULES: dict[str, ElementRule] = {
     "shift_right_arithmetic": shift("shr"),
     "shift_right_logical": shift("shr", unsigned=True),
     "not": complement,
+    "lt_to": in_total_order("lt"),
+    "le_to": in_total_order("le"),
     "sign": sign_of,
     "clamp": clamp,
     "select_n": select_n,
@@ -140,18 +155,18 @@ ELEMENT_RULES: dict[str, ElementRule] = {
     "square": lambda build, operands, params, dtype: build.add("mul", operands[0], operands[0]),
     "rsqrt": lambda build, operands, params, dtype: build.add(
         "div", build.constant(1, dtype), build.add("sqrt", operands[0])),
-    "round": lambda build, operands, params, dtype: rounded(build, operands[0], params["rounding_method"].name),
+    "round": lambda build, operands, params, dtype: rounded_by(build, operands[0], params["rounding_method"].name),
     "is_finite": finite,
-    "stop_gradient": identity,
-    "copy": identity,
-    "copy_p": identity,
-    "reduce_precision": identity,
-    "pvary": identity,
+    "stop_gradient": same_value,
+    "copy": same_value,
+    "copy_p": same_value,
+    "reduce_precision": same_value,
+    "pvary": same_value,
 }  # fmt: skip
 """ElementRule of each primitive by its name."""
 
 
-def rounded(build: Builder, x: Value, method: str) -> Value:
+def rounded_by(build: Builder, x: Value, method: str) -> Value:
     """The nearest whole number; halves to even, or away from zero."""
     if method == "TO_NEAREST_EVEN":
         return build.add("round", x)

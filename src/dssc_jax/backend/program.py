@@ -27,8 +27,10 @@ ARITHMETIC: dict[str, Callable[..., Any]] = {
 }  # fmt: skip
 """Operations whose result has the type of their operands. ``shr`` keeps the sign of a signed integer."""
 
+# Nodes refer to each other: one that printed its parts would print its whole program, many times over.
 
-@dataclass(eq=False, slots=True)
+
+@dataclass(eq=False, repr=False, slots=True)
 class Value:
     """A scalar of one lane.
 
@@ -51,7 +53,7 @@ class Value:
     block: "CodeBlock | None" = None
 
 
-@dataclass(eq=False, slots=True)
+@dataclass(eq=False, repr=False, slots=True)
 class CodeBlock:
     """A sequence of values, loops, branches and records.
 
@@ -67,7 +69,7 @@ class CodeBlock:
     known: dict[Hashable, Value] = field(default_factory=dict)
 
 
-@dataclass(eq=False, slots=True)
+@dataclass(eq=False, repr=False, slots=True)
 class CodeLoop:
     """A loop that tests at its end: do the body, again while ``again``.
 
@@ -90,7 +92,7 @@ class CodeLoop:
     results: list[Value] = field(default_factory=list)
 
 
-@dataclass(eq=False, slots=True)
+@dataclass(eq=False, repr=False, slots=True)
 class Branch:
     """Two sides, of which each lane takes one; a side that no lane takes is skipped.
 
@@ -107,7 +109,7 @@ class Branch:
     results: list[Value] = field(default_factory=list)
 
 
-@dataclass(eq=False, slots=True)
+@dataclass(eq=False, repr=False, slots=True)
 class Record:
     """Stores a value at a position of a lane's output array, such as one sample of a trajectory.
 
@@ -122,7 +124,7 @@ class Record:
     value: Value
 
 
-@dataclass(eq=False, slots=True)
+@dataclass(eq=False, repr=False, slots=True)
 class Recording:
     """An array that a loop writes and nobody reads within the program.
 

@@ -16,6 +16,8 @@ from dssc_jax.core.errors import ConfigError
 MODULES = (
     "simulation",
     "robustness",
+    "loops",
+    "regions",
     "tuning",
     "statistics",
     "stored",
@@ -32,6 +34,9 @@ for module in MODULES:
 
 ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 """Signals that end a command as Ctrl-C does: finished work is kept."""
+INTERRUPTED = [128 + number for number in ENDING]
+"""Exit codes of a command that a signal ended."""
+HUNG_UP = 129  # as if the terminal's signal had come
 YOUNG = 100_000  # objects between two garbage collections: imports and traces create a million that stay
 
 
@@ -42,22 +47,31 @@ def main() -> None:
         if signal.getsignal(number) != signal.SIG_IGN:  # as nohup has it
             signal.signal(number, end)
     code = guarded(sys.argv[1:])
+    if code in INTERRUPTED:  # threads may still run machine code, which Python would wait for and then pull away
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
     gc.freeze()  # the process ends anyway: a last collection would take half a second
     sys.exit(code)
 
 
 def end(number: int, _: FrameType | None) -> None:
-    """Stop the running command; its folders are closed and its processes end.
+    """Stop the running command; its folders are closed and its processes end."""
+    discard_closed_output()
+    raise SystemExit(128 + number)
 
-    Further output is discarded if the terminal is closed.
-    """
+
+def discard_closed_output() -> bool:
+    """Send further output nowhere if its terminal is closed; return whether it is."""
+    closed = False
     with open(os.devnull, "w") as nowhere:
         for stream in (1, 2):
             try:
                 os.write(stream, b"")
             except OSError:
                 os.dup2(nowhere.fileno(), stream)
-    raise SystemExit(128 + number)
+                closed = True
+    return closed
 
 
 def how_to_go_on(arguments: list[str]) -> str:
@@ -82,6 +96,8 @@ def guarded(arguments: list[str]) -> int:
         say("error: not enough memory for so many draws, points or samples")
         return BAD_INPUT
     except OSError as error:
+        if discard_closed_output():  # the progress met the closed terminal before the signal came
+            return HUNG_UP
         say(f"error: {error.filename or 'a file'}: {error.strerror or error}")
         return BAD_INPUT
     except Exception as error:
@@ -90,6 +106,6 @@ def guarded(arguments: list[str]) -> int:
             raise
         say(f"error: {usage()}")
         return BAD_INPUT
-    if code in [128 + number for number in ENDING]:
+    if code in INTERRUPTED:
         say(f"interrupted{how_to_go_on(arguments)}")
     return code if isinstance(code, int) else DONE

@@ -1,7 +1,6 @@
 """Commands that show what is available: studies, info."""
 
 import json
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -83,11 +82,12 @@ def info(
 
     if kind is not None:
         from dssc_jax.console.kinds import show_kind
+        from dssc_jax.study.importing import allow_imports
 
         if as_json:
             raise ConfigError("--json", "covers all kinds; omit KIND")
         if allow_local:
-            sys.path.insert(0, str(Path.cwd()))
+            allow_imports(Path.cwd())
         if ":" in kind:
             show_code("command", {"kind": kind})
         show_kind(kind)

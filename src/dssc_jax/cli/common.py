@@ -33,7 +33,9 @@ def assignment(text: str, option: str) -> tuple[str, str]:
     """Parse name and value of ``NAME=VALUE``."""
     name, equals, value = text.partition("=")
     if not equals or not name or not value:
-        raise ConfigError(option, f"must be NAME=VALUE, got '{text}'")
+        from dssc_jax.study.separators import separated
+
+        raise ConfigError(option, f"must be NAME=VALUE, got '{text}'{separated(text, 1)}")
     return name, value
 
 
@@ -50,12 +52,14 @@ def parse_value(text: str) -> Any:
 
 def parse_over(text: str) -> tuple[str, dict[str, list[Any]]]:
     """Parse name and axis of ``NAME=LO:HI:COUNT[:log]``."""
-    name, value = assignment(text, "--over")
+    from dssc_jax.study.separators import separated
+
     try:
+        name, value = text.split("=")
         low, high, count, *rest = value.split(":")
         numbers = [float(low), float(high), int(count)]
     except ValueError:
-        raise ConfigError("--over", f"must be NAME=LO:HI:COUNT[:log], got '{text}'") from None
+        raise ConfigError("--over", f"must be NAME=LO:HI:COUNT[:log], got '{text}'{separated(text, 3)}") from None
     if rest not in ([], ["log"]):
         raise ConfigError("--over", f"only ':log' may follow COUNT, got '{text}'")
     return name, {"logspace" if rest else "linspace": numbers}
@@ -74,11 +78,13 @@ def parse_overs(texts: list[str]) -> dict[str, dict[str, list[Any]]]:
 
 def parse_bounds(text: str) -> tuple[str, tuple[float, float]]:
     """Parse name and bounds of ``NAME=LO:HI``."""
+    from dssc_jax.study.separators import separated
+
     try:
         name, value = text.split("=")
         start, end = map(float, value.split(":"))
     except ValueError:
-        raise ConfigError("--over", f"must be NAME=LO:HI, got '{text}'") from None
+        raise ConfigError("--over", f"must be NAME=LO:HI, got '{text}'{separated(text, 2)}") from None
     return name, (start, end)
 
 
@@ -105,13 +111,14 @@ def load_study(
     if cluster:  # validation starts JAX: leave a GPU's memory to the worker that computes on it
         os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     from dssc_jax.study import Study, read_toml
+    from dssc_jax.study.importing import allow_imports
     from dssc_jax.study.library import find
     from dssc_jax.study.recorded import with_records
     from dssc_jax.study.tables import changed
 
     path = find(name)
     if local:
-        sys.path.insert(0, str(path.resolve().parent))
+        allow_imports(path.parent)
     changes: dict[str, Any] = {}
     for text in settings or []:
         key, value = assignment(text, "--set")
@@ -151,9 +158,16 @@ def load_any(folder: Path, trust_code: bool = False, local: bool = False) -> "Lo
 
 
 def trust(about: dict[str, Any], local: bool) -> None:
-    """Show which code of a stored study is about to run, and make it importable if requested."""
+    """Show which code of a stored study is about to run, and make it importable if requested.
+
+    It may then come from the folder of the study file, or from the folders of the modules that the run used.
+    """
     if local:
-        sys.path.insert(0, str(Path(str(about.get("source", ""))).resolve().parent))
+        from dssc_jax.study.code import folders_of
+        from dssc_jax.study.importing import allow_imports
+
+        for folder in (Path(str(about.get("source", ""))).parent, *folders_of(about.get("code"))):
+            allow_imports(folder)
     show_code("result", about["study"], about.get("code"))
 
 
@@ -172,10 +186,25 @@ def say(text: str) -> None:
     print("".join(c if c.isprintable() else "?" for c in line), file=sys.stderr)
 
 
+def warn_of_vehicle(study: "Study") -> None:
+    """Print a warning for each number of the study's own vehicle that multirotors usually do not have."""
+    from dssc_jax.models.uav.plausibility import implausible
+    from dssc_jax.models.uav.vehicle import Vehicle
+    from dssc_jax.study import Described
+
+    if isinstance(study, Described):
+        return
+    vehicle, table = getattr(study.template.plant, "vehicle", None), study.config.plant.get("vehicle")
+    if isinstance(vehicle, Vehicle) and isinstance(table, dict):
+        for text in implausible(vehicle, table):
+            say(f"warning: {text}")
+
+
 def warn_of_noise(study: "Study") -> None:
-    """Print a warning if measurement noise is predicted to move the loop off its reference."""
+    """Print a warning if measurement noise is predicted to move the loop off its reference, and of odd vehicles."""
     from dssc_jax.design import noise_warning
 
+    warn_of_vehicle(study)
     if text := noise_warning(study):
         say(f"warning: {text}")
 

@@ -22,13 +22,14 @@ Draws = Annotated[int | None, typer.Option("--draws", metavar="N", help="Number 
 Seed = Annotated[int | None, typer.Option("--seed", metavar="S", help="Seed of the draws.")]
 Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Results folder [results/NAME-COMMAND].")]
 Resume = Annotated[bool, typer.Option("--resume", help="Keep what an interrupted run of this study finished.")]
+Fresh = Annotated[bool, typer.Option("--fresh", help="Compute a complete result again.")]
 ClusterOption = Annotated[
     str | None,
     typer.Option("--cluster", metavar="ADDRESS", help="Workers: tcp://HOST:PORT of a dask scheduler, or local:N."),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
 Local = Annotated[
-    bool, typer.Option("--allow-local", help="Let `module:object` names in the study import from its own folder.")
+    bool, typer.Option("--allow-local", help="Let `module:object` names also import from the study's own folder.")
 ]
 TrustCode = Annotated[
     bool, typer.Option("--trust-code", help="Import the `module:object` names of the result's study.")

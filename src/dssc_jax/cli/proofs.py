@@ -92,7 +92,7 @@ def prove_over(study: "Study", over: str, log: bool, boxes: int, out: Path | Non
 
     name, bounds = parse_bounds(over)
     try:
-        with progress_bar(study, quiet=as_json, of="values") as advance:
+        with progress_bar(study, quiet=as_json, of="values", compiles=False) as advance:
             reach = proved_up_to(study, name, bounds, log=log, boxes=boxes, progress=advance)
     except NotCovered as error:
         raise ConfigError(study.source, f"is outside of what a proof covers: {error}") from None

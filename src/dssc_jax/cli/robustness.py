@@ -1,5 +1,6 @@
 """Commands on a loop's robustness: margin, theory, compare."""
 
+import re
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -15,6 +16,7 @@ from dssc_jax.cli.common import (
     parse_bounds,
     require_proofs,
     save_analysis,
+    show_code,
 )
 from dssc_jax.core.errors import ConfigError
 
@@ -31,7 +33,7 @@ ProveOption = Annotated[
 ]
 BisectionsOption = Annotated[int, typer.Option("--bisections", metavar="N", help="Halvings of a grid's cell.")]
 SWITCHING = ("sta", "smc")
-WALKED = {"of": "simulations", "early": "every critical value is found"}
+WALKED: dict[str, Any] = {"of": "simulations", "early": "every critical value is found"}
 
 
 @app.command()
@@ -65,7 +67,7 @@ def margin(
         require_proofs()
     if prove and controllers is not None:
         raise ConfigError("--prove", "is not for --controllers: prove each with `dssc-jax prove --over`")
-    from dssc_jax.analyses.comparison import compare_margins
+    from dssc_jax.analyses.comparison import compare_margins, with_own_controllers
     from dssc_jax.analyses.margins import margin as find
     from dssc_jax.console import progress_bar, show_margin_contest, show_margins
     from dssc_jax.results.analysis_folder import require_free
@@ -73,6 +75,8 @@ def margin(
     name, bounds = parse_bounds(over)
     walk: dict[str, Any] = {"over": name, "bounds": bounds, "log": log, "points": points, "bisections": bisections}
     loaded = load_study(study, settings, draws, seed, allow_local).without_sweep()
+    names = [] if controllers is None else named(controllers)
+    loaded = with_own_controllers(loaded, names)
     kind = "margin" if controllers is None else "margins"
     folder = out or default_out(loaded, f"{kind}-{name}", settings, draws, seed)
     require_free(folder, kind, loaded)
@@ -80,15 +84,19 @@ def margin(
         if controllers is None:
             margins, show = find(loaded, **walk, prove=prove, progress=advance), show_margins
         else:
-            names = split_names(controllers)
             margins, show = compare_margins(loaded, names, **walk, progress=advance), show_margin_contest
     output_analysis(margins, {"result": folder}, save_analysis(margins, folder), as_json, show)
     return DONE
 
 
-def split_names(text: str) -> list[str]:
-    """Parse the names of ``A,B,..``."""
-    return [name.strip() for name in text.split(",")]
+def named(text: str) -> list[str]:
+    """Parse the names of ``A,B,..``, and show which code is about to run if some are of one's own."""
+    names = [name.strip() for name in text.split(",")]
+    if any(set(name) & set("; +&") for name in names):
+        wanted = ",".join(re.split(r"[\s,;+&]+", text.strip()))
+        raise ConfigError("--controllers", f"takes names separated by commas; did you mean '{wanted}'?")
+    show_code("command", {"names": names})
+    return names
 
 
 @app.command()
@@ -147,7 +155,10 @@ def switching_rivals(study: "Study") -> dict[str, "Study"]:
 def compare(
     study: opt.StudyArgument,
     controllers: Annotated[
-        str, typer.Option("--controllers", metavar="A,B,..", help="Kinds, or names of the study's [compare.NAME].")
+        str,
+        typer.Option(
+            "--controllers", metavar="A,B,..", help="Kinds, names of [compare.NAME], or your own module:OBJECT."
+        ),
     ],
     tune: Annotated[
         int | None,
@@ -168,15 +179,17 @@ def compare(
     tuned is tuned on draws of its own. Plants of several channels are not tuned.
     """
     from dssc_jax.analyses.comparison import compare as contest
+    from dssc_jax.analyses.comparison import with_own_controllers
     from dssc_jax.console import progress_bar, show_comparison
     from dssc_jax.results.analysis_folder import require_free
 
     loaded = load_study(study, settings, draws, seed, allow_local).without_sweep()
+    loaded = with_own_controllers(loaded, names := named(controllers))
     folder = out or default_out(loaded, "compare", settings, draws, seed)
     require_free(folder, "compare", loaded)
     usual = CANDIDATES if len(loaded.loop.channels) == 1 else 0
     candidates = usual if tune is None else tune
     with progress_bar(loaded, quiet=as_json, of="runs") as advance:
-        comparison = contest(loaded, split_names(controllers), candidates=candidates, progress=advance)
+        comparison = contest(loaded, names, candidates=candidates, progress=advance)
     output_analysis(comparison, {"result": folder}, save_analysis(comparison, folder), as_json, show_comparison)
     return DONE

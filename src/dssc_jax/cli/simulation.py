@@ -41,6 +41,7 @@ def run(
     seed: opt.Seed = None,
     out: opt.Out = None,
     resume: opt.Resume = False,
+    fresh: opt.Fresh = False,
     until_width: Annotated[
         float | None, typer.Option("--until-width", metavar="W", help="Draw until the interval is no wider than W.")
     ] = None,
@@ -71,7 +72,13 @@ def run(
         return finish_sequential(loaded, rule, max_draws, out, as_json)
     require_unset("a fixed number of draws", max_draws=max_draws)
     return finish(
-        loaded, out or default_out(loaded, "run", settings, draws, seed), resume, as_json, cluster, allow_local
+        loaded,
+        out or default_out(loaded, "run", settings, draws, seed),
+        resume,
+        as_json,
+        cluster,
+        allow_local,
+        fresh=fresh,
     )
 
 
@@ -84,6 +91,7 @@ def sweep(
     seed: opt.Seed = None,
     out: opt.Out = None,
     resume: opt.Resume = False,
+    fresh: opt.Fresh = False,
     cluster: opt.ClusterOption = None,
     prove: Annotated[
         bool, typer.Option("--prove", help="Also prove what can be proved at each point, with lag and sampling.")
@@ -102,8 +110,9 @@ def sweep(
     With --prove, figures tell four things apart: points that are proved, that survive every draw, that fail in some
     draws, and in all. The proofs and their certificates are in proofs.json of the results folder.
 
-    All points see the same draws. A swept value takes the place of the law of that parameter. Running the same study
-    into the same folder again starts over, unless --resume is given; another study's folder is never touched.
+    All points see the same draws. A swept value takes the place of the law of that parameter. The same study into the
+    same folder again: a complete result is shown, --fresh computes it again; an incomplete one starts over, unless
+    --resume is given. Another study's folder is never touched.
     """
     loaded = load_study(study, settings, draws, seed, allow_local, cluster)
     if over:
@@ -113,7 +122,7 @@ def sweep(
     if prove:
         require_provable(loaded)
     out = out or default_out(loaded, "sweep", over, settings, draws, seed)
-    return finish(loaded, out, resume, as_json, cluster, allow_local, boxes if prove else None)
+    return finish(loaded, out, resume, as_json, cluster, allow_local, boxes if prove else None, fresh)
 
 
 @app.command()
@@ -132,10 +141,14 @@ def simulate(
 
     Values are the study's own. Tells how the draw ended; --csv and --figure keep the trajectory.
     """
+    from dssc_jax.console import announce_compiling
     from dssc_jax.runs import trajectory as trajectories
 
     loaded = load_study(study, settings, None, seed, allow_local)
     warn_of_noise(loaded)
+    require_writable(csv, figure)
+    trajectories.lane_values(loaded.without_sweep(), draw, {})  # bad input is reported before anything is compiled
+    announce_compiling(loaded, quiet=as_json)
     return output_trajectory(trajectories.simulate(loaded, draw, every=every), csv, figure, as_json)
 
 
@@ -158,7 +171,9 @@ def replay(
     In a sweep, --at picks the point (the nearest one); without it, the point where the draw's slack is smallest.
     A result whose study names code of its own needs --trust-code.
     """
+    from dssc_jax.console import announce_compiling
     from dssc_jax.runs import trajectory as trajectories
+    from dssc_jax.study import Described
 
     point = {}
     for text in at or []:
@@ -169,9 +184,11 @@ def replay(
             point[name] = math.nan
         if not math.isfinite(point[name]):
             raise ConfigError("--at", f"must be NAME=NUMBER, got '{text}'")
-    trajectory = trajectories.replay(
-        load_result(result, trust_code, allow_local), draw, point=point or None, every=every
-    )
+    stored = load_result(result, trust_code, allow_local)
+    require_writable(csv, figure)
+    trajectories.point_of(stored, draw, point)
+    announce_compiling(stored.study, quiet=as_json or isinstance(stored.study, Described))
+    trajectory = trajectories.replay(stored, draw, point=point or None, every=every)
     done = output_trajectory(trajectory, csv, figure, as_json)
     return FAILS if trajectory.attrs["agreement"] == "differs" else done
 
@@ -239,7 +256,7 @@ def proved_sweep(result: "Result", out: Path, boxes: int, quiet: bool) -> "Resul
     from dssc_jax.console import progress_bar
     from dssc_jax.runs.prove_sweep import prove_sweep
 
-    with progress_bar(result.study, quiet=quiet, of="proofs") as advance:
+    with progress_bar(result.study, quiet=quiet, of="proofs", compiles=False) as advance:
         proofs = prove_sweep(result.study, boxes=boxes, progress=advance)
     attempt(out, lambda: proofs.save(out))
     return result.with_proofs(proofs)
@@ -253,11 +270,18 @@ def finish(
     cluster: str | None = None,
     local: bool = False,
     boxes: int | None = None,
+    fresh: bool = False,
 ) -> int:
-    """Simulate all draws, and prove every point if there is a number of boxes."""
+    """Simulate all draws unless a complete result has them, and prove every point if there is a number of boxes."""
     from dssc_jax.console import notify, progress_bar
     from dssc_jax.runs import run as running
 
+    if not fresh and (result := complete_result(study, out)) is not None:
+        notify(f"{out} is complete, computed {result.manifest['started']}; --fresh computes it again")
+        if boxes is not None and not result.proofs:
+            result = proved_sweep(result, out, boxes, as_json)
+        output_result(result, out, as_json)
+        return DONE
     warn_of_noise(study)
     folder = str(Path(study.source).resolve().parent) if local else None
     with progress_bar(study, quiet=as_json) as advance:
@@ -266,6 +290,25 @@ def finish(
         result = proved_sweep(result, out, boxes, as_json)
     output_result(result, out, as_json)
     return DONE
+
+
+def complete_result(study: "Study", out: Path) -> "Result | None":
+    """The complete result of the same study in a folder, computed with the same software and device; None otherwise."""
+    from dssc_jax.engine.batching import computing
+    from dssc_jax.results.manifest import MANIFEST, about_code, machinery_differences, read_manifest
+    from dssc_jax.results.result import Result
+    from dssc_jax.results.store import read_dataset
+
+    if not (out / MANIFEST).exists():
+        return None
+    try:
+        manifest = read_manifest(out)
+        same = manifest["hash"] == study.hash and manifest.get("complete") and not manifest.get("stopping")
+        if not same or machinery_differences(manifest, {**computing(), **about_code(study)}):
+            return None
+        return Result.of(study, read_dataset(out, study, manifest), manifest, out)
+    except ConfigError:  # damaged: it is computed again
+        return None
 
 
 def output_result(result: "Result", out: Path, as_json: bool) -> None:
@@ -286,12 +329,23 @@ def output_result(result: "Result", out: Path, as_json: bool) -> None:
         show_figures(figures)
 
 
+def require_writable(csv: Path | None, figure: Path | None) -> None:
+    """Require that the files of a trajectory can be written, before it is simulated.
+
+    Raises:
+        ConfigError: the figure's type is unknown, or a folder does not exist.
+    """
+    if figure is not None and figure.suffix.lower() not in FIGURES:
+        raise ConfigError(str(figure), f"cannot be written: the name must end in one of {', '.join(FIGURES)}")
+    for file in (csv, figure):
+        if file is not None and not file.parent.is_dir():
+            raise ConfigError(str(file), "cannot be written: there is no such folder")
+
+
 def output_trajectory(trajectory: Any, csv: Path | None, figure: Path | None, as_json: bool) -> int:
     """Write the requested files of a trajectory, and show how the draw ended."""
     from dssc_jax.console import show_draw
 
-    if figure is not None and figure.suffix.lower() not in FIGURES:
-        raise ConfigError(str(figure), f"cannot be written: the name must end in one of {', '.join(FIGURES)}")
     if csv is not None:
         attempt(csv, lambda: trajectory.to_dataframe().to_csv(csv, index_label="t"))
     if figure is not None:

@@ -11,9 +11,11 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, Registry, Slot, single
 from dssc_jax.core.units import POSITION, UNNAMED_UNITS
 from dssc_jax.study.build import REGISTRIES
-from dssc_jax.study.components import FieldSpec, field_specs, imported
+from dssc_jax.study.components import FieldSpec, field_specs
+from dssc_jax.study.importing import imported
 from dssc_jax.study.laws import LAWS
 from dssc_jax.study.measuring import KNOWN
+from dssc_jax.study.sections import params_of
 
 TRAJECTORY = "trajectory"
 HEADS = {TRAJECTORY: "reference, of a plant of several channels"}
@@ -45,12 +47,6 @@ def parts(params: type, place: str) -> dict[str, Registry]:
 def default_member(entry: Entry) -> Any:
     """A model of an entry with default options; options do not change the parameters."""
     return next(iter(entry.members.values()))
-
-
-def params_of(entry: Entry) -> Any:
-    """The parameter type of an entry."""
-    member = default_member(entry)
-    return getattr(member, "params", member)
 
 
 def kinds() -> dict[str, dict[str, Any]]:

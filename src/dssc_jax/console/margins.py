@@ -105,7 +105,7 @@ def show_theory(summary: Mapping[str, Any], files: list[Path]) -> None:
         for k in (0, len(of["mu"]) // 2, -1)
     ]
     if rows:
-        show_table(("oscillation", "mu [s]", "amplitude of sigma [m/s]", "by describing function"), rows)
+        show_table(("oscillation", "mu [s]", "amplitude of sigma [output/s]", "by describing function"), rows)
     console.print(summary["certificate"]["text"], markup=False, soft_wrap=True)
     show_reach(summary["proof"])
     for name, reason in summary["not_covered"].items():

@@ -28,7 +28,8 @@ def show_proof(summary: dict[str, Any], path: Path | None) -> None:
 
 def show_verdict(verdict: "ProofVerdict") -> None:
     """Print whether a certificate is valid."""
-    text = f"valid: |e| never exceeds {verdict.largest_error:.4g} m and ends within {verdict.error:.4g} m"
+    bounds = f"{verdict.largest_error:.4g} and ends within {verdict.error:.4g}"
+    text = f"valid: |e| never exceeds {bounds}, in the output's unit"
     output().print(text if verdict.proved else f"not valid: {verdict.reason}", soft_wrap=True, markup=False)
 
 

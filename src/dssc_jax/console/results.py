@@ -12,6 +12,7 @@ from rich.markup import escape
 from dssc_jax.closed_loop.requirements import ended_early
 from dssc_jax.console.terminal import output, show_files, show_table
 from dssc_jax.engine.reference import VERDICTS
+from dssc_jax.results.influence import idle_text
 from dssc_jax.results.result import headline
 from dssc_jax.results.schema import outcome_codes
 from dssc_jax.results.summary import most_violated
@@ -42,7 +43,8 @@ def show_result(result: "Result") -> None:
         show_grid(result, list(axes))
     else:
         show_points(result)
-    console.print(result.certificate, markup=False)
+    for text in filter(None, (idle_text(result), result.certificate)):
+        console.print(text, markup=False)
     times = result.manifest["times"]
     console.print(
         f"{times['seconds']:.1f} s, of which {times['compile_seconds']:.1f} s compiling; "
@@ -103,15 +105,17 @@ def show_points(result: "Result") -> None:
     """Print one row for each sweep point, with the headline metric's median; only the first ones if there are many."""
     axes, metric = result.study.axes, headline(result).name
     several = len(result.study.requirements) > 1
+    certifiable = "certified" in result.dataset
     rows = []
     for point in islice(result.points(), WIDEST_ROWS):
         values = [f"{point[name]:.5g}" for name in axes]
         middle = point["metrics"].get(metric, {}).get("q50")
         shown = "inf" if middle is None else f"{middle:.4g}"
         worst = [most_violated(point)] if several else []
-        rows.append((*values, *failure_cells(point, point["draws"]), *worst, shown, VERDICT_MARKS[point["certified"]]))
+        marks = [VERDICT_MARKS[point["certified"]]] if certifiable else []
+        rows.append((*values, *failure_cells(point, point["draws"]), *worst, shown, *marks))
     worst = ["most violated"] if several else []
-    show_table((*axes, "failures", *SHARE, *worst, f"median {metric}", "certified"), rows)
+    show_table((*axes, "failures", *SHARE, *worst, f"median {metric}", *(["certified"] if certifiable else [])), rows)
     more = math.prod(map(len, axes.values())) - len(rows)
     if more:
         output().print(f"... and {more} more points in summary.json")

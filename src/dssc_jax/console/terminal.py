@@ -18,9 +18,13 @@ if TYPE_CHECKING:
     from dssc_jax.study import Study
 
 
+PIPE_WIDTH = 10_000
+FOLDED = 24  # characters that a column of prose keeps at least where it is folded
+
+
 def output() -> Console:
-    """Standard output, with a fixed width if it is not a terminal."""
-    return Console(width=None if sys.stdout.isatty() else 140, highlight=False)
+    """Standard output; a pipe or a file has no width, so that each row of a table is one line there."""
+    return Console(width=None if sys.stdout.isatty() else PIPE_WIDTH, highlight=False)
 
 
 @cache
@@ -34,8 +38,17 @@ def notify(text: str) -> None:
     errors().print(text, markup=False, soft_wrap=True)
 
 
+def announce_compiling(study: "Study", quiet: bool = False) -> None:
+    """Say on standard error that the loop is about to be compiled, which takes longer the more channels it has."""
+    if quiet:
+        return
+    notify(f"{study.name}: compiling, which usually takes a few seconds the first time and is kept for the next")
+
+
 @contextmanager
-def progress_bar(study: "Study", quiet: bool, of: str = "draws", early: str = "") -> Iterator[ProgressCallback]:
+def progress_bar(
+    study: "Study", quiet: bool, of: str = "draws", early: str = "", compiles: bool = True
+) -> Iterator[ProgressCallback]:
     """Show a progress bar with the time left on stderr; with ``quiet`` only if stderr is a terminal.
 
     Args:
@@ -43,6 +56,7 @@ def progress_bar(study: "Study", quiet: bool, of: str = "draws", early: str = ""
         quiet: Whether a program reads the command's output.
         of: The unit that is counted.
         early: The reason why the work may end early, if it may.
+        compiles: Whether the loop is compiled first.
 
     Yields:
         The progress callback; if the total is not known, the bar only counts.
@@ -59,9 +73,13 @@ def progress_bar(study: "Study", quiet: bool, of: str = "draws", early: str = ""
     bar = Progress(*columns, console=console, disable=quiet and not console.is_terminal)
     task = bar.add_task(f"{study.name} (compiling)", total=None)
     counted = most = 0
+    announced = False
 
     def advance(done: int, total: int | None) -> None:
-        nonlocal counted, most
+        nonlocal counted, most, announced
+        if compiles and not announced:
+            announce_compiling(study, quiet)
+        announced = True
         counted, most = done, done if total is None else total
         bar.start()  # not before the first call: bad input shows no bar
         bar.update(task, completed=done, total=total, description=study.name if done else f"{study.name} (compiling)")
@@ -78,12 +96,43 @@ def progress_bar(study: "Study", quiet: bool, of: str = "draws", early: str = ""
 
 
 def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | None = None) -> None:
-    """Print a plain table."""
-    table = Table(*map(escape, head), title_justify="left", box=None, header_style="bold", pad_edge=False)
+    """Print a plain table.
+
+    Where it is wider than the terminal, its widest column is folded if it is prose; otherwise each row is printed as a
+    block of lines, so that no number is broken.
+    """
+    console = output()
+    widths = [max(len(line) for line in column) for column in zip(head, *rows, strict=True)]
+    widest = widths.index(max(widths))
+    rest = sum(widths) - widths[widest] + 2 * (len(widths) - 1)
+    fits = rest + widths[widest] <= console.width
+    if not fits and (console.width - rest < FOLDED or not is_prose([row[widest] for row in rows])):
+        show_blocks(head, rows, title)
+        return
+    table = Table(title_justify="left", box=None, header_style="bold", pad_edge=False, padding=(0, 2, 0, 0))
+    for index, name in enumerate(head):
+        table.add_column(escape(name), no_wrap=index != widest or fits)
     table.title = None if title is None else escape(title)
     for row in rows:
         table.add_row(*map(escape, row))
-    output().print(table)
+    console.print(table)
+
+
+def is_prose(cells: Sequence[str]) -> bool:
+    """Whether a column may be folded: words, not numbers or intervals."""
+    return any(sum(word.isalpha() for word in cell.split()) > len(cell.split()) // 2 for cell in cells if " " in cell)
+
+
+def show_blocks(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | None) -> None:
+    """Print each row of a table as its first cell and a line for each other one."""
+    console = output()
+    if title is not None:
+        console.print(title, markup=False)
+    width = max(map(len, head[1:]), default=0)
+    for first, *others in rows:
+        console.print(f"[bold]{escape(f'{head[0]} ' if head[0] else '')}{escape(first)}[/bold]")
+        for name, cell in zip(head[1:], others, strict=True):
+            console.print(f"  {name:<{width}}  {cell}", markup=False, soft_wrap=True)
 
 
 def show_pairs(pairs: Sequence[Mapping[str, Any]], title: str, test: str) -> None:

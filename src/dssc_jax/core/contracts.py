@@ -234,6 +234,28 @@ class Wind(NamedTuple):
     prepare: Callable[[Params], Params] = as_given
 
 
+def joined_wind(parts: tuple[Wind, ...]) -> Wind:
+    """The sum of several winds; the parameters are a tuple, and each wind has random numbers of its own."""
+
+    def keys(key: jax.Array) -> list[jax.Array]:
+        return [jax.random.fold_in(key, index) for index in range(len(parts))]
+
+    def init(params: tuple[Any, ...], key: jax.Array) -> tuple[State, ...]:
+        return tuple(wind.init(p, k) for wind, p, k in zip(parts, params, keys(key), strict=True))
+
+    def step(params: tuple[Any, ...], state: Any, key: jax.Array, t: Scalar, dt: Scalar) -> tuple[State, ...]:
+        each = zip(parts, params, state, keys(key), strict=True)
+        return tuple(wind.step(p, s, k, t, dt) for wind, p, s, k in each)
+
+    def value(params: tuple[Any, ...], state: Any, t: Scalar) -> Vec3:
+        total = Vec3(0.0, 0.0, 0.0)
+        for wind, p, s in zip(parts, params, state, strict=True):
+            total = total + wind.value(p, s, t)
+        return total
+
+    return Wind(NoParams, init, step, value)
+
+
 class Sensor(NamedTuple):
     """A sensor between one channel of the plant and its controller.
 

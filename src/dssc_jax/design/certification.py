@@ -27,6 +27,7 @@ from dssc_jax.models.plants.linear import RATIONAL_PLANT, STATE_SPACE
 from dssc_jax.models.plants.normal_form import NORMAL_FORM
 from dssc_jax.study import Described, Study
 from dssc_jax.study.laws import SPREAD, Law
+from dssc_jax.study.tables import merged
 
 OUTSIDE = {
     "loop": "it is of continuous time",
@@ -36,6 +37,7 @@ OUTSIDE = {
 }
 """Numbers that the theorem does not cover, with the reason."""
 LIMITS = ("unmodelled.rate", "unmodelled.limit")  # unmodelled dynamics whose absence is an infinite number
+TABLE_1 = "vgsta"  # kind of the functions of Table 1
 REFINEMENTS, REFINED = 2, 33  # of the walk's cell in which the certificate is lost: 1/1024 of it
 
 
@@ -91,6 +93,14 @@ class PlantBounds(NamedTuple):
     a_max: Any
     zero_dynamics: ZeroDynamics | None = None
     stiffness: Any = 0.0
+
+
+def in_play(study: Study) -> bool:
+    """Whether a channel's controller is DSSC with the functions of Table 1, so that Theorem 1 has something to say."""
+    own, channels = study.config.controller, study.loop.channels
+    tables = [own, *(merged(own, own[name]) for name in channels if isinstance(own.get(name), dict))]
+    kinds = [(table.get("kind"), table.get("functions", {}).get("kind")) for table in tables]
+    return ("dssc", TABLE_1) in kinds
 
 
 def mark(study: Study) -> Mark:

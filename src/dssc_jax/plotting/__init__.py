@@ -11,8 +11,10 @@ from matplotlib.figure import Figure
 from dssc_jax.plotting.comparisons import comparison
 from dssc_jax.plotting.draws import distribution, factor, failures
 from dssc_jax.plotting.indices import sensitivity
+from dssc_jax.plotting.loops import loop_margins
 from dssc_jax.plotting.margins import margin
 from dssc_jax.plotting.rare import rare
+from dssc_jax.plotting.regions import region
 from dssc_jax.plotting.searches import falsification, tuning
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, STYLE, write
 from dssc_jax.plotting.sweeps import fitted_slope, probability, standing, sweep, typical
@@ -34,9 +36,11 @@ __all__ = [
     "failures",
     "falsification",
     "fitted_slope",
+    "loop_margins",
     "margin",
     "probability",
     "rare",
+    "region",
     "save_all",
     "save_figure",
     "sensitivity",

@@ -3,23 +3,35 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
 
 from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.core.errors import ConfigError, nearest
-from dssc_jax.plotting.style import BLUE, DRAWABLE, RED, SLIDE, SMALL, label, panel, set_scale, styled, title
+from dssc_jax.plotting.style import (
+    BLUE,
+    DRAWABLE,
+    RED,
+    SLIDE,
+    SMALL,
+    fit_probability,
+    label,
+    panel,
+    set_scale,
+    styled,
+    title,
+)
 from dssc_jax.plotting.thinning import picked
+from dssc_jax.results.influence import by_influence, groups_of
 from dssc_jax.results.result import Result, measure_named
 from dssc_jax.statistics import CONFIDENCE, Replicated, clopper_pearson
 
-BINS, FILLED = 8, 5  # largest number of bins, and least number of draws in each
 MOST_FACTORS, FEW = 5, 20
 
 
 @styled
 def failures(result: Result) -> Figure:
     """Plot a run without sweep: the distribution of the headline metric, and failures against each uncertain number."""
-    laws = shown_laws(result)[:MOST_FACTORS]
+    every = by_influence(result, shown_laws(result))
+    laws = every[:MOST_FACTORS]
     columns = min(3, 1 + len(laws))
     rows = -(-(1 + len(laws)) // columns)
     figure = Figure(figsize=(SLIDE[0], 4.4 * rows if rows > 1 else SLIDE[1]), layout="constrained")
@@ -29,14 +41,23 @@ def failures(result: Result) -> Figure:
     distribution(result, axes[0])
     for ax, name in zip(axes[1:], laws, strict=False):
         factor(result, name, ax)
+    tops = [ax.get_ylim()[1] for ax in axes[1 : 1 + len(laws)]]
+    for ax in axes[1 : 1 + len(laws)]:
+        fit_probability(ax, max(tops), margin=0.0)
     failed = result.failed.values
     low, high = result.method.interval(failed)
     title(
         figure,
         f"{result.study.name}: {failed.sum()} of {failed.size} draws fail; "
-        f"probability in [{low:.3g}, {high:.3g}], 95 % {result.method.name}",
+        f"probability in [{low:.3g}, {high:.3g}], 95 % {result.method.name}{unshown(result, laws)}",
     )
     return figure
+
+
+def unshown(result: Result, shown: list[str]) -> str:
+    """How many uncertain numbers a figure leaves out, for its title."""
+    left = len(result.study.laws) - len(shown)
+    return f"\nthe {len(shown)} most influential of {len(result.study.laws)} uncertain numbers" if left > 0 else ""
 
 
 def one_point(result: Result) -> None:
@@ -107,7 +128,7 @@ def factor(result: Result, name: str, ax: Axes | None = None) -> Figure:
         raise ConfigError("name", f"'{name}' is no uncertain number of the result; {nearest(name, result.study.laws)}")
     figure, ax = panel(ax, SMALL)
     values, failed = result.dataset[name].values, result.failed.values
-    groups = np.array_split(np.argsort(values), max(1, min(BINS, values.size // FILLED)))
+    groups = groups_of(values)
     centres = np.array([np.median(values[group]) for group in groups])
     share = np.array([failed[group].mean() for group in groups])
     reach = None
@@ -120,8 +141,8 @@ def factor(result: Result, name: str, ax: Axes | None = None) -> Figure:
         ax.locator_params(axis="x", nbins=5)
     unit = result.dataset[name].attrs["units"]
     what = "failure probability" if result.method.independent else "share of failed draws (no interval)"
-    ax.set(xlabel=f"{name}\n[{unit}]", ylabel=what, ylim=(-0.03, 1.03))
-    ax.yaxis.set_major_formatter(PercentFormatter(1.0))
+    ax.set(xlabel=f"{name}\n[{unit}]", ylabel=what)
+    fit_probability(ax, float((share if reach is None else share + reach[1]).max()))
     return figure
 
 

@@ -10,10 +10,11 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, PercentFormatter
 
 # Okabe and Ito's palette, distinguishable with any colour vision
 BLUE, ORANGE, GREEN, RED, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#6b6b6b"
+DARK = "#333333"
 VIOLET, SKY, YELLOW = "#CC79A7", "#56B4E9", "#F0E442"
 STYLE: dict[Any, Any] = {
     "font.size": 13,
@@ -88,6 +89,18 @@ def set_scale(ax: Axes, values: np.ndarray, which: str = "x") -> None:
     axis.set_major_locator(LogLocator(subs=subs))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
+
+
+def probability_top(largest: float, margin: float = 0.06) -> float:
+    """Upper end of an axis of probabilities: all of it, or what the data need if they stay below one half."""
+    return max(largest, 1e-6) * (1.0 + margin) if largest < 0.5 else 1.0 + 0.5 * margin
+
+
+def fit_probability(ax: Axes, largest: float, margin: float = 0.06) -> None:
+    """Let the y axis show probabilities, in per cent, from zero to what the data need."""
+    top = probability_top(largest, margin) if margin else largest
+    ax.set_ylim(-0.03 * top, top)
+    ax.yaxis.set_major_formatter(PercentFormatter(1.0))
 
 
 def write(figure: Figure, path: Path) -> Path:

@@ -4,7 +4,6 @@ import textwrap
 from typing import Any
 
 import numpy as np
-from matplotlib import rcParams
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -12,6 +11,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
 
 from dssc_jax.closed_loop.metrics import Measure
+from dssc_jax.plotting.cells import OUTLINE, cell_edges, cells, clip, contour, map_top
 from dssc_jax.plotting.draws import metric_bounds
 from dssc_jax.plotting.standings import standing_colours, standing_keys, standing_of
 from dssc_jax.plotting.style import (
@@ -21,6 +21,7 @@ from dssc_jax.plotting.style import (
     PANEL,
     RED,
     SLIDE,
+    fit_probability,
     is_log,
     label,
     named,
@@ -30,14 +31,15 @@ from dssc_jax.plotting.style import (
     title,
 )
 from dssc_jax.plotting.thinning import envelope, thinned
+from dssc_jax.results.influence import idle_text
 from dssc_jax.results.result import Result, measure_named
 from dssc_jax.statistics.order import upper_quantiles
 
 MARKED = 200  # a curve of more points shows none of them
-FINE = 2500  # a map of more cells is written as an image, not cell by cell
 CERTIFIED = "Theorem 1: without lag and sampling"
 PROVED = "proved, with lag and sampling"
 HALF, BOUND = ("half of the draws fail", "-"), ("95 % upper bound of the probability at 5 %", "--")
+OWN_VALUE = "the study's own value"
 AT_LIMIT = ("the median at its limit", "-")
 
 
@@ -68,8 +70,13 @@ def sweep(result: Result) -> Figure:
         keys: list[tuple[str, Any]] = [AT_LIMIT] if known else [(f"{HALF[0]}, or {AT_LIMIT[0]}", "-"), BOUND]
         handles = [*(standing_keys() if known else []), *map_keys(result, keys)]
         figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False)
-    title(figure, f"{result.study.config.description or result.study.name}{held(result)}\n{result.certificate}")
+    title(figure, f"{result.study.config.description or result.study.name}{held(result)}\n{remarks(result)}")
     return figure
+
+
+def remarks(result: Result) -> str:
+    """What a sweep's title says besides its subject: idle axes, and what is certified."""
+    return "\n".join(filter(None, (idle_text(result), result.certificate)))
 
 
 @styled
@@ -210,8 +217,8 @@ def probability_curve(ax: Axes, result: Result, axis: str) -> None:
     band = envelope(x, *interval.T)
     ax.fill_between(*band, color=RED, alpha=0.2, linewidth=0.0, label=f"95 % {result.method.name}")
     ax.plot(*thinned(x, failed.mean(-1)), point_markers(x), color=RED, label="failed draws")
-    ax.set(ylabel="failure probability", ylim=(-0.03, 1.03))
-    ax.yaxis.set_major_formatter(PercentFormatter(1.0))
+    ax.set_ylabel("failure probability")
+    fit_probability(ax, float(interval.max()))
     finish_curve(ax, result, axis)
 
 
@@ -256,7 +263,7 @@ def probability_map(ax: Axes, result: Result, down: str, across: str) -> None:
     failed = result.failed.transpose(down, across, "draw").values
     draws, share = failed.shape[-1], failed.mean(-1)
     x, y = result.dataset[across].values, result.dataset[down].values
-    image = ax.pcolormesh(x, y, share, cmap="cividis", vmin=0.0, vmax=1.0, **cells(share))
+    image = ax.pcolormesh(x, y, share, cmap="cividis", vmin=0.0, vmax=map_top(share), **cells(share))
     contour(ax, x, y, share, 0.5, "-")
     contour(ax, x, y, result.method.interval(failed)[..., 1], 0.05, "--")
     text = f"failure probability ({draws} draws)"
@@ -308,19 +315,16 @@ def finish_map(ax: Axes, result: Result, down: str, across: str, keys: list[tupl
         ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.24), frameon=False)
 
 
-def cells(values: np.ndarray) -> dict[str, Any]:
-    """How a map's cells are drawn: as one bitmap if there are very many."""
-    return {"shading": "nearest", "rasterized": values.size > FINE}
-
-
 def map_keys(result: Result, keys: list[tuple[str, Any]]) -> list[Any]:
-    """Legend of a map's white elements: its contours, and what every map shows."""
-    ink = rcParams["text.color"]
+    """Legend of a map's white elements, drawn as in the map: its contours, and what every map shows."""
     if any(reaches_own_value(result, name) for name in free_axes(result)):
-        keys = [*keys, ("the study's own value", ":")]
-    handles: list[Any] = [Line2D([], [], color=ink, linestyle=line, linewidth=1.8, label=text) for text, line in keys]
+        keys = [*keys, (OWN_VALUE, ":")]
+    handles: list[Any] = [
+        Line2D([], [], color="white", linestyle=line, linewidth=1.8, label=text, path_effects=OUTLINE)
+        for text, line in keys
+    ]
     if (certified := certified_region(result)) is not None and certified.any():
-        handles.append(Patch(facecolor="none", edgecolor=ink, hatch="//", linewidth=0.0, label=CERTIFIED))
+        handles.append(Patch(facecolor=GREY, edgecolor="white", hatch="//", linewidth=0.0, label=CERTIFIED))
     return handles
 
 
@@ -332,14 +336,6 @@ def certified_region(result: Result) -> Any:
 def quantiles(result: Result, measure: Measure) -> np.ndarray:
     """5 %, 50 % and 95 % quantiles over draws, shape (3, axes...); draws without a value count as infinite."""
     return upper_quantiles(result.dataset[measure.name].values, (0.05, 0.5, 0.95))
-
-
-def cell_edges(values: np.ndarray, logarithmic: bool) -> np.ndarray:
-    """Edges half way between neighbours, and as far beyond both ends; shape (n + 1,)."""
-    x = np.log(values) if logarithmic else values
-    half = np.diff(x) / 2.0 if len(x) > 1 else np.array([0.5])
-    edges = np.concatenate(([x[0] - half[0]], x[:-1] + half[: len(x) - 1], [x[-1] + half[-1]]))
-    return np.exp(edges) if logarithmic else edges
 
 
 def own_value(result: Result, name: str) -> float | None:
@@ -358,7 +354,8 @@ def mark_own_value(ax: Axes, result: Result, name: str, colour: str, which: str 
     """Draw a dotted line at the study's own value of a swept number, if the axis reaches it."""
     if reaches_own_value(result, name):
         line = ax.axvline if which == "x" else ax.axhline
-        line(own_value(result, name) or 0.0, color=colour, linestyle=":", linewidth=2.0)
+        look: dict[str, Any] = {"path_effects": OUTLINE} if colour == "white" else {"label": OWN_VALUE}
+        line(own_value(result, name) or 0.0, color=colour, linestyle=":", linewidth=2.0, **look)
 
 
 def is_power(values: np.ndarray) -> bool:
@@ -376,17 +373,3 @@ def add_slope(ax: Axes, x: np.ndarray, y: np.ndarray) -> None:
     """Draw the fitted power law."""
     slope, intercept = fitted_slope(x, y)
     ax.plot(x, np.exp(intercept) * x**slope, color=GREY, linestyle="--", label=f"fitted slope {slope:.2f}")
-
-
-def clip(finite: np.ndarray, cap: float | None) -> dict[str, Any]:
-    """Colour limits, such that a diverging corner does not flatten the rest."""
-    if cap is None or not finite.size or not finite.min() < cap < finite.max():
-        return {}
-    return {"vmin": float(finite.min()), "vmax": cap}
-
-
-def contour(ax: Axes, x: np.ndarray, y: np.ndarray, z: np.ndarray, level: float, style: str) -> None:
-    """Draw a white contour if the level is crossed."""
-    if min(z.shape) >= 2 and np.nanmin(z) < level < np.nanmax(z):
-        shown = np.where(np.isfinite(z), z, 1e3 * abs(level))
-        ax.contour(x, y, shown, levels=(level,), colors="white", linewidths=1.8, linestyles=style)

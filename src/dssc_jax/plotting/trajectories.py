@@ -1,14 +1,17 @@
 """Figures of one draw over time."""
 
 from collections.abc import Sequence
+from typing import Any
 
+import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, label, panel, styled, title
-from dssc_jax.plotting.thinning import thinned
+from dssc_jax.plotting.thinning import picked, thinned
 
+STILL = 1e-9  # of a signal's size: what is smaller is rounding noise
 CYCLE = (BLUE, ORANGE, GREEN, RED, GREY)
 
 
@@ -84,21 +87,93 @@ def signal_label(run: xr.Dataset, name: str) -> str:
 
 
 def flight(run: xr.Dataset) -> Figure:
-    """Plot commands and errors of every channel."""
+    """Plot a plant of several channels: the path and the attitude of a vehicle, then commands and errors.
+
+    A channel whose error and command are rounding noise is left out, and named in the title.
+    """
     channels = [str(name).removesuffix("_y_ref") for name in run if str(name).endswith("_y_ref")]
-    figure = Figure(figsize=(11.5, 2.3 * len(channels) + 1.0), layout="constrained")
-    rows = figure.subplots(len(channels), 2, sharex=True, squeeze=False)
-    for (left, right), channel in zip(rows, channels, strict=True):
+    active = [channel for channel in channels if not is_still(run, channel)] or channels
+    vehicle = all(name in run for name in ("x_y", "y_y", "z_y", "phi", "theta"))
+    heights = [*([4.2, 2.3] if vehicle else []), *[2.3] * len(active)]
+    figure = Figure(figsize=(11.5, sum(heights) + 1.0), layout="constrained")
+    grid = figure.add_gridspec(len(heights), 2, height_ratios=heights)
+    if vehicle:
+        path_in_space(figure.add_subplot(grid[0, 0], projection="3d"), run)
+        path_from_above(figure.add_subplot(grid[0, 1]), run)
+        attitude(figure.add_subplot(grid[1, 0]), run)
+        lift(figure.add_subplot(grid[1, 1]), run)
+    for row, channel in enumerate(active, len(heights) - len(active)):
+        left, right = figure.add_subplot(grid[row, 0]), figure.add_subplot(grid[row, 1])
         line(left, run, f"{channel}_u_total", GREY, "total $u + u_n$", linewidth=1.2)
         line(left, run, f"{channel}_u", RED, "robust $u$", linewidth=1.2)
         line(right, run, f"{channel}_e", BLUE, "error")
         left.set_ylabel(f"{channel}: command [{run[f'{channel}_u'].attrs['units']}]")
         right.set_ylabel(f"{channel}: error [{run[f'{channel}_e'].attrs['units']}]")
-    rows[0, 0].legend(loc="best", frameon=False)
-    for ax in rows[-1]:
-        ax.set_xlabel("time [s]")
-    title(figure, how_it_ended(run))
+        if channel == active[0]:
+            left.legend(loc="best", frameon=False)
+        if channel == active[-1]:
+            left.set_xlabel("time [s]")
+            right.set_xlabel("time [s]")
+    still = [channel for channel in channels if channel not in active]
+    note = f"\nnot shown: {', '.join(still)}, whose error and command are rounding noise" if still else ""
+    title(figure, how_it_ended(run) + note)
     return figure
+
+
+def is_still(run: xr.Dataset, channel: str) -> bool:
+    """Whether a channel's error and command are rounding noise."""
+    size = max(1.0, *(largest_magnitude(run, f"{channel}_{name}") for name in ("y", "y_ref")))
+    return all(largest_magnitude(run, f"{channel}_{name}") <= STILL * size for name in ("e", "u_total"))
+
+
+def largest_magnitude(run: xr.Dataset, name: str) -> float:
+    """Largest finite magnitude of a signal; 0 if there is none."""
+    values = np.abs(run[name].values)
+    return float(np.max(values[np.isfinite(values)], initial=0.0))
+
+
+def path_in_space(ax: Any, run: xr.Dataset) -> None:
+    """Draw the path and its reference in three dimensions."""
+    shown = picked(run.sizes["t"])
+    for suffix, colour, text, style in (("y_ref", GREY, "desired", "--"), ("y", BLUE, "flown", "-")):
+        ax.plot(*(run[f"{axis}_{suffix}"].values[shown] for axis in "xyz"), color=colour, label=text, linestyle=style)
+    ax.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
+    ax.legend(loc="upper left", frameon=False)
+
+
+def path_from_above(ax: Axes, run: xr.Dataset) -> None:
+    """Draw the path and its reference from above, with equal scales, and mark the start and the end."""
+    shown = picked(run.sizes["t"])
+    x, y = (run[f"{axis}_y"].values[shown] for axis in "xy")
+    ax.plot(run["x_y_ref"].values[shown], run["y_y_ref"].values[shown], color=GREY, linestyle="--", label="desired")
+    ax.plot(x, y, color=BLUE, label="flown")
+    finite = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+    if finite.size:
+        ax.plot(x[finite[0]], y[finite[0]], "o", color=GREEN, label="start")
+        ax.plot(x[finite[-1]], y[finite[-1]], "s", color=RED, label="end")
+    ax.set(xlabel="x [m]", ylabel="y [m]")
+    ax.set_aspect("equal", adjustable="datalim")
+    ax.legend(loc="best", frameon=False)
+
+
+def attitude(ax: Axes, run: xr.Dataset) -> None:
+    """Draw roll and pitch in degrees."""
+    for name, colour, text in (("phi", BLUE, "roll"), ("theta", ORANGE, "pitch")):
+        ax.plot(*thinned(run["t"].values, np.degrees(run[name].values)), color=colour, label=text)
+    ax.set_ylabel("attitude [deg]")
+    ax.legend(loc="best", frameon=False)
+
+
+def lift(ax: Axes, run: xr.Dataset) -> None:
+    """Draw the wanted thrust, and shade the time with a rotor at its limit."""
+    line(ax, run, "thrust", BLUE, "wanted thrust")
+    at_limit = run["rotor_limited"].values > 0.5
+    if at_limit.any():
+        time, low, high = run["t"].values, *ax.get_ylim()
+        look = {"color": RED, "alpha": 0.2, "linewidth": 0.0, "label": "a rotor at its limit"}
+        ax.fill_between(time, low, high, where=list(at_limit), **look)
+    ax.set_ylabel("thrust [N]")
+    ax.legend(loc="best", frameon=False)
 
 
 def state_dependent(ax: Axes, run: xr.Dataset) -> None:

@@ -4,6 +4,9 @@ from typing import Any, NamedTuple
 
 from flint import arb, arb_mat
 
+Balls = dict[str, arb]
+"""Balls by name."""
+
 
 class Rejected(Exception):
     """A premise that could not be shown."""

@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Sequence
-from itertools import product
+from functools import reduce
+from itertools import combinations, product
+from operator import add
 from typing import Any, NamedTuple
 
 from flint import arb, arb_mat
 
-from dssc_jax.proofs.balls import both, enclosing, exact_ends, larger
-from dssc_jax.proofs.gain_enclosures import Balls
+from dssc_jax.proofs.balls import Balls, both, enclosing, exact_ends, larger
 
 HALF = arb(1) / 2 * (1 + arb(2) ** -100)  # of a width, from its middle, which is rounded
 SAMPLE_PIECES = 8  # pieces of a sample on which its inside is enclosed
@@ -133,8 +134,12 @@ def held_generator(problem: dict[str, Any], a_p: arb, rate: arb) -> arb_mat:
 
 def held_sample(problem: dict[str, Any], a_p: arb, rate: arb) -> arb_mat:
     """[[Phi, Gamma], [0, 1]] of one sample, in which the memories of delay and sensor move on."""
+    return moved_on(problem, (held_generator(problem, a_p, rate) * arb(problem["sample_time"])).exp())
+
+
+def moved_on(problem: dict[str, Any], held: arb_mat) -> arb_mat:
+    """With the rows of the memories of delay and sensor, which rest between the samples and move on at them."""
     zeta, memory, n = state_places(problem)
-    held = (held_generator(problem, a_p, rate) * arb(problem["sample_time"])).exp()
     rows = [[held[i, j] for j in range(n - 1)] for i in range(n - 1)]
     if not problem["denominator"]:
         for i in zeta:
@@ -146,18 +151,51 @@ def held_sample(problem: dict[str, Any], a_p: arb, rate: arb) -> arb_mat:
     return arb_mat(rows)
 
 
-def sample_corners(problem: dict[str, Any], box: dict[str, Any], gains: Balls, *, integrated: bool) -> list[Corner]:
-    """Every corner of plant and gains; each of its balls also holds what interpolation between corners leaves out."""
-    rest = interpolation_error(problem, box)
+def held_vertices(problem: dict[str, Any], box: dict[str, Any], degree: int) -> list[arb_mat]:
+    """[[Phi, Gamma], [0, 1]] at vertices whose hull holds that of every a_p and 1/mu of the box.
+
+    Each ball also holds what interpolation in a_p and a Taylor polynomial in 1/mu leave out; that polynomial is a
+    convex combination of its coefficients in Bernstein's basis.
+    """
+    rates, rest = box.get("rate", (0.0, 0.0)), interpolation_error(problem, box, degree)
+    result = []
+    for a_p in exact_ends(box["a_p"]):
+        if rates[0] == rates[1]:
+            points = [(held_generator(problem, a_p, arb(rates[0])) * arb(problem["sample_time"])).exp()]
+        else:
+            points = bernstein_coefficients(problem, a_p, rates, degree)
+        result += [moved_on(problem, point + rest) for point in points]
+    return result
+
+
+def bernstein_coefficients(problem: dict[str, Any], a_p: arb, rates: Any, degree: int) -> list[arb_mat]:
+    """Those of the Taylor polynomial of exp about the middle of an interval of 1/mu, over that interval.
+
+    The i-th of the term x^k on [-1, 1] is the mean product of k out of i numbers 1 and degree - i numbers -1.
+    """
+    low, high = map(arb, rates)
+    (_, along), *_ = box_directions(problem, {"a_p": (0.0, 0.0), "rate": rates})
+    whole = held_generator(problem, a_p, (low + high) / 2) * arb(problem["sample_time"])
+    terms = chained(whole, along * ((high - low) / 2), degree)
+    result = []
+    for i in range(degree + 1):
+        signs = [1] * i + [-1] * (degree - i)
+        means = [arb(sum(map(math.prod, combinations(signs, k)))) / math.comb(degree, k) for k in range(degree + 1)]
+        result.append(reduce(add, (term * mean for term, mean in zip(terms, means, strict=True))))
+    return result
+
+
+def sample_corners(
+    problem: dict[str, Any], box: dict[str, Any], held: list[arb_mat], gains: Balls, *, integrated: bool
+) -> list[Corner]:
+    """Every corner of plant and gains, the plant's at the vertices that :func:`held_vertices` gives."""
     sizes = signal_bounds(problem, box)
     inside = inside_bounds(problem, box, arb(problem["sample_time"]))
     first, result = "mean" if integrated else "k_p", []
-    for a_p, lag_rate in product(exact_ends(box["a_p"]), exact_ends(box.get("rate", (0.0, 0.0)))):
-        held = held_sample(problem, a_p, lag_rate) + rest
-        for k_p in exact_ends(box["k_p"]):
-            b = input_columns(problem, k_p, sizes, inside)
-            for gain in product(*(both(gains[name]) for name in (first, "k_i", "k_n"))):
-                result.append(Corner(sampled(problem, held, k_p, gain, integrated=integrated), b))
+    for vertex, k_p in product(held, exact_ends(box["k_p"])):
+        b = input_columns(problem, k_p, sizes, inside)
+        for gain in product(*(both(gains[name]) for name in (first, "k_i", "k_n"))):
+            result.append(Corner(sampled(problem, vertex, k_p, gain, integrated=integrated), b))
     return result
 
 
@@ -256,10 +294,10 @@ def box_directions(problem: dict[str, Any], box: dict[str, Any]) -> list[tuple[a
     return [(width, (held_generator(problem, *unit) - origin) * t) for width, unit in live]
 
 
-def chained(whole: arb_mat, along: arb_mat, order: int) -> arb_mat:
-    """The derivative of exp(W) along W_i, of this order over its factorial, from one exponential of blocks.
+def chained(whole: arb_mat, along: arb_mat, order: int) -> list[arb_mat]:
+    """The derivatives of exp(W) along W_i, up to this order, each over its factorial, from one exponential of blocks.
 
-    It is the upper right block of exp of the matrix with W on the diagonal of blocks and W_i beside it.
+    They are the first row of blocks of exp of the matrix with W on the diagonal of blocks and W_i beside it.
     """
     size, blocks = whole.nrows(), order + 1
     entries = [[arb(0)] * (blocks * size) for _ in range(blocks * size)]
@@ -269,7 +307,7 @@ def chained(whole: arb_mat, along: arb_mat, order: int) -> arb_mat:
         for k in range(order):
             entries[k * size + i][(k + 1) * size + j] = along[i, j]
     flow = arb_mat(entries).exp()
-    return arb_mat([[flow[i, order * size + j] for j in range(size)] for i in range(size)])
+    return [arb_mat([[flow[i, k * size + j] for j in range(size)] for i in range(size)]) for k in range(blocks)]
 
 
 def box_generator(problem: dict[str, Any], box: dict[str, Any]) -> arb_mat:
@@ -278,16 +316,21 @@ def box_generator(problem: dict[str, Any], box: dict[str, Any]) -> arb_mat:
     return f * arb(problem["sample_time"])
 
 
-def interpolation_error(problem: dict[str, Any], box: dict[str, Any]) -> arb_mat:
-    """What multilinear interpolation of exp between the box's corners leaves out: width^2/8 sup |second derivative|."""
+def interpolation_error(problem: dict[str, Any], box: dict[str, Any], degree: int) -> arb_mat:
+    """What is left out by linear interpolation in a_p and a Taylor polynomial in 1/mu about the middle.
+
+    width^2/8 sup |second derivative| of the one, (width/2)^(degree + 1) sup |derivative of that order| over the
+    factorial of the other.
+    """
     whole = box_generator(problem, box)
     size = whole.nrows()
-    rest = arb_mat(size, size)
-    for width, along in box_directions(problem, box):
-        second = chained(whole, along, 2)
+    rest, sides = arb_mat(size, size), box_directions(problem, box)
+    for number, (width, along) in enumerate(sides):
+        in_rate = number == len(sides) - 1 and box.get("rate", (0.0, 0.0))[0] < box.get("rate", (0.0, 0.0))[1]
+        order = degree + 1 if in_rate else 2
+        left = chained(whole, along, order)[-1] * ((width / 2) ** order)
         for i, j in product(range(size), range(size)):
-            bound = (abs(second[i, j]) * 2 * width * width / 8).upper()
-            rest[i, j] = rest[i, j] + enclosing(-1.0, 1.0) * bound
+            rest[i, j] = rest[i, j] + enclosing(-1.0, 1.0) * abs(left[i, j]).upper()
     return rest
 
 
@@ -297,7 +340,7 @@ def held_spread(problem: dict[str, Any], box: dict[str, Any]) -> list[list[arb]]
     size = whole.nrows()
     spread = [[arb(0)] * size for _ in range(size)]
     for width, along in box_directions(problem, box):
-        first = chained(whole, along, 1)
+        first = chained(whole, along, 1)[-1]
         for i, j in product(range(size), range(size)):
             spread[i][j] = (spread[i][j] + abs(first[i, j]) * width * HALF).upper()
     return spread

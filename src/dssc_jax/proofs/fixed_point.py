@@ -25,8 +25,9 @@ from dssc_jax.proofs.sampled_loop import (
 
 CHANGE, SIGMA, ERROR, COMMAND, EQUIVALENT, STATES = range(6)
 """Places of the signals in a list of bounds; the states follow."""
-BLOCK, MOST_SAMPLES = 64, 400_000
-TAIL_LEFT_OUT = 1e-7
+SIDE, MOST_SAMPLES = 32, 400_000
+"""Root of the number of samples that are summed at a time, and the largest number of samples."""
+TAIL_LEFT_OUT = 1e-5
 """Share of a sum at which its tail is left out."""
 ROUNDS, SHRINKINGS = 16, 6
 """Times that the region may grow from the start's, and shrink towards the residual's."""
@@ -83,22 +84,25 @@ class Map(NamedTuple):
 
 def responses(a: np.ndarray, rows: np.ndarray, inputs: np.ndarray, starts: np.ndarray) -> Responses | None:
     """The responses of z+ = a z; None if they last too long."""
-    stack = [rows]
-    for _ in range(BLOCK - 1):
-        stack.append(stack[-1] @ a)
-    whole, jump = np.concatenate(stack), np.linalg.matrix_power(a, BLOCK)
-    q, m = inputs.shape[1], rows.shape[0]
+    n, q, m = a.shape[0], inputs.shape[1], rows.shape[0]
+    near, far = [rows], [np.eye(n)]
+    jump = np.linalg.matrix_power(a, SIDE)
+    for _ in range(SIDE - 1):
+        near, far = [*near, near[-1] @ a], [*far, jump @ far[-1]]
+    value, jumps, jump = np.concatenate(near), np.concatenate(far), jump @ far[-1]
+    forgets = 1.0 - np.max(np.abs(np.linalg.eigvals(jump)))
     z = np.concatenate([inputs, starts], axis=1)
     sums, peaks = np.zeros((m, q)), np.zeros((m, starts.shape[1]))
-    for _ in range(MOST_SAMPLES // BLOCK):
-        now = np.abs(whole @ z).reshape(BLOCK, m, -1)
-        each = now[:, :, :q].sum(axis=0)
-        sums, peaks = sums + each, np.maximum(peaks, now[:, :, q:].max(axis=0))
+    for _ in range(MOST_SAMPLES // SIDE**2):
+        now = np.abs(value @ (jumps @ z).reshape(SIDE, n, -1)).reshape(SIDE**2, m, -1)
+        each = now[..., :q].sum(axis=0)
+        sums, peaks = sums + each, np.maximum(peaks, now[..., q:].max(axis=0))
         if not np.all(np.isfinite(each)):
             return None
-        if np.all(each <= TAIL_LEFT_OUT * sums) and np.all(now[-1, :, q:] <= np.maximum(1e-3 * peaks, 1e-300)):
-            return Responses(sums, peaks.max(axis=1, initial=0.0))
         z = jump @ z
+        last = np.abs(rows @ z[:, q:])
+        if np.all(each <= TAIL_LEFT_OUT * forgets * sums) and np.all(last <= np.maximum(1e-3 * peaks, 1e-300)):
+            return Responses(sums, peaks.max(axis=1, initial=0.0))
     return None
 
 

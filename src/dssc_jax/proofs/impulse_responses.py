@@ -1,7 +1,9 @@
 """Upper bounds of sums and peaks of impulse responses of z+ = A z: exact states in balls, what is summed in float64.
 
-Within a block of samples, every response is a row times the block's first state. That product is rounded; its error is
-at most ``ROUNDED`` times the product of the magnitudes, since n + 4 roundings of 2^-53 each are less.
+A block of samples is a grid: sample i LONG + k is row A^k times A^(i LONG) times the block's first state, for i and k
+below ``SIDE``. Both products are rounded. With S and N the magnitudes of the rows row A^k and of the matrices, the
+error of each is at most ``ROUNDED`` times the product of the magnitudes, since n + 4 roundings of 2^-53 each are less;
+so that of both is at most ``TWICE`` ROUNDED S N |z|.
 """
 
 from itertools import product
@@ -10,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from flint import arb, arb_mat
 
-BLOCK, MOST_BLOCKS = 128, 4000
-"""Samples of a block, and the largest number of blocks."""
+SIDE, MOST_BLOCKS = 32, 500
+"""Root of the number of samples of a block, and the largest number of blocks."""
 TAIL_SHARE = 2e-5
 """Share of a sum at which its tail is bounded instead of computed."""
-ROUNDED = 2.0**-44
-SUMMED = 1.0 + 2.0**-30
-"""Covers the rounding of the sums themselves, of which there are fewer than 2^20 terms."""
+ROUNDED, TWICE = 2.0**-44, 2.0 + 2.0**-20
+SUMMED = 1.0 + 2.0**-28
+"""Covers the rounding of the sums themselves, of which there are fewer than 2^22 terms."""
 UNDERFLOW = 1e-290
 
 
@@ -58,36 +60,55 @@ def response_bounds(
         decay: Its share.
     """
     n, m, q = a.nrows(), rows.nrows(), inputs.ncols()
-    stack = [rows]
-    for _ in range(BLOCK - 1):
-        stack.append(stack[-1] * a)
-    whole = arb_mat([[each[i, j] for j in range(n)] for each in stack for i in range(m)])
-    value, size = middles(whole), magnitudes(whole)
-    jump, inverse = a**BLOCK, p.inv()
+    near, far = powers(rows, a), powers(identity(n), a**SIDE)
+    value, size = (of(rows_below(near)) for of in (middles, magnitudes))
+    jumps = middles(rows_below(far)).reshape(SIDE, n, n)
+    error = ROUNDED * TWICE * size @ np.concatenate(list(magnitudes(rows_below(far)).reshape(SIDE, n, n)), axis=1)
+    error = error.reshape(SIDE, m, SIDE, n)
+    error_sum, error_peak = SUMMED * error.sum(axis=(0, 2)), error.max(axis=(0, 2))
+    jump, inverse = far[-1] * a**SIDE, p.inv()
     shadow = rows * inverse * rows.transpose()
     reach = np.array([float(abs(shadow[i, i]).upper().sqrt().upper()) for i in range(m)])
     ones = sum((abs(p[i, j]) for i, j in product(range(n), range(n))), arb(0)).sqrt()
     z = arb_mat([[*(inputs[i, j] for j in range(q)), *(starts[i, j] for j in range(starts.ncols()))] for i in range(n)])
     lost = [arb(0)] * z.ncols()
     sums, peaks = np.zeros((m, q)), np.zeros((m, starts.ncols()))
-    for block in range(MOST_BLOCKS):
+    for _ in range(MOST_BLOCKS):
         for j in range(z.ncols()):  # go on with exact numbers; V bounds what the difference can still cause
             lost[j] = lost[j] + ones * max((z[i, j].rad() for i in range(n)), key=float)
-        z = arb_mat([[z[i, j].mid() for j in range(z.ncols())] for i in range(n)])
+        z = z.mid()
         now = middles(z)
-        response = (np.abs(value @ now) + ROUNDED * (size @ np.abs(now)) + UNDERFLOW).reshape(BLOCK, m, -1)
-        sums += response[:, :, :q].sum(axis=0)
-        peaks = np.maximum(peaks, response[:, :, q:].max(axis=0))
+        response = np.abs(value @ (jumps @ now)).reshape(SIDE**2, m, -1)
+        sums += response[..., :q].sum(axis=0) + error_sum @ np.abs(now[:, :q]) + UNDERFLOW
+        largest = response[..., q:].max(axis=0) + error_peak @ np.abs(now[:, q:]) + UNDERFLOW
+        peaks = np.maximum(peaks, largest)
         z = jump * z
-        if block % 8 == 7:
-            ends = [(state_size(p, z, j) + lost[j]).upper() for j in range(z.ncols())]
-            after = reach[:, None] * np.array([float(each) for each in ends])
-            tails = after[:, :q] * float((2 / decay).upper())
-            if np.all(tails <= TAIL_SHARE * sums) and np.all(after[:, q:] <= np.maximum(peaks, UNDERFLOW)):
-                within = peaks + reach[:, None] * np.array([float(each.upper()) for each in lost[q:]])
-                peaks = np.maximum(within, after[:, q:]).max(axis=1, initial=0.0)
-                return ResponseBounds(SUMMED * (sums + tails), SUMMED * peaks)
+        ends = [(state_size(p, z, j) + lost[j]).upper() for j in range(z.ncols())]
+        after = reach[:, None] * np.array([float(each) for each in ends])
+        tails = after[:, :q] * float((2 / decay).upper())
+        if np.all(tails <= TAIL_SHARE * sums) and np.all(after[:, q:] <= np.maximum(peaks, UNDERFLOW)):
+            within = peaks + reach[:, None] * np.array([float(each.upper()) for each in lost[q:]])
+            peaks = np.maximum(within, after[:, q:]).max(axis=1, initial=0.0)
+            return ResponseBounds(SUMMED * (sums + tails), SUMMED * peaks)
     return None
+
+
+def identity(n: int) -> arb_mat:
+    """The unit matrix."""
+    return arb_mat([[int(i == j) for j in range(n)] for i in range(n)])
+
+
+def powers(first: arb_mat, a: arb_mat) -> list[arb_mat]:
+    """The first ``SIDE`` of first, first a, first a^2, ..."""
+    result = [first]
+    for _ in range(SIDE - 1):
+        result.append(result[-1] * a)
+    return result
+
+
+def rows_below(parts: list[arb_mat]) -> arb_mat:
+    """Matrices below one another."""
+    return arb_mat([[each[i, j] for j in range(each.ncols())] for each in parts for i in range(each.nrows())])
 
 
 def state_size(p: arb_mat, z: arb_mat, j: int) -> arb:

@@ -8,6 +8,7 @@ from typing import Any
 from flint import arb, arb_mat
 
 from dssc_jax.proofs.balls import (
+    Balls,
     StageLimits,
     approximate_root,
     both,
@@ -21,8 +22,10 @@ from dssc_jax.proofs.balls import (
 )
 from dssc_jax.proofs.enclosed_loop import (
     SAMPLE_PIECES,
+    Corner,
     control_rows,
     held_generator,
+    held_vertices,
     inside_bounds,
     sample_corners,
     signal_bounds,
@@ -30,7 +33,7 @@ from dssc_jax.proofs.enclosed_loop import (
     start_columns,
     state_places,
 )
-from dssc_jax.proofs.gain_enclosures import Balls, enclosed_gains
+from dssc_jax.proofs.gain_enclosures import enclosed_gains
 
 
 def invariant_bounds(
@@ -48,9 +51,10 @@ def invariant_bounds(
     """
     p, integrated = symmetric_ball(stage["p"]), problem["form"] == "conservative"
     require_premise(positive_definite(p), f"P2: P is not positive definite in {where}")
-    pieces = piece_gains(problem, stage)
+    pieces, held = piece_gains(problem, stage), held_vertices(problem, box, stage["degree"])
     for _, piece in pieces:
-        check_invariance(problem, box, stage, p, piece, integrated, where)
+        corners = sample_corners(problem, box, held, piece, integrated=integrated)
+        check_invariance(arb(problem["sample_time"]), stage, p, corners, where)
     inverse, rows = p.inv(), signal_rows(problem)
     if started:
         check_start(problem, box, p, start_mean(problem) if integrated else None, where)
@@ -109,18 +113,9 @@ def check_sliding(
         require_premise(holds, f"P5: the equivalent control may exceed rho in {where}")
 
 
-def check_invariance(
-    problem: dict[str, Any],
-    box: dict[str, Any],
-    stage: dict[str, Any],
-    p: arb_mat,
-    gains: Balls,
-    integrated: bool,
-    where: str,
-) -> None:
+def check_invariance(t: arb, stage: dict[str, Any], p: arb_mat, corners: list[Corner], where: str) -> None:
     """(P6) V(z+) <= (1 - T lambda) V(z) + T sum of mu_j w_j^2 at every corner, mu_j >= 0 with a sum <= lambda."""
-    t, rate = arb(problem["sample_time"]), arb(stage["rate"])
-    multipliers = [arb(mu) for mu in stage["multipliers"]]
+    rate, multipliers = arb(stage["rate"]), [arb(mu) for mu in stage["multipliers"]]
     require_premise(rate > 0 and t * rate < 1, f"P6: lambda is not in (0, 1/T_s) in {where}")
     require_premise(all(mu >= 0 for mu in multipliers), f"P6: a multiplier is negative in {where}")
     require_premise(sum(multipliers, arb(0)) <= rate, f"P6: the multipliers exceed lambda in {where}")
@@ -129,7 +124,7 @@ def check_invariance(
     to_own = root.transpose()
     from_own = to_own.inv()
     own_p = from_own.transpose() * p * from_own
-    for corner in sample_corners(problem, box, gains, integrated=integrated):
+    for corner in corners:
         live = [j for j in range(corner.b.ncols()) if not all(corner.b[i, j] == 0 for i in range(corner.b.nrows()))]
         own_a, own_b = to_own * corner.a * from_own, to_own * corner.b
         ap = own_a.transpose() * own_p

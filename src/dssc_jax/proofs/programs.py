@@ -15,8 +15,10 @@ SLACK = 1e-7
 """Smallest eigenvalue that is asked of every scaled matrix, so that rounding P does not spoil the proof."""
 TIGHT = 1e-4
 """Room that is left in every bound, for the same reason."""
-TRIES = 3
-"""Number of coordinates that are tried."""
+TRIES, FIRST_STEPS, ADDED = 3, 16, 6
+"""Number of coordinates that are tried, of steps in the first program, and of violated ones that join at a time."""
+GAP = 1e-4
+"""Accuracy of a program's cost; its inequalities are met as well as Clarabel meets them by default."""
 SOLVED = (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
 
 
@@ -33,11 +35,18 @@ class Affine(NamedTuple):
 
 
 class Bounded(NamedTuple):
-    """A row whose |row z| is to stay below a bound in the set V <= 1, and its weight in the cost."""
+    """A row whose |row z| is to stay below a bound in the set V <= 1.
+
+    Args:
+        row: (n,).
+        bound: The bound.
+        weight: Weight of (|row z|/bound)^2 in the cost; None: the bound may be exceeded, and the cost is the largest
+            (|row z|/bound)^2 of all such rows.
+    """
 
     row: np.ndarray
     bound: float
-    weight: float
+    weight: float | None
 
 
 class Solution(NamedTuple):
@@ -99,6 +108,7 @@ def solved(cost: np.ndarray, psd: Sequence[Affine], least: np.ndarray) -> np.nda
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_iter = 100
+    settings.tol_gap_abs = settings.tol_gap_rel = GAP
     solver = clarabel.DefaultSolver(
         sparse.csc_matrix((count, count)),
         cost,
@@ -111,70 +121,97 @@ def solved(cost: np.ndarray, psd: Sequence[Affine], least: np.ndarray) -> np.nda
     return np.asarray(solution.x) if solution.status in SOLVED else None
 
 
+class SetPrograms(NamedTuple):
+    """What the programs of one loop share.
+
+    Args:
+        sample_time: T_s [s].
+        starts: States that a set may have to hold.
+        scale: Coordinates z = scale x, (n, n).
+        spare: Share of decay and multipliers that is left to the verifier's balls.
+        active: Numbers of the steps that have bound a solution; the next program begins with them.
+    """
+
+    sample_time: float
+    starts: Sequence[np.ndarray]
+    scale: np.ndarray
+    spare: float
+    active: list[int]
+
+
 def invariant_set(
-    steps: Sequence[Step],
-    sample_time: float,
-    rate: float,
-    rows: Sequence[Bounded],
-    starts: Sequence[np.ndarray],
-    scale: np.ndarray,
-    spare: float,
+    programs: SetPrograms, steps: Sequence[Step], rate: float, rows: Sequence[Bounded], *, started: bool
 ) -> Solution | None:
     """Find V = z'Pz such that {V <= 1} holds every start, is invariant and attracts, with small |row z| in it.
 
     For every step (A, B) and inputs |w_j| <= 1: V(z+) <= (1 - T_s lambda) V(z) + T_s sum of mu_j w_j^2, and the sum of
-    mu_j is at most lambda. Where a solution is not accurate enough, its own P gives the coordinates of another try.
+    mu_j is at most lambda. Few steps bind, so that the others are left out until a solution violates them. Where a
+    solution is not accurate enough, its own P gives the coordinates of another try.
 
     Args:
+        programs: What the programs of the loop share.
         steps: The steps at every corner.
-        sample_time: T_s [s].
         rate: lambda [1/s].
-        rows: Rows to bound; the cost is the weighted sum of (|row z|/bound)^2.
-        starts: States that the set has to hold.
-        scale: Coordinates z = scale x, (n, n).
-        spare: Share of decay and multipliers that is left to the verifier's balls.
+        rows: Rows to bound.
+        started: Whether the set has to hold the starts.
 
     Returns:
         None if the program has no solution.
     """
-    if not all(np.isfinite(step.a).all() and np.isfinite(step.b).all() for step in steps):
+    a, b = (np.stack([step[i] for step in steps]) for i in (0, 1))
+    if not (np.isfinite(a).all() and np.isfinite(b).all()):
         return None
-    for _ in range(TRIES):
-        solution = solved_set(steps, sample_time, rate, rows, starts, scale, spare)
-        if solution is None or decreases(steps, sample_time, solution):
+    active, tries = programs.active, 0
+    first = np.linspace(0, len(steps) - 1, min(FIRST_STEPS, len(steps))).astype(int).tolist()
+    active[:] = [i for i in active if i < len(steps)] or first
+    while tries < TRIES:
+        solution = solved_set(programs, [steps[i] for i in active], rate, rows, started=started)
+        if solution is None:
+            return None
+        slack = decrease_slack(a, b, programs.sample_time, solution)
+        if np.all(slack > 0.0):
             return solution
-        scale = np.linalg.inv(np.linalg.cholesky(solution.p)).T
+        missing = [int(i) for i in np.argsort(slack) if slack[i] <= 0.0 and i not in active][:ADDED]
+        active += missing
+        if not missing:
+            tries += 1
+            programs = programs._replace(scale=np.linalg.inv(np.linalg.cholesky(solution.p)).T)
     return None
 
 
-def decreases(steps: Sequence[Step], sample_time: float, solution: Solution) -> bool:
-    """Whether V obeys its inequality at every corner, in floating point and coordinates in which P is I."""
+def decrease_slack(a: np.ndarray, b: np.ndarray, sample_time: float, solution: Solution) -> np.ndarray:
+    """How much V falls more than it has to at every corner, in coordinates in which P is I; floating point.
+
+    Args:
+        a: A of each step, (steps, n, n).
+        b: B of each step, (steps, n, inputs).
+        sample_time: T_s [s].
+        solution: V.
+    """
     root = np.linalg.cholesky(solution.p)
     live = solution.multipliers > 0.0
     weights = np.sqrt(sample_time * solution.multipliers[live])
     n, keep = root.shape[0], 1.0 - sample_time * solution.rate
     limit = np.diag([*(keep for _ in range(n)), *(1.0 for _ in weights)])
-    for step in steps:
-        both = root.T @ np.concatenate([step.a @ np.linalg.inv(root).T, step.b[:, live] / weights], axis=1)
-        if np.any(step.b[:, ~live]) or np.linalg.eigvalsh(limit - both.T @ both)[0] <= 0.0:
-            return False
-    return True
+    both = root.T @ np.concatenate([a @ np.linalg.inv(root).T, b[:, :, live] / weights], axis=2)
+    slack = np.linalg.eigvalsh(limit - both.transpose(0, 2, 1) @ both)[:, 0]
+    return np.where(np.any(b[:, :, ~live], axis=(1, 2)), -np.inf, slack)
 
 
 def solved_set(
-    steps: Sequence[Step],
-    sample_time: float,
-    rate: float,
-    rows: Sequence[Bounded],
-    starts: Sequence[np.ndarray],
-    scale: np.ndarray,
-    spare: float,
+    programs: SetPrograms, steps: Sequence[Step], rate: float, rows: Sequence[Bounded], *, started: bool
 ) -> Solution | None:
-    """One try of :func:`invariant_set`."""
+    """One program of :func:`invariant_set`."""
+    sample_time, starts, scale, spare, _ = programs
+    starts = starts if started else []
     n, inputs, m = scale.shape[0], steps[0].b.shape[1], scale.shape[0] * (scale.shape[0] + 1) // 2
     inverse = np.linalg.inv(scale)
     live = [j for j in range(inputs) if any(np.any(step.b[:, j]) for step in steps)]
-    count = m + len(live) + len(rows)
+    hard = [one for one in rows if one.weight is not None]
+    soft = [one for one in rows if one.weight is None]
+    first = m + len(live)
+    squares = range(first, first + len(hard) + bool(soft))  # of hard rows, and the largest of all soft ones
+    count = first + len(squares)
 
     basis = symmetric_basis(n)
 
@@ -193,34 +230,36 @@ def solved_set(
             slopes[m + j, n + j, n + j] = 1.0 - spare
         return Affine(-SLACK * np.eye(size), slopes)
 
-    def below(index: int, row: np.ndarray, bound: float) -> Affine:
+    def below(square: int, one: Bounded) -> Affine:
         origin, slopes = np.zeros((n + 1, n + 1)), np.zeros((count, n + 1, n + 1))
-        origin[:n, n] = origin[n, :n] = row @ scale / bound
-        slopes[:m, :n, :n], slopes[m + len(live) + index, n, n] = basis, 1.0
+        origin[:n, n] = origin[n, :n] = one.row @ scale / one.bound
+        slopes[:m, :n, :n], slopes[square, n, n] = basis, 1.0
         return Affine(origin, slopes)
 
-    psd = [decrease(step) for step in steps] + [below(i, one.row, one.bound) for i, one in enumerate(rows)]
-    least = np.zeros((1 + len(starts) + len(live) + len(rows), count + 1))
-    least[0, m : m + len(live)], least[0, -1] = -1.0, rate * (1.0 - 1e-6)
+    psd = [decrease(step) for step in steps]
+    psd += [below(square, one) for square, one in zip(squares, hard, strict=False)]
+    psd += [below(squares[-1], one) for one in soft]
+    least = np.zeros((1 + len(starts) + len(live) + len(hard), count + 1))
+    least[0, m:first], least[0, -1] = -1.0, rate * (1.0 - 1e-6)
     for i, start in enumerate(starts):
         x = inverse @ start
         weights = np.outer(x, x)
         weights = 2.0 * weights - np.diag(np.diag(weights))
         least[1 + i, :m], least[1 + i, -1] = -weights[np.triu_indices(n)], 1.0 - TIGHT
-    first = 1 + len(starts)
     for j in range(len(live)):
-        least[first + j, m + j] = 1.0
-    for i in range(len(rows)):  # the set stays within the bounds
-        least[first + len(live) + i, m + len(live) + i] = -1.0
-        least[first + len(live) + i, -1] = 1.0 - TIGHT
+        least[1 + len(starts) + j, m + j] = 1.0
     cost = np.zeros(count)
-    cost[m + len(live) :] = [one.weight for one in rows]
+    cost[first:] = 1.0
+    for j, one in enumerate(hard):  # the set stays within the bounds
+        at = 1 + len(starts) + len(live) + j
+        least[at, first + j], least[at, -1] = -1.0, 1.0 - TIGHT
+        cost[first + j] = one.weight
     x = solved(cost, psd, least)
     if x is None:
         return None
     scaled = symmetric_of(x[:m], n)
     p = inverse.T @ scaled @ inverse
-    if np.linalg.eigvalsh(scaled)[0] <= 0.0 or any(largest_in_set(p, one.row) > one.bound for one in rows):
+    if np.linalg.eigvalsh(scaled)[0] <= 0.0 or any(largest_in_set(p, one.row) > one.bound for one in hard):
         return None  # solved, but not well enough
     multipliers = np.zeros(inputs)
     multipliers[live] = np.maximum(x[m : m + len(live)], 0.0)

@@ -4,12 +4,13 @@ import heapq
 import itertools
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.proofs import BOXES
 from dssc_jax.proofs.coverage import problem_of
 from dssc_jax.proofs.problem import Interval, ProofProblem
@@ -17,7 +18,7 @@ from dssc_jax.proofs.search import Box, Failure, Proof, halves, prove_box, volum
 from dssc_jax.proofs.verifier import ProofVerdict, verify_certificate, verify_proof
 from dssc_jax.study import Study
 
-VERSION = 2
+VERSION = 3
 REASONS = {
     "origin": "the loop is not stable at sigma = e = 0",
     "decay": "no common quadratic function decreases for all gains of the smallest region",
@@ -38,6 +39,7 @@ class Proved:
         error: Upper bound of |e| [m] at all times once settled, in the proved boxes; infinite if there are none.
         largest_error: Upper bound of |e| [m] from the start on.
         seconds: Time spent.
+        units: Units of the output and the command, for words.
     """
 
     problem: ProofProblem
@@ -46,6 +48,7 @@ class Proved:
     error: float
     largest_error: float
     seconds: float
+    units: ChannelUnits = UNNAMED_UNITS
 
     @property
     def complete(self) -> bool:
@@ -78,13 +81,17 @@ class Proved:
         """What is proved, in one sentence."""
         if not self.proofs:
             return f"Nothing is proved: {REASONS[self.failures[0].reason]}."
-        where = " and ".join(in_words(name, pair) for name, pair in with_mu(self.problem.box).items())
+        where = " and ".join(in_words(name, pair, self.units) for name, pair in with_mu(self.problem.box).items())
         who = f"every plant with {where}" if self.complete else f"{self.share:.1%} of the plants with {where}"
-        signal = f"every disturbance with |d| <= {self.problem.level:g} m/s and |d'| <= {self.problem.slope:g} m/s^2"
+        level, slope = (self.units.of(unit) for unit in ("u", "u/s"))
+        signal = (
+            f"every disturbance with |d| <= {self.problem.level:g} {level} and |d'| <= {self.problem.slope:g} {slope}"
+        )
+        y = self.units.output
         slides = "" if self.problem.rho is None else "slides from the first sample on, "
         return (
-            f"For {who} and {signal}, the sampled loop {slides}never exceeds |e| = {self.largest_error:.4g} m "
-            f"and ends within |e| <= {self.error:.4g} m."
+            f"For {who} and {signal}, the sampled loop {slides}never exceeds |e| = {self.largest_error:.4g} {y} "
+            f"and ends within |e| <= {self.error:.4g} {y}."
         )
 
     def certificate(self) -> dict[str, Any]:
@@ -99,9 +106,9 @@ def with_mu(box: Box) -> dict[str, Interval]:
     return words | ({"mu": (1.0 / box["rate"][1], 1.0 / box["rate"][0])} if "rate" in box else {})
 
 
-def in_words(name: str, pair: Interval) -> str:
+def in_words(name: str, pair: Interval, units: ChannelUnits) -> str:
     """A number or an interval in a sentence."""
-    unit = "s" if name == "mu" else "1/s"
+    unit = {"mu": "s", "k_p": units.of("y/(s^2 u)")}.get(name, "1/s")
     low, high = pair
     return f"{name} = {low:g} {unit}" if low == high else f"{name} in [{low:g}, {high:g}] {unit}"
 
@@ -121,7 +128,7 @@ def prove(study: Study, *, boxes: int = BOXES, progress: Callable[[int, int], No
         NotCovered: The loop is outside of what a proof covers; the message gives the reason.
         ConfigError: ``boxes`` is not positive.
     """
-    return prove_problem(problem_of(study), boxes, progress)
+    return replace(prove_problem(problem_of(study), boxes, progress), units=study.units[0])
 
 
 def prove_problem(problem: ProofProblem, boxes: int, progress: Callable[[int, int], None] | None = None) -> Proved:

@@ -15,6 +15,7 @@ form, q = v - phi_1(s) takes the place of v. docs/proofs.md derives these equati
 from collections.abc import Iterable
 from functools import lru_cache
 from itertools import product
+from math import comb
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,6 +62,13 @@ class Step(NamedTuple):
     command: np.ndarray
     push: np.ndarray
     jump: np.ndarray
+
+
+class HeldSample(NamedTuple):
+    """Phi and Gamma of chi+ = Phi chi + Gamma U."""
+
+    phi: np.ndarray
+    gamma: np.ndarray
 
 
 class StateLayout(NamedTuple):
@@ -139,12 +147,17 @@ def held_plant(problem: ProofProblem, a_p: float, rate: float) -> tuple[np.ndarr
 @lru_cache(maxsize=256)
 def flow(problem: ProofProblem, a_p: float, rate: float, time: float) -> tuple[np.ndarray, np.ndarray]:
     """exp(F t) and the integral of exp(F t) G over a time."""
+    whole = expm(held_matrix(problem, a_p, rate) * time)
+    return whole[:-1, :-1], whole[:-1, -1]
+
+
+def held_matrix(problem: ProofProblem, a_p: float, rate: float) -> np.ndarray:
+    """[[F, G], [0, 0]]."""
     f, g = held_plant(problem, a_p, rate)
     size = f.shape[0]
     whole = np.zeros((size + 1, size + 1))
-    whole[:size, :size], whole[:size, size] = f * time, g * time
-    whole = expm(whole)
-    return whole[:size, :size], whole[:size, size]
+    whole[:size, :size], whole[:size, size] = f, g
+    return whole
 
 
 def sensor_weights(problem: ProofProblem) -> tuple[float, float]:
@@ -155,9 +168,14 @@ def sensor_weights(problem: ProofProblem) -> tuple[float, float]:
     return float(-np.expm1(-steps) / steps), float(np.exp(-steps))
 
 
-def held_matrices(problem: ProofProblem, a_p: float, rate: float) -> tuple[np.ndarray, np.ndarray]:
+def held_matrices(problem: ProofProblem, a_p: float, rate: float) -> HeldSample:
     """Phi and Gamma of one sample; the delay's memory moves on, and the sensor's."""
-    phi, gamma = map(np.copy, flow(problem, a_p, rate, problem.sample_time))
+    return memories_moved(problem, HeldSample(*map(np.copy, flow(problem, a_p, rate, problem.sample_time))))
+
+
+def memories_moved(problem: ProofProblem, held: HeldSample) -> HeldSample:
+    """With the rows of the delay's memory and of the sensor's, which move on at the samples."""
+    phi, gamma = held
     zeta, memory, _ = state_layout(problem)
     if not problem.denominator:
         for i in range(zeta.start, zeta.stop):
@@ -166,10 +184,44 @@ def held_matrices(problem: ProofProblem, a_p: float, rate: float) -> tuple[np.nd
     for i in range(memory.start, memory.stop):
         phi[i] = 0.0
         phi[i, i], phi[i, i - memory.start] = keeps, kappa * (1.0 - keeps)
-    return phi, gamma
+    return held
 
 
-def step_of(problem: ProofProblem, point: LoopPoint, box: dict[str, Interval], *, integrated: bool = False) -> Step:
+def control_points(problem: ProofProblem, a_p: float, rates: Interval, degree: int) -> list[HeldSample]:
+    """Matrices of whose hull those of every rate in an interval are members, to within the rest of a Taylor polynomial.
+
+    The Taylor polynomial about the middle of the interval, of this degree, is a convex combination of its coefficients
+    in Bernstein's basis.
+    """
+    low, high = rates
+    if low == high:
+        return [held_matrices(problem, a_p, low)]
+    half, (_, _, n) = 0.5 * (high - low), state_layout(problem)
+    origin, along = (held_matrix(problem, a_p, rate) * problem.sample_time for rate in (middle(rates), 0.0))
+    along = (origin - along) / middle(rates) * half
+    blocks = expm(np.kron(np.eye(degree + 1), origin) + np.kron(np.eye(degree + 1, k=1), along))
+    terms = [blocks[: n - 1, k * (n - 1) : (k + 1) * (n - 1)] for k in range(degree + 1)]
+    result = []
+    for i in range(degree + 1):
+        whole = np.sum([bernstein_weight(degree, i, k) * term for k, term in enumerate(terms)], axis=0)
+        result.append(memories_moved(problem, HeldSample(whole[:-1, :-1].copy(), whole[:-1, -1].copy())))
+    return result
+
+
+def bernstein_weight(degree: int, i: int, k: int) -> float:
+    """Share of the k-th term of a polynomial on [-1, 1] in its i-th coefficient in Bernstein's basis."""
+    signs = sum((-1) ** (k - j) * comb(i, j) * comb(degree - i, k - j) for j in range(k + 1))
+    return signs / comb(degree, k)
+
+
+def step_of(
+    problem: ProofProblem,
+    point: LoopPoint,
+    box: dict[str, Interval],
+    *,
+    integrated: bool = False,
+    held: HeldSample | None = None,
+) -> Step:
     """The matrices of one sample, with inputs scaled by their bounds over a box.
 
     Args:
@@ -177,10 +229,11 @@ def step_of(problem: ProofProblem, point: LoopPoint, box: dict[str, Interval], *
         point: Plant and gains.
         box: The box that the point is of.
         integrated: Whether the coordinate is q = v - phi_1(s), and the first gain phi_1/sigma.
+        held: What takes the place of the point's own Phi and Gamma.
     """
     zeta, memory, n = state_layout(problem)
     t, chi, unit, sizes = problem.sample_time, n - 2, np.eye(n), signal_sizes(problem, box)
-    phi, gamma = held_matrices(problem, point.a_p, point.rate)
+    phi, gamma = held or held_matrices(problem, point.a_p, point.rate)
     kappa, _ = sensor_weights(problem)
     e, speed, v, s = unit[0], unit[1], unit[n - 2], unit[n - 1]
     if problem.sensor_lag:
@@ -232,12 +285,18 @@ def box_middle(box: dict[str, Interval], gains: dict[str, Interval]) -> LoopPoin
     return LoopPoint(middle(box["k_p"]), middle(box["a_p"]), middle(box.get("rate", (0.0, 0.0))), own)
 
 
-def box_corners(box: dict[str, Interval], gains: dict[str, Interval], first: str = "k_p") -> Iterable[LoopPoint]:
-    """Every corner of plant and gains, of which ``first`` names the first."""
-    names = (first, "k_i", "k_n")
-    for k_p, a_p, rate in product(*(interval_ends(box.get(name, (0.0, 0.0))) for name in ("k_p", "a_p", "rate"))):
-        for corner in product(*(interval_ends(gains[name]) for name in names)):
-            yield LoopPoint(k_p, a_p, rate, LoopGains(*corner))
+def box_steps(
+    problem: ProofProblem, box: dict[str, Interval], gains: dict[str, Interval], degree: int, *, integrated: bool
+) -> Iterable[Step]:
+    """One sample at every corner of plant and gains, and at the control points of 1/mu."""
+    names = ("mean" if integrated else "k_p", "k_i", "k_n")
+    rates = box.get("rate", (0.0, 0.0))
+    for a_p in interval_ends(box["a_p"]):
+        for held in control_points(problem, a_p, rates, degree):
+            for k_p in interval_ends(box["k_p"]):
+                for corner in product(*(interval_ends(gains[name]) for name in names)):
+                    point = LoopPoint(k_p, a_p, middle(rates), LoopGains(*corner))
+                    yield step_of(problem, point, box, integrated=integrated, held=held)
 
 
 def start_corners(

@@ -6,28 +6,33 @@ Nothing that is found here counts as proved before :mod:`dssc_jax.proofs.verifie
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
+from math import factorial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from dssc_jax.proofs import fixed_point
-from dssc_jax.proofs.fixed_point import BoundsStage, from_start, towards_residual
+from dssc_jax.proofs.fixed_point import BoundsStage, from_start, responses, towards_residual
 from dssc_jax.proofs.gains import Region, gain_hull, region_of
 from dssc_jax.proofs.problem import Interval, ProofProblem
-from dssc_jax.proofs.programs import Bounded, Solution, invariant_set, largest_in_set, scaling
-from dssc_jax.proofs.sampled_loop import Step, box_corners, box_middle, signal_sizes, start_corners, step_of
+from dssc_jax.proofs.programs import TIGHT, Bounded, SetPrograms, Solution, invariant_set, largest_in_set, scaling
+from dssc_jax.proofs.sampled_loop import Step, box_middle, box_steps, signal_sizes, start_corners, step_of
 
 Box = dict[str, Interval]
-REGIONS = (1.02, 1.2, 1.6, 2.5, 4.0, 7.0, 12.0)
-"""Sizes of the region that are tried, in sizes of the start."""
-RATES = (0.3, 0.6, 0.12, 0.04)
-"""Values of lambda that are tried, in units of the loop's slowest decay."""
+FIRST_REGION, LARGEST_REGION, MOST_REGIONS = 1.02, 30.0, 20
+"""Smallest and largest region that are tried, in sizes of the start, and the largest number of regions."""
+CURVE_SHARE, MOST_DEGREE = 1e-3, 6
+"""Share of the decay that the rest of a polynomial in 1/mu may take, and its largest degree."""
+REGION_ROOM = 1.03
+"""Room around the set that sizes the next region."""
+START_RATES, RATES = (0.3, 0.12, 0.04), (0.3, 0.6, 0.12, 0.04)
+"""Values of lambda that are tried for a set that holds the start, and for others; in the loop's slowest decay."""
 SHRINKING, ENOUGH = 8, 0.98
 """Largest number of residual stages, and the least improvement that is worth another."""
+ENOUGH_RATES = 2
+"""Number of rates with a set after which no other is tried."""
 INFLATION = 1.001
 """A set attracts; its trajectories enter this multiple of it in finite time."""
-LONGEST = 20_000
-"""Samples of the excursion that sizes the regions."""
 SPARE, SPARE_OF_BOXES = 0.01, 0.1
 """Share of the decay that is left to the verifier's balls, for one plant and for a box of a_p or mu."""
 E, TRUE_E, SIGMA, CHANGE = range(4)  # rows of a step
@@ -40,9 +45,10 @@ class SetStage:
     In the conservative form z holds q = v - phi_1(s) in place of v.
 
     Args:
-        sigma: Bound of |sigma| in which the gains are taken [m/s].
+        sigma: Bound of |sigma| in which the gains are selected [m/s].
         e: Bound of |e| there [m].
         pieces: Number of pieces of |sigma|, equal in its root, in each of which the gains have their own intervals.
+        degree: Of the polynomial in 1/mu that stands for the held plant.
         rate: lambda [1/s].
         multipliers: mu_j of the inputs, with a sum of at most lambda.
         p: P, row by row.
@@ -52,6 +58,7 @@ class SetStage:
     sigma: float
     e: float
     pieces: int
+    degree: int
     rate: float
     multipliers: list[float]
     p: list[list[float]]
@@ -122,33 +129,36 @@ class Setting(NamedTuple):
         problem: What is to be proved.
         box: The box.
         at: One sample at the box's middle, with the gains at sigma = e = 0.
-        starts: Corners of the start.
-        scale: Coordinates of the programs.
         speed: Decay of the slowest mode [1/s].
-        spare: Share of the decay that is left to the verifier's balls.
+        programs: Starts, coordinates and precision of the programs.
     """
 
     problem: ProofProblem
     box: Box
     at: Step
-    starts: list[np.ndarray]
-    scale: np.ndarray
     speed: float
-    spare: float
+    programs: SetPrograms
 
     def steps(self, region: Region) -> list[Step]:
         """One sample at every corner of the box and of the gains in each piece of a region."""
         integrated = self.problem.form == "conservative"
         return [
-            step_of(self.problem, point, self.box, integrated=integrated)
+            step
             for hull in region.pieces
-            for point in box_corners(self.box, hull, "mean" if integrated else "k_p")
+            for step in box_steps(self.problem, self.box, hull, self.degree, integrated=integrated)
         ]
+
+    @property
+    def degree(self) -> int:
+        """Degree of the polynomial in 1/mu, such that its rest is far below what V falls by in a sample."""
+        low, high = self.box.get("rate", (0.0, 0.0))
+        half = 0.5 * (high - low) * self.problem.sample_time
+        falls = CURVE_SHARE * min(RATES) * self.speed * self.problem.sample_time
+        return next((d for d in range(1, MOST_DEGREE) if half ** (d + 1) / factorial(d + 1) <= falls), MOST_DEGREE)
 
     def solve(self, steps: list[Step], rows: list[Bounded], share: float, *, started: bool) -> Solution | None:
         """The set for lambda as a share of the slowest decay."""
-        starts, rate = self.starts if started else [], share * self.speed
-        return invariant_set(steps, self.problem.sample_time, rate, rows, starts, self.scale, self.spare)
+        return invariant_set(self.programs, steps, share * self.speed, rows, started=started)
 
     def falls(self, steps: list[Step]) -> bool:
         """Whether any V falls at every step, slowly and without inputs' bounds or starts."""
@@ -164,7 +174,8 @@ def setting_of(problem: ProofProblem, box: Box) -> Setting | None:
     if speed <= 0.0 or (scale := scaling(at, starts, speed * problem.sample_time)) is None:
         return None
     point = all(low == high for name, (low, high) in box.items() if name != "k_p")
-    return Setting(problem, box, at, starts, scale, speed, SPARE if point else SPARE_OF_BOXES)
+    programs = SetPrograms(problem.sample_time, starts, scale, SPARE if point else SPARE_OF_BOXES, [])
+    return Setting(problem, box, at, speed, programs)
 
 
 def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
@@ -180,7 +191,8 @@ def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
         sigma, e = (INFLATION * largest_in_set(np.array(stages[-1].p), at.rows[row]) for row in (SIGMA, E))
         if rest := towards_residual(problem, box, (sigma, e), e):
             return Proof(box, [*stages, *rest])
-        if (smaller := smaller_set(setting, sigma, e)) is None:
+        shares = RATES if len(stages) == 1 else (stages[-1].rate / setting.speed,)
+        if (smaller := smaller_set(setting, sigma, e, shares)) is None:
             break
         stages.append(smaller)
     return Proof(box, stages)
@@ -196,56 +208,91 @@ def start_means(problem: ProofProblem) -> Interval:
 
 def first_set(setting: Setting) -> SetStage | str:
     """A set that holds the start and keeps sliding; otherwise the reason why there is none."""
-    problem, at = setting.problem, setting.at
-    longest = min(LONGEST, int(5.0 / (setting.speed * problem.sample_time)))
-    least_e, least_sigma = excursion(at, setting.starts, longest)
-    by_e, held = problem.functions["kind"] == "vgsta", False
-    for size in REGIONS:
-        region = region_of(problem, size * max(least_sigma, 1e-9), size * max(least_e, 1e-9))
+    least = excursion(setting.at, setting.programs.starts)
+    if not all(np.isfinite(least)):
+        return "region"
+    first = [FIRST_REGION * max(each, 1e-9) for each in least]
+    if (solution := held_start(setting, first, slides=True)) is not None:
+        return solution
+    if not setting.falls(setting.steps(region_of(setting.problem, first[0], first[1]))):
+        return "decay"
+    return "region" if setting.problem.rho is None or held_start(setting, first, slides=False) is None else "sliding"
+
+
+def held_start(setting: Setting, first: Sequence[float], *, slides: bool) -> SetStage | None:
+    """A set that holds the start, and stays in a region whose gains it allows.
+
+    Of the sets of a region's gains, the one that exceeds the region by the least sizes the next region.
+
+    Args:
+        setting: The box.
+        first: Bounds of |sigma| and |e| of the first region.
+        slides: Whether the set has to keep sliding, too.
+    """
+    at, by_e = setting.at, setting.problem.functions["kind"] == "vgsta"
+    shares = START_RATES if slides else START_RATES[:1]  # else it is about the reason of a failure
+    limits = np.array(first)
+    for _ in range(MOST_REGIONS):
+        region = region_of(setting.problem, float(limits[0]), float(limits[1]))
         steps = setting.steps(region)
-        inside = [Bounded(at.rows[SIGMA], region.sigma, 1.0)]
-        inside += [Bounded(at.rows[E], region.e, 1.0)] if by_e else []
-        slides = slide_rows(problem, setting.box, region, at)
-        for share in RATES if all(each.bound > 0.0 for each in slides) else RATES[:0]:
-            if (result := setting.solve(steps, [*inside, *slides], share, started=True)) is not None:
-                return set_stage(result, region, at)
-            if share == RATES[0] and not setting.falls(steps):
-                break
-        if not setting.falls(steps):  # nor in any larger region
-            return "decay" if size == REGIONS[0] else "sliding" if held else "region"
-        held = held or (bool(slides) and setting.solve(steps, inside, RATES[0], started=True) is not None)
-    return "sliding" if held else "region"
+        inside = [Bounded(at.rows[SIGMA], region.sigma, None)]
+        inside += [Bounded(at.rows[E], region.e, None)] if by_e else []
+        sliding = slide_rows(setting.problem, setting.box, region, at) if slides else []
+        if not all(each.bound > 0.0 for each in sliding):
+            return None
+        if (solution := started_set(setting, steps, [*inside, *sliding], shares)) is None:
+            return None
+        sizes = np.array([largest_in_set(solution.p, at.rows[row]) for row in (SIGMA, E)])
+        if np.all((sizes <= (1.0 - TIGHT) * limits)[: len(inside)]):
+            return set_stage(solution, region, setting)
+        limits = REGION_ROOM * sizes
+        if np.any(limits > LARGEST_REGION * np.array(first)):
+            return None
+        shares = [share for share in shares if share * setting.speed <= solution.rate * (1.0 + TIGHT)]
+    return None
 
 
-def smaller_set(setting: Setting, sigma: float, e: float) -> SetStage | None:
-    """The set with the least |e| that attracts within a region; None if it is not worth it."""
+def started_set(setting: Setting, steps: list[Step], rows: list[Bounded], shares: Sequence[float]) -> Solution | None:
+    """A set that holds the start, with the first rate that allows one; its excursion hardly depends on the rate."""
+    for number, share in enumerate(shares):
+        if (solution := setting.solve(steps, rows, share, started=True)) is not None:
+            return solution
+        if number == 0 and not setting.falls(steps):
+            return None
+    return None
+
+
+def smaller_set(setting: Setting, sigma: float, e: float, shares: Sequence[float] = RATES) -> SetStage | None:
+    """The set with the least |e| that attracts within a region, for some rates; None if it is not worth it."""
     at, region = setting.at, region_of(setting.problem, sigma, e)
     steps = setting.steps(region)
     rows = [Bounded(at.rows[E], e, 1.0), Bounded(at.rows[SIGMA], sigma, 0.05)]
-    tried = (setting.solve(steps, rows, share, started=False) for share in RATES)
-    solutions = [each for each in tried if each is not None]
+    solutions: list[Solution] = []
+    for share in shares:
+        if (solution := setting.solve(steps, rows, share, started=False)) is not None:
+            solutions.append(solution)
+        if len(solutions) == ENOUGH_RATES:
+            break
     best = min(solutions, key=lambda each: largest_in_set(each.p, at.rows[E]), default=None)
     if best is None or largest_in_set(best.p, at.rows[E]) > ENOUGH * e:
         return None
-    return set_stage(best, region, at)
+    return set_stage(best, region, setting)
 
 
-def excursion(step: Step, first: list[np.ndarray], samples: int) -> tuple[float, float]:
-    """The largest |e| and |sigma| of the loop at one point, from the starts and under inputs of size one."""
-    rows, z, inputs = step.rows[[E, SIGMA]], np.stack(first, axis=1), step.b
-    from_start, from_inputs = np.zeros(2), np.zeros(2)
-    for _ in range(samples):
-        from_start = np.maximum(from_start, np.abs(rows @ z).max(axis=1))
-        from_inputs += np.abs(rows @ inputs).sum(axis=1)
-        z, inputs = step.a @ z, step.a @ inputs
-    e, sigma = from_start + from_inputs
-    return float(e), float(sigma)
+def excursion(step: Step, starts: Sequence[np.ndarray]) -> tuple[float, float]:
+    """The largest |sigma| and |e| of the loop at one point, from the starts and under inputs of size one."""
+    response = responses(step.a, step.rows[[SIGMA, E]], step.b, np.stack(starts, axis=1))
+    if response is None:
+        return np.inf, np.inf
+    sigma, e = response.peaks + response.sums.sum(axis=1)
+    return float(sigma), float(e)
 
 
-def set_stage(result: Solution, region: Region, at: Step) -> SetStage:
+def set_stage(result: Solution, region: Region, setting: Setting) -> SetStage:
     """The stage of a solution; where the gains do not depend on e, its region holds any e of the set."""
-    e = max(region.e, INFLATION * largest_in_set(result.p, at.rows[E]))
-    return SetStage(region.sigma, e, len(region.pieces), result.rate, result.multipliers.tolist(), result.p.tolist())
+    e, pieces = max(region.e, INFLATION * largest_in_set(result.p, setting.at.rows[E])), len(region.pieces)
+    multipliers, p = result.multipliers.tolist(), result.p.tolist()
+    return SetStage(region.sigma, e, pieces, setting.degree, result.rate, multipliers, p)
 
 
 def halves(box: Box, problem: ProofProblem) -> list[Box]:

@@ -15,7 +15,15 @@ from typing import Any, NamedTuple
 
 from flint import arb, arb_mat
 
-from dssc_jax.proofs.balls import StageLimits, enclosing, larger, positive_definite, require_premise, symmetric_ball
+from dssc_jax.proofs.balls import (
+    Balls,
+    StageLimits,
+    enclosing,
+    larger,
+    positive_definite,
+    require_premise,
+    symmetric_ball,
+)
 from dssc_jax.proofs.enclosed_loop import (
     control_rows,
     held_generator,
@@ -30,7 +38,6 @@ from dssc_jax.proofs.enclosed_loop import (
     state_places,
     zeta_jump,
 )
-from dssc_jax.proofs.gain_enclosures import Balls
 from dssc_jax.proofs.impulse_responses import response_bounds
 
 MIDDLE_GAINS: tuple[str, ...] = ("k_p", "k_i", "k_n", "slide_p", "slide_i")

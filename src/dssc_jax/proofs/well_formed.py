@@ -22,8 +22,8 @@ CONSTANTS = {
 MAY_VANISH = {"phi_a", "kappa_a", "kappa_b", "kappa_c", "gamma"}
 SIGNALS, MIDDLE_COUNT = 5, 5
 """Signals besides the states that a bound belongs to, and gains of a middle loop."""
-MOST_DELAY, MOST_PIECES = 200, 1000
-"""Longest delay, in samples, and largest number of pieces of a region."""
+MOST_DELAY, MOST_PIECES, MOST_DEGREE = 200, 1000, 8
+"""Longest delay, in samples, largest number of pieces of a region, and largest degree of a polynomial in 1/mu."""
 
 
 def require_shape(holds: bool, place: str, rule: str) -> None:
@@ -32,8 +32,9 @@ def require_shape(holds: bool, place: str, rule: str) -> None:
 
 
 def require_finite(value: Any, place: str) -> None:
-    """Reject what is not a finite number; text and truth values are none."""
-    require_shape(type(value) in (int, float) and math.isfinite(value), place, "is not a finite number")
+    """Reject what is not a finite number of float64; text and truth values are none."""
+    require_shape(type(value) in (int, float), place, "is not a finite number")
+    require_shape(abs(value) < math.inf and float(value) == value, place, "is not a finite number")
 
 
 def require_positive(value: Any, place: str) -> None:
@@ -146,5 +147,6 @@ def require_proof(problem: dict[str, Any], proof: Any) -> None:
         else:
             require_shape(stage["method"] == "invariant set", "method", "is unknown")
             require_numbers(stage["multipliers"], 4 + eta, "multipliers")
-            pieces = stage["pieces"]
+            pieces, degree = stage["pieces"], stage["degree"]
             require_shape(type(pieces) is int and 1 <= pieces <= MOST_PIECES, "pieces", "is no number of pieces")
+            require_shape(type(degree) is int and 1 <= degree <= MOST_DEGREE, "degree", "is no degree of a polynomial")

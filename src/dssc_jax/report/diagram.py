@@ -61,12 +61,17 @@ class Drawing:
 
 def part_kind(study: Study, slot: str) -> str:
     """The kind that a slot of the study holds."""
-    return str(getattr(study.config, slot).get("kind", "by channel"))
+    table = getattr(study.config, slot)
+    if isinstance(table, list):
+        return " + ".join(str(part.get("kind")) for part in table)
+    return str(table.get("kind", "by channel"))
 
 
 def present(study: Study, slot: str) -> bool:
     """Whether a slot has a part other than ``none``, in any channel."""
     table = getattr(study.config, slot)
+    if isinstance(table, list):
+        return any(part.get("kind") not in ABSENT for part in table)
     own = [table[name] for name in study.loop.channels if name and name in table]
     return any(part.get("kind", table["kind"]) not in ABSENT for part in (table, *own))
 
@@ -78,7 +83,8 @@ def has_nominal(study: Study) -> bool:
 
 def notes(study: Study, slot: str) -> list[str]:
     """The text below a block's title: its kind, and which of its numbers are uncertain or swept."""
-    functions = getattr(study.config, slot).get("functions")
+    table = getattr(study.config, slot)
+    functions = table.get("functions") if isinstance(table, dict) else None
     inner = f": {functions['kind']}" if isinstance(functions, dict) and "kind" in functions else ""
     marks = (("~", study.laws), ("⇄", study.axes))
     uncertain = [f"{mark} {name.rpartition('.')[2]}" for mark, names in marks for name in within(names, slot)]

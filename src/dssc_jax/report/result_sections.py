@@ -28,6 +28,7 @@ from dssc_jax.report.elements import (
 )
 from dssc_jax.report.subject import Subject
 from dssc_jax.report.vector import inline
+from dssc_jax.results.influence import by_influence, idle_text
 from dssc_jax.results.result import Result, headline
 from dssc_jax.results.schema import ENDINGS, outcome_codes
 from dssc_jax.results.summary import most_violated
@@ -44,7 +45,7 @@ def outcome(about: Subject) -> Section:
     """How the draws ended, with intervals; for a sweep, its points, and how the draws ended at one of them."""
     if about.result.study.axes:
         return Section("outcome", "The outcome", [*points_section(about), *ways(about)])
-    certificate = h.p[h.strong[about.result.certificate], "."]
+    certificate = about.result.certificate and h.p[h.strong[about.result.certificate], "."]
     return Section("outcome", "The outcome", [*ways(about), certificate])
 
 
@@ -133,9 +134,10 @@ def sweep_section(about: Subject) -> Section | None:
     low, high = number(min(shares)), number(max(shares))
     text = f"Failure probability over {over}: from {low} to {high}. All points are in the table of the outcome."
     metric = headline(result).name
-    hatched = " (hatched)." if "certified" in result.dataset else "."
+    hatched = " (hatched)" if "certified" in result.dataset else ""
+    texts = (result.certificate and f"{result.certificate}{hatched}", idle_text(result))
     captions = (
-        f"Failure probability. {result.certificate}{hatched}{held}",
+        f"Failure probability. {''.join(f'{text}. ' for text in texts if text)}{held}".rstrip(),
         f"Median of {metric}: half of the draws are below.{held}",
     )
     pictures = (
@@ -178,7 +180,7 @@ def unit_of(result: Result, measure: Measure) -> str:
 def causes(about: Subject) -> Section | None:
     """Failures against each uncertain number."""
     close = about.close
-    names = shown_laws(close)[:MOST_FACTORS]
+    names = by_influence(close, shown_laws(close))[:MOST_FACTORS]
     failures = int(close.failed.sum())
     if not names or not 0 < failures < close.failed.size:
         return None
@@ -188,7 +190,7 @@ def causes(about: Subject) -> Section | None:
         picture = inline(partial(plotting.factor, close, name), text, f"cause{i}")
         pictures.append(figure(picture, [h.code[name], f": {close.study.quantities[name].meaning}"]))
     left = len(close.study.laws) - len(names)
-    more = f" {counted(left, 'number')} more are in the dataset." if left > 0 else ""
+    more = f" The most influential are shown; {counted(left, 'number')} more are in the dataset." if left > 0 else ""
     note = (
         f"Failure probability{about.where}, in bins of equal count of one uncertain number while all the others vary, "
         f"with {LEVEL} intervals. A slope shows that failures depend on the number.{more}"

@@ -82,8 +82,10 @@ class Result:
 
     @property
     def theorem(self) -> str:
-        """The result of Theorem 1 for the loop, in one line."""
+        """The result of Theorem 1 for the loop, in one line; empty without the functions of Table 1."""
         if "certified" not in self.dataset:
+            if not certification.in_play(self.study):
+                return ""
             return f"Theorem 1 does not apply: {certification.mark(self.study).reason}"
         certified = self.dataset["certified"].values
         if not certified.ndim:

@@ -8,7 +8,6 @@ import importlib
 import json
 import logging
 import os
-import sys
 import time
 from asyncio import CancelledError
 from collections.abc import Callable, Iterator
@@ -27,6 +26,7 @@ from dssc_jax.results.blocks import Block, Chunks
 from dssc_jax.results.manifest import listed, machinery_differences
 from dssc_jax.results.store import Store
 from dssc_jax.study import Study
+from dssc_jax.study.importing import allow_imports
 
 GO_ON = "finished blocks are kept, --resume continues from them"
 LOCAL_SCHEME = "local:"
@@ -80,8 +80,8 @@ _one_at_a_time = Lock()
 @lru_cache(maxsize=1)
 def prepared(job: Job) -> tuple[Engine, Chunks]:
     """A worker's engine and its access to the folder, created once per job."""
-    if job.local and job.local not in sys.path:
-        sys.path.insert(0, job.local)
+    if job.local:
+        allow_imports(job.local)
     study = Study.from_table(json.loads(job.table))
     layout = Layout(Layout.of(study).shape, job.block)
     return Engine(study, layout.lanes), Chunks(Path(job.folder), study, layout, "r+")

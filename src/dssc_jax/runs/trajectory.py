@@ -202,6 +202,21 @@ def replay(result: Result, draw: int, *, point: Mapping[str, float] | None = Non
     Raises:
         ConfigError: draw or point is not in the result.
     """
+    study, index = result.study, point_of(result, draw, point)
+    exact = {name: study.axes[name][i] for name, i in index.items()}
+    trajectory = recorder(study if exact else study.without_sweep(), every, plain=True)(draw, exact)
+    compared = agreement_of(result, trajectory)
+    trajectory.attrs["deviation"] = float(compared.deviation[0])
+    trajectory.attrs["agreement"] = compared.verdict
+    return trajectory
+
+
+def point_of(result: Result, draw: int, point: Mapping[str, float] | None) -> dict[str, int]:
+    """Index of each swept value at which a draw is simulated again; arguments as in :func:`replay`.
+
+    Raises:
+        ConfigError: draw or point is not in the result.
+    """
     study = result.study
     if not 0 <= draw < study.config.draws:
         raise ConfigError(
@@ -211,14 +226,7 @@ def replay(result: Result, draw: int, *, point: Mapping[str, float] | None = Non
         if name not in study.axes:
             raise ConfigError(study.source, f"'{name}' is not swept; {nearest(name, study.axes)}")
     index = {name: nearest_index(values, (point or {}).get(name)) for name, values in study.axes.items()}
-    if not point:
-        index = hardest(result, draw)
-    exact = {name: study.axes[name][i] for name, i in index.items()}
-    trajectory = recorder(study if exact else study.without_sweep(), every, plain=True)(draw, exact)
-    compared = agreement_of(result, trajectory)
-    trajectory.attrs["deviation"] = float(compared.deviation[0])
-    trajectory.attrs["agreement"] = compared.verdict
-    return trajectory
+    return index if point else hardest(result, draw)
 
 
 def agreement_of(result: Result, run: xr.Dataset) -> Agreement:

@@ -12,10 +12,11 @@ from pydantic import BaseModel, ValidationError
 from dssc_jax.closed_loop.metrics import Measure, available_metrics
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.closed_loop.sample import Loop, LoopParams, Settled, initial_state, step
-from dssc_jax.core.contracts import JoinedParams, Plant, joined_reference
+from dssc_jax.core.contracts import JoinedParams, Plant, joined_reference, joined_wind
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.numerics import arithmetic
+from dssc_jax.core.quantities import extent
 from dssc_jax.core.registry import single
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.models.controllers import CONTROLLERS, DIFFERENTIATORS
@@ -37,6 +38,7 @@ from dssc_jax.study.schema import (
     TuneTable,
     UnitsTable,
 )
+from dssc_jax.study.sections import with_section
 from dssc_jax.study.tables import has_dotted, merged, set_dotted
 
 REGISTRIES = {
@@ -89,8 +91,16 @@ def build(table: dict[str, Any]) -> Parts:
     """Look up and parse every part of a study.
 
     Raises:
-        ConfigError: Dotted path, rule and value of the first error.
+        ConfigError: Dotted path, rule and value of the first error, and the section that a misplaced name belongs to.
     """
+    try:
+        return parsed_parts(table)
+    except ConfigError as error:
+        raise with_section(error, table, {"": StudyTable, **FIXED_TABLES}, REGISTRIES) from None
+
+
+def parsed_parts(table: dict[str, Any]) -> Parts:
+    """The parts of a study; see :func:`build`."""
     config = validate_fixed(table)
     plant = parse_whole(config.plant, "plant")
     channels = plant.model.channels or ("",)
@@ -99,7 +109,7 @@ def build(table: dict[str, Any]) -> Parts:
     wholes = {
         "plant": plant,
         "reference": parse_reference(config.reference, channels, units),
-        "wind": parse_whole(config.wind, "wind"),
+        "wind": parse_winds(config.wind),
     }
     if not several and wholes["wind"].kind != "none":
         raise ConfigError("wind.kind", f"the plant '{plant.kind}' does not fly; use a disturbance")
@@ -112,6 +122,7 @@ def build(table: dict[str, Any]) -> Parts:
             raise ConfigError(
                 dotted("controller", name), "the gains need the field l0, which defines sigma = e' + l0 e"
             )
+    check_jitter(columns["sensor"], channels, config.loop.sample_time)
     loop = Loop(
         **{slot: part.model for slot, part in wholes.items()},
         **{slot: tuple(part.model for part in column) for slot, column in columns.items()},
@@ -187,10 +198,44 @@ def check_settled(loop: Loop, measures: tuple[Measure, ...]) -> None:
         raise ConfigError("loop.settled.after", f"{rule}; got {loop.settled.after:g}")
 
 
+def check_jitter(sensors: list[Component], channels: tuple[str, ...], sample_time: float) -> None:
+    """Require that a reading is at most one sample old.
+
+    Raises:
+        ConfigError: A sensor's jitter may exceed the sampling period.
+    """
+    for name, sensor in zip(channels, sensors, strict=True):
+        jitter = getattr(sensor.params, "jitter", None)
+        longest = 0.0 if jitter is None else extent(jitter)[1]
+        if longest > sample_time:
+            rule = f"must be <= loop.sample_time = {sample_time:g} s, got up to {longest:g} s"
+            raise ConfigError(dotted("sensor", name, "jitter"), rule)
+
+
 def parse_whole(table: dict[str, Any], slot: str) -> Component:
     """Parse the component of a slot that the loop has once."""
     component = parse_component(table, REGISTRIES[slot], slot)
     return replace(component, numbers=tuple(number.under(slot, slot) for number in component.numbers))
+
+
+def parse_winds(table: dict[str, Any] | list[dict[str, Any]]) -> Component:
+    """Parse the wind, or the sum of the winds in a list; a number of the second one is called ``wind.1.speed``.
+
+    Raises:
+        ConfigError: The list is empty, or a wind is not valid.
+    """
+    if not isinstance(table, list):
+        return parse_whole(table, "wind")
+    if not table:
+        raise ConfigError("wind", "needs at least one [[wind]]")
+    parts = []
+    for index, part in enumerate(table):
+        component = parse_component(part, REGISTRIES["wind"], f"wind.{index}")
+        own = f"wind.{index}"
+        parts.append(replace(component, numbers=tuple(number.under(own, own) for number in component.numbers)))
+    model = joined_wind(tuple(part.model for part in parts))
+    numbers = tuple(chain.from_iterable(part.numbers for part in parts))
+    return Component(" + ".join(part.kind for part in parts), model, tuple(part.params for part in parts), numbers)
 
 
 def parse_reference(table: dict[str, Any], channels: tuple[str, ...], units: tuple[ChannelUnits, ...]) -> Component:
@@ -275,7 +320,7 @@ def nearest_number(name: str, config: StudyTable, numbers: Mapping[str, Number])
     """Return the end of the message about an unknown number: its part has no numbers, or the nearest name."""
     slot = name.partition(".")[0]
     table = getattr(config, slot) if slot in REGISTRIES.keys() & StudyTable.model_fields.keys() else None
-    if table is not None and not any(known.startswith(f"{slot}.") for known in numbers):
+    if isinstance(table, Mapping) and not any(known.startswith(f"{slot}.") for known in numbers):
         return f"the study's {slot} is of the kind '{table.get('kind')}', which has no numbers"
     return nearest(name, numbers)
 
@@ -297,6 +342,8 @@ def check_swept_parts(table: dict[str, Any], config: StudyTable, channels: tuple
                 parse_channels(table[slot], slot, channels)
             elif slot == "reference":
                 parse_reference(table[slot], channels, (UNNAMED_UNITS,) * len(channels))
+            elif slot == "wind":
+                parse_winds(table[slot])
             else:
                 parse_whole(table[slot], slot)
         except ConfigError as error:

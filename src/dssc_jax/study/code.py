@@ -56,6 +56,17 @@ def digested(file: Path | None) -> dict[str, str | None]:
     return {"file": str(file), "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
 
 
+def folders_of(then: Any) -> tuple[Path, ...]:
+    """The folders from which a run imported its modules, as far as :func:`recorded` tells; the top one of packages."""
+    paths = []
+    for name, about in then.items() if isinstance(then, Mapping) else ():
+        file = about.get("file") if isinstance(about, Mapping) else None
+        if isinstance(file, str) and Path(file).is_file():
+            depth = name.partition(":")[0].count(".") + (Path(file).name == "__init__.py")
+            paths.append(Path(file).parents[depth])
+    return tuple(dict.fromkeys(paths))
+
+
 def describe_code(table: Mapping[str, Any], then: Mapping[str, Any] | None = None) -> str:
     """Describe each piece of code that a study refers to and its file; empty if there is none.
 
@@ -66,6 +77,11 @@ def describe_code(table: Mapping[str, Any], then: Mapping[str, Any] | None = Non
     lines = []
     for name, now in recorded(table).items():
         earlier = (then or {}).get(name)
-        changed = isinstance(earlier, Mapping) and earlier.get("sha256") != now["sha256"]
-        lines.append(f"{name} from {now['file'] or 'no file that is found'}{', changed since the run' * changed}")
+        known = earlier if isinstance(earlier, Mapping) else {}
+        if now["file"] is None:
+            run = f" (the run used {known['file']})" if known.get("file") else ""
+            lines.append(f"{name} from no file that is found{run}")
+        else:
+            changed = bool(known) and known.get("sha256") != now["sha256"]
+            lines.append(f"{name} from {now['file']}{', changed since the run' * changed}")
     return "; ".join(lines)

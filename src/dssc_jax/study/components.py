@@ -5,9 +5,6 @@ default. A validated table becomes the chosen model and an instance of its param
 and laws.
 """
 
-import contextlib
-import importlib
-import sys
 import types
 import typing
 from dataclasses import dataclass, replace
@@ -21,6 +18,7 @@ from dssc_jax.core.contracts import Preset, as_given
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, Registry, Slot, single
+from dssc_jax.study.importing import imported
 from dssc_jax.study.laws import Law, is_law, is_number, parse_law
 from dssc_jax.study.tables import merged
 
@@ -184,6 +182,9 @@ def table_model(params: type) -> type[BaseModel]:
     return create_model(params.__name__, __config__=ConfigDict(extra="forbid", strict=True), **fields)
 
 
+UNKNOWN_NAME = "unknown name"
+
+
 def explain(error: ValidationError, names: typing.Iterable[str]) -> ConfigError:
     """The first validation error as one line: path, rule, value, nearest name."""
     first = error.errors()[0]
@@ -191,7 +192,7 @@ def explain(error: ValidationError, names: typing.Iterable[str]) -> ConfigError:
     value = first.get("input")
     match first["type"]:
         case "extra_forbidden":
-            return ConfigError(path, f"unknown name; {nearest(str(first['loc'][-1]), names)}")
+            return ConfigError(path, f"{UNKNOWN_NAME}; {nearest(str(first['loc'][-1]), names)}")
         case "missing":
             return ConfigError(path, "is required and missing")
         case "value_error":
@@ -201,20 +202,6 @@ def explain(error: ValidationError, names: typing.Iterable[str]) -> ConfigError:
             return ConfigError(path, f"'{value}' is none of {expected}")
         case _:
             return ConfigError(path, f"{first['msg'][0].lower()}{first['msg'][1:]}, got {value!r}")
-
-
-def imported(name: str, place: str) -> Any:
-    """Import a user's object by its name ``package.module:object``.
-
-    Raises:
-        ConfigError: it cannot be imported.
-    """
-    module_name, _, attribute = name.partition(":")
-    try:
-        with contextlib.redirect_stdout(sys.stderr):
-            return getattr(importlib.import_module(module_name), attribute)
-    except (Exception, SystemExit) as error:  # a module's own code may raise anything
-        raise ConfigError(place, f"cannot import '{name}': {type(error).__name__}: {error}") from error
 
 
 def lookup(kind: Any, registry: Registry) -> Entry:

@@ -9,7 +9,7 @@ from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.closed_loop.step_response import STEP_RESPONSE, envelope_metric
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
-from dssc_jax.study.components import imported
+from dssc_jax.study.importing import imported
 from dssc_jax.study.schema import StudyTable
 
 KNOWN = METRICS | PERFORMANCE | STEP_RESPONSE

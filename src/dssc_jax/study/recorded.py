@@ -9,7 +9,9 @@ from typing import Any
 
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 
-FIELDS = ("file", "column", "time_column")
+FIELDS = ("file", "column", "columns", "time_column")
+SLOTS = ("reference", "disturbance", "wind")
+"""The slots that may follow a record."""
 TIME = "t"
 LARGEST_RECORD = 2**27  # bytes of a file
 
@@ -24,33 +26,46 @@ def with_records(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     Raises:
         ConfigError: a file cannot be read, or does not have the column.
     """
-    content = dict(table)
-    reference = content.get("reference")
-    if not isinstance(reference, Mapping):
-        return content
-    with errors_under("reference"):
+    return {**table, **{slot: recorded_slot(table[slot], folder, slot) for slot in SLOTS if slot in table}}
+
+
+def recorded_slot(value: Any, folder: Path, slot: str) -> Any:
+    """A slot's table, each of its channels' tables, or each table of a list, with records in place of files."""
+    if isinstance(value, list):
+        return [recorded_slot(part, folder, f"{slot}.{index}") for index, part in enumerate(value)]
+    if not isinstance(value, Mapping):
+        return value
+    with errors_under(slot):
         channels = {}
-        for name, part in reference.items():
+        for name, part in value.items():
             if isinstance(part, Mapping) and "file" in part:
                 with errors_under(name):
                     channels[name] = inlined(part, folder)
-        whole = inlined(reference, folder) if "file" in reference else dict(reference)
-    return content | {"reference": whole | channels}
+        whole = inlined(value, folder) if "file" in value else dict(value)
+    return whole | channels
 
 
 def inlined(part: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """A table with ``time`` and ``value`` in place of ``file``, ``column`` and ``time_column``."""
-    for name in ("time", "value"):
+    wind = "columns" in part
+    targets = ("time", "x", "y", "z") if wind else ("time", "value")
+    for name in targets:
         if name in part:
-            raise ConfigError(name, "is given by the file; give a file, or time and value")
-    for name in FIELDS:
+            raise ConfigError(name, "is given by the file; give a file, or the values themselves")
+    for name in ("file", "column", "time_column"):
         if not isinstance(part.get(name, TIME), str):
             raise ConfigError(name, f"must be a text, got {part[name]!r}")
-    if "column" not in part:
-        raise ConfigError("column", "is required and missing: the column with the values")
-    columns = recorded_columns(folder / part["file"], [part.get("time_column", TIME), part["column"]])
+    if wind:
+        names = part["columns"]
+        if not isinstance(names, list) or len(names) != 3 or not all(isinstance(name, str) for name in names):
+            raise ConfigError("columns", f"must be the three columns of x, y and z, got {names!r}")
+    elif "column" in part:
+        names = [part["column"]]
+    else:
+        raise ConfigError("column", "is required and missing: the column with the values (of a wind: columns)")
+    columns = recorded_columns(folder / part["file"], [part.get("time_column", TIME), *names])
     kept = {name: value for name, value in part.items() if name not in FIELDS}
-    return kept | dict(zip(("time", "value"), columns, strict=True))
+    return kept | dict(zip(targets, columns, strict=True))
 
 
 def recorded_columns(path: Path, names: list[str]) -> list[list[float]]:

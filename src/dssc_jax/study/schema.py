@@ -318,7 +318,9 @@ class StudyTable(BaseModel):
     differentiator: dict[str, Any] = Field(default={"kind": "none"}, description="estimator of the output's derivative")
     unmodelled: dict[str, Any] = Field(default={"kind": "none"}, description="dynamics between command and plant")
     disturbance: dict[str, Any] = Field(default={"kind": "none"}, description="disturbance at the plant's input")
-    wind: dict[str, Any] = Field(default={"kind": "none"}, description="wind, for a vehicle")
+    wind: dict[str, Any] | list[dict[str, Any]] = Field(
+        default={"kind": "none"}, description="wind, for a vehicle; several tables `[[wind]]` add up"
+    )
     compare: dict[str, dict[str, Any]] = Field(default={}, description="gains of other controllers, for `compare`")
     metrics: MetricsTable = Field(default=MetricsTable(), description="metrics and their window")
     requirement: list[RequirementTable] = Field(default=[], description="bounds that a draw must keep")

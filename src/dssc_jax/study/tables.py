@@ -11,6 +11,7 @@ import tomli_w
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.study.laws import is_law
+from dssc_jax.study.separators import toml_hint
 
 LARGEST_FILE = 2**20  # bytes of a study file
 DEEPEST = 32  # tables within tables, and names in a dotted name
@@ -25,15 +26,16 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     Raises:
         ConfigError: it cannot be read, is too large, or is not TOML.
     """
+    text = ""
     try:
         with Path(path).open("rb") as file:
             content = file.read(LARGEST_FILE + 1)
         if len(content) > LARGEST_FILE:
             raise ConfigError(str(path), f"is larger than a study can be ({LARGEST_FILE} bytes)")
-        text = content.decode("utf-8")
+        text = content.decode("utf-8").replace("\r\n", "\n")
         if LONG_NAME.search(text):
             raise ConfigError(str(path), f"has a dotted name of more than {DEEPEST} parts")
-        table = tomllib.loads(text.replace("\r\n", "\n"))
+        table = tomllib.loads(text)
     except OSError as error:
         raise ConfigError(str(path), f"cannot be read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
@@ -43,7 +45,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     except ConfigError:
         raise
     except ValueError as error:  # TOMLDecodeError is one, so are integers too long
-        raise ConfigError(str(path), f"is not valid TOML: {error}") from error
+        raise ConfigError(str(path), f"is not valid TOML: {error}{toml_hint(text, str(error))}") from error
     return table
 
 

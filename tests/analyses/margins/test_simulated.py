@@ -95,6 +95,7 @@ FORMS = {
     "delay": ({"samples": 0.0, "memory": 60}, "samples", (1.0, 60.0)),
     "rate_limit": ({"rate": 50.0}, "rate", (50.0, 0.05)),
     "saturation": ({"limit": 5.0}, "limit", (5.0, 0.02)),
+    "quantisation": ({"resolution": 0.001}, "resolution", (0.001, 20.0)),
 }
 
 

@@ -2,7 +2,7 @@
 
 from dssc_jax.analyses.comparison.compare import Comparison, Contest, compare, with_controller
 from dssc_jax.analyses.comparison.margins import MarginContest, compare_margins
-from dssc_jax.analyses.comparison.rivals import controller_table
+from dssc_jax.analyses.comparison.rivals import controller_table, with_own_controllers
 from dssc_jax.analyses.comparison.tuning import Tuning, tuned
 
 __all__ = [
@@ -15,4 +15,5 @@ __all__ = [
     "controller_table",
     "tuned",
     "with_controller",
+    "with_own_controllers",
 ]

@@ -11,7 +11,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from dssc_jax import plotting
-from dssc_jax.analyses.comparison.rivals import ControllerTable, controller_table
+from dssc_jax.analyses.comparison.rivals import ControllerTable, controller_table, with_own_controllers
 from dssc_jax.analyses.comparison.tuning import Tuning, tuned, with_gains
 from dssc_jax.analyses.defaults import TUNING_DRAWS
 from dssc_jax.core.errors import ConfigError
@@ -244,7 +244,7 @@ def compare(
     began = time.perf_counter()
     names = require_names(controllers)
     require_independent(study, "a comparison")
-    study = study.without_sweep()
+    study = with_own_controllers(study.without_sweep(), names)
     tables = {name: controller_table(study, name) for name in names}
     studies = {name: with_controller(study, name, table) for name, table in tables.items()}
     steps = itertools.count(1)

@@ -10,14 +10,16 @@ from matplotlib.figure import Figure
 
 from dssc_jax import plotting
 from dssc_jax.analyses.comparison.compare import require_names, with_controller
-from dssc_jax.analyses.comparison.rivals import ControllerTable, controller_table
+from dssc_jax.analyses.comparison.rivals import ControllerTable, controller_table, with_own_controllers
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
 from dssc_jax.analyses.margins import Margins, join_margins, margin, margin_settings, part_margins
+from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.analysis_folder import Stored
 from dssc_jax.statistics import CONFIDENCE, compare_failures
 from dssc_jax.study import Described, Study
+from dssc_jax.study.code import code_names
 
 
 @dataclass(eq=False)
@@ -91,11 +93,26 @@ class MarginContest(Analysis):
         study, dataset, settings = stored
         tables = settings["tables"]
 
+        require_named(study, tables)
+
         def study_of(name: str) -> Study:
             return study if isinstance(study, Described) else with_controller(study, name, tables[name])
 
         margins = part_margins(dataset, "controller", settings["margins"], study_of)
         return cls.of(study, margins, tables, settings["seconds"])
+
+
+def require_named(study: Study, tables: dict[str, ControllerTable]) -> None:
+    """Require that stored controllers refer to no code that the stored study does not name.
+
+    Raises:
+        ConfigError: one does; such a file was altered.
+    """
+    foreign = set(code_names(tables)) - set(code_names(study.table))
+    if foreign:
+        raise ConfigError(
+            study.source, f"is damaged: its controllers name code that its study does not, {min(foreign)}"
+        )
 
 
 def compare_margins(
@@ -125,7 +142,8 @@ def compare_margins(
         ConfigError: a name is unknown or given twice, a controller does not fit, or :func:`dssc_jax.margin` raises it.
     """
     began = time.perf_counter()
-    study, names = study.without_sweep(), require_names(controllers)
+    names = require_names(controllers)
+    study = with_own_controllers(study.without_sweep(), names)
     tables = {name: controller_table(study, name) for name in names}
     studies = {name: with_controller(study, name, table) for name, table in tables.items()}
     each = (points + bisections) * study.config.draws

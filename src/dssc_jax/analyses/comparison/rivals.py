@@ -3,16 +3,17 @@
 PI and SSC get the gains that DSSC synthesises at the origin. The STA, in its three sampled forms, gets kappa1 and
 kappa2 of the functions that approximate it, and the VGSTA also the smoothing delta. First-order sliding mode gets the
 gain rho. Error pole and nominal control are DSSC's. A name may include a sampled form or a limit: ``sta_proper``,
-``sta_limited``.
+``sta_limited``. A controller of one's own is named ``module:OBJECT``; error pole and nominal control are the study's,
+its other gains have their defaults.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import jax
 
 from dssc_jax.analyses.theory.linearised import synthesised_gains
-from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.quantities import nominal
 from dssc_jax.core.signals import Scalar
 from dssc_jax.models.controllers import CONTROLLERS
@@ -28,6 +29,7 @@ from dssc_jax.models.controllers.gain_functions import (
 )
 from dssc_jax.models.controllers.modulation import ConstantModulation
 from dssc_jax.study import Law, Study
+from dssc_jax.study.components import field_specs, lookup
 from dssc_jax.study.tables import merged
 
 ControllerTable = dict[str, Any]
@@ -127,12 +129,37 @@ RIVALS: dict[str, Callable[[DsscGains], ControllerTable]] = {
 }
 
 
+def with_own_controllers(study: Study, names: Iterable[str]) -> Study:
+    """The study with a table ``[compare]`` for each ``module:OBJECT`` among the names that has none.
+
+    So a stored comparison tells, like any study, which code it refers to.
+    """
+    own = study.config.controller
+    missing = [name for name in names if ":" in name and name != own["kind"] and name not in study.config.compare]
+    if not missing:
+        return study
+    tables = {name: {"kind": name, **common_gains(study, name)} for name in missing}
+    return study.override({"compare": {**study.config.compare, **tables}})
+
+
+def common_gains(study: Study, name: str) -> ControllerTable:
+    """Error pole and nominal control of the study, as far as a controller of one's own has these gains."""
+    own = study.config.controller
+    with errors_under(f"compare.{name}"):
+        fields = field_specs(next(iter(lookup(name, CONTROLLERS).members.values())).params)
+    common = [key for key in ("l0", "nominal") if key in fields]
+    tables = {"": own, **{channel: own[channel] for channel in study.loop.channels if channel in own}}
+    kept = {place: {key: table[key] for key in common if key in table} for place, table in tables.items()}
+    return {**kept.pop(""), **{channel: table for channel, table in kept.items() if table}}
+
+
 def controller_table(study: Study, name: str) -> ControllerTable:
     """The ``[controller]`` table of a controller in a comparison.
 
     Args:
         study: The study. Its ``[compare.NAME]`` has priority: a whole controller, or changes of ``[controller]`` if the
-            kind is the same or omitted. The study's own controller is named by its kind. Others are derived from DSSC.
+            kind is the same or omitted. The study's own controller is named by its kind. Others are derived from DSSC;
+            for those of one's own see :func:`with_own_controllers`.
         name: Name of the table, or kind of controller, optionally with a sampled form or ``limited`` to rho.
 
     Raises:
@@ -143,6 +170,8 @@ def controller_table(study: Study, name: str) -> ControllerTable:
     if given is not None:
         table = {key: value for key, value in given.items() if key != "tune"}
         return merged(own, table) if table.get("kind", own["kind"]) == own["kind"] else table
+    if name == own["kind"]:
+        return dict(own)
     kind, _, suffix = name.partition("_")
     known = suffixed_names()
     if name not in known:

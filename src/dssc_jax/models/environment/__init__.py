@@ -3,7 +3,7 @@
 from dssc_jax.core.contracts import Reference
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.models.environment import disturbances, references, signals, waypoints
-from dssc_jax.models.environment.records import RECORD
+from dssc_jax.models.environment.records import RECORD, RECORDED_DISTURBANCE
 from dssc_jax.models.environment.sensors import SENSORS
 from dssc_jax.models.environment.wind import WINDS
 
@@ -35,8 +35,8 @@ DISTURBANCES: Registry = {
     "step": single(disturbances.STEP, "a step at a given time"),
     "sine": single(disturbances.SINE_DISTURBANCE, "amplitude sin(2 pi t/period + phase)"),
     "spline": single(disturbances.SPLINE, "a cubic spline of given knots: any signal of bounded amplitude and slope"),
+    "record": RECORDED_DISTURBANCE,
     "filtered_noise": single(disturbances.FILTERED_NOISE, "Gauss-Markov noise, exactly sampled"),
     "partition": single(disturbances.PARTITION, "d_1 + d_2 + d_3 of (30), attaining the bounds of (A1)-(A3)"),
 }
-
 __all__ = ["DISTURBANCES", "REFERENCES", "SENSORS", "TRAJECTORIES", "WINDS"]

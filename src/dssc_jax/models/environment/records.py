@@ -1,4 +1,4 @@
-"""A recorded desired output: given values at given times, held, joined by lines, or by a cubic spline."""
+"""Recorded signals, as reference, disturbance or wind: values held, joined by lines, or by a cubic spline."""
 
 from enum import StrEnum
 from typing import Annotated, NamedTuple
@@ -7,11 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.core.contracts import Reference
-from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.contracts import Disturbance, Reference, Wind, stateless, unchanged
+from dssc_jax.core.errors import ConfigError, errors_under
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry
 from dssc_jax.core.signals import ReferencePoint, Scalar
+from dssc_jax.core.vectors import Vec3
 
 MOST_VALUES = 50_000
 
@@ -24,6 +25,22 @@ class RecordParams(NamedTuple):
 
     time: Annotated[tuple[Scalar, ...], Quantity("s", "times, rising", law=False, data=True)]
     value: Annotated[tuple[Scalar, ...], Quantity("y", "values at these times", law=False, data=True)]
+
+
+class RecordedDisturbanceParams(NamedTuple):
+    """A recorded disturbance; as in :class:`RecordParams`."""
+
+    time: Annotated[tuple[Scalar, ...], Quantity("s", "times, rising", law=False, data=True)]
+    value: Annotated[tuple[Scalar, ...], Quantity("u", "values at these times", law=False, data=True)]
+
+
+class RecordedWindParams(NamedTuple):
+    """A recorded wind; a study file gives ``file`` and the ``columns`` of x, y and z instead."""
+
+    time: Annotated[tuple[Scalar, ...], Quantity("s", "times, rising", law=False, data=True)]
+    x: Annotated[tuple[Scalar, ...], Quantity("m/s", "wind velocity along x", law=False, data=True)]
+    y: Annotated[tuple[Scalar, ...], Quantity("m/s", "wind velocity along y", law=False, data=True)]
+    z: Annotated[tuple[Scalar, ...], Quantity("m/s", "wind velocity along z, up", law=False, data=True)]
 
 
 class Pieces(NamedTuple):
@@ -67,7 +84,7 @@ def spline_pieces(time: np.ndarray, value: np.ndarray) -> np.ndarray:
 RULES = {Interpolation.HOLD: held_pieces, Interpolation.LINEAR: line_pieces, Interpolation.CUBIC: spline_pieces}
 
 
-def check_record(params: RecordParams) -> None:
+def check_record(params: RecordParams | RecordedDisturbanceParams) -> None:
     """Require at least two values, one for each time, at rising times.
 
     Raises:
@@ -88,13 +105,62 @@ def check_record(params: RecordParams) -> None:
 def record(rule: Interpolation) -> Reference:
     """The reference that follows a record by the given rule."""
 
-    def prepare(params: RecordParams) -> Pieces:
-        check_record(params)
-        time, value = np.asarray(params.time, float), np.asarray(params.value, float)
-        ends = np.pad(value[[0, -1], None], ((0, 0), (0, 3)))
-        return Pieces(time, np.concatenate([ends[:1], RULES[rule](time, value), ends[1:]]))
+    return Reference(RecordParams, piece_at, lambda params: cubic_pieces(params, rule))
 
-    return Reference(RecordParams, piece_at, prepare)
+
+def cubic_pieces(params: RecordParams | RecordedDisturbanceParams, rule: Interpolation) -> Pieces:
+    """The piecewise cubic through a record.
+
+    Raises:
+        ConfigError: As in :func:`check_record`.
+    """
+    check_record(params)
+    time, value = np.asarray(params.time, float), np.asarray(params.value, float)
+    ends = np.pad(value[[0, -1], None], ((0, 0), (0, 3)))
+    return Pieces(time, np.concatenate([ends[:1], RULES[rule](time, value), ends[1:]]))
+
+
+def recorded_disturbance(rule: Interpolation) -> Disturbance:
+    """The disturbance that follows a record by the given rule; one that holds its values holds them over a sample."""
+
+    def prepare(params: RecordedDisturbanceParams) -> Pieces:
+        return cubic_pieces(params, rule)
+
+    if rule == Interpolation.HOLD:
+        return Disturbance(
+            RecordedDisturbanceParams,
+            lambda pieces, key: 0.0,
+            lambda pieces, state, key, t, dt: piece_at(pieces, t).y,
+            lambda pieces, state, measurement, sigma, t: state,
+            prepare,
+        )
+    return Disturbance(
+        RecordedDisturbanceParams,
+        stateless,
+        unchanged,
+        lambda pieces, state, measurement, sigma, t: piece_at(pieces, t).y,
+        prepare,
+    )
+
+
+def recorded_wind(rule: Interpolation) -> Wind:
+    """The wind that follows a record of its three components by the given rule."""
+
+    def prepare(params: RecordedWindParams) -> tuple[Pieces, ...]:
+        parts = []
+        for name in "xyz":
+            values = getattr(params, name)
+            with errors_under("" if len(values) == len(params.time) else name):
+                parts.append(cubic_pieces(RecordParams(params.time, values), rule))
+        return tuple(parts)
+
+    return Wind(
+        RecordedWindParams,
+        stateless,
+        unchanged,
+        lambda pieces, state, t: Vec3(*(piece_at(part, t).y for part in pieces)),
+        prepare,
+    )
 
 
 def piece_at(pieces: Pieces, t: Scalar) -> ReferencePoint:
@@ -111,6 +177,18 @@ def piece_at(pieces: Pieces, t: Scalar) -> ReferencePoint:
 RECORD = Entry(
     {rule: record(rule) for rule in Interpolation},
     "a recorded signal: `file` (CSV or Parquet), `column` and `time_column`, or `time` and `value`",
+    "interpolation",
+    Interpolation.LINEAR,
+)
+RECORDED_DISTURBANCE = Entry(
+    {rule: recorded_disturbance(rule) for rule in Interpolation},
+    "a recorded disturbance: `file` and `column`, or `time` and `value`",
+    "interpolation",
+    Interpolation.LINEAR,
+)
+RECORDED_WIND = Entry(
+    {rule: recorded_wind(rule) for rule in Interpolation},
+    "a recorded wind: `file` and three `columns`, or `time`, `x`, `y` and `z`",
     "interpolation",
     Interpolation.LINEAR,
 )

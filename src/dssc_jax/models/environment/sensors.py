@@ -12,6 +12,7 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.core.signals import Measurement, Scalar
 
+EXTRA = 2  # index of the random numbers of losses and jitter; those of noise have 0 and 1
 MOST_DELAY = 200  # samples: the state holds two scalars for each, and every scalar is copied at every sample
 
 POSITION_STD = Quantity("y", "standard deviation of the noise on y", at_least=0.0)
@@ -19,11 +20,18 @@ VELOCITY_STD = Quantity("y/s", "standard deviation of the noise on y'", at_least
 POSITION_BIAS = Quantity("y", "constant error of y")
 VELOCITY_BIAS = Quantity("y/s", "constant error of y'")
 DELAY_SAMPLES = Quantity("1", "delay, in controller samples", at_least=0.0, at_most=float(MOST_DELAY), law=False)
+READING_LOSS = Quantity("1", "probability that a reading is lost and the last one holds", at_least=0.0, below=1.0)
+POSITION_RESOLUTION = Quantity("y", "readings of y are multiples of it", above=0.0)
+VELOCITY_RESOLUTION = Quantity("y/s", "readings of y' are multiples of it", above=0.0)
+JITTER = Quantity("s", "largest age of a reading; it is uniform between 0 and this, at most one sample", at_least=0.0)
 PERIOD = Quantity("1", "controller samples from one reading to the next", at_least=1.0, law=False)
 
 
 class NoisyParams(NamedTuple):
     """A sensor with white Gaussian noise, constant errors, a delay and its own sampling period.
+
+    A reading may also be taken early by a random time (``jitter``), be rounded to a resolution, or be lost: then the
+    last one holds. What the table does not give is left out of the program.
 
     The two counts of samples determine the shape of the state, so they are integers known before tracing. If a
     channel's output is an angle, units have rad instead of m.
@@ -35,6 +43,10 @@ class NoisyParams(NamedTuple):
     velocity_bias: Annotated[Scalar, VELOCITY_BIAS] = 0.0
     delay_samples: Annotated[Scalar, DELAY_SAMPLES] = 0.0
     period_samples: Annotated[Scalar, PERIOD] = 1.0
+    position_resolution: Annotated[Scalar | None, POSITION_RESOLUTION] = None
+    velocity_resolution: Annotated[Scalar | None, VELOCITY_RESOLUTION] = None
+    loss: Annotated[Scalar | None, READING_LOSS] = None
+    jitter: Annotated[Scalar | None, JITTER] = None
 
 
 class SensorLagParams(NamedTuple):
@@ -51,11 +63,15 @@ class LagState(NamedTuple):
 
 
 class NoisyState(NamedTuple):
-    """The last reading with its age in controller samples, and the readings in the delay queue, oldest first."""
+    """The last reading with its age in controller samples, and the readings in the delay queue, oldest first.
+
+    With jitter, ``before`` holds the plant's own output at the sample before.
+    """
 
     age: Scalar
     held: Measurement
     queue: tuple[Measurement, ...]
+    before: tuple[Measurement, ...] = ()
 
 
 def whole(name: str, value: Any) -> int:
@@ -83,19 +99,49 @@ def prepare(params: NoisyParams) -> NoisyParams:
 
 
 def reading(params: NoisyParams, measurement: Measurement, key: jax.Array) -> Measurement:
-    """The measurement with the constant errors and fresh noise."""
+    """The measurement with the constant errors and fresh noise, rounded to the resolution."""
     noise = standard_normals(key, 2)
     return Measurement(
-        measurement.y + params.position_bias + params.position_std * noise[0],
-        measurement.y_dot + params.velocity_bias + params.velocity_std * noise[1],
+        rounded(
+            measurement.y + params.position_bias + params.position_std * noise[0],
+            params.position_resolution,
+        ),
+        rounded(
+            measurement.y_dot + params.velocity_bias + params.velocity_std * noise[1],
+            params.velocity_resolution,
+        ),
     )
+
+
+def rounded(value: Scalar, resolution: Scalar | None) -> Scalar:
+    """The nearest multiple of the resolution; the value itself if there is none."""
+    return value if resolution is None else resolution * jnp.round(value / resolution)
+
+
+def uniforms(key: jax.Array) -> tuple[Scalar, Scalar]:
+    """Two numbers, uniform in [0, 1), independent of those of :func:`reading`."""
+    first, second = jax.random.uniform(jax.random.fold_in(key, EXTRA), (2,))
+    return first, second
+
+
+def earlier(now: Measurement, before: Measurement, age: Scalar, dt: Scalar) -> Measurement:
+    """The measurement ``age`` before now, from the cubic through both samples and their derivatives.
+
+    The error is of order dt^4 in y and dt^3 in y', as smooth as the plant's output is.
+    """
+    s = 1.0 - age / dt
+    rise, first, last = now.y - before.y, dt * before.y_dot, dt * now.y_dot
+    second, third = 3.0 * rise - 2.0 * first - last, first + last - 2.0 * rise
+    y = before.y + s * (first + s * (second + s * third))
+    return Measurement(y, (first + s * (2.0 * second + 3.0 * s * third)) / dt)
 
 
 def noisy_init(params: NoisyParams, measurement: Measurement, key: jax.Array) -> NoisyState:
     """Assume a constant past: one reading of the first measurement fills the queue, and a new one is due."""
     first = reading(params, measurement, key)
     period = whole("period_samples", params.period_samples)
-    return NoisyState(float(period), first, (first,) * whole("delay_samples", params.delay_samples))
+    before = () if params.jitter is None else (measurement,)
+    return NoisyState(float(period), first, (first,) * whole("delay_samples", params.delay_samples), before)
 
 
 def noisy_step(
@@ -115,10 +161,18 @@ def noisy_step(
         The next state, and the measurement that the controller sees.
     """
     due = state.age >= whole("period_samples", params.period_samples)
-    fresh = reading(params, measurement, key)
-    held = Measurement(*(jnp.where(due, new, old) for new, old in zip(fresh, state.held, strict=True)))
+    true, arrives = measurement, due
+    if params.loss is not None or params.jitter is not None:
+        chance, share = uniforms(key)
+        if params.jitter is not None:
+            true = earlier(measurement, state.before[0], params.jitter * share, dt)
+        if params.loss is not None:
+            arrives = due & (chance >= params.loss)
+    fresh = reading(params, true, key)
+    held = Measurement(*(jnp.where(arrives, new, old) for new, old in zip(fresh, state.held, strict=True)))
     delivered, *queue = (*state.queue, held)
-    return NoisyState(jnp.where(due, 1.0, state.age + 1.0), held, tuple(queue)), delivered
+    before = () if params.jitter is None else (measurement,)
+    return NoisyState(jnp.where(due, 1.0, state.age + 1.0), held, tuple(queue), before), delivered
 
 
 def lag_init(params: SensorLagParams, measurement: Measurement, key: jax.Array) -> LagState:
@@ -163,5 +217,5 @@ SENSOR_LAG = Sensor(SensorLagParams, lag_init, lag_step)
 SENSORS: Registry = {
     "ideal": single(IDEAL, "the plant's own y and y'"),
     "lag": single(SENSOR_LAG, "y and y' each through 1/(mu s + 1)"),
-    "noisy": single(NOISY, "white noise, constant errors, delay, and its own sampling period"),
+    "noisy": single(NOISY, "white noise, constant errors, delay, own period, resolution, lost readings, jitter"),
 }

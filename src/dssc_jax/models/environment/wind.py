@@ -23,6 +23,7 @@ from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
+from dssc_jax.models.environment.records import RECORDED_WIND
 
 FOOT = 0.3048
 """The international foot [m]."""
@@ -306,5 +307,6 @@ WINDS: Registry = {
     "piecewise": single(PIECEWISE, "a table of velocities with jumps"),
     "gust": single(GUST, "a 1-cosine gust on a constant mean"),
     "spline": single(SPLINE_WIND, "cubic splines of given knots: any wind of bounded speed and acceleration"),
+    "record": RECORDED_WIND,
     "dryden": single(DRYDEN, "mean wind and Dryden turbulence of MIL-F-8785C at low altitude, exactly sampled"),
 }

@@ -3,6 +3,7 @@
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.models.unmodelled.delay import DELAY
 from dssc_jax.models.unmodelled.lag import LAG, NO_DYNAMICS
+from dssc_jax.models.unmodelled.quantisation import QUANTISATION
 from dssc_jax.models.unmodelled.rate_limit import RATE_LIMIT
 from dssc_jax.models.unmodelled.saturation import SATURATION
 from dssc_jax.models.unmodelled.transfer_function import TRANSFER_FUNCTION
@@ -12,6 +13,7 @@ UNMODELLED: Registry = {
     "lag": LAG,
     "transfer_function": single(TRANSFER_FUNCTION, "any stable proper G(mu s) with G(0) = 1, of order 1 to 6"),
     "delay": single(DELAY, "a pure delay of any real number of controller samples"),
+    "quantisation": single(QUANTISATION, "a plant input that is a multiple of a resolution"),
     "rate_limit": single(RATE_LIMIT, "a plant input that follows the command at a limited rate"),
     "saturation": single(SATURATION, "a plant input of limited magnitude"),
 }

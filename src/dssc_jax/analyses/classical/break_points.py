@@ -1,0 +1,132 @@
+"""Linearise the sampled loop about an operating point, with inputs where it can be broken.
+
+What is differentiated is the step that the simulation runs: the plant's integrator over one sample, the unmodelled
+dynamics, sensors and the sampled controller. The loop stays closed; a signal is added where it may be broken, and the
+signal before the sum is read. The loop transfer function at that place follows from this pair exactly.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from enum import StrEnum
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+
+from dssc_jax.closed_loop.sample import Loop, LoopParams, initial_state, measure, step
+from dssc_jax.core.contracts import NoParams, Reference, Sensor, Unmodelled
+from dssc_jax.core.signals import Measurement, ReferencePoint, Scalar
+from dssc_jax.models.environment.disturbances import NO_DISTURBANCE
+from dssc_jax.models.environment.wind import NO_WIND
+
+
+class BreakPoint(StrEnum):
+    """Where a channel's loop is broken.
+
+    Broken at ``output`` or ``rate``, the measurement of y or of y' is changed, and the other one stays as it is. If
+    both are changed together, the numbers are those of ``input``, because the channel has one command.
+    """
+
+    INPUT = "input"
+    OUTPUT = "output"
+    RATE = "rate"
+
+
+class WithAdded(NamedTuple):
+    """Parameters of a model, and the signal added to its input."""
+
+    own: Any
+    added: Any
+
+
+def with_added_command(model: Unmodelled) -> Unmodelled:
+    """Unmodelled dynamics whose command is the controller's and an added one."""
+    return Unmodelled(
+        WithAdded,
+        init=lambda p: model.init(p.own),
+        step=lambda p, z, command, dt: model.step(p.own, z, command + p.added, dt),
+        output=lambda p, z, command: model.output(p.own, z, command + p.added),
+        sample=lambda p, z, command, dt: model.sample(p.own, z, command + p.added, dt),
+    )
+
+
+def with_added_measurement(sensor: Sensor) -> Sensor:
+    """A sensor whose input is the plant's measurement and an added one."""
+
+    def sense(p: WithAdded, z: Any, m: Measurement, key: jax.Array, t: Scalar, dt: Scalar) -> tuple[Any, Measurement]:
+        return sensor.step(p.own, z, Measurement(m.y + p.added.y, m.y_dot + p.added.y_dot), key, t, dt)
+
+    return Sensor(WithAdded, lambda p, m, key: sensor.init(p.own, m, key), sense)
+
+
+def undisturbed(loop: Loop, params: LoopParams) -> tuple[Loop, LoopParams]:
+    """The loop at a constant reference, without disturbance, wind and sensor noise.
+
+    The reference of a plant of one channel is 0; that of several channels is their outputs at t = 0: hover.
+    """
+    channels = range(len(loop.channels))
+    origin = tuple(ReferencePoint(0.0, 0.0, 0.0) for _ in channels)
+    desired = origin
+    if len(loop.channels) > 1:
+        start = measure(loop, params, loop.plant.init(params.plant), origin)
+        desired = tuple(ReferencePoint(m.y, 0.0, 0.0) for m in start)
+    fixed = Reference(NoParams, lambda params, t: desired if len(desired) > 1 else ReferencePoint(0.0, 0.0, 0.0))
+    quiet = tuple(
+        own._replace(**{name: 0.0 for name in getattr(own, "_fields", ()) if name.endswith("_std")})
+        for own in params.sensor
+    )
+    disturbances = tuple(NO_DISTURBANCE for _ in channels)
+    rest = replace(loop, reference=fixed, wind=NO_WIND, disturbance=disturbances)
+    none = tuple(NoParams() for _ in channels)
+    return rest, params._replace(reference=NoParams(), wind=NoParams(), sensor=quiet, disturbance=none)
+
+
+def sample_map(
+    loop: Loop, params: LoopParams, key: jax.Array, k: Scalar
+) -> Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
+    """One sample of the loop as a function of its state and of what is added at the break points.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        key: The draw's random key.
+        k: Index of the sample.
+
+    Returns:
+        ``(state, added) -> (state after the sample, signals before the sums)``; the state is a vector, see
+        :func:`start_state`; break points are in the order of :func:`break_points`.
+    """
+    _, unravel = ravel_pytree(initial_state(loop, params, key))
+    opened = replace(
+        loop,
+        unmodelled=tuple(map(with_added_command, loop.unmodelled)),
+        sensor=tuple(map(with_added_measurement, loop.sensor)),
+    )
+
+    def sample(state: jax.Array, added: jax.Array) -> tuple[jax.Array, jax.Array]:
+        signals = added.reshape(len(loop.channels), len(BreakPoint))
+        with_inputs = params._replace(
+            unmodelled=tuple(WithAdded(own, signals[i, 0]) for i, own in enumerate(params.unmodelled)),
+            sensor=tuple(
+                WithAdded(own, Measurement(signals[i, 1], signals[i, 2])) for i, own in enumerate(params.sensor)
+            ),
+        )
+        after, recorded = step(opened, with_inputs, key, unravel(state), k)
+        read = [
+            (sample.u_total, measurement.y, measurement.y_dot)
+            for sample, measurement in zip(recorded.instant.channels, recorded.measurements, strict=True)
+        ]
+        return ravel_pytree(after)[0], jnp.asarray(read).reshape(-1)
+
+    return sample
+
+
+def break_points(loop: Loop) -> list[str]:
+    """Name of each break point, e.g. ``input``, or ``x input`` for a plant of several channels."""
+    return [f"{channel} {point}".strip() for channel in loop.channels for point in BreakPoint]
+
+
+def start_state(loop: Loop, params: LoopParams, key: jax.Array) -> jax.Array:
+    """The state at t = 0 as a vector."""
+    return ravel_pytree(initial_state(loop, params, key))[0]

@@ -1,0 +1,246 @@
+"""Classical margins of many sampled loops at once, from the response of the closed loop to a signal added to it.
+
+With G(z) from the added signal to the signal before the sum, negative feedback has the loop transfer function
+L = -G/(1 + G), the sensitivity S = 1/(1 + L) = 1 + G and the complementary sensitivity T = L/(1 + L) = -G. The margins
+follow from G without cancellation:
+
+* L is real and negative where Im G = 0; the factor of the gain that brings a pole to the unit circle is 1 + 1/G.
+* |L| = 1 where Re G = -1/2; the phase to -180 degrees is the angle of G/(1 + G).
+* The disk margin of balanced disks is 1/max |S - T|/2 = 1/max |G + 1/2|.
+
+References:
+    K. J. Astrom, R. M. Murray, Feedback Systems, 2nd ed. (2021), chapter 10.
+    P. Seiler, A. Packard, P. Gahinet, "An introduction to disk margins", IEEE Control Systems Magazine 40 (2020) 78-95.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+FREQUENCIES = 240  # of the common grid
+BELOW, DECADES = 0.03, 6.0  # first frequency relative to the slowest pole; largest span below the Nyquist frequency
+ROOT_STEPS, PEAK_STEPS = 14, 24
+LEAST_FACTOR = 1e-6  # smallest gain factor that counts as a crossing, above the rounding of a large loop gain
+GOLDEN = 0.5 * (5.0**0.5 - 1.0)
+HALF_POWER = 0.5  # |T|^2 at the bandwidth
+
+Response = Callable[[np.ndarray], np.ndarray]
+"""Angles theta = omega T_s of shape (n, m) -> G(e^(i theta)), shape (n, m)."""
+
+
+class ClassicalMargins(NamedTuple):
+    """Margins of n loops that are stable; each of shape (n,).
+
+    Args:
+        gain_upper: Smallest factor > 1 of the loop gain at which the loop becomes unstable; infinite: none.
+        gain_lower: Largest factor < 1 at which it does; 0: none.
+        phase: Phase margin [rad]; infinite if the loop gain is never 1.
+        delay: Delay margin [s]; infinite if the loop gain is never 1.
+        disk: Balanced disk margin alpha, in [0, 2].
+        sensitivity_peak: M_s, the largest abs(S).
+        complementary_peak: M_t, the largest abs(T).
+        crossover: Frequency at which the phase margin is attained [rad/s]; NaN: none.
+        bandwidth: Frequency beyond which abs(T) stays below 1/sqrt(2) [rad/s]; infinite if it does not up to the
+            Nyquist frequency, NaN if it is nowhere that large.
+    """
+
+    gain_upper: np.ndarray
+    gain_lower: np.ndarray
+    phase: np.ndarray
+    delay: np.ndarray
+    disk: np.ndarray
+    sensitivity_peak: np.ndarray
+    complementary_peak: np.ndarray
+    crossover: np.ndarray
+    bandwidth: np.ndarray
+
+
+def response_of(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Response:
+    """G(z) = c (z - A)^-1 b of n loops.
+
+    Args:
+        a: Shape (n, states, states).
+        b: Shape (n, states).
+        c: Shape (n, states).
+    """
+    identity = np.eye(a.shape[-1])
+
+    def at(angles: np.ndarray) -> np.ndarray:
+        values = np.empty(angles.shape, complex)
+        for column, theta in enumerate(angles.T):
+            matrix = np.exp(1j * theta)[:, None, None] * identity - a
+            values[:, column] = np.einsum("ni,ni->n", c, np.linalg.solve(matrix, b[..., None])[..., 0])
+        return values
+
+    return at
+
+
+def common_grid(poles: np.ndarray, count: int = FREQUENCIES) -> np.ndarray:
+    """Angles in (0, pi), evenly spaced in the logarithm, that cover the dynamics of all loops.
+
+    Args:
+        poles: Closed-loop eigenvalues of all loops, any shape.
+        count: Number of angles.
+    """
+    rates = np.abs(np.log(poles[np.abs(poles) > LEAST_FACTOR].astype(complex)))
+    slowest = rates[rates > 10.0**-DECADES].min(initial=1.0)
+    return np.geomspace(max(BELOW * slowest, np.pi * 10.0**-DECADES), np.pi * (1.0 - 1e-9), count)
+
+
+def own_grid(common: np.ndarray, poles: np.ndarray) -> np.ndarray:
+    """The common angles of n loops with 0, pi and those of each loop's own poles, ascending; shape (n, m).
+
+    A pole above the real axis adds its damped frequency, any other one its natural frequency.
+    """
+    ends = np.concatenate([[0.0], common, [np.pi]])
+    natural = np.abs(np.log(np.where(poles == 0.0, -1.0, poles).astype(complex)))
+    own = np.where(np.imag(poles) > 0.0, np.angle(poles), np.minimum(natural, np.pi))
+    return np.sort(np.concatenate([np.broadcast_to(ends, (len(poles), ends.size)), own], axis=1))
+
+
+def with_touching(function: Response, angles: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Add the angles at which a function comes nearest to 0 between two angles, so that no pair of roots is missed.
+
+    Returns:
+        The ascending angles and the function there, shape (n, m + r).
+    """
+    size, before, after = np.abs(values[:, 1:-1]), np.abs(values[:, :-2]), np.abs(values[:, 2:])
+    same = (values[:, :-2] * values[:, 1:-1] > 0.0) & (values[:, 1:-1] * values[:, 2:] > 0.0)
+    places, nearest = chosen(same & (size <= before) & (size <= after))
+    if not places.shape[1]:
+        return angles, values
+    columns = []
+    for column in range(places.shape[1]):
+        at = places[:, column : column + 1]
+        low, high = (np.take_along_axis(angles, at + k, 1) for k in (0, 2))
+        sign = np.sign(np.take_along_axis(values, at + 1, 1))
+        columns.append(golden(lambda theta, sign=sign: -sign * function(theta), low, high)[0])
+    fresh = np.where(nearest, np.concatenate(columns, axis=1), np.take_along_axis(angles, places + 1, 1))
+    everything = np.concatenate([angles, fresh], axis=1)
+    order = np.argsort(everything, axis=1, kind="stable")
+    both = np.concatenate([values, function(fresh)], axis=1)
+    return np.take_along_axis(everything, order, 1), np.take_along_axis(both, order, 1)
+
+
+def chosen(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Column indices of the true entries of each row, padded to one length, and which of them are not padding."""
+    most = int(mask.sum(axis=1).max(initial=0))
+    places = np.argsort(~mask, axis=1, kind="stable")[:, :most]
+    return places, np.take_along_axis(mask, places, 1)
+
+
+def roots(function: Response, angles: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Roots of a real function of the angle, between neighbours of different sign, by the Illinois method.
+
+    Args:
+        function: (angles of shape (n, 1)) -> real values.
+        angles: Ascending, shape (n, m).
+        values: The function there.
+
+    Returns:
+        Angles and the mask of those that are roots, shape (n, r).
+    """
+    angles, values = with_touching(function, angles, values)
+    places, crossed = chosen(values[:, :-1] * values[:, 1:] < 0.0)
+    results = np.empty(places.shape)
+    for column in range(places.shape[1]):
+        at = places[:, column : column + 1]
+        low, high = (np.take_along_axis(angles, at + k, 1) for k in (0, 1))
+        f_low, f_high = (np.take_along_axis(values, at + k, 1) for k in (0, 1))
+        for _ in range(ROOT_STEPS):
+            difference = f_high - f_low
+            middle = np.where(
+                difference == 0.0, high, high - f_high * (high - low) / np.where(difference, difference, 1.0)
+            )
+            middle = np.clip(middle, np.minimum(low, high), np.maximum(low, high))
+            f_middle = function(middle)
+            beyond = f_middle * f_high < 0.0
+            low = np.where(beyond, high, low)
+            f_low = np.where(beyond, f_high, 0.5 * f_low)
+            high, f_high = middle, f_middle
+        results[:, column] = high[:, 0]
+    return results, crossed
+
+
+def golden(function: Response, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The largest value of a real function with one peak in [low, high], and its place; shape (n, 1)."""
+    left, right = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
+    f_left, f_right = function(left), function(right)
+    for _ in range(PEAK_STEPS):
+        rising = f_right > f_left
+        low, high = np.where(rising, left, low), np.where(rising, high, right)
+        kept, f_kept = np.where(rising, right, left), np.where(rising, f_right, f_left)
+        fresh = np.where(rising, low + GOLDEN * (high - low), high - GOLDEN * (high - low))
+        f_fresh = function(fresh)
+        left, right = np.where(rising, kept, fresh), np.where(rising, fresh, kept)
+        f_left, f_right = np.where(rising, f_kept, f_fresh), np.where(rising, f_fresh, f_kept)
+    better = f_right > f_left
+    return np.where(better, right, left), np.where(better, f_right, f_left)
+
+
+def refined_peak(function: Response, angles: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Largest value of a real function, refined around the largest value of the grid; shape (n,)."""
+    top = np.argmax(values, axis=1)[:, None]
+    low = np.take_along_axis(angles, np.maximum(top - 1, 0), 1)
+    high = np.take_along_axis(angles, np.minimum(top + 1, angles.shape[1] - 1), 1)
+    return np.maximum(np.max(values, axis=1), golden(function, low, high)[1][:, 0])
+
+
+def classical_margins(respond: Response, angles: np.ndarray, sample_time: float) -> ClassicalMargins:
+    """Margins of n stable loops.
+
+    Args:
+        respond: G of the loops.
+        angles: Ascending angles from 0 to pi at which crossings and peaks are looked for, shape (n, m).
+        sample_time: T_s [s].
+    """
+    g = respond(angles)
+    upper, lower = gain_margins(respond, angles, g)
+    crossings, crossed = roots(lambda theta: np.real(respond(theta)) + 0.5, angles, np.real(g) + 0.5)
+    at = respond(crossings) if crossings.size else np.empty(crossings.shape, complex)
+    lag = np.angle(at / (1.0 + at))  # of -L: the phase that is left to -180 degrees
+    size = np.where(crossed, np.abs(lag), np.inf)
+    delays = np.where(crossed, np.mod(lag, 2.0 * np.pi) * sample_time / np.where(crossed, crossings, 1.0), np.inf)
+    phase, crossover = np.full(len(g), np.inf), np.full(len(g), np.nan)
+    if size.shape[1]:
+        nearest = np.argmin(size, axis=1)[:, None]
+        phase = np.take_along_axis(size, nearest, 1)[:, 0]
+        where = np.take_along_axis(crossings, nearest, 1)[:, 0] / sample_time
+        crossover = np.where(np.isfinite(phase), where, np.nan)
+
+    def largest(offset: float) -> np.ndarray:
+        return refined_peak(lambda theta: np.abs(respond(theta) + offset), angles, np.abs(g + offset))
+
+    return ClassicalMargins(
+        gain_upper=upper,
+        gain_lower=lower,
+        phase=phase,
+        delay=delays.min(axis=1, initial=np.inf),
+        disk=1.0 / largest(0.5),
+        sensitivity_peak=largest(1.0),
+        complementary_peak=largest(0.0),
+        crossover=crossover,
+        bandwidth=bandwidth(respond, angles, g) / sample_time,
+    )
+
+
+def gain_margins(respond: Response, angles: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Upper and lower gain margin, each of shape (n,); G is real at z = 1 and z = -1, the ends of the angles, too."""
+    crossings, crossed = roots(lambda theta: np.imag(respond(theta)), angles, np.imag(g))
+    at = np.real(respond(crossings)) if crossings.size else np.empty(crossings.shape)
+    with np.errstate(all="ignore"):
+        factors = 1.0 + 1.0 / np.concatenate([np.where(crossed, at, np.nan), np.real(g)[:, [0, -1]]], axis=1)
+    counts = np.isfinite(factors) & (factors > LEAST_FACTOR) & (factors < 1.0 / LEAST_FACTOR)
+    upper = np.where(counts & (factors > 1.0), factors, np.inf).min(axis=1)
+    lower = np.where(counts & (factors < 1.0), factors, 0.0).max(axis=1)
+    return upper, lower
+
+
+def bandwidth(respond: Response, angles: np.ndarray, g: np.ndarray) -> np.ndarray:
+    """Angle beyond which abs(T) stays below 1/sqrt(2), shape (n,)."""
+    excess = np.abs(g) ** 2 - HALF_POWER
+    crossings, crossed = roots(lambda theta: np.abs(respond(theta)) ** 2 - HALF_POWER, angles, excess)
+    last = np.where(crossed, crossings, -np.inf).max(axis=1, initial=-np.inf)
+    last = np.where(excess[:, -1] > 0.0, np.inf, last)
+    return np.where(np.isneginf(last), np.nan, last)

@@ -1,0 +1,321 @@
+"""The region of two numbers in which enough of all plants meet the requirements, found by following its boundary.
+
+The two numbers lie on a lattice that is fixed in advance, and all its points share the same independent draws. At each
+point the number of failed draws has a binomial law, so that an exact interval says whether at least 95 % of all plants
+pass. The intervals hold for all points of the lattice together (Bonferroni), and hence for those that the search
+chooses to simulate, in whatever way. Between the points nothing is claimed.
+
+The search simulates a coarse lattice and halves its cells where the verdicts at the corners differ. A side whose ends
+differ belongs to two cells; both are halved, so that the boundary is followed until it closes or leaves the lattice.
+"""
+
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from dssc_jax import plotting
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.design.certification import mark
+from dssc_jax.engine.batching import BLOCK
+from dssc_jax.engine.evaluation import Evaluator, require_independent
+from dssc_jax.results.analysis import Analysis
+from dssc_jax.results.analysis_folder import Stored
+from dssc_jax.statistics import CONFIDENCE, clopper_pearson
+from dssc_jax.statistics.order import first
+from dssc_jax.study import Study
+
+PASSING = 0.95  # share of all plants that has to meet the requirements
+COARSE, HALVINGS, MOST_HALVINGS = (
+    8,
+    3,
+    8,
+)  # cells of the coarse lattice in each direction, and how often they are halved
+
+
+class PairVerdict(IntEnum):
+    """What the draws say of a point, with the simultaneous confidence."""
+
+    NOT_SIMULATED = -1
+    MEETS = 0
+    UNDECIDED = 1
+    FAILS = 2
+
+
+class RegionAxis(NamedTuple):
+    """One of the two numbers.
+
+    Args:
+        name: Its dotted name.
+        low: Lower end.
+        high: Upper end.
+        log: Whether the lattice is even in the logarithm.
+    """
+
+    name: str
+    low: float
+    high: float
+    log: bool = False
+
+    def values(self, count: int) -> np.ndarray:
+        """The lattice's values, shape (count,)."""
+        return (np.geomspace if self.log else np.linspace)(self.low, self.high, count)
+
+
+@dataclass(eq=False)
+class SafeRegion(Analysis):
+    """The region of two numbers in which at least 95 % of all plants meet the requirements.
+
+    The dataset has along ``first`` and ``second``, the values of the two numbers: ``verdict`` (a :class:`PairVerdict`),
+    ``failures`` (-1 where nothing was simulated) and ``certified`` (whether Theorem 1 certifies the point).
+
+    Args:
+        names: The two numbers.
+        log: Whether each one's lattice is even in the logarithm.
+        simulations: Number of simulations.
+        certificate: What Theorem 1 says.
+        seconds: Computing time.
+    """
+
+    kind = "region"
+    title = "Safe region of two numbers"
+    table = ("first", "second")
+
+    names: tuple[str, str]
+    log: tuple[bool, bool]
+    simulations: int
+    certificate: str
+    seconds: float
+
+    def points(self, verdict: PairVerdict) -> int:
+        """Number of lattice points with a verdict."""
+        return int(np.count_nonzero(self.dataset["verdict"].values == verdict))
+
+    @property
+    def headline(self) -> str:
+        """The answer in one line."""
+        simulated = self.dataset["verdict"].size - self.points(PairVerdict.NOT_SIMULATED)
+        return (
+            f"at {self.points(PairVerdict.MEETS)} of {simulated} simulated pairs of "
+            f"{' and '.join(self.names)} at least {100 * PASSING:g} % of all plants meet the requirements"
+        )
+
+    def figure(self) -> Figure:
+        """Plot the answer."""
+        return plotting.region(self)
+
+    def content(self) -> dict[str, Any]:
+        """See :class:`Analysis`."""
+        draws = self.study.config.draws
+        low, high = thresholds(draws, self.dataset["verdict"].size)
+        return {
+            "names": list(self.names),
+            "requirements": [requirement.text for requirement in self.study.requirements] or ["the draw stays finite"],
+            "draws": draws,
+            "passing": PASSING,
+            "confidence": CONFIDENCE,
+            "interval_method": "Clopper-Pearson, simultaneous over all points of the lattice (Bonferroni)",
+            "failures_allowed": low,
+            "failures_refuting": high,
+            "lattice": list(self.dataset["verdict"].shape),
+            "simulated_points": self.dataset["verdict"].size - self.points(PairVerdict.NOT_SIMULATED),
+            "simulations": self.simulations,
+            **{verdict.name.lower(): self.points(verdict) for verdict in PairVerdict if verdict >= 0},
+            "certified": int(self.dataset["certified"].sum()),
+            "certificate": self.certificate,
+            "seconds": self.seconds,
+        }
+
+    def settings(self) -> dict[str, Any]:
+        """See :class:`Analysis`."""
+        own = {name: getattr(self, name) for name in ("simulations", "certificate", "seconds")}
+        return {"names": list(self.names), "log": list(self.log), **own}
+
+    @classmethod
+    def restored(cls, stored: Stored) -> Self:
+        """See :class:`Analysis`."""
+        own = dict(stored.settings)
+        return cls(stored.study, stored.dataset, tuple(own.pop("names")), tuple(own.pop("log")), **own)
+
+
+def thresholds(draws: int, points: int) -> tuple[int, int]:
+    """The most failures with which a point meets, and the fewest with which it fails, simultaneously for all points.
+
+    Returns:
+        -1 for the former if even no failure is not enough; draws + 1 for the latter if even all failures are not.
+    """
+    intervals = clopper_pearson(np.arange(draws + 1), draws, 1.0 - (1.0 - CONFIDENCE) / points)
+    meets = np.flatnonzero(intervals[:, 1] <= 1.0 - PASSING)
+    fails = np.flatnonzero(intervals[:, 0] > 1.0 - PASSING)
+    return int(meets.max(initial=-1)), int(fails.min(initial=draws + 1))
+
+
+def region(
+    study: Study,
+    *,
+    over: tuple[RegionAxis, RegionAxis],
+    halvings: int = HALVINGS,
+    progress: ProgressCallback | None = None,
+) -> SafeRegion:
+    """Find where at least 95 % of all plants meet the requirements, over two numbers, with 95 % confidence.
+
+    Args:
+        study: The study; its own sweep is ignored. The two numbers replace their laws. Draws are independent, and
+            common to all points.
+        over: The two numbers and their ranges.
+        halvings: How often the cells of the coarse lattice of 8 x 8 cells are halved. A part of the region that fits
+            into a coarse cell may be missed.
+        progress: Called with the simulations done.
+
+    Raises:
+        ConfigError: a number or range is not admissible, draws are not independent, or too few to decide anything.
+
+    Example:
+        >>> import dssc_jax as dj
+        >>> study = dj.Study.load("studies/motor.toml").override({"draws": 300, "loop.sample_time": 0.01})
+        >>> gain = dj.RegionAxis("controller.k_p", 20.0, 400.0, True)
+        >>> lag = dj.RegionAxis("unmodelled.mu", 0.005, 0.1, True)
+        >>> dj.region(study, over=(gain, lag), halvings=0).summary()["simulated_points"]
+        81
+    """
+    require_independent(study, "a binomial interval")
+    study, began = study.without_sweep(), time.perf_counter()
+    for axis in over:
+        if not np.isfinite([axis.low, axis.high]).all() or not axis.low < axis.high or (axis.log and axis.low <= 0.0):
+            rule = "needs finite LO < HI" + (", above 0 for a logarithmic lattice" if axis.log else "")
+            raise ConfigError(axis.name, f"{rule}, got {axis.low:g} and {axis.high:g}")
+    if over[0].name == over[1].name or not 0 <= halvings <= MOST_HALVINGS:
+        raise ConfigError("region", f"needs two different numbers and 0 to {MOST_HALVINGS} halvings, got {halvings}")
+    count = COARSE * 2**halvings + 1
+    if thresholds(study.config.draws, count**2)[0] < 0:
+        needed = first(lambda draws: thresholds(draws, count**2)[0] >= 0, study.config.draws)
+        raise ConfigError(
+            "draws", f"must be at least {needed} to decide a point of {count**2}, got {study.config.draws}"
+        )
+    lattice = Lattice(study, over, count, progress)
+    lattice.follow(2**halvings)
+    certified, text = certified_points(study, over, lattice)
+    dataset = lattice.dataset(certified)
+    simulations = int(np.count_nonzero(lattice.failures >= 0)) * study.config.draws
+    names, log = (over[0].name, over[1].name), (over[0].log, over[1].log)
+    return SafeRegion(study, dataset, names, log, simulations, text, time.perf_counter() - began)
+
+
+class Lattice:
+    """Failures at the points of a lattice, simulated where they are wanted.
+
+    Args:
+        study: The study without a sweep.
+        over: The two numbers.
+        count: Values of each.
+        progress: Called with the simulations done.
+    """
+
+    def __init__(
+        self, study: Study, over: tuple[RegionAxis, RegionAxis], count: int, progress: ProgressCallback | None
+    ) -> None:
+        self.study, self.over, self.progress = study, over, progress
+        self.axes = [axis.values(count) for axis in over]
+        self.failures = np.full((count, count), -1)
+        self.meets, self.fails = thresholds(study.config.draws, count**2)
+        extents = {axis.name: (axis.low, axis.high) for axis in over}
+        self.evaluator = Evaluator(study, extents, BLOCK)
+        self.drawn = self.evaluator.drawn(slice(0, study.config.draws))
+
+    def verdicts(self) -> np.ndarray:
+        """The verdict at each point, shape (count, count)."""
+        decided = np.where(self.failures <= self.meets, PairVerdict.MEETS, PairVerdict.UNDECIDED)
+        decided = np.where(self.failures >= self.fails, PairVerdict.FAILS, decided)
+        return np.where(self.failures < 0, PairVerdict.NOT_SIMULATED, decided)
+
+    def simulate(self, points: Iterable[tuple[int, int]]) -> None:
+        """Simulate the points among these that have not been."""
+        fresh = sorted({point for point in points if self.failures[point] < 0})
+        if not fresh:
+            return
+        draws = self.study.config.draws
+        pairs = [np.array([self.axes[k][point[k]] for point in fresh]) for k in (0, 1)]
+        values = {name: np.tile(column, len(fresh)) for name, column in self.drawn.items()}
+        values |= {axis.name: np.repeat(own, draws) for axis, own in zip(self.over, pairs, strict=True)}
+        indices = np.tile(np.arange(draws), len(fresh))
+        results = self.evaluator(indices, values)
+        failed = results["outcome"].reshape(len(fresh), draws) != 0
+        for point, count in zip(fresh, np.count_nonzero(failed, axis=1), strict=True):
+            self.failures[point] = count
+        if self.progress:
+            self.progress(int(np.count_nonzero(self.failures >= 0)) * draws, None)
+
+    def follow(self, stride: int) -> None:
+        """Simulate the coarse lattice, then the boundary at every finer stride down to 1."""
+        count = len(self.failures)
+        places = range(0, count, stride)
+        self.simulate((i, j) for i in places for j in places)
+        while stride > 1:
+            for i, j in self.mixed_cells(stride):
+                half = stride // 2
+                self.simulate((i + a, j + b) for a in (0, half, stride) for b in (0, half, stride))
+            stride //= 2
+            self.close(stride)
+
+    def mixed_cells(self, stride: int) -> list[tuple[int, int]]:
+        """Lower corners of the cells whose corners have been simulated and differ."""
+        verdicts, last = self.verdicts(), len(self.failures) - 1
+        cells = []
+        for i in range(0, last, stride):
+            for j in range(0, last, stride):
+                corners = verdicts[i : i + stride + 1 : stride, j : j + stride + 1 : stride]
+                if corners.min() >= 0 and corners.min() < corners.max():
+                    cells.append((i, j))
+        return cells
+
+    def close(self, stride: int) -> None:
+        """Simulate the cells beside every side whose ends differ, until the boundary closes or leaves the lattice."""
+        last = len(self.failures) - 1
+        while True:
+            verdicts, wanted = self.verdicts(), set()
+            for i, j in np.argwhere(verdicts >= 0)[:, :].tolist():
+                if i % stride or j % stride:
+                    continue
+                for a, b in ((stride, 0), (0, stride)):
+                    if max(i + a, j + b) > last or not 0 <= verdicts[i + a, j + b] != verdicts[i, j]:
+                        continue
+                    for side in (-stride, stride):
+                        p, q = (i, j + side) if a else (i + side, j)
+                        if 0 <= p <= last and 0 <= q <= last:
+                            wanted |= {(p, q), (p + a, q + b)}
+            if not any(self.failures[point] < 0 for point in wanted):
+                return
+            self.simulate(wanted)
+
+    def dataset(self, certified: np.ndarray) -> xr.Dataset:
+        """The dataset of :class:`SafeRegion`."""
+        flags = {
+            "flag_values": [v.value for v in PairVerdict],
+            "flag_meanings": " ".join(v.name.lower() for v in PairVerdict),
+        }
+        columns = {
+            "verdict": (SafeRegion.table, self.verdicts(), {"long_name": "whether 95 % of all plants pass", **flags}),
+            "failures": (SafeRegion.table, self.failures, {"long_name": "failed draws, -1: not simulated"}),
+            "certified": (SafeRegion.table, certified, {"long_name": "whether Theorem 1 certifies the point"}),
+        }
+        coords = {}
+        for dimension, axis, values in zip(SafeRegion.table, self.over, self.axes, strict=True):
+            about = self.study.quantities[axis.name]
+            coords[dimension] = (dimension, values, {"units": about.unit, "long_name": about.meaning})
+        return xr.Dataset(columns, coords=coords, attrs={"title": self.study.name})
+
+
+def certified_points(study: Study, over: tuple[RegionAxis, RegionAxis], lattice: Lattice) -> tuple[np.ndarray, str]:
+    """Which points Theorem 1 certifies, for all draws at once, and what it says; shape (count, count)."""
+    swept = study.override({"sweep": {axis.name: own.tolist() for axis, own in zip(over, lattice.axes, strict=True)}})
+    certified, reason = mark(swept)
+    if certified is None:
+        return np.zeros(lattice.failures.shape, bool), f"Theorem 1 does not apply: {reason}"
+    axes = [list(swept.axes).index(axis.name) for axis in over]
+    return certified.transpose(axes), "Theorem 1 covers the loop without lag and sampling, for all plants of the laws"

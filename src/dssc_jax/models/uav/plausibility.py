@@ -1,0 +1,66 @@
+"""Plausibility of a vehicle's numbers: usual ranges of multirotors, for warnings about a slip of a unit or a factor."""
+
+from collections.abc import Collection
+from typing import NamedTuple
+
+from dssc_jax.core.quantities import nominal
+from dssc_jax.models.uav.vehicle import GRAVITY, Vehicle
+
+
+class UsualRange(NamedTuple):
+    """A number of a vehicle and the range that multirotors usually have.
+
+    Args:
+        name: What the number is.
+        fields: The vehicle's fields that it follows from.
+        value: Its value.
+        low: Lower end of the usual range.
+        high: Upper end.
+        unit: Unit of all three.
+    """
+
+    name: str
+    fields: tuple[str, ...]
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
+def usual_ranges(vehicle: Vehicle) -> list[UsualRange]:
+    """The numbers that are compared; a law counts with its median. All ranges are assumed.
+
+    Hover throttle is the share of the largest thrust that carries the weight. Torque over thrust of a propeller is a
+    few per cent of its diameter. The radius of gyration is that about a horizontal axis.
+    """
+    mass, arm = nominal(vehicle.mass), nominal(vehicle.arm)
+    inertia = [nominal(value) for value in vehicle.body_inertia]
+    transverse = 0.5 * (inertia[0] + inertia[1]) + vehicle.rotors * nominal(vehicle.rotor_inertia_xy)
+    gyration = (transverse / mass) ** 0.5
+    weight = mass * GRAVITY
+    limit = 2.0 * weight / vehicle.rotors if vehicle.max_thrust is None else nominal(vehicle.max_thrust)
+    hover = (weight / vehicle.rotors / nominal(vehicle.thrust_coefficient)) ** 0.5
+    ranges = [
+        UsualRange("hover throttle", ("max_thrust",), weight / (vehicle.rotors * limit), 0.1, 0.7, "of f_max"),
+        UsualRange("torque over thrust", ("torque_coefficient",), nominal(vehicle.torque_coefficient), 0.002, 0.1, "m"),
+        UsualRange("radius of gyration over arm", ("mass", "arm", "body_inertia"), gyration / arm, 0.15, 1.2, ""),
+        UsualRange("hover speed of a rotor", ("thrust_coefficient", "mass"), hover, 50.0, 4000.0, "rad/s"),
+    ]  # fmt: skip
+    if vehicle.motor_lag is not None:
+        ranges.append(UsualRange("motor lag", ("motor_lag",), nominal(vehicle.motor_lag), 0.01, 0.15, "s"))
+    return ranges
+
+
+def implausible(vehicle: Vehicle, given: Collection[str]) -> list[str]:
+    """One line for each number outside of its usual range that follows from fields which the user gave.
+
+    Args:
+        vehicle: The vehicle.
+        given: Names of the fields that the study gives; the others are a base vehicle's own.
+    """
+    return [
+        f"{each.name} is {each.value:.3g} {each.unit}".rstrip()
+        + f", usual are {each.low:g} to {each.high:g}; see plant.vehicle.{' and '.join(each.fields)}"
+        for each in usual_ranges(vehicle)
+        if not each.low <= each.value <= each.high and set(each.fields) & set(given)
+    ]

@@ -1,0 +1,28 @@
+"""A plant input that is a multiple of a resolution, as behind a digital-to-analogue converter."""
+
+from typing import Annotated, NamedTuple
+
+import jax.numpy as jnp
+
+from dssc_jax.core.contracts import Unmodelled
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Scalar
+
+
+class QuantisationParams(NamedTuple):
+    """The resolution."""
+
+    resolution: Annotated[Scalar, Quantity("u", "the plant input is a multiple of it", above=0.0)]
+
+
+def nearest_multiple(params: QuantisationParams, state: tuple[()], command: Scalar) -> Scalar:
+    """The multiple of the resolution that is nearest to the command; the error is at most half the resolution."""
+    return params.resolution * jnp.round(command / params.resolution)
+
+
+QUANTISATION = Unmodelled(
+    QuantisationParams,
+    init=lambda params: (),
+    step=lambda params, state, command, dt: state,
+    output=nearest_multiple,
+)

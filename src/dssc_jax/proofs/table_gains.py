@@ -1,0 +1,109 @@
+"""The gains of Table 1's functions, which depend on sigma and e, enclosed over a region: the verifier's own (28), (29).
+
+The region is cut into pieces of r = |sigma|^(1/2) and |e|. A piece is cut again where its enclosure exceeds what the
+gains at points span by more than a small share.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from dssc_jax.proofs.balls import Balls, enclosing, require_premise
+from dssc_jax.proofs.intervals import Intervals, exactly, square_root
+
+TABLE_ROOM = 0.02  # largest excess over the gains at points, in widths of what they span
+TABLE_ROUNDING = 2.0**-36  # and in sizes of the gain
+FIRST_CUTS = 6  # of r and of |e|
+MOST_CELLS = 100_000
+
+
+def table_gains(problem: dict[str, Any], sigma: float, e: float, least: float) -> Balls:
+    """Balls of the gains for |sigma| from ``least`` to a bound, and |e| up to one.
+
+    They are the same at (-sigma, -e). Both signs are taken at e = 0, where sgn e jumps; with sgn 0 = 0 the gains lie
+    between.
+
+    Args:
+        problem: The certificate's problem, with Table 1's functions.
+        sigma: Bound of |sigma| [m/s].
+        e: Bound of |e| [m].
+        least: Least |sigma| [m/s].
+    """
+    first, last = square_root(least, sigma)
+    roots, errors = np.linspace(first, last, FIRST_CUTS + 1), np.linspace(0.0, e, FIRST_CUTS + 1)
+    signs = np.array([-1.0, 1.0])
+    low = np.meshgrid(roots[:-1], errors[:-1], signs, indexing="ij")
+    high = np.meshgrid(roots[1:], errors[1:], signs, indexing="ij")
+    r, x = (Intervals(low[i].ravel(), high[i].ravel()) for i in (0, 1))
+    sign = low[2].ravel()
+    spans: dict[str, tuple[float, float]] = {}
+    result: dict[str, tuple[float, float]] = {}
+    left = MOST_CELLS
+    while sign.size:
+        left -= sign.size
+        for name, at in gains_of(problem, r.middle(), sign, x.middle()).items():
+            spans[name] = spanned(spans.get(name), float(np.min(at.low)), float(np.max(at.high)))
+        pieces, again = gains_of(problem, r, sign, x), np.zeros(sign.shape, bool)
+        for name, at in pieces.items():
+            lowest, highest = spans[name]
+            room = TABLE_ROOM * (highest - lowest) + TABLE_ROUNDING * max(abs(lowest), abs(highest))
+            again |= ~((at.low >= lowest - room) & (at.high <= highest + room))
+        if left <= 0:
+            again[:] = False
+        if not again.all():
+            for name, at in pieces.items():
+                kept = at.selected(~again)
+                result[name] = spanned(result.get(name), float(np.min(kept.low)), float(np.max(kept.high)))
+        halves = [(half, other) for half in r.selected(again).halves() for other in x.selected(again).halves()]
+        r, x = (concatenated([pair[i] for pair in halves]) for i in (0, 1))
+        sign = np.tile(sign[again], len(halves))
+    positive = all(result[name][0] > 0.0 for name in ("k_p", "k_i"))
+    require_premise(positive, "P2: the functions are not positive in the region")
+    finite = bool(np.all(np.isfinite(list(result.values()))))
+    require_premise(finite, "P2: the functions cannot be enclosed in the region")
+    return {name: enclosing(*ends) for name, ends in result.items()}
+
+
+def spanned(ends: tuple[float, float] | None, low: float, high: float) -> tuple[float, float]:
+    """The smallest interval with both; NaN if one has it."""
+    return (low, high) if ends is None else (float(np.minimum(ends[0], low)), float(np.maximum(ends[1], high)))
+
+
+def concatenated(parts: list[Intervals]) -> Intervals:
+    """All intervals of some arrays."""
+    return Intervals(np.concatenate([each.low for each in parts]), np.concatenate([each.high for each in parts]))
+
+
+def gains_of(problem: dict[str, Any], r: Intervals, sign: np.ndarray, e: Intervals) -> dict[str, Intervals]:
+    """The gains with r = |sigma|^(1/2), the sign of sigma e, and e = |e|.
+
+    Terms are written so that each r in them acts in the same direction, where they can be.
+    """
+    own = {name: exactly(value) for name, value in problem["functions"].items() if name != "kind"}
+    two, t, sides = exactly(2.0), exactly(problem["sample_time"]), Intervals(sign, sign)
+    rd, size = r + own["delta"], r * r
+    shrinks = exactly(1.0) - own["delta"] / rd
+    ratio = own["phi_a"] / rd + own["phi_b"]
+    first = own["phi_a"] * r * shrinks + own["phi_b"] * size  # phi_1
+    slope = own["phi_a"] * (exactly(1.0) / rd + own["delta"] / (rd * rd)) / two + own["phi_b"]
+    kappa = own["kappa_a"] * size + own["kappa_b"] * e + own["kappa_c"]
+    kappa1 = kappa * kappa + own["kappa_d"]
+    kappa2 = two * own["epsilon"] * kappa1 + own["gamma"]
+    proportional = two * kappa * own["kappa_a"] * first + kappa1 * slope
+    by_e = two * kappa * own["kappa_b"] * (sides * size - exactly(problem["l0"]) * e)
+    integral = ratio * (by_e + kappa2 * slope)
+    pole = integral / proportional  # 1/tau_m
+    if "k_o" in own:
+        filtered, by_pole = exactly(1.0) / own["k_o"], pole / own["k_o"]
+    else:
+        filtered, by_pole = own["tau_av"] * proportional, own["tau_av"] * integral
+    nominal = problem["nominal"]
+    nothing = np.zeros(sign.shape)
+    term = pole / exactly(nominal[1]) if nominal and nominal[2] else Intervals(nothing, nothing)
+    return {
+        "k_p": proportional,
+        "k_i": integral,
+        "k_n": term,
+        "slide_p": proportional + filtered / t,
+        "slide_i": t * integral + by_pole,
+    }

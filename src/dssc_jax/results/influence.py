@@ -1,0 +1,91 @@
+"""What matters in a result: swept numbers that change nothing, and uncertain numbers by their influence."""
+
+import numpy as np
+import xarray as xr
+
+from dssc_jax.results.result import Result, headline
+from dssc_jax.statistics.order import upper_quantiles
+
+IDLE = 0.01  # largest relative change of a metric's quantiles over an axis that counts as none
+SHOWN_QUANTILES = (0.05, 0.5, 0.95)
+BINS, FILLED = 8, 5  # largest number of bins, and least number of draws in each
+
+
+def idle_axes(result: Result) -> list[str]:
+    """The swept numbers that change nothing of what is required.
+
+    Over such a number every draw keeps its verdict, and no quantile (5, 50, 95 %) of a required metric changes by more
+    than 1 %, while the other swept numbers stay where they are. Without requirements, the headline metric counts.
+    """
+    axes = [name for name in result.study.axes if result.dataset.sizes.get(name, 1) > 1]
+    return [name for name in axes if is_idle(result, name)]
+
+
+def is_idle(result: Result, axis: str) -> bool:
+    """Whether an axis changes nothing of what is required."""
+    failed = result.failed
+    if bool((failed != failed.isel({axis: 0})).any()):
+        return False
+    judged = {rule.measure.name for rule in result.study.requirements} or {headline(result).name}
+    return all(largest_change(result.dataset[name], axis) <= IDLE for name in judged)
+
+
+def largest_change(metric: xr.DataArray, axis: str) -> float:
+    """Largest relative change of a metric's quantiles along an axis; infinite where a quantile ceases to be finite."""
+    ordered = metric.transpose(axis, ..., "draw").values
+    quantiles = upper_quantiles(ordered, SHOWN_QUANTILES)
+    finite = np.isfinite(quantiles)
+    if (finite.any(axis=1) != finite.all(axis=1)).any():
+        return float("inf")
+    quantiles = np.where(finite, quantiles, 0.0)
+    spread = np.ptp(quantiles, axis=1)
+    scale = np.max(np.abs(quantiles), axis=1)
+    return float(np.max(np.divide(spread, scale, out=np.zeros_like(spread), where=scale > 0.0), initial=0.0))
+
+
+def idle_text(result: Result) -> str:
+    """The idle axes in words; empty if every axis matters."""
+    return "; ".join(about_idle(result, name) for name in idle_axes(result))
+
+
+def about_idle(result: Result, axis: str) -> str:
+    """What an idle axis changes, if anything."""
+    changes = {measure.name: largest_change(result.dataset[measure.name], axis) for measure in result.study.measures}
+    if max(changes.values()) <= IDLE:
+        return f"no metric changes over {axis}"
+    most = max(changes, key=lambda name: changes[name])
+    share = f"by {changes[most]:.0%}" if np.isfinite(changes[most]) else "in some draws from finite to infinite"
+    return f"{axis} is idle here: no verdict and no required metric changes over it (most changes {most}, {share})"
+
+
+def groups_of(values: np.ndarray) -> list[np.ndarray]:
+    """Indices of draws in bins of equal count, by the values of one number."""
+    return np.array_split(np.argsort(values), max(1, min(BINS, values.size // FILLED)))
+
+
+def influence(result: Result, name: str) -> float:
+    """Share of the variance of failure that the bins of one uncertain number explain, in [0, 1].
+
+    Where no draw fails, or all do, it is that of the ranks of the headline metric. The share is the correlation ratio,
+    less the share that bins of equal count explain by chance.
+
+    Args:
+        result: A run, or one point of a sweep (:meth:`Result.at`).
+        name: The uncertain number's dotted name.
+    """
+    outcome = result.failed.values.astype(float)
+    if outcome.min() == outcome.max():
+        metric = result.dataset[headline(result).name].values
+        outcome = np.argsort(np.argsort(np.where(np.isnan(metric), np.inf, metric), kind="stable")).astype(float)
+    groups = groups_of(result.dataset[name].values)
+    total = float(np.sum((outcome - outcome.mean()) ** 2))
+    if total == 0.0 or len(groups) < 2:
+        return 0.0
+    between = sum(len(group) * (outcome[group].mean() - outcome.mean()) ** 2 for group in groups)
+    chance = (len(groups) - 1) / max(1, outcome.size - 1)
+    return float(max(0.0, between / total - chance))
+
+
+def by_influence(result: Result, names: list[str]) -> list[str]:
+    """Uncertain numbers, the most influential first; equal ones in the study's order."""
+    return sorted(names, key=lambda name: -influence(result, name))

@@ -1,0 +1,59 @@
+"""Import of a user's own objects, ``package.module:object``, and what to do where it fails."""
+
+import contextlib
+import importlib
+import sys
+import traceback
+from pathlib import Path
+from typing import Any
+
+from dssc_jax.core.errors import ConfigError, nearest
+
+WHERE_MODULES_ARE = (
+    "if it lies in the study's folder, --allow-local finds it (in Python: sys.path.append(FOLDER)), otherwise "
+    "install it or set PYTHONPATH"
+)
+
+
+def allow_imports(folder: str | Path) -> None:
+    """Let modules be imported from a folder too.
+
+    It comes last in the search, so that a file in it never takes the place of an installed module.
+    """
+    place = str(Path(folder).resolve())
+    if place not in sys.path:
+        sys.path.append(place)
+        importlib.invalidate_caches()
+
+
+def imported(name: str, place: str) -> Any:
+    """Import a user's object by its name ``package.module:object``.
+
+    Raises:
+        ConfigError: it cannot be imported, and what to do.
+    """
+    module_name, _, attribute = name.partition(":")
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            module = importlib.import_module(module_name)
+    except (Exception, SystemExit) as error:  # a module's own code may raise anything
+        raise ConfigError(place, f"cannot import '{name}': {import_failure(module_name, error)}") from error
+    if not hasattr(module, attribute):
+        public = [each for each in vars(module) if not each.startswith("_")]
+        raise ConfigError(
+            place, f"cannot import '{name}': the module has no '{attribute}'; {nearest(attribute, public)}"
+        )
+    return getattr(module, attribute)
+
+
+def import_failure(module_name: str, error: BaseException) -> str:
+    """Why a module cannot be imported, and what to do about it."""
+    if isinstance(error, ModuleNotFoundError) and error.name:
+        if f"{module_name}.".startswith(f"{error.name}."):
+            return f"there is no module '{error.name}'; {WHERE_MODULES_ARE}"
+        return f"the module needs '{error.name}', which is not installed; install it for this Python"
+    if isinstance(error, SyntaxError):
+        return f"SyntaxError: {error.msg} in line {error.lineno} of {error.filename}"
+    lines = [each for each in traceback.extract_tb(error.__traceback__) if not each.filename.startswith("<frozen")]
+    where = f" in line {lines[-1].lineno} of {lines[-1].filename}" if len(lines) > 1 else ""
+    return f"{type(error).__name__}: {error}{where}"

@@ -1,0 +1,43 @@
+"""Hints for frequent mistakes: wrong separators in options and in study files."""
+
+import re
+
+SEPARATORS = re.compile(r"\s*(?::|,|;|\.\.+|\bto\b|\s)\s*")
+
+
+def separated(text: str, parts: int) -> str:
+    """The end of a message about ``NAME=A:B:...``: the text with the right separators, if only these are wrong.
+
+    Args:
+        text: As typed.
+        parts: Numbers that must follow the name, at least.
+    """
+    match = re.fullmatch(r"\s*([^\s=:]+)\s*[=:\s]\s*(.+?)\s*", text)
+    if match is None:
+        return ""
+    name, values = match.group(1).replace("/", "."), [part for part in SEPARATORS.split(match.group(2)) if part]
+    if values[-1:] == ["log"]:
+        values, ending = values[:-1], [":log"]
+    else:
+        ending = []
+    numeric = all(re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", value) for value in values)
+    wanted = f"{name}={':'.join(values)}{''.join(ending)}"
+    return f"; did you mean '{wanted}'?" if numeric and len(values) == parts and wanted != text else ""
+
+
+def toml_hint(text: str, complaint: str) -> str:
+    """The line of a TOML file that does not parse, and the separator that it needs, if that is what is wrong."""
+    match = re.search(r"at line (\d+)", complaint)
+    lines = text.splitlines()
+    if match is None or int(match.group(1)) > len(lines):
+        return ""
+    line = lines[int(match.group(1)) - 1].strip()
+    shown = f"; the line is: {line[:60]}"
+    if re.match(r"[\w.\"-]+\s*:", line):
+        return f"{shown}; '=' separates a name from its value"
+    bare = re.sub(r"\"[^\"]*\"|'[^']*'|#.*", "", line)
+    if ";" in bare:
+        return f"{shown}; ',' separates the items of a list"
+    if re.search(r"\d,\d", bare) and "[" not in bare:
+        return f"{shown}; '.' is the decimal point"
+    return shown

@@ -1,0 +1,62 @@
+"""Warnings of a vehicle's numbers: none for plausible ones, one for each slip, none for numbers of a base vehicle."""
+
+import pytest
+
+from dssc_jax.cli import guarded
+from dssc_jax.models.uav.plausibility import implausible, usual_ranges
+from dssc_jax.models.uav.vehicle import HEXACOPTER, QUADROTOR
+from tests.mutations import document
+
+RACER = QUADROTOR._replace(
+    mass=1.2,
+    body_inertia=(0.004, 0.004, 0.007),
+    rotor_inertia_xy=1e-5,
+    thrust_coefficient=1.5e-6,
+    torque_coefficient=0.015,
+    arm=0.13,
+    max_thrust=12.0,
+    motor_lag=0.03,
+)
+EVERY = set(QUADROTOR._fields)
+
+
+def test_a_racer_is_plausible_and_the_article_s_torque_coefficient_is_not():
+    assert implausible(RACER, EVERY) == []
+    for vehicle in (QUADROTOR, HEXACOPTER):
+        (text,) = implausible(vehicle, {"torque_coefficient"})
+        assert text == "torque over thrust is 0.57 m, usual are 0.002 to 0.1; see plant.vehicle.torque_coefficient"
+        assert implausible(vehicle, {"structure_drag"}) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"max_thrust": 3.1}, "hover throttle is 0.949 of f_max"),
+        ({"torque_coefficient": 15.0}, "torque over thrust is 15 m"),
+        ({"motor_lag": 3.0}, "motor lag is 3 s"),
+        ({"body_inertia": (4.0, 4.0, 7.0)}, "radius of gyration over arm is 14"),
+        ({"thrust_coefficient": 1.5}, "hover speed of a rotor is 1.4 rad/s"),
+    ],
+)
+def test_a_slip_is_named(changes, said):
+    (text,) = implausible(RACER._replace(**changes), set(changes))
+    assert text.startswith(said)
+
+
+def test_ranges_are_ranges():
+    for each in usual_ranges(RACER):
+        assert each.low < each.value < each.high
+
+
+def test_the_command_warns(tmp_path, monkeypatch, capsys):
+    """Before anything is simulated: the draw does not exist."""
+    monkeypatch.chdir(tmp_path)
+    study = {
+        "name": "slip",
+        "loop": {"duration": 0.02, "sample_time": 0.02},
+        "plant": {"kind": "uav", "vehicle": {"kind": "m600_quadrotor", "motor_lag": 20.0}},
+        "controller": {"kind": "pid", "k_p": 1.0},
+    }
+    (tmp_path / "slip.toml").write_bytes(document(study))
+    assert guarded(["simulate", "slip.toml", "--draw", "5"]) == 2
+    assert "warning: motor lag is 20 s, usual are 0.01 to 0.15; see plant.vehicle.motor_lag" in capsys.readouterr().err

@@ -1,0 +1,88 @@
+"""What matters in a result: idle knobs are reported, and uncertain numbers are ranked by what they explain."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import dssc_jax as dj
+from dssc_jax.results.influence import by_influence, idle_axes, idle_text, influence, largest_change
+from tests.conftest import UNCERTAIN
+
+LOOP = {
+    **UNCERTAIN,
+    "draws": 60,
+    "plant": {"kind": "normal_form", "k_p": {"uniform": [0.8, 1.2]}, "a_p": {"uniform": [0.9, 1.1]}},
+    "requirement": [{"metric": "error_rms", "after": 2.0, "max": 0.2}],
+}
+
+
+def swept(axis):
+    return dj.run(dj.Study.from_table({**LOOP, "sweep": axis}))
+
+
+def test_an_idle_knob_is_reported_with_what_it_does_change():
+    """tau_av at a fixed product k_o tau_av, and a gain."""
+    idle = swept({"controller.functions.tau_av": [0.02, 0.05]})
+    assert idle_axes(idle) == ["controller.functions.tau_av"]
+    assert idle_text(idle) == "no metric changes over controller.functions.tau_av"
+    factor = xr.DataArray([1.0, 0.6], dims="controller.functions.tau_av")
+    jerky = idle.dataset.assign(command_tv=idle.dataset["command_tv"] * factor)
+    text = idle_text(dj.Result(idle.study, jerky))
+    assert text.startswith("controller.functions.tau_av is idle here: no verdict and no required metric changes")
+    assert "most changes command_tv, by 40%" in text
+    matters = swept({"controller.functions.kappa2": [0.5, 4.0]})
+    assert idle_axes(matters) == []
+    assert idle_text(matters) == ""
+
+
+def test_an_axis_that_changes_nothing_at_all():
+    result = swept({"controller.functions.kappa2": [0.5, 4.0]})
+    same = result.dataset.isel({"controller.functions.kappa2": [0, 0]}).assign_coords(
+        {"controller.functions.kappa2": [0.5, 4.0]}
+    )
+    assert idle_text(dj.Result(result.study, same)) == "no metric changes over controller.functions.kappa2"
+    assert "no metric changes over" in dj.plot.sweep(dj.Result(result.study, same))._suptitle.get_text()
+
+
+def test_the_change_of_a_metric_is_that_of_its_quantiles():
+    draws = np.arange(101.0)
+    metric = xr.DataArray(np.stack([draws, 2.0 * draws]), dims=("axis", "draw"))
+    assert largest_change(metric, "axis") == pytest.approx(0.5)
+    gone = metric.where(metric["axis"] == 0)
+    assert largest_change(gone, "axis") == np.inf
+
+
+def test_influence_is_the_share_of_variance_that_a_number_explains():
+    """A failure that depends on one number alone: the ratio is 1 where bins separate it, about 0 for the other."""
+    result = dj.run(dj.Study.from_table({**LOOP, "draws": 400, "sweep": {}}))
+    gain = result.dataset["plant.k_p"].values
+    outcome = np.where(gain < np.median(gain), 10, 0).astype(result.dataset["outcome"].dtype)
+    forced = dj.Result(result.study, result.dataset.assign(outcome=("draw", outcome)))
+    assert influence(forced, "plant.k_p") == pytest.approx(1.0 - 7 / 399)
+    assert influence(forced, "plant.a_p") < 0.05
+    names = list(result.study.laws)
+    assert by_influence(forced, names)[0] == "plant.k_p"
+    assert sorted(by_influence(forced, names)) == sorted(names)
+
+
+def test_the_figure_of_failures_shows_the_most_influential_numbers_and_how_many_more_there_are():
+    study = dj.Study.from_table({**LOOP, "sweep": {}, "draws": 100})
+    wide = study.override({"controller.functions.kappa1": {"uniform": [0.9, 1.1]}})
+    wide = wide.override({"controller.functions.kappa2": {"uniform": [0.5, 2.0]}})
+    result = dj.run(wide)
+    figure = dj.plot.failures(result)
+    assert len(result.study.laws) == 6
+    assert "the 5 most influential of 6 uncertain numbers" in figure._suptitle.get_text()
+    shown = [ax.get_xlabel().partition("\n")[0] for ax in figure.axes[1:] if ax.get_xlabel()]
+    assert shown == by_influence(result, list(result.study.laws))[:5]
+
+
+def test_probability_axes_fit_the_data():
+    result = dj.run(dj.Study.from_table({**LOOP, "draws": 400, "sweep": {}}))
+    few = np.zeros(400, result.dataset["outcome"].dtype)
+    few[:4] = 10
+    rare = dj.Result(result.study, result.dataset.assign(outcome=("draw", few)))
+    low, high = dj.plot.factor(rare, "plant.k_p").axes[0].get_ylim()
+    assert -0.02 < low < 0.0 < high < 0.3
+    many = dj.Result(result.study, result.dataset.assign(outcome=("draw", np.full_like(few, 10))))
+    assert dj.plot.factor(many, "plant.k_p").axes[0].get_ylim()[1] > 1.0

@@ -1,0 +1,100 @@
+"""Mistakes of section and of separator get a hint of their own, which is right."""
+
+import pytest
+
+from dssc_jax.cli import guarded
+from dssc_jax.cli.common import parse_bounds, parse_over
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.study import Study
+from tests.conftest import UNCERTAIN
+from tests.mutations import document
+
+HOVER = {
+    "name": "hover",
+    "loop": {"duration": 1.0, "sample_time": 0.01},
+    "plant": {"kind": "uav", "vehicle": {"kind": "m600_quadrotor"}},
+    "controller": {"kind": "pid", "k_p": 1.0},
+}
+
+
+@pytest.mark.parametrize(
+    ("changes", "where", "hint"),
+    [
+        ({"duration": 3.0}, "duration", "'duration' belongs in [loop]"),
+        ({"loop.draws": 3}, "loop.draws", "'draws' belongs at the top of the file"),
+        ({"controller.mu": 0.1}, "controller.mu", "'mu' belongs in [unmodelled]"),
+        ({"plant.tau_av": 0.1}, "plant.tau_av", "'tau_av' belongs in [controller.functions]"),
+        ({"controller.tau_av": 0.1}, "controller.tau_av", "'tau_av' belongs in [controller.functions]"),
+        ({"plant.rate": 1.0}, "plant.rate", "'rate' belongs in [unmodelled] of kind \"rate_limit\""),
+        ({"controller.tau_aw": 0.1}, "controller.tau_aw", "unknown name; "),
+    ],
+)
+def test_a_name_in_the_wrong_section(changes, where, hint):
+    study = Study.from_table(UNCERTAIN)
+    with pytest.raises(ConfigError) as caught:
+        study.override(changes)
+    assert f"study: {where}: unknown name" in str(caught.value)
+    assert hint in str(caught.value)
+
+
+def test_a_name_that_belongs_into_a_part_of_the_vehicle():
+    with pytest.raises(ConfigError, match=r"'mass' belongs in \[plant.vehicle\] or in \[plant.believed\]"):
+        Study.from_table({**HOVER, "plant": {**HOVER["plant"], "mass": 1.0}})
+
+
+@pytest.mark.parametrize(
+    ("typed", "wanted"),
+    [
+        ("plant.k_p=0.5,2,9", "plant.k_p=0.5:2:9"),
+        ("plant.k_p:0.5:2:9", "plant.k_p=0.5:2:9"),
+        ("plant.k_p=0.5..2;9:log", "plant.k_p=0.5:2:9:log"),
+        ("plant/k_p=0.5 2 9", "plant.k_p=0.5:2:9"),
+    ],
+)
+def test_separators_of_an_axis(typed, wanted):
+    with pytest.raises(ConfigError) as caught:
+        parse_over(typed)
+    assert str(caught.value).endswith(f"; did you mean '{wanted}'?")
+    assert parse_over(wanted)[0] == "plant.k_p"
+
+
+def test_separators_of_bounds():
+    with pytest.raises(ConfigError, match=r"did you mean 'plant\.k_p=1e-3:2'"):
+        parse_bounds("plant.k_p=1e-3 to 2")
+    with pytest.raises(ConfigError) as caught:
+        parse_bounds("plant.k_p=high:low")
+    assert "did you mean" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "hint"),
+    [
+        (
+            ["compare", "--controllers", "dssc;sta"],
+            "takes names separated by commas; did you mean 'dssc,sta'?",
+        ),
+        (["compare", "--controllers", "dssc sta"], "did you mean 'dssc,sta'?"),
+        (["run", "--set", "plant.k_p:2"], "--set: must be NAME=VALUE, got 'plant.k_p:2'; did you mean 'plant.k_p=2'?"),
+    ],
+)
+def test_separators_of_options(options, hint, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "some.toml").write_bytes(document({**UNCERTAIN, "sweep": {}}))
+    assert guarded([options[0], "some.toml", *options[1:]]) == 2
+    assert hint in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("line", "hint"),
+    [
+        ("draws: 30", "the line is: draws: 30; '=' separates a name from its value"),
+        ("values = [1.0; 2.0]", "',' separates the items of a list"),
+        ("duration = 0,5", "'.' is the decimal point"),
+    ],
+)
+def test_separators_of_a_file(line, hint, tmp_path):
+    file = tmp_path / "study.toml"
+    file.write_text(f'name = "separators"\n{line}\n')
+    with pytest.raises(ConfigError, match="is not valid TOML") as caught:
+        Study.load(file)
+    assert hint in str(caught.value)

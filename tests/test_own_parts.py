@@ -1,0 +1,143 @@
+"""Models of one's own in every command, what a failed import says, and what a folder may not do."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+import dssc_jax as dj
+from dssc_jax.cli import guarded
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.study import Described
+from dssc_jax.study.importing import allow_imports
+from tests.conftest import UNCERTAIN
+from tests.mutations import document
+
+SPRING = """
+from typing import Annotated, NamedTuple
+from pathlib import Path
+Path(__file__).with_name("imported").touch()
+from dssc_jax.types import Command, Controller, Quantity
+class Gains(NamedTuple):
+    l0: Annotated[float, Quantity("1/s", "error pole", above=0.0)]
+    stiffness: Annotated[float, Quantity("u/y", "stiffness", above=0.0)] = 3.0
+class Info(NamedTuple):
+    spring: float
+def step(gains, state, measurement, reference, dt):
+    spring = -gains.stiffness * (measurement.y - reference.y)
+    return state, Command(spring - gains.l0 * measurement.y_dot, 0.0), Info(spring)
+SPRING = Controller(gains=Gains, init=lambda gains, measurement, reference: (), step=step)
+"""
+STUDY = {**UNCERTAIN, "sweep": {}, "draws": 8}
+OWN = {**STUDY, "controller": {"kind": "own_spring:SPRING", "l0": 1.0}}
+WALK = {"over": "plant.k_p", "bounds": (1.0, 3.0), "points": 3, "bisections": 1}
+
+
+@pytest.fixture
+def beside(tmp_path, monkeypatch):
+    """A folder with two studies and a controller beside them, from which nothing can be imported yet."""
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    (folder / "own_spring.py").write_text(SPRING)
+    (folder / "plain.toml").write_bytes(document(STUDY))
+    (folder / "own.toml").write_bytes(document(OWN))
+    yield folder
+    sys.modules.pop("own_spring", None)
+
+
+def forget(folder):
+    sys.modules.pop("own_spring", None)
+    mark = folder / "imported"
+    mark.unlink(missing_ok=True)
+    return mark
+
+
+def test_a_controller_of_ones_own_enters_a_comparison_by_name(beside, capsys):
+    names = "dssc,own_spring:SPRING"
+    arguments = ["compare", "plain.toml", "--controllers", names, "--tune", "0", "--json"]
+    assert guarded([*arguments, "--allow-local"]) == 0
+    out, said = capsys.readouterr()
+    assert f"this command runs code: own_spring:SPRING from {beside / 'own_spring.py'}" in said
+    summary = json.loads(out)
+    assert summary["controllers"]["own_spring:SPRING"]["controller"] == {"kind": "own_spring:SPRING", "l0": 1.0}
+    assert guarded([*arguments, "--allow-local"]) == 0  # the same question again, into the same folder
+    written = dj.Study.from_table({**STUDY, "compare": {"spring": {"kind": "own_spring:SPRING", "l0": 1.0}}})
+    by_table = dj.compare(written, ["dssc", "spring"])
+    by_name = dj.compare(dj.Study.load("plain.toml"), names.split(","))
+    np.testing.assert_array_equal(by_name.dataset["error_rms"].values, by_table.dataset["error_rms"].values)
+    mark = forget(beside)
+    sys.path.remove(str(beside))
+    again = dj.load(by_name.save("compared"))
+    assert isinstance(again.study, Described)
+    assert again.summary()["pairs"] == by_name.summary()["pairs"]
+    assert not mark.exists()
+
+
+def test_margins_of_a_controller_by_name(beside):
+    allow_imports(beside)
+    margins = dj.compare_margins(dj.Study.load("plain.toml"), ["dssc", "own_spring:SPRING"], **WALK)
+    margins.save("walked")
+    mark = forget(beside)
+    assert dj.load("walked").summary() == margins.summary()
+    assert not mark.exists()
+
+
+def test_stored_controllers_cannot_name_code_that_the_study_does_not(beside):
+    """A folder whose author hid the code from the table that readers look at."""
+    allow_imports(beside)
+    margins = dj.compare_margins(dj.Study.load("plain.toml"), ["dssc", "smc"], **WALK)
+    mark = forget(beside)
+    margins.tables["smc"] = {"kind": "own_spring:SPRING", "l0": 1.0}
+    margins.save("forged")
+    with pytest.raises(ConfigError, match="name code that its study does not, own_spring:SPRING"):
+        dj.load("forged")
+    assert not mark.exists()
+
+
+def test_one_s_own_result_is_simulated_again_from_elsewhere(beside, tmp_path, monkeypatch, capsys):
+    assert guarded(["run", "own.toml", "--allow-local", "--out", "done", "--json"]) == 0
+    forget(beside)
+    sys.path.remove(str(beside))
+    monkeypatch.chdir(tmp_path)
+    asked = ["replay", "mine/done", "--draw", "1", "--json", "--trust-code"]
+    assert guarded(asked) == 2
+    said = capsys.readouterr().err
+    assert f"(the run used {beside / 'own_spring.py'})" in said
+    assert "if it lies in the study's folder, --allow-local finds it" in said
+    assert "changed since" not in said
+    assert guarded([*asked, "--allow-local"]) == 0
+    assert json.loads(capsys.readouterr().out)["agreement"] == "agrees"
+    for command in (["verify", "mine/done"], ["report", "mine/done", "--worst", "1"]):
+        assert guarded([*command, "--trust-code", "--allow-local", "--json"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "said"),
+    [
+        ("SPRING = 1", "own_spring:SPRIN", "the module has no 'SPRIN'; did you mean 'SPRING'?"),
+        ("import no_such_library", "own_spring:X", "needs 'no_such_library', which is not installed"),
+        ("x = (", "own_spring:X", "SyntaxError: '(' was never closed in line 1 of "),
+        ("y = 1\nx = 1 / 0", "own_spring:X", "ZeroDivisionError: division by zero in line 2 of "),
+        ("", "own_sprin:X", "there is no module 'own_sprin'; if it lies in the study's folder, --allow-local"),
+    ],
+)
+def test_a_failed_import_says_what_to_do(beside, text, name, said):
+    (beside / "own_spring.py").write_text(text)
+    allow_imports(beside)
+    with pytest.raises(ConfigError, match="cannot import") as caught:
+        dj.Study.from_table({**OWN, "controller": {"kind": name, "l0": 1.0}})
+    assert said in str(caught.value)
+
+
+def test_files_beside_a_study_never_replace_installed_modules(beside, capsys):
+    """Neither of the standard library nor of others: only what no installed module is called comes from there."""
+    (beside / "optax.py").write_text("raise SystemExit('not this one')")
+    (beside / "colorsys.py").write_text("raise SystemExit('not this one')")
+    sys.modules.pop("colorsys", None)
+    assert guarded(["run", "own.toml", "--allow-local", "--draws", "2", "--json"]) == 0
+    import colorsys
+
+    assert str(beside) not in colorsys.__file__
