@@ -25,6 +25,7 @@ MODULES = (
     "reports",
     "designs",
     "proofs",
+    "flight",
     "about",
 )
 """The modules that register the commands; help lists them in this order."""
