@@ -23,7 +23,7 @@ from dssc_jax.statistics import CONFIDENCE, FixedCount
 SCRIPT = Path(__file__).with_name("brush.js").read_text(encoding="utf-8")
 BINS = 40
 TABLE_WIDTH = 1240  # px
-AXES = ("x", "y")
+AXIS_NAMES = ("x", "y")
 CHANGE_AXIS = """
 const values = source.data[select.value]
 source.data[axis] = values
@@ -73,7 +73,7 @@ class Brushing:
     def __init__(self, table: DrawTable, folder: str) -> None:
         self.table = table
         self.names = list(table.columns)
-        shown = dict(zip(AXES, table.first_axes, strict=True))
+        shown = dict(zip(AXIS_NAMES, table.first_axes, strict=True))
         columns = {name: values.astype(np.float32) for name, values in table.columns.items()}
         self.source = ColumnDataSource(
             {
@@ -88,14 +88,14 @@ class Brushing:
         self.picked = ColumnDataSource({"row": []})
         self.said = Div(text="", disable_math=True, width=TABLE_WIDTH, styles={"font-size": "18px"})
         self.command = Div(text="a click on a draw gives its command", disable_math=True, width=TABLE_WIDTH)
-        self.bars = {axis: ColumnDataSource(self._histogram(shown[axis])) for axis in AXES}
+        self.bars = {axis: ColumnDataSource({**self._histogram(shown[axis])}) for axis in AXIS_NAMES}
         self.labels = {axis: table.label(name) for axis, name in shown.items()}
         self.selects = {
-            axis: Select(title=f"{axis} axis", value=name, options=self.names, width=300)
+            axis: Select(title=f"{axis} axis", value=name, options=[*self.names], width=300)
             for axis, name in shown.items()
         }
         self.scatter = self._scatter()
-        self.histograms = {axis: self._bar_figure(axis) for axis in AXES}
+        self.histograms = {axis: self._bar_figure(axis) for axis in AXIS_NAMES}
         self._connect(folder)
         self.said.text = self.statement()
 
@@ -190,7 +190,7 @@ class Brushing:
         )
         self.source.selected.js_on_change("indices", brush, click)
         names = {name: self.table.label(name) for name in self.names}
-        for axis in AXES:
+        for axis in AXIS_NAMES:
             args = {
                 "source": self.source,
                 "select": self.selects[axis],

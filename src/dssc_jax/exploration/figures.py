@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
-from bokeh.models import ColumnDataSource, DataRange1d, PlainText
+from bokeh.models import ColumnDataSource, DataRange1d, FactorRange, Model, PlainText, Range, Range1d
 from bokeh.plotting import figure
 
 from dssc_jax.exploration.live import LiveRun
@@ -26,17 +26,18 @@ class FanFigure:
         x_range: The time axis of another figure, to move together with it.
     """
 
-    def __init__(self, study: Study, name: str, x_range: DataRange1d | None = None) -> None:
+    def __init__(self, study: Study, name: str, x_range: Range | None = None) -> None:
         self.name = name
         about = column_attributes(name, study)
         self.now, self.before, self.draw = ColumnDataSource(), ColumnDataSource(), ColumnDataSource()
+        scale = DataRange1d()
         self.figure = figure(
             width=WIDTH,
             height=HEIGHT,
             tools="xpan,xwheel_zoom,box_zoom,reset,save",
             active_drag="box_zoom",
             x_range=x_range or DataRange1d(range_padding=0.0),
-            y_range=DataRange1d(),
+            y_range=scale,
             x_axis_label=PlainText(text="time [s]"),
             y_axis_label=PlainText(text=axis_label(about)),
             sizing_mode="stretch_width",
@@ -44,15 +45,15 @@ class FanFigure:
         )
         self._fill(self.before, np.empty(0), np.empty((5, 0)))
         plot = self.figure
-        shown = [
+        shown: list[Model] = [
             plot.varea("t", low, high, source=self.now, fill_color=BLUE, fill_alpha=alpha) for low, high, alpha in BANDS
         ]
-        shown.append(plot.line("t", "q50", source=self.now, color=BLUE, width=2))
+        shown.append(plot.line("t", "q50", source=self.now, color=BLUE, line_width=2))
         for level in ("q5", "q50", "q95"):
             dash = "solid" if level == "q50" else "dashed"
-            plot.line("t", level, source=self.before, color=GREY, width=1.5, dash=dash)
-        plot.line("t", "value", source=self.draw, color=RED, width=1.5)
-        plot.y_range.renderers = shown  # a draw that diverges does not set the scale
+            plot.line("t", level, source=self.before, color=GREY, line_width=1.5, line_dash=dash)
+        plot.line("t", "value", source=self.draw, color=RED, line_width=1.5)
+        scale.renderers = shown  # a draw that diverges does not set the scale
         quiet_toolbar(plot)
 
     def show(self, run: LiveRun, before: LiveRun | None, draw: int) -> None:
@@ -94,8 +95,8 @@ class PathFigure:
             y_axis_label=PlainText(text=f"{upward} [m]"),
             sizing_mode="stretch_width",
         )
-        self.figure.line("across", "upward", source=self.desired, color=GREY, width=1.5, dash="dashed")
-        self.figure.line("across", "upward", source=self.path, color=RED, width=2)
+        self.figure.line("across", "upward", source=self.desired, color=GREY, line_width=1.5, line_dash="dashed")
+        self.figure.line("across", "upward", source=self.path, color=RED, line_width=2)
         quiet_toolbar(self.figure)
 
     def show_draw(self, run: LiveRun, draw: int) -> None:
@@ -153,7 +154,7 @@ class DrawsFigure:
         source: ColumnDataSource, choose: Callable[[int], None], attr: str, old: list[int], new: list[int]
     ) -> None:
         if new:
-            choose(int(source.data["draw"][new[0]]))
+            choose(int(np.asarray(source.data["draw"])[new[0]]))
 
 
 class ProbabilityFigure:
@@ -165,8 +166,8 @@ class ProbabilityFigure:
             width=WIDTH,
             height=110,
             tools="",
-            x_range=(0.0, 1.0),
-            y_range=[NOW, BEFORE],
+            x_range=Range1d(start=0.0, end=1.0),
+            y_range=FactorRange(factors=[NOW, BEFORE]),
             x_axis_label=PlainText(text="failure probability, 95 % interval"),
             sizing_mode="stretch_width",
         )

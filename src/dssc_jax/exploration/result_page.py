@@ -22,7 +22,7 @@ from dssc_jax.results.result import Result
 from dssc_jax.runs.trajectory import agreement_of, recorder
 from dssc_jax.study import Described
 
-SAMPLES = 1500  # of a flight that is shown
+SHOWN_SAMPLES = 1500  # of a flight that is shown
 COLOURS = (RED, BLUE, GREEN, VIOLET, ORANGE)
 
 
@@ -101,7 +101,7 @@ class ResultPage(Page):
     def _record(self) -> Callable[[int, dict[str, float]], xr.Dataset]:
         """The program that simulates one draw, compiled once."""
         study = self.result.study
-        return recorder(study, max(1, study.loop.steps // SAMPLES))
+        return recorder(study, max(1, study.loop.steps // SHOWN_SAMPLES))
 
     def _clicked(self, data: dict[str, Any]) -> None:
         if len(data["row"]):

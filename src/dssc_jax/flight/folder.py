@@ -13,7 +13,7 @@ from dssc_jax.flight.recording import recorded_draws, recording
 from dssc_jax.flight.source_text import header_text, identifier, prefix, source_text
 from dssc_jax.study import Study
 
-DRAWS, SAMPLES = 32, 2000
+RECORDED_DRAWS, RECORDED_SAMPLES = 32, 2000
 """Recorded draws, and samples of each, unless others are wanted."""
 
 
@@ -53,12 +53,12 @@ class FlightFolder:
             "Makefile": makefile(self.study),
         }
 
-    def recording(self, draws: int = DRAWS, samples: int | None = None) -> Iterable[bytes]:
+    def recording(self, draws: int = RECORDED_DRAWS, samples: int | None = None) -> Iterable[bytes]:
         """The bytes of the recording.
 
         Args:
             draws: Draws; at most those of the study.
-            samples: Samples of each; None: those of the study, at most :data:`SAMPLES`.
+            samples: Samples of each; None: those of the study, at most :data:`RECORDED_SAMPLES`.
 
         Raises:
             ConfigError: The loop has no strict machine code, or a count is not positive.
@@ -66,7 +66,7 @@ class FlightFolder:
         for name, count in (("--draws", draws), ("--samples", samples or 1)):
             if count < 1:
                 raise ConfigError(name, f"must be >= 1, got {count}")
-        count = samples or min(SAMPLES, self.study.loop.steps)
+        count = samples or min(RECORDED_SAMPLES, self.study.loop.steps)
         recorded = recorded_draws(self.study, self.controllers, min(draws, self.study.config.draws), count)
         return self._guarded(recording(recorded, self.study.config.loop.precision))
 
