@@ -194,7 +194,7 @@ def test_a_brush_counts_its_draws(brushed_page, tab):
     tab.goto(file.as_uri())
     tab.get_by_text("all 300 draws").wait_for()
     box = tab.locator(".bk-events").first.bounding_box()
-    left, top = box["x"] + 60, box["y"] + 5
+    left, top = box["x"] + 90, box["y"] + 15  # within the axes
     tab.mouse.move(left, top)
     tab.mouse.down()
     tab.mouse.move(left + 150, top + 200)
@@ -209,6 +209,38 @@ def test_a_brush_counts_its_draws(brushed_page, tab):
     assert f"{len(indices)} draws, {failures} fail" in said
     found = [float(text) for text in re.search(r"\[(.*), (.*)\]", said).groups()]
     np.testing.assert_allclose(found, [low, high], rtol=6e-3)
+
+
+def test_a_click_gives_the_nearest_draw_or_none(brushed_page, tab):
+    """At the pixel of a draw: its command appears; beside all draws: nothing is chosen."""
+    file, table = brushed_page
+    tab.goto(file.as_uri())
+    tab.get_by_text("all 300 draws").wait_for()
+    chosen = "[...Bokeh.documents[0].get_model_by_name('draws').selected.indices]"
+    frame = tab.evaluate(
+        """() => { const plot = [...Bokeh.documents[0]._all_models.values()].find(m => m.inner_width > 550),
+          source = Bokeh.documents[0].get_model_by_name('draws'), { x_range, y_range } = plot
+          return { width: plot.inner_width, height: plot.inner_height,
+            x: (source.data.x[7] - x_range.start) / (x_range.end - x_range.start),
+            y: (source.data.y[7] - y_range.start) / (y_range.end - y_range.start) } }"""
+    )
+    box = tab.locator(".bk-events").first.bounding_box()
+    left = box["x"] + tab.evaluate(
+        "Bokeh.index.roots[0].owner.query(v => v.frame && v.model.inner_width > 550).next().value.frame.bbox.left"
+    )
+    top = box["y"] + tab.evaluate(
+        "Bokeh.index.roots[0].owner.query(v => v.frame && v.model.inner_width > 550).next().value.frame.bbox.top"
+    )
+    tab.mouse.click(left + frame["x"] * frame["width"], top + (1.0 - frame["y"]) * frame["height"])
+    tab.get_by_text("--draw").first.wait_for()
+    (index,) = tab.evaluate(chosen)
+    x, y = (table.columns[name] for name in table.first_axes)
+    assert abs(x[index] - x[7]) < 0.02 * np.ptp(x)
+    assert abs(y[index] - y[7]) < 0.02 * np.ptp(y)
+    tab.wait_for_timeout(1000)  # two quick clicks are another gesture
+    tab.mouse.click(left + 8, top + 8)
+    tab.get_by_text("all 300 draws").wait_for()
+    assert tab.evaluate(chosen) == []
 
 
 def test_the_script_s_interval_is_exact(tab):

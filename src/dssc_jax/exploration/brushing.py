@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from bokeh.events import Reset, SelectionGeometry, Tap
 from bokeh.layouts import column, row
 from bokeh.models import (
     BoxSelectTool,
@@ -11,7 +12,7 @@ from bokeh.models import (
     Div,
     LassoSelectTool,
     LayoutDOM,
-    LinearColorMapper,
+    Range1d,
     Select,
 )
 from bokeh.plotting import figure
@@ -23,6 +24,10 @@ from dssc_jax.statistics import CONFIDENCE, FixedCount
 SCRIPT = Path(__file__).with_name("brush.js").read_text(encoding="utf-8")
 BINS = 40
 TABLE_WIDTH = 1240  # px
+PICTURE = 500, 640  # rows and columns of the painted scatter
+FEW = 5000  # draws whose marks may be large
+LOOKS = {"bright": 0.85, "dim": 0.12}
+"""Opacity of the brushed draws, or of all where none is brushed, and of the others."""
 AXIS_NAMES = ("x", "y")
 CHANGE_AXIS = """
 const values = source.data[select.value]
@@ -31,8 +36,18 @@ const edges = edgesOf(values, 40)
 bars.data = {left: edges.slice(0, -1), right: edges.slice(1), all: histogram(values, edges, values.keys()),
   brushed: new Array(40).fill(0), failed: new Array(40).fill(0)}
 for (const shown of shown_axes) shown.axis_label = names[select.value]
-source.change.emit()
+everything.execute(source)
 brush.execute(source)
+"""
+PAINT = "paintDraws(source, picture, ranges, reach, colours)"
+SELECT = "source.selected.indices = enclosed(source, cb_obj.geometry)"
+CHOOSE = "source.selected.indices = nearestDraw(source, ranges, picture.data.image[0], cb_obj.x, cb_obj.y)"
+SHOW_ALL = """
+for (const axis of ["x", "y"]) {
+  const [start, end] = extentOf(source.data[axis])
+  ranges[axis].setv({start: start, end: end})
+}
+paint.execute(source)
 """
 BRUSH = """
 const indices = source.selected.indices, failed = source.data.failed
@@ -81,13 +96,15 @@ class Brushing:
                 **{axis: columns[name] for axis, name in shown.items()},
                 "failed": table.failed.astype(np.uint8),
                 "draw": table.draw.astype(np.int32),
-                "marker": np.where(table.failed, "x", "circle"),
             },
             name="draws",
         )
         self.picked = ColumnDataSource({"row": []})
         self.said = Div(text="", disable_math=True, width=TABLE_WIDTH, styles={"font-size": "18px"})
         self.command = Div(text="a click on a draw gives its command", disable_math=True, width=TABLE_WIDTH)
+        self.picture = ColumnDataSource(
+            {"image": [np.zeros(PICTURE, np.uint32)], **{name: [0.0] for name in ("x", "y", "dw", "dh")}}
+        )
         self.bars = {axis: ColumnDataSource({**self._histogram(shown[axis])}) for axis in AXIS_NAMES}
         self.labels = {axis: table.label(name) for axis, name in shown.items()}
         self.selects = {
@@ -119,30 +136,21 @@ class Brushing:
         return f"all {draws:,} draws, {failures:,} fail: probability {failures / draws:.3g} {interval}{self.note}"
 
     def _scatter(self) -> figure:
-        """All draws over two columns."""
+        """All draws over two columns, painted by the page's script."""
         plot = figure(
             width=720,
             height=560,
-            tools="tap,pan,wheel_zoom,reset,save",
-            output_backend="webgl",
+            tools="pan,wheel_zoom,reset,save",
+            x_range=Range1d(),
+            y_range=Range1d(),
             x_axis_label=self.labels["x"],
             y_axis_label=self.labels["y"],
         )
-        box = BoxSelectTool(continuous=True)
-        plot.add_tools(box, LassoSelectTool(continuous=False))
+        box = BoxSelectTool(continuous=True, renderers=[])
+        plot.add_tools(box, LassoSelectTool(continuous=False, renderers=[]))
         plot.toolbar.active_drag = box
-        size = 7 if len(self.table.failed) < 5000 else 3
-        plot.scatter(
-            "x",
-            "y",
-            source=self.source,
-            size=size,
-            marker="marker",
-            color={"field": "failed", "transform": LinearColorMapper(palette=[BLUE, ORANGE], low=0, high=1)},
-            alpha=0.7,
-            nonselection_alpha=0.05,
-        )
         plot.toolbar.logo = None
+        plot.image_rgba("image", "x", "y", "dw", "dh", source=self.picture, level="glyph")
         return plot
 
     def _bar_figure(self, axis: str) -> figure:
@@ -188,7 +196,20 @@ class Brushing:
             },
             code=CLICK,
         )
-        self.source.selected.js_on_change("indices", brush, click)
+        ranges = {"x": self.scatter.x_range, "y": self.scatter.y_range}
+        drawn = {"source": self.source, "picture": self.picture, "ranges": ranges}
+        colours = {name: [pixel(colour, alpha) for colour in (BLUE, ORANGE)] for name, alpha in LOOKS.items()}
+        reach = 3 if len(self.table.failed) < FEW else 1
+        paint = CustomJS(args={**drawn, "reach": reach, "colours": colours}, code=SCRIPT + PAINT)
+        everything = CustomJS(args={**drawn, "paint": paint}, code=SCRIPT + SHOW_ALL)
+        self.source.selected.js_on_change("indices", paint, brush, click)
+        self.scatter.js_on_event(SelectionGeometry, CustomJS(args=drawn, code=SCRIPT + SELECT))
+        self.scatter.js_on_event(Tap, CustomJS(args=drawn, code=SCRIPT + CHOOSE))
+        self.scatter.js_on_event(Reset, everything)
+        for shown in ranges.values():
+            shown.js_on_change("start", paint)
+            shown.js_on_change("end", paint)
+        self.scatter.js_on_change("inner_width", everything)  # when the page is laid out first
         names = {name: self.table.label(name) for name in self.names}
         for axis in AXIS_NAMES:
             args = {
@@ -199,5 +220,12 @@ class Brushing:
                 "shown_axes": [getattr(self.scatter, f"{axis}axis")[0], self.histograms[axis].xaxis[0]],
                 "names": names,
                 "brush": brush,
+                "everything": everything,
             }
             self.selects[axis].js_on_change("value", CustomJS(args=args, code=SCRIPT + CHANGE_AXIS))
+
+
+def pixel(colour: str, alpha: float) -> int:
+    """A colour such as ``#0072B2`` with an opacity, as a pixel of a picture (the bytes red, green, blue, opacity)."""
+    red, green, blue = bytes.fromhex(colour[1:])
+    return int.from_bytes(bytes((red, green, blue, round(255 * alpha))), "little")

@@ -2,10 +2,10 @@
 
 import shlex
 
-from bokeh.embed import file_html
+from bokeh.embed import components
 from bokeh.layouts import column
 from bokeh.models import Div
-from bokeh.resources import INLINE
+from bokeh.resources import Resources
 from markupsafe import escape
 
 from dssc_jax.core.errors import ConfigError
@@ -20,6 +20,23 @@ OWN_SCRIPTS_ONLY = (
     "font-src data:"
 )
 """A page's scripts are part of it, and may load and send nothing."""
+PAGE = """<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta http-equiv="Content-Security-Policy" content="{policy}">
+<meta charset="utf-8">
+<title>{title}</title>
+<script>
+{library}
+</script>
+</head>
+<body>
+{place}
+{script}
+</body>
+</html>
+"""
+"""Bokeh's own page would name the files of every extension that the process has imported, such as Panel's."""
 
 
 def interactive_html(result: Result | Analysis) -> str:
@@ -42,6 +59,8 @@ def interactive_html(result: Result | Analysis) -> str:
         disable_math=True,
     )
     page = column(head, Brushing(DrawTable(result), folder).layout)
-    text = file_html(page, INLINE, title=f"{study.name}: draws")
-    policy = f'<meta http-equiv="Content-Security-Policy" content="{OWN_SCRIPTS_ONLY}">'
-    return text.replace("<head>", f"<head>\n    {policy}", 1)
+    script, place = components(page)
+    library = "\n".join(Resources(mode="inline", components=["bokeh", "bokeh-widgets"]).js_raw)
+    return PAGE.format(
+        policy=OWN_SCRIPTS_ONLY, title=escape(f"{study.name}: draws"), library=library, place=place, script=script
+    )
