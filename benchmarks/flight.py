@@ -67,7 +67,9 @@ def bits_of_study(name: str, study: dj.Study, draws: int, samples: int) -> Bits:
     with tempfile.TemporaryDirectory() as place:
         folder = FlightFolder(study.override({"draws": max(draws, study.config.draws)}))
         written(folder, Path(place))
-        subprocess.run(["make", *(bench for bench, _ in BENCHES.values())], cwd=place, check=True, capture_output=True)
+        subprocess.run(
+            ["make", "-j2", *(bench for bench, _ in BENCHES.values())], cwd=place, check=True, capture_output=True
+        )
         running = {
             label: subprocess.Popen(
                 [*runner, f"./{bench}", "-"], cwd=place, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=False
