@@ -53,7 +53,7 @@ def studies(precision: int) -> Iterator[tuple[str, dj.Study]]:
         controller, differentiator, _ = case.values
         content: dict[str, Any] = table(controller, differentiator, precision)
         content["loop"]["duration"] = DURATION
-        yield f"{case.id}, {differentiator['kind']}", dj.Study.from_table(content)
+        yield f"{case.id} ({differentiator['kind']})", dj.Study.from_table(content)
 
 
 def written(folder: FlightFolder, place: Path) -> None:
@@ -115,7 +115,7 @@ def bits(draws: int, samples: int, only: str) -> str:
 def cost() -> str:
     """Operations, memory and cycles of a step of every controller in float64."""
     lines = [
-        "| controller, differentiator | operations | quotients, roots | longest chain | state, parameters [bytes] "
+        "| controller (differentiator) | operations | quotients, roots | longest chain | state, parameters [bytes] "
         "| stack [bytes] | cycles, least and mean |",
         "|---|---|---|---|---|---|---|",
     ]

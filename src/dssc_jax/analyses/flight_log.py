@@ -22,12 +22,12 @@ from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.analysis_folder import Stored
 from dssc_jax.statistics.exchangeable import largest_departures, rank_p_value
 from dssc_jax.study import Study
-from dssc_jax.study.flight_logs import LOGGED, FlightLog, last_time, log_signals, sampled
+from dssc_jax.study.flight_logs import LOGGED, FlightLog, last_time, log_signals, nearest_values
 
 MOST_NUMBERS = 40_000_000  # of all draws' curves, kept in memory
 ENOUGH = 0.95  # share of the samples that the controller must have for a replay
 SAME_REFERENCE = 1e-3  # of a reference's size: what resolution and rounding of a log explain
-LEVELS = {"low": 0.05, "median": 0.5, "high": 0.95}
+DRAWN_LEVELS = {"low": 0.05, "median": 0.5, "high": 0.95}
 
 
 @dataclass(eq=False)
@@ -96,7 +96,7 @@ class LogComparison(Analysis):
             "least_p_value": 1.0 / (draws + 1),
             "draws_at_least_as_extreme": int(np.count_nonzero(statistics[:-1] >= statistics[-1])),
             "statistic": statistics[-1],
-            "statistic_of_draws": {name: np.quantile(statistics[:-1], q) for name, q in LEVELS.items()}
+            "statistic_of_draws": {name: np.quantile(statistics[:-1], q) for name, q in DRAWN_LEVELS.items()}
             if np.isfinite(statistics[:-1]).all()
             else None,
             "decisive_signal": signal,
@@ -137,7 +137,7 @@ class LogComparison(Analysis):
         """The unit of a signal."""
         for channel, units in zip(self.study.loop.channels, self.study.units, strict=True):
             own = name.removeprefix(f"{channel}_") if channel else name
-            if own in ChannelCurves._fields and name == label(channel, own):
+            if own in ChannelCurves._fields and name == signal_name(channel, own):
                 return units.of({"y": "y", "y_dot": "y/s", "u_total": "u"}[own])
         return ""
 
@@ -152,7 +152,7 @@ class LogComparison(Analysis):
         return cls(stored.study, stored.dataset, **stored.settings)
 
 
-def label(channel: str, name: str) -> str:
+def signal_name(channel: str, name: str) -> str:
     """The name of a channel's signal."""
     return f"{channel}_{name}" if channel else name
 
@@ -201,7 +201,7 @@ def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | No
     loop = study.loop
     samples = min(loop.steps, int(np.floor((last_time(log) - log.start) / loop.sample_time + 0.5)) + 1)
     names = [name for name in log_signals(loop.channels) if name in log.columns]
-    logged = {name: sampled(log.columns[name], log.start, loop.sample_time, max(samples, 1)) for name in names}
+    logged = {name: nearest_values(log.columns[name], log.start, loop.sample_time, max(samples, 1)) for name in names}
     compared = [values for name, values in logged.items() if name.endswith(ChannelCurves._fields)]
     if samples < 1 or not any(np.isfinite(values).any() for values in compared):
         span = f"{loop.steps * loop.sample_time:g} s from {log.start:g} s on"
@@ -209,10 +209,10 @@ def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | No
     references = study_references(study, samples)
     replays, reasons, differences = {}, {}, {}
     for index, channel in enumerate(loop.channels):
-        own = {name: logged[label(channel, name)] for name in LOGGED if label(channel, name) in logged}
+        own = {name: logged[signal_name(channel, name)] for name in LOGGED if signal_name(channel, name) in logged}
         if channel in loop.plant.angles and "y" in own:
             desired = references[index, 0]
-            own["y"] = logged[label(channel, "y")] = desired + np.asarray(wrap_angle(own["y"] - desired))
+            own["y"] = logged[signal_name(channel, "y")] = desired + np.asarray(wrap_angle(own["y"] - desired))
         if "y_ref" in own:
             differences[channel] = float(np.nanmax(np.abs(own["y_ref"] - references[index, 0]), initial=0.0))
         answer = replayed_channel(study, index, own, references[index])
@@ -274,9 +274,9 @@ def laid_over(
         (index, own)
         for index, channel in enumerate(channels)
         for own in ChannelCurves._fields
-        if label(channel, own) in logged or (own == "u_total" and channel in replays)
+        if signal_name(channel, own) in logged or (own == "u_total" and channel in replays)
     ]
-    names = [label(channels[index], own) for index, own in signals]
+    names = [signal_name(channels[index], own) for index, own in signals]
     samples = len(next(iter(logged.values())))
     every = -(-samples * draws * len(signals) // MOST_NUMBERS)
     nothing = np.full(samples, np.nan)
@@ -285,9 +285,9 @@ def laid_over(
         [replays.get(channels[index], nothing) if own == "u_total" else nothing for index, own in signals]
     )
     curves = np.empty((draws, *tested.shape))
-    for draw, found in enumerate(curves_of_draws(study, samples, every)):
+    for draw, curve in enumerate(curves_of_draws(study, samples, every)):
         for row, (index, own) in enumerate(signals):
-            curves[draw, row] = getattr(found[index], own)
+            curves[draw, row] = getattr(curve[index], own)
         if progress is not None:
             progress(draw + 1, draws)
     statistics, departure = largest_departures(curves, tested)
@@ -296,7 +296,7 @@ def laid_over(
         "logged": (tested, "logged value"),
         "commanded": (replayed[:, ::every], "command of the analysed controller"),
     }
-    columns |= {name: (column, f"{name} value of the draws") for name, column in quantiles(curves).items()}
+    columns |= {name: (column, f"{name} value of the draws") for name, column in pointwise_quantiles(curves).items()}
     data: dict[str, Any] = {
         name: (LogComparison.table, column, {"long_name": text, **own_unit}) for name, (column, text) in columns.items()
     }
@@ -312,10 +312,10 @@ def laid_over(
     return LogComparison(study, dataset, log.name, log.start, every, reasons, differences)
 
 
-def quantiles(curves: np.ndarray) -> dict[str, np.ndarray]:
+def pointwise_quantiles(curves: np.ndarray) -> dict[str, np.ndarray]:
     """Range and quantiles of the draws that have not ended, pointwise; curves of shape (draws, signals, times)."""
     finite = np.where(np.isfinite(curves), curves, np.nan)
-    levels = {"lowest": 0.0, **LEVELS, "highest": 1.0}
+    levels = {"lowest": 0.0, **DRAWN_LEVELS, "highest": 1.0}
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "All-NaN slice")  # all draws have ended: nothing is shown
         values = np.nanquantile(finite, list(levels.values()), axis=0)

@@ -21,7 +21,7 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurement, ReferencePoint
 from dssc_jax.study import Law, Study
 
-SLOTS = ("controller", "differentiator")
+FLOWN_SLOTS = ("controller", "differentiator")
 COMMAND = ("u", "u_n", "u_p")
 """The command in its two parts and their sum (11)."""
 
@@ -152,7 +152,7 @@ def parameters_of(study: Study, index: int) -> tuple[Parameter, ...]:
     for path, leaf in flat:
         dotted = keystr(path, simple=True, separator=".")
         slot, place, *rest = dotted.split(".")
-        if slot not in SLOTS or int(place) != index or not isinstance(leaf, float | Law):
+        if slot not in FLOWN_SLOTS or int(place) != index or not isinstance(leaf, float | Law):
             continue
         number = study.numbers.get(names.get(dotted, ""))
         if number is not None and not number.quantity.law:

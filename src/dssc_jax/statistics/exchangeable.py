@@ -9,7 +9,7 @@ Statistical Society B 79 (2017) 381-404). Nothing is assumed of how the values o
 import numpy as np
 
 FLOOR = 0.05  # of the root mean square over time of a signal's spread: least spread by which departures are measured
-ROUNDING = 1e-6  # of a signal's size: the same where no curve differs from another
+LEAST_SPREAD = 1e-6  # of a signal's size: the same where no curve differs from another
 
 
 def largest_departures(curves: np.ndarray, tested: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -40,7 +40,7 @@ def largest_departures(curves: np.ndarray, tested: np.ndarray) -> tuple[np.ndarr
         centre = np.nanmedian(pooled, axis=0)
         spread = np.nanmedian(np.abs(pooled - centre), axis=0)
         size = np.abs(centre).max()
-        floor = max(FLOOR * np.sqrt(np.mean(spread**2)), ROUNDING * size, np.finfo(float).tiny)
+        floor = max(FLOOR * np.sqrt(np.mean(spread**2)), LEAST_SPREAD * size, np.finfo(float).tiny)
         departures = np.abs(pooled - centre) / np.maximum(spread, floor)
         departures[np.isnan(departures)] = np.inf
         statistics = np.maximum(statistics, departures.max(axis=1))

@@ -77,7 +77,7 @@ def column_map(table: Mapping[str, Any], channels: tuple[str, ...]) -> ColumnMap
     time, start, given = table.get("time", TIME), table.get("start"), table.get("signals", {})
     if not isinstance(time, str):
         raise ConfigError("time", f"must be the name of a column, got {time!r}")
-    if start is not None and not is_number(start):
+    if start is not None and not is_finite_number(start):
         raise ConfigError("start", f"must be a finite number of seconds, got {start!r}")
     if not isinstance(given, Mapping):
         raise ConfigError("signals", f"must be a table, got {given!r}")
@@ -92,7 +92,7 @@ def column_map(table: Mapping[str, Any], channels: tuple[str, ...]) -> ColumnMap
             scale, offset = whole.get("scale", 1.0), whole.get("offset", 0.0)
             if not isinstance(whole.get("column"), str):
                 raise ConfigError(f"{name}.column", f"must be the name of a column, got {whole.get('column')!r}")
-            if not is_number(scale) or scale == 0 or not is_number(offset):
+            if not is_finite_number(scale) or scale == 0 or not is_finite_number(offset):
                 raise ConfigError(
                     name, f"scale and offset must be finite and scale not 0, got {scale!r} and {offset!r}"
                 )
@@ -100,7 +100,7 @@ def column_map(table: Mapping[str, Any], channels: tuple[str, ...]) -> ColumnMap
     return ColumnMap(signals, time, None if start is None else float(start))
 
 
-def is_number(value: Any) -> bool:
+def is_finite_number(value: Any) -> bool:
     """Whether a value of TOML is a finite number."""
     return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
 
@@ -185,7 +185,7 @@ def ulog_columns(path: Path, columns: ColumnMap) -> dict[str, Column]:
     return read
 
 
-def sampled(column: Column, start: float, sample_time: float, samples: int) -> np.ndarray:
+def nearest_values(column: Column, start: float, sample_time: float, samples: int) -> np.ndarray:
     """The logged value nearest to each sample instant; NaN where none lies within half a sample time.
 
     Args:
@@ -198,7 +198,7 @@ def sampled(column: Column, start: float, sample_time: float, samples: int) -> n
         Shape (samples,).
 
     Example:
-        >>> sampled(Column(np.array([0.0, 0.11, 0.4]), np.array([1.0, 2.0, 3.0])), 0.0, 0.1, 5)
+        >>> nearest_values(Column(np.array([0.0, 0.11, 0.4]), np.array([1.0, 2.0, 3.0])), 0.0, 0.1, 5)
         array([ 1.,  2., nan, nan,  3.])
     """
     instants = start + sample_time * np.arange(samples)
