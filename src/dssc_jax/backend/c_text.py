@@ -184,7 +184,7 @@ class CText:
             text = c_literal(value.detail, value.dtype)
             return text, UNARY if text.startswith("-") else ATOM
         if value.operation == "input":
-            return self.inputs[value.detail], ATOM
+            return self.inputs[int(value.detail)], ATOM
         return self._written[id(value)]
 
     def _operation(self, value: Value) -> tuple[str, int]:

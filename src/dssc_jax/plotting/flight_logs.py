@@ -1,6 +1,9 @@
 """A logged flight over the range of a study's draws."""
 
+from typing import Any
+
 import numpy as np
+import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -30,7 +33,11 @@ def log_comparison(comparison: Analysis) -> Figure:
     for ax in axes[1 : len(shown)]:
         ax.sharex(axes[0])
     axes[len(shown) - 1].set_xlabel("time [s]")
-    axes[0].legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, fontsize=10)
+    handles = {
+        text: line for ax in axes[: len(shown)] for line, text in zip(*ax.get_legend_handles_labels(), strict=True)
+    }
+    place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": 5, "fontsize": 10}
+    axes[0].legend(list(handles.values()), list(handles), frameon=False, **place)
     statistics_of_curves(axes[-1], data["statistic"].values, summary["p_value"])
     hidden = (
         f"; {len(facts) - len(shown)} signals with smaller departures are not shown" if len(facts) > len(shown) else ""
@@ -40,7 +47,7 @@ def log_comparison(comparison: Analysis) -> Figure:
     return figure
 
 
-def over_draws(ax: Axes, own, name: str, facts: dict) -> None:
+def over_draws(ax: Axes, own: xr.Dataset, name: str, facts: dict[str, Any]) -> None:
     """Draw one signal over the bands of the draws."""
     time = own["t"].values
     for low, high, alpha, text in (("lowest", "highest", 0.18, "all draws"), ("low", "high", 0.3, "90 % of the draws")):
