@@ -190,11 +190,11 @@ def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | No
     Example:
         >>> import numpy as np, dssc_jax as dj
         >>> from dssc_jax.study.flight_logs import Column
-        >>> study = dj.Study.load("motor").override({"draws": 19, "loop.duration": 0.5})
+        >>> study = dj.Study.load("motor").override({"draws": 19})
         >>> run = dj.simulate(study, 7)
         >>> columns = {name: Column(run["t"].values, run[name].values) for name in ("y", "u_total")}
         >>> dj.compare_log(study, dj.FlightLog("run", columns, 0.0)).summary()["signals"]["u_total"]["samples"]
-        100
+        1000
     """
     require_independent(study, "an exact p-value")
     study = study.without_sweep()
