@@ -53,7 +53,7 @@ def studies(precision: int) -> Iterator[tuple[str, dj.Study]]:
         controller, differentiator, _ = case.values
         content: dict[str, Any] = table(controller, differentiator, precision)
         content["loop"]["duration"] = DURATION
-        yield f"{case.id}, {differentiator['kind']}", dj.Study.from_table(content)
+        yield f"{case.id} ({differentiator['kind']})", dj.Study.from_table(content)
 
 
 def written(folder: FlightFolder, place: Path) -> None:
@@ -67,7 +67,9 @@ def bits_of_study(name: str, study: dj.Study, draws: int, samples: int) -> Bits:
     with tempfile.TemporaryDirectory() as place:
         folder = FlightFolder(study.override({"draws": max(draws, study.config.draws)}))
         written(folder, Path(place))
-        subprocess.run(["make", *(bench for bench, _ in BENCHES.values())], cwd=place, check=True, capture_output=True)
+        subprocess.run(
+            ["make", "-j2", *(bench for bench, _ in BENCHES.values())], cwd=place, check=True, capture_output=True
+        )
         running = {
             label: subprocess.Popen(
                 [*runner, f"./{bench}", "-"], cwd=place, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=False
@@ -113,7 +115,7 @@ def bits(draws: int, samples: int, only: str) -> str:
 def cost() -> str:
     """Operations, memory and cycles of a step of every controller in float64."""
     lines = [
-        "| controller, differentiator | operations | quotients, roots | longest chain | state, parameters [bytes] "
+        "| controller (differentiator) | operations | quotients, roots | longest chain | state, parameters [bytes] "
         "| stack [bytes] | cycles, least and mean |",
         "|---|---|---|---|---|---|---|",
     ]

@@ -1,4 +1,4 @@
-"""The commands for flight computers: code."""
+"""The commands for flight computers and their logs: code, compare-log."""
 
 import json
 from pathlib import Path
@@ -7,7 +7,17 @@ from typing import Annotated
 import typer
 
 from dssc_jax.cli import options as opt
-from dssc_jax.cli.common import DONE, app, attempt, load_study
+from dssc_jax.cli.common import (
+    DONE,
+    app,
+    assignment,
+    attempt,
+    default_out,
+    load_study,
+    output_analysis,
+    save_analysis,
+)
+from dssc_jax.core.errors import ConfigError
 
 
 @app.command()
@@ -46,4 +56,60 @@ def code(
         print(json.dumps(summary, allow_nan=False))
     else:
         show_code(summary)
+    return DONE
+
+
+@app.command()
+def compare_log(
+    study: opt.StudyArgument,
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="A CSV or Parquet file, or a ULog of PX4 (.ulg).")],
+    columns: Annotated[
+        Path | None, typer.Option("--columns", metavar="FILE", help="Table of the log's columns, in TOML.")
+    ] = None,
+    column: Annotated[
+        list[str] | None,
+        typer.Option("--column", metavar="SIGNAL=COLUMN", help="The column of a signal; may be repeated."),
+    ] = None,
+    start: Annotated[
+        float | None,
+        typer.Option("--start", metavar="T", help="Time of the log at which the study begins [its first]."),
+    ] = None,
+    settings: opt.Set = None,
+    draws: opt.Draws = None,
+    seed: opt.Seed = None,
+    out: opt.Out = None,
+    as_json: opt.Json = False,
+    allow_local: opt.Local = False,
+) -> int:
+    """Is this logged flight one of the flights that were analysed?
+
+    Replays the logged measurements through the analysed controller and compares its commands with the logged ones. Lays
+    the log over the study's draws, tells which signal leaves their range and since when, and gives a p-value that is
+    exact for any time series: the rank of the log among the draws by its largest standardised departure. Signals are
+    y, y_dot, y_ref, y_ref_dot, y_ref_ddot and u_total; those of a channel x are x_y and so on. Without a table, the
+    log's columns must have these names, and t. The study's [sweep] is ignored.
+    """
+    from dssc_jax.analyses.flight_log import compare_log as compare
+    from dssc_jax.console import progress_bar
+    from dssc_jax.console.flight import show_log_comparison
+    from dssc_jax.results.analysis_folder import require_free
+    from dssc_jax.study import read_toml
+    from dssc_jax.study.flight_logs import read_log
+
+    loaded = load_study(study, settings, draws, seed, allow_local).without_sweep()
+    table = read_toml(columns) if columns is not None else {}
+    named = dict(assignment(text, "--column") for text in column or [])
+    if named:
+        table = {**table, "signals": {**table.get("signals", {}), **named}}
+    if start is not None:
+        table = {**table, "start": start}
+    try:
+        flown = read_log(log, loaded.loop.channels, table)
+    except ConfigError as error:
+        raise error.within(str(columns)) if columns is not None and log.is_file() else error from None
+    folder = out or default_out(loaded, f"compare-log-{log.stem}", settings, draws, seed, columns, column, start)
+    require_free(folder, "compare-log", loaded)
+    with progress_bar(loaded, quiet=as_json, of="draws") as advance:
+        answer = compare(loaded, flown, progress=advance)
+    output_analysis(answer, {"result": folder}, save_analysis(answer, folder), as_json, show_log_comparison)
     return DONE
