@@ -24,6 +24,7 @@ EVOLUTION = "differential_evolution"  # in scipy.optimize
 PROGRAMMING = "sqp"  # in programming.py
 SIMPLEX = "nelder_mead"  # in scipy.optimize; for proved numbers only
 OBJECTIVE, PROVED_ERROR = "objective", "proved_error"  # aims
+REACH_BOXES = 1  # of uncertain numbers, at each value of a walk: a value without a proof is known early
 OPTIMISERS = (*DESCENTS, PROGRAMMING, EVOLUTION)
 WIDTH = "controller.sign_width"
 ASSUMED = ("plant", "reference", "disturbance")  # parts of the loop whose numbers the theorem's bounds are made of
@@ -162,7 +163,7 @@ class Plan:
 
         (name, bounds), key = next(iter(self.table.over.items())), (self.table.aim, *numbers.items())
         if key not in self._known:
-            reach = proved_up_to(self.study.override(dict(numbers)), name, bounds, log=True)
+            reach = proved_up_to(self.study.override(dict(numbers)), name, bounds, log=True, boxes=REACH_BOXES)
             self._known[key] = ProvedAim(reach.proved, reach.last, reach.reason if reach.last is None else "")
         return self._known[key]
 

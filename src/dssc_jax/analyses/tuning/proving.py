@@ -95,14 +95,14 @@ def require_proved(plan: Plan) -> None:
     if plan.table.proved:
         proof = plan.proof_at(numbers)
         if not proof.complete:
-            raise refused(plan, "tune.proved", "it is not proved", proof.summary()["failures"][0]["text"])
+            raise infeasible_start(plan, "tune.proved", "it is not proved", proof.summary()["failures"][0]["text"])
     if plan.optimises_proof:
         outcome = plan.aim_at(numbers)
         if outcome.value is None:
             where = "".join(f" at the safe end {name} = {low:g}" for name, (low, _) in plan.table.over.items())
-            raise refused(plan, "tune.aim", f"it is not proved{where}", outcome.reason)
+            raise infeasible_start(plan, "tune.aim", f"it is not proved{where}", outcome.reason)
 
 
-def refused(plan: Plan, place: str, what: str, reason: str) -> ConfigError:
+def infeasible_start(plan: Plan, place: str, what: str, reason: str) -> ConfigError:
     """The error of a start that is not proved."""
     return ConfigError(plan.study.source, f"{place}: the start is infeasible: {what}: {reason}")
