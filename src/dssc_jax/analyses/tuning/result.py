@@ -90,8 +90,8 @@ class Tuned(Analysis):
         from dssc_jax.proofs.coverage import problem_of
         from dssc_jax.proofs.reach import problem_at
 
-        aimed = self.facts.get("aimed") or {"over": None}
-        if aimed["over"] is None:
+        aimed = self.facts.get("aimed")
+        if aimed is None or aimed["over"] is None:
             problem = problem_of(self.tuned_study)
         else:
             problem = problem_at(self.tuned_study, aimed["over"], aimed["result"])
