@@ -7,12 +7,13 @@ from pathlib import Path
 
 import nbformat
 from nbclient import NotebookClient
+from nbclient.exceptions import CellTimeoutError, DeadKernelError
 from PIL import Image
 
 NOTEBOOKS = Path(__file__).parents[1] / "notebooks"
-
-
 COLOURS = 64
+PATIENCE = 300  # s for a cell; the longest takes half a minute
+ATTEMPTS = 3
 
 
 def smaller(picture: str) -> str:
@@ -23,10 +24,21 @@ def smaller(picture: str) -> str:
     return base64.b64encode(out.getvalue()).decode()
 
 
+def run_through(path: Path, attempts: int = ATTEMPTS) -> nbformat.NotebookNode:
+    """The notebook after its execution; again if a kernel's reply was lost, which happens on a busy machine."""
+    book = nbformat.read(path, as_version=4)
+    where = {"metadata": {"path": path.parent}}
+    try:
+        return NotebookClient(book, timeout=PATIENCE, kernel_name="python3", resources=where).execute()
+    except (CellTimeoutError, DeadKernelError):
+        if attempts == 1:
+            raise
+        return run_through(path, attempts - 1)
+
+
 def executed(path: Path) -> nbformat.NotebookNode:
     """The notebook, executed anew in its own folder, without the times and the widgets of this execution."""
-    book = nbformat.read(path, as_version=4)
-    NotebookClient(book, timeout=600, kernel_name="python3", resources={"metadata": {"path": path.parent}}).execute()
+    book = run_through(path)
     book.metadata.pop("widgets", None)
     book.metadata["language_info"] = {"name": "python"}  # whatever the version
     for cell in book.cells:
