@@ -60,9 +60,10 @@ def compared(study: dj.Study) -> tuple[float, float, int, int]:
         explains; lanes whose outcome or failure differs.
     """
     count = study.config.draws
-    results = evaluate(Engine(study, count), drawn(study, slice(0, count)), np.arange(count))
+    numbers = drawn(study, slice(0, count))
+    results = evaluate(Engine(study, count), numbers, np.arange(count))
     plain = computed_again(study, (np.arange(count),))
-    dataset = xr.Dataset({name: ("draw", column) for name, column in results.items()})
+    dataset = xr.Dataset({name: ("draw", column) for name, column in {**numbers, **results}.items()})
     found = agreement(study, dataset, (np.arange(count),), plain)
     differ = sum(int(np.count_nonzero(results[name] != plain[name])) for name in ("outcome",))
     return (
