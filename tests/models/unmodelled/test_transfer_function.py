@@ -1,6 +1,5 @@
 """Transfer functions in series with the input: against SciPy's own discretisation, the lags, and each other."""
 
-
 import jax
 import jax.numpy as jnp
 import numpy as np
