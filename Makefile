@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 QUICK := $(addprefix tests/,engine/test_batching.py backend closed_loop/test_settled.py test_protocols.py cli/test_commands.py)
 
-.PHONY: study test quick lint types check measure bench ratios proofs paper conservatism noise notebooks pages pareto docs clean
+.PHONY: study test quick lint types check measure bench ratios proofs paper conservatism noise notebooks pages screenshots pareto docs clean
 
 study: $(VENV)/run  ## install, and run the main job: how much unmodelled lag does a DSSC loop survive?
 	$(BIN)/dssc-jax sweep studies/mu_robustness.toml
@@ -53,6 +53,9 @@ notebooks: $(VENV)/test  ## run the notebooks anew; a test tells where their sto
 
 pages: $(VENV)/run  ## regenerate docs/study-file.md and docs/commands.md
 	$(BIN)/python -m benchmarks.pages
+
+screenshots: $(VENV)/test  ## regenerate the pictures of docs/explore.md
+	$(BIN)/python -m benchmarks.screenshots
 
 pareto: $(VENV)/test  ## regenerate docs/tuning.md: gains tuned, failures hunted, controllers on the same budget
 	$(BIN)/python benchmarks/pareto.py

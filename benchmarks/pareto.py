@@ -304,6 +304,9 @@ all training draws. The third choice is `differential_evolution`. With `slack = 
 themselves may be tuned: each inequality of Theorem 1 must then hold with a margin of 5 %, and every point passes the
 strict check too.
 
+`aim = "proved_error"` or `"proved_up_to"` optimises a number that is proved of the sampled loop instead of the draws'
+objective: [proofs](proofs.md#tuning-under-proof).
+
 Derivatives are exact almost everywhere: the implicit scheme's clip is differentiated without smoothing. Before every
 search they are compared with central differences. If fewer than half agree, or fewer than half predict the effect of
 a step of the search, differential evolution is used instead. If a loop chatters, `smoothing` [m/s] helps: the program

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from dssc_jax.analyses.classical import LoopMargins, loop_margins
     from dssc_jax.analyses.comparison import Comparison, MarginContest, compare, compare_margins
     from dssc_jax.analyses.falsification import Falsified, falsify
+    from dssc_jax.analyses.flight_log import LogComparison, compare_log
     from dssc_jax.analyses.loading import load
     from dssc_jax.analyses.margins import Margins, margin
     from dssc_jax.analyses.noise_spectrum import noise_spectrum
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from dssc_jax.analyses.splitting import Splitting
     from dssc_jax.analyses.tuning import Tuned, tune
     from dssc_jax.core.errors import ConfigError
+    from dssc_jax.exploration import explore
     from dssc_jax.proofs.prove import Proved, check_certificate, prove
     from dssc_jax.proofs.reach import ProvedReach, proved_up_to
     from dssc_jax.results.analysis import Analysis
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
     from dssc_jax.runs.verify import verify
     from dssc_jax.statistics import AcceptReject, UntilWidth, plan
     from dssc_jax.study import Study
+    from dssc_jax.study.flight_logs import FlightLog, read_log
     from dssc_jax.study.systems import plant_table
 
 __version__ = "0.1.0"
@@ -44,6 +47,8 @@ __all__ = [
     "Comparison",
     "ConfigError",
     "Falsified",
+    "FlightLog",
+    "LogComparison",
     "LoopMargins",
     "MarginContest",
     "Margins",
@@ -61,8 +66,10 @@ __all__ = [
     "UntilWidth",
     "check_certificate",
     "compare",
+    "compare_log",
     "compare_margins",
     "design",
+    "explore",
     "export",
     "falsify",
     "load",
@@ -76,6 +83,7 @@ __all__ = [
     "prove_sweep",
     "proved_up_to",
     "rare",
+    "read_log",
     "region",
     "replay",
     "report",
@@ -101,6 +109,10 @@ _HOME = {
     "Comparison": "dssc_jax.analyses.comparison",
     "compare": "dssc_jax.analyses.comparison",
     "compare_margins": "dssc_jax.analyses.comparison",
+    "LogComparison": "dssc_jax.analyses.flight_log",
+    "compare_log": "dssc_jax.analyses.flight_log",
+    "FlightLog": "dssc_jax.study.flight_logs",
+    "read_log": "dssc_jax.study.flight_logs",
     "LoopMargins": "dssc_jax.analyses.classical",
     "loop_margins": "dssc_jax.analyses.classical",
     "Margins": "dssc_jax.analyses.margins",
@@ -117,6 +129,7 @@ _HOME = {
     "ProvedReach": "dssc_jax.proofs.reach",
     "SweepProofs": "dssc_jax.results.proofs",
     "check_certificate": "dssc_jax.proofs.prove",
+    "explore": "dssc_jax.exploration",
     "prove": "dssc_jax.proofs.prove",
     "prove_sweep": "dssc_jax.runs.prove_sweep",
     "proved_up_to": "dssc_jax.proofs.reach",

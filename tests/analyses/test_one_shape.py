@@ -15,6 +15,7 @@ from dssc_jax.analyses.loading import KINDS, class_of
 from dssc_jax.cli import guarded
 from dssc_jax.results.analysis_folder import plain_sums_of
 from dssc_jax.results.manifest import write_json, write_sealed
+from dssc_jax.study.flight_logs import Column
 from tests.loops import LAGGED
 
 TABLE = LAGGED | {
@@ -36,6 +37,8 @@ TABLE = LAGGED | {
 }
 WALK = {"over": "unmodelled.mu", "bounds": (0.02, 1.5), "log": True, "points": 4, "bisections": 3}
 PAIR = (dj.RegionAxis("unmodelled.mu", 0.02, 1.0, True), dj.RegionAxis("plant.k_p", 0.5, 1.5))
+TIMES = np.arange(75) * 0.02
+LOG = dj.FlightLog("sine", {name: Column(TIMES, np.sin(TIMES)) for name in ("y", "y_dot", "u_total")}, 0.0)
 SPENT = dj.Splitting(particles=10, killed=5, moves=1, repeats=10, plain=64)
 RUN = {
     "margin": lambda study: dj.margin(study, **WALK),
@@ -44,6 +47,7 @@ RUN = {
     "compare": lambda study: dj.compare(study, ["dssc", "pi"], candidates=2, tuning_draws=4),
     "sensitivity": lambda study: dj.sensitivity(study.override({"draws": 256})),
     "region": lambda study: dj.region(study.override({"draws": 200}), over=PAIR, halvings=0),
+    "compare-log": lambda study: dj.compare_log(study, LOG),
     "rare": lambda study: dj.rare(study, SPENT),
     "falsify": lambda study: dj.falsify(study, budget=40),
     "tune": lambda study: dj.tune(study),

@@ -2,6 +2,7 @@
 
 import copy
 import textwrap
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -323,3 +324,10 @@ def test_override_leaves_the_tables_that_it_is_given():
     changes = {"controller.functions": functions, "controller.functions.tau_m": 0.02}
     assert study.override(changes).leaves()["controller.functions.tau_m"] == 0.02
     assert functions["tau_m"] == 0.5
+
+
+def test_a_folder_of_a_study_s_name_hides_no_study(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "motor").mkdir()
+    assert find("motor") == available_studies()["motor"]
+    assert find("./motor/") == Path("motor")  # a path is taken as it is

@@ -22,6 +22,7 @@ KINDS = {
     "tune": "dssc_jax.analyses.tuning:Tuned",
     "loop": "dssc_jax.analyses.classical:LoopMargins",
     "region": "dssc_jax.analyses.region:SafeRegion",
+    "compare-log": "dssc_jax.analyses.flight_log:LogComparison",
     "theory": "dssc_jax.analyses.theory:Assessment",
 }
 """The class of each kind of analysis, imported when needed."""

@@ -69,4 +69,4 @@ class PlainBatch:
 
         columns = {name: tiled(column, self._real) for name, column in values.items()}
         out = self._run(columns, tiled(index, np.uint32))
-        return lambda: jax.tree.map(lambda array: np.asarray(array).reshape(-1)[:count], out)
+        return lambda: jax.tree.map(lambda array: np.asarray(array).reshape(-1, *array.shape[2:])[:count], out)

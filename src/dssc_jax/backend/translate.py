@@ -40,11 +40,16 @@ def translate(lane: Callable[..., Any], *arguments: Any) -> tuple[Program, Any]:
     Raises:
         Unsupported: An operation has no rule.
     """
+    return traced_program(Translator(Builder()), lane, *arguments)
+
+
+def traced_program(own: "Translator", lane: Callable[..., Any], *arguments: Any) -> tuple[Program, Any]:
+    """As :func:`translate`, by a given translator."""
     traced, shape = jax.make_jaxpr(lane, axis_env=[(AXIS, 1)], return_shape=True)(*arguments)
-    build = Builder()
+    build = own.build
     types = [np.dtype(leaf.dtype) for leaf in jax.tree.leaves(arguments)]
     inputs = [build.input(position, dtype) for position, dtype in enumerate(types)]
-    outputs = Translator(build).run(traced, inputs)
+    outputs = own.run(traced, inputs)
     return Program(types, build.here, [output(value) for value in outputs]), shape
 
 

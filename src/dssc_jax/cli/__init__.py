@@ -15,6 +15,7 @@ from dssc_jax.core.errors import ConfigError
 
 MODULES = (
     "simulation",
+    "exploring",
     "robustness",
     "loops",
     "regions",
@@ -24,6 +25,7 @@ MODULES = (
     "reports",
     "designs",
     "proofs",
+    "flight",
     "about",
 )
 """The modules that register the commands; help lists them in this order."""

@@ -1,6 +1,7 @@
 """The command on proofs of the sampled loop: prove."""
 
 import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,6 +15,8 @@ from dssc_jax.proofs import BOXES, SWEEP_BOXES
 if TYPE_CHECKING:
     from dssc_jax.proofs.prove import Proved
     from dssc_jax.study import Study
+
+FOREIGN = "P0: the certificate is that of another loop than the folder's"
 
 
 @app.command()
@@ -51,12 +54,15 @@ def prove(
     from dssc_jax.design.certification import NotCovered
     from dssc_jax.proofs.prove import check_certificate
     from dssc_jax.proofs.prove import prove as search
+    from dssc_jax.proofs.verifier import ProofVerdict
 
     if study.endswith(".json"):
         content = read_json(Path(study))
         if isinstance(content, dict) and "certificates" in content:
             return check_sweep(content, Path(study).parent, as_json)
         verdict = check_certificate(content)
+        if verdict.proved and is_foreign(content, Path(study)):
+            verdict = ProofVerdict(False, FOREIGN, math.inf, math.inf)
         if as_json:
             print(json.dumps(verdict._asdict() if verdict.proved else {"proved": False, "reason": verdict.reason}))
         else:
@@ -75,6 +81,21 @@ def prove(
     else:
         show_proof(proved.summary(), out)
     return DONE if proved.complete else FAILS
+
+
+def is_foreign(content: dict[str, Any], path: Path) -> bool:
+    """Whether a certificate lies in a tuning's folder, and is not that of the tuned loop."""
+    from dssc_jax.analyses.loading import load
+    from dssc_jax.analyses.tuning import Tuned
+    from dssc_jax.analyses.tuning.result import PROOF_FILE
+    from dssc_jax.study import Described
+
+    if path.name != PROOF_FILE or not (path.parent / f"{Tuned.kind}.json").exists():
+        return False
+    tuned = load(path.parent)
+    return (
+        isinstance(tuned, Tuned) and not isinstance(tuned.study, Described) and tuned.proved_loop != content["problem"]
+    )
 
 
 def write_certificate(proved: "Proved", out: Path | None) -> None:

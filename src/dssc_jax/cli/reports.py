@@ -23,6 +23,9 @@ def report(
     index: Annotated[
         Path | None, typer.Option("--index", metavar="DIR", help="Write DIR/index.html over the results in DIR.")
     ] = None,
+    interactive: Annotated[
+        bool, typer.Option("--interactive", help="Write a page of the draws with linked brushing [interactive.html].")
+    ] = False,
     as_json: opt.Json = False,
     trust_code: opt.TrustCode = False,
     allow_local: opt.Local = False,
@@ -31,6 +34,8 @@ def report(
 
     The page needs neither network nor JavaScript and prints well. A result's worst draws are simulated again for it;
     those of a study that names code of its own with --trust-code only.
+
+    With --interactive, one file in which the draws of a result can be brushed; it needs JavaScript, but no network.
 
     With --index, a page over all the results in a folder instead; reports that are missing or out of date are made.
     """
@@ -41,11 +46,22 @@ def report(
             raise ConfigError("--out", "applies to one report; the index is written into the folder of results")
         assert index is not None
         return output_index(index, as_json)
-    from dssc_jax.report import write
-
     began = time.perf_counter()
-    page, loaded = out or result / "report.html", load_any(result, trust_code, allow_local)
-    attempt(page, lambda: write(loaded, page, worst))
+    loaded = load_any(result, trust_code, allow_local)
+    if interactive:
+        from dssc_jax.exploration import require_panel
+
+        require_panel()
+        from dssc_jax.exploration.interactive_report import INTERACTIVE, interactive_html
+        from dssc_jax.report.page import write_page
+
+        page, text = out or result / INTERACTIVE, interactive_html(loaded)
+        attempt(page, lambda: write_page(text, page))
+    else:
+        from dssc_jax.report import write
+
+        page = out or result / "report.html"
+        attempt(page, lambda: write(loaded, page, worst))
     size, seconds = page.stat().st_size, time.perf_counter() - began
     if as_json:
         print(json.dumps({"report": str(page), "bytes": size, "seconds": seconds}))

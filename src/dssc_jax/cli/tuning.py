@@ -36,8 +36,10 @@ def tune(
 
     Training draws are descended on, validation draws choose, and the study's own draws, on which nothing was tuned,
     decide: exit 1 where a limit or requirement is not met on the validation draws, or a hunt still finds a failure.
+    Where [tune] asks for a proof, the folder holds the result's certificate, proof.json, which `prove` verifies.
     """
     from dssc_jax.analyses.tuning import tune as search
+    from dssc_jax.analyses.tuning.result import PROOF_FILE
     from dssc_jax.console import progress_bar, show_tuning
     from dssc_jax.results.analysis_folder import require_free
     from dssc_jax.study.tables import to_toml
@@ -50,7 +52,10 @@ def tune(
     figures = save_analysis(tuned, folder)
     file = out or folder / "tuned.toml"
     attempt(file, lambda: file.write_text(to_toml(tuned.tuned_study.table), encoding="utf-8"))
-    output_analysis(tuned, {"tuned_study": file, "result": folder}, figures, as_json, show_tuning)
+    files = {"tuned_study": file, "result": folder}
+    if tuned.certificate is not None:
+        files["certificate"] = folder / PROOF_FILE
+    output_analysis(tuned, files, figures, as_json, show_tuning)
     return DONE if tuned.met else FAILS
 
 

@@ -171,7 +171,12 @@ def simulate_recorded(
     Returns:
         The outcome, and the trajectory with leaves of shape (ceil(steps/every),).
     """
-    sample = sampler(loop, params, key, measures, freeze=True)
+    advance = sampler(loop, params, key, measures, freeze=True)
+
+    def sample(at: Progress) -> tuple[Progress, Recorded]:
+        after, recorded = advance(at)
+        return after, recorded._replace(controlled=())  # the trajectory has it all, by other names
+
     end, recorded = scan_recorded(sample, initial_progress(loop, params, key, measures), loop.steps, every)
     return conclude(loop, measures, requirements, end), recorded
 

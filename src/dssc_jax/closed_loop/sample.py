@@ -123,6 +123,22 @@ class ChannelState(NamedTuple):
     u: Scalar
 
 
+class ControlState(NamedTuple):
+    """State of differentiator and controller of one channel."""
+
+    differentiator: State
+    controller: State
+
+
+class Controlled(NamedTuple):
+    """One channel at one sample: the sensor's reading, the controller's measurement, its command and its info."""
+
+    reading: Measurement
+    sensed: Measurement
+    command: Command
+    info: Info
+
+
 class LoopState(NamedTuple):
     """State of the plant, the wind, and every channel."""
 
@@ -140,6 +156,7 @@ class Recorded(NamedTuple):
         references: The desired outputs.
         finite: Whether the state after the sample is finite.
         broken: Whether the plant's model is no longer valid.
+        controlled: What each channel's controller saw and gave.
     """
 
     instant: Instant
@@ -147,6 +164,7 @@ class Recorded(NamedTuple):
     references: ReferencePoints
     finite: Scalar
     broken: Scalar
+    controlled: tuple[Controlled, ...]
 
 
 def as_arrays(tree: Any) -> Any:
@@ -163,6 +181,37 @@ def measure(loop: Loop, params: LoopParams, plant: State, references: ReferenceP
     )
 
 
+def initial_control(
+    loop: Loop, params: LoopParams, i: int, reading: Measurement, reference: ReferencePoint
+) -> ControlState:
+    """Differentiator and controller of channel i at the first sample, before their first step."""
+    differentiator = loop.differentiator[i].init(params.differentiator[i], reading)
+    _, sensed = loop.differentiator[i].step(params.differentiator[i], differentiator, reading, loop.sample_time)
+    return ControlState(differentiator, loop.controller[i].init(params.controller[i], sensed, reference))
+
+
+def control(
+    loop: Loop, params: LoopParams, i: int, state: ControlState, reading: Measurement, reference: ReferencePoint
+) -> tuple[ControlState, Controlled]:
+    """Run differentiator and controller of channel i at one sample: all that a flight computer runs.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        i: Index of the channel.
+        state: State of differentiator and controller.
+        reading: What the sensor shows.
+        reference: The desired output.
+
+    Returns:
+        The next state, and what the controller saw and gave.
+    """
+    dt = loop.sample_time
+    differentiator, sensed = loop.differentiator[i].step(params.differentiator[i], state.differentiator, reading, dt)
+    controller, command, info = loop.controller[i].step(params.controller[i], state.controller, sensed, reference, dt)
+    return ControlState(differentiator, controller), Controlled(reading, sensed, command, info)
+
+
 def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
     """State at t = 0."""
     plant = as_arrays(loop.plant.init(params.plant))
@@ -174,14 +223,13 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
         sensor = loop.sensor[i].init(params.sensor[i], measurements[i], jax.random.fold_in(stream_key, 0))
         # the controller starts from what it will measure at the first sample, not from the plant's own output
         first = jax.random.fold_in(stream_key, 1)
-        _, sensed = loop.sensor[i].step(params.sensor[i], sensor, measurements[i], first, 0.0, loop.sample_time)
-        differentiator = loop.differentiator[i].init(params.differentiator[i], sensed)
-        _, sensed = loop.differentiator[i].step(params.differentiator[i], differentiator, sensed, loop.sample_time)
+        _, reading = loop.sensor[i].step(params.sensor[i], sensor, measurements[i], first, 0.0, loop.sample_time)
+        control = initial_control(loop, params, i, reading, references[i])
         channels.append(
             ChannelState(
-                controller=loop.controller[i].init(params.controller[i], sensed, references[i]),
+                controller=control.controller,
                 sensor=sensor,
-                differentiator=differentiator,
+                differentiator=control.differentiator,
                 unmodelled=loop.unmodelled[i].init(params.unmodelled[i]),
                 disturbance=loop.disturbance[i].init(
                     params.disturbance[i], jax.random.fold_in(loop.key(key, "disturbance", name), 0)
@@ -268,10 +316,10 @@ def control_channel(
     measurement: Measurement,
     reference: ReferencePoint,
     k: Scalar,
-) -> tuple[ChannelState, Measurement, Command, Info]:
+) -> tuple[ChannelState, Controlled]:
     """Run sensor, differentiator and controller of channel i at sample k, and advance its disturbance's state."""
     t, dt, name = k * loop.sample_time, loop.sample_time, loop.channels[i]
-    sensor, sensed = loop.sensor[i].step(
+    sensor, reading = loop.sensor[i].step(
         params.sensor[i],
         channel.sensor,
         measurement,
@@ -279,8 +327,8 @@ def control_channel(
         t,
         dt,
     )
-    differentiator, sensed = loop.differentiator[i].step(params.differentiator[i], channel.differentiator, sensed, dt)
-    controller, command, info = loop.controller[i].step(params.controller[i], channel.controller, sensed, reference, dt)
+    before = ControlState(channel.differentiator, channel.controller)
+    state, controlled = control(loop, params, i, before, reading, reference)
     disturbance = loop.disturbance[i].step(
         params.disturbance[i],
         channel.disturbance,
@@ -288,8 +336,9 @@ def control_channel(
         t,
         dt,
     )
-    after = ChannelState(controller, sensor, differentiator, channel.unmodelled, disturbance, command.robust)
-    return after, sensed, command, info
+    u = controlled.command.robust
+    after = ChannelState(state.controller, sensor, state.differentiator, channel.unmodelled, disturbance, u)
+    return after, controlled
 
 
 def step(loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Scalar) -> tuple[LoopState, Recorded]:
@@ -299,10 +348,11 @@ def step(loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Sc
     references = loop.mimo_reference.at(params.reference, t)
     measurements = measure(loop, params, state.plant, references)
     gains = loop.mimo_plant.input_gain(params.plant)
-    channels, samples, commands = [], [], []
+    channels, samples, commands, outputs = [], [], [], []
     for i, channel in enumerate(state.channels):
         m, r = measurements[i], references[i]
-        after, sensed, command, info = control_channel(loop, params, key, channel, i, m, r, k)
+        after, controlled = control_channel(loop, params, key, channel, i, m, r, k)
+        _, sensed, command, info = controlled
         error = tracking_error(m, r, params.controller[i].l0)
         samples.append(
             Sample(
@@ -322,6 +372,7 @@ def step(loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Sc
         sampled = loop.unmodelled[i].sample(params.unmodelled[i], channel.unmodelled, command.total, dt)
         channels.append(after._replace(unmodelled=sampled))
         commands.append(command.total)
+        outputs.append(controlled)
     wind = loop.wind.step(params.wind, state.wind, jax.random.fold_in(loop.key(key, "wind"), k + 1), t, dt)
     controlled = LoopState(state.plant, wind, tuple(channels))
     plant, unmodelled = integrate_sample(loop, params, controlled, tuple(commands), t)
@@ -333,4 +384,4 @@ def step(loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Sc
     )
     broken = loop.plant.broken(params.plant, after.plant)
     instant = Instant(t, dt, tuple(samples), info)
-    return after, Recorded(instant, measurements, references, all_finite(after), broken)
+    return after, Recorded(instant, measurements, references, all_finite(after), broken, tuple(outputs))

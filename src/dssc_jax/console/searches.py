@@ -36,8 +36,12 @@ def show_tuning(summary: Mapping[str, Any], files: list[Path]) -> None:
         console.print(f"gradients: {summary['gradients']['text']}")
     if summary["certified_points"] is not None:
         console.print(f"certified: all {summary['certified_points']} points that were visited, by Theorem 1")
-    if summary.get("proof") is not None:
+    if (aimed := summary.get("aimed")) is not None:
+        name = "proved bound of |e|" if aimed["over"] is None else f"last proved {aimed['over']}"
+        console.print(f"{name}: {aimed['start']:.4g} at the start, {aimed['result']:.4g} at the result", markup=False)
+    if summary["proved_points"] is not None:
         console.print(f"proved: all {summary['proved_points']} points that were accepted, with lag and sampling")
+    if summary.get("proof") is not None:
         console.print(summary["proof"], markup=False, soft_wrap=True)
     for number, hunt in enumerate(summary["counterexamples"], start=1):
         slack = number_text(hunt["slack"], ".4g", ENDED)

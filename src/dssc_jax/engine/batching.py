@@ -19,7 +19,7 @@ import numpy as np
 
 from dssc_jax.backend import forms
 from dssc_jax.backend.translate import AXIS
-from dssc_jax.closed_loop.draw import simulate_draw
+from dssc_jax.closed_loop.draw import Run, simulate_draw
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine.sampling import draw, draw_key
@@ -49,11 +49,15 @@ def simulated(study: Study, together: str | None = AXIS, segment: int | None = N
         key = draw_key(study.config.seed, index)
         loop, params = study.loop, study.params(values)
         judged = study.measures, study.requirements
-        run = simulate_draw(loop, params, key, *judged, together=together, segment=segment)
-        ended = {"failed_at": run.failed_at} | ({"settled_at": run.settled_at} if study.loop.settled else {})
-        return {**run.metrics, **run.slacks, "outcome": run.outcome, **ended}
+        return results_of(study, simulate_draw(loop, params, key, *judged, together=together, segment=segment))
 
     return lane
+
+
+def results_of(study: Study, run: Run) -> dict[str, Scalar]:
+    """The results of a finished lane by name."""
+    ended = {"failed_at": run.failed_at} | ({"settled_at": run.settled_at} if study.loop.settled else {})
+    return {**run.metrics, **run.slacks, "outcome": run.outcome, **ended}
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from dssc_jax.plotting.comparisons import comparison
 from dssc_jax.plotting.draws import distribution, factor, failures
+from dssc_jax.plotting.flight_logs import log_comparison
 from dssc_jax.plotting.indices import sensitivity
 from dssc_jax.plotting.loops import loop_margins
 from dssc_jax.plotting.margins import margin
@@ -36,6 +37,7 @@ __all__ = [
     "failures",
     "falsification",
     "fitted_slope",
+    "log_comparison",
     "loop_margins",
     "margin",
     "probability",

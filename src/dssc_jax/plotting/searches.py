@@ -11,6 +11,9 @@ from dssc_jax.plotting.levels import law_axis, level_of
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, styled, title
 from dssc_jax.results.analysis import Analysis
 
+PROVED_NUMBERS = ("proved_error", "proved_up_to")
+"""Proved numbers that a tuning may optimise, as variables of its dataset."""
+
 
 @styled
 def tuning(tuned: Analysis) -> Figure:
@@ -40,9 +43,14 @@ def cost_text(objective: Mapping[str, Any]) -> str:
 def history(ax: Axes, tuned: Analysis) -> None:
     """Draw the objective on training and validation draws, and the largest violation of a limit."""
     looks = {name: tuned.dataset[name].values for name in ("step", "objective", "validation", "validation_violation")}
-    ax.plot(looks["step"], looks["objective"], "o-", color=BLUE, label="training draws")
-    ax.plot(looks["step"], looks["validation"], "s--", color=GREEN, label="validation draws")
-    ax.set(xlabel="step", ylabel="objective")
+    proved = next((tuned.dataset[name] for name in PROVED_NUMBERS if name in tuned.dataset), None)
+    if proved is None:
+        ax.plot(looks["step"], looks["objective"], "o-", color=BLUE, label="training draws")
+        ax.plot(looks["step"], looks["validation"], "s--", color=GREEN, label="validation draws")
+        ax.set(xlabel="step", ylabel="objective")
+    else:
+        ax.step(looks["step"], proved.values, "o-", where="post", color=BLUE, label="proved, by improvement")
+        ax.set(xlabel="step", ylabel=f"{proved.attrs['long_name']} [{proved.attrs['units']}]")
     right = ax.twinx()
     right.grid(False)
     missed = 100.0 * looks["validation_violation"]

@@ -93,7 +93,7 @@ def proved_up_to(
 
     def at(share: float) -> tuple[float, Proved]:
         value = safe * (far / safe) ** share if log else safe + share * (far - safe)
-        outcome = prove_problem(problem_at(single, name, value), boxes)
+        outcome = replace(prove_problem(problem_at(single, name, value), boxes), units=study.units[0])
         values.append((value, outcome.complete))
         if progress is not None:
             progress(len(values), None)

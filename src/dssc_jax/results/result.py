@@ -104,12 +104,8 @@ class Result:
     @property
     def method(self) -> Method:
         """The method of the intervals, from the design of the draws and their stopping rule."""
-        config, stopping = self.study.config, self.manifest.get("stopping")
-        if stopping:
-            return DataDriven(stopping["look"])
-        if config.sampling == "random":
-            return FixedCount()
-        return Replicated(config.replicates, DESIGN_NAMES[config.sampling])
+        stopping = self.manifest.get("stopping")
+        return DataDriven(stopping["look"]) if stopping else interval_method(self.study)
 
     def summary(self, confidence: float = CONFIDENCE) -> dict[str, Any]:
         """Failures, probability and interval of every sweep point and each requirement; quantiles of the metrics.
@@ -169,6 +165,14 @@ class Result:
             self.path = path
             target.summarise(self.lines())
         return path
+
+
+def interval_method(study: Study) -> Method:
+    """The method of intervals from all draws of a study, whose number is fixed."""
+    config = study.config
+    if config.sampling == "random":
+        return FixedCount()
+    return Replicated(config.replicates, DESIGN_NAMES[config.sampling])
 
 
 def load_result(folder: str | Path, trust_code: bool = False) -> Result:

@@ -128,7 +128,7 @@ def as_trajectory(study: Study, draw: int, values: Mapping[str, float], ended: R
     """The recorded signals of one draw as a dataset, with units, meanings and how the draw ended."""
     gone = recorded.instant.t >= np.fmin(ended.failed_at, ended.settled_at)  # from there on it is frozen
     columns = {
-        name: np.where(gone, np.nan, column) if gone.any() else column
+        name: np.where(gone, np.nan, column) if gone.any() or column.dtype == bool else column
         for name, column in trajectory_columns(study, recorded).items()
     }
     described = {name: column_attributes(name, study) for name in columns}
@@ -169,7 +169,7 @@ def trajectory_columns(study: Study, recorded: Recorded) -> dict[str, np.ndarray
         }
         columns |= {f"{channel}_{name}" if channel else name: values for name, values in signals.items()}
     seen = instant.plant._asdict() if hasattr(instant.plant, "_asdict") else {}
-    return columns | {name: values.astype(float) for name, values in seen.items()}
+    return columns | seen
 
 
 def column_attributes(name: str, study: Study) -> dict[str, str]:

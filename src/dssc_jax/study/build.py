@@ -1,8 +1,9 @@
 """Construction of the closed loop from a study's tables: look up models, parse numbers, fill channels."""
 
 import copy
-from collections.abc import Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import replace
+from functools import lru_cache
 from itertools import chain
 from typing import Any, NamedTuple
 
@@ -282,13 +283,28 @@ def info_fields(loop: Loop, template: LoopParams) -> tuple[dict[str, tuple[str, 
     params = jax.tree.map(
         lambda leaf: leaf.median if isinstance(leaf, Law) else leaf, template, is_leaf=lambda x: isinstance(x, Law)
     )
+    leaves, structure = jax.tree.flatten(params)
+    shapes = (jax.ShapeDtypeStruct(x.shape, x.dtype) if hasattr(x, "shape") else x for x in leaves)
+    return traced_fields(loop, structure, tuple(shapes))
 
-    def first() -> Any:
+
+@lru_cache(maxsize=64)
+def traced_fields(
+    loop: Loop, structure: Any, leaves: tuple[Hashable, ...]
+) -> tuple[dict[str, tuple[str, ...]], tuple[str, ...]]:
+    """See :func:`info_fields`; tracing a vehicle takes most of a study's loading, and its variants share it."""
+
+    def is_array(leaf: Hashable) -> bool:
+        return isinstance(leaf, jax.ShapeDtypeStruct)
+
+    def first(arrays: list[jax.Array]) -> Any:
+        rest = iter(arrays)
+        params = jax.tree.unflatten(structure, [next(rest) if is_array(x) else x for x in leaves])
         key = jax.random.key(0)
         return step(loop, params, key, initial_state(loop, params, key), 0)[1].instant
 
     with arithmetic():
-        instant = jax.eval_shape(first)
+        instant = jax.eval_shape(first, [leaf for leaf in leaves if is_array(leaf)])
     infos = {
         name: getattr(sample.info, "_fields", ()) for name, sample in zip(loop.channels, instant.channels, strict=True)
     }

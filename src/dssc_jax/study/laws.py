@@ -132,6 +132,17 @@ LAWS: dict[str, LawKind] = {
 }
 
 
+MOVABLE = {
+    "uniform": "ll",
+    "loguniform": "ll",
+    "normal": "ls",
+    "truncated_normal": "lsll",
+    "lognormal": "ls",
+    "beta": "..ll",
+    "triangular": "lll",
+}
+"""Which arguments of a law are locations (l) and scales (s); of a lognormal law, of the logarithm."""
+
 LOGARITHMIC = ("loguniform", "lognormal")
 CASES = ("choice",)
 SPREAD = "spread"
@@ -174,6 +185,36 @@ class Law:
         if self.kind in LOGARITHMIC:
             return self.median * np.power(np.asarray(values) / self.median, share)
         return self.median + share * (np.asarray(values) - self.median)
+
+    def moved(self, median: float, share: float) -> "Law":
+        """The law of the same kind with another median, and every value's distance from it scaled by ``share``.
+
+        For logarithmic laws, the distance is that of the logarithms.
+
+        Args:
+            median: The new median; positive for a logarithmic law.
+            share: The new width relative to the present one, > 0.
+
+        Raises:
+            ValueError: The law is a choice, or a value is out of range.
+
+        Example:
+            >>> Law("uniform", (0.0, 2.0)).moved(3.0, 0.5)
+            Law(kind='uniform', arguments=(2.5, 3.5))
+        """
+        if self.kind not in MOVABLE:
+            raise ValueError(f"a {self.kind} has no width")
+        if not share > 0.0 or (self.kind in LOGARITHMIC and not median > 0.0):
+            raise ValueError(f"needs share > 0, and median > 0 on a logarithmic scale, got {share:g} and {median:g}")
+        arguments = (*self.arguments, 0.0, 1.0)[:4] if self.kind == "beta" else self.arguments
+        old, new, values = self.median, median, np.asarray(arguments, dtype=float)
+        if self.kind in LOGARITHMIC:
+            old, new = math.log(old), math.log(new)
+        if self.kind == "loguniform":
+            values = np.log(values)
+        rules = {"l": new + share * (values - old), "s": share * values, ".": values}
+        moved = [float(rules[rule][i]) for i, rule in enumerate(MOVABLE[self.kind])]
+        return Law(self.kind, tuple(np.exp(moved).tolist() if self.kind == "loguniform" else moved))
 
     def __str__(self) -> str:
         return f"{self.kind}({', '.join(f'{value:g}' for value in self.arguments)})"

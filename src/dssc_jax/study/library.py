@@ -37,9 +37,10 @@ def find(name: str) -> Path:
     path = Path(name)
     if len(path.name) > LONGEST_NAME:
         raise ConfigError(f"{name[:40]}...", f"is longer than a file's name can be ({LONGEST_NAME} characters)")
-    if path.exists() or path.suffix == ".toml" or path.parent != Path():
-        return path
     known = available_studies()
+    shadows = path.is_dir() and name in known  # a results folder may have its study's name
+    if not shadows and (path.exists() or path.suffix == ".toml" or path.parent != Path()):
+        return path
     if name in known:
         return known[name]
     if name.replace("-", "_") in known:

@@ -74,21 +74,7 @@ def recorded_columns(path: Path, names: list[str]) -> list[list[float]]:
     Raises:
         ConfigError: the file cannot be read, a column is absent, or its values are not numbers.
     """
-    import pandas as pd  # slow to load, and few studies follow a record
-
-    parquet = path.suffix.lower() in (".parquet", ".pq")
-    try:
-        if not path.is_file():
-            raise ConfigError("file", f"'{path}' cannot be read: it is no file")
-        if path.stat().st_size > LARGEST_RECORD:
-            raise ConfigError("file", f"'{path}' is larger than a record can be ({LARGEST_RECORD} bytes)")
-        frame = pd.read_parquet(path) if parquet else pd.read_csv(path, skipinitialspace=True, comment="#")
-    except ImportError as error:
-        raise ConfigError("file", "a Parquet file needs pyarrow: pip install 'dssc_jax[export]'") from error
-    except ConfigError:
-        raise
-    except Exception as error:  # readers of files raise errors of many kinds
-        raise ConfigError("file", f"'{path}' cannot be read: {' '.join(str(error).split())}") from error
+    frame = recorded_frame(path)
     for name in names:
         if name not in frame:
             field = "time_column" if name == names[0] else "column"
@@ -98,3 +84,26 @@ def recorded_columns(path: Path, names: list[str]) -> list[list[float]]:
         return [[float(value) for value in frame[name]] for name in names]
     except (TypeError, ValueError) as error:
         raise ConfigError("column", f"'{path.name}' must hold numbers there: {error}") from error
+
+
+def recorded_frame(path: Path) -> Any:
+    """The table of a CSV or Parquet file, as a data frame of pandas.
+
+    Raises:
+        ConfigError: the file cannot be read.
+    """
+    import pandas as pd  # slow to load, and few studies follow a record
+
+    parquet = path.suffix.lower() in (".parquet", ".pq")
+    try:
+        if not path.is_file():
+            raise ConfigError("file", f"'{path}' cannot be read: it is no file")
+        if path.stat().st_size > LARGEST_RECORD:
+            raise ConfigError("file", f"'{path}' is larger than a record can be ({LARGEST_RECORD} bytes)")
+        return pd.read_parquet(path) if parquet else pd.read_csv(path, skipinitialspace=True, comment="#")
+    except ImportError as error:
+        raise ConfigError("file", "a Parquet file needs pyarrow: pip install 'dssc_jax[export]'") from error
+    except ConfigError:
+        raise
+    except Exception as error:  # readers of files raise errors of many kinds
+        raise ConfigError("file", f"'{path}' cannot be read: {' '.join(str(error).split())}") from error

@@ -259,6 +259,13 @@ class TuneTable(BaseModel):
     )
     certified: bool = Field(default=False, description="whether Theorem 1 chooses the gains")
     proved: bool = Field(default=False, description="whether the sampled loop is proved at every accepted point")
+    aim: Literal["objective", "proved_error", "proved_up_to"] = Field(
+        default="objective",
+        description="what is optimised: `objective` on the draws, the proved bound of |e|, or the end of the proofs",
+    )
+    over: dict[str, Annotated[tuple[float, float], BeforeValidator(parse_range)]] = Field(
+        default={}, description="the number along which `proved_up_to` proves, from its low end on"
+    )
     free: dict[str, Annotated[tuple[float, float] | float, BeforeValidator(parse_free)]] = Field(
         default={}, description="free parameter of the theorem: its interval, or its fixed value"
     )

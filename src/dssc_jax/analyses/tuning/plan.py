@@ -1,8 +1,10 @@
 """The settings in a study's ``[tune]``, checked before compilation."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from dssc_jax.analyses.tuning.certified import NUMBERS, Theorem, split_parameters
 from dssc_jax.analyses.tuning.mirror import Mirror, as_they_are
@@ -20,6 +22,9 @@ if TYPE_CHECKING:
 DESCENTS = ("adam", "adabelief", "amsgrad", "lion", "nadam", "rmsprop", "sgd")  # names in optax
 EVOLUTION = "differential_evolution"  # in scipy.optimize
 PROGRAMMING = "sqp"  # in programming.py
+SIMPLEX = "nelder_mead"  # in scipy.optimize; for proved numbers only
+OBJECTIVE, PROVED_ERROR = "objective", "proved_error"  # aims
+REACH_BOXES = 1  # of uncertain numbers, at each value of a walk: a value without a proof is known early
 OPTIMISERS = (*DESCENTS, PROGRAMMING, EVOLUTION)
 WIDTH = "controller.sign_width"
 ASSUMED = ("plant", "reference", "disturbance")  # parts of the loop whose numbers the theorem's bounds are made of
@@ -35,6 +40,20 @@ def example(study: Study) -> str:
     ranges = [f'"{name}" = [{value / 3.0:.3g}, {value * 3.0:.3g}]' for name, value in list(gains.items())[:1]]
     metric = next((measure.name for measure in study.measures), "error_rms")
     return f"[tune] parameters = {{ {', '.join(ranges)} }}, objective = {{ {metric} = 1.0 }}"
+
+
+class ProvedAim(NamedTuple):
+    """The proved number at a point.
+
+    Args:
+        value: Bound of |e| once settled, or the last value at which the loop is proved; None if it is not proved.
+        proof: The proof of that value; None likewise.
+        reason: Why there is none; empty otherwise.
+    """
+
+    value: float | None
+    proof: "Proved | None"
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -54,6 +73,7 @@ class Plan:
     mirror: Mirror
     theorem: Theorem | None
     seed: int
+    _known: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)  # proofs, by what they are of
 
     @classmethod
     def of(cls, study: Study) -> "Plan":
@@ -103,6 +123,7 @@ class Plan:
             raise ConfigError("tune.free", "belongs to certified = true")
         elif table.slack is not None:
             theorem = Theorem(study, {}, "tune.slack")
+        require_aim(study, table)
         if table.proved:
             require_provable(study)
         if not varied:
@@ -121,7 +142,40 @@ class Plan:
         from dssc_jax.proofs import SWEEP_BOXES
         from dssc_jax.proofs.prove import prove
 
-        return prove(self.study.override(dict(numbers)), boxes=SWEEP_BOXES)
+        key = tuple(numbers.items())
+        if key not in self._known:
+            self._known[key] = prove(self.study.override(dict(numbers)), boxes=SWEEP_BOXES)
+        return self._known[key]
+
+    @property
+    def optimises_proof(self) -> bool:
+        """Whether a proved number is optimised, and not the objective on the draws."""
+        return self.table.aim != OBJECTIVE
+
+    def aim_at(self, numbers: Mapping[str, float]) -> ProvedAim:
+        """The proved number that is optimised, of the study with other numbers."""
+        if self.table.aim == PROVED_ERROR:
+            proof = self.proof_at(numbers)
+            if proof.complete:
+                return ProvedAim(proof.error, proof, "")
+            return ProvedAim(None, None, proof.summary()["failures"][0]["text"])
+        from dssc_jax.proofs.reach import proved_up_to
+
+        (name, bounds), key = next(iter(self.table.over.items())), (self.table.aim, *numbers.items())
+        if key not in self._known:
+            reach = proved_up_to(self.study.override(dict(numbers)), name, bounds, log=True, boxes=REACH_BOXES)
+            self._known[key] = ProvedAim(reach.proved, reach.last, reach.reason if reach.last is None else "")
+        return self._known[key]
+
+    def proof_of_result(self, numbers: Mapping[str, float]) -> "Proved | None":
+        """The proof that is told and stored: of the proved number if one is optimised; None if none is required."""
+        if self.optimises_proof:
+            return self.aim_at(numbers).proof
+        return self.proof_at(numbers) if self.table.proved else None
+
+    def numbers_at(self, z: np.ndarray) -> dict[str, float]:
+        """The loop's numbers at a point of the search."""
+        return {name: float(value[0]) for name, value in self.mirror.numbers(z[None]).items()}
 
     def trial(self) -> Study:
         """The study used for training: with other draws, and only the metrics needed."""
@@ -146,20 +200,57 @@ class Plan:
         return measure.kind
 
 
-def require_provable(study: Study) -> None:
+def require_aim(study: Study, table: TuneTable) -> None:
+    """Require what the optimisation of a proved number needs.
+
+    Raises:
+        ConfigError: the loop is outside of what a proof covers, or settings contradict each other.
+    """
+    if table.aim == OBJECTIVE:
+        if table.over:
+            raise ConfigError("tune.over", 'belongs to aim = "proved_up_to"')
+        return
+    if "optimiser" in table.model_fields_set:
+        rule = f'belongs to aim = "{OBJECTIVE}"; a proved number is optimised by {SIMPLEX}, without derivatives'
+        raise ConfigError("tune.optimiser", rule)
+    if table.aim == PROVED_ERROR:
+        if table.over:
+            raise ConfigError("tune.over", 'belongs to aim = "proved_up_to"')
+        require_provable(study, "tune.aim")
+        return
+    if len(table.over) != 1:
+        raise ConfigError("tune.over", f'must be {{ NAME = [low, high] }} for aim = "{table.aim}", got {table.over}')
+    ((name, bounds),) = table.over.items()
+    if name in table.parameters:
+        raise ConfigError(f"tune.over.{name}", "is tuned, too; take it out of [tune.parameters]")
+    for value in bounds:
+        require_provable(study, "tune.aim", (name, value))
+
+
+def require_provable(study: Study, place: str = "tune.proved", at: tuple[str, float] | None = None) -> None:
     """Require a loop that a proof covers, and what proofs need.
+
+    Args:
+        study: The study.
+        place: The setting that asks for proofs.
+        at: A number and its value, if the loop with another value is to be proved.
 
     Raises:
         ConfigError: it is outside of what a proof covers, or a package is missing.
     """
     try:
+        import dssc_jax.proofs.prove  # noqa: F401  (the verifier's package, too)
         from dssc_jax.proofs.coverage import problem_of
+        from dssc_jax.proofs.reach import problem_at
 
-        problem_of(study)
+        if at is None:
+            problem_of(study)
+        else:
+            problem_at(study, *at)
     except ImportError as error:
-        raise ConfigError("tune.proved", f"needs {error.name}: pip install 'dssc_jax[proofs]'") from None
+        raise ConfigError(place, f"needs {error.name}: pip install 'dssc_jax[proofs]'") from None
     except NotCovered as error:
-        raise ConfigError("tune.proved", f"a proof does not cover this loop: {error}") from None
+        raise ConfigError(place, f"a proof does not cover this loop: {error}") from None
 
 
 def seed_of(study: Study, table: TuneTable) -> int:

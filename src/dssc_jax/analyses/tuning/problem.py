@@ -88,7 +88,8 @@ class Problem:
         origin, everything = self.plan.mirror.origin, np.concatenate([self.train, self.validation])
         results = self.results(origin[None], everything, self.plain)
         self.before = {name: results[name][: len(everything)] for name in self.plan.table.limits}
-        return self.at(origin, self.train), self.seen(origin)
+        train = self.seen(origin, self.train) if self.plan.optimises_proof else self.at(origin, self.train)
+        return train, self.seen(origin)
 
     def goal_on(self, draws: np.ndarray) -> Goal:
         """The goal on some of the draws: a limit relative to the start uses the start's value on the same draws."""
@@ -156,7 +157,7 @@ class Problem:
 
     def allowed(self, z: np.ndarray) -> bool:
         """Whether the point passes the strict check of Theorem 1, and is proved, if either is required."""
-        numbers = {name: float(column[0]) for name, column in self.plan.mirror.numbers(z[None]).items()}
+        numbers = self.plan.numbers_at(z)
         if self.plan.theorem is not None:
             if not self.plan.theorem.certificate(numbers).certified:
                 return False

@@ -24,22 +24,35 @@ class Search:
             draws, tuned numbers.
         stopped: The reason why it ended.
         shortened: Number of halvings of steps that led to points that are not allowed.
+        lowest: Sort key of the best point.
     """
 
     best: Point
     history: list[dict[str, Any]] = field(default_factory=list)
     stopped: str = "all steps done"
     shortened: int = 0
+    lowest: tuple[float, float] = (float("inf"), float("inf"))
 
-    def look(self, problem: Problem, step: int, train: Point, validation: Point) -> bool:
-        """Record a point; return whether it is the best so far."""
+    def look(self, problem: Problem, step: int, train: Point, validation: Point, score: float | None = None) -> bool:
+        """Record a point; return whether it is the best so far.
+
+        Args:
+            problem: The tuning problem.
+            step: Step of the search.
+            train: The point on the training draws.
+            validation: The point on the validation draws.
+            score: What is minimised in place of the objective on the validation draws; None: that objective.
+        """
         row = {"step": step, "objective": train.merit.objective, "violation": train.merit.violation}
         row |= {"validation": validation.merit.objective, "validation_violation": validation.merit.violation}
+        if score is not None:
+            row[problem.plan.table.aim] = problem.plan.aim_at(problem.plan.numbers_at(train.z)).value
         tuned = problem.plan.mirror.tuned(train.z)
         self.history.append(row | {name: float(value) for name, value in tuned.items()})
-        better = rank(validation) < rank(self.best)
+        own = rank(validation, score)
+        better = own < self.lowest
         if better or step == 0:
-            self.best = validation
+            self.best, self.lowest = validation, own
         return better
 
 
@@ -48,6 +61,6 @@ def headroom(limit: str) -> float:
     return 0.0 if limit.startswith(SLACK) else HEADROOM
 
 
-def rank(point: Point) -> tuple[float, float]:
-    """Sort key: points within the limits first, then by the objective."""
-    return point.merit.violation, point.merit.objective
+def rank(point: Point, score: float | None) -> tuple[float, float]:
+    """Sort key: points within the limits first, then by the score, or by the objective."""
+    return point.merit.violation, point.merit.objective if score is None else score

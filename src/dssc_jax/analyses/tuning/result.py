@@ -1,7 +1,9 @@
 """The result of a tuning."""
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Self, get_type_hints
 
 import numpy as np
@@ -11,13 +13,15 @@ from matplotlib.figure import Figure
 from dssc_jax import plotting
 from dssc_jax.analyses.tuning.certified import PREFIX
 from dssc_jax.analyses.tuning.gradients import GradientAgreement
-from dssc_jax.analyses.tuning.plan import Plan, seed_of
+from dssc_jax.analyses.tuning.plan import OBJECTIVE, PROVED_ERROR, Plan, seed_of
 from dssc_jax.analyses.tuning.verdict import Verdict
+from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.design import Free
 from dssc_jax.engine.batching import Arrays
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.analysis_folder import Stored
+from dssc_jax.results.manifest import write_json
 from dssc_jax.study import Study
 from dssc_jax.study.schema import TuneTable
 from dssc_jax.study.tables import changed
@@ -31,6 +35,8 @@ LOOKED = {
 }
 """Recorded at each evaluation on validation draws besides the tuned numbers."""
 COST = "cost_"
+PROOF_FILE = "proof.json"
+"""The result's certificate in its folder; ``dssc-jax prove`` verifies it."""
 
 
 @dataclass(eq=False)
@@ -47,6 +53,7 @@ class Tuned(Analysis):
         gradients: The comparison of derivatives with differences; None if there was none.
         verdict: The evaluation on fresh draws.
         facts: Facts of the search: method, why it ended, steps shortened, iterates certified, counterexamples, seconds.
+        certificate: Content of the result's certificate file; None if no proof is required.
     """
 
     kind = "tune"
@@ -59,6 +66,7 @@ class Tuned(Analysis):
     gradients: GradientAgreement | None
     verdict: Verdict
     facts: dict[str, Any]
+    certificate: dict[str, Any] | None = None
 
     @property
     def tuned_study(self) -> Study:
@@ -77,6 +85,19 @@ class Tuned(Analysis):
         return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
     @property
+    def proved_loop(self) -> dict[str, Any]:
+        """The loop that the certificate has to be of, as a certificate's file describes it."""
+        from dssc_jax.proofs.coverage import problem_of
+        from dssc_jax.proofs.reach import problem_at
+
+        aimed = self.facts.get("aimed")
+        if aimed is None or aimed["over"] is None:
+            problem = problem_of(self.tuned_study)
+        else:
+            problem = problem_at(self.tuned_study, aimed["over"], aimed["result"])
+        return json.loads(json.dumps(problem.to_dict()))
+
+    @property
     def costs(self) -> Arrays:
         """Cost of every fresh draw, ``start`` and ``tuned``."""
         return {name: self.dataset[COST + name].values for name in ("start", "tuned")}
@@ -91,7 +112,10 @@ class Tuned(Analysis):
     def headline(self) -> str:
         """The objective before and after, on fresh draws."""
         before, after = self.verdict.objective
-        return f"objective {before:.4g} to {after:.4g} on {self.verdict.draws:,} fresh draws"
+        text = f"objective {before:.4g} to {after:.4g} on {self.verdict.draws:,} fresh draws"
+        if (aimed := self.facts.get("aimed")) is None:
+            return text
+        return f"{aim_quantity(self.study).meaning}: {aimed['start']:.4g} to {aimed['result']:.4g}; {text}"
 
     def figure(self) -> Figure:
         """Plot the search and the fresh draws' costs: :func:`dssc_jax.plotting.tuning`."""
@@ -119,6 +143,25 @@ class Tuned(Analysis):
             "verdict": self.verdict._asdict(),
         }
 
+    def save(self, folder: str | Path) -> Path:
+        """See :class:`Analysis`; with the certificate as a file of its own, if there is one."""
+        path = super().save(folder)
+        if self.certificate is not None:
+            write_json(path / PROOF_FILE, self.certificate)
+        return path
+
+    @classmethod
+    def load(cls, folder: str | Path, trust_code: bool = False) -> Self:
+        """See :class:`Analysis`; the certificate is what the folder claims until it is verified."""
+        tuned = super().load(folder, trust_code)
+        path = Path(folder) / PROOF_FILE
+        if path.exists():
+            try:
+                tuned.certificate = json.loads(path.read_text(encoding="utf-8"))
+            except (OSError, ValueError) as error:
+                raise ConfigError(str(path), f"is damaged: {error!r}; run the tuning again") from None
+        return tuned
+
     @classmethod
     def restored(cls, stored: Stored) -> Self:
         """See :class:`Analysis`."""
@@ -132,6 +175,8 @@ class Tuned(Analysis):
 def dataset_of(study: Study, history: Sequence[Mapping[str, Any]], costs: Mapping[str, np.ndarray]) -> xr.Dataset:
     """Store history and costs in a dataset: see :class:`Tuned`."""
     meanings = {name: Quantity("1", text) for name, text in LOOKED.items()} | study.quantities
+    if (aim := tuned_table(study).aim) != OBJECTIVE:
+        meanings[aim] = aim_quantity(study)
     for name, hint in get_type_hints(Free, include_extras=True).items():
         meanings[PREFIX + name] = hint.__metadata__[0]
     columns = {name: ("look", np.array([row[name] for row in history]), meanings[name]) for name in history[0]}
@@ -142,6 +187,16 @@ def dataset_of(study: Study, history: Sequence[Mapping[str, Any]], costs: Mappin
         for name, (dimension, values, about) in columns.items()
     }
     return xr.Dataset(described, attrs={"title": study.name})
+
+
+def aim_quantity(study: Study) -> Quantity:
+    """Unit and meaning of the proved number that is optimised."""
+    table = tuned_table(study)
+    if table.aim == PROVED_ERROR:
+        return Quantity(study.units[0].output, "proved bound of |e| once settled")
+    name = next(iter(table.over))
+    unit = study.quantities[name].unit if name in study.quantities else "1"
+    return Quantity(unit, f"last proved {name}")
 
 
 def tuned_table(study: Study) -> TuneTable:

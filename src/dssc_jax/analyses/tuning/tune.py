@@ -1,6 +1,8 @@
 """Tune a study: descent on training draws, choice on validation draws, verdict on fresh ones."""
 
+import json
 import time
+from typing import Any
 
 import numpy as np
 
@@ -10,8 +12,9 @@ from dssc_jax.analyses.tuning.gradients import GradientAgreement, check_gradient
 from dssc_jax.analyses.tuning.plan import EVOLUTION, Plan
 from dssc_jax.analyses.tuning.problem import Problem
 from dssc_jax.analyses.tuning.progress import Search
+from dssc_jax.analyses.tuning.proving import compare_proved, require_proved
 from dssc_jax.analyses.tuning.result import Tuned, dataset_of
-from dssc_jax.analyses.tuning.search import search
+from dssc_jax.analyses.tuning.search import method_of, search
 from dssc_jax.analyses.tuning.verdict import judge_tuning
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
@@ -56,13 +59,12 @@ def tune(
         require_falsifiable(plan.study, rounds, budget)
     if plan.theorem is not None:
         require_certified(plan)
-    if plan.table.proved:
-        require_proved(plan)
+    require_proved(plan)
     problem, added, hunts = Problem(plan), {}, []
     outcome, gradients = solve(problem, progress)
     certified, proved = problem.certified, problem.proved
     while robust:
-        tuned = plan.study.override(numbers_at(plan, outcome.best.z))
+        tuned = plan.study.override(plan.numbers_at(outcome.best.z))
         worst = falsify(tuned, budget=budget, seed=len(hunts))
         hunts.append({**worst.about(worst.worst), "simulations": worst.simulations})
         if worst.slack >= 0.0 or len(hunts) == rounds:
@@ -71,23 +73,27 @@ def tune(
         problem = Problem(plan, added)
         outcome, gradients = solve(problem, progress)
         certified, proved = certified + problem.certified, proved + problem.proved
-    start, numbers = (numbers_at(plan, z) for z in (plan.mirror.origin, outcome.best.z))
+    start, numbers = (plan.numbers_at(z) for z in (plan.mirror.origin, outcome.best.z))
     verdict, costs = judge_tuning(plan, problem.goal, start, numbers)
+    proof = plan.proof_of_result(numbers)
     facts = {
-        "method": EVOLUTION if gradients is None or not useful(gradients) else plan.table.optimiser,
+        "method": method_of(plan, gradients is not None and useful(gradients)),
         "stopped": outcome.stopped,
         "feasible": outcome.best.merit.violation == 0.0,
         "violation": outcome.best.merit.violation,
         "shortened": outcome.shortened,
         "certified_points": certified if plan.theorem else None,
         "proved_points": proved if plan.table.proved else None,
-        "proof": plan.proof_at(numbers).statement() if plan.table.proved else None,
+        "proof": None if proof is None else proof.statement(),
+        "aimed": compare_proved(plan, start, numbers)._asdict() if plan.optimises_proof else None,
         "counterexamples": hunts,
         "seconds": time.perf_counter() - began,
     }
     values = {name: float(value) for name, value in plan.mirror.tuned(outcome.best.z).items()}
     dataset = dataset_of(plan.study, outcome.history, costs)
-    return Tuned(plan.study, dataset, dict(plan.mirror.start), values, numbers, gradients, verdict, facts)
+    certificate = None if proof is None else verified(proof.certificate())
+    start_values = dict(plan.mirror.start)
+    return Tuned(plan.study, dataset, start_values, values, numbers, gradients, verdict, facts, certificate)
 
 
 def solve(problem: Problem, progress: ProgressCallback | None) -> tuple[Search, GradientAgreement | None]:
@@ -102,7 +108,7 @@ def solve(problem: Problem, progress: ProgressCallback | None) -> tuple[Search, 
             rule = f"the start is infeasible: {point.merit.ended} {name} draws end early, and nothing measures them"
             raise ConfigError(problem.plan.study.source, rule)
     gradients = None
-    if problem.plan.table.optimiser != EVOLUTION:
+    if problem.plan.table.optimiser != EVOLUTION and not problem.plan.optimises_proof:
         gradients = check_gradients(problem, CHECKED, problem.plan.seed)
     return search(problem, first, gradients is None or useful(gradients), progress), gradients
 
@@ -112,9 +118,19 @@ def useful(gradients: GradientAgreement) -> bool:
     return min(gradients.useful, gradients.predictive) >= USEFUL
 
 
-def numbers_at(plan: Plan, z: np.ndarray) -> dict[str, float]:
-    """The loop's numbers at a point."""
-    return {name: float(value[0]) for name, value in plan.mirror.numbers(z[None]).items()}
+def verified(certificate: dict[str, Any]) -> dict[str, Any]:
+    """A certificate as its file will hold it, verified once more from that alone.
+
+    Raises:
+        RuntimeError: the verifier refuses it.
+    """
+    from dssc_jax.proofs.prove import check_certificate
+
+    content = json.loads(json.dumps(certificate))
+    verdict = check_certificate(content)
+    if not verdict.proved:
+        raise RuntimeError(f"the result's certificate is refused: {verdict.reason}")
+    return content
 
 
 def joined(added: Arrays, witness: dict[str, float]) -> Arrays:
@@ -129,7 +145,7 @@ def require_certified(plan: Plan) -> None:
         ConfigError: it does not pass.
     """
     assert plan.theorem is not None
-    numbers = numbers_at(plan, plan.mirror.origin)
+    numbers = plan.numbers_at(plan.mirror.origin)
     if plan.table.slack is not None:
         missed = {name: float(value) for name, value in plan.theorem.excess(numbers, plan.table.slack).items()}
         worst = max(missed, key=missed.__getitem__)
@@ -139,18 +155,6 @@ def require_certified(plan: Plan) -> None:
     if not plan.theorem.certificate(numbers).certified:
         place = "tune.free" if plan.table.certified else "tune.slack"
         raise ConfigError(plan.study.source, f"{place}: the start is infeasible: its design is not certified")
-
-
-def require_proved(plan: Plan) -> None:
-    """Require that the start is proved.
-
-    Raises:
-        ConfigError: it is not.
-    """
-    proof = plan.proof_at(numbers_at(plan, plan.mirror.origin))
-    if not proof.complete:
-        reason = proof.summary()["failures"][0]["text"]
-        raise ConfigError(plan.study.source, f"tune.proved: the start is infeasible: it is not proved: {reason}")
 
 
 def require_falsifiable(study: Study, rounds: int, budget: int) -> None:

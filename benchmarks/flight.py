@@ -1,0 +1,152 @@
+"""``python -m benchmarks.flight PART..``: the controllers in C against the strict analysis, bit by bit.
+
+Parts: ``bits`` (every kind of controller, row and sampled form, float64 and float32, on x86-64 by gcc and clang, on
+64-bit and 32-bit ARM under qemu; --draws and --samples of each), ``cost`` (operations, memory and cycles of a step).
+Each writes its part of docs/flight.md. The recordings are never stored: they are piped into all benches at once.
+"""
+
+import argparse
+import re
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import dssc_jax as dj
+from benchmarks.page import put
+from dssc_jax.flight.cost import parameter_bytes, state_bytes, step_cost
+from dssc_jax.flight.folder import FlightFolder
+from tests.flight.test_code import cases, table
+
+PAGE = Path(__file__).parents[1] / "docs" / "flight.md"
+BENCHES = {
+    "x86-64, gcc": ("bench", []),
+    "x86-64, clang": ("bench-clang", []),
+    "aarch64 (qemu)": ("bench-arm64", ["qemu-aarch64", "-L", "/usr/aarch64-linux-gnu"]),
+    "armhf (qemu)": ("bench-armhf", ["qemu-arm", "-L", "/usr/arm-linux-gnueabihf"]),
+}
+DURATION = 100.0  # s, 10,000 samples
+
+
+class Bits(NamedTuple):
+    """What the benches say of one controller.
+
+    Args:
+        name: The controller.
+        precision: Bits of a number.
+        samples: Draws times samples.
+        differing: Values that differ, by bench.
+        compared: Values compared by each bench.
+    """
+
+    name: str
+    precision: int
+    samples: int
+    differing: dict[str, int]
+    compared: int
+
+
+def studies(precision: int) -> Iterator[tuple[str, dj.Study]]:
+    """A study of every kind of controller, row and sampled form, with 10,000 samples."""
+    for case in cases():
+        controller, differentiator, _ = case.values
+        content: dict[str, Any] = table(controller, differentiator, precision)
+        content["loop"]["duration"] = DURATION
+        yield f"{case.id} ({differentiator['kind']})", dj.Study.from_table(content)
+
+
+def written(folder: FlightFolder, place: Path) -> None:
+    """Write the texts of a folder."""
+    for name, text in folder.texts().items():
+        (place / name).write_text(text)
+
+
+def bits_of_study(name: str, study: dj.Study, draws: int, samples: int) -> Bits:
+    """Pipe the recording of a study into all benches."""
+    with tempfile.TemporaryDirectory() as place:
+        folder = FlightFolder(study.override({"draws": max(draws, study.config.draws)}))
+        written(folder, Path(place))
+        subprocess.run(
+            ["make", "-j2", *(bench for bench, _ in BENCHES.values())], cwd=place, check=True, capture_output=True
+        )
+        running = {
+            label: subprocess.Popen(
+                [*runner, f"./{bench}", "-"], cwd=place, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=False
+            )
+            for label, (bench, runner) in BENCHES.items()
+        }
+        for part in folder.recording(draws, samples):
+            for process in running.values():
+                assert process.stdin is not None
+                process.stdin.write(part)
+        counts = {}
+        for label, process in running.items():
+            printed = process.communicate()[0].decode()
+            found = re.search(r"^(\d+) of (\d+) values differ", printed, re.MULTILINE)
+            assert found is not None, printed
+            counts[label] = int(found[1]), int(found[2])
+            print(f"{name}, float{study.config.loop.precision}, {label}: {printed.strip()}", flush=True)
+    compared = {total for _, total in counts.values()}
+    assert len(compared) == 1
+    differing = {label: wrong for label, (wrong, _) in counts.items()}
+    return Bits(name, study.config.loop.precision, draws * samples, differing, compared.pop())
+
+
+def bits(draws: int, samples: int, only: str) -> str:
+    """Compare every controller and say what differed."""
+    measured = [
+        bits_of_study(name, study, draws, samples)
+        for precision in (64, 32)
+        for name, study in studies(precision)
+        if only in name
+    ]
+    lines = [f"| {draws:,} draws of {samples:,} samples | " + " | ".join(BENCHES) + " |"]
+    lines.append("|---" * (len(BENCHES) + 1) + "|")
+    for precision in (64, 32):
+        chosen = [each for each in measured if each.precision == precision]
+        total = sum(each.compared for each in chosen)
+        wrong = (f"{sum(each.differing[label] for each in chosen)} of {total:,}" for label in BENCHES)
+        lines.append(f"| float{precision}, {len(chosen)} controllers | " + " | ".join(wrong) + " |")
+    names = ", ".join(each.name for each in measured if each.precision == 64)
+    return "\n".join([*lines, "", f"Values that differ, of the values compared. The controllers: {names}."])
+
+
+def cost() -> str:
+    """Operations, memory and cycles of a step of every controller in float64."""
+    lines = [
+        "| controller (differentiator) | operations | quotients, roots | longest chain | state, parameters [bytes] "
+        "| stack [bytes] | cycles, least and mean |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for name, study in studies(64):
+        with tempfile.TemporaryDirectory() as place:
+            folder = FlightFolder(study)
+            written(folder, Path(place))
+            (only,) = folder.controllers
+            spent = step_cost(only)
+            slow = sum(spent.operations.get(each, 0) for each in ("div", "sqrt"))
+            stack = subprocess.run(["make", "stack"], cwd=place, check=True, capture_output=True, text=True).stdout
+            used = re.findall(r"_step\s+(\d+)", stack)[0]
+            ran = subprocess.run(["make", "cycles"], cwd=place, check=True, capture_output=True, text=True).stdout
+            least, mean = re.findall(r"least (\d+), mean (\d+)", ran)[0]
+        row = (name, sum(spent.operations.values()), slow, spent.chain,
+               f"{state_bytes(only)}, {parameter_bytes(only)}", used, f"{least}, {mean}")  # fmt: skip
+        lines.append("| " + " | ".join(map(str, row)) + " |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure the given parts."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("parts", nargs="+", choices=["bits", "cost"])
+    parser.add_argument("--draws", type=int, default=1000)
+    parser.add_argument("--samples", type=int, default=10_000)
+    parser.add_argument("--only", default="", help="controllers whose name has this part")
+    given = parser.parse_args()
+    for part in given.parts:
+        put(part, bits(given.draws, given.samples, given.only) if part == "bits" else cost(), PAGE)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,74 @@
+"""Regenerates the pictures of docs/explore.md: the pages, as Chromium shows them.
+
+Run it as ``make screenshots``.
+"""
+
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from playwright.sync_api import Page, sync_playwright
+
+import dssc_jax as dj
+from dssc_jax.exploration.interactive_report import interactive_html
+
+FIGURES = Path(__file__).parents[1] / "docs" / "figures"
+STUDY, NUMBER, MOVES = "mu_robustness", 1, 8
+SIZE = {"width": 1280, "height": 870}
+PATIENCE = 300_000  # ms
+
+
+def study_page(page: Page) -> None:
+    """A study whose second slider, tau_av, has been moved by keyboard."""
+    command = [sys.executable, "-m", "dssc_jax.cli", "explore", STUDY, "--no-browser"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        assert server.stdout is not None
+        try:
+            page.goto(server.stdout.readline().strip())
+            page.get_by_text("failure probability").first.wait_for()
+            before = page.get_by_text("failures in").first.inner_text()
+            page.locator(".noUi-handle").nth(NUMBER).focus()
+            for _ in range(MOVES):
+                page.keyboard.press("ArrowLeft")
+            page.get_by_text(before).wait_for(state="detached")
+            page.wait_for_timeout(3000)
+            page.screenshot(path=FIGURES / "explore_study.png")
+        finally:
+            server.terminate()
+
+
+def draws_page(page: Page) -> None:
+    """The interactive report of a run, brushed."""
+    result = dj.run(dj.Study.load(STUDY).without_sweep().override({"draws": 4000}))
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "draws.html"
+        file.write_text(interactive_html(result), encoding="utf-8")
+        page.goto(file.as_uri())
+        page.get_by_text("all 4,000 draws").wait_for()
+        box = page.locator(".bk-events").first.bounding_box()
+        assert box is not None
+        page.mouse.move(box["x"] + 60, box["y"] + 300)
+        page.mouse.down()
+        page.mouse.move(box["x"] + 300, box["y"] + 500, steps=5)
+        page.mouse.up()
+        page.get_by_text("brushed: ").first.wait_for()
+        page.wait_for_timeout(1000)
+        page.screenshot(path=FIGURES / "explore_draws.png")
+
+
+def main() -> None:
+    """Take all pictures."""
+    with sync_playwright() as tool:
+        browser = tool.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        for take in (study_page, draws_page):
+            page = browser.new_page(viewport=SIZE)
+            page.set_default_timeout(PATIENCE)
+            take(page)
+            page.close()
+        browser.close()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,115 @@
+"""The commands for flight computers and their logs: code, compare-log."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dssc_jax.cli import options as opt
+from dssc_jax.cli.common import (
+    DONE,
+    app,
+    assignment,
+    attempt,
+    default_out,
+    load_study,
+    output_analysis,
+    save_analysis,
+)
+from dssc_jax.core.errors import ConfigError
+
+
+@app.command()
+def code(
+    study: opt.StudyArgument,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The folder to write.")],
+    draws: Annotated[int, typer.Option("--draws", metavar="N", min=1, help="Draws to record for the bench.")] = 32,
+    samples: Annotated[
+        int | None, typer.Option("--samples", metavar="K", min=1, help="Samples of each draw [all, at most 2000].")
+    ] = None,
+    settings: opt.Set = None,
+    as_json: opt.Json = False,
+    allow_local: opt.Local = False,
+) -> int:
+    """Write the sampled controller as C99, with a bench that compares it bit by bit with the analysis.
+
+    Differentiator and controller of every channel come from the functions that the analysis runs. `make -C DIR`
+    replays recorded draws and compares every bit; docs/flight.md tells how to do so for ARM. For float32 give
+    --set loop.precision=32.
+    """
+    from dssc_jax.console.flight import show_code
+    from dssc_jax.flight.folder import FlightFolder
+
+    folder = FlightFolder(load_study(study, settings, None, None, allow_local))
+    attempt(out, lambda: out.mkdir(parents=True, exist_ok=True))
+    for name, text in folder.texts().items():
+        path = out / name
+        attempt(path, lambda path=path, text=text: path.write_text(text, encoding="utf-8"))
+    path = out / "recorded.bin"
+    parts = folder.recording(draws, samples)
+    with path.open("wb") as file:
+        for part in parts:
+            file.write(part)
+    summary = folder.summary() | {"files": [*folder.texts(), path.name], "folder": str(out)}
+    if as_json:
+        print(json.dumps(summary, allow_nan=False))
+    else:
+        show_code(summary)
+    return DONE
+
+
+@app.command()
+def compare_log(
+    study: opt.StudyArgument,
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="A CSV or Parquet file, or a ULog of PX4 (.ulg).")],
+    columns: Annotated[
+        Path | None, typer.Option("--columns", metavar="FILE", help="Table of the log's columns, in TOML.")
+    ] = None,
+    column: Annotated[
+        list[str] | None,
+        typer.Option("--column", metavar="SIGNAL=COLUMN", help="The column of a signal; may be repeated."),
+    ] = None,
+    start: Annotated[
+        float | None,
+        typer.Option("--start", metavar="T", help="Time of the log at which the study begins [its first]."),
+    ] = None,
+    settings: opt.Set = None,
+    draws: opt.Draws = None,
+    seed: opt.Seed = None,
+    out: opt.Out = None,
+    as_json: opt.Json = False,
+    allow_local: opt.Local = False,
+) -> int:
+    """Is this logged flight one of the flights that were analysed?
+
+    Replays the logged measurements through the analysed controller and compares its commands with the logged ones. Lays
+    the log over the study's draws, tells which signal leaves their range and since when, and gives a p-value that is
+    exact for any time series: the rank of the log among the draws by its largest standardised departure. Signals are
+    y, y_dot, y_ref, y_ref_dot, y_ref_ddot and u_total; those of a channel x are x_y and so on. Without a table, the
+    log's columns must have these names, and t. The study's [sweep] is ignored.
+    """
+    from dssc_jax.analyses.flight_log import compare_log as compare
+    from dssc_jax.console import progress_bar
+    from dssc_jax.console.flight import show_log_comparison
+    from dssc_jax.results.analysis_folder import require_free
+    from dssc_jax.study import read_toml
+    from dssc_jax.study.flight_logs import read_log
+
+    loaded = load_study(study, settings, draws, seed, allow_local).without_sweep()
+    table = read_toml(columns) if columns is not None else {}
+    named = dict(assignment(text, "--column") for text in column or [])
+    if named:
+        table = {**table, "signals": {**table.get("signals", {}), **named}}
+    if start is not None:
+        table = {**table, "start": start}
+    try:
+        flown = read_log(log, loaded.loop.channels, table)
+    except ConfigError as error:
+        raise error.within(str(columns)) if columns is not None and log.is_file() else error from None
+    folder = out or default_out(loaded, f"compare-log-{log.stem}", settings, draws, seed, columns, column, start)
+    require_free(folder, "compare-log", loaded)
+    with progress_bar(loaded, quiet=as_json, of="draws") as advance:
+        answer = compare(loaded, flown, progress=advance)
+    output_analysis(answer, {"result": folder}, save_analysis(answer, folder), as_json, show_log_comparison)
+    return DONE

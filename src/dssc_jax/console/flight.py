@@ -1,0 +1,77 @@
+"""Show what was generated for a flight computer, and how a logged flight lies in the draws."""
+
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from dssc_jax.console.terminal import output, show_files, show_table
+
+
+def show_code(summary: dict[str, Any]) -> None:
+    """Print each channel's functions and cost, and how to check them."""
+    rows = []
+    for each in summary["channels"]:
+        operations = each["operations"]
+        slow = sum(operations.get(name, 0) for name in ("div", "sqrt", "rem"))
+        rows.append(
+            (
+                f"{each['prefix']}_step",
+                str(sum(operations.values())),
+                str(slow),
+                str(each["chain"]),
+                str(each["state_bytes"]),
+                str(each["parameter_bytes"]),
+            )
+        )
+    show_table(("function", "operations", "quotients, roots", "longest chain", "state [bytes]", "parameters"), rows)
+    console = output()
+    console.print(summary["certificate"], soft_wrap=True, markup=False)
+    console.print(
+        f"wrote {summary['folder']}; make -C {summary['folder']} checks every bit", soft_wrap=True, markup=False
+    )
+
+
+def show_log_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
+    """Print the p-value, each signal's place among the draws, and how the replayed commands differ."""
+    console = output()
+    say = partial(console.print, soft_wrap=True, markup=False)
+    say(f"{summary['study']}: {summary['log']} over {summary['draws']} draws, {summary['samples']} samples")
+    rows = []
+    for name, own in summary["signals"].items():
+        since = own["outside_to_the_end_since"]
+        rows.append(
+            (
+                f"{name} [{own['unit']}]",
+                plain_number(own["largest_departure"]),
+                f"{100 * own['outside_share']:.3g} %",
+                plain_number(own["first_outside"]),
+                plain_number(since),
+            )
+        )
+    head = ("signal", "largest departure", "outside the draws", "first at [s]", "to the end since [s]")
+    show_table(head, rows)
+    say(
+        f"p = {summary['p_value']:.4g}: {summary['draws_at_least_as_extreme']} of {summary['draws']} draws depart "
+        f"as much; most in {summary['decisive_signal']} at {summary['decisive_time']:.4g} s"
+    )
+    if summary["least_p_value"] > 0.05:
+        say(f"p cannot be below {summary['least_p_value']:.3g}: take more draws")
+    for name, own in summary["signals"].items():
+        if "rms_difference" in own:
+            say(
+                f"replay: the analysed controller's {name} differs by at most {own['largest_difference']:.4g} "
+                f"{own['unit']} (at {own['largest_difference_at']:.4g} s), rms {own['rms_difference']:.4g} "
+                f"of {own['rms_logged']:.4g}"
+            )
+    for channel, reason in summary["not_replayed"].items():
+        say(f"not replayed{f', {channel}' if channel else ''}: {reason}")
+    for channel, largest in summary["reference_differences"].items():
+        where = f" of {channel}" if channel else ""
+        say(f"the logged reference{where} differs from the study's by at most {largest:.4g}")
+    show_files(files)
+
+
+def plain_number(value: float | None) -> str:
+    """A number, or a dash."""
+    return "-" if value is None else f"{value:.4g}"

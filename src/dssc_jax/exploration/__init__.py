@@ -1,0 +1,66 @@
+"""Explore a study or a result: in the browser by a local page, in a notebook by the same page as an object.
+
+Needs the extra ``explore`` (Panel and Bokeh), which no other layer imports.
+"""
+
+from collections.abc import Sequence
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.results.result import Result
+from dssc_jax.study import Study
+
+if TYPE_CHECKING:
+    from dssc_jax.exploration.result_page import ResultPage
+    from dssc_jax.exploration.study_page import StudyPage
+
+__all__ = ["explore", "require_panel"]
+
+
+def require_panel() -> None:
+    """Check that what the pages need is installed.
+
+    Raises:
+        ConfigError: It is not.
+    """
+    for name in ("panel", "bokeh"):
+        if find_spec(name) is None:
+            raise ConfigError("explore", f"needs {name}: pip install 'dssc_jax[explore]'")
+
+
+def explore(
+    subject: Study | Result, *, sliders: Sequence[str] | None = None, draws: int | None = None
+) -> "StudyPage | ResultPage":
+    """A page on which a study's numbers are moved, or a result's draws are brushed and seen again.
+
+    Moving a number of a study shows its failures, fans of signals and worst draw anew. A notebook shows the page as the
+    value of a cell. A program moves sliders by ``move``, and a result's draws by ``replay``.
+
+    Args:
+        subject: A study, or the result of a run or a sweep.
+        sliders: For a study, dotted names of the numbers to move; None: the swept ones, gains, unmodelled dynamics and
+            laws.
+        draws: For a study, number of draws; None: 1,000, for a vehicle 64.
+
+    Returns:
+        The page. Of a study: ``move({name: value})``, ``now`` (the run that is shown), ``before``, ``save_as(name)``.
+        Of a result: ``replay(row)``, ``flight``, ``pin_draw()``.
+
+    Raises:
+        ConfigError: The extra is not installed, a number cannot be moved, or the number of draws is not admissible.
+    """
+    require_panel()
+    import panel as pn
+
+    pn.extension()
+    if isinstance(subject, Result):
+        if sliders is not None or draws is not None:
+            raise ConfigError("explore", "sliders and draws are for a study; a result has its own")
+        from dssc_jax.exploration.result_page import ResultPage
+
+        return ResultPage(subject)
+    from dssc_jax.exploration.live import LiveStudy
+    from dssc_jax.exploration.study_page import StudyPage
+
+    return StudyPage(LiveStudy(subject, sliders, draws))

@@ -1,0 +1,66 @@
+"""A result as one file with linked brushing: no program behind it, and nothing from the network."""
+
+import shlex
+
+from bokeh.embed import components
+from bokeh.layouts import column
+from bokeh.models import Div
+from bokeh.resources import Resources
+from markupsafe import escape
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.exploration.brushing import Brushing
+from dssc_jax.exploration.draw_table import DrawTable
+from dssc_jax.results.analysis import Analysis
+from dssc_jax.results.result import Result
+
+INTERACTIVE = "interactive.html"
+OWN_SCRIPTS_ONLY = (
+    "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:; "
+    "font-src data:"
+)
+"""A page's scripts are part of it, and may load and send nothing."""
+PAGE = """<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta http-equiv="Content-Security-Policy" content="{policy}">
+<meta charset="utf-8">
+<title>{title}</title>
+<script>
+{library}
+</script>
+</head>
+<body>
+{place}
+{script}
+</body>
+</html>
+"""
+"""Bokeh's own page would name the files of every extension that the process has imported, such as Panel's."""
+
+
+def interactive_html(result: Result | Analysis) -> str:
+    """The interactive report of a result.
+
+    Args:
+        result: A loaded or new result of a run or a sweep.
+
+    Raises:
+        ConfigError: It is an analysis, which has no draws to brush.
+    """
+    if isinstance(result, Analysis):
+        raise ConfigError(result.study.name, f"draws of a run or a sweep can be brushed, not those of '{result.kind}'")
+    study = result.study
+    folder = shlex.quote(str(result.path or f"results/{study.name}"))
+    head = Div(
+        text=f"<h1>{escape(study.name)}</h1><p>{escape(study.config.description)}</p>"
+        f"<p>required: {escape('; '.join(r.text for r in study.requirements) or 'nothing')}</p>"
+        "<p>drag over the points to brush; Escape ends it. Orange crosses fail, blue circles pass.</p>",
+        disable_math=True,
+    )
+    page = column(head, Brushing(DrawTable(result), folder).layout)
+    script, place = components(page)
+    library = "\n".join(Resources(mode="inline", components=["bokeh", "bokeh-widgets"]).js_raw)
+    return PAGE.format(
+        policy=OWN_SCRIPTS_ONLY, title=escape(f"{study.name}: draws"), library=library, place=place, script=script
+    )

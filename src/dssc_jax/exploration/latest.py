@@ -1,0 +1,67 @@
+"""Work in the background of which only the newest request counts."""
+
+import threading
+from collections.abc import Callable
+from functools import partial
+
+Work = Callable[[Callable[[], bool]], None]
+"""Receives a function that tells whether a newer request has come."""
+
+
+class Latest:
+    """A thread that serves the newest of several requests; an older one may stop when it learns that it is stale.
+
+    The thread starts with the first request and ends with :meth:`close`.
+    """
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._pending: Work | None = None
+        self._number = 0
+        self._closed = False
+        self._busy = False
+        self._thread: threading.Thread | None = None
+
+    def submit(self, work: Work) -> None:
+        """Request some work; it replaces a request that has not begun, and makes the running one stale."""
+        with self._changed:
+            if self._closed:
+                return
+            self._pending, self._number = work, self._number + 1
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._serve, name="explore", daemon=True)
+                self._thread.start()
+            self._changed.notify_all()
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until no request is pending or running.
+
+        Args:
+            timeout: Longest time to wait [s]; None: for ever.
+
+        Returns:
+            Whether that came true in time.
+        """
+        with self._changed:
+            return self._changed.wait_for(lambda: self._pending is None and not self._busy, timeout)
+
+    def close(self) -> None:
+        """Forget pending work, make running work stale, and end the thread after it."""
+        with self._changed:
+            self._closed, self._pending, self._number = True, None, self._number + 1
+            self._changed.notify_all()
+
+    def _serve(self) -> None:
+        while True:
+            with self._changed:
+                self._busy = False
+                self._changed.notify_all()
+                self._changed.wait_for(lambda: self._pending is not None or self._closed)
+                if self._closed:
+                    return
+                work, number, self._pending, self._busy = self._pending, self._number, None, True
+            assert work is not None
+            work(partial(self._is_stale, number))
+
+    def _is_stale(self, number: int) -> bool:
+        return self._number != number

@@ -1,0 +1,240 @@
+"""A study that runs again whenever its numbers move: failures with their interval, fans of signals, worst draw."""
+
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from threading import Lock
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.closed_loop.requirements import violated, worst_slack
+from dssc_jax.core.signals import Outcome
+from dssc_jax.design import certification
+from dssc_jax.engine.batching import Arrays, drawn
+from dssc_jax.exploration.sliders import (
+    CLOCK_SLIDER,
+    Positions,
+    Slider,
+    admitted,
+    changes_of,
+    live_extents,
+    sliders_of,
+)
+from dssc_jax.results.result import interval_method
+from dssc_jax.runs.recorded_draws import RecordedDraws, SignalKey, all_draws
+from dssc_jax.statistics import CONFIDENCE, describe_probability
+from dssc_jax.study import Study
+from dssc_jax.study.tables import to_toml
+
+FAN_LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)  # of the fans
+DRAWS, VEHICLE_DRAWS = 1000, 64
+BATCH, VEHICLE_BATCH = 256, 16  # draws between two looks whether a newer move has come
+PROGRAMS = 6  # compiled programs to keep, one for each sample time
+
+Stale = Callable[[], bool]
+"""Whether a newer request has come."""
+
+Notice = Callable[[str], None]
+"""Called with what is being done."""
+
+
+class Fan(NamedTuple):
+    """Quantiles of a signal over time, of the draws that are still running.
+
+    Args:
+        levels: The levels, shape (levels,).
+        values: Shape (levels, samples); NaN where no draw is running.
+        running: Number of draws still running, shape (samples,).
+    """
+
+    levels: tuple[float, ...]
+    values: np.ndarray
+    running: np.ndarray
+
+
+@dataclass(frozen=True)
+class LiveRun:
+    """All draws of a study at one position of its sliders.
+
+    Args:
+        study: The study as it stands, without a sweep; it reproduces this run.
+        results: Metrics, slacks, outcome and signals of every draw.
+        values: Each uncertain number's value in every draw.
+        times: Times of the signals' samples [s].
+    """
+
+    study: Study
+    results: Arrays
+    values: Arrays
+    times: np.ndarray
+
+    @property
+    def failed(self) -> np.ndarray:
+        """Whether each draw failed, shape (draws,)."""
+        return self.results["outcome"] != Outcome.OK
+
+    @property
+    def probability(self) -> float:
+        """The share of draws that failed."""
+        return float(self.failed.mean())
+
+    @cached_property
+    def interval(self) -> tuple[float, float]:
+        """Lower and upper bound of the failure probability, by the method that fits the study's draws."""
+        low, high = interval_method(self.study).interval(self.failed, CONFIDENCE)
+        return float(low), float(high)
+
+    @cached_property
+    def statement(self) -> str:
+        """Failures, draws, probability and interval in words."""
+        return describe_probability(self.failed, interval_method(self.study))
+
+    @cached_property
+    def by_requirement(self) -> list[tuple[str, int]]:
+        """Each requirement with the number of draws that violate it."""
+        return [(r.text, int(violated(self.results[r.name]).sum())) for r in self.study.requirements]
+
+    @property
+    def ended_early(self) -> int:
+        """Number of draws that did not stay finite, or left the range of the plant's model."""
+        return int(np.isfinite(self.results["failed_at"]).sum())
+
+    @cached_property
+    def order(self) -> np.ndarray:
+        """Draws from the worst to the best: by their end if it was early, then by their smallest slack."""
+        ended = np.nan_to_num(self.results["failed_at"], nan=np.inf)
+        return np.lexsort((ended, self.slack))
+
+    @cached_property
+    def slack(self) -> np.ndarray:
+        """Smallest relative slack of each draw; without requirements, minus the largest recorded |error|."""
+        if self.study.requirements:
+            return worst_slack(self.study.requirements, self.results)
+        errors = [np.abs(self.signal(name)) for name in error_names(self.study)]
+        largest = np.max([np.nanmax(error, axis=1, initial=0.0) for error in errors], axis=0)
+        return np.where(np.isfinite(self.results["failed_at"]), -np.inf, -largest)
+
+    def signal(self, name: str) -> np.ndarray:
+        """A recorded signal of every draw, shape (draws, samples)."""
+        return self.results[SignalKey(name)]
+
+    def fan(self, name: str) -> Fan:
+        """Quantiles of a signal over time."""
+        ordered = np.sort(self.signal(name), axis=0)  # NaN are last
+        running = np.count_nonzero(~np.isnan(ordered), axis=0)
+        rows = np.floor(np.outer(FAN_LEVELS, np.maximum(running - 1, 0))).astype(int)
+        values = np.take_along_axis(ordered, rows, axis=0)
+        return Fan(FAN_LEVELS, values, running)
+
+    @cached_property
+    def certificate(self) -> str:
+        """What Theorem 1 says of the loop, in one line."""
+        mark = certification.mark(self.study)
+        if mark.certified is None:
+            return f"Theorem 1 does not apply: {mark.reason}"
+        return f"Theorem 1 {'certifies' if mark.certified else 'does not certify'} the loop without lag and sampling"
+
+    def toml(self) -> str:
+        """The study file that reproduces this run."""
+        return to_toml(self.study.table)
+
+
+class LiveStudy:
+    """A study with sliders, compiled for all of their positions.
+
+    Args:
+        study: The study.
+        names: Numbers to move; None: see :func:`dssc_jax.exploration.sliders.sliders_of`.
+        draws: Number of draws; None: 1,000, for a vehicle 64, or the study's own if they are points of a design.
+
+    Raises:
+        ConfigError: A number cannot be moved, or the number of draws is not admissible.
+    """
+
+    def __init__(self, study: Study, names: Sequence[str] | None = None, draws: int | None = None) -> None:
+        self.vehicle = len(study.loop.channels) > 1
+        own = study.config.draws if study.config.sampling != "random" else None
+        count = draws or own or (VEHICLE_DRAWS if self.vehicle else DRAWS)
+        self.swept = study.override({"draws": count})
+        self.base = self.swept.without_sweep()
+        self.sliders: list[Slider] = admitted(self.base, sliders_of(self.swept, names))
+        self._programs: OrderedDict[float, RecordedDraws] = OrderedDict()
+        self._compiling = Lock()
+
+    @property
+    def start(self) -> dict[Slider, float]:
+        """The positions that describe the study itself; a swept number stands at its own value, or its law's median."""
+        return {slider: slider.start for slider in self.sliders}
+
+    def at(self, positions: Positions) -> Study:
+        """The study that positions describe.
+
+        Raises:
+            ConfigError: The study is not valid there; the message gives the number and its rule.
+        """
+        return self.base.override(changes_of(self.swept, positions))
+
+    def run(
+        self, positions: Positions, stale: Stale = lambda: False, progress: Notice = lambda _: None
+    ) -> LiveRun | None:
+        """Simulate all draws at some positions of the sliders.
+
+        Args:
+            positions: The positions.
+            stale: Asked between two batches.
+            progress: Called with what is being done.
+
+        Returns:
+            The run; None if a newer request has made it stale.
+
+        Raises:
+            ConfigError: The study is not valid there.
+        """
+        study = self.at(positions)
+        program = self._program(study, progress)
+        batches, count = [], study.config.draws
+        done = 0
+        for batch in program.batches(study, np.arange(count)):
+            batches.append(batch)
+            done += len(batch["outcome"])
+            if stale():
+                return None
+            progress(f"{done:,} of {count:,} draws")
+        return LiveRun(study, all_draws(batches), drawn(study, slice(0, count)), program.times)
+
+    @cached_property
+    def first(self) -> LiveRun:
+        """The run at the sliders' start."""
+        run = self.run(self.start)
+        assert run is not None  # nothing makes it stale
+        return run
+
+    def _program(self, study: Study, progress: Notice) -> RecordedDraws:
+        """The compiled program for a study's sample time."""
+        sample_time = study.loop.sample_time
+        with self._compiling:  # tabs share the programs
+            if sample_time not in self._programs:
+                progress("compiling")
+                clocked = self.base.override({CLOCK_SLIDER: sample_time})
+                live = live_extents(self.sliders)
+                batch = VEHICLE_BATCH if self.vehicle else BATCH
+                program = RecordedDraws(clocked, live, recorded_signals(study), lanes=batch)
+                program.compile()
+                self._programs[sample_time] = program
+                if len(self._programs) > PROGRAMS:
+                    self._programs.popitem(last=False)
+            self._programs.move_to_end(sample_time)
+            return self._programs[sample_time]
+
+
+def error_names(study: Study) -> list[str]:
+    """The error signals of every channel."""
+    return [f"{channel}_e" if channel else "e" for channel in study.loop.channels]
+
+
+def recorded_signals(study: Study) -> list[str]:
+    """Signals to record: output, desired output, error and total command of every channel."""
+    names = ("y", "y_ref", "e", "u_total")
+    return [f"{channel}_{name}" if channel else name for channel in study.loop.channels for name in names]

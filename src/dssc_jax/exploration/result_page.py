@@ -1,0 +1,166 @@
+"""The page of a result: brush its draws, click one to see its flight again, pin several to compare."""
+
+from collections.abc import Callable
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+import panel as pn
+import xarray as xr
+from bokeh.models import ColumnDataSource
+from bokeh.plotting import figure
+
+from dssc_jax.closed_loop.requirements import worst_slack
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.exploration.brushing import Brushing
+from dssc_jax.exploration.draw_table import DrawTable
+from dssc_jax.exploration.figures import HEIGHT, WIDTH, axis_label, drawable, quiet_toolbar, shown_signals
+from dssc_jax.exploration.live import Stale
+from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page
+from dssc_jax.plotting.style import BLUE, GREEN, ORANGE, RED, VIOLET
+from dssc_jax.results.result import Result
+from dssc_jax.runs.trajectory import agreement_of, recorder
+from dssc_jax.study import Described
+
+SHOWN_SAMPLES = 1500  # of a flight that is shown
+COLOURS = (RED, BLUE, GREEN, VIOLET, ORANGE)
+
+
+class ResultPage(Page):
+    """A result to explore.
+
+    Args:
+        result: A loaded or new result of a run or a sweep.
+        background: Whether to simulate in a thread; a served page does.
+        seed: Seed of the choice of random draws.
+    """
+
+    def __init__(self, result: Result, background: bool = False, seed: int = 0) -> None:
+        super().__init__(background)
+        self.result, self.table = result, DrawTable(result)
+        self.brushing = Brushing(self.table, str(result.path or f"results/{result.study.name}"))
+        self.flight: xr.Dataset | None = None
+        self.pinned: list[xr.Dataset] = []
+        self._random = np.random.default_rng(seed)
+        self.say("click a draw to see its flight")
+        self.choices = {
+            name: pn.widgets.Button(label=name.capitalize()) for name in (WORST_DRAW, MEDIAN_DRAW, RANDOM_DRAW)
+        }
+        for name, button in self.choices.items():
+            button.on_click(lambda _, name=name: self.replay(self.row_of(name)))
+        self.pin = pn.widgets.Button(label="Pin this draw", color="primary")
+        self.clear = pn.widgets.Button(label="Unpin all")
+        self.pin.on_click(lambda _: self.pin_draw())
+        self.clear.on_click(lambda _: self.unpin())
+        self.sources: dict[str, ColumnDataSource] = {}
+        self.figures = [self._figure(name) for name in shown_signals(result.study)]
+        self.brushing.picked.on_change("data", lambda attr, old, new: self._clicked(new))
+
+    def _figure(self, name: str) -> figure:
+        """One signal of all shown flights; the desired output belongs to the output."""
+        source = self.sources[name] = ColumnDataSource({"t": [], "value": [], "colour": [], "draw": []})
+        plot = figure(
+            width=WIDTH,
+            height=HEIGHT,
+            tools="xpan,xwheel_zoom,box_zoom,reset,save",
+            x_axis_label="time [s]",
+            y_axis_label=name,
+            sizing_mode="stretch_width",
+        )
+        plot.multi_line("t", "value", source=source, line_color="colour", line_width=1.5)
+        quiet_toolbar(plot)
+        return plot
+
+    @property
+    def view(self) -> pn.Column:
+        """The page for Panel."""
+        figures = [pn.pane.Bokeh(plot, sizing_mode="stretch_width") for plot in self.figures]
+        return pn.Column(
+            pn.pane.Bokeh(self.brushing.layout),
+            pn.Row(*self.choices.values(), self.pin, self.clear),
+            self.status,
+            pn.GridBox(*figures, ncols=3, sizing_mode="stretch_width"),
+            sizing_mode="stretch_width",
+        )
+
+    @cached_property
+    def order(self) -> np.ndarray:
+        """Rows from the worst to the best, by their smallest slack; ties by the time of an early end."""
+        names = ("outcome", "failed_at", *(r.name for r in self.result.study.requirements))
+        lanes = {name: self.result.dataset[name].values.reshape(-1)[self.table.rows] for name in names}
+        ended = np.nan_to_num(lanes["failed_at"], nan=np.inf)
+        return np.lexsort((ended, worst_slack(self.result.study.requirements, lanes)))
+
+    def row_of(self, choice: str) -> int:
+        """The row of the worst, the median, or a random draw."""
+        count = len(self.order)
+        place = {WORST_DRAW: 0, MEDIAN_DRAW: count // 2}.get(choice)
+        return int(self._random.integers(count) if place is None else self.order[place])
+
+    @cached_property
+    def _record(self) -> Callable[[int, dict[str, float]], xr.Dataset]:
+        """The program that simulates one draw, compiled once."""
+        study = self.result.study
+        return recorder(study, max(1, study.loop.steps // SHOWN_SAMPLES))
+
+    def _clicked(self, data: dict[str, Any]) -> None:
+        if len(data["row"]):
+            self.replay(int(data["row"][0]))
+
+    def replay(self, row: int) -> None:
+        """Simulate the draw of a row again and show its flight.
+
+        Args:
+            row: A row of the table of draws.
+        """
+        if isinstance(self.result.study, Described):
+            self.say("the study's own code is not loaded; open the result with --trust-code to simulate its draws")
+            return
+        self.say(f"simulating draw {self.table.draw[row]} ...")
+        self.work(partial(self._simulate, row))
+
+    def _simulate(self, row: int, stale: Stale) -> None:
+        """Simulate a draw, and show it unless a newer click has come."""
+        try:
+            run = self._record(int(self.table.draw[row]), self.table.point(row))
+            run.attrs["agreement"] = agreement_of(self.result, run).verdict
+        except ConfigError as error:
+            self.update(self.complain, str(error))
+        except Exception as error:  # a user's model may raise anything, and the page goes on
+            self.update(self.complain, f"the draw cannot be simulated: {type(error).__name__}: {error}")
+        else:
+            if not stale():
+                self.update(self.show, run)
+
+    def show(self, run: xr.Dataset) -> None:
+        """Show a flight beside the pinned ones."""
+        self.flight = run
+        self._draw()
+        at = "".join(f", {name} = {run.attrs[name]:.4g}" for name in self.result.study.axes)
+        self.say(f"draw {run.attrs['draw']}{at}: {run.attrs['verdict']}; stored metrics: {run.attrs['agreement']}")
+
+    def pin_draw(self) -> None:
+        """Keep the present flight while others are shown."""
+        if self.flight is not None and len(self.pinned) < len(COLOURS) - 1:
+            self.pinned.append(self.flight)
+            draws = ", ".join(str(run.attrs["draw"]) for run in self.pinned)
+            self.say(f"pinned: {draws}")
+
+    def unpin(self) -> None:
+        """Show the present flight only."""
+        self.pinned.clear()
+        self._draw()
+
+    def _draw(self) -> None:
+        """Fill the figures: the present flight is red, each pinned one has a colour of its own."""
+        pinned = [run for run in self.pinned if run is not self.flight]
+        flights = ([self.flight] if self.flight is not None else []) + pinned
+        for plot, (name, source) in zip(self.figures, self.sources.items(), strict=True):
+            source.data = {
+                "t": [run["t"].values for run in flights],
+                "value": [drawable(run[name].values) for run in flights],
+                "colour": list(COLOURS[: len(flights)]),
+                "draw": [run.attrs["draw"] for run in flights],
+            }
+            if flights:
+                plot.yaxis[0].axis_label = axis_label(flights[0][name].attrs)

@@ -1,0 +1,232 @@
+"""The page of a study: sliders, and what they do to failures, signals and the worst draw."""
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import htpy as h
+import numpy as np
+import panel as pn
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.exploration.figures import DrawsFigure, FanFigure, PathFigure, ProbabilityFigure, shown_signals
+from dssc_jax.exploration.live import LiveRun, LiveStudy, Stale
+from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page, html_pane, markup
+from dssc_jax.exploration.saving import differing_draws, save_study
+from dssc_jax.exploration.sliders import Slider, grid, position_text
+
+COLOUR_KEY = "blue: now (median, half and 90 % of the draws); grey: before; red: one draw, chosen here or by a click"
+SIDE = 330  # px
+
+
+class StudyPage(Page):
+    """A study to explore: moving a slider simulates all draws again.
+
+    In a notebook or a program, a move returns when its run is shown. With ``background`` runs happen in a thread, and
+    a newer move replaces an older one.
+
+    Args:
+        live: The study with its sliders.
+        background: Whether to run in a thread; a served page does.
+        folder: Where "save as study" writes.
+        seed: Seed of the choice of random draws.
+    """
+
+    def __init__(self, live: LiveStudy, background: bool = False, folder: Path | None = None, seed: int = 0) -> None:
+        super().__init__(background)
+        self.live, self.folder = live, folder or Path.cwd()
+        self.now: LiveRun | None = None
+        self.before: LiveRun | None = None
+        self.draw = 0
+        self._random = np.random.default_rng(seed)
+        self._moving = False
+        self.sliders = {slider: slider_widget(slider) for slider in live.sliders}
+        self._make_widgets()
+        self._make_figures()
+        for widget in self.sliders.values():
+            widget.param.watch(self._moved, "value")
+        self.show(live.first)
+
+    def _make_widgets(self) -> None:
+        """Buttons and texts."""
+        self.headline, self.details = html_pane(""), html_pane("")
+        self.keep = pn.widgets.Button(label="Compare with this", color="primary")
+        self.reset = pn.widgets.Button(label="Reset")
+        self.which = pn.widgets.RadioButtonGroup(
+            label="Draw", options=[WORST_DRAW, MEDIAN_DRAW, RANDOM_DRAW], value=WORST_DRAW
+        )
+        self.over = pn.widgets.Select(label="", options=list(self.live.first.values) or [""], width=220)
+        self.over.param.watch(lambda _: self._choose_draw(), "value")
+        self.file = pn.widgets.TextInput(label="Save as study", value=f"{self.live.base.name}-explored.toml")
+        self.save = pn.widgets.Button(label="Save")
+        self.keep.on_click(lambda _: self.compare_with_this())
+        self.reset.on_click(lambda _: self.move({s.key: s.start for s in self.sliders}))
+        self.save.on_click(lambda _: self.save_as(self.file.value))
+        self.which.param.watch(lambda _: self._choose_draw(), "value")
+
+    def _make_figures(self) -> None:
+        """The figures; their time axes move together."""
+        study = self.live.base
+        self.probability = ProbabilityFigure()
+        self.fans: list[FanFigure] = []
+        for name in shown_signals(study):
+            x_range = self.fans[0].figure.x_range if self.fans else None
+            self.fans.append(FanFigure(study, name, x_range))
+        self.draws = DrawsFigure(self.choose_draw)
+        has_path = {"x", "y", "z"} <= set(study.loop.channels)
+        self.paths = [PathFigure("x", "y"), PathFigure("x", "z")] if has_path else []
+
+    @property
+    def view(self) -> pn.Row:
+        """The page for Panel."""
+        figures = [
+            pn.pane.Bokeh(part.figure, sizing_mode="stretch_width") for part in (*self.fans, self.draws, *self.paths)
+        ]
+        save = pn.Column(self.file, self.save, pn.Row(self.keep, self.reset))
+        side = pn.Column(*self.sliders.values(), save, width=SIDE)
+        probability = pn.pane.Bokeh(self.probability.figure, sizing_mode="stretch_width")
+        main = pn.Column(
+            self.headline,
+            probability,
+            self.details,
+            pn.Row(self.which, self.over),
+            html_pane(markup(h.p[COLOUR_KEY])),
+            pn.GridBox(*figures, ncols=2, sizing_mode="stretch_width"),
+            self.status,
+            sizing_mode="stretch_width",
+        )
+        return pn.Row(side, main, sizing_mode="stretch_width")
+
+    @property
+    def positions(self) -> dict[Slider, float]:
+        """Where the sliders stand."""
+        return {slider: float(widget.value) for slider, widget in self.sliders.items()}
+
+    def move(self, positions: dict[str, float]) -> None:
+        """Move some sliders together, each to its nearest position, and run once.
+
+        Args:
+            positions: Positions by the slider's key: the number's dotted name, for a law with ``(median)`` or
+                ``(width)``.
+
+        Raises:
+            ConfigError: There is no such slider.
+        """
+        by_key = {slider.key: slider for slider in self.sliders}
+        if unknown := positions.keys() - by_key.keys():
+            raise ConfigError("move", f"'{sorted(unknown)[0]}' is none of the sliders: {', '.join(by_key)}")
+        self._moving = True
+        try:
+            for key, position in positions.items():
+                values = np.asarray(grid(by_key[key]))
+                self.sliders[by_key[key]].value = float(values[np.argmin(np.abs(values - position))])
+        finally:
+            self._moving = False
+        self.start()
+
+    def _moved(self, _: Any) -> None:
+        if not self._moving:
+            self.start()
+
+    def start(self) -> None:
+        """Run at the present positions."""
+        positions = self.positions
+        self.say("running ...")
+        self.work(partial(self._run, positions))
+
+    def _run(self, positions: dict[Slider, float], stale: Stale) -> None:
+        """Simulate, and show the result, or the reason why there is none."""
+        try:
+            run = self.live.run(positions, stale, partial(self.update, self.say))
+        except ConfigError as error:
+            self.update(self.complain, f"{error}; the figures show the run before")
+        except MemoryError:
+            self.update(self.complain, "not enough memory for so many draws")
+        except Exception as error:  # a user's model may raise anything, and the page goes on
+            self.update(self.complain, f"the study cannot run: {type(error).__name__}: {error}")
+        else:
+            if run is not None and not stale():
+                self.update(self.show, run)
+
+    def show(self, run: LiveRun) -> None:
+        """Show a run."""
+        self.now = run
+        self.before = self.before or run
+        self._show(run, self._chosen(run))
+
+    def choose_draw(self, draw: int) -> None:
+        """Show a draw of the present run."""
+        if self.now is not None:
+            self._show(self.now, draw)
+
+    def _show(self, run: LiveRun, draw: int) -> None:
+        """Show a run and one of its draws."""
+        self.draw = draw
+        before = self.before if self.before is not run else None
+        self.headline.object = markup(h.p(".headline")[run.statement])
+        rows = [
+            h.p[f"{text}: violated by {count:,} of {run.failed.size:,} draws"] for text, count in run.by_requirement
+        ]
+        early = [h.p[f"{run.ended_early:,} draws ended early"]] if run.ended_early else []
+        self.details.object = markup(h.div[rows, early, h.p[run.certificate]])
+        self.probability.show(run, before)
+        for fan in self.fans:
+            fan.show(run, before, self.draw)
+        self.draws.show(run, self.over.value, draw)
+        for path in self.paths:
+            path.show_draw(run, self.draw)
+        self.say(f"{run.failed.size:,} draws; red: draw {self.draw}{self._outcome(run)}")
+
+    def _outcome(self, run: LiveRun) -> str:
+        return ", which fails" if run.failed[self.draw] else ", which passes"
+
+    def _chosen(self, run: LiveRun) -> int:
+        """The draw that the buttons choose."""
+        order = run.order
+        place = {WORST_DRAW: 0, MEDIAN_DRAW: len(order) // 2}.get(self.which.value)
+        return int(self._random.integers(len(order)) if place is None else order[place])
+
+    def _choose_draw(self) -> None:
+        if self.now is not None:
+            self.show(self.now)
+
+    def compare_with_this(self) -> None:
+        """Make the present run the one that later ones are compared with."""
+        self.before = self.now
+        if self.now is not None:
+            self.show(self.now)
+
+    def save_as(self, name: str) -> None:
+        """Write the study that is shown, run it as a study of its own, and tell whether all outcomes agree.
+
+        Args:
+            name: Name of a new file in the page's folder.
+        """
+        run = self.now
+        if run is None:
+            self.complain("nothing to save yet")
+            return
+        try:
+            path = save_study(run, self.folder, name)
+        except ConfigError as error:
+            self.complain(str(error))
+            return
+        command = f"dssc-jax run {path.name}"
+        self.say(f"saved {path}; {command} is being compared with what is shown ...")
+
+        def compare(_: Stale) -> None:
+            try:
+                count = differing_draws(run, path)
+            except ConfigError as error:
+                self.update(self.complain, str(error))
+                return
+            same = "the same outcome in every draw" if not count else f"another outcome in {count:,} draws"
+            self.update(self.say, f"saved {path}; {command} gives {same}")
+
+        self.work(compare)
+
+
+def slider_widget(slider: Slider) -> pn.widgets.DiscreteSlider:
+    """The widget of a slider; its texts are numbers with four digits."""
+    options = {position_text(value): value for value in grid(slider)}
+    return pn.widgets.DiscreteSlider(label=slider.label, options=options, value=slider.start, width=SIDE - 20)

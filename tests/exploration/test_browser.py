@@ -1,0 +1,251 @@
+"""The served page in Chromium, where there is one: sliders by keyboard, two tabs, a wrong token, nothing outside."""
+
+import asyncio
+import re
+import shutil
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from urllib.error import HTTPError
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+
+import dssc_jax as dj
+from dssc_jax.exploration.brushing import SCRIPT
+from dssc_jax.exploration.draw_table import DrawTable
+from dssc_jax.exploration.interactive_report import interactive_html
+from dssc_jax.exploration.live import LiveStudy
+from dssc_jax.exploration.serving import PageServer
+from dssc_jax.exploration.study_page import StudyPage
+from dssc_jax.statistics import clopper_pearson
+
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+pytestmark = pytest.mark.skipif(
+    BROWSER is None,
+    reason="no Chromium on the path; a browser is no Python package to ask for, .ci/run installs it",
+)
+PATIENCE = 120_000  # ms; the machine may be busy
+HEADLINE = "failure probability"
+
+
+@contextmanager
+def serving(make):
+    """A server in a thread, as the command has it in the process."""
+    started, servers = threading.Event(), []
+
+    def serve():
+        servers.append(PageServer(make, "explore"))
+        started.set()
+        servers[0].serve()
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    assert started.wait(60)
+    try:
+        yield servers[0]
+    finally:
+        servers[0].stop()
+        thread.join(60)
+
+
+@pytest.fixture(scope="module")
+def served(live, tmp_path_factory):
+    """The page of the small study, and its pages in the order of their sessions."""
+    pages, folder = [], tmp_path_factory.mktemp("saved")
+
+    def make():
+        pages.append(StudyPage(live, background=True, folder=folder))
+        return pages[-1]
+
+    with serving(make) as server:
+        server.pages, server.folder = pages, folder
+        yield server
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    sync_api = pytest.importorskip("playwright.sync_api")
+    with sync_api.sync_playwright() as tool:
+        browser = tool.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def tab(chromium):
+    """A tab as wide as a small screen; what it complains of, and what it asks others for, fails the test."""
+    page, wrong = chromium.new_page(viewport={"width": 1280, "height": 900}), []
+    page.set_default_timeout(PATIENCE)
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.on("console", lambda line: wrong.append(line.text) if line.type in ("error", "warning") else None)
+    page.on("request", lambda request: wrong.append(request.url) if is_outside(request.url) else None)
+    yield page
+    page.close()
+    assert wrong == []
+
+
+def is_outside(url):
+    return not url.startswith(("http://127.0.0.1:", "ws://127.0.0.1:", "data:", "blob:", "file:"))
+
+
+def headline(tab):
+    return tab.get_by_text(HEADLINE).first
+
+
+def test_a_slider_by_keyboard(served, tab):
+    """The arrow key moves the focused slider; the headline changes to what the page's own run says."""
+    tab.goto(served.url)
+    headline(tab).wait_for()
+    page = served.pages[-1]
+    before = headline(tab).inner_text()
+    slider = next(widget for slider, widget in page.sliders.items() if slider.key == "unmodelled.mu")
+    tab.locator(".noUi-handle").nth(list(page.sliders.values()).index(slider)).focus()
+    for _ in range(20):
+        tab.keyboard.press("ArrowRight")
+    tab.get_by_text(before).wait_for(state="detached")
+    tab.wait_for_timeout(300)
+    assert page.wait(60)
+    assert page.now.study.leaves()["unmodelled.mu"] == slider.value > 0.02
+    tab.get_by_text(page.now.statement).wait_for()
+    assert tab.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+
+
+def test_save_from_the_browser(served, tab):
+    tab.goto(served.url)
+    headline(tab).wait_for()
+    tab.locator("input[type=text]").first.fill("from-browser.toml")
+    tab.locator("input[type=text]").first.press("Enter")
+    tab.locator(".bk-btn", has_text=re.compile("^Save$")).click()
+    tab.get_by_text("gives the same outcome in every draw").wait_for()
+    assert dj.Study.load(served.folder / "from-browser.toml").config.draws == 120
+
+
+def test_two_tabs_are_two_sessions(served, tab, chromium):
+    """Moving one leaves the other alone, and closing one does not end the other."""
+    tab.goto(served.url)
+    headline(tab).wait_for()
+    first = served.pages[-1]
+    other = chromium.new_page()
+    other.goto(served.url)
+    headline(other).wait_for(timeout=PATIENCE)
+    assert served.pages[-1] is not first
+    other.locator(".noUi-handle").nth(0).focus()
+    other.keyboard.press("ArrowRight")
+    other.close()
+    assert first.positions == first.live.start
+    tab.locator(".noUi-handle").nth(5).focus()
+    tab.keyboard.press("ArrowRight")
+    tab.wait_for_timeout(500)
+    assert first.wait(60)
+    assert first.positions != first.live.start
+
+
+@pytest.mark.parametrize("path", ["", "wrong", "wrong/ws", "index.html"])
+def test_a_wrong_token_finds_nothing(served, path):
+    root = served.url.removesuffix(served.token)
+    with pytest.raises(HTTPError) as error:
+        urlopen(root + path, timeout=60)
+    assert error.value.code == 404
+    assert served.token not in error.value.read().decode()
+
+
+def test_only_this_machine(served):
+    assert served.url.startswith("http://127.0.0.1:")
+    assert len(served.token) >= 32
+
+
+def test_a_page_of_another_origin_cannot_connect(served):
+    """A script elsewhere that knew the token could still not open the channel."""
+    from tornado.httpclient import HTTPClientError, HTTPRequest
+    from tornado.websocket import websocket_connect
+
+    address = served.url.replace("http", "ws", 1) + "/ws"
+
+    async def connect():
+        await websocket_connect(HTTPRequest(address, headers={"Origin": "http://evil.example"}))
+
+    with ThreadPoolExecutor(1) as thread, pytest.raises(HTTPClientError, match="403"):  # this one has a loop already
+        thread.submit(asyncio.run, connect()).result()
+
+
+def test_markup_in_names_is_text(explored, tab):
+    """Names, units and errors are shown, never run."""
+    nasty = explored.override({"units": {"output_meaning": "<img src=x onerror=alert(1)> y"}})
+    with serving(lambda: StudyPage(LiveStudy(nasty, ["controller.rho"], draws=4))) as server:
+        tab.goto(server.url)
+        headline(tab).wait_for()
+        assert tab.locator("img[src=x]").count() == 0
+
+
+@pytest.fixture(scope="module")
+def brushed_page(explored, tmp_path_factory):
+    """The interactive report of 300 draws, and its table."""
+    result = dj.run(explored.override({"draws": 300}))
+    file = tmp_path_factory.mktemp("interactive") / "interactive.html"
+    file.write_text(interactive_html(result))
+    return file, DrawTable(result)
+
+
+def test_a_brush_counts_its_draws(brushed_page, tab):
+    """Dragged over the left part of the scatter: the page's counts are NumPy's and SciPy's of the draws selected."""
+    file, table = brushed_page
+    tab.goto(file.as_uri())
+    tab.get_by_text("all 300 draws").wait_for()
+    box = tab.locator(".bk-events").first.bounding_box()
+    left, top = box["x"] + 90, box["y"] + 15  # within the axes
+    tab.mouse.move(left, top)
+    tab.mouse.down()
+    tab.mouse.move(left + 150, top + 200)
+    tab.mouse.move(left + 250, top + 530)
+    tab.mouse.up()
+    tab.get_by_text("brushed: ").first.wait_for()
+    said = tab.get_by_text("brushed: ").first.inner_text()
+    indices = tab.evaluate("[...Bokeh.documents[0].get_model_by_name('draws').selected.indices]")
+    assert 0 < len(indices) < 300
+    failures = int(table.failed[indices].sum())
+    low, high = clopper_pearson(failures, len(indices))
+    assert f"{len(indices)} draws, {failures} fail" in said
+    found = [float(text) for text in re.search(r"\[(.*), (.*)\]", said).groups()]
+    np.testing.assert_allclose(found, [low, high], rtol=6e-3)
+
+
+def test_a_click_gives_the_nearest_draw_or_none(brushed_page, tab):
+    """At the pixel of a draw: its command appears; beside all draws: nothing is chosen."""
+    file, table = brushed_page
+    tab.goto(file.as_uri())
+    tab.get_by_text("all 300 draws").wait_for()
+    chosen = "[...Bokeh.documents[0].get_model_by_name('draws').selected.indices]"
+    frame = tab.evaluate(
+        """() => { const plot = [...Bokeh.documents[0]._all_models.values()].find(m => m.inner_width > 550),
+          source = Bokeh.documents[0].get_model_by_name('draws'), { x_range, y_range } = plot
+          return { width: plot.inner_width, height: plot.inner_height,
+            x: (source.data.x[7] - x_range.start) / (x_range.end - x_range.start),
+            y: (source.data.y[7] - y_range.start) / (y_range.end - y_range.start) } }"""
+    )
+    box = tab.locator(".bk-events").first.bounding_box()
+    left = box["x"] + tab.evaluate(
+        "Bokeh.index.roots[0].owner.query(v => v.frame && v.model.inner_width > 550).next().value.frame.bbox.left"
+    )
+    top = box["y"] + tab.evaluate(
+        "Bokeh.index.roots[0].owner.query(v => v.frame && v.model.inner_width > 550).next().value.frame.bbox.top"
+    )
+    tab.mouse.click(left + frame["x"] * frame["width"], top + (1.0 - frame["y"]) * frame["height"])
+    tab.get_by_text("--draw").first.wait_for()
+    (index,) = tab.evaluate(chosen)
+    x, y = (table.columns[name] for name in table.first_axes)
+    assert abs(x[index] - x[7]) < 0.02 * np.ptp(x)
+    assert abs(y[index] - y[7]) < 0.02 * np.ptp(y)
+    tab.wait_for_timeout(1000)  # two quick clicks are another gesture
+    tab.mouse.click(left + 8, top + 8)
+    tab.get_by_text("all 300 draws").wait_for()
+    assert tab.evaluate(chosen) == []
+
+
+def test_the_script_s_interval_is_exact(tab):
+    """Against SciPy's inverse of the incomplete beta function, from no failure to all, up to 100,000 draws."""
+    cases = [(0, 1), (1, 1), (0, 100_000), (3, 100_000), (50_000, 100_000), (100_000, 100_000), (7, 24), (999, 1000)]
+    found = tab.evaluate(f"(cases) => {{ {SCRIPT}; return cases.map(([k, n]) => exactInterval(k, n, 0.95)) }}", cases)
+    failures, draws = np.array(cases).T
+    np.testing.assert_allclose(found, clopper_pearson(failures, draws), rtol=1e-8)
