@@ -1,9 +1,9 @@
 """Search for the worst draw: within the laws' support, within k sigma, or within a given probability.
 
 The search uses standardised coordinates (:mod:`dssc_jax.analyses.search_sets`): the quantile levels of the laws, or
-their standard normal scores. Every draw comes with its likelihood, from the same scores. Knots
-of a disturbance or a wind that is a ``spline`` are treated like other numbers, so
-signals need no special treatment. In-loop noise is that of draw 0, and the likelihood leaves it out.
+their standard normal scores. Every draw comes with its likelihood, from the same scores. Knots of a disturbance or a
+wind that is a ``spline`` are treated like other numbers, so signals need no special treatment. In-loop noise is that of
+draw 0, and the likelihood leaves it out.
 """
 
 import time
@@ -215,7 +215,7 @@ def falsify(
         True
 
     Reference:
-        A. M. Hasofer, N. C. Lind, Journal of the Engineering Mechanics Division 100 (1974) 111-121: distances in
+        A. M. Hasofer, N. C. Lind, J. Engineering Mechanics Division 100 (1974) 111-121: distances in
         standard normal space.
     """
     study = study.without_sweep()

@@ -82,8 +82,9 @@ def falsify(
 
     The distance of a draw in sigma is that of its standard normal scores z from 0, over all uncertain numbers together;
     scores of correlated numbers are made independent. The worst draw and the likeliest failure found are printed with
-    their distance, relative log density, and the probability of draws at most that far. Exit 1 where one
-    fails. The witness is written as a study (witness.toml, for `simulate`) and as a result of that one
+    their distance, relative log density, and the probability of draws at most that far.
+
+    Exit 1 where one fails. The witness is written as a study (witness.toml, for `simulate`) and as a result of that one
     draw (the folder witness, for `replay`).
     """
     from dssc_jax.analyses.falsification import falsify as hunt
