@@ -318,6 +318,14 @@ numbers. Its memory grows with the square root of the duration.
 `dssc-jax falsify STUDY` searches for the worst draw within the support of the laws. With disturbance and wind of kind
 `spline`, signals of bounded amplitude and slope are part of the draw. `tune --robust` adds the worst draw found to
 the draws that must meet the requirements, and tunes again.
+
+`--within-sigma K` searches among the draws within K sigma only: those whose independent standard normal scores z have
+|z| <= K. The score of a value is the standard normal quantile at its level in its law; scores of correlated numbers are
+made independent by the copula's factor. `--within-mass P` gives the probability of this set instead of K. The more
+numbers are uncertain, the fewer draws lie near the median of all: 3 sigma hold 98.9 % of all draws of two numbers, but
+16.9 % of those of fourteen. The worst draw and the likeliest failure found come with their distance, the density of
+their scores relative to the mode, and the probability of all draws that lie nearer. In-loop noise is not part of the
+likelihood. The distance of the likeliest failure found is an upper bound of that of the likeliest one of all.
 """
 
 

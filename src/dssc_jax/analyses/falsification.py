@@ -1,8 +1,9 @@
-"""Search for the worst draw within the laws' support.
+"""Search for the worst draw: within the laws' support, within k sigma, or within a given probability.
 
-The search uses the laws' standardised coordinates: a draw is a point of the unit cube, whose coordinates are the
-quantile levels of the laws. Knots of a disturbance or a wind that is a ``spline`` are treated like other numbers, so
-signals need no special treatment. In-loop noise is that of draw 0.
+The search uses standardised coordinates (:mod:`dssc_jax.analyses.search_sets`): the quantile levels of the laws, or
+their standard normal scores. Every draw comes with its likelihood, from the same scores. Knots of a disturbance or a
+wind that is a ``spline`` are treated like other numbers, so signals need no special treatment. In-loop noise is that of
+draw 0, and the likelihood leaves it out.
 """
 
 import time
@@ -13,10 +14,10 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 from scipy.optimize import differential_evolution
-from scipy.stats import qmc
 
 from dssc_jax import plotting
 from dssc_jax.analyses.defaults import BUDGET, LEAST_BUDGET, MOST_BUDGET
+from dssc_jax.analyses.search_sets import ScoreBall, SearchSet, search_set
 from dssc_jax.closed_loop.requirements import worst_slack
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
@@ -24,12 +25,11 @@ from dssc_jax.engine.batching import BLOCK, Arrays
 from dssc_jax.engine.evaluation import Derivative, Evaluator, GradientEvaluator
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.analysis_folder import Stored
+from dssc_jax.statistics import Likelihood, mass_within
 from dssc_jax.study import Study
 
-SEARCH_EDGE = 1e-6  # outermost level: limit of the search in the tails of unbounded laws
 EXPLORED, CLIMBED = 0.25, 0.5  # shares of the budget; evolution gets what is left
 STARTS, CLIMB = 8, 12  # largest number of climbs, and least number of steps of each
-LEAST_DISTANCE = 0.25  # least distance of two starts, in the largest coordinate
 STRIDE, LONGER, SHORTER = 0.25, 1.5, 0.3  # first step of a climb, and its factors after success and failure
 DESIGN = ("sampling", "replicates", "correlation")  # settings of a study for all its draws together
 MEMBERS_EACH = 4  # of the evolution, for each coordinate
@@ -40,10 +40,12 @@ class Falsified(Analysis):
     """The worst draw found.
 
     The dataset has every simulated point, along ``point``: its numbers; its ``slack``, that of the worst requirement
-    relative to its bound, negative if the draw fails; and ``simulations``, the number spent so far. A simulation with
-    derivatives counts once, and once more for each derivative.
+    relative to its bound, negative if the draw fails; ``simulations``, the number spent so far; and its likelihood, as
+    ``distance``, ``log_density`` and ``mass`` (:class:`dssc_jax.statistics.Likelihood`). A simulation with derivatives
+    counts once, and once more for each derivative.
 
     Args:
+        within: Distance from the median draw within which the search stayed, in sigma; None for the whole support.
         seconds: Computing time.
     """
 
@@ -51,19 +53,28 @@ class Falsified(Analysis):
     title = "The worst draw"
     table = ("point",)
 
+    within: float | None
     seconds: float
 
     @classmethod
-    def of(cls, study: Study, values: Arrays, slacks: np.ndarray, spent: np.ndarray, seconds: float) -> Self:
+    def of(cls, region: SearchSet, points: np.ndarray, slacks: np.ndarray, spent: np.ndarray, seconds: float) -> Self:
         """Collect the simulated points in the order of the search."""
-        columns = {"slack": (slacks, "1", "signed slack"), "simulations": (spent, "1", "simulations spent until then")}
-        for name, column in values.items():
+        study, distances = region.study, region.distances(points)
+        columns = {
+            "slack": (slacks, "1", "signed slack"),
+            "simulations": (spent, "1", "simulations spent until then"),
+            "distance": (distances, "1", "distance from the median draw in standard normal scores"),
+            "log_density": (-0.5 * distances**2, "1", "logarithm of the scores' density relative to the mode"),
+            "mass": (mass_within(distances, region.size), "1", "probability of a draw at most this far"),
+        }
+        for name, column in region.values(points).items():
             columns[name] = (column, study.quantities[name].unit, study.quantities[name].meaning)
         described = {
             name: ("point", column, {"units": unit, "long_name": meaning})
             for name, (column, unit, meaning) in columns.items()
         }
-        return cls(study, xr.Dataset(described, attrs={"title": study.name}), seconds)
+        within = region.radius if isinstance(region, ScoreBall) else None
+        return cls(study, xr.Dataset(described, attrs={"title": study.name}), within, seconds)
 
     @property
     def worst(self) -> int:
@@ -73,7 +84,30 @@ class Falsified(Analysis):
     @property
     def witness(self) -> dict[str, float]:
         """Value of each uncertain number at the worst point."""
-        return {name: float(self.dataset[name][self.worst]) for name in self.study.laws}
+        return self.numbers_at(self.worst)
+
+    @property
+    def likelihood(self) -> Likelihood:
+        """How likely the worst point is."""
+        return self.likelihood_at(self.worst)
+
+    @property
+    def nearest_failure(self) -> int | None:
+        """Index of the likeliest failure among the simulated points; None if there is none.
+
+        Its distance is an upper bound of that of the likeliest failure of all, known as the design point.
+        """
+        failed = self.dataset["slack"].values < 0.0
+        distances = np.where(failed, self.dataset["distance"].values, np.inf)
+        return int(np.argmin(distances)) if failed.any() else None
+
+    def numbers_at(self, point: int) -> dict[str, float]:
+        """Value of each uncertain number at a point."""
+        return {name: float(self.dataset[name][point]) for name in self.study.laws}
+
+    def likelihood_at(self, point: int) -> Likelihood:
+        """How likely a point is."""
+        return Likelihood(float(self.dataset["distance"][point]), len(self.study.laws))
 
     @property
     def slack(self) -> float:
@@ -102,7 +136,9 @@ class Falsified(Analysis):
         """The answer in one line."""
         ending = "ends early" if self.slack == -np.inf else f"has a slack of {self.slack:.4g} of its bound"
         verdict = "fails" if self.slack < 0.0 else "passes"
-        return f"the worst of {self.simulations:,} simulations {verdict}: it {ending}"
+        region = "" if self.within is None else f" within {self.within:.4g} sigma"
+        place = f"at {self.likelihood.distance:.3g} sigma"
+        return f"the worst of {self.simulations:,} simulations{region} {verdict} {place}: it {ending}"
 
     def figure(self) -> Figure:
         """Plot the answer."""
@@ -110,19 +146,31 @@ class Falsified(Analysis):
 
     def content(self) -> dict[str, Any]:
         """See :class:`Analysis`."""
+        nearest = self.nearest_failure
         return {
+            "within": None if self.within is None else Likelihood(self.within, len(self.study.laws)).summary(),
             "requirements": [requirement.text for requirement in self.study.requirements],
             "failed": self.slack < 0.0,
             "slack": self.slack,
             "witness": self.witness,
+            "likelihood": self.likelihood.summary(),
+            "nearest_failure": None if nearest is None else self.about(nearest),
             "simulations": self.simulations,
             "first_failure": self.first_failure,
             "seconds": self.seconds,
         }
 
+    def about(self, point: int) -> dict[str, Any]:
+        """Slack, numbers and likelihood of a point, for JSON."""
+        return {
+            "slack": float(self.dataset["slack"][point]),
+            "witness": self.numbers_at(point),
+            "likelihood": self.likelihood_at(point).summary(),
+        }
+
     def settings(self) -> dict[str, Any]:
         """See :class:`Analysis`."""
-        return {"seconds": self.seconds}
+        return {"within": self.within, "seconds": self.seconds}
 
     @classmethod
     def restored(cls, stored: Stored) -> Self:
@@ -131,31 +179,49 @@ class Falsified(Analysis):
 
 
 def falsify(
-    study: Study, *, budget: int = BUDGET, seed: int = 0, progress: ProgressCallback | None = None
+    study: Study,
+    *,
+    budget: int = BUDGET,
+    seed: int = 0,
+    within_sigma: float | None = None,
+    within_mass: float | None = None,
+    progress: ProgressCallback | None = None,
 ) -> Falsified:
-    """Find the worst draw within the support of a study's laws, by the worst requirement's signed slack.
+    """Find the worst draw of a study, by the worst requirement's signed slack.
 
-    A quarter of the budget is spread over the support, and half of it climbs from the worst points along projected
+    By default the search covers the support of the laws. With ``within_sigma`` = k it stays where |z| <= k, z being the
+    independent standard normal scores of the laws and of their Gaussian copula: the smallest region of the scores with
+    its probability P(chi^2_d <= k^2) for d numbers; with ``within_mass`` that probability is given instead of k.
+
+    A quarter of the budget is spread over the set, and half of it climbs from the worst points along projected
     gradients. The rest is differential evolution among the worst of all points. A draw that ends early counts as worst.
 
     Args:
         study: The study; its own sweep is ignored. Unbounded laws are cut off at their 1e-6 quantiles.
         budget: Number of simulations.
         seed: Seed of the search.
+        within_sigma: Distance k from the median draw within which to search, in (0, 8].
+        within_mass: Probability of the draws among which to search, in (0, 1); instead of ``within_sigma``.
         progress: Called with the simulations spent.
 
     Raises:
-        ConfigError: nothing is uncertain, nothing is required, or the budget is out of range.
+        ConfigError: nothing is uncertain, nothing is required, the budget or the set is out of range, or both
+            ``within_sigma`` and ``within_mass`` are given.
 
     Example:
         >>> import dssc_jax as dj
         >>> study = dj.Study.load("studies/mu_robustness.toml").override({"sweep": {}, "loop.duration": 45.0})
         >>> dj.falsify(study, budget=64).slack < 0.0
         True
+
+    Reference:
+        A. M. Hasofer, N. C. Lind, J. Engineering Mechanics Division 100 (1974) 111-121: distances in
+        standard normal space.
     """
     study = study.without_sweep()
     require_hunt(study, budget)
-    return hunt(Programs.of(study, budget), budget, seed, progress)
+    region = search_set(study, within_sigma, within_mass)
+    return hunt(Programs.of(study, budget), budget, seed, progress, region)
 
 
 def require_hunt(study: Study, budget: int) -> None:
@@ -203,16 +269,23 @@ def climbers(budget: int, size: int) -> int:
     return max(1, min(STARTS, int(CLIMBED * budget) // (CLIMB * (1 + size))))
 
 
-def hunt(programs: Programs, budget: int, seed: int, progress: ProgressCallback | None = None) -> Falsified:
-    """Run one search; see :func:`falsify`."""
+def hunt(
+    programs: Programs,
+    budget: int,
+    seed: int,
+    progress: ProgressCallback | None = None,
+    region: SearchSet | None = None,
+) -> Falsified:
+    """Run one search, by default over the whole support; see :func:`falsify`."""
     began = time.perf_counter()
-    search = Hunt(programs, budget, np.random.default_rng(seed), progress)
+    region = region or search_set(programs.study)
+    search = Hunt(programs, region, budget, np.random.default_rng(seed), progress)
     search.explore()
     for stage in (search.climb, search.evolve):
         if search.worst > -np.inf:
             stage()
     points, slacks, spent = (np.concatenate(parts) for parts in zip(*search.seen, strict=True))
-    return Falsified.of(programs.study, search.values(points), slacks, spent, time.perf_counter() - began)
+    return Falsified.of(region, points, slacks, spent, time.perf_counter() - began)
 
 
 @dataclass
@@ -221,12 +294,14 @@ class Hunt:
 
     Args:
         programs: The study, compiled.
+        region: Where to search.
         budget: Number of simulations.
         rng: Random generator of the search.
         progress: Called with the simulations spent.
     """
 
     programs: Programs
+    region: SearchSet
     budget: int
     rng: np.random.Generator
     progress: ProgressCallback | None
@@ -234,17 +309,14 @@ class Hunt:
     worst: float = np.inf
     seen: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=list)
 
-    def __post_init__(self) -> None:
-        self.laws = self.programs.study.laws
-        self.size = len(self.laws)
-
-    def values(self, points: np.ndarray) -> Arrays:
-        """The laws' values at points of the unit cube, shape (n, laws)."""
-        return {name: law.quantile(points[:, i]) for i, (name, law) in enumerate(self.laws.items())}
+    @property
+    def size(self) -> int:
+        """Number of uncertain numbers."""
+        return self.region.size
 
     def simulate(self, points: np.ndarray, evaluator: Evaluator, each: int = 1) -> tuple[np.ndarray, Arrays]:
         """Slacks and results of points; ``each`` is the number of simulations that one point costs."""
-        results = evaluator(np.zeros(len(points), dtype=int), self.values(points))
+        results = evaluator(np.zeros(len(points), dtype=int), self.region.values(points))
         slacks = worst_slack(evaluator.swept.requirements, results)
         self.seen.append((points, slacks, self.spent + each * np.arange(1, len(points) + 1)))
         self.spent += each * len(points)
@@ -254,9 +326,8 @@ class Hunt:
         return slacks, results
 
     def explore(self) -> None:
-        """Simulate points spread evenly over the cube."""
-        points = qmc.Sobol(self.size, rng=self.rng).random(spread(self.budget))
-        self.simulate(np.clip(points, SEARCH_EDGE, 1.0 - SEARCH_EDGE), self.programs.plain)
+        """Simulate points spread evenly over the set."""
+        self.simulate(self.region.spread(spread(self.budget), self.rng), self.programs.plain)
 
     def ranked(self) -> tuple[np.ndarray, np.ndarray]:
         """All points so far with their slacks, worst first."""
@@ -271,7 +342,7 @@ class Hunt:
         for index, point in enumerate(points):
             if len(chosen) == count:
                 break
-            if all(np.max(np.abs(point - points[other])) > LEAST_DISTANCE for other in chosen):
+            if all(self.region.apart(point, points[other]) for other in chosen):
                 chosen.append(index)
         rest = [index for index in range(len(points)) if index not in chosen]
         return points[[*chosen, *rest][:count]]
@@ -285,9 +356,7 @@ class Hunt:
         best, results = self.simulate(points, evaluator, each)
         slopes, stride = self.slopes(points, results), np.full(len(points), STRIDE)
         for _ in range(room // (each * len(points)) - 1):
-            largest = np.max(np.abs(slopes), axis=1, keepdims=True)
-            moves = stride[:, None] * slopes / np.where(largest > 0.0, largest, 1.0)
-            trial = np.clip(points - moves, SEARCH_EDGE, 1.0 - SEARCH_EDGE)
+            trial = self.region.descended(points, slopes, stride)
             slacks, results = self.simulate(trial, evaluator, each)
             better = slacks < best
             points = np.where(better[:, None], trial, points)
@@ -302,13 +371,10 @@ class Hunt:
         slacks = np.array([results[r.name] / r.scale for r in requirements])
         binding = np.argmin(np.where(np.isnan(slacks), -np.inf, slacks), axis=0)
         columns = []
-        for i, (name, law) in enumerate(self.laws.items()):
-            half = 0.5 * SEARCH_EDGE
-            ends = np.clip(points[:, i] + np.array([[-half], [half]]), half, 1.0 - half)
-            rate = (law.quantile(ends[1]) - law.quantile(ends[0])) / (ends[1] - ends[0])
+        for name in self.programs.study.laws:
             rows = [results[Derivative(r.name, name)] / r.scale for r in requirements]
-            columns.append(np.take_along_axis(np.array(rows), binding[None], 0)[0] * rate)
-        slopes = np.stack(columns, axis=1)
+            columns.append(np.take_along_axis(np.array(rows), binding[None], 0)[0])
+        slopes = self.region.slopes(points, np.stack(columns, axis=1))
         return np.where(np.isfinite(slopes), slopes, 0.0)
 
     def evolve(self) -> None:
@@ -320,11 +386,11 @@ class Hunt:
             return
 
         def cost(columns: np.ndarray) -> np.ndarray:
-            slacks, _ = self.simulate(np.atleast_2d(columns.T), self.programs.plain)
+            slacks, _ = self.simulate(self.region.projected(np.atleast_2d(columns.T)), self.programs.plain)
             return np.clip(slacks, -1e100, 1e100)
 
         differential_evolution(
-            cost, [(SEARCH_EDGE, 1.0 - SEARCH_EDGE)] * self.size, init=first, rng=self.rng, tol=0.0,
+            cost, [self.region.limits] * self.size, init=first, rng=self.rng, tol=0.0,
             maxiter=generations, polish=False, vectorized=True, updating="deferred",
             callback=lambda x, convergence: self.worst == -np.inf,
         )  # fmt: skip

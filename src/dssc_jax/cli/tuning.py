@@ -63,6 +63,14 @@ def tune(
 def falsify(
     study: opt.StudyArgument,
     budget: BudgetOption = BUDGET,
+    within_sigma: Annotated[
+        float | None,
+        typer.Option("--within-sigma", metavar="K", help="Only draws within K sigma: |z| <= K, z the laws' scores."),
+    ] = None,
+    within_mass: Annotated[
+        float | None,
+        typer.Option("--within-mass", metavar="P", help="Only the likeliest draws that have the probability P."),
+    ] = None,
     search_seed: Annotated[int, typer.Option("--search-seed", metavar="S", min=0, help="Seed of the search.")] = 0,
     settings: opt.Set = None,
     seed: opt.Seed = None,
@@ -70,7 +78,11 @@ def falsify(
     as_json: opt.Json = False,
     allow_local: opt.Local = False,
 ) -> int:
-    """Hunt the worst draw within the support of the laws.
+    """Hunt the worst draw: within the support of the laws, within K sigma, or within the likeliest share P.
+
+    The distance of a draw in sigma is that of its standard normal scores z from 0, over all uncertain numbers together;
+    scores of correlated numbers are made independent. The worst draw and the likeliest failure found are printed with
+    their distance, relative log density, and the probability of draws at most that far.
 
     Exit 1 where one fails. The witness is written as a study (witness.toml, for `simulate`) and as a result of that one
     draw (the folder witness, for `replay`).
@@ -82,10 +94,17 @@ def falsify(
     from dssc_jax.study.tables import to_toml
 
     loaded = load_study(study, settings, None, seed, allow_local).without_sweep()
-    folder = out or default_out(loaded, "falsify", settings, seed)
+    folder = out or default_out(loaded, "falsify", settings, seed, within_sigma, within_mass)
     require_free(folder, "falsify", loaded)
     with progress_bar(loaded, quiet=as_json, of="simulations", early="the search found nothing further") as advance:
-        falsified = hunt(loaded, budget=budget, seed=search_seed, progress=advance)
+        falsified = hunt(
+            loaded,
+            budget=budget,
+            seed=search_seed,
+            within_sigma=within_sigma,
+            within_mass=within_mass,
+            progress=advance,
+        )
     figures = save_analysis(falsified, folder)
     file, witness = folder / "witness.toml", folder / "witness"
     file.write_text(to_toml(falsified.witness_study.table), encoding="utf-8")

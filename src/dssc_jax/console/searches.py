@@ -53,16 +53,32 @@ def show_tuning(summary: Mapping[str, Any], files: list[Path]) -> None:
     show_files(files)
 
 
+def likelihood_text(likelihood: Mapping[str, float]) -> str:
+    """How likely a draw is, in words."""
+    return (
+        f"at {likelihood['distance']:.3g} sigma: log density {likelihood['log_density']:.4g} relative to the mode; "
+        f"{likelihood['mass']:.5g} of all draws lie nearer"
+    )
+
+
 def show_falsification(summary: Mapping[str, Any], files: list[Path]) -> None:
-    """Print the worst draw found."""
+    """Print the worst draw found and the likeliest failure, with their likelihoods."""
     console = output()
     required = escape("; ".join(summary["requirements"]))
     console.print(f"[bold]{escape(summary['study'])}[/bold]  required: {required}")
-    show_table(("worst draw", ""), [(name, f"{value:.6g}") for name, value in summary["witness"].items()])
+    if within := summary["within"]:
+        console.print(f"searched: within {within['distance']:.4g} sigma, which holds {within['mass']:.5g} of all draws")
+    nearest = summary["nearest_failure"]
+    columns = [summary["witness"], nearest["witness"]] if nearest else [summary["witness"]]
+    rows = [(name, *(f"{column[name]:.6g}" for column in columns)) for name in summary["witness"]]
+    show_table(("number", "worst draw", "likeliest failure")[: 1 + len(columns)], rows)
     slack = ENDED if summary["slack"] is None else f"slack {summary['slack']:.4g} of the bound"
     spent = f"{summary['simulations']} simulations, {summary['seconds']:.1f} s"
     ending = (
         f"fails; the first failure came after {summary['first_failure']}" if summary["failed"] else "passes; the worst"
     )
     console.print(f"it {ending} of {spent}: {slack}")
+    console.print(f"worst draw {likelihood_text(summary['likelihood'])}", soft_wrap=True)
+    if nearest:
+        console.print(f"likeliest failure found {likelihood_text(nearest['likelihood'])}", soft_wrap=True)
     show_files(files)

@@ -149,6 +149,16 @@ def values_at(study: Study, points: np.ndarray) -> dict[str, np.ndarray]:
     return {name: law.quantile(points[:, column]) for column, (name, law) in enumerate(study.laws.items())}
 
 
+def mixing(study: Study) -> np.ndarray:
+    """The matrix M, shape (laws, laws), that makes correlated scores M z of independent ones z: the copula's factor."""
+    names = list(study.laws)
+    matrix = np.eye(len(names))
+    coupled = [names.index(name) for name in study.correlated]
+    if coupled:
+        matrix[np.ix_(coupled, coupled)] = np.linalg.cholesky(study.correlation)
+    return matrix
+
+
 def draw(study: Study, indices: np.ndarray) -> dict[str, np.ndarray]:
     """Values of the uncertain numbers for the given draws.
 

@@ -1,6 +1,6 @@
 """Figures of searches: a tuning with every fresh draw's cost before and after, and the search for the worst draw."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -74,23 +74,41 @@ def costs(ax: Axes, tuned: Analysis, verdict: Mapping[str, Any]) -> None:
 
 @styled
 def falsification(falsified: Analysis) -> Figure:
-    """Plot slacks along the search, and where each of the worst draw's numbers lies within its law.
+    """Plot slacks along the search and over the draws' distances, and where the worst draw lies within its laws.
 
     Args:
         falsified: The return value of :func:`dssc_jax.falsify`.
     """
     summary, data = falsified.summary(), falsified.dataset
     figure = Figure(figsize=SLIDE, layout="constrained")
-    left, right = figure.subplots(1, 2)
+    axes = figure.subplot_mosaic([["search", "levels"], ["distance", "levels"]])
     slack = np.where(np.isfinite(data["slack"]), data["slack"], np.nan)
-    left.plot(data["simulations"], slack, ".", color=GREY, markersize=4, label="each simulation")
-    left.step(data["simulations"], np.fmin.accumulate(slack), where="post", color=BLUE, label="worst so far")
-    left.axhline(0.0, color=RED, linestyle="--", label="failure below")
-    left.set(xlabel="simulations", ylabel="slack of the worst requirement, relative to its bound")
-    left.legend(frameon=False)
+    search, distance, levels = (axes[name] for name in ("search", "distance", "levels"))
+    search.plot(data["simulations"], slack, ".", color=GREY, markersize=4, label="each simulation")
+    search.step(data["simulations"], np.fmin.accumulate(slack), where="post", color=BLUE, label="worst so far")
+    search.set(xlabel="simulations")
+    distance.plot(data["distance"], slack, ".", color=GREY, markersize=4)
+    if within := summary["within"]:
+        text = f"limit: holds {100.0 * within['mass']:.4g} % of all draws"
+        distance.axvline(within["distance"], color="black", linestyle=":", label=text)
+    for name, point, marker in marked(falsified):
+        distance.plot(data["distance"][point], slack[point], marker, color=RED, label=name, clip_on=False)
+    distance.set(xlabel="distance from the median draw [sigma]", xlim=(0.0, None))
+    for ax in (search, distance):
+        ax.axhline(0.0, color=RED, linestyle="--", label="failure below" if ax is search else None)
+        ax.set(ylabel="slack / bound")
+        ax.legend(fontsize="small", framealpha=0.85)
     laws = falsified.study.laws
-    levels = [level_of(laws[name], np.array([value]))[0] for name, value in summary["witness"].items()]
-    right.plot(levels, range(len(levels)), "o", color=RED)
-    law_axis(right, list(laws), "the worst draw")
+    at = [level_of(laws[name], np.array([value]))[0] for name, value in summary["witness"].items()]
+    levels.plot(at, range(len(at)), "o", color=RED)
+    law_axis(levels, list(laws), "the worst draw")
     title(figure, f"{summary['study']}: {falsified.headline}")
     return figure
+
+
+def marked(falsified: Analysis) -> Iterator[tuple[str, int, str]]:
+    """The worst draw and the likeliest failure: name, index and marker."""
+    slack, distance = (falsified.dataset[name].values for name in ("slack", "distance"))
+    yield "worst draw", int(np.argmin(slack)), "o"
+    if (slack < 0.0).any():
+        yield "likeliest failure", int(np.argmin(np.where(slack < 0.0, distance, np.inf))), "D"

@@ -1,5 +1,6 @@
 """Statistics: intervals, tests and sample sizes with guaranteed confidence."""
 
+from dssc_jax.statistics.likelihood import Likelihood, distance_of_mass, mass_within
 from dssc_jax.statistics.order import quantile_interval, tolerance_limits, wilks_draws, wilks_order
 from dssc_jax.statistics.paired import (
     FailureDifference,
@@ -30,6 +31,7 @@ __all__ = [
     "DataDriven",
     "FailureDifference",
     "FixedCount",
+    "Likelihood",
     "Method",
     "MetricDifference",
     "Replicated",
@@ -41,9 +43,11 @@ __all__ = [
     "compare_metrics",
     "describe_probability",
     "difference_interval",
+    "distance_of_mass",
     "expected_draws",
     "lognormal_interval",
     "looks",
+    "mass_within",
     "mcnemar",
     "plan",
     "quantile_interval",

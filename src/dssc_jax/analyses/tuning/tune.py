@@ -66,7 +66,7 @@ def tune(
     while robust:
         tuned = plan.study.override(plan.numbers_at(outcome.best.z))
         worst = falsify(tuned, budget=budget, seed=len(hunts))
-        hunts.append({"slack": worst.slack, "simulations": worst.simulations, "witness": worst.witness})
+        hunts.append({**worst.about(worst.worst), "simulations": worst.simulations})
         if worst.slack >= 0.0 or len(hunts) == rounds:
             break
         added = joined(added, worst.witness)
