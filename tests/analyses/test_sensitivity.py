@@ -7,7 +7,8 @@ import pytest
 from scipy import special, stats
 
 import dssc_jax as dj
-from dssc_jax.analyses.sensitivity import FAILURE, NOISE, refusal, saltelli, sobol_indices
+from dssc_jax.analyses.sensitivity.outputs import FAILURE, NOISE, refusal
+from dssc_jax.analyses.sensitivity.sobol import saltelli, sobol_indices
 from dssc_jax.console import show_sensitivity
 from tests.runs.test_run_until import TABLE
 
@@ -117,9 +118,9 @@ def test_a_study_with_a_rare_failure(capsys):
     assert content["reasons"][FAILURE] == found.reasons[FAILURE]
     assert content["reasons"]["error_max"] == "does not vary"
     show_sensitivity(found.summary(), [])
-    assert f"failure: no indices; it {found.reasons[FAILURE]}" in " ".join(capsys.readouterr().out.split())
+    assert f"failure: no answer; it {found.reasons[FAILURE]}" in " ".join(capsys.readouterr().out.split())
     (text,) = dj.plot.sensitivity(found).axes[0].texts
-    assert " ".join(text.get_text().split()) == f"no indices; it {found.reasons[FAILURE]}"
+    assert " ".join(text.get_text().split()) == f"no answer; it {found.reasons[FAILURE]}"
 
 
 def test_an_inert_factor_is_consistent_with_nothing():
@@ -136,10 +137,10 @@ def test_a_study():
     assert (found.rows, found.simulations, told[-1]) == (512, 2048, (2048, 2048))
     assert found.factors == ("plant.k_p", "plant.a_p")
     rms = found.outputs["error_rms"]
-    assert rms.first[:, 0].sum() == pytest.approx(1.0, abs=0.02)  # nearly additive
-    assert np.all(rms.total[:, 0] >= rms.first[:, 0] - 0.02)
+    assert rms["first"][:, 0].sum() == pytest.approx(1.0, abs=0.02)  # nearly additive
+    assert np.all(rms["total"][:, 0] >= rms["first"][:, 0] - 0.02)
     failure = found.outputs[FAILURE]
-    assert failure.total[:, 0].sum() > failure.first[:, 0].sum()  # a threshold makes factors interact
+    assert failure["total"][:, 0].sum() > failure["first"][:, 0].sum()  # a threshold makes factors interact
     content = json.loads(json.dumps(found.summary()))
     low, high = content["outputs"]["error_rms"]["plant.k_p"]["first_interval"]
     assert low < content["outputs"]["error_rms"]["plant.k_p"]["first"] < high
@@ -156,8 +157,8 @@ def test_noise_is_a_factor_of_its_own():
     assert found.factors[-1] == NOISE
     assert found.simulations == 5 * 512
     table = found.outputs["error_rms"]
-    assert table.first[-1, 0] > 0.95
-    assert np.all(table.total[:-1, 2] < 0.05)  # the parameters are not charged with the noise
+    assert table["first"][-1, 0] > 0.95
+    assert np.all(table["total"][:-1, 2] < 0.05)  # the parameters are not charged with the noise
 
 
 def test_what_is_refused():

@@ -48,6 +48,9 @@ def plan(
 @app.command()
 def sensitivity(
     study: opt.StudyArgument,
+    method: Annotated[
+        str, typer.Option("--method", metavar="NAME", help="sobol, shapley (numbers may be correlated) or morris.")
+    ] = "sobol",
     settings: opt.Set = None,
     draws: opt.Draws = None,
     seed: opt.Seed = None,
@@ -57,19 +60,20 @@ def sensitivity(
 ) -> int:
     """Which uncertain numbers matter, for each metric and for failure?
 
-    First-order and total Sobol indices with intervals; if failures are too rare for them, the number of rows that they
-    need. The draws, rounded down to a power of two, are the rows of a sample that is simulated once for each uncertain
-    number and twice more. The study's [sweep] is ignored.
+    sobol: first-order and total indices; shapley: the variance shared out among numbers that may be correlated. The
+    draws, rounded down to a power of two, are the rows of a sample that is simulated about once for each number. If
+    failures are too rare, the answer is the number of rows that they need. morris: a screening of many numbers; the
+    draws are the total number of simulations. All with intervals. The study's [sweep] is ignored.
     """
     from dssc_jax.analyses.sensitivity import sensitivity as indices
     from dssc_jax.console import progress_bar, show_sensitivity
     from dssc_jax.results.analysis_folder import require_free
 
     loaded = load_study(study, settings, draws, seed, allow_local).without_sweep()
-    folder = out or default_out(loaded, "sensitivity", settings, draws, seed)
+    folder = out or default_out(loaded, "sensitivity", method, settings, draws, seed)
     require_free(folder, "sensitivity", loaded)
     with progress_bar(loaded, quiet=as_json) as advance:
-        result = indices(loaded, progress=advance)
+        result = indices(loaded, method, progress=advance)
     output_analysis(result, {"result": folder}, save_analysis(result, folder), as_json, show_sensitivity)
     return DONE
 

@@ -34,28 +34,28 @@ def show_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
 
 
 def show_sensitivity(summary: Mapping[str, Any], files: list[Path]) -> None:
-    """Print the indices of failure and of the study's headline metric; the folder has those of all outputs."""
+    """Print what failure and the study's headline metric depend on; the folder has all outputs."""
     console = output()
     console.print(
-        f"[bold]{escape(summary['study'])}[/bold]  Sobol indices, {summary['simulations']} simulations on "
+        f"[bold]{escape(summary['study'])}[/bold]  {summary['title']}, {summary['simulations']} simulations on "
         f"{summary['rows']} rows; {100 * summary['confidence']:g} % intervals"
     )
     for name in summary["headline"]:
         indices = summary["outputs"][name]
         if indices is None:
-            console.print(f"{name}: no indices; it {summary['reasons'][name]}", markup=False, soft_wrap=True)
+            console.print(f"{name}: no answer; it {summary['reasons'][name]}", markup=False, soft_wrap=True)
             continue
         rows = [
-            (factor, *(interval_text(own[part], *own[f"{part}_interval"]) for part in ("first", "total")))
+            (factor, *(interval_text(own[part], *own[f"{part}_interval"]) for part in summary["quantities"]))
             for factor, own in indices.items()
         ]
-        show_table((name, "first order: alone", "total: with all interactions"), rows)
+        show_table((name, *(quantity["legend"] for quantity in summary["quantities"].values())), rows)
     show_files(files)
 
 
 def interval_text(value: float, low: float, high: float) -> str:
-    """An index with its interval, marked if it could be 0."""
-    return f"{value:.3f} [{low:.3f}, {high:.3f}]{'  consistent with 0' if low <= 0.0 else ''}"
+    """A quantity with its interval, marked if it could be 0."""
+    return f"{value:.3g} [{low:.3g}, {high:.3g}]{'  consistent with 0' if low <= 0.0 else ''}"
 
 
 def show_rare(summary: Mapping[str, Any], files: list[Path]) -> None:

@@ -146,7 +146,12 @@ def values_at(study: Study, points: np.ndarray) -> dict[str, np.ndarray]:
     if coupled:
         normal = special.ndtri(points[:, coupled]) @ np.linalg.cholesky(study.correlation).T
         points[:, coupled] = inside(special.ndtr(normal))
-    return {name: law.quantile(points[:, column]) for column, (name, law) in enumerate(study.laws.items())}
+    return quantiles(study, points)
+
+
+def quantiles(study: Study, levels: np.ndarray) -> dict[str, np.ndarray]:
+    """Values of the uncertain numbers at levels of their laws, one column per law; correlations are in the levels."""
+    return {name: law.quantile(levels[:, column]) for column, (name, law) in enumerate(study.laws.items())}
 
 
 def mixing(study: Study) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Figures of Sobol indices."""
+"""Figures of sensitivities."""
 
 import textwrap
 from collections.abc import Mapping
@@ -11,31 +11,32 @@ from matplotlib.figure import Figure
 from dssc_jax.plotting.style import BLUE, ORANGE, SLIDE, styled, title
 from dssc_jax.results.analysis import Analysis
 
-OFFSET = 0.13  # of the two kinds of index from their common row
-INDEX_KINDS = {"first": ("first order: alone", BLUE, -OFFSET), "total": ("total: with interactions", ORANGE, OFFSET)}
+OFFSET = 0.13  # of two quantities from their common row
+COLOURS = (BLUE, ORANGE)
 
 
 @styled
 def sensitivity(indices: Analysis) -> Figure:
-    """Plot first-order and total indices with their intervals, for failure and the study's headline metric.
+    """Plot what failure and the study's headline metric depend on, with intervals.
 
     Args:
         indices: The return value of :func:`dssc_jax.sensitivity`.
     """
     summary = indices.summary()
     names, factors = summary["headline"], summary["factors"]
+    shares = all(quantity["share"] for quantity in summary["quantities"].values())
     figure = Figure(figsize=(SLIDE[0], max(3.0, 1.8 + 0.55 * len(factors))), layout="constrained")
     panels = np.atleast_1d(figure.subplots(1, len(names), sharey=True))
     for ax, name in zip(panels, names, strict=True):
         output = summary["outputs"][name]
         ax.set_title(textwrap.fill(name, 40), parse_math=False)
         ax.axvline(0.0, color="black", linewidth=0.8)
-        ax.set_xlabel("share of the variance")
+        ax.set_xlabel("share of the variance" if shares else f"change of {name}", parse_math=False)
         if output is None:
-            reason = textwrap.fill(f"no indices; it {summary['reasons'][name]}", 40)
+            reason = textwrap.fill(f"no answer; it {summary['reasons'][name]}", 40)
             ax.text(0.5, 0.5, reason, transform=ax.transAxes, ha="center")
         else:
-            factor_rows(ax, output)
+            factor_rows(ax, output, summary["quantities"])
     panels[0].set_yticks(range(len(factors)), factors)
     panels[0].set_ylim(len(factors) - 0.5, -0.5)
     handles, labels = max((ax.get_legend_handles_labels() for ax in panels), key=lambda pair: len(pair[0]))
@@ -43,17 +44,18 @@ def sensitivity(indices: Analysis) -> Figure:
         figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
     title(
         figure,
-        f"{summary['study']}: Sobol indices from {summary['simulations']} simulations, "
+        f"{summary['study']}: {summary['title']} from {summary['simulations']} simulations, "
         f"{100 * summary['confidence']:g} % intervals",
     )
     return figure
 
 
-def factor_rows(ax: Axes, output: Mapping[str, Any]) -> None:
-    """Draw both kinds of index, one row for each factor."""
-    for part, (text, colour, offset) in INDEX_KINDS.items():
+def factor_rows(ax: Axes, output: Mapping[str, Any], quantities: Mapping[str, Any]) -> None:
+    """Draw every quantity, one row for each factor."""
+    offsets = OFFSET * (2.0 * np.arange(len(quantities)) - len(quantities) + 1.0)
+    for (part, quantity), colour, offset in zip(quantities.items(), COLOURS, offsets, strict=False):
         value = np.array([one[part] for one in output.values()])
         low, high = np.array([one[f"{part}_interval"] for one in output.values()]).T
         where = np.arange(len(value)) + offset
         reach = np.maximum([value - low, high - value], 0.0)
-        ax.errorbar(value, where, xerr=reach, fmt="o", color=colour, capsize=3, label=text)
+        ax.errorbar(value, where, xerr=reach, fmt="o", color=colour, capsize=3, label=quantity["legend"])

@@ -1,0 +1,6 @@
+"""Which uncertain numbers matter: Sobol indices, Shapley effects of correlated numbers, and Morris screening."""
+
+from dssc_jax.analyses.sensitivity.analysis import METHODS, sensitivity
+from dssc_jax.analyses.sensitivity.result import Sensitivity
+
+__all__ = ["METHODS", "Sensitivity", "sensitivity"]

@@ -1,0 +1,70 @@
+"""Run a sensitivity analysis: simulate a method's design, and compute its quantities for every output."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from dssc_jax.analyses.sensitivity.morris import morris_design
+from dssc_jax.analyses.sensitivity.outputs import FAILURE, NOISE, Design, output_of
+from dssc_jax.analyses.sensitivity.result import Sensitivity, sensitivity_dataset
+from dssc_jax.analyses.sensitivity.shapley import shapley_design
+from dssc_jax.analyses.sensitivity.sobol import sobol_design
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.engine.batching import BLOCK, Arrays, Engine, evaluate, is_noisy
+from dssc_jax.engine.sampling import quantiles
+from dssc_jax.statistics import CONFIDENCE
+from dssc_jax.study import Study
+
+METHODS: dict[str, Callable[[Study, bool, float], Design]] = {
+    "sobol": sobol_design,
+    "shapley": shapley_design,
+    "morris": morris_design,
+}
+
+
+def sensitivity(
+    study: Study, method: str = "sobol", confidence: float = CONFIDENCE, progress: ProgressCallback | None = None
+) -> Sensitivity:
+    """Tell which uncertain numbers matter for every metric and for failure, at the study's own values.
+
+    Args:
+        study: The study. Its sweep is ignored. Its number of draws, rounded down to a power of two, is the number of
+            rows; for ``morris`` it is about the total number of simulations.
+        method: ``sobol``: first-order and total indices of independent numbers. ``shapley``: Shapley effects, which
+            share out the variance among correlated numbers too. ``morris``: screening of many numbers with few
+            simulations.
+        confidence: Confidence of the intervals.
+        progress: Called with the simulations done and their total.
+
+    Raises:
+        ConfigError: the method is unknown or cannot treat correlated numbers, nothing is uncertain, or there are too
+            few draws.
+    """
+    study = study.without_sweep()
+    if method not in METHODS:
+        raise ConfigError("method", f"must be one of {', '.join(METHODS)}, got {method!r}")
+    if not study.laws:
+        raise ConfigError(study.source, "nothing is uncertain; give at least one number a law")
+    engine = Engine(study, min(BLOCK, study.config.draws))
+    noisy = is_noisy(engine)
+    design = METHODS[method](study, noisy, confidence)
+    count = len(design.samples) * design.rows
+    results: list[Arrays] = []
+    for sample in design.samples:
+        results.append(evaluate(engine, quantiles(study, sample.levels), sample.indices))
+        if progress:
+            progress(len(results) * design.rows, count)
+    outputs: dict[str, tuple[np.ndarray, ...] | None] = {}
+    reasons, missing = {}, {}
+    for name in [measure.name for measure in study.measures] + [FAILURE]:
+        values = np.stack([output_of(each, name) for each in results])
+        missing[name] = int(np.count_nonzero(~np.isfinite(values)))
+        lacking = f"has no value on {missing[name]:,} simulations" if missing[name] else None
+        reason = lacking or design.refusal(values)
+        outputs[name] = None if reason else design.quantities(values)
+        if reason:
+            reasons[name] = reason
+    factors = (*study.laws, NOISE) if noisy else tuple(study.laws)
+    dataset = sensitivity_dataset(study, method, factors, outputs, missing)
+    return Sensitivity(study, dataset, method, design.rows, count, reasons, confidence)

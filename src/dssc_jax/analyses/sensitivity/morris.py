@@ -1,0 +1,117 @@
+"""Morris screening of every metric and of failure: which of many numbers matter at all, from few simulations.
+
+A trajectory moves one factor after the other, in random order, by half of its law's probability. The change of the
+output is the factor's elementary effect. The mean of its absolute values, mu*, says how much a factor matters; the
+spread sigma of the signed effects says how much that depends on the other factors or on where the factor is. In-loop
+noise is one more factor: its move is another draw index.
+
+Reference:
+    M. D. Morris, Technometrics 33 (1991) 161-174; F. Campolongo, J. Cariboni, A. Saltelli, Environmental Modelling &
+    Software 22 (2007) 1509-1518, on mu*.
+"""
+
+import math
+
+import numpy as np
+from scipy import special
+
+from dssc_jax.analyses.sensitivity.outputs import Design, Sample, require_independent
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import stream
+from dssc_jax.engine.sampling import generator
+from dssc_jax.statistics import clopper_pearson
+from dssc_jax.study import Study
+
+LEVELS = 4  # of a factor: the middles of quarters of its probability
+FEWEST = 10  # trajectories, for intervals of some use
+
+
+def trajectories(count: int, factors: int, words: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Random trajectories through the grid of levels.
+
+    Args:
+        count: Number of trajectories.
+        factors: Number of factors.
+        words: Of the random generator.
+
+    Returns:
+        Levels, shape (factors + 1, count, factors), and the order in which the factors move, shape (count, factors).
+    """
+    rng = generator(*words)
+    order = rng.permuted(np.tile(np.arange(factors), (count, 1)), axis=1)
+    start = rng.integers(LEVELS, size=(count, factors))
+    moved = (start + LEVELS // 2) % LEVELS
+    place = np.argsort(order, axis=1)
+    level = np.where(place < np.arange(factors + 1)[:, None, None], moved, start)
+    return (level + 0.5) / LEVELS, order
+
+
+def elementary_effects(values: np.ndarray, levels: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """The change of the output when a factor moves up by half of its probability, shape (factors, trajectories).
+
+    Args:
+        values: Outputs along the trajectories, shape (factors + 1, trajectories).
+        levels: See :func:`trajectories`.
+        order: See :func:`trajectories`.
+    """
+    effects = np.empty_like(values[1:])
+    np.put_along_axis(effects, order.T, np.diff(values, axis=0), axis=0)
+    return effects * np.sign(levels[-1] - levels[0]).T
+
+
+def screening(effects: np.ndarray, confidence: float) -> tuple[np.ndarray, np.ndarray]:
+    """mu* and sigma with Student's t intervals over trajectories, for sigma by the jackknife.
+
+    The effects of an indicator, such as failure, are -1, 0 or 1: its mu* has the exact interval of a proportion, whose
+    upper end bounds sigma^2 too.
+
+    Args:
+        effects: Shape (factors, trajectories).
+        confidence: Confidence of the intervals.
+
+    Returns:
+        Two arrays of estimate, lower and upper end, shape (factors, 3).
+    """
+    count = effects.shape[1]
+    reach = special.stdtrit(count - 1, 0.5 * (1.0 + confidence)) / math.sqrt(count)
+    sizes = np.abs(effects)
+    spread = effects.std(1, ddof=1)
+    squares = (effects - effects.mean(1, keepdims=True)) ** 2
+    without = ((count - 1) * spread[:, None] ** 2 - squares * count / (count - 1)) / (count - 2)
+    parts = (count - 1) * np.sqrt(np.maximum(without, 0.0))  # sigma without one trajectory, (n - 1) times
+    pairs = ((sizes.mean(1), reach * sizes.std(1, ddof=1)), (spread, reach * parts.std(1, ddof=1)))
+    size, spread = (np.stack([one, np.maximum(one - half, 0.0), one + half], axis=1) for one, half in pairs)
+    if np.all(np.isin(sizes, (0.0, 1.0))):
+        size[:, 1:] = clopper_pearson(np.count_nonzero(sizes, axis=1), count, confidence)
+        spread[:, 2] = np.sqrt(size[:, 2])
+    return size, spread
+
+
+def morris_design(study: Study, noisy: bool, confidence: float) -> Design:
+    """The design of a screening: as many trajectories as the study's number of draws allows.
+
+    Args:
+        study: The study; its number of draws is at least the total number of simulations.
+        noisy: Whether in-loop noise is a factor.
+        confidence: Confidence of the intervals.
+
+    Raises:
+        ConfigError: inputs are correlated, or there are too few draws.
+    """
+    require_independent(study, "the moves of Morris screening are those of")
+    laws = len(study.laws)
+    factors = laws + noisy
+    count = study.config.draws // (factors + 1)
+    if count < FEWEST:
+        rule = f"Morris screening of {factors} factors needs draws >= {FEWEST * (factors + 1)}"
+        raise ConfigError(study.source, f"{rule}, got {study.config.draws}")
+    levels, order = trajectories(count, factors, (study.config.seed, stream("morris")))
+    indices = np.tile(np.arange(count), (factors + 1, 1))
+    if noisy:
+        indices = np.where(levels[..., laws] == levels[0, :, laws], indices, indices + count)
+    return Design(
+        count,
+        [Sample(*pair) for pair in zip(levels[..., :laws], indices, strict=True)],
+        refusal=lambda values: "does not vary" if np.ptp(values) == 0.0 else None,
+        quantities=lambda values: screening(elementary_effects(values, levels, order), confidence),
+    )

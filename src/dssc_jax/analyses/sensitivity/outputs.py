@@ -1,0 +1,114 @@
+"""A design of simulations for a sensitivity analysis, and whether an output's samples say enough.
+
+In-loop noise is one more factor: rows with their own draw indices and rows with others differ in it. So the noise has
+its own part, and its effect is not charged to the uncertain numbers.
+"""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.signals import Outcome
+from dssc_jax.engine.batching import Arrays
+from dssc_jax.study import Study
+
+NOISE = "in-loop noise"
+FAILURE = "failure"
+REPLICATES = 8
+SMALLEST = 256  # rows
+LEAST = 20  # rows that must carry an output's variance; with fewer an interval of 95 % is of length 0.6 or more
+WANTED = 30  # what a refusal plans for, so that the next run is not refused by chance
+
+
+class Sample(NamedTuple):
+    """Points to simulate.
+
+    Args:
+        levels: Levels of the laws, correlations included, shape (rows, laws).
+        indices: Draw indices, which decide the in-loop noise, shape (rows,).
+    """
+
+    levels: np.ndarray
+    indices: np.ndarray
+
+
+class Design(NamedTuple):
+    """The simulations of a method and what follows from an output's values, shape (samples, rows).
+
+    Args:
+        rows: Number of rows.
+        samples: The samples.
+        refusal: The reason why an output gets no quantities; None if it gets them.
+        quantities: The quantities, each with estimate, lower and upper end, shape (factors, 3).
+    """
+
+    rows: int
+    samples: list[Sample]
+    refusal: Callable[[np.ndarray], str | None]
+    quantities: Callable[[np.ndarray], tuple[np.ndarray, ...]]
+
+
+def carrying(f_a: np.ndarray, f_b: np.ndarray) -> float:
+    """The effective number of rows that carry the variance of a varying output, from its kurtosis.
+
+    For an indicator it is about the number of rows in the rarer class: n p (1-p)/(1 - 3 p (1-p)).
+
+    Args:
+        f_a: Output at A, shape (rows,).
+        f_b: Output at B, shape (rows,).
+    """
+    deviations = np.stack([f_a, f_b]) - 0.5 * (f_a.mean() + f_b.mean())
+    squares = np.square(deviations / np.abs(deviations).max())
+    return float(len(f_a) * squares.mean() ** 2 / np.mean(squares**2))
+
+
+def refusal(f_a: np.ndarray, f_b: np.ndarray) -> str | None:
+    """The reason why an output gets no indices, in words; None if it gets them.
+
+    Args:
+        f_a: Output at A, shape (rows,).
+        f_b: Output at B, shape (rows,).
+    """
+    if np.ptp([f_a, f_b]) == 0.0:
+        return "does not vary"
+    rows, carried = len(f_a), carrying(f_a, f_b)
+    if carried < LEAST:
+        enough = 2 ** math.ceil(math.log2(rows * WANTED / carried))
+        return f"needs {enough:,} rows: about {carried:.2g} of {rows:,} rows carry its variance, {LEAST} have to"
+    return None
+
+
+def output_of(results: Arrays, name: str) -> np.ndarray:
+    """The values of a metric, or 1 if the draw failed."""
+    if name == FAILURE:
+        return (results["outcome"] != Outcome.OK).astype(float)
+    return results[name].astype(float)
+
+
+def rows_of(study: Study) -> int:
+    """The study's number of draws, rounded down to a power of two.
+
+    Raises:
+        ConfigError: there are too few.
+    """
+    rows = 2 ** int(math.log2(study.config.draws))
+    if rows < SMALLEST:
+        raise ConfigError(study.source, f"sensitivity needs draws >= {SMALLEST}, got {study.config.draws}")
+    return rows
+
+
+def require_independent(study: Study, what: str) -> None:
+    """Require numbers that are not correlated.
+
+    Raises:
+        ConfigError: some are.
+    """
+    if study.correlated:
+        raise ConfigError(
+            study.source,
+            f"{what} independent inputs, but {', '.join(study.correlated)} are correlated: use --method shapley, "
+            "leave them fixed, or make them independent with --set correlation={}",
+        )
