@@ -11,7 +11,7 @@ from scipy import special, stats
 import dssc_jax as dj
 from dssc_jax.analyses.sensitivity.morris import elementary_effects, screening, trajectories
 from dssc_jax.analyses.sensitivity.outputs import FAILURE, NOISE
-from dssc_jax.analyses.sensitivity.shapley import chained, orders, shapley_effects
+from dssc_jax.analyses.sensitivity.shapley import chained_scores, orders, shapley_effects
 from dssc_jax.analyses.sensitivity.sobol import saltelli
 from dssc_jax.cli import guarded
 from tests.analyses.test_sensitivity import ishigami
@@ -22,7 +22,7 @@ def effects_of(function, correlation, rows, seed):
     """Estimates with intervals for a function of correlated normal scores."""
     order = orders(rows, len(correlation), (seed, 1))
     own, other = map(special.ndtri, saltelli(rows, len(correlation), (seed,)))
-    return shapley_effects(function(chained(correlation, own, other, order)), order)
+    return shapley_effects(function(chained_scores(correlation, own, other, order)), order)
 
 
 def explained(weights, correlation, known):
@@ -89,7 +89,7 @@ def test_chained_scores_share_what_is_known():
     correlation = random_correlation(rng, 3)
     own, other = rng.standard_normal((2, 100_000, 3))
     order = np.tile([2, 0, 1], (100_000, 1))
-    chain = chained(correlation, own, other, order)
+    chain = chained_scores(correlation, own, other, order)
     for known, scores in enumerate(chain):
         assert np.corrcoef(scores.T) == pytest.approx(correlation, abs=0.02)
         shared = [2, 0, 1][:known]

@@ -9,7 +9,7 @@ from scipy.stats import qmc
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Arrays
-from dssc_jax.engine.sampling import inside, mixing, quantiles
+from dssc_jax.engine.sampling import inside, mixing, values_at_levels
 from dssc_jax.statistics import distance_of_mass
 from dssc_jax.study import Study
 
@@ -69,7 +69,7 @@ class SearchSet(ABC):
 
     def values(self, points: np.ndarray) -> Arrays:
         """Values of the uncertain numbers, shape (n,) each."""
-        return quantiles(self.study, self.levels(points))
+        return values_at_levels(self.study, self.levels(points))
 
     def distances(self, points: np.ndarray) -> np.ndarray:
         """Distance of each draw from the median draw in independent scores, shape (n,)."""

@@ -146,10 +146,10 @@ def values_at(study: Study, points: np.ndarray) -> dict[str, np.ndarray]:
     if coupled:
         normal = special.ndtri(points[:, coupled]) @ np.linalg.cholesky(study.correlation).T
         points[:, coupled] = inside(special.ndtr(normal))
-    return quantiles(study, points)
+    return values_at_levels(study, points)
 
 
-def quantiles(study: Study, levels: np.ndarray) -> dict[str, np.ndarray]:
+def values_at_levels(study: Study, levels: np.ndarray) -> dict[str, np.ndarray]:
     """Values of the uncertain numbers at levels of their laws, one column per law; correlations are in the levels."""
     return {name: law.quantile(levels[:, column]) for column, (name, law) in enumerate(study.laws.items())}
 

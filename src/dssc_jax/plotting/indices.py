@@ -12,7 +12,7 @@ from dssc_jax.plotting.style import BLUE, ORANGE, SLIDE, styled, title
 from dssc_jax.results.analysis import Analysis
 
 OFFSET = 0.13  # of two quantities from their common row
-COLOURS = (BLUE, ORANGE)
+QUANTITY_COLOURS = (BLUE, ORANGE)
 
 
 @styled
@@ -53,7 +53,7 @@ def sensitivity(indices: Analysis) -> Figure:
 def factor_rows(ax: Axes, output: Mapping[str, Any], quantities: Mapping[str, Any]) -> None:
     """Draw every quantity, one row for each factor."""
     offsets = OFFSET * (2.0 * np.arange(len(quantities)) - len(quantities) + 1.0)
-    for (part, quantity), colour, offset in zip(quantities.items(), COLOURS, offsets, strict=False):
+    for (part, quantity), colour, offset in zip(quantities.items(), QUANTITY_COLOURS, offsets, strict=False):
         value = np.array([one[part] for one in output.values()])
         low, high = np.array([one[f"{part}_interval"] for one in output.values()]).T
         where = np.arange(len(value)) + offset

@@ -5,18 +5,18 @@ from collections.abc import Callable
 import numpy as np
 
 from dssc_jax.analyses.sensitivity.morris import morris_design
-from dssc_jax.analyses.sensitivity.outputs import FAILURE, NOISE, Design, output_of
+from dssc_jax.analyses.sensitivity.outputs import FAILURE, NOISE, RowDesign, output_of
 from dssc_jax.analyses.sensitivity.result import Sensitivity, sensitivity_dataset
 from dssc_jax.analyses.sensitivity.shapley import shapley_design
 from dssc_jax.analyses.sensitivity.sobol import sobol_design
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import BLOCK, Arrays, Engine, evaluate, is_noisy
-from dssc_jax.engine.sampling import quantiles
+from dssc_jax.engine.sampling import values_at_levels
 from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.study import Study
 
-METHODS: dict[str, Callable[[Study, bool, float], Design]] = {
+SENSITIVITY_METHODS: dict[str, Callable[[Study, bool, float], RowDesign]] = {
     "sobol": sobol_design,
     "shapley": shapley_design,
     "morris": morris_design,
@@ -42,17 +42,17 @@ def sensitivity(
             few draws.
     """
     study = study.without_sweep()
-    if method not in METHODS:
-        raise ConfigError("method", f"must be one of {', '.join(METHODS)}, got {method!r}")
+    if method not in SENSITIVITY_METHODS:
+        raise ConfigError("method", f"must be one of {', '.join(SENSITIVITY_METHODS)}, got {method!r}")
     if not study.laws:
         raise ConfigError(study.source, "nothing is uncertain; give at least one number a law")
     engine = Engine(study, min(BLOCK, study.config.draws))
     noisy = is_noisy(engine)
-    design = METHODS[method](study, noisy, confidence)
+    design = SENSITIVITY_METHODS[method](study, noisy, confidence)
     count = len(design.samples) * design.rows
     results: list[Arrays] = []
     for sample in design.samples:
-        results.append(evaluate(engine, quantiles(study, sample.levels), sample.indices))
+        results.append(evaluate(engine, values_at_levels(study, sample.levels), sample.indices))
         if progress:
             progress(len(results) * design.rows, count)
     outputs: dict[str, tuple[np.ndarray, ...] | None] = {}

@@ -15,14 +15,14 @@ import math
 import numpy as np
 from scipy import special
 
-from dssc_jax.analyses.sensitivity.outputs import Design, Sample, require_independent
+from dssc_jax.analyses.sensitivity.outputs import RowDesign, RowSample, require_uncorrelated
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import stream
 from dssc_jax.engine.sampling import generator
 from dssc_jax.statistics import clopper_pearson
 from dssc_jax.study import Study
 
-LEVELS = 4  # of a factor: the middles of quarters of its probability
+GRID_LEVELS = 4  # of a factor: the middles of quarters of its probability
 FEWEST = 10  # trajectories, for intervals of some use
 
 
@@ -39,11 +39,11 @@ def trajectories(count: int, factors: int, words: tuple[int, ...]) -> tuple[np.n
     """
     rng = generator(*words)
     order = rng.permuted(np.tile(np.arange(factors), (count, 1)), axis=1)
-    start = rng.integers(LEVELS, size=(count, factors))
-    moved = (start + LEVELS // 2) % LEVELS
+    start = rng.integers(GRID_LEVELS, size=(count, factors))
+    moved = (start + GRID_LEVELS // 2) % GRID_LEVELS
     place = np.argsort(order, axis=1)
     level = np.where(place < np.arange(factors + 1)[:, None, None], moved, start)
-    return (level + 0.5) / LEVELS, order
+    return (level + 0.5) / GRID_LEVELS, order
 
 
 def elementary_effects(values: np.ndarray, levels: np.ndarray, order: np.ndarray) -> np.ndarray:
@@ -87,7 +87,7 @@ def screening(effects: np.ndarray, confidence: float) -> tuple[np.ndarray, np.nd
     return size, spread
 
 
-def morris_design(study: Study, noisy: bool, confidence: float) -> Design:
+def morris_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
     """The design of a screening: as many trajectories as the study's number of draws allows.
 
     Args:
@@ -98,7 +98,7 @@ def morris_design(study: Study, noisy: bool, confidence: float) -> Design:
     Raises:
         ConfigError: inputs are correlated, or there are too few draws.
     """
-    require_independent(study, "the moves of Morris screening are those of")
+    require_uncorrelated(study, "the moves of Morris screening are those of")
     laws = len(study.laws)
     factors = laws + noisy
     count = study.config.draws // (factors + 1)
@@ -109,9 +109,9 @@ def morris_design(study: Study, noisy: bool, confidence: float) -> Design:
     indices = np.tile(np.arange(count), (factors + 1, 1))
     if noisy:
         indices = np.where(levels[..., laws] == levels[0, :, laws], indices, indices + count)
-    return Design(
+    return RowDesign(
         count,
-        [Sample(*pair) for pair in zip(levels[..., :laws], indices, strict=True)],
+        [RowSample(*pair) for pair in zip(levels[..., :laws], indices, strict=True)],
         refusal=lambda values: "does not vary" if np.ptp(values) == 0.0 else None,
         quantities=lambda values: screening(elementary_effects(values, levels, order), confidence),
     )

@@ -23,7 +23,7 @@ LEAST = 20  # rows that must carry an output's variance; with fewer an interval 
 WANTED = 30  # what a refusal plans for, so that the next run is not refused by chance
 
 
-class Sample(NamedTuple):
+class RowSample(NamedTuple):
     """Points to simulate.
 
     Args:
@@ -35,7 +35,7 @@ class Sample(NamedTuple):
     indices: np.ndarray
 
 
-class Design(NamedTuple):
+class RowDesign(NamedTuple):
     """The simulations of a method and what follows from an output's values, shape (samples, rows).
 
     Args:
@@ -46,7 +46,7 @@ class Design(NamedTuple):
     """
 
     rows: int
-    samples: list[Sample]
+    samples: list[RowSample]
     refusal: Callable[[np.ndarray], str | None]
     quantities: Callable[[np.ndarray], tuple[np.ndarray, ...]]
 
@@ -88,7 +88,7 @@ def output_of(results: Arrays, name: str) -> np.ndarray:
     return results[name].astype(float)
 
 
-def rows_of(study: Study) -> int:
+def row_count(study: Study) -> int:
     """The study's number of draws, rounded down to a power of two.
 
     Raises:
@@ -100,7 +100,7 @@ def rows_of(study: Study) -> int:
     return rows
 
 
-def require_independent(study: Study, what: str) -> None:
+def require_uncorrelated(study: Study, what: str) -> None:
     """Require numbers that are not correlated.
 
     Raises:

@@ -19,7 +19,7 @@ ENDS = {"": "", "_low": ", lower end of its interval", "_high": ", upper end of 
 """Suffixes of a quantity and of the ends of its interval in the dataset."""
 
 
-class Quantity(NamedTuple):
+class SensitivityMeasure(NamedTuple):
     """What a method tells of a factor.
 
     Args:
@@ -33,7 +33,7 @@ class Quantity(NamedTuple):
     share: bool = True
 
 
-class Method(NamedTuple):
+class SensitivityMethod(NamedTuple):
     """How a result was computed, in words.
 
     Args:
@@ -44,7 +44,7 @@ class Method(NamedTuple):
     """
 
     title: str
-    quantities: dict[str, Quantity]
+    quantities: dict[str, SensitivityMeasure]
     ranking: str
     interval: str
 
@@ -77,7 +77,7 @@ class Sensitivity(Analysis):
     confidence: float
 
     @property
-    def words(self) -> Method:
+    def words(self) -> SensitivityMethod:
         """The method in words."""
         return WORDS[self.method]
 
@@ -153,26 +153,26 @@ class Sensitivity(Analysis):
 
 
 WORDS = {
-    "sobol": Method(
+    "sobol": SensitivityMethod(
         "Sobol indices",
         {
-            "first": Quantity("first-order index", "first order: alone"),
-            "total": Quantity("total index", "total: with all interactions"),
+            "first": SensitivityMeasure("first-order index", "first order: alone"),
+            "total": SensitivityMeasure("total index", "total: with all interactions"),
         },
         "total",
         "Student's t over Sobol replicates",
     ),
-    "shapley": Method(
+    "shapley": SensitivityMethod(
         "Shapley effects",
-        {"effect": Quantity("Shapley effect", "Shapley effect: share of the variance")},
+        {"effect": SensitivityMeasure("Shapley effect", "Shapley effect: share of the variance")},
         "effect",
         "Student's t over Sobol replicates",
     ),
-    "morris": Method(
+    "morris": SensitivityMethod(
         "Morris screening",
         {
-            "size": Quantity("mean size of an elementary effect", "mu*: mean size of an effect", share=False),
-            "spread": Quantity("spread of the elementary effects", "sigma: spread of the effects", share=False),
+            "size": SensitivityMeasure("mean size of an elementary effect", "mu*: mean size of an effect", share=False),
+            "spread": SensitivityMeasure("spread of the elementary effects", "sigma: their spread", share=False),
         },
         "size",
         "Student's t over trajectories, Clopper-Pearson for failure",

@@ -19,7 +19,7 @@ Reference:
 import numpy as np
 from scipy import special
 
-from dssc_jax.analyses.sensitivity.outputs import REPLICATES, Design, Sample, carrying, refusal, rows_of
+from dssc_jax.analyses.sensitivity.outputs import REPLICATES, RowDesign, RowSample, carrying, refusal, row_count
 from dssc_jax.analyses.sensitivity.sobol import saltelli
 from dssc_jax.core.numerics import stream
 from dssc_jax.engine.sampling import generator, inside, mixing
@@ -34,7 +34,7 @@ def orders(rows: int, factors: int, words: tuple[int, ...]) -> np.ndarray:
     return pairs.reshape(rows, factors)
 
 
-def chained(correlation: np.ndarray, own: np.ndarray, other: np.ndarray, order: np.ndarray) -> np.ndarray:
+def chained_scores(correlation: np.ndarray, own: np.ndarray, other: np.ndarray, order: np.ndarray) -> np.ndarray:
     """Correlated normal scores of the chained simulations.
 
     Args:
@@ -82,7 +82,7 @@ def shapley_effects(values: np.ndarray, order: np.ndarray, confidence: float = C
     return np.concatenate([effects, effects - half, effects + half], axis=1)
 
 
-def shapley_design(study: Study, noisy: bool, confidence: float) -> Design:
+def shapley_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
     """The design of Shapley effects: the chained simulations of every row.
 
     Args:
@@ -93,7 +93,7 @@ def shapley_design(study: Study, noisy: bool, confidence: float) -> Design:
     Raises:
         ConfigError: there are too few draws.
     """
-    rows, laws = rows_of(study), len(study.laws)
+    rows, laws = row_count(study), len(study.laws)
     words = (study.config.seed, stream("shapley"))
     order = orders(rows, laws + noisy, words)
     correlation = np.eye(laws + noisy)
@@ -102,15 +102,15 @@ def shapley_design(study: Study, noisy: bool, confidence: float) -> Design:
     own, other = (
         np.pad(special.ndtri(inside(points)), ((0, 0), (0, int(noisy)))) for points in saltelli(rows, laws, words)
     )
-    chain = chained(correlation, own, other, order)
+    chain = chained_scores(correlation, own, other, order)
     levels = inside(special.ndtr(chain[..., :laws]))
     indices = np.tile(np.arange(rows), (len(chain), 1))
     if noisy:
         place = np.argmax(order == laws, axis=1)
         indices = np.where(place < np.arange(len(chain))[:, None], indices, indices + rows)
-    return Design(
+    return RowDesign(
         rows,
-        [Sample(*pair) for pair in zip(levels, indices, strict=True)],
+        [RowSample(*pair) for pair in zip(levels, indices, strict=True)],
         refusal=lambda values: refusal(values[-1], values[0]),
         quantities=lambda values: (shapley_effects(values, order, confidence),),
     )

@@ -14,12 +14,12 @@ import numpy as np
 
 from dssc_jax.analyses.sensitivity.outputs import (
     REPLICATES,
-    Design,
-    Sample,
+    RowDesign,
+    RowSample,
     carrying,
     refusal,
-    require_independent,
-    rows_of,
+    require_uncorrelated,
+    row_count,
 )
 from dssc_jax.core.numerics import stream
 from dssc_jax.engine.sampling import inside, sobol_points
@@ -100,7 +100,7 @@ def controlled(
     return share - np.einsum("nri,ri->nr", of, coefficients).reshape(-1)
 
 
-def sobol_design(study: Study, noisy: bool, confidence: float) -> Design:
+def sobol_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
     """The design of Sobol indices: A, B, and AB_i for each factor.
 
     Args:
@@ -111,18 +111,18 @@ def sobol_design(study: Study, noisy: bool, confidence: float) -> Design:
     Raises:
         ConfigError: inputs are correlated, or there are too few draws.
     """
-    require_independent(study, "Sobol indices divide up the variance of")
-    rows, factors = rows_of(study), len(study.laws)
+    require_uncorrelated(study, "Sobol indices divide up the variance of")
+    rows, factors = row_count(study), len(study.laws)
     a, b = map(inside, saltelli(rows, factors, (study.config.seed, stream("saltelli"))))
     own, others = np.arange(rows), np.arange(rows, 2 * rows)
-    samples = [Sample(a, own), Sample(b, others)]
+    samples = [RowSample(a, own), RowSample(b, others)]
     for column in range(factors):
         mixed = a.copy()
         mixed[:, column] = b[:, column]
-        samples.append(Sample(mixed, own))
+        samples.append(RowSample(mixed, own))
     if noisy:
-        samples.append(Sample(a, others))
-    return Design(
+        samples.append(RowSample(a, others))
+    return RowDesign(
         rows,
         samples,
         refusal=lambda values: refusal(values[0], values[1]),
