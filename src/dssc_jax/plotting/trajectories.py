@@ -1,6 +1,6 @@
 """Figures of one draw over time."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,8 @@ from dssc_jax.plotting.thinning import picked, thinned
 
 STILL = 1e-9  # of a signal's size: what is smaller is rounding noise
 CYCLE = (BLUE, ORANGE, GREEN, RED, GREY)
+ROTOR_COLOURS = (BLUE, ORANGE, GREEN, GREY)  # red is the limit
+WIND = ("wind_x", "wind_y", "wind_z")
 
 
 @styled
@@ -94,14 +96,15 @@ def flight(run: xr.Dataset) -> Figure:
     channels = [str(name).removesuffix("_y_ref") for name in run if str(name).endswith("_y_ref")]
     active = [channel for channel in channels if not is_still(run, channel)] or channels
     vehicle = all(name in run for name in ("x_y", "y_y", "z_y", "phi", "theta"))
-    heights = [*([4.2, 2.3] if vehicle else []), *[2.3] * len(active)]
+    panels = vehicle_panels(run) if vehicle else []
+    heights = [*([4.2] if vehicle else []), *[2.3] * (-(-len(panels) // 2) + len(active))]
     figure = Figure(figsize=(11.5, sum(heights) + 1.0), layout="constrained")
     grid = figure.add_gridspec(len(heights), 2, height_ratios=heights)
     if vehicle:
         path_in_space(figure.add_subplot(grid[0, 0], projection="3d"), run)
         path_from_above(figure.add_subplot(grid[0, 1]), run)
-        attitude(figure.add_subplot(grid[1, 0]), run)
-        lift(figure.add_subplot(grid[1, 1]), run)
+        for place, draw in enumerate(panels):
+            draw(figure.add_subplot(grid[1 + place // 2, place % 2]), run)
     for row, channel in enumerate(active, len(heights) - len(active)):
         left, right = figure.add_subplot(grid[row, 0]), figure.add_subplot(grid[row, 1])
         line(left, run, f"{channel}_u_total", GREY, "total $u + u_n$", linewidth=1.2)
@@ -118,6 +121,17 @@ def flight(run: xr.Dataset) -> Figure:
     note = f"\nnot shown: {', '.join(still)}, whose error and command are rounding noise" if still else ""
     title(figure, how_it_ended(run) + note)
     return figure
+
+
+def vehicle_panels(run: xr.Dataset) -> list[Callable[[Axes, xr.Dataset], None]]:
+    """What else of a vehicle there is to draw over time."""
+    there = {
+        attitude: True,
+        rotors: "rotor_1" in run,
+        wind: any(largest_magnitude(run, name) > 0.0 for name in WIND if name in run),
+        lift: "thrust" in run,
+    }
+    return [draw for draw, shown in there.items() if shown]
 
 
 def is_still(run: xr.Dataset, channel: str) -> bool:
@@ -164,16 +178,42 @@ def attitude(ax: Axes, run: xr.Dataset) -> None:
     ax.legend(loc="best", frameon=False)
 
 
-def lift(ax: Axes, run: xr.Dataset) -> None:
-    """Draw the wanted thrust, and shade the time with a rotor at its limit."""
-    line(ax, run, "thrust", BLUE, "wanted thrust")
-    at_limit = run["rotor_limited"].values > 0.5
+def rotors(ax: Axes, run: xr.Dataset) -> None:
+    """Draw the commanded thrust of each rotor and its limit, and shade the time with a rotor at its limit."""
+    each = [str(name) for name in run if str(name).startswith("rotor_") and str(name)[6:].isdigit()]
+    for place, name in enumerate(each):
+        style = "-" if place < len(ROTOR_COLOURS) else ":"
+        line(ax, run, name, ROTOR_COLOURS[place % len(ROTOR_COLOURS)], name[6:], linewidth=1.0, linestyle=style)
+    time, at_limit = run["t"].values, run["rotor_limited"].values > 0.5
+    low, high = ax.get_ylim()
+    limit = largest_magnitude(run, "rotor_limit")
     if at_limit.any():
-        time, low, high = run["t"].values, *ax.get_ylim()
-        look = {"color": RED, "alpha": 0.2, "linewidth": 0.0, "label": "a rotor at its limit"}
+        low, high = min(low, 0.0), max(high, limit)
+        look = {"color": RED, "alpha": 0.2, "linewidth": 0.0, "label": "one at its limit"}
         ax.fill_between(time, low, high, where=list(at_limit), **look)
-    ax.set_ylabel("thrust [N]")
-    ax.legend(loc="best", frameon=False)
+    if high >= limit:
+        line(ax, run, "rotor_limit", RED, "limit", linewidth=1.0, linestyle="--")
+    ax.set_ylabel("rotor thrust [N]" if high >= limit else f"rotor thrust [N]\n(limit {limit:.3g})")
+    ax.legend(loc="best", frameon=False, ncols=3)
+
+
+def wind(ax: Axes, run: xr.Dataset) -> None:
+    """Draw the wind, and mark its onset if it does not blow from the start."""
+    for name, colour in zip(WIND, CYCLE[: len(WIND)], strict=True):
+        if largest_magnitude(run, name) > 0.0:
+            line(ax, run, name, colour, name[-1])
+    blowing = np.flatnonzero(np.any([np.abs(run[name].values) > 0.0 for name in WIND], axis=0))
+    if blowing[0] > 1:
+        onset = float(run["t"].values[blowing[0]])
+        ax.axvline(onset, color=GREY, linestyle=":", label=f"onset at {onset:.3g} s")
+    ax.set_ylabel("wind [m/s]")
+    ax.legend(loc="best", frameon=False, ncols=2)
+
+
+def lift(ax: Axes, run: xr.Dataset) -> None:
+    """Draw the wanted thrust."""
+    line(ax, run, "thrust", BLUE, "wanted thrust")
+    ax.set_ylabel("wanted thrust [N]")
 
 
 def state_dependent(ax: Axes, run: xr.Dataset) -> None:

@@ -48,6 +48,9 @@ UNITS = {
     "thrust": ("N", "wanted net thrust"),
     "rotor_limited": ("1", "a rotor at its limit"),
     "lift_bounded": ("1", "wanted lift at its lower bound"),
+    "rotor": ("N", "commanded thrust of rotor"),
+    "rotor_limit": ("N", "limit of a rotor's thrust"),
+    "wind": ("m/s", "wind along"),
 }
 
 
@@ -169,7 +172,15 @@ def trajectory_columns(study: Study, recorded: Recorded) -> dict[str, np.ndarray
         }
         columns |= {f"{channel}_{name}" if channel else name: values for name, values in signals.items()}
     seen = instant.plant._asdict() if hasattr(instant.plant, "_asdict") else {}
-    return columns | seen
+    for name, values in seen.items():
+        columns |= tuple_columns(name, values) if isinstance(values, tuple) else {name: values}
+    return columns
+
+
+def tuple_columns(name: str, values: tuple[np.ndarray, ...]) -> dict[str, np.ndarray]:
+    """The signals of a tuple: ``wind_x`` of a vector's field x, ``rotor_1`` of the first of several."""
+    ends = getattr(values, "_fields", range(1, len(values) + 1))
+    return {f"{name}_{end}": column for end, column in zip(ends, values, strict=True)}
 
 
 def column_attributes(name: str, study: Study) -> dict[str, str]:
@@ -178,9 +189,14 @@ def column_attributes(name: str, study: Study) -> dict[str, str]:
     named = channel in study.loop.channels and bool(channel)
     signal = rest if named else name
     units = study.units[study.loop.channels.index(channel)] if named else study.units[0]
-    unit, meaning = UNITS.get(signal, ("", signal))
+    whole, _, part = signal.rpartition("_")
     if signal in UNITS:
+        unit, meaning = UNITS[signal]
         unit, meaning = units.of(unit), units.named(meaning)
+    elif whole in UNITS and not named:
+        unit, meaning = UNITS[whole][0], f"{UNITS[whole][1]} {part}"
+    else:
+        unit, meaning = "", signal
     return {"units": unit, "long_name": f"{channel}: {meaning}" if named else meaning}
 
 

@@ -77,7 +77,10 @@ class UavState(NamedTuple):
 
 
 class UavInfo(NamedTuple):
-    """Values of the vehicle for metrics and trajectories: Euler angles [rad], tilt [rad] and active limits."""
+    """Values of the vehicle for metrics and trajectories: Euler angles [rad], tilt [rad], active limits.
+
+    ``rotor`` has the commanded thrusts f_i [N] after their limit ``rotor_limit`` [N], ``wind`` the wind [m/s].
+    """
 
     phi: Scalar
     theta: Scalar
@@ -86,6 +89,9 @@ class UavInfo(NamedTuple):
     thrust: Scalar
     rotor_limited: Scalar
     lift_bounded: Scalar
+    rotor: tuple[Scalar, ...]
+    rotor_limit: Scalar
+    wind: Vec3
 
 
 def init(params: UavParams) -> UavState:
@@ -165,7 +171,9 @@ def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
     rotation = state.attitude.matrix()
     inner, thrusts = wanted(params, state, drive)
     tilt = atan2(jnp.sqrt(rotation.c.x**2 + rotation.c.y**2), rotation.c.z)
-    return UavInfo(*euler_of(rotation), tilt, inner.thrust, thrusts.limited, inner.bounded)
+    limits = thrusts.limited, inner.bounded
+    rotors = thrusts.each, params.vehicle.thrust_limit
+    return UavInfo(*euler_of(rotation), tilt, inner.thrust, *limits, *rotors, drive.wind)
 
 
 def broken(params: UavParams, state: UavState) -> Scalar:
