@@ -142,6 +142,21 @@ def test_two_tabs_are_two_sessions(served, tab, chromium):
     assert first.positions != first.live.start
 
 
+def test_a_tab_closed_during_a_run(served, tab, chromium):
+    """The run ends unseen; another tab is served as before."""
+    other = chromium.new_page()
+    other.goto(served.url)
+    headline(other).wait_for(timeout=PATIENCE)
+    left = served.pages[-1]
+    other.locator(".noUi-handle").nth(0).focus()
+    for _ in range(5):
+        other.keyboard.press("ArrowRight")
+    other.close()
+    assert left.wait(60)
+    tab.goto(served.url)
+    headline(tab).wait_for()
+
+
 @pytest.mark.parametrize("path", ["", "wrong", "wrong/ws", "index.html"])
 def test_a_wrong_token_finds_nothing(served, path):
     root = served.url.removesuffix(served.token)
@@ -209,6 +224,45 @@ def test_a_brush_counts_its_draws(brushed_page, tab):
     assert f"{len(indices)} draws, {failures} fail" in said
     found = [float(text) for text in re.search(r"\[(.*), (.*)\]", said).groups()]
     np.testing.assert_allclose(found, [low, high], rtol=6e-3)
+
+
+def test_a_box_over_parallel_axes_brushes_and_shift_adds(brushed_page, tab):
+    """The upper half of the first axis: the draws above the middle; then, with Shift, the lower half too: all."""
+    file, table = brushed_page
+    tab.set_viewport_size({"width": 1280, "height": 1200})
+    tab.goto(file.as_uri())
+    tab.get_by_text("all 300 draws").wait_for()
+    frame = tab.evaluate(
+        """() => { const view = Bokeh.index.roots[0].owner.query(v => v.frame && v.model.inner_width > 900).next().value
+          const { left, top, width, height } = view.frame.bbox, { x_range, y_range } = view.model
+          return { left, top, width, height, x: [x_range.start, x_range.end], y: [y_range.start, y_range.end] } }"""
+    )
+    box = tab.locator(".bk-events").last.bounding_box()
+
+    def at(axis, height):
+        """Pixels of a place on the parallel axes."""
+        across, up = ((v - low) / (high - low) for v, (low, high) in ((axis, frame["x"]), (height, frame["y"])))
+        left, top = box["x"] + frame["left"], box["y"] + frame["top"]
+        return left + across * frame["width"], top + (1.0 - up) * frame["height"]
+
+    def brush(low, high):
+        tab.mouse.move(*at(-0.2, high))
+        tab.mouse.down()
+        tab.mouse.move(*at(0.1, 0.5 * (low + high)))
+        tab.mouse.move(*at(0.2, low))
+        tab.mouse.up()
+
+    values = table.columns[table.first_axes[0]]
+    heights = (values - values.min()) / np.ptp(values)
+    brush(0.5, 1.1)
+    tab.get_by_text("brushed: ").first.wait_for()
+    chosen = set(tab.evaluate("[...Bokeh.documents[0].get_model_by_name('draws').selected.indices]"))
+    unsure = set(np.flatnonzero(np.abs(heights - 0.5) < 0.02))  # a pixel
+    assert chosen - unsure == set(np.flatnonzero(heights > 0.5)) - unsure
+    tab.keyboard.down("Shift")
+    brush(-0.1, 0.52)
+    tab.keyboard.up("Shift")
+    tab.get_by_text("brushed: 300 draws").first.wait_for()
 
 
 def test_a_click_gives_the_nearest_draw_or_none(brushed_page, tab):

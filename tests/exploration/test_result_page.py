@@ -62,6 +62,20 @@ def test_a_result_from_others_is_brushed_but_not_run(tmp_path, monkeypatch):
     assert page.flight is None
 
 
+def test_a_vehicle_s_path_is_seen_from_above_and_from_the_side():
+    short = {"draws": 2, "loop.duration": 1.0, "requirement": [], "metrics": {}}
+    flown = dj.run(dj.Study.load("paper_case1").override(short))
+    page = ResultPage(flown)
+    page.replay(1)
+    page.pin_draw()
+    page.replay(0)
+    assert len(page.paths) == 2
+    above = page.sources["xy"].data
+    assert len(above["across"]) == len(above["colour"]) == 2
+    np.testing.assert_array_equal(above["upward"][0], page.flight["y_y"].values)
+    np.testing.assert_array_equal(page.sources["desired xz"].data["upward"][0], page.flight["z_y_ref"].values)
+
+
 def test_explore_a_result(page):
     assert dj.explore(page.result).view.objects
     with pytest.raises(dj.ConfigError, match="a result has its own"):

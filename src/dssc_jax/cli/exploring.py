@@ -48,7 +48,11 @@ def explore(
         name, make = study_pages(load_study(subject, settings, None, None, allow_local), sliders, draws)
     from dssc_jax.exploration.serving import PageServer
 
-    server = PageServer(make, f"{name}: explore", port)
+    try:
+        server = PageServer(make, f"{name}: explore", port)
+    except OSError as error:
+        rule = f"cannot serve at port {port} of this machine ({error.strerror}); 0 takes any free one"
+        raise ConfigError("--port", rule) from None
     print(server.url, flush=True)
     say("the page is served to this machine only; Ctrl-C ends it")
     if browser:

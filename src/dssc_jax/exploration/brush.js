@@ -112,6 +112,68 @@ function paintDraws(source, picture, ranges, reach, colours) {
   picture.change.emit()
 }
 
+function heightsOf(source, names, lows, highs) {
+  // Where each draw crosses the parallel axes, from 0 to 1, by axis and index.
+  const columns = names.map(name => source.data[name])
+  return (axis, i) => (columns[axis][i] - lows[axis]) / (highs[axis] - lows[axis])
+}
+
+function paintLines(source, picture, names, lows, highs, place, colours) {
+  const image = picture.data.image[0], [rows, columns] = image.shape
+  const failed = source.data.failed, chosen = source.selected.indices, height = heightsOf(source, names, lows, highs)
+  const across = names.map((_, axis) => Math.round((axis + place.left) / place.across * (columns - 1)))
+  const up = value => (value + place.margin) / (1 + 2 * place.margin) * (rows - 1)
+  const draw = (i, [passes, fails]) => {
+    const colour = failed[i] ? fails : passes
+    for (let axis = 0; axis + 1 < names.length; axis++) {
+      const from = up(height(axis, i)), to = up(height(axis + 1, i)), width = across[axis + 1] - across[axis]
+      if (!Number.isFinite(from + to)) continue
+      const steps = Math.max(width, Math.ceil(Math.abs(to - from)))
+      for (let k = 0; k <= steps; k++) {
+        const row = Math.round(from + (to - from) * k / steps), column = across[axis] + Math.round(width * k / steps)
+        image[row * columns + column] = colour
+      }
+    }
+  }
+  const thinned = (count, each) => { for (let k = 0; k < count; k += Math.max(1, Math.ceil(count / place.most))) each(k) }
+  image.fill(0)
+  thinned(failed.length, i => draw(i, chosen.length ? colours.dim : colours.bright))
+  thinned(chosen.length, k => draw(chosen[k], colours.bright))
+  picture.change.emit()
+}
+
+function betweenAxes(source, names, lows, highs, box) {
+  // Indices of the draws that cross every parallel axis within the box inside the box; none if no axis is within it.
+  const height = heightsOf(source, names, lows, highs), indices = []
+  const [left, right] = [Math.min(box.x0, box.x1), Math.max(box.x0, box.x1)]
+  const [low, high] = [Math.min(box.y0, box.y1), Math.max(box.y0, box.y1)]
+  const axes = names.map((_, axis) => axis).filter(axis => axis >= left && axis <= right)
+  const isIn = i => axes.every(axis => height(axis, i) >= low && height(axis, i) <= high)
+  if (axes.length) for (let i = 0; i < source.data.failed.length; i++) if (isIn(i)) indices.push(i)
+  return indices
+}
+
+if (!globalThis.brushing) {
+  // Whether Shift is held, which adds to the brushed draws; Bokeh's event does not tell.
+  globalThis.brushing = { adds: false, before: [], waiting: 0 }
+  for (const kind of ["pointerdown", "pointermove", "pointerup"])
+    document.addEventListener(kind, event => { globalThis.brushing.adds = event.shiftKey }, true)
+}
+
+function whenCalm(paint) {
+  // Paint once a quick succession of changes pauses.
+  clearTimeout(globalThis.brushing.waiting)
+  globalThis.brushing.waiting = setTimeout(paint, 60)
+}
+
+function choose(source, found, final) {
+  // Brush the draws that were found, with Shift in addition to those brushed before.
+  const state = globalThis.brushing
+  const chosen = state.adds ? [...new Set([...state.before, ...found])].sort((a, b) => a - b) : found
+  if (final) state.before = chosen
+  source.selected.indices = chosen
+}
+
 function enclosed(source, geometry) {
   // Indices of the draws in a box or a polygon of the figure.
   const { x, y } = source.data, indices = [], corners = geometry.x, heights = geometry.y

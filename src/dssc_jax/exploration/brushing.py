@@ -18,6 +18,7 @@ from bokeh.models import (
 from bokeh.plotting import figure
 
 from dssc_jax.exploration.draw_table import DrawTable
+from dssc_jax.exploration.parallel import ParallelAxes
 from dssc_jax.plotting.style import BLUE, GREY, ORANGE
 from dssc_jax.statistics import CONFIDENCE, FixedCount
 
@@ -40,7 +41,7 @@ everything.execute(source)
 brush.execute(source)
 """
 PAINT = "paintDraws(source, picture, ranges, reach, colours)"
-SELECT = "source.selected.indices = enclosed(source, cb_obj.geometry)"
+SELECT = "choose(source, enclosed(source, cb_obj.geometry), cb_obj.final)"
 CHOOSE = "source.selected.indices = nearestDraw(source, ranges, picture.data.image[0], cb_obj.x, cb_obj.y)"
 SHOW_ALL = """
 for (const axis of ["x", "y"]) {
@@ -76,7 +77,7 @@ if (indices.length == 1) {
 
 
 class Brushing:
-    """Scatter, two histograms and the counts of the brushed draws.
+    """Scatter, two histograms, parallel axes, and the counts of the brushed draws.
 
     Args:
         table: The draws.
@@ -111,16 +112,18 @@ class Brushing:
             axis: Select(title=f"{axis} axis", value=name, options=[*self.names], width=300)
             for axis, name in shown.items()
         }
+        colours = {name: [pixel(colour, alpha) for colour in (BLUE, ORANGE)] for name, alpha in LOOKS.items()}
+        self.parallel = ParallelAxes(table, self.source, SCRIPT, colours)
         self.scatter = self._scatter()
         self.histograms = {axis: self._bar_figure(axis) for axis in AXIS_NAMES}
-        self._connect(folder)
+        self._connect(folder, colours)
         self.said.text = self.statement()
 
     @property
     def layout(self) -> LayoutDOM:
         """The page's content."""
         figures = row(self.scatter, column(*self.histograms.values()))
-        return column(self.said, row(*self.selects.values()), figures, self.command)
+        return column(self.said, row(*self.selects.values()), figures, self.command, self.parallel.figure)
 
     @property
     def note(self) -> str:
@@ -172,7 +175,7 @@ class Brushing:
         failed = np.histogram(values[finite & self.table.failed], edges)[0]
         return {"left": edges[:-1], "right": edges[1:], "all": counts, "brushed": np.zeros(BINS), "failed": failed}
 
-    def _connect(self, folder: str) -> None:
+    def _connect(self, folder: str, colours: dict[str, list[int]]) -> None:
         """Let brushes, clicks and choices of axes act."""
         start, axes = self.table.replay_commands(folder)
         brush = CustomJS(
@@ -198,7 +201,6 @@ class Brushing:
         )
         ranges = {"x": self.scatter.x_range, "y": self.scatter.y_range}
         drawn = {"source": self.source, "picture": self.picture, "ranges": ranges}
-        colours = {name: [pixel(colour, alpha) for colour in (BLUE, ORANGE)] for name, alpha in LOOKS.items()}
         reach = 3 if len(self.table.failed) < FEW else 1
         paint = CustomJS(args={**drawn, "reach": reach, "colours": colours}, code=SCRIPT + PAINT)
         everything = CustomJS(args={**drawn, "paint": paint}, code=SCRIPT + SHOW_ALL)

@@ -86,18 +86,9 @@ class PathFigure:
     def __init__(self, across: str, upward: str) -> None:
         self.channels = across, upward
         self.path, self.desired = (ColumnDataSource({"across": [], "upward": []}) for _ in range(2))
-        self.figure = figure(
-            width=WIDTH,
-            height=HEIGHT,
-            tools="pan,wheel_zoom,reset,save",
-            match_aspect=True,
-            x_axis_label=PlainText(text=f"{across} [m]"),
-            y_axis_label=PlainText(text=f"{upward} [m]"),
-            sizing_mode="stretch_width",
-        )
+        self.figure = path_frame(across, upward)
         self.figure.line("across", "upward", source=self.desired, color=GREY, line_width=1.5, line_dash="dashed")
         self.figure.line("across", "upward", source=self.path, color=RED, line_width=2)
-        quiet_toolbar(self.figure)
 
     def show_draw(self, run: LiveRun, draw: int) -> None:
         """Show one draw of a run."""
@@ -187,6 +178,26 @@ class ProbabilityFigure:
             "high": [run.interval[1] for _, run, _ in rows],
             "colour": [colour for _, _, colour in rows],
         }
+
+
+def path_frame(across: str, upward: str) -> figure:
+    """An empty figure for a path, with equal scales."""
+    plot = figure(
+        width=WIDTH,
+        height=HEIGHT,
+        tools="pan,wheel_zoom,reset,save",
+        match_aspect=True,
+        x_axis_label=PlainText(text=f"{across} [m]"),
+        y_axis_label=PlainText(text=f"{upward} [m]"),
+        sizing_mode="stretch_width",
+    )
+    quiet_toolbar(plot)
+    return plot
+
+
+def seen_paths(study: Study) -> Sequence[tuple[str, str]]:
+    """The channels of each view of a vehicle's path: from above and from the side; none without x, y and z."""
+    return (("x", "y"), ("x", "z")) if {"x", "y", "z"} <= set(study.loop.channels) else ()
 
 
 def quiet_toolbar(plot: figure) -> None:

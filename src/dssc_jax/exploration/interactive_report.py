@@ -55,7 +55,8 @@ def interactive_html(result: Result | Analysis) -> str:
     head = Div(
         text=f"<h1>{escape(study.name)}</h1><p>{escape(study.config.description)}</p>"
         f"<p>required: {escape('; '.join(r.text for r in study.requirements) or 'nothing')}</p>"
-        "<p>drag over the points to brush; Escape ends it. Orange crosses fail, blue circles pass.</p>",
+        "<p>drag over the points or over the parallel axes to brush, with Shift to add; Escape ends it. "
+        "Orange fails, blue passes; a cross or a circle is a draw.</p>",
         disable_math=True,
     )
     page = column(head, Brushing(DrawTable(result), folder).layout)

@@ -14,10 +14,19 @@ from dssc_jax.closed_loop.requirements import worst_slack
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.exploration.brushing import Brushing
 from dssc_jax.exploration.draw_table import DrawTable
-from dssc_jax.exploration.figures import HEIGHT, WIDTH, axis_label, drawable, quiet_toolbar, shown_signals
+from dssc_jax.exploration.figures import (
+    HEIGHT,
+    WIDTH,
+    axis_label,
+    drawable,
+    path_frame,
+    quiet_toolbar,
+    seen_paths,
+    shown_signals,
+)
 from dssc_jax.exploration.live import Stale
 from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page
-from dssc_jax.plotting.style import BLUE, GREEN, ORANGE, RED, VIOLET
+from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, VIOLET
 from dssc_jax.results.result import Result
 from dssc_jax.runs.trajectory import agreement_of, recorder
 from dssc_jax.study import Described
@@ -54,6 +63,7 @@ class ResultPage(Page):
         self.clear.on_click(lambda _: self.unpin())
         self.sources: dict[str, ColumnDataSource] = {}
         self.figures = [self._figure(name) for name in shown_signals(result.study)]
+        self.paths = [self._path(*pair) for pair in seen_paths(result.study)]
         self.brushing.picked.on_change("data", lambda attr, old, new: self._clicked(new))
 
     def _figure(self, name: str) -> figure:
@@ -71,10 +81,19 @@ class ResultPage(Page):
         quiet_toolbar(plot)
         return plot
 
+    def _path(self, across: str, upward: str) -> figure:
+        """The paths of a vehicle, seen along one axis; dashed, the desired path of the last draw."""
+        source = self.sources[across + upward] = ColumnDataSource({"across": [], "upward": [], "colour": []})
+        desired = self.sources[f"desired {across}{upward}"] = ColumnDataSource({"across": [], "upward": []})
+        plot = path_frame(across, upward)
+        plot.multi_line("across", "upward", source=desired, line_color=GREY, line_width=1.5, line_dash="dashed")
+        plot.multi_line("across", "upward", source=source, line_color="colour", line_width=2)
+        return plot
+
     @property
     def view(self) -> pn.Column:
         """The page for Panel."""
-        figures = [pn.pane.Bokeh(plot, sizing_mode="stretch_width") for plot in self.figures]
+        figures = [pn.pane.Bokeh(plot, sizing_mode="stretch_width") for plot in (*self.paths, *self.figures)]
         return pn.Column(
             pn.pane.Bokeh(self.brushing.layout),
             pn.Row(*self.choices.values(), self.pin, self.clear),
@@ -155,12 +174,18 @@ class ResultPage(Page):
         """Fill the figures: the present flight is red, each pinned one has a colour of its own."""
         pinned = [run for run in self.pinned if run is not self.flight]
         flights = ([self.flight] if self.flight is not None else []) + pinned
-        for plot, (name, source) in zip(self.figures, self.sources.items(), strict=True):
-            source.data = {
+        colours = list(COLOURS[: len(flights)])
+        for plot, name in zip(self.figures, shown_signals(self.result.study), strict=True):
+            self.sources[name].data = {
                 "t": [run["t"].values for run in flights],
                 "value": [drawable(run[name].values) for run in flights],
-                "colour": list(COLOURS[: len(flights)]),
+                "colour": colours,
                 "draw": [run.attrs["draw"] for run in flights],
             }
             if flights:
                 plot.yaxis[0].axis_label = axis_label(flights[0][name].attrs)
+        for pair in seen_paths(self.result.study):
+            for prefix, suffix, runs in (("", "y", flights), ("desired ", "y_ref", flights[:1])):
+                lines = [[drawable(run[f"{channel}_{suffix}"].values) for run in runs] for channel in pair]
+                columns: dict[str, Any] = {"across": lines[0], "upward": lines[1]}
+                self.sources[prefix + "".join(pair)].data = columns if prefix else {**columns, "colour": colours}

@@ -9,7 +9,14 @@ import numpy as np
 import panel as pn
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.exploration.figures import DrawsFigure, FanFigure, PathFigure, ProbabilityFigure, shown_signals
+from dssc_jax.exploration.figures import (
+    DrawsFigure,
+    FanFigure,
+    PathFigure,
+    ProbabilityFigure,
+    seen_paths,
+    shown_signals,
+)
 from dssc_jax.exploration.live import LiveRun, LiveStudy, Stale
 from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page, html_pane, markup
 from dssc_jax.exploration.saving import differing_draws, save_study
@@ -73,8 +80,7 @@ class StudyPage(Page):
             x_range = self.fans[0].figure.x_range if self.fans else None
             self.fans.append(FanFigure(study, name, x_range))
         self.draws = DrawsFigure(self.choose_draw)
-        has_path = {"x", "y", "z"} <= set(study.loop.channels)
-        self.paths = [PathFigure("x", "y"), PathFigure("x", "z")] if has_path else []
+        self.paths = [PathFigure(*pair) for pair in seen_paths(study)]
 
     @property
     def view(self) -> pn.Row:

@@ -1,0 +1,85 @@
+"""Parallel axes over the draws: a line for each draw, painted by the page's script; a box over axes brushes."""
+
+import numpy as np
+from bokeh.events import SelectionGeometry
+from bokeh.models import BoxSelectTool, ColumnDataSource, CustomJS, FixedTicker, PlainText, Range1d
+from bokeh.plotting import figure
+
+from dssc_jax.exploration.draw_table import DrawTable
+from dssc_jax.plotting.style import GREY
+
+MOST_AXES = 8
+MOST_LINES = 2000  # of the brushed draws, and of all
+LINE_PICTURE = 240, 1000  # rows and columns of the painted lines
+WIDTH, HEIGHT = 1240, 290  # px
+LEFT, RIGHT, MARGIN = 0.3, 0.3, 0.14  # space beside the axes and above them, relative to their distance and length
+PAINT_LINES = "whenCalm(() => paintLines(source, picture, names, lows, highs, place, colours))"
+SELECT_BETWEEN = "choose(source, betweenAxes(source, names, lows, highs, cb_obj.geometry), cb_obj.final)"
+
+
+class ParallelAxes:
+    """Uncertain numbers and metrics side by side, with a line through the values of each draw.
+
+    Args:
+        table: The draws.
+        source: The page's columns of the draws.
+        script: The functions that the page's callbacks call.
+        colours: Pixels of passing and failing draws, bright and dim.
+    """
+
+    def __init__(self, table: DrawTable, source: ColumnDataSource, script: str, colours: dict[str, list[int]]) -> None:
+        self.names = shown_columns(table)
+        ends = [finite_ends(table.columns[name]) for name in self.names]
+        span = len(self.names) - 1 + LEFT + RIGHT, 1.0 + 2.0 * MARGIN
+        frame = {"x": [-LEFT], "y": [-MARGIN], "dw": [span[0]], "dh": [span[1]]}
+        self.picture = ColumnDataSource({"image": [np.zeros(LINE_PICTURE, np.uint32)], **frame})
+        self.figure = self._figure(table, ends, span)
+        lows, highs = (list(side) for side in zip(*ends, strict=True))
+        common = {"source": source, "names": self.names, "lows": lows, "highs": highs}
+        place = {"left": LEFT, "across": span[0], "margin": MARGIN, "most": MOST_LINES}
+        paint = {**common, "picture": self.picture, "place": place, "colours": colours}
+        self.paint = CustomJS(args=paint, code=script + PAINT_LINES)
+        source.selected.js_on_change("indices", self.paint)
+        self.figure.js_on_change("inner_width", self.paint)  # when the page is laid out first
+        self.figure.js_on_event(SelectionGeometry, CustomJS(args=common, code=script + SELECT_BETWEEN))
+
+    def _figure(self, table: DrawTable, ends: list[tuple[float, float]], span: tuple[float, float]) -> figure:
+        """The axes with their names and ends."""
+        plot = figure(
+            width=WIDTH,
+            height=HEIGHT,
+            tools="save",
+            x_range=Range1d(start=-LEFT, end=span[0] - LEFT),
+            y_range=Range1d(start=-MARGIN, end=span[1] - MARGIN),
+        )
+        box = BoxSelectTool(continuous=True, renderers=[])
+        plot.add_tools(box)
+        plot.toolbar.active_drag = box
+        plot.toolbar.logo = None
+        plot.image_rgba("image", "x", "y", "dw", "dh", source=self.picture, level="image")
+        places = list(range(len(self.names)))
+        plot.segment(places, 0.0, places, 1.0, color=GREY, line_width=1.5)
+        for height, side, baseline in ((0.0, 0, "top"), (1.0, 1, "bottom")):
+            text = [f"{end[side]:.4g}" for end in ends]
+            plot.text(places, height, text, text_align="center", text_baseline=baseline, text_font_size="12px")
+        plot.xaxis.ticker = FixedTicker(ticks=places)
+        plot.xaxis.major_label_overrides = {
+            place: PlainText(text=table.label(name)) for place, name in enumerate(self.names)
+        }
+        plot.xaxis.major_label_text_font_size = "13px"
+        plot.yaxis.visible = plot.grid.visible = False
+        return plot
+
+
+def shown_columns(table: DrawTable) -> list[str]:
+    """Swept and drawn numbers, then metrics, with the headline metric last."""
+    number, metric = table.first_axes
+    others = [name for name in table.columns if name not in (number, metric)]
+    return [*dict.fromkeys((number, *others[: MOST_AXES - 2], metric))]
+
+
+def finite_ends(values: np.ndarray) -> tuple[float, float]:
+    """The smallest and the largest finite value, apart from each other."""
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+    return (low, high) if low < high else (low - 0.5, low + 0.5)
