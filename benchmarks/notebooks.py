@@ -36,6 +36,11 @@ def run_through(path: Path, attempts: int = ATTEMPTS) -> nbformat.NotebookNode:
         return run_through(path, attempts - 1)
 
 
+def is_set_up(output: nbformat.NotebookNode) -> bool:
+    """Whether an output sets up the page of a live cell: of no use in a stored notebook, and large."""
+    return output.output_type == "display_data" and "image/png" not in output.data
+
+
 def executed(path: Path) -> nbformat.NotebookNode:
     """The notebook, executed anew in its own folder, without the times and the widgets of this execution."""
     book = run_through(path)
@@ -43,6 +48,8 @@ def executed(path: Path) -> nbformat.NotebookNode:
     book.metadata["language_info"] = {"name": "python"}  # whatever the version
     for cell in book.cells:
         cell.metadata.pop("execution", None)
+        if "outputs" in cell:
+            cell.outputs = [output for output in cell.outputs if not is_set_up(output)]
         for output in cell.get("outputs", []):
             if "image/png" in output.get("data", {}):
                 output.data["image/png"] = smaller(output.data["image/png"])
