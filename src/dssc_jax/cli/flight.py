@@ -28,6 +28,9 @@ def code(
     samples: Annotated[
         int | None, typer.Option("--samples", metavar="K", min=1, help="Samples of each draw [all, at most 2000].")
     ] = None,
+    fmu: Annotated[
+        bool, typer.Option("--fmu", help="Write the controller as an FMU for co-simulation (FMI 2.0) beside it.")
+    ] = False,
     settings: opt.Set = None,
     as_json: opt.Json = False,
     allow_local: opt.Local = False,
@@ -36,8 +39,9 @@ def code(
 
     Differentiator and controller of every channel come from the functions that the analysis runs. `make -C DIR`
     replays recorded draws and compares every bit; docs/flight.md tells how to do so for ARM. For float32 give
-    --set loop.precision=32.
+    --set loop.precision=32. With --fmu the same source becomes an FMU, with its library if there is a C compiler.
     """
+    from dssc_jax.cli.compiling import built_library
     from dssc_jax.console.flight import show_code
     from dssc_jax.flight.folder import FlightFolder
 
@@ -51,7 +55,16 @@ def code(
     with path.open("wb") as file:
         for part in parts:
             file.write(part)
-    summary = folder.summary() | {"files": [*folder.texts(), path.name], "folder": str(out)}
+    written = [*folder.texts(), path.name]
+    summary = folder.summary() | {"folder": str(out)}
+    if fmu:
+        unit = folder.fmu()
+        library, reason = built_library(unit)
+        packed = out / f"{unit.name}.fmu"
+        attempt(packed, lambda: packed.write_bytes(unit.archive(library)))
+        written.append(packed.name)
+        summary["fmu"] = {"file": packed.name, "library": library is not None, "reason": reason}
+    summary["files"] = written
     if as_json:
         print(json.dumps(summary, allow_nan=False))
     else:

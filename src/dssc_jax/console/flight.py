@@ -30,6 +30,10 @@ def show_code(summary: dict[str, Any]) -> None:
     console.print(
         f"wrote {summary['folder']}; make -C {summary['folder']} checks every bit", soft_wrap=True, markup=False
     )
+    fmu = summary.get("fmu")
+    if fmu is not None:
+        how = "with its library" if fmu["library"] else f"without a library, its sources only: {fmu['reason']}"
+        console.print(f"wrote {summary['folder']}/{fmu['file']}, {how}", soft_wrap=True, markup=False)
 
 
 def show_log_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
