@@ -76,6 +76,30 @@ def show_log_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
     show_files(files)
 
 
+def show_fit(summary: Mapping[str, Any]) -> None:
+    """Print the estimates with their intervals, what was assumed of the residual, and the laws as TOML."""
+    say = partial(output().print, soft_wrap=True, markup=False)
+    how = "for the logged commands" if summary["open_loop"] else "in closed loop, because the log lacks commands"
+    say(f"{summary['study']}: {summary['samples']} outputs, simulated {how}")
+    rows = []
+    for name, own in summary["numbers"].items():
+        low, high = own["interval_90"]
+        rows.append((f"{name} [{own['unit']}]", f"{own['estimate']:.6g}", f"{low:.6g} to {high:.6g}", own["prior"]))
+    show_table(("number", "estimate", "90 % interval", "law in the study"), rows)
+    for channel, noise in summary["noise"].items():
+        order = summary["residual_orders"][channel]
+        colour = f"autoregressive of order {order}" if order else "white"
+        say(f"residual{f' of {channel}' if channel else ''}: {noise:.4g} rms, {colour}")
+    for name, width in summary["kept"].items():
+        left = "the output does not depend on it" if width is None else f"it leaves {width:.3g} standard deviations"
+        say(f"not told by this flight, keeps its law: {name}; {left}")
+    if summary["file"]:
+        say(f"wrote {summary['file']}")
+    else:
+        say("")
+        say(summary["toml"].rstrip())
+
+
 def plain_number(value: float | None) -> str:
     """A number, or a dash."""
     return "-" if value is None else f"{value:.4g}"
