@@ -43,15 +43,12 @@ def flight_study() -> dj.Study:
     )
 
 
-def covered(
-    study: dj.Study, flights: int, commands: bool = True, colour: float = 0.0
-) -> tuple[dict[str, list[bool]], int]:
+def covered(study: dj.Study, flights: int, colour: float = 0.0) -> tuple[dict[str, list[bool]], int]:
     """Whether the 90 % intervals cover the truth, by number; and how many flights told all.
 
     Args:
         study: The study.
         flights: Flights.
-        commands: Whether the commands are logged.
         colour: Autocorrelation at one sample of noise that is added to the logged outputs, of 0.005 m; 0: none.
     """
     truth, cache, told = draw(study, np.arange(flights)), {}, 0
@@ -66,7 +63,7 @@ def covered(
             for k in range(1, len(y)):
                 own[k] = colour * own[k - 1] + shocks[k]
             y += own
-        columns = {"y": Column(time, y)} | ({"u_total": Column(time, curve.u_total)} if commands else {})
+        columns = {"y": Column(time, y), "u_total": Column(time, curve.u_total)}
         try:
             fitted = fit_log(study, FlightLog("flight", columns, 0.0), predictions=cache)
         except Untold:
@@ -83,9 +80,8 @@ def main() -> None:
     parser.add_argument("--flights", type=int, default=200)
     flights = parser.parse_args().flights
     cases = {
-        "white noise, commands logged": {},
-        "white and coloured noise (0.9 at one sample), commands logged": {"colour": 0.9},
-        "white noise, commands not logged": {"commands": False},
+        "white noise": {},
+        "white and coloured noise": {"colour": 0.9},
     }
     names = list(flight_study().laws)
     lines = [

@@ -11,7 +11,7 @@ from benchmarks.flight_fit import covered, flight_study
 from dssc_jax.analyses.flight_fit import Untold, fit_log
 from dssc_jax.cli import guarded
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.engine.sampling import draw
+from dssc_jax.flight.replay import curves_of_draws
 from dssc_jax.statistics.autoregression import coefficients, whitened
 from dssc_jax.study.flight_logs import Column, FlightLog
 from tests.cli.conftest import last_json
@@ -133,13 +133,16 @@ def test_a_lag_that_nothing_excites():
         fit_log(study, log_of(y, u), ["unmodelled.mu"])
 
 
-def test_without_commands_the_loop_is_closed():
-    study = linear(draws=4)
-    run = dj.simulate(study, 3)
-    fitted = fit_log(study, log_of(run["y"].values))
-    assert not fitted.open_loop
-    truth = draw(study, np.array([3]))
-    assert np.abs(fitted.estimates - [truth[name][0] for name in fitted.names]).max() < 1e-3
+def test_without_commands_the_controller_is_replayed():
+    study = linear(draws=4, sensor={"kind": "noisy", "position_std": 0.01, "velocity_std": 0.01})
+    ((_,), (curve,)) = list(curves_of_draws(study.override({"draws": 2}), 400))
+    whole = log_of(curve.y, curve.u_total)
+    rate = whole.columns | {"y_dot": Column(DT * np.arange(400), np.asarray(curve.y_dot))}
+    fitted = fit_log(study, FlightLog("flight", {name: rate[name] for name in ("y", "y_dot")}, 0.0))
+    assert fitted.replayed == ("",)
+    np.testing.assert_allclose(fitted.estimates, fit_log(study, whole).estimates, rtol=1e-9)
+    with pytest.raises(ConfigError, match="has no command u_total, and the controller needs y_dot"):
+        fit_log(study, log_of(curve.y))
 
 
 def test_wrong_numbers():

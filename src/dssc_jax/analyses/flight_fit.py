@@ -17,19 +17,20 @@ import numpy as np
 import tomli_w
 from scipy import special
 
-from dssc_jax.analyses.flight_log import forward_filled, signal_name
+from dssc_jax.analyses.flight_log import forward_filled, replayed_channel, signal_name
 from dssc_jax.analyses.flight_residual import Problem, reweighted_fit, unscaled
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.numerics import wrap_angle
 from dssc_jax.flight.prediction import RANDOM, Prediction, prediction
 from dssc_jax.flight.replay import study_references
 from dssc_jax.study import Law, Study
-from dssc_jax.study.flight_logs import FlightLog, last_time, nearest_values
+from dssc_jax.study.flight_logs import LOGGED, FlightLog, last_time, nearest_values
 from dssc_jax.study.laws import CASES, LOGARITHMIC
 
 PLANT_SLOTS = ("plant", "unmodelled", "disturbance", "wind")
 """Parts of a study whose numbers show in the output for given commands."""
 
+LEAST_SAMPLES = 20
 SINGULAR = 1e-10  # least eigenvalue of the scaled information matrix
 INSIDE = 1e-6  # of the distance from an exclusive bound, that a law stays inside
 LAW_WIDTH = 5.0  # standard deviations within which a bounded number's law is kept
@@ -53,7 +54,7 @@ class Fitted:
         orders: Order of the residual's autoregression by channel; 0: it is white.
         kept: Numbers that the flight does not tell, with the standard deviation that it leaves, in those of the law.
         samples: Samples of the log that were used.
-        open_loop: Whether the logged commands were given to the plant.
+        replayed: Channels whose commands are those of the analysed controller for the logged outputs.
     """
 
     study: Study
@@ -65,7 +66,7 @@ class Fitted:
     orders: dict[str, int]
     kept: dict[str, float]
     samples: int
-    open_loop: bool
+    replayed: tuple[str, ...]
 
     @property
     def deviations(self) -> np.ndarray:
@@ -139,7 +140,7 @@ class Fitted:
         return {
             "study": self.study.name,
             "samples": self.samples,
-            "open_loop": self.open_loop,
+            "replayed": list(self.replayed),
             "numbers": numbers,
             "correlation": self.correlations(),
             "noise": self.noise,
@@ -207,34 +208,46 @@ def numbers_to_fit(study: Study, wanted: Sequence[str]) -> list[str]:
     return names
 
 
-def sampled_log(study: Study, log: FlightLog) -> tuple[np.ndarray, np.ndarray | None]:
+def sampled_log(study: Study, log: FlightLog) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     """Measured outputs and commands of every channel at the samples, shape (channels, samples).
 
-    Commands are None if the log lacks some: the study's controllers then close the loop.
+    A command that was not logged is that of the analysed controller for the logged outputs.
+
+    Returns:
+        Outputs, commands, and the channels whose commands are replayed.
 
     Raises:
-        ConfigError: the log has no measured output within the study's duration.
+        ConfigError: the log has no measured output within the study's duration, or a command can be neither read nor
+            replayed.
     """
     loop = study.loop
     samples = min(loop.steps, int(np.floor((last_time(log) - log.start) / loop.sample_time + 0.5)) + 1)
     references = study_references(study, max(samples, 1))
-
-    def column(channel: str, name: str) -> np.ndarray:
-        own = log.columns.get(signal_name(channel, name))
-        nothing = np.full(max(samples, 1), np.nan)
-        return nothing if own is None else nearest_values(own, log.start, loop.sample_time, max(samples, 1))
-
-    logged = np.stack([column(channel, "y") for channel in loop.channels])
+    outputs, commands, replayed = [], [], []
     for row, channel in enumerate(loop.channels):
+        own = {
+            name: nearest_values(log.columns[signal], log.start, loop.sample_time, max(samples, 1))
+            for name in LOGGED
+            if (signal := signal_name(channel, name)) in log.columns
+        }
+        y = own.get("y", np.full(max(samples, 1), np.nan))
         if channel in loop.plant.angles:
             desired = references[row, 0]
-            logged[row] = desired + np.asarray(wrap_angle(logged[row] - desired))
-    if np.isfinite(logged).sum() < 20:
-        raise ConfigError(log.name, "has fewer than 20 values of the output y at the study's samples")
-    commands = [column(channel, "u_total") for channel in loop.channels]
-    if not all(np.isfinite(own).any() for own in commands):
-        return logged, None
-    return logged, np.stack([forward_filled(own) for own in commands])
+            y = desired + np.asarray(wrap_angle(y - desired))
+        outputs.append(y)
+        command = own.get("u_total")
+        if command is not None and np.isfinite(command).any():
+            commands.append(forward_filled(command))
+            continue
+        answer = replayed_channel(study, row, own | ({"y": y} if "y" in own else {}), references[row])
+        if isinstance(answer, str):
+            raise ConfigError(log.name, f"has no command {signal_name(channel, 'u_total')}, and {answer}")
+        commands.append(answer)
+        replayed.append(channel)
+    logged = np.stack(outputs)
+    if np.isfinite(logged).sum() < LEAST_SAMPLES:
+        raise ConfigError(log.name, f"has fewer than {LEAST_SAMPLES} values of the output y at the study's samples")
+    return logged, np.stack(commands), tuple(replayed)
 
 
 def fit_log(
@@ -247,7 +260,7 @@ def fit_log(
 
     Args:
         study: The study; its sweep is ignored.
-        log: The flight, with measured outputs, and the commands if they were logged.
+        log: The flight, with measured outputs, and with commands, unless a replay can tell them.
         names: The numbers; none: all with laws that show in the output, without those that the flight does not tell.
         predictions: Compiled predictions to use again, by names, for logs of one length.
 
@@ -256,26 +269,24 @@ def fit_log(
         Untold: the flight does not tell the numbers.
 
     Example:
-        >>> import numpy as np, dssc_jax as dj
+        >>> import dssc_jax as dj
         >>> from dssc_jax.study.flight_logs import Column
         >>> study = dj.Study.load("motor")
         >>> run = dj.simulate(study, 3)
         >>> columns = {name: Column(run["t"].values, run[name].values) for name in ("y", "u_total")}
-        >>> fitted = fit_log(study, dj.FlightLog("run", columns, 0.0), ["controller.k_p"])
-        Traceback (most recent call last):
-        ...
-        dssc_jax.core.errors.ConfigError: --number: 'controller.k_p' has no law in this study; ...
+        >>> fitted = fit_log(study, dj.FlightLog("run", columns, 0.0), ["unmodelled.mu"])
+        >>> fitted.law("unmodelled.mu").kind
+        'lognormal'
     """
     study = study.without_sweep()
     chosen, cache = numbers_to_fit(study, names), {} if predictions is None else predictions
-    logged, commands = sampled_log(study, log)
-    given = np.zeros_like(logged) if commands is None else commands
+    logged, commands, replayed = sampled_log(study, log)
     kept: dict[str, float] = {}
     while True:
         key = tuple(chosen)
         if key not in cache:
-            cache[key] = prediction(study, key, logged.shape[1], commands is not None)
-        problem = Problem(study, key, cache[key], logged, given)
+            cache[key] = prediction(study, key, logged.shape[1])
+        problem = Problem(study, key, cache[key], logged, commands)
         at, information = reweighted_fit(problem)
         alone = np.sqrt(np.diag(information))
         silent = [] if names else [name for name, own in zip(key, alone, strict=True) if not own > 1.0]
@@ -299,5 +310,5 @@ def fit_log(
         study, key, problem.values(at), problem.middles + at * problem.widths, covariance,
         dict(zip(channels, np.sqrt(np.nanmean(left**2, axis=1)).tolist(), strict=True)),
         dict(zip(channels, (len(own) for own in problem.filters), strict=True)),
-        kept, int(np.isfinite(logged).sum()), commands is not None,
+        kept, int(np.isfinite(logged).sum()), replayed,
     )  # fmt: skip

@@ -115,8 +115,9 @@ def minimised(problem: Problem, at: np.ndarray) -> np.ndarray:
     cost = float(residual @ residual)
     for _ in range(ITERATIONS):
         information, gradient = slopes.T @ slopes, slopes.T @ residual
-        size = max(float(np.diag(information).max()), 1e-300)
-        move = np.linalg.lstsq(information + damping * size * np.eye(len(at)), gradient, rcond=None)[0]
+        least = 1e-12 * max(float(np.diag(information).max()), 1e-300)
+        damped = information + damping * np.diag(np.maximum(np.diag(information), least))
+        move = np.linalg.lstsq(damped, gradient, rcond=None)[0]
         move *= min(1.0, LARGEST_STEP / max(float(np.abs(move).max()), 1e-300))
         tried = at + move
         if problem.admissible(problem.values(tried)):

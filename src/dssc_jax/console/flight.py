@@ -79,8 +79,8 @@ def show_log_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
 def show_fit(summary: Mapping[str, Any]) -> None:
     """Print the estimates with their intervals, what was assumed of the residual, and the laws as TOML."""
     say = partial(output().print, soft_wrap=True, markup=False)
-    how = "for the logged commands" if summary["open_loop"] else "in closed loop, because the log lacks commands"
-    say(f"{summary['study']}: {summary['samples']} outputs, simulated {how}")
+    how = "replayed commands, because the log lacks some" if summary["replayed"] else "logged commands"
+    say(f"{summary['study']}: {summary['samples']} outputs, simulated for the {how}")
     rows = []
     for name, own in summary["numbers"].items():
         low, high = own["interval_90"]

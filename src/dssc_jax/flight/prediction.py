@@ -45,7 +45,7 @@ def quiet_values(study: Study) -> dict[str, float]:
     return {**median_values(study), **random}
 
 
-def prediction(study: Study, names: Sequence[str], samples: int, open_loop: bool) -> Prediction:
+def prediction(study: Study, names: Sequence[str], samples: int) -> Prediction:
     """Compile the prediction.
 
     The plant starts as in the study. There is no noise and no random disturbance. Numbers that are not given have the
@@ -55,7 +55,6 @@ def prediction(study: Study, names: Sequence[str], samples: int, open_loop: bool
         study: The study, without a sweep.
         names: The numbers that are given.
         samples: Samples to simulate.
-        open_loop: Whether the plant gets the logged commands; otherwise the study's controllers close the loop.
 
     Returns:
         (values of the numbers, shape (n,); commands, shape (channels, samples)) -> output of each channel, shape
@@ -65,10 +64,9 @@ def prediction(study: Study, names: Sequence[str], samples: int, open_loop: bool
 
     def outputs(values: Any, commands: Any) -> Any:
         given = dict(zip(names, values, strict=True))
-        loop: Loop = replace(study.loop, settled=None, sensor=(IDEAL,) * len(study.loop.channels))
-        if open_loop:
-            played = (playback(row)(each) for row, each in zip(commands, loop.controller, strict=True))
-            loop = replace(loop, controller=tuple(played))
+        played = tuple(playback(row)(each) for row, each in zip(commands, study.loop.controller, strict=True))
+        sensors = (IDEAL,) * len(study.loop.channels)
+        loop: Loop = replace(study.loop, settled=None, sensor=sensors, controller=played)
         params, key = study.params({**quiet, **given}), draw_key(study.config.seed, 0)
 
         def sample(at: tuple[Any, Any], _: None) -> tuple[tuple[Any, Any], Any]:

@@ -33,9 +33,11 @@ def coefficients(residual: np.ndarray, highest: int = HIGHEST_ORDER) -> np.ndarr
     best, least = np.zeros(0), math.inf
     if len(rows) <= 2 * highest + 2:
         return best
+    products = rows.T @ rows / len(rows)
     for order in range(highest + 1):
-        found = np.linalg.lstsq(rows[:, 1 : order + 1], rows[:, 0], rcond=None)[0]
-        square = float(np.mean((rows[:, 0] - rows[:, 1 : order + 1] @ found) ** 2))
+        lags = slice(1, order + 1)
+        found = np.linalg.lstsq(products[lags, lags], products[lags, 0], rcond=None)[0]
+        square = float(products[0, 0] - found @ products[lags, 0])
         criterion = len(rows) * math.log(max(square, 1e-300)) + order * math.log(len(rows))
         if criterion < least:
             best, least = found, criterion
