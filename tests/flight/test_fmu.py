@@ -16,7 +16,7 @@ from dssc_jax.cli.compiling import built_library
 from dssc_jax.core.signals import Measurement, ReferencePoint
 from dssc_jax.flight import fmu as fmu_module
 from dssc_jax.flight.controller import COMMAND
-from dssc_jax.flight.fmu_description import base_exponents, plain
+from dssc_jax.flight.fmu_description import base_exponents, xml_text
 from dssc_jax.flight.fmu_variables import channel_variable, parameter_name
 from dssc_jax.flight.folder import FlightFolder
 from dssc_jax.flight.recording import recorded_draws
@@ -260,7 +260,7 @@ def test_names_that_xml_escapes(opened):
     assert unit.description.coSimulation.modelIdentifier == "study_4_th_study"
     described = {each.name: each.description for each in unit.description.modelVariables}
     assert described["measurement.y"] == 'measured a <b> & "c" \u03bc'
-    assert plain("one\ntwo \x01") == "one two \ufffd"
+    assert xml_text("one\ntwo \x01") == "one two \ufffd"
 
 
 def test_units_of_the_description():

@@ -18,7 +18,7 @@ import tomli_w
 from scipy import special
 
 from dssc_jax.analyses.flight_log import forward_filled, replayed_channel, signal_name
-from dssc_jax.analyses.flight_residual import Problem, reweighted_fit, unscaled
+from dssc_jax.analyses.flight_residual import FitProblem, reweighted_fit, unscaled, widening
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.numerics import wrap_angle
 from dssc_jax.flight.prediction import RANDOM, Prediction, prediction
@@ -31,12 +31,12 @@ PLANT_SLOTS = ("plant", "unmodelled", "disturbance", "wind")
 """Parts of a study whose numbers show in the output for given commands."""
 
 LEAST_SAMPLES = 20
-SINGULAR = 1e-10  # least eigenvalue of the scaled information matrix
+SINGULAR_INFORMATION = 1e-10  # least eigenvalue of the scaled information matrix
 INSIDE = 1e-6  # of the distance from an exclusive bound, that a law stays inside
 LAW_WIDTH = 5.0  # standard deviations within which a bounded number's law is kept
 
 
-class Untold(ValueError):
+class NotIdentifiable(ValueError):
     """The flight does not tell the numbers; the message says which."""
 
 
@@ -158,7 +158,7 @@ def combination(names: Sequence[str], direction: np.ndarray) -> str:
     return " ".join(f"{x:+.2f} {name}" for name, x in terms) + ", each in standard deviations of its law"
 
 
-def require_told(names: Sequence[str], information: np.ndarray) -> None:
+def require_identifiable(names: Sequence[str], information: np.ndarray) -> None:
     """Require that the flight tells every combination of the numbers better than their laws do.
 
     Args:
@@ -166,22 +166,22 @@ def require_told(names: Sequence[str], information: np.ndarray) -> None:
         information: Their information matrix, in prior widths.
 
     Raises:
-        Untold: a number or a combination is not told.
+        NotIdentifiable: a number or a combination is not told.
     """
     diagonal = np.diag(information)
     for name, own in zip(names, diagonal, strict=True):
         if own <= 1e-24 * max(float(diagonal.max()), 1e-300) or not math.isfinite(own):
-            raise Untold(f"the flight does not tell {name}: the predicted output does not depend on it")
+            raise NotIdentifiable(f"the flight does not tell {name}: the predicted output does not depend on it")
     root = np.sqrt(diagonal)
     values, vectors = np.linalg.eigh(information / np.outer(root, root))
-    if values[0] < SINGULAR:
+    if values[0] < SINGULAR_INFORMATION:
         direction = vectors[:, 0] / root
         text = combination(names, direction / np.linalg.norm(direction))
-        raise Untold(f"the flight does not tell {text}: the information matrix is singular in this direction")
+        raise NotIdentifiable(f"the flight does not tell {text}: the information matrix is singular in this direction")
     values, vectors = np.linalg.eigh(information)
     if values[0] < 1.0:
         text = combination(names, vectors[:, 0])
-        raise Untold(
+        raise NotIdentifiable(
             f"the flight does not tell {text}: the standard deviation along it is {values[0] ** -0.5:.3g} times "
             "that of the law"
         )
@@ -266,7 +266,7 @@ def fit_log(
 
     Raises:
         ConfigError: a name or the log is not suitable.
-        Untold: the flight does not tell the numbers.
+        NotIdentifiable: the flight does not tell the numbers.
 
     Example:
         >>> import dssc_jax as dj
@@ -286,24 +286,25 @@ def fit_log(
         key = tuple(chosen)
         if key not in cache:
             cache[key] = prediction(study, key, logged.shape[1])
-        problem = Problem(study, key, cache[key], logged, commands)
+        problem = FitProblem(study, key, cache[key], logged, commands)
         at, information = reweighted_fit(problem)
         alone = np.sqrt(np.diag(information))
-        silent = [] if names else [name for name, own in zip(key, alone, strict=True) if not own > 1.0]
-        if not silent:
+        unidentified = [] if names else [name for name, own in zip(key, alone, strict=True) if not own > 1.0]
+        if not unidentified:
             break
         kept |= {
             name: math.inf if own == 0.0 else float(1.0 / own)
             for name, own in zip(key, alone, strict=True)
-            if name in silent
+            if name in unidentified
         }
-        chosen = [name for name in chosen if name not in silent]
+        chosen = [name for name in chosen if name not in unidentified]
         if not chosen:
-            raise Untold(
+            raise NotIdentifiable(
                 f"the flight tells none of {', '.join(kept)}: their laws are narrower than what it leaves open"
             )
-    require_told(key, information)
-    covariance = np.linalg.inv(information) * np.outer(problem.widths, problem.widths)
+    require_identifiable(key, information)
+    widths = problem.widths * widening(problem, at)
+    covariance = np.linalg.inv(information) * np.outer(widths, widths)
     channels = study.loop.channels
     left = problem.residuals(at)[0]
     return Fitted(

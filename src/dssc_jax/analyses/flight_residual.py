@@ -1,6 +1,7 @@
 """The least-squares problem of a logged flight: residual, its colour, and the minimum by Gauss-Newton.
 
 References:
+    B. Efron, R. J. Tibshirani, An Introduction to the Bootstrap (1993), sections 6.5 and 12.5.
     J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), section 10.3.
 """
 
@@ -13,17 +14,18 @@ import numpy as np
 from scipy import special
 
 from dssc_jax.flight.prediction import Prediction
-from dssc_jax.statistics.autoregression import coefficients, whitened
+from dssc_jax.statistics.autoregression import ar_coefficients, ar_process, whitened
 from dssc_jax.study import Law, Study
 from dssc_jax.study.laws import LOGARITHMIC
 
 ITERATIONS, FILTERINGS = 40, 5
 LARGEST_STEP = 2.0  # prior standard deviations in one iteration
 NORMAL_90 = float(special.ndtri(0.95))
+REPLICATES, SETTLING = 80, 200  # of the residual; samples before its first
 LEAST_NOISE = 1e-9  # of the output's size: below, the residual is rounding
 
 
-def scale(law: Law, values: Any) -> np.ndarray:
+def fit_scale(law: Law, values: Any) -> np.ndarray:
     """Values on the scale of the fit."""
     return np.log(values) if law.kind in LOGARITHMIC else np.asarray(values, float)
 
@@ -35,12 +37,12 @@ def unscaled(law: Law, values: Any) -> np.ndarray:
 
 def prior_width(law: Law) -> float:
     """Standard deviation, on the scale of the fit, of a normal law with the same quantiles of 5 and 95 %."""
-    low, high = scale(law, law.quantile(np.array([0.05, 0.95])))
+    low, high = fit_scale(law, law.quantile(np.array([0.05, 0.95])))
     return float(high - low) / (2.0 * NORMAL_90)
 
 
 @dataclass
-class Problem:
+class FitProblem:
     """The least-squares problem of one log; coordinates are distances from the medians in prior widths.
 
     Args:
@@ -60,7 +62,7 @@ class Problem:
     def __post_init__(self) -> None:
         self.laws = [self.study.laws[name] for name in self.names]
         self.widths = np.array([prior_width(law) for law in self.laws])
-        self.middles = np.array([scale(law, law.median) for law in self.laws])
+        self.middles = np.array([fit_scale(law, law.median) for law in self.laws])
         channels = len(self.logged)
         self.filters = [np.zeros(0)] * channels
         self.noise = np.ones(channels)
@@ -101,14 +103,14 @@ class Problem:
         for channel, own in enumerate(residual):
             if np.isfinite(own).sum() < 20:
                 continue
-            self.filters[channel] = coefficients(own)
+            self.filters[channel] = ar_coefficients(own)
             white = whitened(own, self.filters[channel])
             count = np.isfinite(white).sum() - len(self.names)
             floor = LEAST_NOISE * max(float(np.nanmax(np.abs(self.logged[channel]))), 1e-300)
             self.noise[channel] = max(math.sqrt(float(np.nansum(white**2)) / max(count, 1)), floor)
 
 
-def minimised(problem: Problem, at: np.ndarray) -> np.ndarray:
+def minimised(problem: FitProblem, at: np.ndarray) -> np.ndarray:
     """Gauss-Newton with Levenberg's damping, from coordinates on."""
     damping = 1e-3
     residual, slopes = problem.filtered(*problem.residuals(at))
@@ -137,7 +139,7 @@ def minimised(problem: Problem, at: np.ndarray) -> np.ndarray:
     return at
 
 
-def reweighted_fit(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+def reweighted_fit(problem: FitProblem) -> tuple[np.ndarray, np.ndarray]:
     """Coordinates of the estimate, and the information matrix there, with the residual's own colour."""
     at = np.zeros(len(problem.names))
     information = np.eye(len(at))
@@ -150,3 +152,38 @@ def reweighted_fit(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
         if np.abs(at - before).max() <= 1e-3 / math.sqrt(max(float(np.diag(information).max()), 1e-300)):
             break
     return at, information
+
+
+def widening(problem: FitProblem, at: np.ndarray) -> np.ndarray:
+    """Factors by which standard deviations exceed those of a residual of known colour; 1 where it is white.
+
+    The colour is estimated from a residual that the numbers have been fitted to, so it looks whiter than the noise. A
+    parametric bootstrap shows by how much that narrows the intervals: noise of the estimated colour is fitted by the
+    linearised problem, in the same way, again and again.
+
+    Args:
+        problem: The problem, with the residual's estimated colour.
+        at: Coordinates of the estimate.
+
+    Returns:
+        Root mean square of (estimate/its claimed standard deviation) over the replicates, at least 1, shape (n,).
+    """
+    if not any(len(own) for own in problem.filters):
+        return np.ones(len(at))
+    residual, slopes = problem.residuals(at)
+    filters, noise, random = list(problem.filters), problem.noise.copy(), np.random.default_rng(0)
+    ratios = []
+    for _ in range(REPLICATES):
+        shocks = random.normal(size=(len(residual), residual.shape[1] + SETTLING)) * noise[:, None]
+        drawn = np.stack([ar_process(own, row)[SETTLING:] for own, row in zip(filters, shocks, strict=True)])
+        drawn = np.where(np.isfinite(residual), drawn, np.nan)
+        replicate = FitProblem(problem.study, problem.names, problem.predict, problem.logged, problem.commands)
+        for _ in range(FILTERINGS - 1):
+            white, own = replicate.filtered(drawn, slopes)
+            change = np.linalg.lstsq(own, white, rcond=None)[0]
+            replicate.reweighted(drawn - np.tensordot(change, slopes, axes=1))
+        white, own = replicate.filtered(drawn, slopes)
+        information = own.T @ own
+        change = np.linalg.lstsq(information, own.T @ white, rcond=None)[0]
+        ratios.append(change / np.sqrt(np.diag(np.linalg.pinv(information))))
+    return np.maximum(1.0, np.sqrt(np.mean(np.square(ratios), axis=0)))

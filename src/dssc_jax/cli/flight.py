@@ -149,19 +149,19 @@ def compare_log(
 
 def fitted_laws(study: "Study", flown: "FlightLog", names: list[str], out: Path | None, as_json: bool) -> int:
     """Estimate the numbers, print or write their laws, and say if the flight does not tell them."""
-    from dssc_jax.analyses.flight_fit import Untold, fit_log
+    from dssc_jax.analyses.flight_fit import NotIdentifiable, fit_log
     from dssc_jax.console.flight import show_fit
     from dssc_jax.console.terminal import output
 
     try:
         fitted = fit_log(study, flown, names)
-    except Untold as refusal:
+    except NotIdentifiable as refusal:
         if as_json:
-            print(json.dumps({"study": study.name, "told": False, "reason": str(refusal)}))
+            print(json.dumps({"study": study.name, "identifiable": False, "reason": str(refusal)}))
         else:
             output().print(str(refusal), soft_wrap=True, markup=False)
         return FAILS
-    summary = fitted.summary() | {"told": True, "file": str(out) if out else None}
+    summary = fitted.summary() | {"identifiable": True, "file": str(out) if out else None}
     if out is not None:
         attempt(out, lambda: out.write_text(fitted.toml(), encoding="utf-8"))
     if as_json:

@@ -22,12 +22,12 @@ from dssc_jax.flight.fmu_variables import variables_text
 from dssc_jax.flight.source_text import header_text, identifier, source_text
 from dssc_jax.study import Study
 
-PLATFORMS = {("Linux", "x86_64"): "linux64"}
+FMI_PLATFORMS = {("Linux", "x86_64"): "linux64"}
 """Names that FMI 2.0 has for the machines for which a library is built."""
 
 COMPILERS = ("cc", "gcc", "clang")
-FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden")
-WRAPPER, VARIABLES = "fmu.c", "fmu_variables.h"
+LIBRARY_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden")
+WRAPPER, VARIABLES_HEADER = "fmu.c", "fmu_variables.h"
 ANY_TIME = (1980, 1, 1, 0, 0, 0)
 """The earliest time of a zip: the same study makes the same file."""
 
@@ -88,24 +88,24 @@ def controller_fmu(study: Study, controllers: Sequence[SampledController], certi
     description, variables = texts(
         f"{{{'-'.join((digest[:8], *(digest[i : i + 4] for i in (8, 12, 16)), digest[20:32]))}}}"
     )
-    return ControllerFmu(name, description, sources | {VARIABLES: variables})
+    return ControllerFmu(name, description, sources | {VARIABLES_HEADER: variables})
 
 
 def machine_platform() -> str | None:
     """FMI's name of this machine; None if no library is built for it."""
-    return PLATFORMS.get((platform.system(), platform.machine()))
+    return FMI_PLATFORMS.get((platform.system(), platform.machine()))
 
 
 def compiler() -> str | None:
-    """The compiler that is found first."""
-    return next((found for name in COMPILERS if (found := shutil.which(name))), None)
+    """The compiler that is path first."""
+    return next((path for name in COMPILERS if (path := shutil.which(name))), None)
 
 
 def no_library_reason() -> str | None:
     """Why no library can be built here; None if one can."""
     if machine_platform() is None:
         here = f"{platform.system()} {platform.machine()}"
-        return f"libraries are built on {' and '.join(map(' '.join, PLATFORMS))} only, this is {here}"
+        return f"libraries are built on {' and '.join(map(' '.join, FMI_PLATFORMS))} only, this is {here}"
     if compiler() is None:
-        return f"no compiler is found ({', '.join(COMPILERS)})"
+        return f"no compiler is path ({', '.join(COMPILERS)})"
     return None

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 from dssc_jax.core.units import parsed_unit
 from dssc_jax.flight.controller import SampledController
-from dssc_jax.flight.fmu_variables import INPUT, OUTPUT, PARAMETER, Variable, flag_variables, real_variables
+from dssc_jax.flight.fmu_variables import INPUT, OUTPUT, PARAMETER, FmuVariable, flag_variables, real_variables
 from dssc_jax.flight.source_text import identifier
 from dssc_jax.study import Study
 
@@ -32,7 +32,7 @@ FORBIDDEN = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that XML 1.0 cannot express at all."""
 
 
-def plain(text: str) -> str:
+def xml_text(text: str) -> str:
     """The text without what XML cannot express, on one line."""
     return " ".join(FORBIDDEN.sub("\ufffd", text).split())
 
@@ -70,9 +70,9 @@ def description_text(
     root = ElementTree.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
-        modelName=plain(study.name),
+        modelName=xml_text(study.name),
         guid=guid,
-        description=plain(
+        description=xml_text(
             f"Sampled controller of the study {study.name}. Step it before the plant: its inputs are the samples at "
             f"the begin of a step, and its command is the plant's input during that step. {certificate}"
         ),
@@ -121,14 +121,14 @@ def xml_number(number: float) -> str:
 def add_units(root: ElementTree.Element, units: Sequence[str]) -> None:
     """The definitions of the units, each with its base units where they are known."""
     definitions = ElementTree.SubElement(root, "UnitDefinitions")
-    for unit in sorted({plain(unit) for unit in units if unit}):
+    for unit in sorted({xml_text(unit) for unit in units if unit}):
         entry = ElementTree.SubElement(definitions, "Unit", name=unit)
         exponents = base_exponents(unit)
         if exponents is not None:
             ElementTree.SubElement(entry, "BaseUnit", {base: str(power) for base, power in exponents.items()})
 
 
-def add_variable(variables: ElementTree.Element, each: Variable, place: int, kind: str) -> None:
+def add_variable(variables: ElementTree.Element, each: FmuVariable, place: int, kind: str) -> None:
     """One variable."""
     roles = {
         PARAMETER: {"causality": "parameter", "variability": "tunable", "initial": "exact"},
@@ -138,10 +138,10 @@ def add_variable(variables: ElementTree.Element, each: Variable, place: int, kin
     entry = ElementTree.SubElement(
         variables,
         "ScalarVariable",
-        {"name": plain(each.name), "valueReference": str(place), "description": plain(each.meaning)}
+        {"name": xml_text(each.name), "valueReference": str(place), "description": xml_text(each.meaning)}
         | roles[each.causality],
     )
     numbers = {"start": each.start, "min": each.least, "max": each.most}
     given = {name: xml_number(number) for name, number in numbers.items() if number is not None}
-    unit = {"unit": plain(each.unit)} if each.unit else {}
+    unit = {"unit": xml_text(each.unit)} if each.unit else {}
     ElementTree.SubElement(entry, kind, unit | given)

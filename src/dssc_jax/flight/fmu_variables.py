@@ -16,7 +16,7 @@ PARAMETER, INPUT, OUTPUT = "parameter", "input", "output"
 """Causalities of FMI, in the order of the value references."""
 
 
-class Variable(NamedTuple):
+class FmuVariable(NamedTuple):
     """A variable of the FMU.
 
     Args:
@@ -48,14 +48,14 @@ def parameter_name(controller: SampledController, each: Parameter) -> str:
     return each.key if each.quantity is not None else channel_variable(controller, f"computed.{each.name}")
 
 
-def parameters(controllers: Sequence[SampledController]) -> dict[str, Variable]:
+def fmu_parameters(controllers: Sequence[SampledController]) -> dict[str, FmuVariable]:
     """The parameters by name; channels that share a number of the study share its parameter."""
-    found = {}
+    variables = {}
     for controller in controllers:
         for each in controller.parameters:
             name, start = parameter_name(controller, each), float(controller.real.type(each.value))
             if each.quantity is None:
-                found[name] = Variable(name, PARAMETER, "1", "computed from the study", start)
+                variables[name] = FmuVariable(name, PARAMETER, "1", "computed from the study", start)
                 continue
             quantity = each.quantity
             bounds = [
@@ -63,11 +63,11 @@ def parameters(controllers: Sequence[SampledController]) -> dict[str, Variable]:
                 for pair in ((quantity.at_least, quantity.above), (quantity.at_most, quantity.below))
             ]
             median = ", median of its law" if each.uncertain else ""
-            found[name] = Variable(name, PARAMETER, quantity.unit, quantity.meaning + median, start, *bounds)
-    return found
+            variables[name] = FmuVariable(name, PARAMETER, quantity.unit, quantity.meaning + median, start, *bounds)
+    return variables
 
 
-def inputs(study: Study, controller: SampledController) -> Iterator[Variable]:
+def fmu_inputs(study: Study, controller: SampledController) -> Iterator[FmuVariable]:
     """Measurement and reference of a channel."""
     own = study.units[controller.index]
     rates = [own.of(unit) for unit in ("y", "y/s", "y/s^2")]
@@ -77,31 +77,31 @@ def inputs(study: Study, controller: SampledController) -> Iterator[Variable]:
     ):
         for member, unit, order in zip(members, rates, ("", "derivative of ", "second derivative of "), strict=False):
             meaning = f"{order}{word} {own.output_meaning}"
-            yield Variable(channel_variable(controller, f"{group}.{member}"), INPUT, unit, meaning, 0.0)
+            yield FmuVariable(channel_variable(controller, f"{group}.{member}"), INPUT, unit, meaning, 0.0)
 
 
-def outputs(study: Study, controller: SampledController) -> Iterator[Variable]:
+def fmu_outputs(study: Study, controller: SampledController) -> Iterator[FmuVariable]:
     """Command and telemetry of a channel."""
     own = study.units[controller.index]
     parts = ("robust part of the", "nominal part of the", "whole")
     for member, part in zip(COMMAND, parts, strict=True):
         meaning = f"{part} {own.command_meaning}"
-        yield Variable(channel_variable(controller, f"command.{member}"), OUTPUT, own.command, meaning)
+        yield FmuVariable(channel_variable(controller, f"command.{member}"), OUTPUT, own.command, meaning)
     for info in controller.infos:
-        yield Variable(channel_variable(controller, f"telemetry.{info}"), OUTPUT, "", "what the controller reports")
+        yield FmuVariable(channel_variable(controller, f"telemetry.{info}"), OUTPUT, "", "what the controller reports")
 
 
-def real_variables(study: Study, controllers: Sequence[SampledController]) -> list[Variable]:
+def real_variables(study: Study, controllers: Sequence[SampledController]) -> list[FmuVariable]:
     """All real variables; the place of each is its value reference."""
-    signals = [each for controller in controllers for each in inputs(study, controller)]
-    results = [each for controller in controllers for each in outputs(study, controller)]
-    return [*parameters(controllers).values(), *signals, *results]
+    signals = [each for controller in controllers for each in fmu_inputs(study, controller)]
+    results = [each for controller in controllers for each in fmu_outputs(study, controller)]
+    return [*fmu_parameters(controllers).values(), *signals, *results]
 
 
-def flag_variables(controllers: Sequence[SampledController]) -> list[Variable]:
+def flag_variables(controllers: Sequence[SampledController]) -> list[FmuVariable]:
     """The flag of each channel."""
     meaning = "0, or a sum of 1 (an input is not finite) and 2 (the command or the state is not finite)"
-    return [Variable(channel_variable(controller, "flag"), OUTPUT, "", meaning) for controller in controllers]
+    return [FmuVariable(channel_variable(controller, "flag"), OUTPUT, "", meaning) for controller in controllers]
 
 
 def variables_text(study: Study, controllers: Sequence[SampledController], guid: str) -> str:
@@ -138,11 +138,11 @@ def variables_text(study: Study, controllers: Sequence[SampledController], guid:
         "{",
     ]
     for i, controller in enumerate(controllers):
-        lines += channel_text(study, controller, places, f"flag[{i}]")
+        lines += channel_step_text(study, controller, places, f"flag[{i}]")
     return "\n".join([*lines, "}", ""])
 
 
-def channel_text(study: Study, controller: SampledController, places: dict[str, int], flag: str) -> list[str]:
+def channel_step_text(study: Study, controller: SampledController, places: dict[str, int], flag: str) -> list[str]:
     """The block that steps a channel."""
     name, kind = prefix(study, controller), c_type(controller.real)
     cast = "" if kind == "double" else f"({kind})"
