@@ -53,7 +53,7 @@ def ar_coefficients(residual: np.ndarray, highest: int = HIGHEST_ORDER) -> np.nd
 
 def ar_process(filtering: np.ndarray, shocks: np.ndarray) -> np.ndarray:
     """The process that ``filtering`` makes of white noise, shape (n,)."""
-    return lfilter([1.0], np.concatenate([[1.0], -filtering]), shocks)
+    return np.asarray(lfilter([1.0], np.concatenate([[1.0], -filtering]), shocks))
 
 
 def whitened(series: np.ndarray, filtering: np.ndarray) -> np.ndarray:
