@@ -119,9 +119,7 @@ def test_proportional_regressors_are_named():
     study = linear(**{"plant": {**linear().table["plant"], "initial": [0.0, 1.0]}})
     u = 0.5 * np.exp(-0.5 * DT * np.arange(400))  # x' = exp(-(a_p - k_p/2) t), at the samples nearly
     y = output(1.0, 1.0, u, (0.0, 1.0)) + 0.01 * random.normal(size=400)
-    with pytest.raises(
-        NotIdentifiable, match=r"\+0\.\d\d plant.k_p [+-]0\.\d\d plant.a_p|-0\.\d\d plant.k_p -0\.\d\d plant.a_p"
-    ):
+    with pytest.raises(NotIdentifiable, match=r"does not tell \+0\.8\d plant.k_p \+0\.5\d plant.a_p"):
         fit_log(study, log_of(y, u), ["plant.k_p", "plant.a_p"])
 
 

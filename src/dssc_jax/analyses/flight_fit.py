@@ -152,6 +152,7 @@ class Fitted:
 
 def combination(names: Sequence[str], direction: np.ndarray) -> str:
     """A direction in the space of the numbers, in words."""
+    direction = direction * np.sign(direction[np.argmax(np.abs(direction))])
     terms = [(name, float(x)) for name, x in zip(names, direction, strict=True) if abs(x) >= 0.1]
     if len(terms) == 1:
         return terms[0][0]

@@ -1,4 +1,4 @@
-"""Builds the library of an FMU with the compiler that is program."""
+"""Builds the library of an FMU with the compiler that is found."""
 
 import subprocess
 from pathlib import Path

@@ -97,7 +97,7 @@ def machine_platform() -> str | None:
 
 
 def compiler() -> str | None:
-    """The compiler that is path first."""
+    """The compiler that is found first."""
     return next((path for name in COMPILERS if (path := shutil.which(name))), None)
 
 
@@ -107,5 +107,5 @@ def no_library_reason() -> str | None:
         here = f"{platform.system()} {platform.machine()}"
         return f"libraries are built on {' and '.join(map(' '.join, FMI_PLATFORMS))} only, this is {here}"
     if compiler() is None:
-        return f"no compiler is path ({', '.join(COMPILERS)})"
+        return f"no compiler is found ({', '.join(COMPILERS)})"
     return None
