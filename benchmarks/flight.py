@@ -1,7 +1,8 @@
 """``python -m benchmarks.flight PART..``: the controllers in C against the strict analysis, bit by bit.
 
 Parts: ``bits`` (every kind of controller, row and sampled form, float64 and float32, on x86-64 by gcc and clang, on
-64-bit and 32-bit ARM under qemu; --draws and --samples of each), ``cost`` (operations, memory and cycles of a step).
+64-bit and 32-bit ARM under qemu; --draws and --samples of each), ``cost`` (operations, memory and cycles of a
+step), ``hostile`` (a million hostile samples for every controller, with sanitizers).
 Each writes its part of docs/flight.md. The recordings are never stored: they are piped into all benches at once.
 """
 
@@ -136,16 +137,41 @@ def cost() -> str:
     return "\n".join(lines)
 
 
+def hostile(count: int = 1_000_000) -> str:
+    """Hostile samples for every controller, with sanitizers."""
+    lines = ["| with sanitizers | hostile samples | with a flag | with a wrong flag |", "|---|---|---|---|"]
+    for precision in (64, 32):
+        totals, controllers = [0, 0, 0], 0
+        for name, study in studies(precision):
+            with tempfile.TemporaryDirectory() as place:
+                written(FlightFolder(study), Path(place))
+                subprocess.run(["make", "bench-sanitized"], cwd=place, check=True, capture_output=True)
+                command = ["./bench-sanitized", "--hostile", str(count)]
+                printed = subprocess.run(command, cwd=place, check=True, capture_output=True, text=True).stdout
+            match = re.search(r"(\d+) hostile samples.*: (\d+) with a flag, (\d+) with a wrong flag", printed)
+            assert match is not None, printed
+            print(f"{name}, float{precision}: {printed.strip()}", flush=True)
+            totals = [total + int(own) for total, own in zip(totals, match.groups(), strict=True)]
+            controllers += 1
+        lines.append(f"| float{precision}, {controllers} controllers | " + " | ".join(f"{n:,}" for n in totals) + " |")
+    return "\n".join(lines)
+
+
 def main() -> None:
     """Measure the given parts."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("parts", nargs="+", choices=["bits", "cost"])
+    parser.add_argument("parts", nargs="+", choices=["bits", "cost", "hostile"])
     parser.add_argument("--draws", type=int, default=1000)
     parser.add_argument("--samples", type=int, default=10_000)
     parser.add_argument("--only", default="", help="controllers whose name has this part")
     given = parser.parse_args()
     for part in given.parts:
-        put(part, bits(given.draws, given.samples, given.only) if part == "bits" else cost(), PAGE)
+        text = (
+            bits(given.draws, given.samples, given.only)
+            if part == "bits"
+            else {"cost": cost, "hostile": hostile}[part]()
+        )
+        put(part, text, PAGE)
 
 
 if __name__ == "__main__":

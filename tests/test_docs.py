@@ -82,7 +82,7 @@ def test_what_a_page_names_exists(path):
     """Commands with their options, make's targets, files of the repository."""
     text = text_of(path)
     commands = typer.main.get_command(app).commands
-    for name, rest in re.findall(r"\bdssc-jax ([a-z]+)([^`|#\n]*)", text):
+    for name, rest in re.findall(r"\bdssc-jax ([a-z]+(?:-[a-z]+)*)([^`|#\n]*)", text):
         options = {flag for option in commands[name].params for flag in option.opts} | {"--help"}
         assert set(re.findall(r"--[a-z-]+", rest)) <= options, f"{name}{rest}"
     targets = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.MULTILINE)

@@ -2,13 +2,14 @@
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from dssc_jax.cli import options as opt
 from dssc_jax.cli.common import (
     DONE,
+    FAILS,
     app,
     assignment,
     attempt,
@@ -19,6 +20,10 @@ from dssc_jax.cli.common import (
 )
 from dssc_jax.core.errors import ConfigError
 
+if TYPE_CHECKING:
+    from dssc_jax.study import Study
+    from dssc_jax.study.flight_logs import FlightLog
+
 
 @app.command()
 def code(
@@ -28,6 +33,9 @@ def code(
     samples: Annotated[
         int | None, typer.Option("--samples", metavar="K", min=1, help="Samples of each draw [all, at most 2000].")
     ] = None,
+    fmu: Annotated[
+        bool, typer.Option("--fmu", help="Write the controller as an FMU for co-simulation (FMI 2.0) beside it.")
+    ] = False,
     settings: opt.Set = None,
     as_json: opt.Json = False,
     allow_local: opt.Local = False,
@@ -36,8 +44,9 @@ def code(
 
     Differentiator and controller of every channel come from the functions that the analysis runs. `make -C DIR`
     replays recorded draws and compares every bit; docs/flight.md tells how to do so for ARM. For float32 give
-    --set loop.precision=32.
+    --set loop.precision=32. With --fmu the same source becomes an FMU, with its library if there is a C compiler.
     """
+    from dssc_jax.cli.compiling import built_library
     from dssc_jax.console.flight import show_code
     from dssc_jax.flight.folder import FlightFolder
 
@@ -51,7 +60,16 @@ def code(
     with path.open("wb") as file:
         for part in parts:
             file.write(part)
-    summary = folder.summary() | {"files": [*folder.texts(), path.name], "folder": str(out)}
+    written = [*folder.texts(), path.name]
+    summary = folder.summary() | {"folder": str(out)}
+    if fmu:
+        unit = folder.fmu()
+        library, reason = built_library(unit)
+        packed = out / f"{unit.name}.fmu"
+        attempt(packed, lambda: packed.write_bytes(unit.archive(library)))
+        written.append(packed.name)
+        summary["fmu"] = {"file": packed.name, "library": library is not None, "reason": reason}
+    summary["files"] = written
     if as_json:
         print(json.dumps(summary, allow_nan=False))
     else:
@@ -74,6 +92,13 @@ def compare_log(
         float | None,
         typer.Option("--start", metavar="T", help="Time of the log at which the study begins [its first]."),
     ] = None,
+    fit: Annotated[
+        bool, typer.Option("--fit", help="Estimate numbers that have laws, and propose narrower laws; --out FILE.toml.")
+    ] = False,
+    number: Annotated[
+        list[str] | None,
+        typer.Option("--number", metavar="NAME", help="A number to estimate; may be repeated [all that are told]."),
+    ] = None,
     settings: opt.Set = None,
     draws: opt.Draws = None,
     seed: opt.Seed = None,
@@ -88,6 +113,9 @@ def compare_log(
     exact for any time series: the rank of the log among the draws by its largest standardised departure. Signals are
     y, y_dot, y_ref, y_ref_dot, y_ref_ddot and u_total; those of a channel x are x_y and so on. Without a table, the
     log's columns must have these names, and t. The study's [sweep] is ignored.
+
+    With --fit the plant's numbers are estimated instead, and their laws are proposed as TOML. The exit code is 1, with
+    the reason, if the flight does not tell them.
     """
     from dssc_jax.analyses.flight_log import compare_log as compare
     from dssc_jax.console import progress_bar
@@ -96,6 +124,8 @@ def compare_log(
     from dssc_jax.study import read_toml
     from dssc_jax.study.flight_logs import read_log
 
+    if number and not fit:
+        raise ConfigError("--number", "is a number to estimate, and needs --fit")
     loaded = load_study(study, settings, draws, seed, allow_local).without_sweep()
     table = read_toml(columns) if columns is not None else {}
     named = dict(assignment(text, "--column") for text in column or [])
@@ -107,9 +137,35 @@ def compare_log(
         flown = read_log(log, loaded.loop.channels, table)
     except ConfigError as error:
         raise error.within(str(columns)) if columns is not None and log.is_file() else error from None
+    if fit:
+        return fitted_laws(loaded, flown, number or [], out, as_json)
     folder = out or default_out(loaded, f"compare-log-{log.stem}", settings, draws, seed, columns, column, start)
     require_free(folder, "compare-log", loaded)
     with progress_bar(loaded, quiet=as_json, of="draws") as advance:
         answer = compare(loaded, flown, progress=advance)
     output_analysis(answer, {"result": folder}, save_analysis(answer, folder), as_json, show_log_comparison)
+    return DONE
+
+
+def fitted_laws(study: "Study", flown: "FlightLog", names: list[str], out: Path | None, as_json: bool) -> int:
+    """Estimate the numbers, print or write their laws, and say if the flight does not tell them."""
+    from dssc_jax.analyses.flight_fit import NotIdentifiable, fit_log
+    from dssc_jax.console.flight import show_fit
+    from dssc_jax.console.terminal import output
+
+    try:
+        fitted = fit_log(study, flown, names)
+    except NotIdentifiable as refusal:
+        if as_json:
+            print(json.dumps({"study": study.name, "identifiable": False, "reason": str(refusal)}))
+        else:
+            output().print(str(refusal), soft_wrap=True, markup=False)
+        return FAILS
+    summary = fitted.summary() | {"identifiable": True, "file": str(out) if out else None}
+    if out is not None:
+        attempt(out, lambda: out.write_text(fitted.toml(), encoding="utf-8"))
+    if as_json:
+        print(json.dumps(summary, allow_nan=False))
+    else:
+        show_fit(summary)
     return DONE

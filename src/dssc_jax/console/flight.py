@@ -30,6 +30,10 @@ def show_code(summary: dict[str, Any]) -> None:
     console.print(
         f"wrote {summary['folder']}; make -C {summary['folder']} checks every bit", soft_wrap=True, markup=False
     )
+    fmu = summary.get("fmu")
+    if fmu is not None:
+        how = "with its library" if fmu["library"] else f"without a library, its sources only: {fmu['reason']}"
+        console.print(f"wrote {summary['folder']}/{fmu['file']}, {how}", soft_wrap=True, markup=False)
 
 
 def show_log_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
@@ -70,6 +74,30 @@ def show_log_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
         where = f" of {channel}" if channel else ""
         say(f"the logged reference{where} differs from the study's by at most {largest:.4g}")
     show_files(files)
+
+
+def show_fit(summary: Mapping[str, Any]) -> None:
+    """Print the estimates with their intervals, what was assumed of the residual, and the laws as TOML."""
+    say = partial(output().print, soft_wrap=True, markup=False)
+    how = "replayed commands, because the log lacks some" if summary["replayed"] else "logged commands"
+    say(f"{summary['study']}: {summary['samples']} outputs, simulated for the {how}")
+    rows = []
+    for name, own in summary["numbers"].items():
+        low, high = own["interval_90"]
+        rows.append((f"{name} [{own['unit']}]", f"{own['estimate']:.6g}", f"{low:.6g} to {high:.6g}", own["prior"]))
+    show_table(("number", "estimate", "90 % interval", "law in the study"), rows)
+    for channel, noise in summary["noise"].items():
+        order = summary["residual_orders"][channel]
+        colour = f"autoregressive of order {order}" if order else "white"
+        say(f"residual{f' of {channel}' if channel else ''}: {noise:.4g} rms, {colour}")
+    for name, width in summary["kept"].items():
+        left = "the output does not depend on it" if width is None else f"it leaves {width:.3g} standard deviations"
+        say(f"not told by this flight, keeps its law: {name}; {left}")
+    if summary["file"]:
+        say(f"wrote {summary['file']}")
+    else:
+        say("")
+        say(summary["toml"].rstrip())
 
 
 def plain_number(value: float | None) -> str:

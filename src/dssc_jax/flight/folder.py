@@ -9,6 +9,7 @@ from dssc_jax.design.certification import mark
 from dssc_jax.flight.bench_text import bench_source, channels_text, makefile
 from dssc_jax.flight.controller import SampledController, sampled_controllers
 from dssc_jax.flight.cost import parameter_bytes, state_bytes, step_cost
+from dssc_jax.flight.fmu import ControllerFmu, controller_fmu
 from dssc_jax.flight.recording import recorded_draws, recording
 from dssc_jax.flight.source_text import header_text, identifier, prefix, source_text
 from dssc_jax.study import Study
@@ -52,6 +53,10 @@ class FlightFolder:
             "bench_channels.h": channels_text(*given),
             "Makefile": makefile(self.study),
         }
+
+    def fmu(self) -> ControllerFmu:
+        """The same controllers as an FMU."""
+        return controller_fmu(self.study, self.controllers, self.certificate)
 
     def recording(self, draws: int = RECORDED_DRAWS, samples: int | None = None) -> Iterable[bytes]:
         """The bytes of the recording.

@@ -111,7 +111,7 @@ def source_text(study: Study, controllers: Sequence[SampledController], certific
         functions += [init_functions(study, controller), start[0], step[0]]
     kind, suffix = c_type(real), "F" if real.itemsize == 4 else ""
     largest = "FLT_MAX" if suffix else "DBL_MAX"
-    finite = f"""static bool finite({kind} x)
+    finite = f"""static bool is_finite({kind} x)
 {{
     return fabs{suffix.lower()}(x) <= {largest};
 }}"""
@@ -164,7 +164,18 @@ def emitter_of(
     controller: SampledController, program: Program, origins: dict[int, Origin], inputs: list[str], sample_time: float
 ) -> CText:
     """The emitter of a function of the controller."""
-    taken = {"controller", "measurement", "reference", "command", "telemetry", "p", "before", "state", "T_s", "finite"}
+    taken = {
+        "controller",
+        "measurement",
+        "reference",
+        "command",
+        "telemetry",
+        "p",
+        "before",
+        "state",
+        "T_s",
+        "is_finite",
+    }
     constants = {} if sample_time in (0.5, 1.0, 2.0) else {float(controller.real.type(sample_time)): "T_s"}
     return CText(program, origins, inputs, controller.real, taken, constants)
 
@@ -230,7 +241,7 @@ def step_function(study: Study, controller: SampledController) -> tuple[str, CTe
     ]
     for members, bit in checks:
         for member in members:
-            text.line(f"flag |= finite({member}) ? 0u : {bit}u;")
+            text.line(f"flag |= is_finite({member}) ? 0u : {bit}u;")
     body = "\n".join(text.lines)
     head = [f"unsigned {name}_step({ARGUMENTS.format(name=name)})", "{", "    unsigned flag = 0;"]
     starting = [

@@ -1,0 +1,24 @@
+"""Builds the library of an FMU with the compiler that is found."""
+
+import subprocess
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from dssc_jax.flight.fmu import LIBRARY_FLAGS, ControllerFmu, compiler, no_library_reason
+
+
+def built_library(fmu: ControllerFmu) -> tuple[bytes | None, str | None]:
+    """The library of an FMU for this machine, or why there is none."""
+    reason, program = no_library_reason(), compiler()
+    if reason is not None or program is None:
+        return None, reason
+    with TemporaryDirectory(prefix="dssc-jax-fmu-") as folder:
+        place = Path(folder)
+        for name, text in fmu.sources.items():
+            (place / name).write_text(text, encoding="utf-8")
+        command = [program, *LIBRARY_FLAGS, *fmu.compiled, "-o", "library.so", "-lm"]
+        done = subprocess.run(command, cwd=place, capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            said = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
+            return None, f"{program} fails: {said.strip()}"
+        return (place / "library.so").read_bytes(), None
