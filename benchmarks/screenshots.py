@@ -3,6 +3,7 @@
 Run it as ``make screenshots``.
 """
 
+import re
 import shutil
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from dssc_jax.exploration.interactive_report import interactive_html
 FIGURES = Path(__file__).parents[1] / "docs" / "figures"
 STUDY, NUMBER, MOVES = "mu_robustness", 1, 8
 SIZE = {"width": 1280, "height": 870}
+TALL = {"width": 1280, "height": 1180}
 PATIENCE = 300_000  # ms
 
 
@@ -43,6 +45,7 @@ def draws_page(page: Page) -> None:
     """The interactive report of a run, brushed."""
     result = dj.run(dj.Study.load(STUDY).without_sweep().override({"draws": 4000}))
     with tempfile.TemporaryDirectory() as folder:
+        page.set_viewport_size(TALL)
         file = Path(folder) / "draws.html"
         file.write_text(interactive_html(result), encoding="utf-8")
         page.goto(file.as_uri())
@@ -58,11 +61,32 @@ def draws_page(page: Page) -> None:
         page.screenshot(path=FIGURES / "explore_draws.png")
 
 
+def result_page(page: Page) -> None:
+    """A result whose worst and median draws are shown: the worst one pinned."""
+    with tempfile.TemporaryDirectory() as folder:
+        where = Path(folder) / "result"
+        dj.run(dj.Study.load("motor").override({"draws": 2000}), where)
+        command = [sys.executable, "-m", "dssc_jax.cli", "explore", str(where), "--no-browser"]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+            assert server.stdout is not None
+            try:
+                page.set_viewport_size({**TALL, "height": 1340})
+                page.goto(server.stdout.readline().strip())
+                page.get_by_text("all 2,000 draws").wait_for()
+                for button, said in (("Worst", "meets|violates"), ("Pin this draw", "pinned"), ("Median", "meets")):
+                    page.locator(".bk-btn", has_text=re.compile(f"^{button}")).click()
+                    page.get_by_text(re.compile(said)).first.wait_for()
+                    page.wait_for_timeout(1500)
+                page.screenshot(path=FIGURES / "explore_result.png")
+            finally:
+                server.terminate()
+
+
 def main() -> None:
     """Take all pictures."""
     with sync_playwright() as tool:
         browser = tool.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
-        for take in (study_page, draws_page):
+        for take in (study_page, draws_page, result_page):
             page = browser.new_page(viewport=SIZE)
             page.set_default_timeout(PATIENCE)
             take(page)
