@@ -265,6 +265,23 @@ def test_a_box_over_parallel_axes_brushes_and_shift_adds(brushed_page, tab):
     tab.get_by_text("brushed: 300 draws").first.wait_for()
 
 
+def test_a_click_on_a_cell_brushes_its_draws(explored, tab, tmp_path):
+    swept = dj.run(
+        explored.override({"draws": 30, "sweep": {"unmodelled.mu": [0.01, 0.2], "controller.l0": [0.5, 1.0]}})
+    )
+    file = tmp_path / "map.html"
+    file.write_text(interactive_html(swept))
+    tab.goto(file.as_uri())
+    tab.get_by_text("all 120 draws").wait_for()
+    box = tab.locator(".bk-events").first.bounding_box()
+    tab.mouse.click(box["x"] + 0.3 * box["width"], box["y"] + 0.6 * box["height"])  # the lower left cell
+    tab.get_by_text("brushed: 30 draws").first.wait_for()
+    indices = tab.evaluate("[...Bokeh.documents[0].get_model_by_name('draws').selected.indices]")
+    table = DrawTable(swept)
+    assert set(table.columns["unmodelled.mu"][indices]) == {0.01}
+    assert set(table.columns["controller.l0"][indices]) == {0.5}
+
+
 def test_a_click_gives_the_nearest_draw_or_none(brushed_page, tab):
     """At the pixel of a draw: its command appears; beside all draws: nothing is chosen."""
     file, table = brushed_page

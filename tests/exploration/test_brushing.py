@@ -49,6 +49,20 @@ def test_histograms_are_those_of_numpy(swept):
     assert brushing.bars["y"].data["failed"].sum() == (brushing.table.failed & np.isfinite(values)).sum()
 
 
+def test_the_map_has_the_summary_s_intervals(swept):
+    cells = Brushing(DrawTable(swept), "folder").map.cells.data
+    names = list(swept.study.axes)
+    points = swept.summary()["points"]
+    assert len(points) == len(cells["probability"]) == 6
+    for point, p, low, high, *at in zip(
+        points, cells["probability"], cells["low"], cells["high"], *(cells[name] for name in names), strict=True
+    ):
+        assert at == pytest.approx([point[name] for name in names])
+        assert p == point["probability"]
+        assert [low, high] == pytest.approx(point["interval"])
+    assert Brushing(DrawTable(dj.run(swept.study.without_sweep())), "folder").map is None
+
+
 def test_the_statement_is_the_summary_s(swept):
     run = dj.run(swept.study.without_sweep())
     point = run.summary()["points"][0]

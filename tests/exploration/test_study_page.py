@@ -5,6 +5,7 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.exploration.live import LiveStudy
+from dssc_jax.exploration.questions import Superseded, ending_when, proof
 from dssc_jax.exploration.study_page import StudyPage
 
 
@@ -65,6 +66,37 @@ def test_an_inadmissible_position_is_explained(page):
     assert "must be &gt; 0" in page.status.object
     with pytest.raises(dj.ConfigError, match="none of the sliders"):
         page.move({"nothing": 1.0})
+
+
+def test_a_margin_on_request(page):
+    """That of ``margin`` on the same draws; a move clears it."""
+    slider = next(slider for slider in page.sliders if slider.key == "unmodelled.mu")
+    page.ask_margin(slider)
+    bounds = (page.positions[slider], slider.high)
+    alone = dj.margin(page.now.study, over="unmodelled.mu", bounds=bounds, log=slider.log)
+    assert alone.headline in page.answer.object
+    assert "downwards" in page.answer.object
+    page.move({"unmodelled.mu": 0.04})
+    assert page.answer.object == ""
+
+
+def test_a_proof_on_request():
+    """Of a loop that a proof covers, and the reason for one that it does not."""
+    pytest.importorskip("clarabel")
+    covered = dj.Study.load("certified_margin").override({"unmodelled.mu": 0.003, "plant.k_p": 1.0, "plant.a_p": 0.0})
+    page = dj.explore(covered, draws=4)
+    page.ask(proof, "searching")
+    assert "proved: For every plant with" in page.answer.object
+
+
+def test_a_question_ends_when_a_move_has_come():
+    with pytest.raises(Superseded):
+        ending_when(lambda: True)(1, 2)
+
+
+def test_a_loop_that_no_proof_covers(page):
+    page.ask(proof, "searching")
+    assert "not proved: " in page.answer.object
 
 
 def test_a_model_that_raises_does_not_end_the_page(page, monkeypatch):

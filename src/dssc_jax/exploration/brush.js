@@ -160,6 +160,14 @@ if (!globalThis.brushing) {
     document.addEventListener(kind, event => { globalThis.brushing.adds = event.shiftKey }, true)
 }
 
+function drawsAt(source, names, values) {
+  // Indices of the draws at a point of the sweep.
+  const columns = names.map(name => source.data[name]), indices = []
+  for (let i = 0; i < source.data.failed.length; i++)
+    if (columns.every((column, axis) => column[i] == values[axis])) indices.push(i)
+  return indices
+}
+
 function whenCalm(paint) {
   // Paint once a quick succession of changes pauses.
   clearTimeout(globalThis.brushing.waiting)

@@ -17,6 +17,7 @@ from bokeh.models import (
 )
 from bokeh.plotting import figure
 
+from dssc_jax.exploration.cell_map import CellMap
 from dssc_jax.exploration.draw_table import DrawTable
 from dssc_jax.exploration.parallel import ParallelAxes
 from dssc_jax.plotting.style import BLUE, GREY, ORANGE
@@ -114,6 +115,7 @@ class Brushing:
         }
         colours = {name: [pixel(colour, alpha) for colour in (BLUE, ORANGE)] for name, alpha in LOOKS.items()}
         self.parallel = ParallelAxes(table, self.source, SCRIPT, colours)
+        self.map = CellMap(table, self.source, SCRIPT) if table.result.study.axes else None
         self.scatter = self._scatter()
         self.histograms = {axis: self._bar_figure(axis) for axis in AXIS_NAMES}
         self._connect(folder, colours)
@@ -123,7 +125,8 @@ class Brushing:
     def layout(self) -> LayoutDOM:
         """The page's content."""
         figures = row(self.scatter, column(*self.histograms.values()))
-        return column(self.said, row(*self.selects.values()), figures, self.command, self.parallel.figure)
+        maps = [self.map.figure] if self.map is not None else []
+        return column(self.said, *maps, row(*self.selects.values()), figures, self.command, self.parallel.figure)
 
     @property
     def note(self) -> str:

@@ -9,6 +9,7 @@ from dssc_jax.exploration.draw_table import DrawTable
 from dssc_jax.plotting.style import GREY
 
 MOST_AXES = 8
+LONGEST_LABEL = 21  # letters under an axis
 MOST_LINES = 2000  # of the brushed draws, and of all
 LINE_PICTURE = 240, 1000  # rows and columns of the painted lines
 WIDTH, HEIGHT = 1240, 290  # px
@@ -64,11 +65,18 @@ class ParallelAxes:
             plot.text(places, height, text, text_align="center", text_baseline=baseline, text_font_size="12px")
         plot.xaxis.ticker = FixedTicker(ticks=places)
         plot.xaxis.major_label_overrides = {
-            place: PlainText(text=table.label(name)) for place, name in enumerate(self.names)
+            place: PlainText(text=fitting_label(table.label(name))) for place, name in enumerate(self.names)
         }
         plot.xaxis.major_label_text_font_size = "13px"
         plot.yaxis.visible = plot.grid.visible = False
         return plot
+
+
+def fitting_label(label: str) -> str:
+    """The end of a dotted label that has room under an axis."""
+    while len(label) > LONGEST_LABEL and "." in label.partition(" ")[0]:
+        label = label.partition(".")[2]
+    return label
 
 
 def shown_columns(table: DrawTable) -> list[str]:

@@ -19,8 +19,9 @@ from dssc_jax.exploration.figures import (
 )
 from dssc_jax.exploration.live import LiveRun, LiveStudy, Stale
 from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page, html_pane, markup
+from dssc_jax.exploration.questions import Question, Superseded, ending_when, margins_of, proof
 from dssc_jax.exploration.saving import differing_draws, save_study
-from dssc_jax.exploration.sliders import Slider, grid, position_text
+from dssc_jax.exploration.sliders import WIDTH, Slider, grid, position_text
 
 COLOUR_KEY = "blue: now (median, half and 90 % of the draws); grey: before; red: one draw, chosen here or by a click"
 SIDE = 330  # px
@@ -64,6 +65,13 @@ class StudyPage(Page):
         )
         self.over = pn.widgets.Select(label="", options=list(self.live.first.values) or [""], width=220)
         self.over.param.watch(lambda _: self._choose_draw(), "value")
+        by_name = {slider.name: slider for slider in reversed(self.sliders) if slider.part != WIDTH}
+        self.asked = pn.widgets.Select(label="", options=dict(sorted(by_name.items())), width=220)
+        self.margin = pn.widgets.Button(label="Margin of")
+        self.prove = pn.widgets.Button(label="Prove")
+        self.answer = html_pane("")
+        self.margin.on_click(lambda _: self.ask_margin(self.asked.value))
+        self.prove.on_click(lambda _: self.ask(proof, "searching for a proof"))
         self.file = pn.widgets.TextInput(label="Save as study", value=f"{self.live.base.name}-explored.toml")
         self.save = pn.widgets.Button(label="Save")
         self.keep.on_click(lambda _: self.compare_with_this())
@@ -95,7 +103,8 @@ class StudyPage(Page):
             self.headline,
             probability,
             self.details,
-            pn.Row(self.which, self.over),
+            pn.Row(self.which, self.over, self.margin, self.asked, self.prove),
+            self.answer,
             html_pane(markup(h.p[COLOUR_KEY])),
             pn.GridBox(*figures, ncols=2, sizing_mode="stretch_width"),
             self.status,
@@ -156,6 +165,8 @@ class StudyPage(Page):
 
     def show(self, run: LiveRun) -> None:
         """Show a run."""
+        if run is not self.now:
+            self.answer.object = ""
         self.now = run
         self.before = self.before or run
         self._show(run, self._chosen(run))
@@ -195,6 +206,35 @@ class StudyPage(Page):
     def _choose_draw(self) -> None:
         if self.now is not None:
             self.show(self.now)
+
+    def ask_margin(self, slider: Slider) -> None:
+        """Tell how far a slider's number may go, other numbers as they stand."""
+        self.ask(margins_of(slider, self.positions[slider]), f"walking along {slider.name}")
+
+    def ask(self, question: Question, what: str) -> None:
+        """Answer a question about the present run; a newer move ends the search for the answer."""
+        run = self.now
+        if run is None:
+            return
+        self.say(f"{what} ...")
+
+        def work(stale: Stale) -> None:
+            try:
+                text = question(run, ending_when(stale))
+            except Superseded:
+                return
+            except Exception as error:  # as of a run: the page goes on
+                self.update(self.complain, f"{what} ended: {error}")
+            else:
+                if not stale():
+                    self.update(self.tell, run, text)
+
+        self.work(work)
+
+    def tell(self, run: LiveRun, text: str) -> None:
+        """Show the answer to a question about a run."""
+        self.answer.object = markup(h.p(role="status")[text])
+        self.say(f"{run.failed.size:,} draws; red: draw {self.draw}{self._outcome(run)}")
 
     def compare_with_this(self) -> None:
         """Make the present run the one that later ones are compared with."""

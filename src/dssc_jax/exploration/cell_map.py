@@ -1,0 +1,94 @@
+"""Failure probability over a sweep's axes, as a curve or a map; a click on a point brushes its draws."""
+
+import numpy as np
+from bokeh.models import BasicTicker, ColorBar, ColumnDataSource, CustomJS, FixedTicker, LinearColorMapper
+from bokeh.plotting import figure
+from bokeh.transform import transform
+
+from dssc_jax.exploration.draw_table import DrawTable
+from dssc_jax.plotting.style import BLUE, GREY
+from dssc_jax.statistics import CONFIDENCE, clopper_pearson
+
+WIDTH, HEIGHT = 1240, 300  # px
+MOST_LABELS = 12
+SELECT_CELL = (
+    "choose(source, drawsAt(source, names, names.map(name => cells.data[name][cells.selected.indices[0]])), true)"
+)
+
+
+class CellMap:
+    """The points of a sweep with their failures; over two axes a map, over one a curve with intervals.
+
+    Draws of further axes are counted together, and the title says so.
+
+    Args:
+        table: The draws of a sweep.
+        source: The page's columns of the draws.
+        script: The functions that the page's callbacks call.
+    """
+
+    def __init__(self, table: DrawTable, source: ColumnDataSource, script: str) -> None:
+        axes = table.result.study.axes
+        self.names, self.others = list(axes)[:2], list(axes)[2:]
+        values = [axes[name] for name in self.names]
+        failed = table.result.failed.transpose(*self.names, *self.others, "draw").values
+        failed = failed.reshape(*(len(column) for column in values), -1)
+        places = np.indices(failed.shape[:-1]).reshape(len(values), -1)
+        failures, draws = failed.sum(-1).reshape(-1), failed.shape[-1]
+        low, high = clopper_pearson(failures, draws, CONFIDENCE).T
+        shown = zip(failures, low, high, strict=True)
+        self.cells = ColumnDataSource(
+            {
+                **{
+                    name: np.asarray(column, np.float32)[place]
+                    for name, column, place in zip(self.names, values, places, strict=True)
+                },
+                **dict(zip("xy", places, strict=False)),
+                "probability": failures / draws,
+                "low": low,
+                "high": high,
+                "said": [f"{k:,} of {draws:,} draws fail: in [{a:.3g}, {b:.3g}]" for k, a, b in shown],
+            }
+        )
+        self.figure = self._figure(values)
+        args = {"source": source, "cells": self.cells, "names": self.names}
+        self.cells.selected.js_on_change(
+            "indices", CustomJS(args=args, code=f"{script}if (cells.selected.indices.length) {SELECT_CELL}")
+        )
+
+    def _figure(self, values: list[tuple[float, ...]]) -> figure:
+        """The curve or the map."""
+        tips = [*((name, f"@{{{name}}}") for name in self.names), ("", "@said")]
+        pooled = f", draws of all values of {', '.join(self.others)} together" if self.others else ""
+        plot = figure(
+            width=WIDTH,
+            height=HEIGHT,
+            tools="tap,hover,save",
+            tooltips=tips,
+            title=f"failure probability{pooled}; a click brushes the draws of a point",
+            x_axis_label=self.names[0],
+            y_axis_label=self.names[1] if len(values) > 1 else "failure probability",
+        )
+        plot.toolbar.logo = None
+        for axis, column in zip((plot.xaxis, plot.yaxis), values, strict=False):
+            step = -(-len(column) // MOST_LABELS)
+            axis.ticker = FixedTicker(ticks=list(range(0, len(column), step)))
+            axis.major_label_overrides = {place: f"{value:.3g}" for place, value in enumerate(column)}
+        if len(values) == 1:
+            plot.segment("x", "low", "x", "high", source=self.cells, color=GREY, line_width=2)
+            plot.scatter("x", "probability", source=self.cells, color=BLUE, size=9)
+            return plot
+        colours = LinearColorMapper(palette="Cividis256", low=0.0, high=1.0)
+        plot.rect(
+            "x",
+            "y",
+            1.0,
+            1.0,
+            source=self.cells,
+            fill_color=transform("probability", colours),
+            line_color="white",
+            nonselection_fill_alpha=0.4,
+        )
+        plot.add_layout(ColorBar(color_mapper=colours, ticker=BasicTicker(desired_num_ticks=5)), "right")
+        plot.grid.visible = False
+        return plot
