@@ -36,10 +36,10 @@ def margins_of(slider: Slider, position: float) -> Question:
 
     def answer(run: LiveRun, check: Callable[..., None]) -> str:
         answers = []
-        for way, end in (("upwards", slider.high), ("downwards", slider.low)):
+        for direction, end in (("upwards", slider.high), ("downwards", slider.low)):
             if end != position:
                 walked = margin(run.study, over=slider.name, bounds=(position, end), log=slider.log, progress=check)
-                answers.append(f"{way} to {end:.4g}: {walked.headline}")
+                answers.append(f"{direction} to {end:.4g}: {walked.headline}")
         return f"margin of {slider.name}, {run.failed.size:,} draws; " + "; ".join(answers)
 
     return answer
