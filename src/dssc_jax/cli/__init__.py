@@ -6,6 +6,7 @@ import os
 import shlex
 import signal
 import sys
+from contextlib import suppress
 from types import FrameType
 
 import typer
@@ -38,6 +39,8 @@ ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if h
 INTERRUPTED = [128 + number for number in ENDING]
 """Exit codes of a command that a signal ended."""
 HUNG_UP = 129  # as if the terminal's signal had come
+RECEIVED: list[int] = []
+"""Exit codes of the signals that have come to this process."""
 YOUNG = 100_000  # objects between two garbage collections: imports and traces create a million that stay
 
 
@@ -47,10 +50,17 @@ def main() -> None:
     for number in ENDING:
         if signal.getsignal(number) != signal.SIG_IGN:  # as nohup has it
             signal.signal(number, end)
-    code = guarded(sys.argv[1:])
+    try:
+        code = guarded(sys.argv[1:])
+    except BaseException:
+        if not RECEIVED:  # a library may turn the end by a signal into an error of its own
+            raise
+        code = RECEIVED[0]
+    code = RECEIVED[0] if RECEIVED else code
     if code in INTERRUPTED:  # threads may still run machine code, which Python would wait for and then pull away
-        sys.stdout.flush()
-        sys.stderr.flush()
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError):
+                stream.flush()
         os._exit(code)
     gc.freeze()  # the process ends anyway: a last collection would take half a second
     sys.exit(code)
@@ -58,6 +68,7 @@ def main() -> None:
 
 def end(number: int, _: FrameType | None) -> None:
     """Stop the running command; its folders are closed and its processes end."""
+    RECEIVED.append(128 + number)
     discard_closed_output()
     raise SystemExit(128 + number)
 
