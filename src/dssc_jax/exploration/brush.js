@@ -38,7 +38,7 @@ function incompleteBeta(a, b, x) {
 
 function betaQuantile(a, b, level) {
   let low = 0, high = 1
-  for (let i = 0; i < 100; i++) {
+  for (let i = 0; i < 60; i++) {
     const middle = 0.5 * (low + high)
     if (incompleteBeta(a, b, middle) < level) low = middle; else high = middle
   }
@@ -91,24 +91,34 @@ function placesOf(source, ranges, image) {
   return i => [(x[i] - ranges.x.start) * across, (y[i] - ranges.y.start) * up]
 }
 
+function marks(reach, columns) {
+  // Where the pixels of a circle and of a cross lie relative to their middle.
+  const circle = [], cross = []
+  for (let a = -reach; a <= reach; a++)
+    for (let b = -reach; b <= reach; b++) {
+      if (a * a + b * b <= reach * reach) circle.push(b * columns + a)
+      if (Math.abs(a) == Math.abs(b)) cross.push(b * columns + a)
+    }
+  return [circle, cross]
+}
+
 function paintDraws(source, picture, ranges, reach, colours) {
-  const image = picture.data.image[0], [rows, columns] = image.shape
-  const failed = source.data.failed, place = placesOf(source, ranges, image), chosen = source.selected.indices
-  const dot = (column, row, colour) => {
-    if (column >= 0 && column < columns && row >= 0 && row < rows) image[row * columns + column] = colour
-  }
-  const mark = (i, [passes, fails]) => {
-    const [column, row] = place(i).map(Math.round)
-    if (!Number.isFinite(column) || !Number.isFinite(row)) return
-    for (let a = -reach; a <= reach; a++)
-      if (failed[i]) { dot(column + a, row + a, fails); dot(column + a, row - a, fails) }
-      else for (let b = -reach; b <= reach; b++) if (a * a + b * b <= reach * reach) dot(column + a, row + b, passes)
+  const image = picture.data.image[0], [rows, columns] = image.shape, { x, y, failed } = source.data
+  const left = ranges.x.start, across = columns / (ranges.x.end - left)
+  const low = ranges.y.start, up = rows / (ranges.y.end - low)
+  const pixels = marks(reach, columns), chosen = source.selected.indices
+  const mark = (i, looks) => {
+    const column = Math.round((x[i] - left) * across), row = Math.round((y[i] - low) * up)
+    // a mark that is not wholly inside, or has no place, is left out
+    if (!(column >= reach && column < columns - reach && row >= reach && row < rows - reach)) return
+    const middle = row * columns + column, own = pixels[failed[i]], colour = looks[failed[i]]
+    for (let k = 0; k < own.length; k++) image[middle + own[k]] = colour
   }
   image.fill(0)
-  for (let i = 0; i < failed.length; i++) mark(i, chosen.length ? colours.dim : colours.bright)
-  for (const i of chosen) mark(i, colours.bright)
-  Object.assign(picture.data, { x: [ranges.x.start], y: [ranges.y.start],
-    dw: [ranges.x.end - ranges.x.start], dh: [ranges.y.end - ranges.y.start] })
+  const others = chosen.length ? colours.dim : colours.bright
+  for (let i = 0; i < failed.length; i++) mark(i, others)
+  for (let k = 0; k < chosen.length; k++) mark(chosen[k], colours.bright)
+  Object.assign(picture.data, { x: [left], y: [low], dw: [ranges.x.end - left], dh: [ranges.y.end - low] })
   picture.change.emit()
 }
 
@@ -171,7 +181,7 @@ function drawsAt(source, names, values) {
 function whenCalm(paint) {
   // Paint once a quick succession of changes pauses.
   clearTimeout(globalThis.brushing.waiting)
-  globalThis.brushing.waiting = setTimeout(paint, 60)
+  globalThis.brushing.waiting = setTimeout(paint, 250)
 }
 
 function choose(source, found, final) {
