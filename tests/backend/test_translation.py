@@ -65,11 +65,15 @@ CASES = {
     "conversion": lambda x, i: (100.0 * x).astype(jnp.int32) + (x > 0.0).astype(jnp.int32) + jnp.isfinite(x),
     "cumulative": lambda x, i: jnp.cumsum(x * jnp.arange(4.0))[2] + jnp.max(jnp.stack([x, 0.5, -x])),
     "concatenation": lambda x, i: jnp.concatenate([jnp.stack([x, x]), jnp.arange(3.0)])[::-1][jnp.clip(i, 0, 4)],
+    "logarithms": lambda x, i: jnp.log2(1.0 + x * x) + jnp.exp2(x) + jnp.log10(i),
     "power": lambda x, i: x**3 + x**-2 + jnp.sqrt(jnp.abs(x)) + jax.lax.rsqrt(1.0 + x * x),
     "scan over rows": lambda x, i: jax.lax.scan(lambda s, row: (s * x + row, None), x, jnp.arange(5.0))[0],
     "search": lambda x, i: jnp.searchsorted(jnp.linspace(-1.0, 1.0, 9), jnp.where(i > 3, jnp.nan, x)),
     "search from the right": lambda x, i: jnp.searchsorted(jnp.array([-1.0, x, jnp.nan]), i - 3.0, side="right"),
     "tangent": lambda x, i: jax.jvp(lambda z: jnp.tanh(z) * jnp.exp(-z * z), (x,), (1.0,))[1],
+    "tangent of a loop": lambda x, i: jax.jvp(
+        lambda z: jax.lax.scan(lambda s, row: (s * z + row, None), z, jnp.arange(5.0))[0], (x,), (1.0,)
+    )[1],
     "checkpoint": lambda x, i: jax.checkpoint(lambda z: jnp.sin(z) * z)(x),
     "together": lambda x, i: jax.lax.pmax(jnp.where(i > 100, 1, 0), AXIS) + i,
 }

@@ -179,12 +179,7 @@ def replaced(
 def dynamic_slice(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
     """A window of an array."""
     operand, *starts = operands
-    return window(build, operand, wrapped(build, operand, starts), params["slice_sizes"])
-
-
-def wrapped(build: Builder, operand: Tensor, starts: Sequence[Value]) -> list[Value]:
-    """The start indices."""
-    return list(starts)
+    return window(build, operand, starts, params["slice_sizes"])
 
 
 def dynamic_update_slice(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
@@ -270,6 +265,12 @@ def concatenate(build: Builder, operands: Sequence[Any], params: Mapping[str, An
 def stack(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
     """Arrays beside one another along a new axis."""
     return np.stack([as_tensor(operand, build) for operand in operands], params["axis"])
+
+
+def unstack(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> list[Any]:
+    """The parts of an array along an axis, without that axis."""
+    parts = np.moveaxis(as_tensor(operands[0], build), params["axis"], 0)
+    return [from_tensor(np.asarray(part, object)) for part in parts]
 
 
 def split_array(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> list[Any]:
@@ -366,6 +367,7 @@ ARRAY_RULES: dict[str, Callable[[Builder, Sequence[Any], Mapping[str, Any], Any]
     "slice": moving(strided),
     "concatenate": concatenate,
     "stack": stack,
+    "unstack": unstack,
     "split": split_array,
     "pad": pad,
     "iota": iota,

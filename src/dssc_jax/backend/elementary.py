@@ -310,6 +310,7 @@ ELEMENTARY: dict[str, Callable[..., Scalar]] = {
     "sin": sin, "cos": cos, "tan": tan, "exp": exp, "expm1": expm1, "log": log, "log1p": log1p, "tanh": tanh,
     "erf_inv": erf_inv, "logistic": logistic, "sinh": sinh, "cosh": cosh, "asin": asin, "acos": acos,
     "atan": numerics.atan, "atan2": angle, "pow": general_power,
-    "exp2": lambda x: exp(x * math.log(2.0)),
+    "exp2": lambda x: exp(x * math.log(2.0)), "log2": lambda x: log(x) * (1.0 / math.log(2.0)),
+    "one_minus_square": lambda x: (1.0 + x) * (1.0 - x),
 }  # fmt: skip
 """Function of each primitive by its name. A new one takes its definition above and its name here."""

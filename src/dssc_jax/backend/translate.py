@@ -18,7 +18,7 @@ from dssc_jax.backend.primitives import ELEMENT_RULES
 from dssc_jax.backend.program import BOOL, Builder, Program, Recording, Value
 from dssc_jax.backend.random_bits import Key
 from dssc_jax.backend.unsupported import Unsupported
-from dssc_jax.backend.varying import VaryingResults, is_key
+from dssc_jax.backend.varying import VaryingResults, is_key, parts_of_scan
 
 INLINED = {"jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint", "custom_jvp_call",
          "custom_vjp_call", "custom_vjp_call_jaxpr", "custom_lin"}  # fmt: skip
@@ -217,9 +217,10 @@ def scan_rule(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list[
     """A loop of known length over the rows of some arrays; what it stacks is recorded."""
     params, build = equation.params, own.build
     length, body = params["length"], params["jaxpr"]
-    first, second = params["num_consts"], params["num_consts"] + params["num_carry"]
+    first, carried = parts_of_scan(equation)
+    second = first + carried
     constants, begin, rows = operands[:first], operands[first:second], operands[second:]
-    kept = equation.outvars[params["num_carry"] :]
+    kept = equation.outvars[carried:]
     if length == 0 or (params["reverse"] and kept):
         raise Unsupported("a loop without turns, or one that records backwards")
     recordings = [Recording(length, np.dtype(type_of(variable).dtype)) for variable in kept]
@@ -233,11 +234,11 @@ def scan_rule(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list[
     at = build.add("sub", build.constant(length - 1, index), turn) if params["reverse"] else turn
     slices = [arrays.row(build, table, at) for table in rows]
     results = own.run(body, [*constants, *assembled(begin, states), *slices])
-    for recording, value in zip(recordings, results[params["num_carry"] :], strict=True):
+    for recording, value in zip(recordings, results[carried:], strict=True):
         build.record(recording, turn, *components(value, build))
     after = build.add("add", turn, build.constant(1, index))
     again = build.add("lt", after, build.constant(length, index))
-    ended = build.close(loop, [after, *flat(results[: params["num_carry"]], build)], again)
+    ended = build.close(loop, [after, *flat(results[:carried], build)], again)
     return [*assembled(begin, ended[1:]), *recordings]
 
 

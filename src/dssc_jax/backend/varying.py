@@ -17,6 +17,18 @@ def is_key(aval: Any) -> bool:
     return jnp.issubdtype(aval.dtype, jax.dtypes.prng_key)
 
 
+def parts_of_scan(equation: JaxprEqn) -> tuple[int, int]:
+    """How many operands of a scan are constants, and how many are its state.
+
+    JAX stores these two numbers up to version 0.10; from 0.11 on, it stores the tree of the operands.
+    """
+    params = equation.params
+    if "ft_in" in params:
+        constants, state, _ = params["ft_in"].update(equation.invars).unpack()
+        return len(list(constants)), len(list(state))
+    return params["num_consts"], params["num_carry"]
+
+
 class VaryingResults:
     """Flags of a program's results, remembered by program and flags of its operands."""
 
@@ -71,8 +83,8 @@ class VaryingResults:
             first, second = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
             return self.of_while(params["cond_jaxpr"].jaxpr, params["body_jaxpr"].jaxpr, operands, first, second)[0]
         if name == "scan":
-            first, second = params["num_consts"], params["num_consts"] + params["num_carry"]
-            state = self.of_scan(params["jaxpr"].jaxpr, operands, first, second)
+            constants, carried = parts_of_scan(equation)
+            state = self.of_scan(params["jaxpr"].jaxpr, operands, constants, constants + carried)
             return [*state, *[True] * (count - len(state))]
         if name == "cond":
             which, rest = operands[0], operands[1:]
