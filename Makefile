@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 QUICK := $(addprefix tests/,engine/test_batching.py backend closed_loop/test_settled.py test_protocols.py cli/test_commands.py)
 
-.PHONY: study test quick lint types check measure bench ratios proofs paper conservatism noise notebooks pages screenshots pareto docs clean
+.PHONY: study test quick lint types check measure bench ratios proofs paper conservatism noise notebooks pages screenshots exploring pareto docs clean
 
 study: $(VENV)/run  ## install, and run the main job: how much unmodelled lag does a DSSC loop survive?
 	$(BIN)/dssc-jax sweep studies/mu_robustness.toml
@@ -56,6 +56,9 @@ pages: $(VENV)/run  ## regenerate docs/study-file.md and docs/commands.md
 
 screenshots: $(VENV)/test  ## regenerate the pictures of docs/explore.md
 	$(BIN)/python -m benchmarks.screenshots
+
+exploring: $(VENV)/test  ## regenerate the measured part of docs/explore.md
+	$(BIN)/python -m benchmarks.exploring
 
 pareto: $(VENV)/test  ## regenerate docs/tuning.md: gains tuned, failures hunted, controllers on the same budget
 	$(BIN)/python benchmarks/pareto.py

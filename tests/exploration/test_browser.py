@@ -214,8 +214,10 @@ def test_a_brush_counts_its_draws(brushed_page, tab):
     tab.mouse.down()
     tab.mouse.move(left + 150, top + 200)
     tab.mouse.move(left + 250, top + 530)
+    tab.get_by_text("brushed: ").first.wait_for()  # while the box is drawn
+    assert tab.evaluate("Bokeh.documents[0].get_model_by_name('draws').selected.indices.length") == 0
     tab.mouse.up()
-    tab.get_by_text("brushed: ").first.wait_for()
+    tab.wait_for_function("Bokeh.documents[0].get_model_by_name('draws').selected.indices.length > 0")
     said = tab.get_by_text("brushed: ").first.inner_text()
     indices = tab.evaluate("[...Bokeh.documents[0].get_model_by_name('draws').selected.indices]")
     assert 0 < len(indices) < 300
@@ -224,6 +226,9 @@ def test_a_brush_counts_its_draws(brushed_page, tab):
     assert f"{len(indices)} draws, {failures} fail" in said
     found = [float(text) for text in re.search(r"\[(.*), (.*)\]", said).groups()]
     np.testing.assert_allclose(found, [low, high], rtol=6e-3)
+    tab.keyboard.press("Escape")
+    tab.get_by_text("all 300 draws").first.wait_for()
+    assert tab.evaluate("Bokeh.documents[0].get_model_by_name('draws').selected.indices.length") == 0
 
 
 def test_a_box_over_parallel_axes_brushes_and_shift_adds(brushed_page, tab):

@@ -75,7 +75,10 @@ function edgesOf(values, bins) {
 }
 
 function describe(failures, draws, interval, whole) {
-  const text = value => Number(value.toPrecision(3)).toString()
+  const text = value => {
+    const short = Number(value.toPrecision(3)), complement = Number((1 - value).toPrecision(2))
+    return (short == 1 && value < 1 ? Number((1 - complement).toPrecision(12)) : short).toString()
+  }
   const what = whole ? "all" : "brushed:"
   if (!draws) return "nothing brushed"
   return `${what} ${draws.toLocaleString("en")} draws, ${failures.toLocaleString("en")} fail: ` +
@@ -106,7 +109,7 @@ function paintDraws(source, picture, ranges, reach, colours) {
   const image = picture.data.image[0], [rows, columns] = image.shape, { x, y, failed } = source.data
   const left = ranges.x.start, across = columns / (ranges.x.end - left)
   const low = ranges.y.start, up = rows / (ranges.y.end - low)
-  const pixels = marks(reach, columns), chosen = source.selected.indices
+  const pixels = marks(reach, columns), chosen = chosenDraws(source)
   const mark = (i, looks) => {
     const column = Math.round((x[i] - left) * across), row = Math.round((y[i] - low) * up)
     // a mark that is not wholly inside, or has no place, is left out
@@ -129,27 +132,45 @@ function heightsOf(source, names, lows, highs) {
 }
 
 function paintLines(source, picture, names, lows, highs, place, colours) {
+  // Where many lines cross, a pixel tells by its opacity how many, and by its colour which part of them fails.
   const image = picture.data.image[0], [rows, columns] = image.shape
-  const failed = source.data.failed, chosen = source.selected.indices, height = heightsOf(source, names, lows, highs)
+  const failed = source.data.failed, chosen = chosenDraws(source), height = heightsOf(source, names, lows, highs)
   const across = names.map((_, axis) => Math.round((axis + place.left) / place.across * (columns - 1)))
   const up = value => (value + place.margin) / (1 + 2 * place.margin) * (rows - 1)
-  const draw = (i, [passes, fails]) => {
-    const colour = failed[i] ? fails : passes
+  const cross = (i, crossings) => {
     for (let axis = 0; axis + 1 < names.length; axis++) {
       const from = up(height(axis, i)), to = up(height(axis + 1, i)), width = across[axis + 1] - across[axis]
       if (!Number.isFinite(from + to)) continue
       const steps = Math.max(width, Math.ceil(Math.abs(to - from)))
       for (let k = 0; k <= steps; k++) {
         const row = Math.round(from + (to - from) * k / steps), column = across[axis] + Math.round(width * k / steps)
-        image[row * columns + column] = colour
+        crossings[row * columns + column] += 1
       }
     }
   }
-  const thinned = (count, each) => { for (let k = 0; k < count; k += Math.max(1, Math.ceil(count / place.most))) each(k) }
+  const paint = (count, draw, looks) => {
+    const crossings = [new Uint16Array(image.length), new Uint16Array(image.length)]
+    const step = Math.max(1, Math.ceil(count / place.most)), one = place.thinnest * Math.sqrt(Math.min(1, 100 * step / count))
+    for (let k = 0; k < count; k += step) cross(draw(k), crossings[failed[draw(k)]])
+    for (let p = 0; p < image.length; p++) {
+      const passing = crossings[0][p], failing = crossings[1][p]
+      if (passing + failing) image[p] = mixed(looks, failing / (passing + failing), 1 - (1 - one) ** (passing + failing))
+    }
+  }
   image.fill(0)
-  thinned(failed.length, i => draw(i, chosen.length ? colours.dim : colours.bright))
-  thinned(chosen.length, k => draw(chosen[k], colours.bright))
+  paint(failed.length, k => k, chosen.length ? colours.dim : colours.bright)
+  paint(chosen.length, k => chosen[k], colours.bright)
   picture.change.emit()
+}
+
+function mixed([some, others], part, opacity) {
+  // A pixel between two colours of equal opacity, less opaque than these.
+  let pixel = Math.round((some >>> 24) * opacity) << 24
+  for (const shift of [0, 8, 16]) {
+    const from = some >>> shift & 255, to = others >>> shift & 255
+    pixel |= Math.round(from + (to - from) * part) << shift
+  }
+  return pixel >>> 0
 }
 
 function betweenAxes(source, names, lows, highs, box) {
@@ -164,10 +185,16 @@ function betweenAxes(source, names, lows, highs, box) {
 }
 
 if (!globalThis.brushing) {
-  // Whether Shift is held, which adds to the brushed draws; Bokeh's event does not tell.
-  globalThis.brushing = { adds: false, before: [], waiting: 0 }
+  // Whether Shift is held, which adds to the brushed draws: Bokeh's event does not tell. Escape ends every brush.
+  const state = { adds: false, before: [], drawn: new Map(), brushed: new Set(), waiting: 0 }
+  globalThis.brushing = state
   for (const kind of ["pointerdown", "pointermove", "pointerup"])
-    document.addEventListener(kind, event => { globalThis.brushing.adds = event.shiftKey }, true)
+    document.addEventListener(kind, event => { state.adds = event.shiftKey }, true)
+  document.addEventListener("keydown", event => {
+    if (event.key != "Escape") return
+    state.adds = false
+    for (const source of state.brushed) choose(source, null, [], true)
+  })
 }
 
 function drawsAt(source, names, values) {
@@ -184,12 +211,41 @@ function whenCalm(paint) {
   globalThis.brushing.waiting = setTimeout(paint, 250)
 }
 
-function choose(source, found, final) {
+function chosenDraws(source) {
+  // Indices of the brushed draws: those in the box while it is drawn, then the selected ones.
+  return globalThis.brushing.drawn.get(source) ?? source.selected.indices
+}
+
+function choose(source, show, found, final) {
   // Brush the draws that were found, with Shift in addition to those brushed before.
   const state = globalThis.brushing
-  const chosen = state.adds ? [...new Set([...state.before, ...found])].sort((a, b) => a - b) : found
-  if (final) state.before = chosen
+  state.brushed.add(source)
+  const chosen = state.adds ? joined(state.before, found, source.data.failed.length) : found
+  if (!final) {
+    // Bokeh compares and checks every selected index, which is too slow for each movement of the mouse.
+    state.drawn.set(source, chosen)
+    show.execute(source)
+    return
+  }
+  state.drawn.delete(source)
+  state.before = chosen
   source.selected.indices = chosen
+}
+
+function joined(some, others, count) {
+  // The indices in one list or the other, in order.
+  const isIn = new Uint8Array(count), indices = []
+  for (const i of some) isIn[i] = 1
+  for (const i of others) isIn[i] = 1
+  for (let i = 0; i < count; i++) if (isIn[i]) indices.push(i)
+  return indices
+}
+
+function say(text, source, div) {
+  // Show a text. The model's own text, a change of which lays the whole page out again, waits until the box is drawn.
+  const view = Bokeh.index.find_one(div)
+  if (view) view.markup_el.textContent = text
+  if (!globalThis.brushing.drawn.has(source)) div.text = text
 }
 
 function enclosed(source, geometry) {

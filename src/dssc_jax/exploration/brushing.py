@@ -21,7 +21,7 @@ from dssc_jax.exploration.cell_map import CellMap
 from dssc_jax.exploration.draw_table import DrawTable
 from dssc_jax.exploration.parallel import ParallelAxes
 from dssc_jax.plotting.style import BLUE, GREY, ORANGE
-from dssc_jax.statistics import CONFIDENCE, FixedCount
+from dssc_jax.statistics import CONFIDENCE, FixedCount, probability_text
 
 SCRIPT = Path(__file__).with_name("brush.js").read_text(encoding="utf-8")
 BINS = 40
@@ -42,7 +42,7 @@ everything.execute(source)
 brush.execute(source)
 """
 PAINT = "paintDraws(source, picture, ranges, reach, colours)"
-SELECT = "choose(source, enclosed(source, cb_obj.geometry), cb_obj.final)"
+SELECT = "choose(source, show, enclosed(source, cb_obj.geometry), cb_obj.final)"
 CHOOSE = "source.selected.indices = nearestDraw(source, ranges, picture.data.image[0], cb_obj.x, cb_obj.y)"
 SHOW_ALL = """
 for (const axis of ["x", "y"]) {
@@ -52,11 +52,11 @@ for (const axis of ["x", "y"]) {
 paint.execute(source)
 """
 BRUSH = """
-const indices = source.selected.indices, failed = source.data.failed
+const indices = chosenDraws(source), failed = source.data.failed
 const whole = indices.length == 0, chosen = whole ? failed.keys() : indices
 const draws = whole ? failed.length : indices.length
 const failures = counted(failed, whole ? [...chosen] : chosen)
-said.text = describe(failures, draws, exactInterval(failures, draws, level), whole) + note
+say(describe(failures, draws, exactInterval(failures, draws, level), whole) + note, source, said)
 for (const [axis, bars] of [["x", x_bars], ["y", y_bars]]) {
   const values = source.data[axis]
   const edges = [...bars.data.left, bars.data.right[bars.data.right.length - 1]]
@@ -65,6 +65,8 @@ for (const [axis, bars] of [["x", x_bars], ["y", y_bars]]) {
   bars.change.emit()
 }
 """
+SHOW = "for (const part of parts) part.execute(source)"
+SELECTED = "globalThis.brushing.drawn.delete(source); show.execute(source)"
 CLICK = """
 const indices = source.selected.indices
 if (indices.length == 1) {
@@ -137,9 +139,10 @@ class Brushing:
     def statement(self) -> str:
         """Failures of all draws with their interval, as the page says it before anything is brushed."""
         failures, draws = int(self.table.failed.sum()), len(self.table.failed)
-        low, high = FixedCount().interval(self.table.failed, CONFIDENCE)
-        interval = f"in [{low:.3g}, {high:.3g}] (95 % Clopper-Pearson)"
-        return f"all {draws:,} draws, {failures:,} fail: probability {failures / draws:.3g} {interval}{self.note}"
+        interval = FixedCount().interval(self.table.failed, CONFIDENCE)
+        probability, low, high = map(probability_text, (failures / draws, *interval))
+        interval = f"in [{low}, {high}] (95 % Clopper-Pearson)"
+        return f"all {draws:,} draws, {failures:,} fail: probability {probability} {interval}{self.note}"
 
     def _scatter(self) -> figure:
         """All draws over two columns, painted by the page's script."""
@@ -207,8 +210,12 @@ class Brushing:
         reach = 3 if len(self.table.failed) < FEW else 1
         paint = CustomJS(args={**drawn, "reach": reach, "colours": colours}, code=SCRIPT + PAINT)
         everything = CustomJS(args={**drawn, "paint": paint}, code=SCRIPT + SHOW_ALL)
-        self.source.selected.js_on_change("indices", paint, brush, click)
-        self.scatter.js_on_event(SelectionGeometry, CustomJS(args=drawn, code=SCRIPT + SELECT))
+        parts = [paint, brush, self.parallel.paint]
+        show = CustomJS(args={"source": self.source, "parts": parts}, code=SHOW)
+        selected = CustomJS(args={"source": self.source, "show": show}, code=SCRIPT + SELECTED)
+        self.source.selected.js_on_change("indices", selected, click)
+        self.scatter.js_on_event(SelectionGeometry, CustomJS(args={**drawn, "show": show}, code=SCRIPT + SELECT))
+        self.parallel.brush(show)
         self.scatter.js_on_event(Tap, CustomJS(args=drawn, code=SCRIPT + CHOOSE))
         self.scatter.js_on_event(Reset, everything)
         for shown in ranges.values():

@@ -7,12 +7,12 @@ from bokeh.transform import transform
 
 from dssc_jax.exploration.draw_table import DrawTable
 from dssc_jax.plotting.style import BLUE, GREY
-from dssc_jax.statistics import CONFIDENCE, clopper_pearson
+from dssc_jax.statistics import CONFIDENCE, clopper_pearson, probability_text
 
 WIDTH, HEIGHT = 1240, 300  # px
 MOST_LABELS = 12
 SELECT_CELL = (
-    "choose(source, drawsAt(source, names, names.map(name => cells.data[name][cells.selected.indices[0]])), true)"
+    "choose(source, null, drawsAt(source, names, names.map(name => cells.data[name][cells.selected.indices[0]])), true)"
 )
 
 
@@ -47,7 +47,10 @@ class CellMap:
                 "probability": failures / draws,
                 "low": low,
                 "high": high,
-                "said": [f"{k:,} of {draws:,} draws fail: in [{a:.3g}, {b:.3g}]" for k, a, b in shown],
+                "said": [
+                    f"{k:,} of {draws:,} draws fail: in [{probability_text(a)}, {probability_text(b)}]"
+                    for k, a, b in shown
+                ],
             }
         )
         self.figure = self._figure(values)

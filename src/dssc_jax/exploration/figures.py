@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
-from bokeh.models import ColumnDataSource, DataRange1d, FactorRange, Model, PlainText, Range, Range1d
+from bokeh.models import ColumnDataSource, DataRange1d, FactorRange, Model, PlainText, Range, Range1d, Title
 from bokeh.plotting import figure
 
 from dssc_jax.exploration.live import LiveRun
@@ -39,7 +39,7 @@ class FanFigure:
             x_range=x_range or DataRange1d(range_padding=0.0),
             y_range=scale,
             x_axis_label=PlainText(text="time [s]"),
-            y_axis_label=PlainText(text=axis_label(about)),
+            title=signal_title(about),
             sizing_mode="stretch_width",
             output_backend="canvas",
         )
@@ -170,7 +170,7 @@ class ProbabilityFigure:
 
     def show(self, run: LiveRun, before: LiveRun | None) -> None:
         """Show a run and the one before it."""
-        rows = [(NOW, run, BLUE)] + ([(BEFORE, before, ORANGE)] if before is not None else [])
+        rows = [(NOW, run, BLUE)] + ([(BEFORE, before, GREY)] if before is not None else [])
         self.source.data = {
             "name": [name for name, _, _ in rows],
             "p": [run.probability for _, run, _ in rows],
@@ -205,10 +205,11 @@ def quiet_toolbar(plot: figure) -> None:
     plot.toolbar.logo, plot.toolbar.autohide = None, True
 
 
-def axis_label(about: dict[str, str]) -> str:
-    """Meaning and unit of a signal; the page shows both as plain text."""
+def signal_title(about: dict[str, str]) -> Title:
+    """Meaning and unit of a signal above its figure, where a long text has room; as plain text."""
     unit = about["units"]
-    return about["long_name"] if unit in ("", "1") else f"{about['long_name']} [{unit}]"
+    text = about["long_name"] if unit in ("", "1") else f"{about['long_name']} [{unit}]"
+    return Title(text=PlainText(text=text), text_font_style="normal")
 
 
 def drawable(values: np.ndarray) -> np.ndarray:

@@ -11,11 +11,12 @@ from dssc_jax.plotting.style import GREY
 MOST_AXES = 8
 LONGEST_LABEL = 21  # letters under an axis
 MOST_LINES = 2000  # of the brushed draws, and of all
+ONE_LINE = 0.7  # opacity of a line among few; among many, less
 LINE_PICTURE = 240, 1000  # rows and columns of the painted lines
 WIDTH, HEIGHT = 1240, 290  # px
 LEFT, RIGHT, MARGIN = 0.3, 0.3, 0.14  # space beside the axes and above them, relative to their distance and length
 PAINT_LINES = "whenCalm(() => paintLines(source, picture, names, lows, highs, place, colours))"
-SELECT_BETWEEN = "choose(source, betweenAxes(source, names, lows, highs, cb_obj.geometry), cb_obj.final)"
+SELECT_BETWEEN = "choose(source, show, betweenAxes(source, names, lows, highs, cb_obj.geometry), cb_obj.final)"
 
 
 class ParallelAxes:
@@ -36,13 +37,20 @@ class ParallelAxes:
         self.picture = ColumnDataSource({"image": [np.zeros(LINE_PICTURE, np.uint32)], **frame})
         self.figure = self._figure(table, ends, span)
         lows, highs = (list(side) for side in zip(*ends, strict=True))
-        common = {"source": source, "names": self.names, "lows": lows, "highs": highs}
-        place = {"left": LEFT, "across": span[0], "margin": MARGIN, "most": MOST_LINES}
-        paint = {**common, "picture": self.picture, "place": place, "colours": colours}
+        self.script, self.shown = script, {"source": source, "names": self.names, "lows": lows, "highs": highs}
+        place = {"left": LEFT, "across": span[0], "margin": MARGIN, "most": MOST_LINES, "thinnest": ONE_LINE}
+        paint = {**self.shown, "picture": self.picture, "place": place, "colours": colours}
         self.paint = CustomJS(args=paint, code=script + PAINT_LINES)
-        source.selected.js_on_change("indices", self.paint)
         self.figure.js_on_change("inner_width", self.paint)  # when the page is laid out first
-        self.figure.js_on_event(SelectionGeometry, CustomJS(args=common, code=script + SELECT_BETWEEN))
+
+    def brush(self, show: CustomJS) -> None:
+        """Let a box over the axes brush the draws.
+
+        Args:
+            show: Shows the brushed draws on the whole page.
+        """
+        select = CustomJS(args={**self.shown, "show": show}, code=self.script + SELECT_BETWEEN)
+        self.figure.js_on_event(SelectionGeometry, select)
 
     def _figure(self, table: DrawTable, ends: list[tuple[float, float]], span: tuple[float, float]) -> figure:
         """The axes with their names and ends."""
@@ -60,9 +68,10 @@ class ParallelAxes:
         plot.image_rgba("image", "x", "y", "dw", "dh", source=self.picture, level="image")
         places = list(range(len(self.names)))
         plot.segment(places, 0.0, places, 1.0, color=GREY, line_width=1.5)
-        for height, side, baseline in ((0.0, 0, "top"), (1.0, 1, "bottom")):
+        for height, side, baseline, up in ((0.0, 0, "top", 3), (1.0, 1, "bottom", -3)):
             text = [f"{end[side]:.4g}" for end in ends]
-            plot.text(places, height, text, text_align="center", text_baseline=baseline, text_font_size="12px")
+            look = {"text_align": "center", "text_baseline": baseline, "text_font_size": "12px"}
+            plot.text(places, height, text, y_offset=up, **look)
         plot.xaxis.ticker = FixedTicker(ticks=places)
         plot.xaxis.major_label_overrides = {
             place: PlainText(text=fitting_label(table.label(name))) for place, name in enumerate(self.names)

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from functools import cached_property, partial
 from typing import Any
 
+import htpy as h
 import numpy as np
 import panel as pn
 import xarray as xr
@@ -17,18 +18,18 @@ from dssc_jax.exploration.draw_table import DrawTable
 from dssc_jax.exploration.figures import (
     HEIGHT,
     WIDTH,
-    axis_label,
     drawable,
     path_frame,
     quiet_toolbar,
     seen_paths,
     shown_signals,
+    signal_title,
 )
 from dssc_jax.exploration.live import Stale
-from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page
+from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page, html_pane, markup
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, VIOLET
 from dssc_jax.results.result import Result
-from dssc_jax.runs.trajectory import agreement_of, recorder
+from dssc_jax.runs.trajectory import agreement_of, column_attributes, recorder
 from dssc_jax.study import Described
 
 SHOWN_SAMPLES = 1500  # of a flight that is shown
@@ -50,6 +51,7 @@ class ResultPage(Page):
         self.brushing = Brushing(self.table, str(result.path or f"results/{result.study.name}"))
         self.flight: xr.Dataset | None = None
         self.pinned: list[xr.Dataset] = []
+        self.key = html_pane("")
         self._random = np.random.default_rng(seed)
         self.say("click a draw to see its flight")
         self.choices = {
@@ -74,7 +76,7 @@ class ResultPage(Page):
             height=HEIGHT,
             tools="xpan,xwheel_zoom,box_zoom,reset,save",
             x_axis_label="time [s]",
-            y_axis_label=name,
+            title=signal_title(column_attributes(name, self.result.study)),
             sizing_mode="stretch_width",
         )
         plot.multi_line("t", "value", source=source, line_color="colour", line_width=1.5)
@@ -98,6 +100,7 @@ class ResultPage(Page):
             pn.pane.Bokeh(self.brushing.layout),
             pn.Row(*self.choices.values(), self.pin, self.clear),
             self.status,
+            self.key,
             pn.GridBox(*figures, ncols=3, sizing_mode="stretch_width"),
             sizing_mode="stretch_width",
         )
@@ -155,8 +158,12 @@ class ResultPage(Page):
         """Show a flight beside the pinned ones."""
         self.flight = run
         self._draw()
+        self.say(f"{self._name(run)}: {run.attrs['verdict']}; stored metrics: {run.attrs['agreement']}")
+
+    def _name(self, run: xr.Dataset) -> str:
+        """Draw and point of the sweep of a flight."""
         at = "".join(f", {name} = {run.attrs[name]:.4g}" for name in self.result.study.axes)
-        self.say(f"draw {run.attrs['draw']}{at}: {run.attrs['verdict']}; stored metrics: {run.attrs['agreement']}")
+        return f"draw {run.attrs['draw']}{at}"
 
     def pin_draw(self) -> None:
         """Keep the present flight while others are shown."""
@@ -175,15 +182,18 @@ class ResultPage(Page):
         pinned = [run for run in self.pinned if run is not self.flight]
         flights = ([self.flight] if self.flight is not None else []) + pinned
         colours = list(COLOURS[: len(flights)])
-        for plot, name in zip(self.figures, shown_signals(self.result.study), strict=True):
+        names = [
+            h.span(style=f"color: {colour}")[f"\u25a0 {self._name(run)}  "]
+            for run, colour in zip(flights, colours, strict=True)
+        ]
+        self.key.object = markup(h.p[names])
+        for name in shown_signals(self.result.study):
             self.sources[name].data = {
                 "t": [run["t"].values for run in flights],
                 "value": [drawable(run[name].values) for run in flights],
                 "colour": colours,
                 "draw": [run.attrs["draw"] for run in flights],
             }
-            if flights:
-                plot.yaxis[0].axis_label = axis_label(flights[0][name].attrs)
         for pair in seen_paths(self.result.study):
             for prefix, suffix, runs in (("", "y", flights), ("desired ", "y_ref", flights[:1])):
                 lines = [[drawable(run[f"{channel}_{suffix}"].values) for run in runs] for channel in pair]

@@ -20,6 +20,7 @@ from dssc_jax.statistics.proportions import (
     clopper_pearson,
     describe_probability,
     lognormal_interval,
+    probability_text,
     replicate_interval,
     unseen,
 )
@@ -50,6 +51,7 @@ __all__ = [
     "mass_within",
     "mcnemar",
     "plan",
+    "probability_text",
     "quantile_interval",
     "replicate_interval",
     "tolerance_limits",
