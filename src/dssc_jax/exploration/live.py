@@ -1,5 +1,6 @@
 """A study that runs again whenever its numbers move: failures with their interval, fans of signals, worst draw."""
 
+import time
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -31,6 +32,7 @@ from dssc_jax.study.tables import to_toml
 FAN_LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)  # of the fans
 DRAWS, VEHICLE_DRAWS = 1000, 64
 BATCH, VEHICLE_BATCH = 256, 16  # draws between two looks whether a newer move has come
+UNNOTICED = 0.3  # s; a shorter run tells of no progress
 PROGRAMS = 6  # compiled programs to keep, one for each sample time
 
 Stale = Callable[[], bool]
@@ -122,6 +124,16 @@ class LiveRun:
 
     def fan(self, name: str) -> Fan:
         """Quantiles of a signal over time."""
+        if name not in self._fans:
+            self._fans[name] = self._quantiles(name)
+        return self._fans[name]
+
+    @cached_property
+    def _fans(self) -> dict[str, Fan]:
+        """Fans that were computed, by signal."""
+        return {}
+
+    def _quantiles(self, name: str) -> Fan:
         ordered = np.sort(self.signal(name), axis=0)  # NaN are last
         running = np.count_nonzero(~np.isnan(ordered), axis=0)
         rows = np.floor(np.outer(FAN_LEVELS, np.maximum(running - 1, 0))).astype(int)
@@ -195,13 +207,14 @@ class LiveStudy:
         study = self.at(positions)
         program = self._program(study, progress)
         batches, count = [], study.config.draws
-        done = 0
+        done, start = 0, time.monotonic()
         for batch in program.batches(study, np.arange(count)):
             batches.append(batch)
             done += len(batch["outcome"])
             if stale():
                 return None
-            progress(f"{done:,} of {count:,} draws")
+            if time.monotonic() - start > UNNOTICED:
+                progress(f"{done:,} of {count:,} draws")
         return LiveRun(study, all_draws(batches), drawn(study, slice(0, count)), program.times)
 
     @cached_property

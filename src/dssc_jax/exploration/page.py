@@ -6,6 +6,7 @@ from typing import Any
 
 import htpy as h
 import panel as pn
+from panel.io.document import hold
 from panel.viewable import Viewable
 
 from dssc_jax.exploration.latest import Latest, Work
@@ -49,11 +50,15 @@ class Page:
             self._latest.submit(task)
 
     def update(self, act: Callable[..., None], *arguments: Any) -> None:
-        """Change the page, from whatever thread."""
+        """Change the page, from whatever thread; the browser receives what one call changes at once."""
         if self._document is None:
             act(*arguments)
         else:
-            self._document.add_next_tick_callback(partial(act, *arguments))
+            self._document.add_next_tick_callback(partial(self._at_once, act, *arguments))
+
+    def _at_once(self, act: Callable[..., None], *arguments: Any) -> None:
+        with hold(self._document):
+            act(*arguments)
 
     def say(self, text: str) -> None:
         """Tell what is going on."""

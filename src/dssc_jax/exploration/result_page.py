@@ -142,23 +142,31 @@ class ResultPage(Page):
         self.work(partial(self._simulate, row))
 
     def _simulate(self, row: int, stale: Stale) -> None:
-        """Simulate a draw, and show it unless a newer click has come."""
+        """Simulate a draw and show it, then compare it with what is stored, unless a newer click has come.
+
+        A draw that rounding decides is simulated once more for it, by a program that takes a while to compile.
+        """
         try:
             run = self._record(int(self.table.draw[row]), self.table.point(row))
-            run.attrs["agreement"] = agreement_of(self.result, run).verdict
+            if not stale():
+                self.update(self.show, run)
+                self.update(self._compare, run, agreement_of(self.result, run).verdict)
         except ConfigError as error:
             self.update(self.complain, str(error))
         except Exception as error:  # a user's model may raise anything, and the page goes on
             self.update(self.complain, f"the draw cannot be simulated: {type(error).__name__}: {error}")
-        else:
-            if not stale():
-                self.update(self.show, run)
 
     def show(self, run: xr.Dataset) -> None:
         """Show a flight beside the pinned ones."""
         self.flight = run
         self._draw()
-        self.say(f"{self._name(run)}: {run.attrs['verdict']}; stored metrics: {run.attrs['agreement']}")
+        self.say(f"{self._name(run)}: {run.attrs['verdict']}; comparing it with what is stored ...")
+
+    def _compare(self, run: xr.Dataset, agreement: str) -> None:
+        """Tell how a flight compares with what is stored, while it is the one shown."""
+        run.attrs["agreement"] = agreement
+        if run is self.flight:
+            self.say(f"{self._name(run)}: {run.attrs['verdict']}; stored metrics: {agreement}")
 
     def _name(self, run: xr.Dataset) -> str:
         """Draw and point of the sweep of a flight."""
