@@ -28,6 +28,7 @@ class FanFigure:
 
     def __init__(self, study: Study, name: str, x_range: Range | None = None) -> None:
         self.name = name
+        self._outlined: LiveRun | None = None
         about = column_attributes(name, study)
         self.now, self.before, self.draw = ColumnDataSource(), ColumnDataSource(), ColumnDataSource()
         scale = DataRange1d()
@@ -60,7 +61,8 @@ class FanFigure:
         """Show a run, the one before it, and one of its draws."""
         fan = run.fan(self.name)
         self._fill(self.now, run.times, fan.values)
-        if before is not None:
+        if before is not None and before is not self._outlined:
+            self._outlined = before
             self._fill(self.before, before.times, before.fan(self.name).values)
         self.show_draw(run, draw)
 

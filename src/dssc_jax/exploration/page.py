@@ -29,7 +29,7 @@ class Page:
     """
 
     def __init__(self, background: bool = False) -> None:
-        self._latest = Latest() if background else None
+        self._latest, self._later = (Latest(), Latest()) if background else (None, None)
         self._document = pn.state.curdoc if background else None
         self.status = html_pane("")
 
@@ -48,6 +48,13 @@ class Page:
             task(lambda: False)
         else:
             self._latest.submit(task)
+
+    def work_later(self, task: Work) -> None:
+        """Do some work beside which newer work runs at once."""
+        if self._later is None:
+            task(lambda: False)
+        else:
+            self._later.submit(task)
 
     def update(self, act: Callable[..., None], *arguments: Any) -> None:
         """Change the page, from whatever thread; the browser receives what one call changes at once."""
@@ -70,12 +77,13 @@ class Page:
 
     def wait(self, timeout: float | None = None) -> bool:
         """Wait until nothing is running; see :meth:`dssc_jax.exploration.latest.Latest.wait`."""
-        return self._latest is None or self._latest.wait(timeout)
+        return all(latest is None or latest.wait(timeout) for latest in (self._latest, self._later))
 
     def close(self) -> None:
-        """End the page's thread."""
-        if self._latest is not None:
-            self._latest.close()
+        """End the page's threads."""
+        for latest in (self._latest, self._later):
+            if latest is not None:
+                latest.close()
 
 
 def html_pane(text: str) -> pn.pane.HTML:

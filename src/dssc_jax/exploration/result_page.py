@@ -142,19 +142,26 @@ class ResultPage(Page):
         self.work(partial(self._simulate, row))
 
     def _simulate(self, row: int, stale: Stale) -> None:
-        """Simulate a draw and show it, then compare it with what is stored, unless a newer click has come.
-
-        A draw that rounding decides is simulated once more for it, by a program that takes a while to compile.
-        """
+        """Simulate a draw and show it, unless a newer click has come; then compare it with what is stored."""
         try:
             run = self._record(int(self.table.draw[row]), self.table.point(row))
-            if not stale():
-                self.update(self.show, run)
-                self.update(self._compare, run, agreement_of(self.result, run).verdict)
         except ConfigError as error:
             self.update(self.complain, str(error))
         except Exception as error:  # a user's model may raise anything, and the page goes on
             self.update(self.complain, f"the draw cannot be simulated: {type(error).__name__}: {error}")
+        else:
+            if not stale():
+                self.update(self.show, run)
+                self.work_later(partial(self._compare, run))
+
+    def _compare(self, run: xr.Dataset, stale: Stale) -> None:
+        """Compare a flight with what is stored.
+
+        A draw that rounding decides is simulated once more for it, by a program that takes a while to compile.
+        """
+        run.attrs["agreement"] = agreement_of(self.result, run).verdict
+        if not stale():
+            self.update(self._say_agreement, run)
 
     def show(self, run: xr.Dataset) -> None:
         """Show a flight beside the pinned ones."""
@@ -162,11 +169,10 @@ class ResultPage(Page):
         self._draw()
         self.say(f"{self._name(run)}: {run.attrs['verdict']}; comparing it with what is stored ...")
 
-    def _compare(self, run: xr.Dataset, agreement: str) -> None:
+    def _say_agreement(self, run: xr.Dataset) -> None:
         """Tell how a flight compares with what is stored, while it is the one shown."""
-        run.attrs["agreement"] = agreement
         if run is self.flight:
-            self.say(f"{self._name(run)}: {run.attrs['verdict']}; stored metrics: {agreement}")
+            self.say(f"{self._name(run)}: {run.attrs['verdict']}; stored metrics: {run.attrs['agreement']}")
 
     def _name(self, run: xr.Dataset) -> str:
         """Draw and point of the sweep of a flight."""
