@@ -19,7 +19,7 @@ from dssc_jax.exploration.interactive_report import interactive_html
 from dssc_jax.exploration.live import LiveStudy
 from dssc_jax.exploration.serving import PageServer
 from dssc_jax.exploration.study_page import StudyPage
-from dssc_jax.statistics import clopper_pearson
+from dssc_jax.statistics import clopper_pearson, rounded_probability
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 pytestmark = pytest.mark.skipif(
@@ -325,3 +325,9 @@ def test_the_script_s_interval_is_exact(tab):
     found = tab.evaluate(f"(cases) => {{ {SCRIPT}; return cases.map(([k, n]) => exactInterval(k, n, 0.95)) }}", cases)
     failures, draws = np.array(cases).T
     np.testing.assert_allclose(found, clopper_pearson(failures, draws), rtol=1e-8)
+
+
+@pytest.mark.parametrize("probability", [0.0, 0.12345, 0.9994, 0.99987654, 1.0 - 1e-7, 1.0])
+def test_the_script_rounds_as_the_reports_do(tab, probability):
+    said = tab.evaluate(f"(p) => {{ {SCRIPT}; return describe(p, 1, [p, p], true) }}", probability)
+    assert said.count(f" {rounded_probability(probability)} in [{rounded_probability(probability)}, ") == 1

@@ -10,6 +10,7 @@ from dssc_jax.statistics import (
     describe_probability,
     lognormal_interval,
     replicate_interval,
+    rounded_probability,
 )
 
 
@@ -106,3 +107,18 @@ def test_the_interval_of_a_mean_with_too_few_estimates():
     assert high == pytest.approx(0.1)
     with_zero = lognormal_interval(np.array([0.1, 0.2, 0.3, 0.0]))
     assert with_zero[0] < lognormal_interval(np.array([0.1, 0.2, 0.3]))[0]
+
+
+@pytest.mark.parametrize(
+    ("probability", "text"),
+    [
+        (0.0, "0"),
+        (1.0, "1"),
+        (0.12345, "0.123"),
+        (0.9994, "0.999"),
+        (0.99987654, "0.99988"),
+        (1.0 - 1e-9, "0.999999999"),
+    ],
+)
+def test_only_certainty_is_rounded_to_one(probability, text):
+    assert rounded_probability(probability) == text

@@ -16,7 +16,7 @@ from dssc_jax.results.influence import idle_text
 from dssc_jax.results.result import headline
 from dssc_jax.results.schema import outcome_codes
 from dssc_jax.results.summary import most_violated
-from dssc_jax.statistics import describe_probability
+from dssc_jax.statistics import describe_probability, rounded_probability
 
 if TYPE_CHECKING:
     from dssc_jax.results.result import Result
@@ -98,7 +98,7 @@ def failure_cells(row: Mapping[str, Any], draws: int) -> tuple[str, str, str]:
     """Failures, their probability, and its interval; without failures the upper bound is given, never 0."""
     low, high = row["interval"]
     probability = f"{row['probability']:.4g}" if row["failures"] else f"<= {high:.3g}"
-    return f"{row['failures']}/{draws}", probability, f"[{low:.3g}, {high:.3g}]"
+    return f"{row['failures']}/{draws}", probability, f"[{rounded_probability(low)}, {rounded_probability(high)}]"
 
 
 def show_points(result: "Result") -> None:

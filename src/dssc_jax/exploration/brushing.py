@@ -21,7 +21,7 @@ from dssc_jax.exploration.cell_map import CellMap
 from dssc_jax.exploration.draw_table import DrawTable
 from dssc_jax.exploration.parallel import ParallelAxes
 from dssc_jax.plotting.style import BLUE, GREY, ORANGE
-from dssc_jax.statistics import CONFIDENCE, FixedCount, probability_text
+from dssc_jax.statistics import CONFIDENCE, FixedCount, rounded_probability
 
 SCRIPT = Path(__file__).with_name("brush.js").read_text(encoding="utf-8")
 BINS = 40
@@ -140,7 +140,7 @@ class Brushing:
         """Failures of all draws with their interval, as the page says it before anything is brushed."""
         failures, draws = int(self.table.failed.sum()), len(self.table.failed)
         interval = FixedCount().interval(self.table.failed, CONFIDENCE)
-        probability, low, high = map(probability_text, (failures / draws, *interval))
+        probability, low, high = map(rounded_probability, (failures / draws, *interval))
         interval = f"in [{low}, {high}] (95 % Clopper-Pearson)"
         return f"all {draws:,} draws, {failures:,} fail: probability {probability} {interval}{self.note}"
 

@@ -7,7 +7,7 @@ from bokeh.transform import transform
 
 from dssc_jax.exploration.draw_table import DrawTable
 from dssc_jax.plotting.style import BLUE, GREY
-from dssc_jax.statistics import CONFIDENCE, clopper_pearson, probability_text
+from dssc_jax.statistics import CONFIDENCE, clopper_pearson, rounded_probability
 
 WIDTH, HEIGHT = 1240, 300  # px
 MOST_LABELS = 12
@@ -48,7 +48,7 @@ class CellMap:
                 "low": low,
                 "high": high,
                 "said": [
-                    f"{k:,} of {draws:,} draws fail: in [{probability_text(a)}, {probability_text(b)}]"
+                    f"{k:,} of {draws:,} draws fail: in [{rounded_probability(a)}, {rounded_probability(b)}]"
                     for k, a, b in shown
                 ],
             }

@@ -70,8 +70,15 @@ class ParallelAxes:
         plot.segment(places, 0.0, places, 1.0, color=GREY, line_width=1.5)
         for height, side, baseline, up in ((0.0, 0, "top", 3), (1.0, 1, "bottom", -3)):
             text = [f"{end[side]:.4g}" for end in ends]
-            look = {"text_align": "center", "text_baseline": baseline, "text_font_size": "12px"}
-            plot.text(places, height, text, y_offset=up, **look)
+            plot.text(
+                places,
+                height,
+                text,
+                y_offset=up,
+                text_align="center",
+                text_baseline=baseline,
+                text_font_size="12px",
+            )
         plot.xaxis.ticker = FixedTicker(ticks=places)
         plot.xaxis.major_label_overrides = {
             place: PlainText(text=fitting_label(table.label(name))) for place, name in enumerate(self.names)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import htpy as h
 
-from dssc_jax.statistics import CONFIDENCE
+from dssc_jax.statistics import CONFIDENCE, rounded_probability
 
 MINUS = "\N{MINUS SIGN}"
 LEVEL = f"{100 * CONFIDENCE:g} %"
@@ -45,8 +45,8 @@ def probability_text(share: float, bounds: Sequence[float]) -> str:
 
 def interval(bounds: Sequence[float]) -> str:
     """The interval of a probability as text."""
-    low, high = bounds
-    return f"{low:.3g} to {high:.3g}"
+    low, high = map(rounded_probability, bounds)
+    return f"{low} to {high}"
 
 
 def counted(count: int, noun: str) -> str:

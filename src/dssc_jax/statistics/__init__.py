@@ -20,8 +20,8 @@ from dssc_jax.statistics.proportions import (
     clopper_pearson,
     describe_probability,
     lognormal_interval,
-    probability_text,
     replicate_interval,
+    rounded_probability,
     unseen,
 )
 from dssc_jax.statistics.sequential import AcceptReject, UntilWidth, looks
@@ -51,9 +51,9 @@ __all__ = [
     "mass_within",
     "mcnemar",
     "plan",
-    "probability_text",
     "quantile_interval",
     "replicate_interval",
+    "rounded_probability",
     "tolerance_limits",
     "unseen",
     "wilks_draws",

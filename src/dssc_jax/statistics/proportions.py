@@ -208,7 +208,7 @@ def lognormal_interval(values: np.ndarray, confidence: float = CONFIDENCE) -> tu
         return float(seen * np.exp(low)), float(np.exp(high))
 
 
-def probability_text(probability: float) -> str:
+def rounded_probability(probability: float) -> str:
     """A probability with three digits, or with two digits of its complement where three would make it 1."""
     short = f"{probability:.3g}"
     return f"{1.0 - float(f'{1.0 - probability:.2g}'):.12g}" if short == "1" and probability < 1.0 else short
@@ -227,6 +227,6 @@ def describe_probability(failed: np.ndarray, method: Method = FIXED, confidence:
     level = f"{100 * confidence:g} % {method.name}"
     if failures == 0:
         return f"no failure in {draws} draws: failure probability <= {high:.3g} ({level})"
-    estimate, low, high = map(probability_text, (failures / draws, low, high))
+    estimate, low, high = map(rounded_probability, (failures / draws, low, high))
     estimate = f"{estimate} in [{low}, {high}]"
     return f"{failures} failures in {draws} draws: failure probability {estimate} ({level})"
