@@ -26,6 +26,7 @@ MODULES = (
     "reports",
     "designs",
     "proofs",
+    "airframes",
     "flight",
     "about",
 )

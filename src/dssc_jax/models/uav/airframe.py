@@ -1,0 +1,158 @@
+"""Vehicles from PX4: the geometry (CA_) and mass properties (SIH_) of a parameter file as the table [plant.vehicle].
+
+PX4's body axes point forward, right and down; here they point forward, left and up. A rotor at (CA_ROTORi_PX,
+CA_ROTORi_PY) therefore sits at the angle atan2(-PY, PX). A positive CA_ROTORi_KM means a rotor that turns
+counter-clockwise as seen from above, whose drag torque about the upward axis is negative: s_i = -sgn(KM).
+
+Sources: PX4's parameter reference (control allocation; simulation in hardware) and its module simulator_sih.
+"""
+
+import math
+import re
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.models.uav.vehicle import ROUNDED_TO_ZERO
+
+LINE = re.compile(
+    r"^\s*(?:param\s+(?:set|set-default)\s+(?P<set>\w+)\s+(?P<to>\S+)"  # an airframe's start-up script
+    r"|\d+\s+\d+\s+(?P<name>\w+)\s+(?P<value>\S+)\s+\d+\s*$)",  # a ground station's file: vehicle, component, .., type
+    re.MULTILINE,
+)
+SIMILAR = 0.01  # relative difference of rotors that count as equal
+MULTIROTOR = 0  # of CA_AIRFRAME
+MOMENT_COEFFICIENT, THRUST_COEFFICIENT, AXIS = 0.05, 6.5, (0.0, 0.0, -1.0)
+"""PX4's defaults of CA_ROTORi_KM, CA_ROTORi_CT and CA_ROTORi_AX, _AY, _AZ."""
+
+PRODUCTS = ("SIH_IXY", "SIH_IXZ", "SIH_IYZ")
+GIVEN_BY = {
+    "mass": "SIH_MASS",
+    "body_inertia": "SIH_IXX, SIH_IYY and SIH_IZZ",
+    "max_thrust": "SIH_T_MAX",
+    "motor_lag": "SIH_T_TAU",
+}
+"""Fields of the vehicle that a file may lack, and the parameters that give them."""
+
+
+class Airframe(NamedTuple):
+    """A vehicle as a study's table.
+
+    Args:
+        vehicle: The table ``[plant.vehicle]``.
+        notes: What the file does not give, or gives in another form than the model has.
+    """
+
+    vehicle: dict[str, Any]
+    notes: tuple[str, ...]
+
+
+def parameters_in(text: str) -> dict[str, float]:
+    """The numeric parameters that an airframe's script or a ground station's file sets; the last setting counts."""
+    values: dict[str, float] = {}
+    for line in LINE.finditer(text):
+        name, value = (line["set"], line["to"]) if line["set"] else (line["name"], line["value"])
+        try:
+            values[name] = float(value)
+        except ValueError:  # a variable of the shell
+            values.pop(name, None)
+    return values
+
+
+def common(values: list[float], what: str) -> float:
+    """The mean of a number that all rotors have in common.
+
+    Raises:
+        ConfigError: the rotors differ by more than 1 %.
+    """
+    mean = sum(values) / len(values)
+    if any(abs(value - mean) > SIMILAR * abs(mean) for value in values):
+        listed = ", ".join(f"{value:g}" for value in values)
+        raise ConfigError(
+            what, f"must be the same for all rotors, as the model has equal rotors on a circle; got {listed}"
+        )
+    return mean
+
+
+def rotors_of(given: Mapping[str, float]) -> dict[str, Any]:
+    """Angles, spins, arm and torque over thrust from CA_ROTOR_COUNT and CA_ROTORi_.
+
+    Raises:
+        ConfigError: there are fewer than four rotors, one is tilted, or they differ.
+    """
+    count = given.get("CA_ROTOR_COUNT", 0.0)
+    if count != int(count) or count < 4:
+        raise ConfigError("CA_ROTOR_COUNT", f"must be a whole number of at least 4, got {count:g}")
+    if given.get("CA_AIRFRAME", MULTIROTOR) != MULTIROTOR:
+        raise ConfigError("CA_AIRFRAME", f"must be 0, a multirotor, got {given['CA_AIRFRAME']:g}")
+    places, coefficients, thrusts = [], [], []
+    for i in range(int(count)):
+        axis = tuple(given.get(f"CA_ROTOR{i}_A{c}", own) for c, own in zip("XYZ", AXIS, strict=True))
+        if axis[:2] != (0.0, 0.0) or axis[2] >= 0.0:
+            raise ConfigError(f"CA_ROTOR{i}_AX, _AY, _AZ", f"must point up, 0, 0, -1; got {axis}: a tilted rotor")
+        places.append(tuple(given.get(f"CA_ROTOR{i}_P{c}", 0.0) for c in "XY"))
+        coefficients.append(given.get(f"CA_ROTOR{i}_KM", MOMENT_COEFFICIENT))
+        thrusts.append(given.get(f"CA_ROTOR{i}_CT", THRUST_COEFFICIENT))
+    arm = common([math.hypot(x, y) for x, y in places], "CA_ROTORi_PX, CA_ROTORi_PY (distance from the centre)")
+    if arm < ROUNDED_TO_ZERO:
+        raise ConfigError("CA_ROTORi_PX, CA_ROTORi_PY", "must be given; all rotors are at the centre")
+    torque = common([abs(coefficient) for coefficient in coefficients], "CA_ROTORi_KM")
+    common(thrusts, "CA_ROTORi_CT")
+    return {
+        "arm": arm,
+        "torque_coefficient": torque,
+        "rotor_angles": [math.atan2(-y, x) for x, y in places],
+        "spins": [-math.copysign(1.0, coefficient) for coefficient in coefficients],
+    }
+
+
+def properties_of(given: Mapping[str, float]) -> dict[str, Any]:
+    """Mass, inertia, largest thrust and lag from SIH_, as far as they are given.
+
+    The inertia is that of the whole vehicle, so the rotors' own is zero. PX4's lag is one of thrust; near hover, where
+    thrust is linear in speed, the speed has the same.
+    """
+    own: dict[str, Any] = {}
+    if "SIH_MASS" in given:
+        own["mass"] = given["SIH_MASS"]
+    inertia = [given[name] for name in ("SIH_IXX", "SIH_IYY", "SIH_IZZ") if name in given]
+    if len(inertia) == 3:
+        own |= {"body_inertia": inertia, "rotor_inertia_xy": 0.0, "rotor_inertia_z": 0.0}
+    if "SIH_T_MAX" in given:
+        own["max_thrust"] = given["SIH_T_MAX"]
+        if "SIH_Q_MAX" in given:  # the simulated plant; CA_ROTORi_KM is what the allocation believes
+            own["torque_coefficient"] = given["SIH_Q_MAX"] / given["SIH_T_MAX"]
+    if "SIH_T_TAU" in given:
+        own["motor_lag"] = given["SIH_T_TAU"]
+    return own
+
+
+def read_airframe(text: str, base: str = "m600_quadrotor") -> Airframe:
+    """The vehicle of a PX4 airframe script, or of a parameter file saved by a ground station.
+
+    Args:
+        text: The file's text.
+        base: The vehicle whose numbers hold where the file gives none.
+
+    Raises:
+        ConfigError: the file does not describe a multirotor with equal, upright rotors on a circle.
+    """
+    given = parameters_in(text)
+    if not any(name.startswith("CA_") for name in given):
+        raise ConfigError("", "sets no parameter CA_..; a PX4 airframe or parameter file is needed")
+    vehicle = {"kind": base} | rotors_of(given)
+    relative = vehicle["arm"] >= 0.99 and all(
+        given.get(f"CA_ROTOR{i}_P{c}", 0.0) in (-1.0, -0.866, -0.5, 0.0, 0.5, 0.866, 1.0)
+        for i in range(len(vehicle["spins"]))
+        for c in "XY"
+    )
+    vehicle |= properties_of(given)
+    notes = [f"{field} is the base vehicle's: the file does not set {name}"
+             for field, name in GIVEN_BY.items() if field not in vehicle]  # fmt: skip
+    notes.append("thrust_coefficient is the base vehicle's: PX4 knows no rotor speed in rad/s")
+    notes.append("structure_drag and propeller_drag are the base vehicle's: PX4's drag is linear in speed")
+    if relative:
+        notes.append("arm may be a ratio: the rotors' positions look like those of a generic airframe, not metres")
+    if any(given.get(name, 0.0) for name in PRODUCTS):
+        notes.append(f"{', '.join(PRODUCTS)} are left out: the model's axes are principal axes")
+    return Airframe(vehicle, tuple(notes))

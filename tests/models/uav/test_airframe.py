@@ -1,0 +1,138 @@
+"""PX4 files as vehicles: signs against the torques of PX4's own simulator, refusals, a study that flies."""
+
+import math
+
+import numpy as np
+import pytest
+
+import dssc_jax as dj
+from dssc_jax.cli import guarded
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.models.uav.airframe import read_airframe
+from dssc_jax.models.uav.allocation import geometry
+from dssc_jax.models.uav.vehicle import QUADROTOR
+
+PROPERTIES = {"SIH_MASS": 0.72, "SIH_IXX": 0.0016, "SIH_IYY": 0.0017, "SIH_IZZ": 0.0028, "SIH_T_MAX": 9.5}
+
+
+def rotor_lines(places, coefficients, command="param set-default"):
+    """The rotors' part of an airframe script."""
+    lines = [f"{command} CA_ROTOR_COUNT {len(places)}"]
+    for i, ((x, y), coefficient) in enumerate(zip(places, coefficients, strict=True)):
+        lines += [
+            f"{command} CA_ROTOR{i}_PX {x}",
+            f"{command} CA_ROTOR{i}_PY {y}",
+            f"{command} CA_ROTOR{i}_KM {coefficient}",
+        ]
+    return "\n".join(lines)
+
+
+QUAD = rotor_lines([(0.1, 0.1), (-0.1, -0.1), (0.1, -0.1), (-0.1, 0.1)], [0.02, 0.02, -0.02, -0.02])
+HEX_PLACES = [(0.866, 0.5), (0.0, 1.0), (-0.866, 0.5), (-0.866, -0.5), (0.0, -1.0), (0.866, -0.5)]
+HEX = rotor_lines(HEX_PLACES, [0.05, -0.05, 0.05, -0.05, 0.05, -0.05])
+
+
+def with_properties(text=QUAD, **changed):
+    """A script with mass properties."""
+    return "\n".join([text, *(f"param set {name} {value}" for name, value in (PROPERTIES | changed).items())])
+
+
+def vehicle_of(text):
+    """The vehicle with the values of a script."""
+    own = {name: value for name, value in read_airframe(text).vehicle.items() if name != "kind"}
+    return QUADROTOR._replace(**{name: tuple(v) if isinstance(v, list) else v for name, v in own.items()})
+
+
+def simulator_torques(rotors):
+    """Roll, pitch, yaw per thrust in PX4's axes, forward-right-down, for an arm of 1: simulator_sih's two layouts."""
+    if rotors == 4:
+        half = math.sqrt(0.5)
+        rows = [[-half, half, half, -half], [half, -half, half, -half], [1, 1, -1, -1]]
+    else:
+        high = math.sqrt(3.0) / 2.0
+        rows = [[-0.5, -1, -0.5, 0.5, 1, 0.5], [high, 0, -high, -high, 0, high], [1, -1, 1, -1, 1, -1]]
+    return np.array(rows)
+
+
+@pytest.mark.parametrize(("text", "arm", "torque"), [(QUAD, 0.1 * math.sqrt(2.0), 0.02), (HEX, 1.0, 0.05)])
+def test_torques_are_those_of_px4s_simulator(text, arm, torque):
+    vehicle = vehicle_of(text)
+    expected = simulator_torques(vehicle.rotors) * np.array([[arm], [-arm], [-torque]])  # forward, left, up
+    matrix = geometry(vehicle)
+    assert np.allclose(matrix[0], 1.0)
+    assert np.allclose(matrix[1:], expected, rtol=1e-4, atol=1e-4 * arm)
+
+
+def test_mass_properties_are_those_of_the_whole_vehicle():
+    vehicle = vehicle_of(with_properties(SIH_T_TAU=0.03, SIH_Q_MAX=0.114))
+    assert vehicle.mass == 0.72
+    assert tuple(vehicle.inertia) == (0.0016, 0.0017, 0.0028)
+    assert (vehicle.max_thrust, vehicle.motor_lag) == (9.5, 0.03)
+    assert vehicle.torque_coefficient == pytest.approx(0.012)  # SIH_Q_MAX over SIH_T_MAX, not CA_ROTORi_KM
+
+
+def test_a_ground_stations_file_gives_the_same():
+    script = with_properties()
+    saved = "# Vehicle-Id Component-Id Name Value Type\n" + "\n".join(
+        f"1\t1\t{name}\t{value}\t9" for _, _, name, value in (line.split() for line in script.splitlines())
+    )
+    assert read_airframe(saved) == read_airframe(script)
+
+
+def test_the_last_setting_counts_and_comments_do_not():
+    assert vehicle_of(with_properties() + "\nparam set SIH_MASS 0.8\n# param set SIH_MASS 0.9").mass == 0.8
+
+
+def test_what_the_file_lacks_is_named():
+    notes = " ".join(read_airframe(HEX).notes)
+    for name in ("mass", "body_inertia", "max_thrust", "motor_lag", "thrust_coefficient", "drag", "ratio"):
+        assert name in notes
+    own = " ".join(read_airframe(with_properties(SIH_IXY=1e-4)).notes)
+    assert "mass is" not in own
+    assert "ratio" not in own
+    assert "principal axes" in own
+
+
+@pytest.mark.parametrize(
+    ("text", "where", "rule"),
+    [
+        ("param set MC_ROLL_P 6.5", "", "sets no parameter CA_"),
+        (QUAD.replace("COUNT 4", "COUNT 3"), "CA_ROTOR_COUNT", "at least 4, got 3"),
+        (QUAD + "\nparam set CA_AIRFRAME 2", "CA_AIRFRAME", "got 2"),
+        (QUAD + "\nparam set CA_ROTOR2_AX 0.2", "CA_ROTOR2_AX", "tilted"),
+        (QUAD + "\nparam set CA_ROTOR1_PX -0.15", "CA_ROTORi_PX", "on a circle; got"),
+        (QUAD + "\nparam set CA_ROTOR1_KM 0.03", "CA_ROTORi_KM", "same for all rotors"),
+        (QUAD + "\nparam set CA_ROTOR0_CT 8", "CA_ROTORi_CT", "same for all rotors"),
+        ("param set CA_ROTOR_COUNT 4", "CA_ROTORi_PX", "at the centre"),
+        (with_properties(SIH_MASS="${MASS}").replace("COUNT 4", "COUNT ${N}"), "CA_ROTOR_COUNT", "got 0"),
+    ],
+)
+def test_what_does_not_map_is_refused(text, where, rule):
+    with pytest.raises(ConfigError) as refusal:
+        read_airframe(text)
+    assert where in refusal.value.where
+    assert rule in refusal.value.rule
+
+
+def test_the_command_prints_a_table_of_a_study_that_flies(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "racer").write_text(with_properties())
+    assert guarded(["airframe", "racer"]) == 0
+    printed = capsys.readouterr().out
+    rest = """
+    [controller]
+    kind = "pi"
+    l0 = 0.5
+    k_p = 1.0
+    k_i = 0.02
+    [reference]
+    kind = "hover"
+    position = [0.3, 0.2, 1.0]
+    """
+    head = 'name = "own"\n[loop]\nduration = 30.0\nsample_time = 0.01\n'
+    requirement = '[[requirement]]\nmetric = "position_error_max"\nafter = 25.0\nmax = 0.05\n'
+    (tmp_path / "own.toml").write_text(head + printed + rest + requirement)
+    assert not dj.run(dj.Study.load(tmp_path / "own.toml")).failed.any()
+    (tmp_path / "other").write_text("nothing")
+    assert guarded(["airframe", "other"]) == 2
+    assert "other: sets no parameter" in capsys.readouterr().err
