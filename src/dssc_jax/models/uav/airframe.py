@@ -140,7 +140,7 @@ def read_airframe(text: str, base: str = "m600_quadrotor") -> Airframe:
     given = parameters_in(text)
     if not any(name.startswith("CA_") for name in given):
         raise ConfigError("", "sets no parameter CA_..; a PX4 airframe or parameter file is needed")
-    vehicle = {"kind": base} | rotors_of(given)
+    vehicle: dict[str, Any] = {"kind": base} | rotors_of(given)
     relative = vehicle["arm"] >= 0.99 and all(
         given.get(f"CA_ROTOR{i}_P{c}", 0.0) in (-1.0, -0.866, -0.5, 0.0, 0.5, 0.866, 1.0)
         for i in range(len(vehicle["spins"]))
