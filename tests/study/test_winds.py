@@ -77,7 +77,7 @@ def test_a_recorded_wind(recorded):
         [4.25, -2.25, 1.0]
     )
     (recorded / "study.toml").write_bytes(document({**FLIGHT, "wind": {**wind, "columns": ["wx"]}}))
-    with pytest.raises(ConfigError, match=r"wind\.columns: must be the three columns of x, y and z"):
+    with pytest.raises(ConfigError, match=r"wind\.columns: must be the file's columns with x, y, z"):
         dj.Study.load(recorded / "study.toml")
 
 

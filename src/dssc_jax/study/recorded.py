@@ -10,8 +10,10 @@ from typing import Any
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 
 FIELDS = ("file", "column", "columns", "time_column")
-SLOTS = ("reference", "disturbance", "wind")
+SLOTS = ("reference", "disturbance", "wind", "sensor")
 """The slots that may follow a record."""
+SEVERAL = {"wind": ("x", "y", "z"), "sensor": ("position", "velocity")}
+"""The slots whose record has several columns, and what these become."""
 TIME = "t"
 LARGEST_RECORD = 2**27  # bytes of a file
 
@@ -40,32 +42,32 @@ def recorded_slot(value: Any, folder: Path, slot: str) -> Any:
         for name, part in value.items():
             if isinstance(part, Mapping) and "file" in part:
                 with errors_under(name):
-                    channels[name] = inlined(part, folder)
-        whole = inlined(value, folder) if "file" in value else dict(value)
+                    channels[name] = inlined(part, folder, slot)
+        whole = inlined(value, folder, slot) if "file" in value else dict(value)
     return whole | channels
 
 
-def inlined(part: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """A table with ``time`` and ``value`` in place of ``file``, ``column`` and ``time_column``."""
-    wind = "columns" in part
-    targets = ("time", "x", "y", "z") if wind else ("time", "value")
-    for name in targets:
+def inlined(part: Mapping[str, Any], folder: Path, slot: str) -> dict[str, Any]:
+    """A table with the record's times and values in place of ``file``, ``column``, ``columns`` and ``time_column``."""
+    several = SEVERAL.get(slot.partition(".")[0])
+    targets = several or ("value",)
+    for name in ("time", *targets):
         if name in part:
             raise ConfigError(name, "is given by the file; give a file, or the values themselves")
     for name in ("file", "column", "time_column"):
         if not isinstance(part.get(name, TIME), str):
             raise ConfigError(name, f"must be a text, got {part[name]!r}")
-    if wind:
-        names = part["columns"]
-        if not isinstance(names, list) or len(names) != 3 or not all(isinstance(name, str) for name in names):
-            raise ConfigError("columns", f"must be the three columns of x, y and z, got {names!r}")
+    if several:
+        names = part.get("columns")
+        if not isinstance(names, list) or len(names) != len(several) or not all(isinstance(n, str) for n in names):
+            raise ConfigError("columns", f"must be the file's columns with {', '.join(several)}, got {names!r}")
     elif "column" in part:
         names = [part["column"]]
     else:
-        raise ConfigError("column", "is required and missing: the column with the values (of a wind: columns)")
+        raise ConfigError("column", "is required and missing: the column with the values")
     columns = recorded_columns(folder / part["file"], [part.get("time_column", TIME), *names])
     kept = {name: value for name, value in part.items() if name not in FIELDS}
-    return kept | dict(zip(targets, columns, strict=True))
+    return kept | dict(zip(("time", *targets), columns, strict=True))
 
 
 def recorded_columns(path: Path, names: list[str]) -> list[list[float]]:

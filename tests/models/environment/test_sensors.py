@@ -30,6 +30,8 @@ TABLES = [
     {"kind": "noisy"},
     {"kind": "noisy", "position_std": 0.1, "velocity_std": 0.2, "position_bias": 0.3, "velocity_bias": -0.4},
     {"kind": "noisy", "position_std": 0.1, "delay_samples": 3, "period_samples": 2},
+    {"kind": "record", "time": [0.0, 0.5], "position": [0.1, -0.1], "velocity": [0.2, 0.3]},
+    {"kind": "record", "time": [0.0, 0.5], "position": [0.1, -0.1], "velocity": [0.2, 0.3], "start": "first"},
 ]
 
 

@@ -1,4 +1,4 @@
-"""Recorded signals, as reference, disturbance or wind: values held, joined by lines, or by a cubic spline."""
+"""Recorded signals, as reference, disturbance, wind or noise: values held, joined by lines, or by a cubic spline."""
 
 from enum import StrEnum
 from typing import Annotated, NamedTuple
@@ -7,14 +7,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.core.contracts import Disturbance, Reference, Wind, stateless, unchanged
+from dssc_jax.core.contracts import Disturbance, Reference, Sensor, Wind, stateless, unchanged
 from dssc_jax.core.errors import ConfigError, errors_under
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry
-from dssc_jax.core.signals import ReferencePoint, Scalar
+from dssc_jax.core.signals import Measurement, ReferencePoint, Scalar
 from dssc_jax.core.vectors import Vec3
 
 MOST_VALUES = 50_000
+AHEAD = 0.01  # of a step, by which held noise begins early: rounding of k T_s must not show the value before
 
 
 class RecordParams(NamedTuple):
@@ -43,6 +44,14 @@ class RecordedWindParams(NamedTuple):
     z: Annotated[tuple[Scalar, ...], Quantity("m/s", "wind velocity along z, up", law=False, data=True)]
 
 
+class RecordedNoiseParams(NamedTuple):
+    """The recorded noise of a sensor; a study file gives ``file`` and the ``columns`` of y and y' instead."""
+
+    time: Annotated[tuple[Scalar, ...], Quantity("s", "times, rising", law=False, data=True)]
+    position: Annotated[tuple[Scalar, ...], Quantity("y", "noise on y at these times", law=False, data=True)]
+    velocity: Annotated[tuple[Scalar, ...], Quantity("y/s", "noise on y' at these times", law=False, data=True)]
+
+
 class Pieces(NamedTuple):
     """A piecewise cubic function.
 
@@ -54,6 +63,21 @@ class Pieces(NamedTuple):
 
     begins: jax.Array | np.ndarray
     coefficients: jax.Array | np.ndarray
+
+
+class RecordedNoise(NamedTuple):
+    """Noise on y and y', and how long the record is, the last value's own step included [s]."""
+
+    position: Pieces
+    velocity: Pieces
+    length: Scalar
+
+
+class NoiseStart(StrEnum):
+    """Where in the record a draw begins."""
+
+    RANDOM = "random"
+    FIRST = "first"
 
 
 class Interpolation(StrEnum):
@@ -120,6 +144,22 @@ def cubic_pieces(params: RecordParams | RecordedDisturbanceParams, rule: Interpo
     return Pieces(time, np.concatenate([ends[:1], RULES[rule](time, value), ends[1:]]))
 
 
+def columns_as_pieces(
+    params: RecordedWindParams | RecordedNoiseParams, names: tuple[str, ...], rule: Interpolation
+) -> tuple[Pieces, ...]:
+    """The piecewise cubics through several columns with the same times.
+
+    Raises:
+        ConfigError: As in :func:`check_record`, under the name of the column whose length is wrong.
+    """
+    parts = []
+    for name in names:
+        values = getattr(params, name)
+        with errors_under("" if len(values) == len(params.time) else name):
+            parts.append(cubic_pieces(RecordParams(params.time, values), rule))
+    return tuple(parts)
+
+
 def recorded_disturbance(rule: Interpolation) -> Disturbance:
     """The disturbance that follows a record by the given rule; one that holds its values holds them over a sample."""
 
@@ -147,12 +187,7 @@ def recorded_wind(rule: Interpolation) -> Wind:
     """The wind that follows a record of its three components by the given rule."""
 
     def prepare(params: RecordedWindParams) -> tuple[Pieces, ...]:
-        parts = []
-        for name in "xyz":
-            values = getattr(params, name)
-            with errors_under("" if len(values) == len(params.time) else name):
-                parts.append(cubic_pieces(RecordParams(params.time, values), rule))
-        return tuple(parts)
+        return columns_as_pieces(params, ("x", "y", "z"), rule)
 
     return Wind(
         RecordedWindParams,
@@ -161,6 +196,30 @@ def recorded_wind(rule: Interpolation) -> Wind:
         lambda pieces, state, t: Vec3(*(piece_at(part, t).y for part in pieces)),
         prepare,
     )
+
+
+def recorded_sensor(start: NoiseStart) -> Sensor:
+    """The sensor whose noise is a record, held between its times and repeated after its end."""
+
+    def prepare(params: RecordedNoiseParams) -> RecordedNoise:
+        pieces = columns_as_pieces(params, ("position", "velocity"), Interpolation.HOLD)
+        first, last, steps = params.time[0], params.time[-1], len(params.time) - 1
+        early = AHEAD * (last - first) / steps
+        begins = [part._replace(begins=part.begins - first - early) for part in pieces]
+        return RecordedNoise(*begins, (last - first) * (steps + 1) / steps)
+
+    def init(noise: RecordedNoise, measurement: Measurement, key: jax.Array) -> Scalar:
+        return noise.length * jax.random.uniform(key) if start == NoiseStart.RANDOM else 0.0
+
+    def step(
+        noise: RecordedNoise, begin: Scalar, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
+    ) -> tuple[Scalar, Measurement]:
+        at = begin + t
+        at = at - noise.length * jnp.floor(at / noise.length + AHEAD / len(noise.position.begins))
+        errors = piece_at(noise.position, at).y, piece_at(noise.velocity, at).y
+        return begin, Measurement(measurement.y + errors[0], measurement.y_dot + errors[1])
+
+    return Sensor(RecordedNoiseParams, init, step, prepare)
 
 
 def piece_at(pieces: Pieces, t: Scalar) -> ReferencePoint:
@@ -191,4 +250,10 @@ RECORDED_WIND = Entry(
     "a recorded wind: `file` and three `columns`, or `time`, `x`, `y` and `z`",
     "interpolation",
     Interpolation.LINEAR,
+)
+RECORDED_NOISE = Entry(
+    {start: recorded_sensor(start) for start in NoiseStart},
+    "recorded noise on y and y': `file` and two `columns`, or `time`, `position` and `velocity`",
+    "start",
+    NoiseStart.RANDOM,
 )

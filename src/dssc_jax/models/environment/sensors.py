@@ -11,6 +11,7 @@ from dssc_jax.core.numerics import standard_normals
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.core.signals import Measurement, Scalar
+from dssc_jax.models.environment.records import RECORDED_NOISE
 
 EXTRA = 2  # index of the random numbers of losses and jitter; those of noise have 0 and 1
 MOST_DELAY = 200  # samples: the state holds two scalars for each, and every scalar is copied at every sample
@@ -218,4 +219,5 @@ SENSORS: Registry = {
     "ideal": single(IDEAL, "the plant's own y and y'"),
     "lag": single(SENSOR_LAG, "y and y' each through 1/(mu s + 1)"),
     "noisy": single(NOISY, "white noise, constant errors, delay, own period, resolution, lost readings, jitter"),
+    "record": RECORDED_NOISE,
 }
