@@ -1,8 +1,9 @@
 """``python -m benchmarks.flight PART..``: the controllers in C against the strict analysis, bit by bit.
 
 Parts: ``bits`` (every kind of controller, row and sampled form, on x86-64 by gcc and clang and on 64-bit ARM under
-qemu, in float32 on 32-bit ARM too; --draws and --samples of each), ``cost`` (operations, memory and cycles of a step),
-``hostile`` (a million hostile samples for every controller, with sanitizers).
+qemu, and on 32-bit ARM in float32, with few samples in float64 too; --draws and --samples of each), ``cost``
+(operations, memory and cycles of a step), ``hostile`` (a million hostile samples for every controller, with
+sanitizers).
 Each writes its part of docs/flight.md. The recordings are never stored: they are piped into all benches at once.
 """
 
@@ -29,7 +30,8 @@ BENCHES = {
     "aarch64 (qemu)": ("bench-arm64", ["qemu-aarch64", "-L", "/usr/aarch64-linux-gnu"]),
     "armhf (qemu)": ("bench-armhf", ["qemu-arm", "-L", "/usr/arm-linux-gnueabihf"]),
 }
-IN_FLOAT32_ONLY = ("armhf (qemu)",)  # qemu takes minutes for 10 million samples in float64
+EMULATED = "armhf (qemu)"  # qemu emulates float64 there: minutes for more samples than these
+MOST_EMULATED = 1_000_000
 WAITING = 8  # parts of a recording that wait for a bench
 DURATION = 100.0  # s, 10,000 samples
 
@@ -67,9 +69,10 @@ def written(folder: FlightFolder, place: Path) -> None:
         (place / name).write_text(text)
 
 
-def benches_of(precision: int) -> dict[str, tuple[str, list[str]]]:
-    """The benches that run in a precision, with the program that runs each."""
-    return {label: own for label, own in BENCHES.items() if precision == 32 or label not in IN_FLOAT32_ONLY}
+def benches_of(precision: int, samples: int) -> dict[str, tuple[str, list[str]]]:
+    """The benches that run so many samples in a precision, with the program that runs each."""
+    every = precision == 32 or samples <= MOST_EMULATED
+    return {label: own for label, own in BENCHES.items() if every or label != EMULATED}
 
 
 class Feeder(threading.Thread):
@@ -93,7 +96,7 @@ def bits_of_study(name: str, study: dj.Study, draws: int, samples: int) -> Bits:
     with tempfile.TemporaryDirectory() as place:
         folder = FlightFolder(study.override({"draws": max(draws, study.config.draws)}))
         written(folder, Path(place))
-        benches = benches_of(study.config.loop.precision)
+        benches = benches_of(study.config.loop.precision, draws * samples)
         subprocess.run(
             ["make", "-j2", *(bench for bench, _ in benches.values())], cwd=place, check=True, capture_output=True
         )
@@ -137,7 +140,9 @@ def bits(draws: int, samples: int, only: str) -> str:
         chosen = [each for each in measured if each.precision == precision]
         total = sum(each.compared for each in chosen)
         wrong = (
-            f"{sum(each.differing[label] for each in chosen)} of {total:,}" if label in benches_of(precision) else "-"
+            f"{sum(each.differing[label] for each in chosen)} of {total:,}"
+            if label in benches_of(precision, draws * samples)
+            else "-"
             for label in BENCHES
         )
         lines.append(f"| float{precision}, {len(chosen)} controllers | " + " | ".join(wrong) + " |")

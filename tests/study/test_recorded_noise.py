@@ -75,3 +75,9 @@ def test_bad_input_is_reported_in_one_line(folder, changes, message):
         dj.Study.from_table(TABLE | {"sensor": {"kind": "ideal"}}, str(folder / "study.toml")).override(
             {"sensor": TABLE["sensor"], **changes}
         )
+
+
+def test_the_precision_does_not_change_where_a_draw_begins(folder):
+    study = dj.Study.load(folder / "study.toml")
+    double, single = (dj.run(study.override({"loop.precision": bits})).dataset["error_rms"].values for bits in (64, 32))
+    np.testing.assert_allclose(single, double, rtol=1e-3)

@@ -163,29 +163,39 @@ def cubic_spline(coefficients: Sequence[Scalar], x: Scalar) -> Scalar:
     return total
 
 
-def standard_normals(key: jax.Array, count: int) -> tuple[Scalar, ...]:
-    """Independent standard normal numbers; in float64 equal to ``jax.random.normal(key, (count,))``.
+def uniforms(key: jax.Array, count: int) -> tuple[Scalar, ...]:
+    """Independent numbers, uniform in [0, 1); in float32 the leading bits of those in float64.
 
-    In float32 they are the same numbers up to rounding, from the leading bits of the underlying uniform numbers. The
-    precision of a study therefore does not change its noise. (``jax.random.normal`` in float32 draws different
-    numbers.)
+    The precision of a study therefore does not change its random numbers, as that of ``jax.random.uniform`` would.
 
     In a batch, each number is an array over the lanes and is vectorised along them; a single array of all numbers
     would be vectorised along its short last axis. The bits of a number come from the key folded with its index.
     """
     real = jnp.result_type(float)
-    lowest = np.nextafter(np.array(-1.0, real), np.array(0.0, real))
 
-    def standard_normal(i: int) -> Scalar:
+    def uniform(i: int) -> Scalar:
         high, low = jax.random.key_data(jax.random.fold_in(key, i))
         if real == jnp.float64:
             fraction = (high.astype(jnp.uint64) << 32 | low) >> 12 | np.uint64(0x3FF << 52)
         else:
             fraction = high >> 9 | np.uint32(0x7F << 23)
-        uniform = jax.lax.bitcast_convert_type(fraction, real) - 1.0  # in [0, 1)
+        return jax.lax.bitcast_convert_type(fraction, real) - 1.0
+
+    return tuple(uniform(i) for i in range(count))
+
+
+def standard_normals(key: jax.Array, count: int) -> tuple[Scalar, ...]:
+    """Independent standard normal numbers, from :func:`uniforms`.
+
+    In float64 they equal ``jax.random.normal(key, (count,))``; in float32 they are the same numbers up to rounding.
+    """
+    real = jnp.result_type(float)
+    lowest = np.nextafter(np.array(-1.0, real), np.array(0.0, real))
+
+    def standard_normal(uniform: Scalar) -> Scalar:
         return np.sqrt(2.0).astype(real) * jax.lax.erf_inv(jnp.maximum(lowest, uniform * (1.0 - lowest) + lowest))
 
-    return tuple(standard_normal(i) for i in range(count))
+    return tuple(map(standard_normal, uniforms(key, count)))
 
 
 def standard_normal(key: jax.Array) -> Scalar:

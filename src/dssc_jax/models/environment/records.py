@@ -9,6 +9,7 @@ import numpy as np
 
 from dssc_jax.core.contracts import Disturbance, Reference, Sensor, Wind, stateless, unchanged
 from dssc_jax.core.errors import ConfigError, errors_under
+from dssc_jax.core.numerics import uniforms
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry
 from dssc_jax.core.signals import Measurement, ReferencePoint, Scalar
@@ -206,10 +207,10 @@ def recorded_sensor(start: NoiseStart) -> Sensor:
         first, last, steps = params.time[0], params.time[-1], len(params.time) - 1
         early = AHEAD * (last - first) / steps
         begins = [part._replace(begins=part.begins - first - early) for part in pieces]
-        return RecordedNoise(*begins, (last - first) * (steps + 1) / steps)
+        return RecordedNoise(begins[0], begins[1], (last - first) * (steps + 1) / steps)
 
     def init(noise: RecordedNoise, measurement: Measurement, key: jax.Array) -> Scalar:
-        return noise.length * jax.random.uniform(key) if start == NoiseStart.RANDOM else 0.0
+        return noise.length * uniforms(key, 1)[0] if start == NoiseStart.RANDOM else 0.0
 
     def step(
         noise: RecordedNoise, begin: Scalar, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar

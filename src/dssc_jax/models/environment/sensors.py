@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from dssc_jax.core.contracts import NoParams, Sensor
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import standard_normals
+from dssc_jax.core.numerics import standard_normals, uniforms
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.core.signals import Measurement, Scalar
@@ -119,12 +119,6 @@ def rounded(value: Scalar, resolution: Scalar | None) -> Scalar:
     return value if resolution is None else resolution * jnp.round(value / resolution)
 
 
-def uniforms(key: jax.Array) -> tuple[Scalar, Scalar]:
-    """Two numbers, uniform in [0, 1), independent of those of :func:`reading`."""
-    first, second = jax.random.uniform(jax.random.fold_in(key, EXTRA), (2,))
-    return first, second
-
-
 def earlier(now: Measurement, before: Measurement, age: Scalar, dt: Scalar) -> Measurement:
     """The measurement ``age`` before now, from the cubic through both samples and their derivatives.
 
@@ -164,7 +158,7 @@ def noisy_step(
     due = state.age >= whole("period_samples", params.period_samples)
     true, arrives = measurement, due
     if params.loss is not None or params.jitter is not None:
-        chance, share = uniforms(key)
+        chance, share = uniforms(jax.random.fold_in(key, EXTRA), 2)
         if params.jitter is not None:
             true = earlier(measurement, state.before[0], params.jitter * share, dt)
         if params.loss is not None:
