@@ -89,7 +89,12 @@ def falsified(certificate):
     yield "P5", with_problem(rho=0.15)
     yield "P5", with_problem(rho=0.05)
     yield "P7", with_problem(initial=[[0.21, 0.21], [0.0, 0.0]])
-    yield "P7", with_problem(slope=2.0 * certificate["problem"]["slope"])
+    yield "P8", with_problem(slope=1.01 * certificate["problem"]["slope"])
+    yield "P8", with_problem(level=1.01 * certificate["problem"]["level"])
+    yield "P8", with_problem(by_state=[0.0, 0.0, 0.1, 0.0, 0.0])
+    yield "P0", with_problem(by_state=[0.0, 0.0, -0.1, 0.0, 0.0])
+    yield "P7", with_stage(slope=50.0 * first["slope"])
+    yield "P0", with_stage(level=-first["level"])
     yield "P7", with_problem(sample_time=0.02)
     yield "P0", with_problem(slope=-1.0)
     yield "P1", with_problem(mu=[0.005, 0.01])
@@ -229,7 +234,6 @@ def test_an_indefinite_p_does_not_prove_an_unstable_loop():
         ({"reference": SINE, **HIGHER}, "the reference moves, and the plant has zero dynamics"),
         ({"reference": SINE, "sensor": {"kind": "lag", "mu": 0.01}}, "the reference moves, and the sensor lags"),
         ({"disturbance": {"kind": "step", "value": 0.1, "at": 1.0}}, "no known bound"),
-        ({"disturbance": {"kind": "partition", "k_d3": 0.1}}, "depends on the state"),
         ({"controller.discretisation": "explicit"}, "in implicit or conservative form"),
         ({"controller.discretisation": "conservative"}, "depend on e between samples"),
         ({"controller.sign_width": 0.1}, "the sign is smoothed"),

@@ -76,7 +76,7 @@ def test_the_proofs_of_a_folder_are_verified_again(folder, tmp_path, capsys):
     content["certificates"][index]["problem"]["slope"] *= 3.0
     forged.write_text(json.dumps(content))
     assert guarded(["prove", str(forged)]) == 1
-    assert "P7: " in capsys.readouterr().out
+    assert "P8: " in capsys.readouterr().out
     own = json.loads((folder / PROOFS_FILE).read_text())
     swapped = tmp_path / "swapped"
     shutil.copytree(folder, swapped)

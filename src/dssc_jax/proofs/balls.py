@@ -13,11 +13,20 @@ class Rejected(Exception):
 
 
 class StageLimits(NamedTuple):
-    """Bounds of |sigma| and |e| at the samples, and of |e(t)| at all times."""
+    """Bounds of |sigma| and |e| at the samples, and of |e(t)| at all times.
+
+    ``level`` and ``slope`` bound what the state adds to |d| and |d'|, with :data:`ENTERED` times these bounds.
+    """
 
     sigma: arb
     e: arb
     between: arb
+    level: arb
+    slope: arb
+
+
+ENTERED = "1.0001"
+"""A multiple of an upper limit, which a signal does not exceed from some sample on."""
 
 
 def require_premise(holds: bool, reason: str) -> None:

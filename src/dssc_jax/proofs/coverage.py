@@ -1,5 +1,6 @@
 """What of a study a proof covers: from its loop to the plain numbers of a problem."""
 
+import math
 from typing import Any
 
 import jax
@@ -12,7 +13,7 @@ from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS
 from dssc_jax.models.controllers.modulation import ConstantModulation
 from dssc_jax.models.controllers.pi import PI, PiGains
 from dssc_jax.models.environment import sensors
-from dssc_jax.models.environment.disturbances import STEP
+from dssc_jax.models.environment.disturbances import PARTITION, STEP
 from dssc_jax.models.plants.normal_form import NORMAL_FORM
 from dssc_jax.models.unmodelled.delay import DELAY
 from dssc_jax.models.unmodelled.lag import LAG, NO_DYNAMICS, Order
@@ -50,7 +51,7 @@ def problem_of(study: Study) -> ProofProblem:
     zero = low.plant.zero_dynamics
     if zero is not None and (any(isinstance(row, Law) for row in zero) or zero != high.plant.zero_dynamics):
         raise NotCovered("the zero dynamics are uncertain")
-    level, slope = disturbance_of(study, ends)
+    level, slope, by_state = disturbance_of(study, ends)
     moves = reference_bounds(loop.reference, ends.part("reference"))
     lag = sensor_lag(loop.sensor[0], loop.differentiator[0], ends)
     if moves and zero is not None:
@@ -69,16 +70,18 @@ def problem_of(study: Study) -> ProofProblem:
         slope=slope,
         reference=(speed, acceleration, jerk),
         initial=initial_errors(study, ends),
+        by_state=by_state,
+        reference_size=float(moves.get("y_m", 0.0)) if any(by_state) else 0.0,
         **unmodelled_of(study, ends),
         **controller_of(study),
     )
 
 
-def disturbance_of(study: Study, ends: Ends) -> tuple[float, float]:
-    """Bounds of |d| [m/s] and |d'| [m/s^2].
+def disturbance_of(study: Study, ends: Ends) -> tuple[float, float, tuple[float, ...]]:
+    """Bounds of |d| [m/s] and |d'| [m/s^2] of the part that does not depend on the state, and k_d1 to k_d5 of (30).
 
     Raises:
-        NotCovered: one is not known, or they depend on the state.
+        NotCovered: one is not known.
     """
     model = study.loop.disturbance[0]
     try:
@@ -87,9 +90,13 @@ def disturbance_of(study: Study, ends: Ends) -> tuple[float, float]:
         bounds = disturbance_bounds(model, ends.part("disturbance", 0))
     except NotCovered:
         raise NotCovered("the disturbance's derivative has no known bound") from None
-    if set(bounds) - {"alpha_d", "alpha_d3"}:
-        raise NotCovered("the disturbance depends on the state")
-    return float(bounds.get("alpha_d", 0.0)), float(bounds.get("alpha_d3", 0.0))
+    gains = tuple(float(bounds.get(f"k_d{i}", 0.0)) for i in range(1, 6))
+    slope = float(bounds.get("alpha_d2", 0.0)) + float(bounds.get("alpha_d3", 0.0))
+    level = float(bounds.get("alpha_d", 0.0))
+    if model is PARTITION:
+        level = float(ends.part("disturbance", 0).largest("value"))
+        level += slope * float(ends.high.disturbance[0].period) / (2.0 * math.pi)
+    return level, slope, gains
 
 
 def sensor_lag(sensor: Any, differentiator: Any, ends: Ends) -> float:

@@ -5,7 +5,8 @@ its responses. :mod:`dssc_jax.proofs.small_gain` states the inequality and verif
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -14,9 +15,12 @@ from scipy.linalg import solve_discrete_lyapunov
 from dssc_jax.proofs.gains import GAIN_NAMES, Hull, gain_hull
 from dssc_jax.proofs.problem import Interval, ProofProblem
 from dssc_jax.proofs.sampled_loop import (
+    INNER_STEPS,
     Step,
     box_middle,
+    flow,
     held_matrices,
+    held_matrix,
     middle,
     signal_sizes,
     start_corners,
@@ -35,6 +39,8 @@ GROWTH = 1.1
 """Room of a region around the bounds that led to it."""
 INFLATION, ENTERED = 1.0 + 2e-4, 1.0001 * (1.0 + 1e-9)
 """Widening of bounds for what the verifier's balls and tails add, and the multiple of a limit that is entered."""
+STATE_ROOM = 1.02
+"""Widening of bounds from which those of the disturbance follow, for enclosures of a sample's inside."""
 SMALLEST_BOUND = 1e-15
 """Smallest bound, so that all are positive."""
 WORTH = 0.997
@@ -48,6 +54,8 @@ class BoundsStage:
     Args:
         sigma: Bound of |sigma| in which the gains are taken [m/s].
         e: Bound of |e| there [m].
+        level: Bound of |d| [m/s] under the bounds of the signals.
+        slope: Bound of |d'| [m/s^2] likewise.
         rate: lambda [1/s], with which V = z'Pz of the middle loop falls.
         gains: K_P, K_I, K_N, and K_P and T_s K_I times 1 + tau_av/T_s, of the middle loop.
         bounds: Bounds of sigma - s, sigma, e, the command, u_eq - d, and of all states.
@@ -57,6 +65,8 @@ class BoundsStage:
 
     sigma: float
     e: float
+    level: float
+    slope: float
     rate: float
     gains: list[float]
     bounds: list[float]
@@ -80,6 +90,7 @@ class Map(NamedTuple):
     peaks: np.ndarray
     matrix: np.ndarray
     slide: tuple[float, float]
+    command: np.ndarray
 
 
 def responses(a: np.ndarray, rows: np.ndarray, inputs: np.ndarray, starts: np.ndarray) -> Responses | None:
@@ -142,6 +153,7 @@ def bounds_map(problem: ProofProblem, box: dict[str, Interval], hull: Hull) -> M
         result.peaks,
         result.sums[:, w:] @ sizes,
         (half["slide_p"], half["slide_i"]),
+        command,
     )
 
 
@@ -174,7 +186,8 @@ def bounds_stage(problem: ProofProblem, region: tuple[float, float], by: Map, bo
     """The stage of these bounds."""
     falls, p = decay_of(by.step)
     rate = falls / problem.sample_time
-    return BoundsStage(float(region[0]), float(region[1]), rate, by.gains, (INFLATION * bounds).tolist(), p.tolist())
+    sizes = float(region[0]), float(region[1]), problem.level, problem.slope
+    return BoundsStage(*sizes, rate, by.gains, (INFLATION * bounds).tolist(), p.tolist())
 
 
 def decay_of(step: Step) -> tuple[float, np.ndarray]:
@@ -190,37 +203,95 @@ def decay_of(step: Step) -> tuple[float, np.ndarray]:
     return float(1.0 - keep**2), 0.5 * (p + p.T)
 
 
-def from_start(problem: ProofProblem, box: dict[str, Interval]) -> BoundsStage | str:
-    """Bounds from the start on; otherwise the reason why there are none: ``gain``, ``region`` or ``sliding``."""
+def allowed_disturbance(
+    problem: ProofProblem, own: ProofProblem, box: dict[str, Interval], by: Map, bounds: np.ndarray
+) -> ProofProblem:
+    """The problem with the largest disturbance that bounds of the signals allow, with k_d1 to k_d5 of (30).
+
+    Args:
+        problem: What is to be proved.
+        own: The same with the level and slope of the disturbance that led to the bounds.
+        box: Intervals of the uncertain numbers.
+        by: The map that led to the bounds.
+        bounds: Of the signals and states.
+    """
+    k_1, k_2, k_3, k_4, k_5 = problem.by_state
+    if not any(problem.by_state):
+        return problem
+    e, speed, bend = motion(own, box, STATE_ROOM * np.array([by.command @ bounds, *bounds[STATES:]]))
+    v, a, _ = problem.reference
+    y, y_dot, y_ddot = e + problem.reference_size, speed + v, bend + a
+    s, s_dot, growth = speed + problem.l0 * e, bend + problem.l0 * speed, k_1 * y + k_2 * y_dot + k_3
+    slope = k_5 * y + k_4 * y_dot + (k_1 * y_dot + k_2 * y_ddot) * s + growth * s_dot
+    return replace(problem, level=float(problem.level + k_4 * y + growth * s), slope=float(problem.slope + slope))
+
+
+def motion(problem: ProofProblem, box: dict[str, Interval], bounds: np.ndarray) -> tuple[float, float, float]:
+    """Bounds of |e|, |e'| and |e''| at all times, from those of the command and the states at the samples."""
+    command, states = bounds[0] * box["k_p"][1], bounds[1:]
+    reached, bend = np.zeros(2), 0.0
+    for a_p, rate in product(set(box["a_p"]), set(box.get("rate", (0.0, 0.0)))):
+        whole = np.abs(held_matrix(problem, a_p, rate))
+        chi = whole.shape[0] - 1
+        largest = np.zeros(chi)
+        for part in range(INNER_STEPS + 1):
+            phi, gamma = flow(problem, a_p, rate, problem.sample_time * part / INNER_STEPS)
+            largest = np.maximum(largest, np.abs(phi) @ states[:chi] + np.abs(gamma) * command)
+        pushed = signal_sizes(problem, box).slope * problem.sample_time * box["k_p"][1]
+        reached = np.maximum(reached, largest[:2] + 0.5 * problem.sample_time * pushed)
+        bend = max(bend, whole[1, :chi] @ largest + whole[1, chi] * command + pushed)
+    return float(reached[0]), float(reached[1]), float(bend)
+
+
+def from_start(problem: ProofProblem, box: dict[str, Interval]) -> tuple[BoundsStage, ProofProblem] | str:
+    """Bounds from the start on, with the disturbance that they allow; or why there are none.
+
+    The reasons are ``gain``, ``region`` and ``sliding``.
+    """
     sigma = e = 0.0
+    own = problem
     for _ in range(ROUNDS):
-        if (result := bounds_map(problem, box, gain_hull(problem, max(sigma, 1e-12), max(e, 1e-12)))) is None:
+        if (result := bounds_map(own, box, gain_hull(problem, max(sigma, 1e-12), max(e, 1e-12)))) is None:
             return "gain"
         if (bounds := fixed_point(result.forced + result.peaks, result.matrix)) is None:
             return "gain"
-        if INFLATION * bounds[SIGMA] <= sigma and INFLATION * bounds[ERROR] <= e:
+        allowed = allowed_disturbance(problem, own, box, result, bounds)
+        within = allowed.level <= own.level and allowed.slope <= own.slope
+        if within and INFLATION * bounds[SIGMA] <= sigma and INFLATION * bounds[ERROR] <= e:
             slack = result.slide[0] * bounds[CHANGE] + result.slide[1] * bounds[SIGMA]
-            room = np.inf if problem.rho is None else problem.rho - signal_sizes(problem, box).offset
+            room = np.inf if problem.rho is None else problem.rho - signal_sizes(own, box).offset
             if INFLATION * (bounds[EQUIVALENT] + slack) > room:
                 return "sliding"
-            return bounds_stage(problem, (sigma, e), result, bounds)
+            return bounds_stage(own, (sigma, e), result, bounds), allowed
         sigma, e = max(sigma, GROWTH * bounds[SIGMA]), max(e, GROWTH * bounds[ERROR])
+        if not within:
+            level, slope = max(own.level, GROWTH * allowed.level), max(own.slope, GROWTH * allowed.slope)
+            own = replace(own, level=level, slope=slope)
     return "region"
 
 
 def towards_residual(
-    problem: ProofProblem, box: dict[str, Interval], limits: Sequence[float], error: float
+    problem: ProofProblem, box: dict[str, Interval], limits: Sequence[float], error: float, allowed: ProofProblem
 ) -> list[BoundsStage]:
-    """Stages that follow, from upper limits of |sigma| and |e|, as long as the bound of |e| becomes smaller."""
+    """Stages that follow, from upper limits of |sigma| and |e|, as long as the bound of |e| becomes smaller.
+
+    Args:
+        problem: What is to be proved.
+        box: Intervals of the uncertain numbers.
+        limits: Of |sigma| and |e|.
+        error: The bound of |e| so far.
+        allowed: The problem with the largest disturbance that the bounds so far allow.
+    """
     stages: list[BoundsStage] = []
     sigma, e = limits
     for _ in range(SHRINKINGS):
         sigma, e = (max(ENTERED * INFLATION * each, 1e-12) for each in (sigma, e))
-        if (result := bounds_map(problem, box, gain_hull(problem, sigma, e))) is None:
+        if (result := bounds_map(allowed, box, gain_hull(problem, sigma, e))) is None:
             break
         bounds = fixed_point(result.forced, result.matrix)
         if bounds is None or not bounds[ERROR] < WORTH * error:
             break
-        stages.append(bounds_stage(problem, (sigma, e), result, bounds))
+        stages.append(bounds_stage(allowed, (sigma, e), result, bounds))
+        allowed = allowed_disturbance(problem, allowed, box, result, bounds)
         sigma, e, error = bounds[SIGMA], bounds[ERROR], bounds[ERROR]
     return stages

@@ -60,7 +60,8 @@ def invariant_bounds(
         check_start(problem, box, p, start_mean(problem) if integrated else None, where)
         check_sliding(problem, box, inverse, gains, pieces, where)
     sigma, e = (bound_in_set(inverse, rows[name]) for name in ("sigma", "e"))
-    return StageLimits(sigma, e, error_between_samples(problem, box, inverse, gains, integrated))
+    require_premise(not any(problem["by_state"]), f"P8: the set of {where} does not bound what the state adds to d")
+    return StageLimits(sigma, e, error_between_samples(problem, box, inverse, gains, integrated), arb(0), arb(0))
 
 
 def piece_gains(problem: dict[str, Any], stage: dict[str, Any]) -> list[tuple[float, Balls]]:

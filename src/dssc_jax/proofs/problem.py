@@ -28,11 +28,13 @@ class ProofProblem:
         mu: Interval of the time constant mu [s]; (0, 0) for none.
         delay: Delay of the command, in samples; not together with G.
         sensor_lag: Time constant [s] of the lag through which y and y' are measured; 0 for none.
-        level: Bound of |d| [m/s].
-        slope: Bound of |d'| [m/s^2].
+        level: Bound of |d| [m/s], of the part that does not depend on the state.
+        slope: Bound of |d'| [m/s^2], likewise.
         reference: Bounds of the reference's first three derivatives [m/s, m/s^2, m/s^3].
         initial: Interval of each component of the initial state (e, e', eta).
         matched: Whether the predictor starts at sigma.
+        by_state: k_d1 to k_d5 as in (30), with which the disturbance depends on the state.
+        reference_size: Bound of the reference itself [m]; 0 unless the disturbance depends on the state.
     """
 
     sample_time: float
@@ -55,6 +57,8 @@ class ProofProblem:
     reference: tuple[float, float, float]
     initial: tuple[Interval, ...]
     matched: bool
+    by_state: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    reference_size: float = 0.0
 
     def __hash__(self) -> int:
         """A hash of its numbers."""
@@ -78,7 +82,7 @@ class ProofProblem:
         return (*(0.0 for _ in range(whole)), 1.0 - late, *((late,) if late > 0.0 else ()))
 
 
-TUPLES = ("k_p", "a_p", "mu", "zero_a", "zero_c", "numerator", "denominator", "reference")
+TUPLES = ("k_p", "a_p", "mu", "zero_a", "zero_c", "numerator", "denominator", "reference", "by_state")
 
 
 def problem_from(content: dict[str, Any]) -> ProofProblem:

@@ -18,11 +18,12 @@ from dssc_jax.proofs.search import Box, Failure, Proof, halves, prove_box, volum
 from dssc_jax.proofs.verifier import ProofVerdict, verify_certificate, verify_proof
 from dssc_jax.study import Study
 
-VERSION = 3
+VERSION = 4
 REASONS = {
     "origin": "the loop is not stable at sigma = e = 0",
     "decay": "no common quadratic function decreases for all gains of the smallest region",
     "region": "no invariant set holds the start and stays in a region whose gains it allows",
+    "gain": "no bounds of the signals imply themselves, with a disturbance that depends on the state",
     "sliding": "the equivalent control may exceed rho",
     "verifier": "the verifier rejects what the search found",
 }
@@ -84,9 +85,11 @@ class Proved:
         where = " and ".join(in_words(name, pair, self.units) for name, pair in with_mu(self.problem.box).items())
         who = f"every plant with {where}" if self.complete else f"{self.share:.1%} of the plants with {where}"
         level, slope = (self.units.of(unit) for unit in ("u", "u/s"))
-        signal = (
-            f"every disturbance with |d| <= {self.problem.level:g} {level} and |d'| <= {self.problem.slope:g} {slope}"
-        )
+        own = f"|d| <= {self.problem.level:g} {level} and |d'| <= {self.problem.slope:g} {slope}"
+        signal = f"every disturbance with {own}"
+        if any(self.problem.by_state):
+            gains = ", ".join(f"k_d{i} = {k:g}" for i, k in enumerate(self.problem.by_state, 1) if k)
+            signal = f"every disturbance that depends on the state with {gains} (docs/proofs.md), besides {own}"
         y = self.units.output
         slides = "" if self.problem.rho is None else "slides from the first sample on, "
         return (

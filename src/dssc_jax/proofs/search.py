@@ -47,6 +47,8 @@ class SetStage:
     Args:
         sigma: Bound of |sigma| in which the gains are selected [m/s].
         e: Bound of |e| there [m].
+        level: Bound of |d| [m/s].
+        slope: Bound of |d'| [m/s^2].
         pieces: Number of pieces of |sigma|, equal in its root, in each of which the gains have their own intervals.
         degree: Of the polynomial in 1/mu that stands for the held plant.
         rate: lambda [1/s].
@@ -57,6 +59,8 @@ class SetStage:
 
     sigma: float
     e: float
+    level: float
+    slope: float
     pieces: int
     degree: int
     rate: float
@@ -83,7 +87,7 @@ class Proof:
 
 
 class Failure(NamedTuple):
-    """A box without a proof, and the reason: ``origin``, ``decay``, ``region``, ``sliding`` or ``verifier``."""
+    """A box without a proof, and the reason, as in ``REASONS`` of :mod:`dssc_jax.proofs.prove`."""
 
     box: Box
     reason: str
@@ -116,9 +120,12 @@ def prove_box(problem: ProofProblem, box: Box) -> Proof | Failure:
     if problem.rho is not None and problem.rho <= signal_sizes(problem, box).offset:
         return Failure(box, "sliding")
     first = from_start(problem, box)
-    if isinstance(first, BoundsStage):
-        sigma, e = first.bounds[fixed_point.SIGMA], first.bounds[fixed_point.ERROR]
-        return Proof(box, [first, *towards_residual(problem, box, (sigma, e), e)])
+    if not isinstance(first, str):
+        stage, allowed = first
+        sigma, e = stage.bounds[fixed_point.SIGMA], stage.bounds[fixed_point.ERROR]
+        return Proof(box, [stage, *towards_residual(problem, box, (sigma, e), e, allowed)])
+    if any(problem.by_state):  # of which the sets know no bound
+        return Failure(box, "sliding" if first == "sliding" else "gain")
     return proof_by_sets(problem, box)
 
 
@@ -189,7 +196,7 @@ def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
     stages = [first]
     for _ in range(SHRINKING):
         sigma, e = (INFLATION * largest_in_set(np.array(stages[-1].p), at.rows[row]) for row in (SIGMA, E))
-        if rest := towards_residual(problem, box, (sigma, e), e):
+        if rest := towards_residual(problem, box, (sigma, e), e, problem):
             return Proof(box, [*stages, *rest])
         shares = RATES if len(stages) == 1 else (stages[-1].rate / setting.speed,)
         if (smaller := smaller_set(setting, sigma, e, shares)) is None:
@@ -292,7 +299,8 @@ def set_stage(result: Solution, region: Region, setting: Setting) -> SetStage:
     """The stage of a solution; where the gains do not depend on e, its region holds any e of the set."""
     e, pieces = max(region.e, INFLATION * largest_in_set(result.p, setting.at.rows[E])), len(region.pieces)
     multipliers, p = result.multipliers.tolist(), result.p.tolist()
-    return SetStage(region.sigma, e, pieces, setting.degree, result.rate, multipliers, p)
+    sizes = region.sigma, e, setting.problem.level, setting.problem.slope
+    return SetStage(*sizes, pieces, setting.degree, result.rate, multipliers, p)
 
 
 def halves(box: Box, problem: ProofProblem) -> list[Box]:

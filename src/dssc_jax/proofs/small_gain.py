@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 from flint import arb, arb_mat
 
 from dssc_jax.proofs.balls import (
+    ENTERED,
     Balls,
     StageLimits,
     enclosing,
@@ -39,6 +40,7 @@ from dssc_jax.proofs.enclosed_loop import (
     zeta_jump,
 )
 from dssc_jax.proofs.impulse_responses import response_bounds
+from dssc_jax.proofs.state_dependence import disturbance_by_state
 
 MIDDLE_GAINS: tuple[str, ...] = ("k_p", "k_i", "k_n", "slide_p", "slide_i")
 CHANGE, SIGMA, ERROR, COMMAND, EQUIVALENT, STATES = range(6)
@@ -136,8 +138,10 @@ def implied_bounds(
         room = arb(problem["rho"]) - signal_bounds(problem, box).offset
         slack = half["slide_p"] * bounds[CHANGE] + half["slide_i"] * bounds[SIGMA]
         require_premise(bounds[EQUIVALENT] + slack <= room, f"P5: the equivalent control may exceed rho in {where}")
-    bend = bend_between_samples(problem, box, bounds, true_command(half, bounds, t))
-    return StageLimits(bounds[SIGMA], bounds[ERROR], (bounds[STATES] + bend).upper())
+    command = true_command(half, bounds, t)
+    bend = bend_between_samples(problem, box, bounds, command)
+    added = disturbance_by_state(problem, box, [each * arb(ENTERED) for each in (command, *bounds[STATES:])])
+    return StageLimits(bounds[SIGMA], bounds[ERROR], (bounds[STATES] + bend).upper(), *added)
 
 
 def adjoined(left: arb_mat, right: arb_mat) -> arb_mat:

@@ -2,7 +2,7 @@
 
 It shares no code with the search, only the certificate's numbers. Every number is a ball (`arb` of FLINT) that contains
 the exact one; the floating-point numbers of the certificate are exact. docs/proofs.md states the theorem whose premises
-are checked here, (P0) to (P7).
+are checked here, (P0) to (P8).
 """
 
 import math
@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from flint import arb, ctx
 
-from dssc_jax.proofs.balls import Rejected, StageLimits, require_premise
+from dssc_jax.proofs.balls import ENTERED, Rejected, StageLimits, require_premise
 from dssc_jax.proofs.enclosed_loop import signal_bounds
 from dssc_jax.proofs.gain_enclosures import enclosed_gains
 from dssc_jax.proofs.invariant_sets import invariant_bounds
@@ -21,7 +21,6 @@ from dssc_jax.proofs.small_gain import implied_bounds
 from dssc_jax.proofs.well_formed import require_problem, require_proof
 
 PRECISION = 160  # bits
-ENTERED = "1.0001"  # a multiple of an upper limit, which a signal does not exceed from some sample on
 STAGE_METHODS = {"invariant set": invariant_bounds, "small gain": implied_bounds}
 
 
@@ -117,19 +116,28 @@ def require_cover(problem: dict[str, Any], boxes: list[dict[str, Any]]) -> None:
 def verified_stages(problem: dict[str, Any], proof: dict[str, Any]) -> list[StageLimits]:
     """Check every stage of a box; return what each shows."""
     box = proof["box"]
-    if problem["rho"] is not None:
-        exceeds = arb(problem["rho"]) > signal_bounds(problem, box).offset
-        require_premise(exceeds, "P5: rho does not exceed what disturbance and reference ask for")
     limits: list[StageLimits] = []
     for number, stage in enumerate(proof["stages"], 1):
         where = f"stage {number} of the box {box}"
+        own = {**problem, "level": stage["level"], "slope": stage["slope"]}
         if limits:
             require_region(limits[-1], arb(ENTERED), stage, f"P4: the stage before {where}")
+            require_disturbance(problem, limits[-1], stage, f"P8: the stage before {where}")
+        elif problem["rho"] is not None:
+            exceeds = arb(problem["rho"]) > signal_bounds(own, box).offset
+            require_premise(exceeds, "P5: rho does not exceed what disturbance and reference ask for")
         gains = enclosed_gains(problem, stage["sigma"], stage["e"])
-        limits.append(STAGE_METHODS[stage["method"]](problem, box, stage, gains, started=number == 1, where=where))
+        limits.append(STAGE_METHODS[stage["method"]](own, box, stage, gains, started=number == 1, where=where))
         if number == 1:
             require_region(limits[0], arb(1), stage, f"P4: {where}")
+            require_disturbance(problem, limits[0], stage, f"P8: {where}")
     return limits
+
+
+def require_disturbance(problem: dict[str, Any], limits: StageLimits, stage: dict[str, Any], who: str) -> None:
+    """(P8) What was shown allows no larger disturbance, and no steeper one, than a stage takes for granted."""
+    for name, added in (("level", limits.level), ("slope", limits.slope)):
+        require_premise(arb(problem[name]) + added <= arb(stage[name]), f"{who} allows a disturbance of larger {name}")
 
 
 def require_region(limits: StageLimits, factor: arb, stage: dict[str, Any], who: str) -> None:

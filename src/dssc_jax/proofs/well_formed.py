@@ -70,6 +70,10 @@ def require_problem(problem: Any) -> None:
     require_unmodelled(problem)
     require_finite(problem["sensor_lag"], "sensor_lag")
     require_shape(problem["sensor_lag"] >= 0, "sensor_lag", "is negative")
+    require_numbers(problem["by_state"], 5, "by_state")
+    require_shape(all(each >= 0 for each in problem["by_state"]), "by_state", "is negative")
+    require_finite(problem["reference_size"], "reference_size")
+    require_shape(problem["reference_size"] >= 0, "reference_size", "is negative")
     require_numbers(problem["reference"], 3, "reference")
     require_shape(all(each >= 0 for each in problem["reference"]), "reference", "is negative")
     still = not any(problem["reference"])
@@ -137,6 +141,9 @@ def require_proof(problem: dict[str, Any], proof: Any) -> None:
     for stage in proof["stages"]:
         for name in ("sigma", "e", "rate"):
             require_positive(stage[name], name)
+        for name in ("level", "slope"):
+            require_finite(stage[name], name)
+            require_shape(stage[name] >= 0, name, "is negative")
         require_shape(len(stage["p"]) == n, "p", "has not its shape")
         for row in stage["p"]:
             require_numbers(row, n, "p")
