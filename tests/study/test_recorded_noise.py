@@ -5,7 +5,9 @@ import pandas as pd
 import pytest
 
 import dssc_jax as dj
+from dssc_jax.cli import guarded
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.design.noise import noise_drift
 from dssc_jax.study.tables import to_toml
 
 TIMES = 2.0 + 0.01 * np.arange(150)
@@ -59,6 +61,18 @@ def test_the_draws_differ_and_are_those_of_a_run(folder):
     assert len(np.unique(errors)) > 25
     assert dj.simulate(study, draw=7).attrs["error_rms"] == pytest.approx(errors[7], rel=1e-9)
     assert dj.run(study.override({"sensor": {"kind": "ideal"}})).dataset["error_rms"].values.std() == 0.0
+
+
+def test_the_prediction_of_drift_takes_records(folder, monkeypatch, capsys):
+    """The commands warn of noise: with a recorded disturbance, too, and in DSSC's implicit form."""
+    monkeypatch.chdir(folder)
+    disturbance = "disturbance={ kind = 'record', file = 'noise.csv', column = 'nv' }"
+    assert guarded(["run", "study.toml", "--set", disturbance, "--draws", "2"]) == 0
+    functions = {"kind": "square_root", "kappa_o": 20.0, "kappa_m": 4.0, "delta_o": 1.0, "delta_m": 1.0, "tau_av": 0.03}
+    dssc = {"kind": "dssc", "l0": L0, "rho": 2.0, "functions": functions}
+    study = dj.Study.load(folder / "study.toml").override({"controller": dssc, "disturbance.kind": "none"})
+    (drift,) = noise_drift(study).values()
+    assert drift.noise == pytest.approx(SIGMA.std(), rel=0.2)
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,5 @@ def airframe(
     if as_json:
         print(json.dumps({"vehicle": vehicle, "notes": notes}))
     else:
-        print(
-            to_toml({"plant": {"kind": "uav", "vehicle": vehicle}}) + "".join(f"# {note}\n" for note in notes), end=""
-        )
+        print(to_toml({"plant": {"vehicle": vehicle}}) + "".join(f"# {note}\n" for note in notes), end="")
     return DONE

@@ -41,11 +41,23 @@ class Drift(NamedTuple):
     error: float
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2))
 def sigma_noise(
     sensor: Sensor, differentiator: Differentiator, params: tuple[Any, Any], l0: Scalar, dt: Scalar
 ) -> jax.Array:
     """The noise of sigma = y' + l0 y behind sensor and differentiator at rest, shape (SAMPLES,)."""
+    leaves, tree = jax.tree.flatten(params)
+    numbers = tuple(None if np.ndim(leaf) else leaf for leaf in leaves)  # counts of samples are fixed before tracing
+    records = tuple(leaf if np.ndim(leaf) else None for leaf in leaves)
+    return traced_noise((sensor, differentiator), tree, numbers, records, l0, dt)
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def traced_noise(
+    models: tuple[Sensor, Differentiator], tree: Any, numbers: tuple, records: tuple, l0: Scalar, dt: Scalar
+) -> jax.Array:
+    """:func:`sigma_noise` with the parameters' numbers and records, of which each leaf is one."""
+    sensor, differentiator = models
+    params = tree.unflatten(n if r is None else r for n, r in zip(numbers, records, strict=True))
     at_rest = Measurement(0.0, 0.0)
     key = jax.random.key(stream("noise"))
 
@@ -99,9 +111,8 @@ def noise_drift(study: Study) -> dict[str, Drift]:
     Returns:
         Each noisy channel in the implicit form of DSSC, by name; the single channel of a SISO plant is ``""``.
     """
-    loop, whole = study.loop, study.template
-    used = whole._replace(plant=(), reference=(), wind=())  # records and waypoints are arrays, which have no median
-    template = jax.tree.map(nominal, used)
+    loop = study.loop
+    template = jax.tree.map(lambda leaf: leaf if np.ndim(leaf) else nominal(leaf), study.template)  # records: arrays
     drifts = {}
     for i, name in enumerate(loop.channels):
         exact = not template.sensor[i] and not template.differentiator[i]

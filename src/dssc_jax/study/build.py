@@ -123,7 +123,10 @@ def parsed_parts(table: dict[str, Any]) -> Parts:
             raise ConfigError(
                 dotted("controller", name), "the gains need the field l0, which defines sigma = e' + l0 e"
             )
-    check_jitter(columns["sensor"], channels, config.loop.sample_time)
+    columns["sensor"] = [
+        with_bounded_jitter(part, dotted("sensor", name), config.loop.sample_time)
+        for name, part in zip(channels, columns["sensor"], strict=True)
+    ]
     loop = Loop(
         **{slot: part.model for slot, part in wholes.items()},
         **{slot: tuple(part.model for part in column) for slot, column in columns.items()},
@@ -199,18 +202,22 @@ def check_settled(loop: Loop, measures: tuple[Measure, ...]) -> None:
         raise ConfigError("loop.settled.after", f"{rule}; got {loop.settled.after:g}")
 
 
-def check_jitter(sensors: list[Component], channels: tuple[str, ...], sample_time: float) -> None:
-    """Require that a reading is at most one sample old.
+def with_bounded_jitter(sensor: Component, path: str, sample_time: float) -> Component:
+    """The sensor whose jitter, if it has one, is at most one sample; axes and margins know the bound, too.
 
     Raises:
-        ConfigError: A sensor's jitter may exceed the sampling period.
+        ConfigError: Its own jitter may exceed the sampling period.
     """
-    for name, sensor in zip(channels, sensors, strict=True):
-        jitter = getattr(sensor.params, "jitter", None)
-        longest = 0.0 if jitter is None else extent(jitter)[1]
-        if longest > sample_time:
-            rule = f"must be <= loop.sample_time = {sample_time:g} s, got up to {longest:g} s"
-            raise ConfigError(dotted("sensor", name, "jitter"), rule)
+    jitter = getattr(sensor.params, "jitter", None)
+    longest = 0.0 if jitter is None else extent(jitter)[1]
+    if longest > sample_time:
+        rule = f"must be <= loop.sample_time = {sample_time:g} s, got up to {longest:g} s"
+        raise ConfigError(dotted(path, "jitter"), rule)
+    bounded = (
+        replace(n, quantity=replace(n.quantity, at_most=sample_time)) if n.name.endswith(".jitter") else n
+        for n in sensor.numbers
+    )
+    return replace(sensor, numbers=tuple(bounded))
 
 
 def parse_whole(table: dict[str, Any], slot: str) -> Component:

@@ -78,6 +78,14 @@ def test_jitter_is_uniform_over_its_range():
     assert np.std(age) == pytest.approx(0.004 / np.sqrt(12.0), rel=0.05)
 
 
+def test_an_axis_and_a_margin_of_jitter_end_at_one_sample():
+    study = dj.Study.from_table({**LOOP, "sensor": {"kind": "noisy", "jitter": 0.0}})
+    with pytest.raises(ConfigError, match=r"sweep\.sensor\.jitter: .* must be <= 0\.01, got 0\.02"):
+        study.override({"sweep": {"sensor.jitter": [0.0, 0.02]}})
+    with pytest.raises(ConfigError, match=r"must be <= 0\.01, got 0\.02"):
+        dj.margin(study, over="sensor.jitter", bounds=(0.0, 0.02))
+
+
 def test_jitter_of_more_than_a_sample_is_refused():
     with pytest.raises(ConfigError, match=r"sensor\.jitter: must be <= loop\.sample_time = 0\.01 s, got up to 0\.02 s"):
         dj.Study.from_table({**LOOP, "sensor": {"kind": "noisy", "jitter": {"uniform": [0.0, 0.02]}}})

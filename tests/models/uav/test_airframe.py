@@ -103,6 +103,7 @@ def test_what_the_file_lacks_is_named():
         (QUAD + "\nparam set CA_ROTOR1_PX -0.15", "CA_ROTORi_PX", "on a circle; got"),
         (QUAD + "\nparam set CA_ROTOR1_KM 0.03", "CA_ROTORi_KM", "same for all rotors"),
         (QUAD + "\nparam set CA_ROTOR0_CT 8", "CA_ROTORi_CT", "same for all rotors"),
+        (QUAD.replace("KM -0.02", "KM 0.02"), "CA_ROTORi_KM", "both signs"),
         ("param set CA_ROTOR_COUNT 4", "CA_ROTORi_PX", "at the centre"),
         (with_properties(SIH_MASS="${MASS}").replace("COUNT 4", "COUNT ${N}"), "CA_ROTOR_COUNT", "got 0"),
     ],
@@ -129,7 +130,7 @@ def test_the_command_prints_a_table_of_a_study_that_flies(tmp_path, capsys, monk
     kind = "hover"
     position = [0.3, 0.2, 1.0]
     """
-    head = 'name = "own"\n[loop]\nduration = 30.0\nsample_time = 0.01\n'
+    head = 'name = "own"\n[loop]\nduration = 30.0\nsample_time = 0.01\n[plant]\nkind = "uav"\n'
     requirement = '[[requirement]]\nmetric = "position_error_max"\nafter = 25.0\nmax = 0.05\n'
     (tmp_path / "own.toml").write_text(head + printed + rest + requirement)
     assert not dj.run(dj.Study.load(tmp_path / "own.toml")).failed.any()

@@ -98,6 +98,8 @@ def rotors_of(given: Mapping[str, float]) -> dict[str, Any]:
         raise ConfigError("CA_ROTORi_PX, CA_ROTORi_PY", "must be given; all rotors are at the centre")
     torque = common([abs(coefficient) for coefficient in coefficients], "CA_ROTORi_KM")
     common(thrusts, "CA_ROTORi_CT")
+    if all(coefficient > 0.0 for coefficient in coefficients) or all(coefficient < 0.0 for coefficient in coefficients):
+        raise ConfigError("CA_ROTORi_KM", "must have both signs: rotors that all turn the same way cannot hold the yaw")
     return {
         "arm": arm,
         "torque_coefficient": torque,
