@@ -13,6 +13,7 @@ from scipy.io import loadmat
 import dssc_jax as dj
 from dssc_jax.cli import guarded
 from dssc_jax.core.errors import ConfigError
+from tests.cli.conftest import last_json
 
 
 def test_version(capsys):
@@ -152,3 +153,16 @@ def test_compiling_is_announced_before_it_begins(tmp_path, monkeypatch, capfd):
     for arguments in (["simulate", "motor"], ["run", "motor", "--draws", "4"]):
         done = subprocess.run([command, *arguments], capture_output=True, text=True, cwd=tmp_path)
         assert done.stderr.startswith("motor: compiling, which usually takes a few seconds the first time")
+
+
+def test_an_edited_study_has_a_folder_of_its_own(study, capsys):
+    """The results of the study as it was remain."""
+    assert guarded(["run", study.name, "--json"]) == 0
+    first = last_json(capsys)["result"]
+    assert guarded(["run", study.name, "--json"]) == 0
+    assert last_json(capsys)["result"] == first
+    study.write_text(study.read_text().replace("draws = 20", "draws = 21"))
+    assert guarded(["run", study.name, "--json"]) == 0
+    second = last_json(capsys)
+    assert second["result"].startswith(f"{first}-")
+    assert second["draws"] == 21

@@ -210,9 +210,16 @@ def warn_of_noise(study: "Study") -> None:
 
 
 def default_out(study: "Study", command: str, *options: Any) -> Path:
-    """results/NAME-COMMAND, followed by the study's hash if an option changes the question."""
+    """results/NAME-COMMAND, followed by the study's hash if an option or an edit has changed the question."""
+    folder = Path("results") / f"{study.name}-{command}"
     altered = any(option not in (None, []) for option in options)
-    return Path("results") / f"{study.name}-{command}{'-' + study.hash[:8] if altered else ''}"
+    return folder.with_name(f"{folder.name}-{study.hash[:8]}") if altered or of_another(folder, study) else folder
+
+
+def of_another(folder: Path, study: "Study") -> bool:
+    """Whether a folder holds results, and none of this study."""
+    contents = [file.read_text(encoding="utf-8", errors="replace") for file in folder.glob("*.json")]
+    return bool(contents) and not any(f'"{study.hash}"' in content for content in contents)
 
 
 def save_analysis(analysis: "Analysis", folder: Path) -> list[Path]:

@@ -75,11 +75,17 @@ def show_point(study: "Study", point: dict[str, Any]) -> None:
         counts = {name: point["outcomes"][name] for code, name in outcome_codes(study).items() if ended_early(code)}
         ways = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in counts.items() if n)
         output().print(f"ended early, and so violated every requirement: {ways}")
+    units = {measure.name: measure.unit for measure in study.measures}
     rows = [
-        (name, *(quantile_text(quantiles, level) for level in ("q5", "q50", "q95")))
+        (name_with_unit(name, units[name]), *(quantile_text(quantiles, level) for level in ("q5", "q50", "q95")))
         for name, quantiles in point["metrics"].items()
     ]
     show_table(("metric (ended early: inf)", "5 %", "median", "95 %"), rows)
+
+
+def name_with_unit(name: str, unit: str) -> str:
+    """A name followed by its unit in brackets, if it has one."""
+    return name if unit == "1" else f"{name} [{unit}]"
 
 
 def quantile_text(quantiles: Mapping[str, Any], level: str) -> str:
