@@ -24,7 +24,7 @@ REFERENCES: Registry = {
 TRAJECTORIES: Registry = {
     "zero": single(references.HOVER, "hover at the origin, or at a given position"),
     "hover": single(references.HOVER, "a fixed position and yaw"),
-    "steps": single(references.STEPS, "steps of position and yaw"),
+    "steps": single(references.STEPS, "steps of position and yaw, from the origin"),
     "mission": single(references.WHOLE_MISSION, "the article's mission, all four axes"),
     "soccer_field": single(SOCCER_FIELD, "waypoints over a soccer field (made up), like the article's field test"),
     "waypoints": single(WAYPOINTS, "georeferenced waypoints, flown at bounded speed"),
