@@ -5,7 +5,8 @@ import pytest
 from scipy import stats
 
 import dssc_jax as dj
-from dssc_jax.analyses.region import COARSE, Lattice, PairVerdict, thresholds
+from dssc_jax.analyses.region import COARSE, Lattice, PairVerdict, meeting_ends, thresholds
+from dssc_jax.plotting.regions import COLOURS_OF_VERDICTS, enclosed_cells
 from tests.loops import LAGGED
 
 TABLE = LAGGED | {
@@ -51,6 +52,13 @@ def test_the_boundary_followed_is_that_of_the_full_lattice(halvings):
         for part in (np.s_[:-1], np.s_[1:]):
             sides[(part, slice(None)) if axis == 0 else (slice(None), part)] |= differs
     assert simulated[sides].all()
+    meets = every == PairVerdict.MEETS
+    corners = meets[:-1, :-1] & meets[1:, :-1] & meets[:-1, 1:] & meets[1:, 1:]
+    np.testing.assert_array_equal(enclosed_cells(every), corners)
+    assert not (enclosed_cells(own) & ~corners).any()
+    assert enclosed_cells(own).sum() >= 0.9 * corners.sum()
+    for sparse, line in zip(own, every, strict=True):
+        assert meeting_ends(sparse) in ([], meeting_ends(line))
     if halvings == 4:
         assert simulated.sum() < 0.35 * count**2
 
@@ -70,6 +78,30 @@ def test_failures_are_those_of_a_sweep(study):
     failures = swept.failed.sum("draw").transpose(*axes).values
     np.testing.assert_array_equal(found.dataset["failures"].values[::4, ::4], failures)
     assert np.ptp(failures) > 0
+
+
+def test_the_ranges_are_those_of_the_pairs_that_meet():
+    assert meeting_ends(np.array([0, -1, 0, 1, 2, 0])) == [(0, 2), (5, 5)]
+    assert meeting_ends(np.array([-1, 0, 0, 1, 2])) == []
+    assert meeting_ends(np.array([2, 1, 1])) == []
+
+
+def test_the_figure_shows_the_inside_with_plain_numbers(study):
+    """A long title is wrapped, verdicts have distinct colours, and logarithmic axes have plain numbers."""
+    known = dj.region(study.override({"description": "a long description " * 6}), over=OVER, halvings=1)
+    figure = known.figure()
+    figure.canvas.draw()
+    assert max(map(len, figure.get_suptitle().splitlines())) <= 8 * figure.get_figwidth()
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "enclosed by pairs that pass, no claim" in labels
+    assert len({colour for _, colour in COLOURS_OF_VERDICTS.values()}) == 3
+    (ax,) = figure.axes
+    for axis in (ax.xaxis, ax.yaxis):
+        ticks = [tick.get_text() for tick in axis.get_ticklabels()]
+        assert ticks == [f"{float(text):g}" for text in ticks]
+    rows = known.summary()["safe_ranges"]
+    assert rows
+    assert all(low <= high for row in rows for low, high in row["second"])
 
 
 def test_what_cannot_be_decided_or_is_malformed(study):

@@ -171,9 +171,31 @@ def test_command(tmp_path, capsys, noisy):
     narrower = linear().override({**changed, "correlation": proposed["correlation"]})
     assert abs(narrower.laws["plant.k_p"].median - 1.1) < 0.02
     assert guarded(arguments) == 0
-    assert "90 % interval" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "90 % interval" in printed
+    assert " m rms, " in printed
     quiet = "\n".join(["t,y,u_total", *(f"{DT * k},0.5,0.0" for k in range(400))])
     (tmp_path / "log.csv").write_text(quiet)
     assert guarded([*arguments, "--number", "plant.k_p"]) == 1
     assert "does not tell plant.k_p" in capsys.readouterr().out
     assert guarded([*arguments[:3], "--number", "plant.k_p"]) == 2
+
+
+def test_a_number_in_a_list_is_proposed_with_the_list(noisy):
+    """The proposed lines replace those of the study, whose other entries of the list are kept."""
+    u, y = noisy
+    plant = {
+        "kind": "transfer_function",
+        "numerator": [{"uniform": [0.5, 1.5]}],
+        "denominator": [1.0, {"normal": [1.0, 0.2]}, 0.0],
+    }
+    study = linear(plant=plant, units={"output": "m"})
+    fitted = fit_log(study, log_of(y - 0.5, u), ["plant.numerator.0", "plant.denominator.1"])
+    header, *lines = fitted.toml().splitlines()
+    assert header == "[plant]"
+    assert [line.split(" = ")[0] for line in lines[:2]] == ["numerator", "denominator"]
+    proposed = tomllib.loads(fitted.toml())
+    assert [proposed["plant"]["denominator"][k] for k in (0, 2)] == [1.0, 0.0]
+    narrower = dj.Study.from_table({**study.table, **proposed, "plant": {**plant, **proposed["plant"]}})
+    assert narrower.laws["plant.numerator.0"] == fitted.law("plant.numerator.0")
+    assert fitted.summary()["noise_unit"] == {"": "m"}

@@ -8,13 +8,13 @@ References:
     L. Ljung, System Identification: Theory for the User, 2nd ed. (1999), sections 7.4 and 9.4.
 """
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import tomli_w
 from scipy import special
 
 from dssc_jax.analyses.flight_log import forward_filled, replayed_channel, signal_name
@@ -26,6 +26,7 @@ from dssc_jax.flight.replay import study_references
 from dssc_jax.study import Law, Study
 from dssc_jax.study.flight_logs import LOGGED, FlightLog, last_time, nearest_values
 from dssc_jax.study.laws import CASES, LOGARITHMIC
+from dssc_jax.study.tables import enclosing_list, has_dotted, set_dotted, toml_entries
 
 PLANT_SLOTS = ("plant", "unmodelled", "disturbance", "wind")
 """Parts of a study whose numbers show in the output for given commands."""
@@ -110,20 +111,19 @@ class Fitted:
         }
 
     def table(self) -> dict[str, Any]:
-        """The proposal as entries of a study file."""
+        """The proposal as entries of a study file; a number in a list comes with the whole list."""
         table: dict[str, Any] = {}
         for name in self.names:
-            law, *parts = self.law(name), *name.split(".")
-            at = table
-            for part in parts[:-1]:
-                at = at.setdefault(part, {})
-            at[parts[-1]] = {law.kind: list(law.arguments)}
+            law, above = self.law(name), enclosing_list(self.study.table, name)
+            if above and not has_dotted(table, above[0]):
+                set_dotted(table, above[0], copy.deepcopy(above[1]))
+            set_dotted(table, name, {law.kind: list(law.arguments)})
         pairs = self.correlations()
         return table | ({"correlation": pairs} if pairs else {})
 
     def toml(self) -> str:
-        """The proposal as TOML."""
-        return tomli_w.dumps(self.table())
+        """The proposal as TOML, one line for each entry."""
+        return toml_entries(self.table())
 
     def summary(self) -> dict[str, Any]:
         """For JSON."""
@@ -144,6 +144,7 @@ class Fitted:
             "numbers": numbers,
             "correlation": self.correlations(),
             "noise": self.noise,
+            "noise_unit": {channel: units.output for channel, units in zip(self.noise, self.study.units, strict=True)},
             "residual_orders": self.orders,
             "kept": {name: width if math.isfinite(width) else None for name, width in self.kept.items()},
             "toml": self.toml(),

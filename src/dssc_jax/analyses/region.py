@@ -38,6 +38,8 @@ COARSE, HALVINGS, MOST_HALVINGS = (
     8,
 )  # cells of the coarse lattice in each direction, and how often they are halved
 
+MOST_RANGES = 9  # lines of the lattice whose safe ranges are listed
+
 
 class PairVerdict(IntEnum):
     """What the draws say of a point, with the simultaneous confidence."""
@@ -97,6 +99,17 @@ class SafeRegion(Analysis):
         """Number of lattice points with a verdict."""
         return int(np.count_nonzero(self.dataset["verdict"].values == verdict))
 
+    def safe_ranges(self) -> list[dict[str, Any]]:
+        """Between which values of the second number all simulated pairs meet, for some values of the first."""
+        first_values, second_values = (self.dataset[name].values for name in self.table)
+        rows = []
+        for value, column in zip(first_values, self.dataset["verdict"].values, strict=True):
+            ends = meeting_ends(column)
+            if ends:
+                rows.append({"first": value, "second": [[second_values[k] for k in pair] for pair in ends]})
+        chosen = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST_RANGES)).round().astype(int))
+        return [rows[k] for k in chosen]
+
     @property
     def headline(self) -> str:
         """The answer in one line."""
@@ -116,6 +129,7 @@ class SafeRegion(Analysis):
         low, high = thresholds(draws, self.dataset["verdict"].size)
         return {
             "names": list(self.names),
+            "units": [self.dataset[name].attrs["units"] for name in self.table],
             "requirements": [requirement.text for requirement in self.study.requirements] or ["the draw stays finite"],
             "draws": draws,
             "passing": PASSING,
@@ -127,6 +141,7 @@ class SafeRegion(Analysis):
             "simulated_points": self.dataset["verdict"].size - self.points(PairVerdict.NOT_SIMULATED),
             "simulations": self.simulations,
             **{verdict.name.lower(): self.points(verdict) for verdict in PairVerdict if verdict >= 0},
+            "safe_ranges": self.safe_ranges(),
             "certified": int(self.dataset["certified"].sum()),
             "certificate": self.certificate,
             "seconds": self.seconds,
@@ -142,6 +157,24 @@ class SafeRegion(Analysis):
         """See :class:`Analysis`."""
         own = dict(stored.settings)
         return cls(stored.study, stored.dataset, tuple(own.pop("names")), tuple(own.pop("log")), **own)
+
+
+def meeting_ends(verdicts: np.ndarray) -> list[tuple[int, int]]:
+    """First and last place of each run of simulated pairs that meet, along one line of the lattice.
+
+    Args:
+        verdicts: A :class:`PairVerdict` for each place, shape (count,).
+
+    Returns:
+        Nothing if the line is simulated so sparsely that a run has no known end.
+    """
+    places = np.flatnonzero(verdicts != PairVerdict.NOT_SIMULATED)
+    meets = verdicts[places] == PairVerdict.MEETS
+    if not meets.any() or (meets[0] and places[0] > 0) or (meets[-1] and places[-1] < len(verdicts) - 1):
+        return []
+    steps = np.diff(np.concatenate([[0], meets.astype(int), [0]]))
+    lows, highs = places[np.flatnonzero(steps == 1)], places[np.flatnonzero(steps == -1) - 1]
+    return list(zip(lows.tolist(), highs.tolist(), strict=True))
 
 
 def thresholds(draws: int, points: int) -> tuple[int, int]:

@@ -89,13 +89,15 @@ def show_fit(summary: Mapping[str, Any]) -> None:
     for channel, noise in summary["noise"].items():
         order = summary["residual_orders"][channel]
         colour = f"autoregressive of order {order}" if order else "white"
-        say(f"residual{f' of {channel}' if channel else ''}: {noise:.4g} rms, {colour}")
+        unit = summary["noise_unit"][channel]
+        say(f"residual{f' of {channel}' if channel else ''}: {noise:.4g} {unit} rms, {colour}")
     for name, width in summary["kept"].items():
         left = "the output does not depend on it" if width is None else f"it leaves {width:.3g} standard deviations"
         say(f"not told by this flight, keeps its law: {name}; {left}")
     if summary["file"]:
         say(f"wrote {summary['file']}")
     else:
+        say("in place of the study's lines of the same names, section by section:")
         say("")
         say(summary["toml"].rstrip())
 

@@ -22,9 +22,24 @@ def show_region(summary: Mapping[str, Any], files: list[Path]) -> None:
     lattice = " x ".join(map(str, summary["lattice"]))
     head = (" and ".join(summary["names"]), "pairs", f"of {summary['draws']} draws")
     show_table(head, rows, f"{summary['simulated_points']} of {lattice} pairs simulated")
+    show_safe_ranges(summary)
     console.print(
         f"{100 * summary['confidence']:g} % confidence for all pairs together; nothing is claimed between them",
         markup=False,
     )
     console.print(f"{summary['certificate']}; it certifies {summary['certified']} pairs", markup=False, soft_wrap=True)
     show_files(files)
+
+
+def show_safe_ranges(summary: Mapping[str, Any]) -> None:
+    """Print the safe ranges of the second number for some values of the first."""
+    first, second = (
+        name if unit in ("", "1") else f"{name} [{unit}]"
+        for name, unit in zip(summary["names"], summary["units"], strict=True)
+    )
+    rows = [
+        (f"{row['first']:.4g}", "; ".join(f"{low:.4g} to {high:.4g}" for low, high in row["second"]))
+        for row in summary["safe_ranges"]
+    ]
+    if rows:
+        show_table((first, f"safe {second}"), rows, f"pairs at which at least {100 * summary['passing']:g} % pass")

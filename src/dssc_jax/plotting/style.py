@@ -30,6 +30,7 @@ STYLE: dict[Any, Any] = {
 }
 SLIDE, PANEL, SMALL = (11.5, 5.6), (6.4, 4.6), (4.6, 3.8)  # inches
 DRAWABLE = 1e100  # larger numbers overflow in matplotlib's axes
+TITLE_DENSITY = 8.0  # characters of a title per inch
 LOG_SPAN = 8.0  # axes whose positive values span more than this ratio are logarithmic
 DrawingArguments = ParamSpec("DrawingArguments")
 Drawn = TypeVar("Drawn")
@@ -67,8 +68,9 @@ def named(name: str, about: dict[str, Any]) -> str:
 
 
 def title(figure: Figure, text: str) -> None:
-    """Set a title in the user's own words: each line is wrapped, and not interpreted as mathematics."""
-    figure.suptitle("\n".join(textwrap.fill(line, 95) for line in text.splitlines()), parse_math=False)
+    """Set a title in the user's own words: wrapped to the figure's width, and not interpreted as mathematics."""
+    width = int(TITLE_DENSITY * figure.get_figwidth())
+    figure.suptitle("\n".join(textwrap.fill(line, width) for line in text.splitlines()), parse_math=False)
 
 
 def is_log(values: np.ndarray) -> bool:
@@ -78,9 +80,13 @@ def is_log(values: np.ndarray) -> bool:
 
 
 def set_scale(ax: Axes, values: np.ndarray, which: str = "x") -> None:
-    """Make an axis logarithmic if it should be, with plain numbers, more of them if the range is short."""
-    if not is_log(values):
-        return
+    """Make an axis logarithmic if it should be; see :func:`set_log`."""
+    if is_log(values):
+        set_log(ax, values, which)
+
+
+def set_log(ax: Axes, values: np.ndarray, which: str = "x") -> None:
+    """Make an axis logarithmic, with plain numbers, more of them if the range is short."""
     (ax.set_xscale if which == "x" else ax.set_yscale)("log")
     axis = ax.xaxis if which == "x" else ax.yaxis
     positive = values[np.isfinite(values)]

@@ -73,6 +73,31 @@ def to_toml(table: Mapping[str, Any]) -> str:
     return tomli_w.dumps(dict(table))
 
 
+def inline_toml(value: Any) -> str:
+    """A value of a study's table as TOML on one line."""
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(toml_entry(name, inner) for name, inner in value.items())} }}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(inline_toml, value))}]"
+    return toml_entry("x", value).removeprefix("x = ")
+
+
+def toml_entry(name: str, value: Any) -> str:
+    """``name = value`` on one line."""
+    if isinstance(value, Mapping | list | tuple):
+        return f"{tomli_w.dumps({name: 0}).partition(' = ')[0]} = {inline_toml(value)}"
+    return tomli_w.dumps({name: value}).strip()
+
+
+def toml_entries(table: Mapping[str, Any], section: str = "") -> str:
+    """A table as TOML with one line for each law, list or number, under the header of its section."""
+    tables = {name: inner for name, inner in table.items() if isinstance(inner, Mapping) and not is_law(inner)}
+    lines = [toml_entry(name, value) for name, value in table.items() if name not in tables]
+    own = "\n".join([*([f"[{section}]"] if section else []), *lines]) + "\n" if lines else ""
+    inner = (toml_entries(each, f"{section}.{name}".lstrip(".")) for name, each in tables.items())
+    return "\n".join(filter(None, [own, *inner]))
+
+
 def is_index(part: str) -> bool:
     """Whether a part of a name is a plain decimal number."""
     return part.isascii() and part.isdecimal() and len(part) < 10
@@ -147,3 +172,14 @@ def has_dotted(table: dict[str, Any], name: str) -> bool:
             return False
         here = here[part]
     return True
+
+
+def enclosing_list(table: Mapping[str, Any], name: str) -> tuple[str, list[Any]] | None:
+    """Dotted name and content of the outermost list that contains the dotted name; None if there is none."""
+    here: Any = table
+    parts = name.split(".")
+    for place, part in enumerate(parts):
+        if isinstance(here, list):
+            return ".".join(parts[:place]), here
+        here = here.get(part) if isinstance(here, Mapping) else None
+    return None
