@@ -42,6 +42,16 @@ def test_the_witness_is_a_draw(study):
     assert found.witness_study.laws == {}
 
 
+def test_the_worst_requirement_has_its_name(study):
+    """With a second requirement that no draw comes near, and with one that every draw violates most."""
+    own = {"metric": "error_max", "after": 1.5, "max": 0.8}
+    for other, expected in (({"metric": "error_max", "max": 1e6}, 0), ({"metric": "error_rms", "max": 1e-6}, 1)):
+        found = dj.falsify(study.override({"requirement": [own, other]}), budget=64)
+        text = found.study.requirements[expected].text
+        assert found.summary()["worst_requirement"] == text
+        assert found.headline.endswith(f"of its bound in {text}")
+
+
 @pytest.mark.parametrize("design", [{"sampling": "sobol", "draws": 64}, {"correlation": {"plant.k_p, plant.a_p": 0.5}}])
 def test_the_witness_of_a_designed_sample(study, design):
     """A witness is one draw without laws: nothing of how the draws lie together may be asked of it."""

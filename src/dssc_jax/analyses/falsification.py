@@ -7,6 +7,7 @@ draw 0, and the likelihood leaves it out.
 """
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Self
 
@@ -18,7 +19,7 @@ from scipy.optimize import differential_evolution
 from dssc_jax import plotting
 from dssc_jax.analyses.defaults import BUDGET, LEAST_BUDGET, MOST_BUDGET
 from dssc_jax.analyses.search_sets import ScoreBall, SearchSet, search_set
-from dssc_jax.closed_loop.requirements import worst_slack
+from dssc_jax.closed_loop.requirements import binding_requirement, worst_slack
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import BLOCK, Arrays
@@ -40,9 +41,10 @@ class Falsified(Analysis):
     """The worst draw found.
 
     The dataset has every simulated point, along ``point``: its numbers; its ``slack``, that of the worst requirement
-    relative to its bound, negative if the draw fails; ``simulations``, the number spent so far; and its likelihood, as
-    ``distance``, ``log_density`` and ``mass`` (:class:`dssc_jax.statistics.Likelihood`). A simulation with derivatives
-    counts once, and once more for each derivative.
+    relative to its bound, negative if the draw fails; ``binding``, the index of that requirement; ``simulations``, the
+    number spent so far; and its likelihood, as ``distance``, ``log_density`` and ``mass``
+    (:class:`dssc_jax.statistics.Likelihood`). A simulation with derivatives counts once, and once more for each
+    derivative.
 
     Args:
         within: Distance from the median draw within which the search stayed, in sigma; None for the whole support.
@@ -57,11 +59,13 @@ class Falsified(Analysis):
     seconds: float
 
     @classmethod
-    def of(cls, region: SearchSet, points: np.ndarray, slacks: np.ndarray, spent: np.ndarray, seconds: float) -> Self:
+    def of(cls, region: SearchSet, seen: Sequence["Seen"], seconds: float) -> Self:
         """Collect the simulated points in the order of the search."""
+        points, slacks, binding, spent = (np.concatenate(parts) for parts in zip(*seen, strict=True))
         study, distances = region.study, region.distances(points)
         columns = {
             "slack": (slacks, "1", "signed slack"),
+            "binding": (binding, "1", "index of the worst requirement"),
             "simulations": (spent, "1", "simulations spent until then"),
             "distance": (distances, "1", "distance from the median draw in standard normal scores"),
             "log_density": (-0.5 * distances**2, "1", "logarithm of the scores' density relative to the mode"),
@@ -114,6 +118,12 @@ class Falsified(Analysis):
         """Slack of the worst point."""
         return float(self.dataset["slack"][self.worst])
 
+    def binding_at(self, point: int) -> str | None:
+        """The worst requirement of a point; None if its draw ends early, which violates all."""
+        if self.dataset["slack"].values[point] == -np.inf:
+            return None
+        return self.study.requirements[int(self.dataset["binding"][point])].text
+
     @property
     def simulations(self) -> int:
         """Number of simulations spent."""
@@ -134,7 +144,8 @@ class Falsified(Analysis):
     @property
     def headline(self) -> str:
         """The answer in one line."""
-        ending = "ends early" if self.slack == -np.inf else f"has a slack of {self.slack:.4g} of its bound"
+        of = f" in {self.binding_at(self.worst)}" if len(self.study.requirements) > 1 else ""
+        ending = "ends early" if self.slack == -np.inf else f"has a slack of {self.slack:.4g} of its bound{of}"
         verdict = "fails" if self.slack < 0.0 else "passes"
         region = "" if self.within is None else f" within {self.within:.4g} sigma"
         place = f"at {self.likelihood.distance:.3g} sigma"
@@ -152,6 +163,7 @@ class Falsified(Analysis):
             "requirements": [requirement.text for requirement in self.study.requirements],
             "failed": self.slack < 0.0,
             "slack": self.slack,
+            "worst_requirement": self.binding_at(self.worst),
             "witness": self.witness,
             "likelihood": self.likelihood.summary(),
             "nearest_failure": None if nearest is None else self.about(nearest),
@@ -164,6 +176,7 @@ class Falsified(Analysis):
         """Slack, numbers and likelihood of a point, for JSON."""
         return {
             "slack": float(self.dataset["slack"][point]),
+            "worst_requirement": self.binding_at(point),
             "witness": self.numbers_at(point),
             "likelihood": self.likelihood_at(point).summary(),
         }
@@ -284,8 +297,23 @@ def hunt(
     for stage in (search.climb, search.evolve):
         if search.worst > -np.inf:
             stage()
-    points, slacks, spent = (np.concatenate(parts) for parts in zip(*search.seen, strict=True))
-    return Falsified.of(region, points, slacks, spent, time.perf_counter() - began)
+    return Falsified.of(region, search.seen, time.perf_counter() - began)
+
+
+class Seen(NamedTuple):
+    """Simulated points.
+
+    Args:
+        points: Coordinates, shape (n, laws).
+        slacks: That of the worst requirement, relative to its bound, shape (n,).
+        binding: Index of that requirement, shape (n,).
+        spent: Simulations spent until then, shape (n,).
+    """
+
+    points: np.ndarray
+    slacks: np.ndarray
+    binding: np.ndarray
+    spent: np.ndarray
 
 
 @dataclass
@@ -307,7 +335,7 @@ class Hunt:
     progress: ProgressCallback | None
     spent: int = 0
     worst: float = np.inf
-    seen: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=list)
+    seen: list[Seen] = field(default_factory=list)
 
     @property
     def size(self) -> int:
@@ -317,8 +345,9 @@ class Hunt:
     def simulate(self, points: np.ndarray, evaluator: Evaluator, each: int = 1) -> tuple[np.ndarray, Arrays]:
         """Slacks and results of points; ``each`` is the number of simulations that one point costs."""
         results = evaluator(np.zeros(len(points), dtype=int), self.region.values(points))
-        slacks = worst_slack(evaluator.swept.requirements, results)
-        self.seen.append((points, slacks, self.spent + each * np.arange(1, len(points) + 1)))
+        requirements = evaluator.swept.requirements
+        slacks, spent = worst_slack(requirements, results), self.spent + each * np.arange(1, len(points) + 1)
+        self.seen.append(Seen(points, slacks, binding_requirement(requirements, results), spent))
         self.spent += each * len(points)
         self.worst = min(self.worst, float(slacks.min()))
         if self.progress:
@@ -331,7 +360,7 @@ class Hunt:
 
     def ranked(self) -> tuple[np.ndarray, np.ndarray]:
         """All points so far with their slacks, worst first."""
-        points, slacks = (np.concatenate(parts) for parts in list(zip(*self.seen, strict=True))[:2])
+        points, slacks, *_ = (np.concatenate(parts) for parts in zip(*self.seen, strict=True))
         order = np.argsort(slacks, kind="stable")
         return points[order], slacks[order]
 
@@ -368,8 +397,7 @@ class Hunt:
     def slopes(self, points: np.ndarray, results: Arrays) -> np.ndarray:
         """Derivatives of the worst slack with respect to the coordinates, shape (n, laws); 0 if there is none."""
         requirements = self.programs.study.requirements
-        slacks = np.array([results[r.name] / r.scale for r in requirements])
-        binding = np.argmin(np.where(np.isnan(slacks), -np.inf, slacks), axis=0)
+        binding = binding_requirement(requirements, results)
         columns = []
         for name in self.programs.study.laws:
             rows = [results[Derivative(r.name, name)] / r.scale for r in requirements]

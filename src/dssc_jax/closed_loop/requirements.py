@@ -91,6 +91,17 @@ def judge(
     return jnp.where(alive, outcome, ended).astype(jnp.int32), slacks
 
 
+def binding_requirement(requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Index of the requirement with the smallest slack relative to its bound; a NaN counts as smallest.
+
+    Args:
+        requirements: At least one.
+        results: Slacks by name, of any one shape.
+    """
+    slacks = np.array([results[requirement.name] / requirement.scale for requirement in requirements])
+    return np.argmin(np.where(np.isnan(slacks), -np.inf, slacks), axis=0)
+
+
 def worst_slack(requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]) -> np.ndarray:
     """Smallest slack of all requirements, each relative to its bound: negative if a draw fails.
 

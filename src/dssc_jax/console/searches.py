@@ -72,7 +72,11 @@ def show_falsification(summary: Mapping[str, Any], files: list[Path]) -> None:
     columns = [summary["witness"], nearest["witness"]] if nearest else [summary["witness"]]
     rows = [(name, *(f"{column[name]:.6g}" for column in columns)) for name in summary["witness"]]
     show_table(("number", "worst draw", "likeliest failure")[: 1 + len(columns)], rows)
-    slack = ENDED if summary["slack"] is None else f"slack {summary['slack']:.4g} of the bound"
+    slack = (
+        ENDED
+        if summary["slack"] is None
+        else f"slack {summary['slack']:.4g} of the bound in {summary['worst_requirement']}"
+    )
     spent = f"{summary['simulations']} simulations, {summary['seconds']:.1f} s"
     ending = (
         f"fails; the first failure came after {summary['first_failure']}" if summary["failed"] else "passes; the worst"
