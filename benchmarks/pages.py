@@ -6,7 +6,8 @@ Run it as ``make pages`` after a change of any of them; a test tells where a pag
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import typer
 from pydantic import BaseModel
@@ -42,16 +43,17 @@ def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Iterator[str]:
     yield ""
 
 
+TYPE_WORDS = {float: "number", int: "whole number", str: "text", bool: "true or false", list: "list", tuple: "list"}
+
+
 def type_name(annotation: Any) -> str:
-    """An annotation as a reader of a study file takes it."""
-    words = {"float": "number", "int": "whole number", "str": "text", "bool": "true or false"}
-    text = str(getattr(annotation, "__name__", annotation)) if not hasattr(annotation, "__args__") else str(annotation)
-    if text.startswith("typing.Literal"):
-        return " or ".join(map(repr, annotation.__args__))
-    for part, word in words.items():
-        if part in text and "dict" not in text and "list" not in text and "tuple" not in text:
-            return word
-    return "list" if text.startswith("list") else "table"
+    """An annotation as a reader of a study file takes it; one that may be absent is named without that."""
+    arguments, origin = get_args(annotation), get_origin(annotation)
+    if origin in (Union, UnionType, Annotated):
+        return type_name(arguments[0])
+    if origin is Literal:
+        return " or ".join(map(repr, arguments))
+    return TYPE_WORDS.get(origin or annotation, "table")
 
 
 def fixed_rows(model: type[BaseModel]) -> Iterator[tuple[str, ...]]:

@@ -16,7 +16,9 @@ import yaml
 
 import dssc_jax as dj
 from benchmarks.pages import PAGES as PAGES_OF
+from benchmarks.pages import type_name
 from dssc_jax.cli.common import app
+from dssc_jax.study.build import FIXED_TABLES
 
 ROOT = Path(__file__).parents[1]
 BLOCK = re.compile(r"```(\w+)\n(.*?)```", re.DOTALL)
@@ -95,6 +97,14 @@ def test_what_a_page_names_exists(path):
 def test_generated_pages_are_current(page):
     """`make pages` writes them."""
     assert (ROOT / "docs" / page).read_text() == PAGES_OF[page]()
+
+
+def test_types_of_the_study_file():
+    """Of texts with rules, of what may be absent, and of lists of points."""
+    model = FIXED_TABLES["units"]
+    assert {type_name(field.annotation) for field in model.model_fields.values()} == {"text"}
+    assert type_name(FIXED_TABLES["envelope"].model_fields["upper"].annotation) == "list"
+    assert type_name(FIXED_TABLES["requirement"].model_fields["max"].annotation) == "number"
 
 
 def test_every_source_is_in_the_bibliography():

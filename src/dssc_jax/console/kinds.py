@@ -56,7 +56,7 @@ def kinds() -> dict[str, dict[str, Any]]:
         by_table[slot] = {
             kind: {
                 "summary": entry.summary,
-                "fields": list(field_specs(params_of(entry))),
+                "fields": [name for name, spec in field_specs(params_of(entry)).items() if not spec.derived],
                 "options": options_of(entry),
                 "about": {row[0]: dict(zip(KIND_COLUMNS[1:], row[1:], strict=True)) for row in rows_of(entry)},
             }

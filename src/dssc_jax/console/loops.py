@@ -45,9 +45,24 @@ def show_loop(summary: Mapping[str, Any], files: list[Path]) -> None:
             ]
             where = point if point == "equilibrium" else f"at {point}"
             show_table((f"{broken_at}, {where}: {own['stable']} of {draws} stable", *head), rows)
+            reason = without_margins(own, draws, needed, f"{share:g} % of all draws with {confidence:g} % confidence")
+            if reason:
+                console.print(reason, markup=False, soft_wrap=True)
     if draws < needed:
         console.print(f"a limit needs at least {needed} draws", markup=False)
     show_files(files)
+
+
+def without_margins(own: Mapping[str, Any], draws: int, needed: int, level: str) -> str:
+    """Why draws at one break point have no margin, and hence no limit may exist; empty if all have."""
+    counts = {
+        "the loop is unstable": draws - own["stable"] - own["no_operating_point"],
+        "no operating point": own["no_operating_point"],
+    }
+    reasons = [f"{count} of {draws} draws without margins: {why}" for why, count in counts.items() if count]
+    if reasons and draws >= needed and own["disk"]["tolerance_limit"] is None:
+        reasons.append(f"hence no finite limit holds for {level}")
+    return "; ".join(reasons)
 
 
 def margin_text(value: float | None, form: Callable[[float], str]) -> str:

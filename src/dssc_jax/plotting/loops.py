@@ -48,7 +48,7 @@ def loop_margins(margins: Analysis, point: str | None = None, broken_at: str | N
         distribution_of_margin(ax, factor * own[name].values, f"{name} margin [{unit}]")
         limit = statistics[name]["tolerance_limit"]
         if limit is not None:
-            text = f"95 % of draws, confidence 95 %: {factor * limit:.3g}"
+            text = f"95 % of draws, confidence 95 %: {factor * limit:.3g} {unit}"
             ax.axvline(factor * limit, color=ORANGE, linestyle="--", label=text)
         ax.legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=10)
     config = margins.study.config

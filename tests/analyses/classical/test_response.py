@@ -93,3 +93,17 @@ def test_python_control_finds_the_same(loops):
 def margins_at_the_ends(a, b, c):
     """-L at z = 1 and z = -1, where it is real."""
     return np.array([-c @ np.linalg.solve(z * np.eye(len(a)) - a, b) for z in (1.0, -1.0)])
+
+
+def test_loops_with_different_numbers_of_crossings_have_finite_phases():
+    """L = 0.5/(z - 1), with G = -1 at z = 1 and one crossover, and a resonance, with two."""
+    damping, turn, gain = 0.95, 1.0, 0.15  # of L = -gain/(z^2 - 2 damping cos(turn) z + damping^2)
+    resonance = [[2.0 * damping * np.cos(turn), gain - damping**2], [1.0, 0.0]]
+    a = np.array([[[0.5, 0.0], [0.0, 0.0]], resonance])
+    b, c = np.array([[1.0, 0.0], [1.0, 0.0]]), np.array([[-0.5, 0.0], [0.0, gain]])
+    poles = np.linalg.eigvals(a)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        both = classical_margins(response_of(a, b, c), own_grid(common_grid(poles), poles), SAMPLE_TIME)
+    np.testing.assert_allclose(both.phase[0], 0.5 * np.pi - np.arcsin(0.25), rtol=1e-9)
+    assert np.isfinite(both.delay).all()

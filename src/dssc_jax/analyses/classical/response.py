@@ -198,7 +198,7 @@ def classical_margins(respond: Response, angles: np.ndarray, sample_time: float)
     g = respond(angles)
     upper, lower = gain_margins(respond, angles, g)
     crossings, crossed = roots(lambda theta: np.real(respond(theta)) + 0.5, angles, np.real(g) + 0.5)
-    at = respond(crossings) if crossings.size else np.empty(crossings.shape, complex)
+    at = np.where(crossed, respond(crossings) if crossings.size else 1.0, 1.0)  # elsewhere 1 + G may be 0
     lag = np.angle(at / (1.0 + at))  # of -L: the phase that is left to -180 degrees
     size = np.where(crossed, np.abs(lag), np.inf)
     delays = np.where(crossed, np.mod(lag, 2.0 * np.pi) * sample_time / np.where(crossed, crossings, 1.0), np.inf)
