@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.analyses.falsification import Programs, hunt
+from dssc_jax.analyses.falsification import hunt
+from dssc_jax.analyses.hunt import Programs
 
 STUDIES = Path(__file__).parents[2] / "studies"
 

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 import dssc_jax as dj
-from dssc_jax.analyses.falsification import Programs
+from dssc_jax.analyses.hunt import Programs
 from dssc_jax.analyses.search_sets import MOST_SIGMA, search_set
 from dssc_jax.cli import guarded
 from dssc_jax.closed_loop.requirements import worst_slack
