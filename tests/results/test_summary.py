@@ -16,7 +16,7 @@ from dssc_jax.report import html
 from dssc_jax.results import summary
 from dssc_jax.results.schema import in_memory
 from dssc_jax.results.summary import BATCH_POINTS, most_violated
-from dssc_jax.statistics import DataDriven, FixedCount, clopper_pearson
+from dssc_jax.statistics import DataDriven, FixedCount, clopper_pearson, compare_failures
 
 STUDY = {
     "name": "several",
@@ -206,6 +206,22 @@ def test_a_draw_names_every_requirement_that_it_violates(swept, capsys):
     assert f"draw {draw}: {wanted}" in capsys.readouterr().out
     diverged = int(np.flatnonzero(np.all(broken, axis=0))[0])
     assert dj.simulate(study, diverged).attrs["verdict"] == "does not stay finite"
+
+
+def test_a_short_sweep_is_compared_draw_by_draw(capsys):
+    """With the first value, as `compare` does; not for a design of draws, nor for many values."""
+    study = dj.Study.from_table(STUDY).override({"sweep": {"controller.k_p": [0.5, 0.6, 2.0]}, "draws": 60})
+    result = dj.run(study)
+    show_result(result)
+    printed = " ".join(capsys.readouterr().out.split())
+    failed = result.failed.values
+    for i in (1, 2):
+        pair = compare_failures(failed[i], failed[0])
+        assert f"{pair.only_a} {pair.only_b} {pair.difference:+.3g} in [" in printed
+    assert "against 0.5, same draws" in printed
+    for changes in ({"sampling": "sobol", "draws": 64}, {"sweep.controller.k_p": {"linspace": [0.5, 2.0, 7]}}):
+        show_result(dj.run(study.override(changes)))
+        assert "same draws" not in capsys.readouterr().out
 
 
 def many(points, draws=1):

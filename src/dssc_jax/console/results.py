@@ -16,7 +16,7 @@ from dssc_jax.results.influence import idle_text
 from dssc_jax.results.result import headline
 from dssc_jax.results.schema import outcome_codes
 from dssc_jax.results.summary import most_violated
-from dssc_jax.statistics import describe_probability, rounded_probability
+from dssc_jax.statistics import compare_failures, describe_probability, rounded_probability
 
 if TYPE_CHECKING:
     from dssc_jax.results.result import Result
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from dssc_jax.study import Study
 
 WIDEST_ROWS, WIDEST_COLUMNS = 40, 24
+MOST_PAIRED = 6  # points of a sweep whose failures are compared with those of the first, draw by draw
 STAYS_FINITE = "that the draw stays finite"
 SHARE = ("probability", "95 % interval")
 VERDICT_MARKS = {True: "yes", False: "no", None: "-"}
@@ -43,6 +44,7 @@ def show_result(result: "Result") -> None:
         show_grid(result, list(axes))
     else:
         show_points(result)
+        show_paired(result)
     for text in filter(None, (idle_text(result), result.certificate)):
         console.print(text, markup=False)
     times = result.manifest["times"]
@@ -54,6 +56,27 @@ def show_result(result: "Result") -> None:
         cluster = result.manifest["cluster"]
         console.print(f"{cluster['workers']} workers, {len(cluster['lost'])} lost on the way", highlight=False)
     console.print(f"result  {result.path}", soft_wrap=True, markup=False)
+
+
+def show_paired(result: "Result") -> None:
+    """Print how the failure probability of a short sweep over one axis differs from that at its first value.
+
+    The draws are common to all values, which two separate intervals would neglect.
+    """
+    axes = result.study.axes
+    values = [value for axis in axes.values() for value in axis]
+    if len(axes) != 1 or not 2 <= len(values) <= MOST_PAIRED or result.study.config.sampling != "random":
+        return
+    (name,) = axes
+    first, *others = result.failed.transpose(name, "draw").values
+    rows = []
+    for value, failed in zip(values[1:], others, strict=True):
+        pair = compare_failures(failed, first)
+        low, high = pair.interval
+        difference = f"{pair.difference:+.3g} in [{low:+.3g}, {high:+.3g}]"
+        rows.append((f"{value:.5g}", str(pair.only_a), str(pair.only_b), difference, f"{pair.p_value:.3g}"))
+    head = (f"against {values[0]:.5g}, same draws", "fail here only", "there only", "difference, 95 % interval")
+    show_table((*head, "p-value (McNemar)"), rows)
 
 
 def show_figures(figures: list[Path]) -> None:
