@@ -70,6 +70,7 @@ SENSOR_TABLES = [
     {"kind": "lag", "mu": 0.02},
     {"kind": "noisy", "position_std": 0.01, "velocity_std": 0.02, "delay_samples": 1, "period_samples": 2},
     {"kind": "noisy", "velocity_std": 0.02, "velocity_resolution": 0.01, "loss": 0.1, "jitter": 0.005},
+    {"kind": "record", "time": [0.0, 0.2, 0.4], "position": [0.01, -0.01, 0.0], "velocity": [0.02, 0.0, -0.02]},
 ]
 DIFFERENTIATOR_TABLES = [
     {"kind": "none"},

@@ -20,7 +20,7 @@ from dssc_jax.study.tables import set_dotted
 
 FACTOR = 10.0  # ranges reach from a tenth to ten times the study's own gain
 RUNOFF = 1000  # further draws on which the best candidate has to be better than the given gains
-LOW = 0.05  # quantile of the worst slack that decides ties; a higher one would not see the failures to come
+LOW = 5.0  # per cent: quantile of the worst slack that decides ties; a higher one would not see the failures to come
 STATE_DEPENDENT = {
     "constant": ("k_o", "tau_m"),
     "sta": ("kappa1", "kappa2"),
@@ -71,8 +71,8 @@ class Tuning:
         """The budget in words."""
         return (
             f"{self.candidates} candidates (the given gains, then scrambled Sobol points in the logarithm) on "
-            f"{self.draws} draws of seed {self.seed}; fewest failures, then the largest {LOW:.0%} quantile of the "
-            f"worst slack; the given gains stay unless the best candidate is better on {RUNOFF} further draws, too"
+            f"{self.draws} draws of seed {self.seed}; fewest failures, then the largest {LOW:g} % quantile of "
+            f"the worst slack; the given gains stay unless the best candidate is better on {RUNOFF} further draws, too"
         )
 
 
@@ -152,7 +152,7 @@ def scores(evaluator: Evaluator, candidates: Mapping[str, np.ndarray], draws: np
         results = evaluator(np.tile(draws, count), lanes)
         shaped = {name: array.reshape(count, len(draws)) for name, array in results.items()}
         failures = np.count_nonzero(shaped["outcome"] != Outcome.OK, axis=-1)
-        low = np.quantile(merit(evaluator.swept, shaped), LOW, axis=-1, method="inverted_cdf")
+        low = np.quantile(merit(evaluator.swept, shaped), 0.01 * LOW, axis=-1, method="inverted_cdf")
         result += list(zip(failures.tolist(), (-low).tolist(), strict=True))
     return result
 
