@@ -11,6 +11,7 @@ from dssc_jax.core.numerics import (
     atan,
     atan2,
     binary_exponent,
+    clip,
     cubic_spline,
     dot,
     log_defect,
@@ -108,6 +109,13 @@ def test_arctangents_at_the_corners():
     assert np.isnan(atan2(jnp.nan, 1.0))
     assert np.isnan(atan2(1.0, jnp.nan))
     assert np.all(np.isfinite(jax.vmap(jax.grad(lambda y: atan2(y, 0.0)))(jnp.asarray([0.0, 1e-30, 1.0]))))
+
+
+def test_clip_is_jaxs_for_bounds_that_are_numbers():
+    x, low, high = jnp.array([-3.0, -1.0, 0.5, 2.0, jnp.inf, jnp.nan]), -1.0, 2.0
+    np.testing.assert_array_equal(clip(x, low, high), jnp.clip(x, low, high))
+    np.testing.assert_array_equal(clip(x, jnp.nan, 0.0), jnp.minimum(x, 0.0))
+    assert [float(jax.grad(clip)(at, low, high)) for at in (-2.0, 0.0, 3.0)] == [0.0, 1.0, 0.0]
 
 
 def test_dot_leaves_out_what_is_zero():

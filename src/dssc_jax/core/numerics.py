@@ -66,9 +66,18 @@ def sign(x: Scalar) -> Scalar:
     return jnp.sign(x)
 
 
+def clip(x: Scalar, low: Scalar, high: Scalar) -> Scalar:
+    """X within [low, high]. NaN stays NaN; a bound that is NaN does not bind.
+
+    With it a bound costs one machine instruction. It costs three with ``jnp.clip``, where a NaN bound gives NaN.
+    """
+    x = jnp.where(low > x, low, x)
+    return jnp.where(high < x, high, x)
+
+
 def saturate(x: Scalar, limit: Scalar) -> Scalar:
     """X clipped to [-limit, limit]."""
-    return jnp.clip(x, -limit, limit)
+    return clip(x, -limit, limit)
 
 
 ATAN_P = (-8.750608600031904122785e-1, -1.615753718733365076637e1, -7.500855792314704667340e1,

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import sign
+from dssc_jax.core.numerics import clip, sign
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Entry, Slot
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, State, TrackingError, tracking_error
@@ -143,7 +143,7 @@ def limited(wanted: Scalar, u_av: Scalar, rho: Scalar, c: Scalar, width: Scalar 
     The change is clipped instead of u_0, to avoid subtracting numbers of the size of u_av in sliding.
     """
     if width is None:
-        return jnp.clip(wanted, -rho - u_av, rho - u_av)
+        return clip(wanted, -rho - u_av, rho - u_av)
     return wanted - smoothed_rest(c * (wanted + u_av), c, rho, width) / c
 
 

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import dot
+from dssc_jax.core.numerics import clip, dot
 from dssc_jax.core.quantities import nominal
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
@@ -50,7 +50,7 @@ def pseudo_inverse(vehicle: Vehicle) -> tuple[tuple[float, ...], ...]:
 def allocate(inverse: tuple[tuple[float, ...], ...], thrust: Scalar, moment: Vec3, limit: Scalar) -> Thrusts:
     """Thrusts for the wanted net thrust [N] and moment [N m], each limited to [0, limit]."""
     wanted = [dot(row, (thrust, *moment)) for row in inverse]
-    each = tuple(jnp.clip(f, 0.0, limit) for f in wanted)
+    each = tuple(clip(f, 0.0, limit) for f in wanted)
     limited = jnp.zeros((), dtype=bool)
     for f in wanted:
         limited = limited | (f < 0.0) | (f > limit)
