@@ -32,7 +32,7 @@ def cell_edges(values: np.ndarray, logarithmic: bool) -> np.ndarray:
     return np.exp(edges) if logarithmic else edges
 
 
-def clip(finite: np.ndarray, cap: float | None) -> dict[str, Any]:
+def colour_limits(finite: np.ndarray, cap: float | None) -> dict[str, Any]:
     """Colour limits, such that a diverging corner does not flatten the rest."""
     if cap is None or not finite.size or not finite.min() < cap < finite.max():
         return {}

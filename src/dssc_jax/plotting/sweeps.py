@@ -11,7 +11,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
 
 from dssc_jax.closed_loop.metrics import Measure
-from dssc_jax.plotting.cells import OUTLINE, cell_edges, cells, clip, contour, map_top
+from dssc_jax.plotting.cells import OUTLINE, cell_edges, cells, colour_limits, contour, map_top
 from dssc_jax.plotting.draws import metric_bounds
 from dssc_jax.plotting.standings import standing_colours, standing_keys, standing_of
 from dssc_jax.plotting.style import (
@@ -283,12 +283,12 @@ def typical_map(ax: Axes, result: Result, measure: Measure, down: str, across: s
     cap = 30.0 * min(upper_limits) if upper_limits and norm == "log" else None
     if not finite.size:
         ax.text(0.5, 0.5, "no finite median", transform=ax.transAxes, ha="center")
-    image = ax.pcolormesh(x, y, middle, cmap="viridis", norm=norm, **cells(middle), **clip(finite, cap))
+    image = ax.pcolormesh(x, y, middle, cmap="viridis", norm=norm, **cells(middle), **colour_limits(finite, cap))
     ax.figure.colorbar(
         image,
         ax=ax,
         label=textwrap.fill(f"median {label(result.dataset[measure.name].attrs)}", 40),
-        extend="max" if clip(finite, cap) else "neither",
+        extend="max" if colour_limits(finite, cap) else "neither",
     )
     for limit in metric_bounds(result, measure):
         contour(ax, x, y, middle, limit, "-")
