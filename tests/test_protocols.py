@@ -48,6 +48,7 @@ def controller_cases():
                 functions = {"kind": name, **numbers}
                 tables.append({"functions": functions, "rho": 2.0, "nominal": NOMINAL})
                 tables.append({"functions": functions, "rho": NORM_BOUND, "predictor_start": "matched"})
+            tables.append(tables[0] | {"predictor_start": "midpoint"})
         for option in entry.members:
             for index, table in enumerate(tables):
                 chosen = {entry.option: option.value} if entry.option else {}

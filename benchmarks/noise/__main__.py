@@ -2,12 +2,14 @@
 
 import time
 from collections.abc import Mapping, Sequence
+from itertools import product
 
 from benchmarks.noise import figures
 from benchmarks.noise.contests import CONTROLLERS, NAMES, controller_costs, differentiator_costs
 from benchmarks.noise.contests import PERIODS as CONTEST_PERIODS
 from benchmarks.noise.costs import Costs
 from benchmarks.noise.forms import (
+    FAST,
     FORMS,
     ROOT,
     ROWS,
@@ -21,7 +23,7 @@ from benchmarks.noise.starts import Start, starts
 from dssc_jax import plotting
 from dssc_jax.console import machine
 
-DRAWS, SLOW = 16, (0.02, 0.01, 0.005)
+DRAWS, SLOW, FINEST = 16, (0.02, 0.01, 0.005), 0.000625
 PAGE = (ROOT / "benchmarks" / "noise" / "page.md").read_text()
 
 
@@ -36,37 +38,46 @@ def ms(sample_time: float) -> str:
     return f"{1e3 * sample_time:g} ms"
 
 
+def change(noisy: Rest, quiet: Rest) -> str:
+    """By how much noise changes the error."""
+    return f"{100 * (noisy.error / quiet.error - 1):+.0f} %"
+
+
 def rest_table() -> str:
     """Where both forms rest under noise."""
     rows = []
-    for (row, sample_time), found in rests(DRAWS).items():
-        quiet, implicit, conservative, tight = (found[name] for name in ("quiet", *FORMS, "tight"))
-        assert isinstance(quiet, Rest)
-        assert isinstance(implicit, Rest)
-        assert isinstance(conservative, Rest)
-        assert isinstance(tight, Rest)
-        numbers = quiet.error, found["predicted"], implicit.error, conservative.error
-        variation = f"{implicit.variation:.3g} / {conservative.variation:.3g}"
-        change = f"{100 * (conservative.error / quiet.error - 1):+.0f} %"
-        shown = (*(f"{number:.3g}" for number in numbers), change, f"{tight.error:.3g}", variation)
-        rows.append((f"`{row}`", ms(sample_time), *shown))
-    head = ("functions", "T_s", "no noise", "predicted rest", "implicit", "conservative", "change", "rho = 1.5")
-    head = (*head, "variation of u")
-    return table(head, rows)
+    for row, sample_time in product(ROWS, FAST):
+        found = rests(row, sample_time, DRAWS)
+        numbers = found.quiet.error, found.floor, found.predicted, found.implicit.error, found.conservative.error
+        changes = (
+            change(found.conservative, found.quiet),
+            change(found.disturbed, found.quiet_disturbed),
+            f"{found.tight.error:.3g}",
+        )
+        variation = f"{found.implicit.variation:.3g} / {found.conservative.variation:.3g}"
+        rows.append((f"`{row}`", ms(sample_time), *(f"{number:.3g}" for number in numbers), *changes, variation))
+    head = ("functions", "T_s", "no noise", "floor", "predicted rest", "implicit", "conservative", "change")
+    return table((*head, "change with d", "rho = 1.5 with d", "variation of u"), rows)
 
 
 def accuracy_table() -> str:
-    """Distance to the limit without noise, order, and sampling limits."""
+    """Distance to the limit without noise, and its order."""
     rows = []
-    found = deviations(SLOW, 0.000625)
     for row in ROWS:
-        limits = [largest_sample_time(row, form) for form in FORMS]
-        for form, limit in zip(FORMS, limits, strict=True):
-            errors = found[row, form]
+        for (form, start), errors in deviations(row, SLOW, FINEST).items():
             order = f"{errors[0] / errors[1]:.2f}, {errors[1] / errors[2]:.2f}"
-            rows.append((f"`{row}`", form, *(f"{error:.3g}" for error in errors), order, f"{limit:.4g}"))
-    head = ("functions", "form", *(ms(each) for each in SLOW), "ratios", "largest T_s [s]")
-    return table(head, rows)
+            rows.append((f"`{row}`", form, start, *(f"{error:.3g}" for error in errors), order))
+    return table(("functions", "form", "start", *(ms(each) for each in SLOW), "ratios"), rows)
+
+
+def limit_table() -> str:
+    """The sampling limit, and where a limit cycle has grown to 0.05 m/s."""
+    rows = []
+    for row in ROWS:
+        found = [largest_sample_time(row, form, start) for start in (1e-9, 0.05) for form in FORMS]
+        rows.append((f"`{row}`", *(f"{each:.4f}" for each in found)))
+    columns = [f"{what}, {form}" for what in ("limit", "cycle of 0.05 m/s") for form in FORMS]
+    return table(("functions", *columns), rows)
 
 
 def cost_table(
@@ -123,6 +134,7 @@ def main() -> None:
         machine=machine(),
         rests=rest_table(),
         accuracy=accuracy_table(),
+        limits=limit_table(),
         controllers=cost_table(controllers, CONTROLLERS),
         differentiators=cost_table(differentiators, NAMES, tuned),
         vehicle=vehicle_table(flights),

@@ -19,7 +19,9 @@ CASE_2 = dj.Study.load(ROOT / "studies" / "paper_case2.toml")
 NOISE = 0.06  # m/s, on the velocity
 FAST = (0.0005, 0.001, 0.005, 0.02)
 FORMS = ("implicit", "conservative")
+SAMPLED = (("implicit", "matched"), ("conservative", "matched"), ("implicit", "midpoint"), ("conservative", "midpoint"))
 WIDE = 15.0  # m/s, a bound of the command that noise of this size does not reach
+STILL = {"disturbance.value": 0.0}
 KAPPA_1, KAPPA_2 = 2.0 / (110.651 * 0.002), 2.0 / (110.651 * 0.002 * 4.0166)
 ROWS: dict[str, dict[str, Any]] = {
     "square_root": {"kappa_o": 110.651, "kappa_m": 4.0166, "delta_o": 1.0, "delta_m": 1.0, "tau_av": 0.002},
@@ -74,33 +76,60 @@ def rest(study: dj.Study, draws: int) -> Rest:
     return Rest(float(found["error_max"].median()), float(found["command_tv"].median()))
 
 
-def rests(draws: int) -> dict[tuple[str, float], dict[str, Rest | float]]:
-    """By row and T_s: without noise, each form with noise, the implicit form's predicted rest, and Case 2's own rho."""
-    found = {}
-    for row in ROWS:
-        for sample_time in FAST:
-            noisy = {form: rest(case(row, form, sample_time, NOISE), draws) for form in FORMS}
-            drift = dj.design.noise_drift(case(row, "implicit", sample_time, NOISE))[""]
-            quiet = rest(case(row, "implicit", sample_time), 1)
-            tight = rest(case(row, "conservative", sample_time, NOISE, **{"controller.rho": 1.5}), draws)
-            found[row, sample_time] = {"quiet": quiet, "predicted": drift.error, "tight": tight, **noisy}
-    return found
+class Rests(NamedTuple):
+    """The loop at rest with a row of functions at one T_s: the first five without disturbance, the others with it.
+
+    Args:
+        quiet: Without noise.
+        implicit: With noise.
+        conservative: With noise.
+        floor: Standard deviation of e [m] in any loop that holds the measured sigma at 0: that of white noise of the
+            velocity behind 1/(s + l_0), s (T_s/(2 l_0))^(1/2).
+        predicted: |e| [m] at which the implicit form's drift balances its integral action.
+        quiet_disturbed: Without noise, with Case 2's disturbance.
+        disturbed: Conservative form with noise and Case 2's disturbance.
+        tight: The same with Case 2's own rho.
+    """
+
+    quiet: Rest
+    implicit: Rest
+    conservative: Rest
+    floor: float
+    predicted: float
+    quiet_disturbed: Rest
+    disturbed: Rest
+    tight: Rest
 
 
-def trajectory(row: str, form: str, sample_time: float) -> np.ndarray:
+def rests(row: str, sample_time: float, draws: int) -> Rests:
+    """Where the loop with a row of functions rests."""
+    implicit, conservative = FORMS
+    noisy = case(row, implicit, sample_time, NOISE, **STILL)
+    return Rests(
+        rest(case(row, implicit, sample_time, **STILL), 1),
+        rest(noisy, draws),
+        rest(case(row, conservative, sample_time, NOISE, **STILL), draws),
+        NOISE * (sample_time / (2.0 * float(noisy.template.controller[0].l0))) ** 0.5,
+        dj.design.noise_drift(noisy)[""].error,
+        rest(case(row, implicit, sample_time), 1),
+        rest(case(row, conservative, sample_time, NOISE), draws),
+        rest(case(row, conservative, sample_time, NOISE, **{"controller.rho": 1.5}), draws),
+    )
+
+
+def trajectory(row: str, form: str, start: str, sample_time: float) -> np.ndarray:
     """e at every 40 ms without noise."""
-    run = dj.simulate(case(row, form, sample_time), every=round(0.04 / sample_time))
-    return run["e"].values[:1990]
+    study = case(row, form, sample_time, **{"controller.predictor_start": start})
+    return dj.simulate(study, every=round(0.04 / sample_time))["e"].values[:1990]
 
 
-def deviations(times: Sequence[float], finest: float) -> dict[tuple[str, str], list[float]]:
-    """Largest distance of e to its limit without noise, by row and form, at each T_s."""
-    found = {}
-    for row in ROWS:
-        limit = trajectory(row, "implicit", finest)
-        for form in FORMS:
-            found[row, form] = [float(np.abs(trajectory(row, form, each) - limit).max()) for each in times]
-    return found
+def deviations(row: str, times: Sequence[float], finest: float) -> dict[tuple[str, str], list[float]]:
+    """Largest distance of e to its limit without noise, by form and start, at each T_s."""
+    limit = trajectory(row, *SAMPLED[2], finest)
+    return {
+        (form, start): [float(np.abs(trajectory(row, form, start, each) - limit).max()) for each in times]
+        for form, start in SAMPLED
+    }
 
 
 @partial(jax.jit, static_argnums=0)
@@ -124,7 +153,7 @@ def swings(form: str, gains: Any, times: jax.Array, start: jax.Array) -> jax.Arr
     return jax.vmap(run)(times)
 
 
-def largest_sample_time(row: str, form: str, start: float = 0.05) -> float:
+def largest_sample_time(row: str, form: str, start: float) -> float:
     """The largest T_s [s] at which sigma' = u, started at sliding, ends closer to 0 than it started."""
     gains = case(row, form, 0.005).template.controller[0]._replace(l0=0.2, nominal=None)
     low, high = 1e-3, 10.0

@@ -24,7 +24,7 @@ def starts() -> list[Start]:
     """Case 2 at 5 ms: both forms, two bounds, both starts."""
     found = []
     for rho in (1.5, 0.3):
-        for start in ("zero", "matched"):
+        for start in ("zero", "matched", "midpoint"):
             for form in FORMS:
                 changes = {
                     "controller.rho": rho,

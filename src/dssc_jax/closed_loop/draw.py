@@ -98,7 +98,7 @@ def sampler(
         code = jnp.where(recorded.finite, code, Outcome.NON_FINITE)
         running = is_running(loop, at)
         outcome = jnp.where(running, code, at.outcome).astype(jnp.int32)
-        completed = running & recorded.finite & jnp.logical_not(recorded.broken)
+        completed = running & jnp.logical_and(recorded.finite, jnp.logical_not(recorded.broken))
         in_band = count_in_band(loop, at.in_band, recorded.instant, at.k)
         if freeze:
             state, accumulators, in_band = jax.tree.map(

@@ -182,6 +182,8 @@ def controller_of(study: Study) -> dict[str, Any]:
         raise NotCovered("rho is not constant")
     if gains.sign_width is not None:
         raise NotCovered("the sign is smoothed")
+    if gains.predictor_start == PredictorStart.MIDPOINT:
+        raise NotCovered("the predictor starts at 'midpoint'; 'matched' and 'zero' are covered")
     kind = next(kind for kind, entry in GAIN_FUNCTIONS.items() if isinstance(gains.functions, entry.members[None]))
     if kind == "vgsta" and form == Discretisation.CONSERVATIVE:
         raise NotCovered("in the conservative form, functions of Table 1 depend on e between samples")

@@ -134,6 +134,78 @@ def test_the_smoothed_sign_holds_for_the_predictors_lag(kind):
         assert float(info.u_0) == pytest.approx(0.5 * x / (abs(x) + width), rel=1e-5, abs=1e-8)
 
 
+@pytest.mark.parametrize("kind", OF_SIGMA)
+def test_the_start_midpoint_sums_to_the_middle_of_each_hold(kind):
+    """u_av = phi_1(sigma_k) - phi_1(sigma_0) + T_s (phi_2(sigma_0)/2 + phi_2(sigma_1) + ... + phi_2(sigma_k))."""
+    rng, dt = np.random.default_rng(8), 0.01
+    row, sigma = random_functions(kind, rng), 2.0 + 0.5 * np.sin(np.linspace(0.0, 9.0, 400))
+    gains = DsscGains(1.0, row, ConstantModulation(1e6), predictor_start=PredictorStart.MIDPOINT)
+    u_av, _, phi_1, phi_2, _ = flown(CONSERVATIVE, gains, jnp.asarray(sigma), dt)
+    expected = phi_1 - phi_1[0] + dt * (np.cumsum(phi_2) - 0.5 * phi_2[0])
+    assert u_av == pytest.approx(expected, abs=1e-12 * np.abs(u_av).max())
+
+
+@pytest.mark.parametrize("form", ["implicit", "conservative"])
+@pytest.mark.parametrize("kind", ["square_root", "field"])
+def test_the_start_midpoint_is_more_than_twice_as_exact(kind, form):
+    """Largest distance of Case 2's e at T_s = 20 ms from the limit T_s -> 0, over 20 s."""
+    from benchmarks.noise.forms import case
+
+    def errors(start, sample_time):
+        changes = {
+            "controller.predictor_start": start,
+            "loop.duration": 20.0,
+            "disturbance.at": 10.0,
+            "metrics.after": 0.0,
+        }
+        return dj.simulate(case(kind, form, sample_time, **changes), every=round(0.04 / sample_time))["e"].values[:490]
+
+    limit = errors("midpoint", 0.00125)
+    matched, midpoint = (np.abs(errors(start, 0.02) - limit).max() for start in ("matched", "midpoint"))
+    print(f"\n{kind}, {form}: {matched:.4f} m matched, {midpoint:.4f} m midpoint")
+    assert midpoint < 0.5 * matched
+
+
+@pytest.mark.parametrize("member", [IMPLICIT, CONSERVATIVE], ids=["implicit", "conservative"])
+@pytest.mark.parametrize("kind", ["vgsta", *OF_SIGMA])
+def test_the_sampling_limit_is_that_of_the_functions_at_the_origin(kind, member):
+    """sigma' = u from 1e-9 m/s shrinks 1 % below (T_s/(k_o tau_av))(1 + T_s/(2 tau_m)) = 2, and grows 1 % above."""
+    row = random_functions(kind, np.random.default_rng(6))
+    at = jax.tree.map(float, row.at(0.0, 0.0, 1.0))
+    gain = at.k_o * at.tau_av
+    limit = at.tau_m * (np.sqrt(1.0 + 4.0 * gain / at.tau_m) - 1.0)
+    gains = DsscGains(1.0, row, ConstantModulation(10.0), predictor_start=PredictorStart.MATCHED)
+
+    @jax.jit
+    def later(dt):
+        def sample(carry, _):
+            sigma, state = carry
+            state, command, _ = member.step(gains, state, Measurement(0.0, sigma), AT_REST, dt)
+            return (sigma + dt * command.robust, jax.tree.map(lambda leaf: jnp.asarray(leaf, float), state)), sigma
+
+        state = member.init(gains, Measurement(0.0, 1e-9), AT_REST)
+        start = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), (1e-9, state))
+        return jnp.abs(jax.lax.scan(sample, start, length=4000)[1][-200:]).max()
+
+    below, above = (float(later(factor * limit)) for factor in (0.99, 1.01))
+    assert below < 1e-10
+    assert above > 1e-9
+
+
+def test_no_loop_stays_below_the_floor_of_the_noise():
+    """std(e) = s (T_s/(2 l_0))^(1/2): constant functions, at rest, 64 draws of 200 s."""
+    from benchmarks.noise.forms import STILL, case
+
+    functions = {"kind": "constant", "k_o": 2.0, "tau_m": 10.0, "tau_av": 0.03}
+    still = {**STILL, "plant.initial": [0.0, 0.0], "reference": {"kind": "zero"}, "draws": 64, "loop.duration": 200.0}
+    metrics = {"metrics": {"after": 40.0, "names": ["error_rms"]}}
+    study = case("field", "implicit", 0.02, 0.06, **still, **metrics, **{"controller.functions": functions})
+    found = float(np.sqrt(np.mean(dj.run(study).dataset["error_rms"] ** 2)))
+    floor = 0.06 * np.sqrt(0.02 / (2.0 * 0.2))
+    print(f"\nstd(e) {found:.4f} m, floor {floor:.4f} m")
+    assert found == pytest.approx(floor, rel=0.1)
+
+
 @pytest.mark.parametrize("form", ["implicit", "conservative"])
 def test_noise_does_not_move_case_2(form):
     """Largest |e| after 40 s at T_s = 5 ms, with and without noise of 0.06 m/s on the velocity."""

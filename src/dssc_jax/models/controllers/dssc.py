@@ -32,10 +32,15 @@ NEWTON_STEPS = 12
 
 @jax.tree_util.register_static
 class PredictorStart(StrEnum):
-    """sigma_hat at the first sample: 0, or sigma (sliding from the start, as in Appendix D)."""
+    """sigma_hat at the first sample: 0; sigma (sliding from the start, as in Appendix D); sigma half a sample earlier.
+
+    With ``matched`` the sum of T_s phi_2 in the command is the integral of phi_2 from half a sample before the first
+    one, by the midpoint rule. With ``midpoint`` it begins at the first sample.
+    """
 
     ZERO = "zero"
     MATCHED = "matched"
+    MIDPOINT = "midpoint"
 
 
 class DsscGains(NamedTuple):
@@ -55,13 +60,15 @@ class DsscGains(NamedTuple):
 class DsscState(NamedTuple):
     """Averaged control u_av [m/s], predictor [m/s], previous sigma [m/s], state of the modulation.
 
-    The predictor's state is sigma_hat; in the conservative form it is phi_1(sigma_hat).
+    The predictor's state is sigma_hat; in the conservative form it is phi_1(sigma_hat). With the start ``midpoint``,
+    ``earlier`` is how many samples it is older than the first measurement; then it is 0.
     """
 
     u_av: Scalar
     predictor: Scalar
     sigma: Scalar
     modulation: State
+    earlier: State = ()
 
 
 class DsscInfo(NamedTuple):
@@ -116,10 +123,12 @@ class SampledForm(NamedTuple):
 
     Args:
         predictor: (gains, error) -> the predictor's state where sigma_hat = sigma.
+        rate: (gains, sample) -> the rate [1/s] at which that state decays.
         update: (gains, state, sample, T_s) -> filter and predictor after the sample.
     """
 
     predictor: Callable[[DsscGains, TrackingError], Scalar]
+    rate: Callable[[DsscGains, ControlSample], Scalar]
     update: Callable[[DsscGains, DsscState, ControlSample, Scalar], Sampled]
 
 
@@ -223,10 +232,21 @@ def own_coordinate(gains: DsscGains, error: TrackingError) -> Scalar:
     return error.sigma
 
 
+def own_rate(gains: DsscGains, sample: ControlSample) -> Scalar:
+    """1/tau_m."""
+    return sample.ratios.pole
+
+
 def integrated(gains: DsscGains, error: TrackingError) -> Scalar:
     """phi_1(sigma, e)."""
     at = gains.functions.at(error.sigma, error.e, gains.l0)
     return gains.functions.law(error.sigma, error.e, at).gain * error.sigma
+
+
+def integrated_rate(gains: DsscGains, sample: ControlSample) -> Scalar:
+    """phi_2/phi_1."""
+    e, sigma = sample.error
+    return gains.functions.law(sigma, e, sample.at).rate
 
 
 def dssc(form: SampledForm) -> Controller:
@@ -235,8 +255,9 @@ def dssc(form: SampledForm) -> Controller:
     def init(gains: DsscGains, measurement: Measurement, reference: ReferencePoint) -> DsscState:
         """u_av = 0, and sigma_hat = 0 or the first sigma; a start at 0 adds about phi_1(sigma) to the command."""
         error = tracking_error(measurement, reference, gains.l0)
-        matched = gains.predictor_start == PredictorStart.MATCHED
-        return DsscState(0.0, form.predictor(gains, error) if matched else 0.0, error.sigma, gains.rho.init())
+        predictor = 0.0 if gains.predictor_start == PredictorStart.ZERO else form.predictor(gains, error)
+        earlier = 0.5 if gains.predictor_start == PredictorStart.MIDPOINT else ()
+        return DsscState(0.0, predictor, error.sigma, gains.rho.init(), earlier)
 
     def step(
         gains: DsscGains, state: DsscState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
@@ -257,7 +278,12 @@ def dssc(form: SampledForm) -> Controller:
             l0=gains.l0,
         )
         modulation, rho = gains.rho.at(state.modulation, signals, dt)
-        after = form.update(gains, state, ControlSample(error, at, ratios, rho), dt)
+        sample = ControlSample(error, at, ratios, rho)
+        earlier = state.earlier
+        if gains.predictor_start == PredictorStart.MIDPOINT:
+            undecayed = state.predictor * (1.0 + earlier * dt * form.rate(gains, sample))
+            state, earlier = state._replace(predictor=undecayed), 0.0
+        after = form.update(gains, state, sample, dt)
         info = DsscInfo(
             sigma_tilde=error.sigma - after.sigma_hat,
             sigma_hat=after.sigma_hat,
@@ -267,7 +293,8 @@ def dssc(form: SampledForm) -> Controller:
             sliding_margin=rho - abs(after.u_eq),
             **at._asdict(),
         )
-        return DsscState(after.u_av, after.predictor, error.sigma, modulation), Command(-after.u_av, u_nominal), info
+        state = DsscState(after.u_av, after.predictor, error.sigma, modulation, earlier)
+        return state, Command(-after.u_av, u_nominal), info
 
     return Controller(DsscGains, init, step)
 
@@ -284,9 +311,9 @@ def constant_functions(gains: DsscGains) -> DsscGains:
 
 
 MEMBERS = {
-    Discretisation.IMPLICIT: dssc(SampledForm(own_coordinate, implicit_update)),
-    Discretisation.CONSERVATIVE: dssc(SampledForm(integrated, conservative_update)),
-    Discretisation.EXPLICIT: dssc(SampledForm(own_coordinate, explicit_update)),
+    Discretisation.IMPLICIT: dssc(SampledForm(own_coordinate, own_rate, implicit_update)),
+    Discretisation.CONSERVATIVE: dssc(SampledForm(integrated, integrated_rate, conservative_update)),
+    Discretisation.EXPLICIT: dssc(SampledForm(own_coordinate, own_rate, explicit_update)),
 }
 DSSC = Entry(MEMBERS, "dynamic smooth sliding control (14)-(18)", "discretisation", Discretisation.IMPLICIT)
 SSC = Entry(
