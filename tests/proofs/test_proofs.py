@@ -237,6 +237,7 @@ def test_an_indefinite_p_does_not_prove_an_unstable_loop():
         ({"controller.discretisation": "explicit"}, "in implicit or conservative form"),
         ({"controller.discretisation": "conservative"}, "depend on e between samples"),
         ({"controller.sign_width": 0.1}, "the sign is smoothed"),
+        ({"controller.predictor_start": "midpoint"}, "starts at 'midpoint'"),
         ({"plant.a_p": {"normal": [1.0, 0.1]}}, "has no bounds"),
         ({"controller.rho": {"uniform": [9.0, 10.0]}}, "controller.rho is uncertain"),
         ({"disturbance": {"kind": "filtered_noise", "std": 0.1, "correlation_time": 1.0}}, "no known bound"),
