@@ -50,7 +50,16 @@ def test_the_worst_requirement_has_its_name(study):
         found = dj.falsify(study.override({"requirement": [own, other]}), budget=64)
         text = found.study.requirements[expected].text
         assert found.summary()["worst_requirement"] == text
-        assert found.headline.endswith(f"of its bound in {text}")
+        assert found.headline.endswith(f"where {text} is required")
+
+
+def test_a_bound_of_zero_does_not_hide_the_other_requirement(study):
+    """An envelope is bounded by 0: its slack, in metres and always small here, counts in shares of its usual size."""
+    narrow = {"signal": "e", "upper": [[3.96, 0.07], [4.0, 0.07]], "lower": [[3.96, -0.07], [4.0, -0.07]]}
+    found = dj.falsify(study.override({"envelope": [narrow]}), budget=300, seed=4).summary()
+    assert found["worst_requirement"] == "error_max after 1.5 s <= 0.8 m"
+    assert found["slack"] < -0.04
+    assert float(found["worst_value"].removesuffix(" m")) == pytest.approx(0.8 * (1.0 - found["slack"]), rel=1e-3)
 
 
 @pytest.mark.parametrize("design", [{"sampling": "sobol", "draws": 64}, {"correlation": {"plant.k_p, plant.a_p": 0.5}}])
@@ -104,7 +113,7 @@ def test_command(study, tmp_path, monkeypatch, capsys):
     (tmp_path / "planted.toml").write_text(to_toml(study.table))
     loose = ["--set", "requirement.0.max=50.0"]
     assert guarded(["falsify", "planted.toml", "--budget", "64", "--out", "loose", *loose]) == 0
-    assert "passes" in capsys.readouterr().out
+    assert "no failure was found, which proves nothing" in capsys.readouterr().out
     assert guarded(["falsify", "planted.toml", "--budget", "200", "--out", "found", "--json"]) == 1
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert told["failed"]

@@ -160,7 +160,9 @@ def test_the_terminal_shows_each_requirement(swept, capsys):
         count = [f"{each['failures']}/64", f"{each['probability']:.4g}", f"[{low:.3g},", f"{high:.3g}]"]
         assert [*each["text"].split(), *count, str(each["alone"])] in shown
     for pair in point["overlaps"]:
-        assert [pair["names"][0], "and", pair["names"][1], str(pair["draws"])] in shown
+        low, high = pair["interval"]
+        count = [f"{pair['failures']}/64", f"{pair['probability']:.4g}", f"[{low:.3g},", f"{high:.3g}]"]
+        assert [pair["names"][0], "and", pair["names"][1], *count, str(pair["draws"])] in shown
     early = f"ended early, and so violated every requirement: {point['ended_early']} non finite"
     assert early.split() in shown
 

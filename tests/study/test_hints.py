@@ -37,6 +37,13 @@ def test_a_name_in_the_wrong_section(changes, where, hint):
     assert hint in str(caught.value)
 
 
+def test_a_misspelt_section_that_is_required():
+    """The name is missing only because it is misspelt."""
+    table = {("controler" if name == "controller" else name): value for name, value in UNCERTAIN.items()}
+    with pytest.raises(ConfigError, match=r"controler: unknown name; did you mean 'controller'\?"):
+        Study.from_table(table)
+
+
 def test_a_name_that_belongs_into_a_part_of_the_vehicle():
     with pytest.raises(ConfigError, match=r"'mass' belongs in \[plant.vehicle\] or in \[plant.believed\]"):
         Study.from_table({**HOVER, "plant": {**HOVER["plant"], "mass": 1.0}})

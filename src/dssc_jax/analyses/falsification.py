@@ -34,8 +34,9 @@ class Falsified(Analysis):
     """The worst draw found.
 
     The dataset has every simulated point, along ``point``: its numbers; its ``slack``, that of the worst requirement
-    relative to its bound, negative if the draw fails; ``binding``, the index of that requirement; ``simulations``, the
-    number spent so far; and its likelihood, as ``distance``, ``log_density`` and ``mass``
+    relative to its bound, or for a bound of 0 to its median over the first points, negative if the draw fails;
+    ``binding``, the index of that requirement; ``distance_to_bound``, its slack in the metric's unit;
+    ``simulations``, the number spent so far; and its likelihood, as ``distance``, ``log_density`` and ``mass``
     (:class:`dssc_jax.statistics.Likelihood`). A simulation with derivatives counts once, and once more for each
     derivative.
 
@@ -54,11 +55,12 @@ class Falsified(Analysis):
     @classmethod
     def of(cls, region: SearchSet, seen: Sequence[Seen], seconds: float) -> Self:
         """Collect the simulated points in the order of the search."""
-        points, slacks, binding, spent = (np.concatenate(parts) for parts in zip(*seen, strict=True))
+        points, slacks, binding, signed, spent = (np.concatenate(parts) for parts in zip(*seen, strict=True))
         study, distances = region.study, region.distances(points)
         columns = {
             "slack": (slacks, "1", "signed slack"),
             "binding": (binding, "1", "index of the worst requirement"),
+            "distance_to_bound": (signed, "", "slack of the worst requirement in its metric's unit"),
             "simulations": (spent, "1", "simulations spent until then"),
             "distance": (distances, "1", "distance from the median draw in standard normal scores"),
             "log_density": (-0.5 * distances**2, "1", "logarithm of the scores' density relative to the mode"),
@@ -117,6 +119,15 @@ class Falsified(Analysis):
             return None
         return self.study.requirements[int(self.dataset["binding"][point])].text
 
+    def value_at(self, point: int) -> str | None:
+        """The metric of the worst requirement of a point, with its unit; None if its draw ends early."""
+        if self.binding_at(point) is None:
+            return None
+        requirement = self.study.requirements[int(self.dataset["binding"][point])]
+        slack = float(self.dataset["distance_to_bound"][point])
+        value = requirement.bound - slack if requirement.maximum is not None else requirement.bound + slack
+        return f"{value:.4g} {requirement.measure.unit}".removesuffix(" 1")
+
     @property
     def simulations(self) -> int:
         """Number of simulations spent."""
@@ -137,8 +148,8 @@ class Falsified(Analysis):
     @property
     def headline(self) -> str:
         """The answer in one line."""
-        of = f" in {self.binding_at(self.worst)}" if len(self.study.requirements) > 1 else ""
-        ending = "ends early" if self.slack == -np.inf else f"has a slack of {self.slack:.4g} of its bound{of}"
+        value, worst = self.value_at(self.worst), self.binding_at(self.worst)
+        ending = "ends early" if value is None else f"has {value} where {worst} is required"
         verdict = "fails" if self.slack < 0.0 else "passes"
         region = "" if self.within is None else f" within {self.within:.4g} sigma"
         place = f"at {self.likelihood.distance:.3g} sigma"
@@ -157,7 +168,9 @@ class Falsified(Analysis):
             "failed": self.slack < 0.0,
             "slack": self.slack,
             "worst_requirement": self.binding_at(self.worst),
+            "worst_value": self.value_at(self.worst),
             "witness": self.witness,
+            "units": {name: self.study.quantities[name].unit for name in self.study.laws},
             "likelihood": self.likelihood.summary(),
             "nearest_failure": None if nearest is None else self.about(nearest),
             "simulations": self.simulations,
@@ -170,6 +183,7 @@ class Falsified(Analysis):
         return {
             "slack": float(self.dataset["slack"][point]),
             "worst_requirement": self.binding_at(point),
+            "worst_value": self.value_at(point),
             "witness": self.numbers_at(point),
             "likelihood": self.likelihood_at(point).summary(),
         }

@@ -8,7 +8,7 @@ from scipy.optimize import differential_evolution
 
 from dssc_jax.analyses.defaults import LEAST_BUDGET
 from dssc_jax.analyses.search_sets import SearchSet
-from dssc_jax.closed_loop.requirements import binding_requirement, worst_slack
+from dssc_jax.closed_loop.requirements import Requirement, binding_requirement, sized, worst_slack
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import BLOCK, Arrays
 from dssc_jax.engine.evaluation import Derivative, Evaluator, GradientEvaluator
@@ -56,14 +56,16 @@ class Seen(NamedTuple):
 
     Args:
         points: Coordinates, shape (n, laws).
-        slacks: That of the worst requirement, relative to its bound, shape (n,).
+        slacks: That of the worst requirement, relative to its scale, shape (n,).
         binding: Index of that requirement, shape (n,).
+        distances: Its slack in the metric's unit, shape (n,).
         spent: Simulations spent until then, shape (n,).
     """
 
     points: np.ndarray
     slacks: np.ndarray
     binding: np.ndarray
+    distances: np.ndarray
     spent: np.ndarray
 
 
@@ -77,6 +79,7 @@ class Hunt:
         budget: Number of simulations.
         rng: Random generator of the search.
         progress: Called with the simulations spent.
+        requirements: The study's, with the scales that the first points show.
     """
 
     programs: Programs
@@ -87,6 +90,7 @@ class Hunt:
     spent: int = 0
     worst: float = np.inf
     seen: list[Seen] = field(default_factory=list)
+    requirements: tuple[Requirement, ...] = ()
 
     @property
     def size(self) -> int:
@@ -96,9 +100,12 @@ class Hunt:
     def simulate(self, points: np.ndarray, evaluator: Evaluator, each: int = 1) -> tuple[np.ndarray, Arrays]:
         """Slacks and results of points; ``each`` is the number of simulations that one point costs."""
         results = evaluator(np.zeros(len(points), dtype=int), self.region.values(points))
-        requirements = evaluator.swept.requirements
-        slacks, spent = worst_slack(requirements, results), self.spent + each * np.arange(1, len(points) + 1)
-        self.seen.append(Seen(points, slacks, binding_requirement(requirements, results), spent))
+        self.requirements = self.requirements or sized(self.programs.study.requirements, results)
+        slacks, binding = worst_slack(self.requirements, results), binding_requirement(self.requirements, results)
+        each_slack = np.array([results[requirement.name] for requirement in self.requirements])
+        distances = np.take_along_axis(each_slack, binding[None], 0)[0]
+        spent = self.spent + each * np.arange(1, len(points) + 1)
+        self.seen.append(Seen(points, slacks, binding, distances, spent))
         self.spent += each * len(points)
         self.worst = min(self.worst, float(slacks.min()))
         if self.progress:
@@ -147,11 +154,10 @@ class Hunt:
 
     def slopes(self, points: np.ndarray, results: Arrays) -> np.ndarray:
         """Derivatives of the worst slack with respect to the coordinates, shape (n, laws); 0 if there is none."""
-        requirements = self.programs.study.requirements
-        binding = binding_requirement(requirements, results)
+        binding = binding_requirement(self.requirements, results)
         columns = []
         for name in self.programs.study.laws:
-            rows = [results[Derivative(r.name, name)] / r.scale for r in requirements]
+            rows = [results[Derivative(r.name, name)] / r.scale for r in self.requirements]
             columns.append(np.take_along_axis(np.array(rows), binding[None], 0)[0])
         slopes = self.region.slopes(points, np.stack(columns, axis=1))
         return np.where(np.isfinite(slopes), slopes, 0.0)

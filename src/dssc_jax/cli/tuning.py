@@ -15,6 +15,9 @@ BudgetOption = Annotated[
 ]
 
 
+EARLY = "a draw ended early, or too few simulations are left for another generation"
+
+
 @app.command()
 def tune(
     study: opt.StudyArgument,
@@ -96,7 +99,7 @@ def falsify(
     loaded = load_study(study, settings, None, seed, allow_local).without_sweep()
     folder = out or default_out(loaded, "falsify", settings, seed, within_sigma, within_mass)
     require_free(folder, "falsify", loaded)
-    with progress_bar(loaded, quiet=as_json, of="simulations", early="the search found nothing further") as advance:
+    with progress_bar(loaded, quiet=as_json, of="simulations", early=EARLY) as advance:
         falsified = hunt(
             loaded,
             budget=budget,

@@ -1,7 +1,7 @@
 """Requirements on metrics: their slacks, negative if violated, and the resulting outcome code."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -13,11 +13,15 @@ from dssc_jax.core.signals import Outcome, Scalar
 
 @dataclass(frozen=True)
 class Requirement:
-    """A bound on one measure. Exactly one of ``maximum`` and ``minimum`` is set, in the metric's unit."""
+    """A bound on one measure. Exactly one of ``maximum`` and ``minimum`` is set, in the metric's unit.
+
+    ``size`` is a typical distance from the bound in that unit, if it is known; it serves where the bound is 0.
+    """
 
     measure: Measure
     maximum: float | None = None
     minimum: float | None = None
+    size: float | None = None
 
     @property
     def label(self) -> str:
@@ -36,8 +40,8 @@ class Requirement:
 
     @property
     def scale(self) -> float:
-        """Scale of slacks when requirements are compared: |bound|, or 1 if that is 0."""
-        return abs(self.bound) or 1.0
+        """Scale of slacks when requirements are compared: |bound|; if that is 0, ``size``, or 1 if it is not known."""
+        return abs(self.bound) or self.size or 1.0
 
     @property
     def text(self) -> str:
@@ -52,6 +56,20 @@ class Requirement:
         if self.maximum is not None:
             return self.maximum - value
         return value - self.minimum  # type: ignore[operator]
+
+
+def sized(requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]) -> tuple[Requirement, ...]:
+    """The requirements with the median distance from their bounds over some draws.
+
+    Args:
+        requirements: The requirements.
+        results: Slacks by name, of any one shape.
+    """
+    sizes = [np.abs(results[requirement.name]) for requirement in requirements]
+    return tuple(
+        replace(requirement, size=float(np.median(size[np.isfinite(size)])) if np.isfinite(size).any() else None)
+        for requirement, size in zip(requirements, sizes, strict=True)
+    )
 
 
 def violated(slack: Any) -> Any:

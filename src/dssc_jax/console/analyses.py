@@ -29,8 +29,22 @@ def show_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
         show_table((gains, "failures", "probability", "95 % interval", f"median {metric}"), rows)
         show_pairs(contest["pairs"], "failure probability, paired", "exact McNemar")
     if summary["tuned"]:
+        for name, own in summary["tuned"]["controllers"].items():
+            gains = ", ".join(tuned_numbers(summary["controllers"][name]["controller"], own["controller"]))
+            console.print(f"{name} tuned: {gains or 'the given gains stay'}", markup=False, soft_wrap=True)
         console.print(f"tuning: {escape(summary['tuned']['budget'])}", soft_wrap=True)
     show_files(files)
+
+
+def tuned_numbers(given: Mapping[str, Any], tuned: Mapping[str, Any], path: str = "") -> list[str]:
+    """The numbers of a table that tuning has changed, as ``name = number``."""
+    numbers = []
+    for name, value in tuned.items():
+        if isinstance(value, Mapping):
+            numbers += tuned_numbers(given.get(name, {}), value, f"{path}{name}.")
+        elif value != given.get(name):
+            numbers.append(f"{path}{name} = {value:.4g}")
+    return numbers
 
 
 def show_sensitivity(summary: Mapping[str, Any], files: list[Path]) -> None:
@@ -45,9 +59,10 @@ def show_sensitivity(summary: Mapping[str, Any], files: list[Path]) -> None:
         if indices is None:
             console.print(f"{name}: no answer; it {summary['reasons'][name]}", markup=False, soft_wrap=True)
             continue
+        main, *_ = summary["quantities"]
         rows = [
             (factor, *(interval_text(own[part], *own[f"{part}_interval"]) for part in summary["quantities"]))
-            for factor, own in indices.items()
+            for factor, own in sorted(indices.items(), key=lambda pair: -pair[1][main])
         ]
         show_table((name, *(quantity["legend"] for quantity in summary["quantities"].values())), rows)
     show_files(files)

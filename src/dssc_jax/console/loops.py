@@ -43,11 +43,13 @@ def show_loop(summary: Mapping[str, Any], files: list[Path]) -> None:
                 (text, *(margin_text(own[name][part], form) for part in ("median", "tolerance_limit", "worst")))
                 for name, (text, form) in MARGIN_ROWS.items()
             ]
-            where = point if point == "equilibrium" else f"at {point}"
+            where = "at the equilibrium" if point == "equilibrium" else f"at {point}"
             show_table((f"{broken_at}, {where}: {own['stable']} of {draws} stable", *head), rows)
             reason = without_margins(own, draws, needed, f"{share:g} % of all draws with {confidence:g} % confidence")
             if reason:
                 console.print(reason, markup=False, soft_wrap=True)
+    if set(summary["operating_points"]) == {"equilibrium"}:
+        console.print("margins hold at rest, where dry friction sticks; --at T1,T2 takes them in motion", markup=False)
     if draws < needed:
         console.print(f"a limit needs at least {needed} draws", markup=False)
     show_files(files)

@@ -45,6 +45,7 @@ def show_margins(summary: Mapping[str, Any], files: list[Path]) -> None:
         ("median critical value", value_text(summary["median"], end, unit)),
         ("95 % of all draws pass up to (confidence 95 %, Wilks)", tolerance_text(summary, draws, end, unit)),
         *((text, f"{100 * summary[share]:.3g} %") for share, text in SHARES.items()),
+        *((f"first violated: {text}", f"{n} of {draws} draws") for text, n in summary["first_violated"].items()),
         ("seconds", f"{summary['seconds']:.1f}, of which {summary['compile_seconds']:.1f} compiling"),
     ]
     show_table((summary["parameter"], ""), rows)

@@ -92,8 +92,11 @@ def show_point(study: "Study", point: dict[str, Any]) -> None:
         ]
         show_table(("requirement", "violated by", *SHARE, "by it alone"), rows)
     if point["overlaps"]:
-        rows = [(" and ".join(pair["names"]), str(pair["draws"])) for pair in point["overlaps"]]
-        show_table(("violated together (not by early ends)", "draws"), rows)
+        rows = [
+            (" and ".join(pair["names"]), *failure_cells(pair, point["draws"]), str(pair["draws"]))
+            for pair in point["overlaps"]
+        ]
+        show_table(("both", "violated by", *SHARE, "not by early ends"), rows)
     if point["ended_early"]:
         counts = {name: point["outcomes"][name] for code, name in outcome_codes(study).items() if ended_early(code)}
         ways = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in counts.items() if n)

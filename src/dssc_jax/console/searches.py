@@ -70,18 +70,18 @@ def show_falsification(summary: Mapping[str, Any], files: list[Path]) -> None:
         console.print(f"searched: within {within['distance']:.4g} sigma, which holds {within['mass']:.5g} of all draws")
     nearest = summary["nearest_failure"]
     columns = [summary["witness"], nearest["witness"]] if nearest else [summary["witness"]]
-    rows = [(name, *(f"{column[name]:.6g}" for column in columns)) for name in summary["witness"]]
-    show_table(("number", "worst draw", "likeliest failure")[: 1 + len(columns)], rows)
-    slack = (
-        ENDED
-        if summary["slack"] is None
-        else f"slack {summary['slack']:.4g} of the bound in {summary['worst_requirement']}"
-    )
+    rows = [
+        (name, *(f"{column[name]:.6g}" for column in columns), summary["units"][name].removeprefix("1"))
+        for name in summary["witness"]
+    ]
+    show_table((*("number", "worst draw", "likeliest failure")[: 1 + len(columns)], ""), rows)
+    value, rule = summary["worst_value"], summary["worst_requirement"]
+    result = ENDED if value is None else f"{value} where {rule} is required"
     spent = f"{summary['simulations']} simulations, {summary['seconds']:.1f} s"
-    ending = (
-        f"fails; the first failure came after {summary['first_failure']}" if summary["failed"] else "passes; the worst"
-    )
-    console.print(f"it {ending} of {spent}: {slack}")
+    if summary["failed"]:
+        console.print(f"it fails: {result}; the first failure came after {summary['first_failure']} of {spent}")
+    else:
+        console.print(f"no failure was found, which proves nothing; the worst of {spent}: {result}")
     console.print(f"worst draw {likelihood_text(summary['likelihood'])}", soft_wrap=True)
     if nearest:
         console.print(f"likeliest failure found {likelihood_text(nearest['likelihood'])}", soft_wrap=True)

@@ -74,10 +74,11 @@ def together(point: dict[str, Any]) -> list[h.Node]:
     """Pairs of requirements that the same draws violate, if there are at least two requirements."""
     if len(point["requirements"]) < 2:
         return []
-    if not point["overlaps"]:
+    pairs = [pair for pair in point["overlaps"] if pair["draws"]]
+    if not pairs:
         return [h.p["No draw that ran to its end violates two requirements."]]
     text = {each["name"]: each["text"] for each in point["requirements"]}
-    rows = [(*(text[name] for name in pair["names"]), f"{pair['draws']:,}") for pair in point["overlaps"]]
+    rows = [(*(text[name] for name in pair["names"]), f"{pair['draws']:,}") for pair in pairs]
     caption = "Requirements that the same draws violate, without draws that ended early"
     return [table(caption, ("one", "other", "draws"), rows, words=2)]
 

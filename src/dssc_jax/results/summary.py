@@ -17,6 +17,7 @@ from dssc_jax.study import Study
 
 QUANTILES = (0.05, 0.5, 0.95)
 BATCH_LANES, BATCH_POINTS = 2**20, 4096  # of which a summary is made at once
+FEW_PAIRS = 3  # of requirements: shown even where no draw violates both
 SummaryRow = dict[str, Any]
 
 
@@ -93,7 +94,7 @@ def some_points(
     count, draws = outcome.shape
     early = ended_early(outcome)
     violations = {r.label: violated(lanes[r.name]) for r in study.requirements}
-    pairs = overlaps(violations, early)
+    pairs = overlaps(violations, early, say)
     return rows(
         {
             **at,
@@ -103,8 +104,8 @@ def some_points(
             "ended_early": np.count_nonzero(early, axis=-1).tolist(),
             "requirements": side_by_side(requirements(study, violations, early, say), count),
             "overlaps": [
-                [{"names": list(pair), "draws": n} for pair, n in zip(pairs, counts, strict=True) if n]
-                for counts in side_by_side(list(pairs.values()), count)
+                [each for each in point if each["draws"] or len(pairs) <= FEW_PAIRS]
+                for point in side_by_side(pairs, count)
             ],
             "outcomes": rows(
                 {
@@ -151,12 +152,17 @@ def requirements(
     return statements
 
 
-def overlaps(violations: Mapping[str, np.ndarray], early: np.ndarray) -> dict[tuple[str, str], list[int]]:
-    """For every pair of requirements, the number of completed draws of each point that violate both."""
-    return {
-        (a, b): np.count_nonzero(violations[a] & violations[b] & ~early, axis=-1).tolist()
-        for a, b in combinations(violations, 2)
-    }
+def overlaps(violations: Mapping[str, np.ndarray], early: np.ndarray, say: Statements) -> list[list[SummaryRow]]:
+    """For every pair of requirements, how often both are violated at every point.
+
+    ``draws`` counts the completed draws among them.
+    """
+    statements = []
+    for pair in combinations(violations, 2):
+        both = violations[pair[0]] & violations[pair[1]]
+        completed = np.count_nonzero(both & ~early, axis=-1).tolist()
+        statements.append([{"names": list(pair)} | row for row in rows({"draws": completed} | say.shares(both))])
+    return statements
 
 
 def rows(columns: Mapping[str, Sequence[Any]]) -> list[SummaryRow]:

@@ -25,7 +25,16 @@ from dssc_jax.models.environment import DISTURBANCES, REFERENCES, SENSORS, TRAJE
 from dssc_jax.models.plants import PLANTS
 from dssc_jax.models.uav import UAV
 from dssc_jax.models.unmodelled import UNMODELLED
-from dssc_jax.study.components import Component, Number, as_table, dotted, explain, parse_component, parse_number
+from dssc_jax.study.components import (
+    Component,
+    Number,
+    as_table,
+    dotted,
+    explain,
+    field_specs,
+    parse_component,
+    parse_number,
+)
 from dssc_jax.study.laws import Law
 from dssc_jax.study.measuring import kinds_of, measured
 from dssc_jax.study.schema import (
@@ -39,7 +48,7 @@ from dssc_jax.study.schema import (
     TuneTable,
     UnitsTable,
 )
-from dssc_jax.study.sections import with_section
+from dssc_jax.study.sections import params_of, with_section
 from dssc_jax.study.tables import has_dotted, merged, set_dotted
 
 REGISTRIES = {
@@ -345,7 +354,10 @@ def nearest_number(name: str, config: StudyTable, numbers: Mapping[str, Number])
     slot = name.partition(".")[0]
     table = getattr(config, slot) if slot in REGISTRIES.keys() & StudyTable.model_fields.keys() else None
     if isinstance(table, Mapping) and not any(known.startswith(f"{slot}.") for known in numbers):
-        return f"the study's {slot} is of the kind '{table.get('kind')}', which has no numbers"
+        field = name.rpartition(".")[2]
+        others = [kind for kind, entry in REGISTRIES[slot].items() if field in field_specs(params_of(entry))]
+        remedy = f"; for '{others[0]}' add --set {slot}.kind={others[0]} --set {name}=.." if others else ""
+        return f"the study's {slot} is of the kind '{table.get('kind')}', which has no numbers{remedy}"
     return nearest(name, numbers)
 
 

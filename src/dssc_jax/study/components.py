@@ -8,6 +8,7 @@ and laws.
 import types
 import typing
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from enum import Enum
 from functools import cache
 from typing import Annotated, Any, Literal
@@ -186,8 +187,14 @@ UNKNOWN_NAME = "unknown name"
 
 
 def explain(error: ValidationError, names: typing.Iterable[str]) -> ConfigError:
-    """The first validation error as one line: path, rule, value, nearest name."""
-    first = error.errors()[0]
+    """The first validation error as one line: path, rule, value, nearest name.
+
+    A name that is missing only because it is misspelt counts as misspelt.
+    """
+    errors = error.errors()
+    missing = [str(each["loc"][-1]) for each in errors if each["type"] == "missing"]
+    unknown = [each for each in errors if each["type"] == "extra_forbidden"]
+    first = next((each for each in unknown if get_close_matches(str(each["loc"][-1]), missing)), errors[0])
     path = ".".join(str(part) for part in first["loc"])
     value = first.get("input")
     match first["type"]:
@@ -197,6 +204,8 @@ def explain(error: ValidationError, names: typing.Iterable[str]) -> ConfigError:
             return ConfigError(path, "is required and missing")
         case "value_error":
             return ConfigError(path, str(first.get("ctx", {}).get("error")))
+        case "list_type" if isinstance(value, dict):
+            return ConfigError(path, f"is a list of tables: write [[{path}]] instead of [{path}]")
         case "literal_error":
             expected = str(first.get("ctx", {}).get("expected")).replace("'", "")
             return ConfigError(path, f"'{value}' is none of {expected}")

@@ -157,7 +157,7 @@ def test_spread_is_of_the_logarithm_where_the_law_is():
 @pytest.mark.parametrize(
     ("changes", "bounds", "rule"),
     [
-        ({}, (1.0, 4.0), r"spread: plant.k_p must be > 0, got \[-.* at spread = 4"),
+        ({}, (1.0, 4.0), r"plant.k_p must be > 0, got \[-.* at spread = 4; all stay in .* up to spread = 3\.078"),
         ({"plant.k_p": 1.0, "unmodelled.mu": 0.01}, (0.0, 1.0), "nothing is uncertain"),
         ({"plant.k_p": {"choice": [0.9, 1.1]}, "unmodelled.mu": 0.01}, (0.0, 1.0), "nothing is uncertain"),
         ({}, (-1.0, 1.0), "must be >= 0"),
@@ -166,6 +166,19 @@ def test_spread_is_of_the_logarithm_where_the_law_is():
 def test_bad_spread(study, changes, bounds, rule):
     with pytest.raises(dj.ConfigError, match=rule):
         dj.margin(study.override(changes), over="spread", bounds=bounds)
+
+
+def test_what_is_violated_first(study):
+    """Beside a requirement that every draw violates at the start, and one that none violates."""
+    own = {"metric": "error_max", "after": 2.0, "max": 1.6}
+    for bound, first in ((1e-9, "error_rms <= 1e-09 m"), (1e9, None)):
+        required = {"requirement": [own, {"metric": "error_rms", "max": bound}], "draws": 12}
+        margins = dj.margin(study.override(required), over="unmodelled.mu", bounds=(0.01, 2.0), log=True, points=5)
+        failing = int((margins.dataset["censoring"] != 1).sum())
+        counts = margins.summary()["first_violated"]
+        assert sum(counts.values()) == failing
+        assert first is None or counts == {first: 12}
+        assert first is not None or "error_rms <= 1e+09 m" not in counts
 
 
 def test_no_requirement_means_staying_finite(study):

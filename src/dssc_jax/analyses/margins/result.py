@@ -35,8 +35,9 @@ FIRST_MARGIN_NAMES = {"margin": "slack"}
 class Margins(Analysis):
     """The critical values of a study's draws.
 
-    The dataset has along ``draw``: ``critical``, ``censoring``, ``non_monotone`` and all drawn numbers. Along ``value``
-    and ``draw`` it has ``slack``, that of the worst requirement relative to its bound.
+    The dataset has along ``draw``: ``critical``, ``censoring``, ``non_monotone`` and all drawn numbers, and after a
+    simulation ``violated_first`` (:class:`~dssc_jax.analyses.margins.search.FirstViolated`). Along ``value`` and
+    ``draw`` it has ``slack``, that of the worst requirement relative to its bound.
 
     Args:
         parameter: The number that is varied.
@@ -79,6 +80,11 @@ class Margins(Analysis):
             "censoring": (critical.censoring, {"long_name": "side of the walk on which the value lies", **codes}),
             "non_monotone": (critical.non_monotone, {"long_name": "passes again beyond a failure"}),
         }
+        if critical.violated is not None:
+            columns["violated_first"] = (
+                critical.violated,
+                {"units": "1", "long_name": "index of the requirement violated first"},
+            )
         for name, values in drawn.items():
             law = study.quantities[name]
             columns[name] = (values, {"units": law.unit, "long_name": law.meaning})
@@ -148,6 +154,16 @@ class Margins(Analysis):
         )
 
     @property
+    def first_violated(self) -> dict[str, int]:
+        """How many draws violate each requirement first along the walk, most first; early ends count apart."""
+        if "violated_first" not in self.dataset:
+            return {}
+        names = [*(requirement.text for requirement in self.study.requirements), "ended early"]
+        which = self.dataset["violated_first"].values
+        counts = {name: int(np.count_nonzero(which == index)) for index, name in enumerate(names)}
+        return dict(sorted(((name, n) for name, n in counts.items() if n), key=lambda pair: -pair[1]))
+
+    @property
     def headline(self) -> str:
         """The answer in one line."""
         unit = self.dataset["critical"].attrs["units"]
@@ -181,6 +197,7 @@ class Margins(Analysis):
             "fail_at_start": float(np.mean(censoring == Censoring.BEFORE)),
             "pass_to_end": float(np.mean(censoring == Censoring.BEYOND)),
             "non_monotone": float(data["non_monotone"].mean()),
+            "first_violated": self.first_violated,
             "certified": self.certificate.value,
             "certificate": self.certificate.text,
             "proof": self.proof,

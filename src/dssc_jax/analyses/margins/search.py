@@ -8,6 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
+from dssc_jax.closed_loop.requirements import binding_requirement, ended_early, worst_slack
+from dssc_jax.engine.batching import Arrays
+from dssc_jax.study import Study
 
 CLOCK = "loop.sample_time"
 
@@ -64,12 +67,41 @@ class Critical(NamedTuple):
         censoring: A :class:`Censoring` code.
         non_monotone: Whether the draw passes again beyond a value at which it fails.
         slack: Signed slacks on the grid, shape (points, n).
+        violated: Index of the requirement that the draw violates first along the walk, as :class:`FirstViolated` counts
+            them; None if that is not known. Shape (n,).
     """
 
     value: np.ndarray
     censoring: np.ndarray
     non_monotone: np.ndarray
     slack: np.ndarray
+    violated: np.ndarray | None = None
+
+
+class FirstViolated:
+    """The requirement that each draw violates first along a walk, from the values that a search tries in any order.
+
+    ``which`` has shape (n,): the index of the requirement; their number for a draw that ended early; -1 without a
+    failure.
+
+    Args:
+        draws: n.
+        start: The walk's start.
+    """
+
+    def __init__(self, draws: int, start: float) -> None:
+        self.which, self._at, self._start = np.full(draws, -1), np.full(draws, np.inf), start
+
+    def slack(self, draws: np.ndarray, values: np.ndarray, at: Study, results: Arrays) -> np.ndarray:
+        """The signed slack of some draws at some values, of which it takes note."""
+        slack, distance = worst_slack(at.requirements, results), np.abs(values - self._start)
+        violated = np.full(len(draws), len(at.requirements))
+        if at.requirements:
+            early = ended_early(results["outcome"])
+            violated = np.where(early, violated, binding_requirement(at.requirements, results))
+        first = (slack < 0.0) & (distance < self._at[draws])
+        self.which[draws[first]], self._at[draws[first]] = violated[first], distance[first]
+        return slack
 
 
 def search_critical(slack_of: SlackOf, draws: int, walk: Walk, bisections: int = BISECTIONS) -> Critical:

@@ -10,8 +10,7 @@ import numpy as np
 
 from dssc_jax.analyses.defaults import BISECTIONS, MOST_BISECTIONS, MOST_POINTS, POINTS
 from dssc_jax.analyses.margins.result import Margins
-from dssc_jax.analyses.margins.search import CLOCK, Critical, Walk, search_critical
-from dssc_jax.closed_loop.requirements import worst_slack
+from dssc_jax.analyses.margins.search import CLOCK, Critical, FirstViolated, Walk, search_critical
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.design.certification import NotCovered
@@ -125,12 +124,32 @@ def require_spread(study: Study, bounds: tuple[float, float]) -> None:
         raise ConfigError(SPREAD, "nothing is uncertain that could be widened; give at least one number a law")
     if min(bounds) < 0.0:
         raise ConfigError(SPREAD, f"must be >= 0, got {bounds[0]:g} and {bounds[1]:g}")
-    for name, column in drawn(study, slice(0, study.config.draws)).items():
-        widest = study.laws[name].spread(column, max(bounds))
-        low, high = float(widest.min()), float(widest.max())
-        broken = study.quantities[name].violated_by(low, high)
-        if broken:
-            raise ConfigError(SPREAD, f"{name} {broken}, got [{low:g}, {high:g}] at {SPREAD} = {max(bounds):g}")
+    columns = drawn(study, slice(0, study.config.draws))
+    beyond = [text for name, column in columns.items() if (text := out_of_range(study, name, column, max(bounds)))]
+    if beyond:
+        widest = max(bounds)
+        most = widest * largest_share(
+            lambda share: not any(out_of_range(study, *column, share * widest) for column in columns.items())
+        )
+        rule = f"{'; '.join(beyond)} at {SPREAD} = {widest:g}; all stay in their ranges up to {SPREAD} = {most:.4g}"
+        raise ConfigError(SPREAD, f"{rule}; loguniform and lognormal laws never reach 0")
+
+
+def out_of_range(study: Study, name: str, column: np.ndarray, spread: float) -> str | None:
+    """How a widened number leaves its range; None if it does not."""
+    widest = study.laws[name].spread(column, spread)
+    low, high = float(widest.min()), float(widest.max())
+    broken = study.quantities[name].violated_by(low, high)
+    return f"{name} {broken}, got [{low:.4g}, {high:.4g}]" if broken else None
+
+
+def largest_share(holds: Callable[[float], bool]) -> float:
+    """The largest number in [0, 1] up to which a condition holds, rounded down to 1/1024."""
+    low, high = 0, 1024
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if holds(middle / 1024) else (low, middle)
+    return low / 1024
 
 
 def over_number(
@@ -147,14 +166,15 @@ def over_number(
     for begin in range(0, draws, evaluator.lanes):
         indices = np.arange(begin, min(begin + evaluator.lanes, draws))
         laws = evaluator.drawn(slice(begin, begin + len(indices)))
+        first = FirstViolated(len(indices), walk.start)
 
-        def slack_of(which: np.ndarray, values: np.ndarray, indices=indices, laws=laws) -> np.ndarray:
+        def slack_of(which: np.ndarray, values: np.ndarray, indices=indices, laws=laws, first=first) -> np.ndarray:
             chosen = {name: column[which] for name, column in laws.items()}
-            worst = worst_slack(evaluator.swept.requirements, evaluator(indices[which], place(chosen, values)))
+            slack = first.slack(which, values, evaluator.swept, evaluator(indices[which], place(chosen, values)))
             progress(clock.lanes, evaluations * draws)
-            return worst
+            return slack
 
-        parts.append(search_critical(slack_of, len(indices), walk, bisections))
+        parts.append(search_critical(slack_of, len(indices), walk, bisections)._replace(violated=first.which))
         columns.append(laws)
     joined = {name: np.concatenate([part[name] for part in columns]) for name in columns[0]}
     return Critical(*(np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True))), joined
@@ -173,6 +193,7 @@ def over_sample_time(
         raise ConfigError(over, f"{walk.points} points fall on fewer numbers of samples; take fewer, or wider bounds")
     studies = {value: study.override({over: float(value)}) for value in walk.grid}  # all checked before the first runs
     columns: Arrays = {}
+    first = FirstViolated(study.config.draws, walk.start)
 
     def slack_of(which: np.ndarray, values: np.ndarray) -> np.ndarray:
         at = studies[values[0]]
@@ -181,6 +202,7 @@ def over_sample_time(
         parts = list(execute(engine, layout.blocks()))
         columns.update({name: np.concatenate([part[name] for _, _, part in parts]) for name in at.laws})
         progress(clock.lanes, len(studies) * len(which))
-        return np.concatenate([worst_slack(at.requirements, results) for _, results, _ in parts])
+        results = {name: np.concatenate([part[name] for _, part, _ in parts]) for name in parts[0][1]}
+        return first.slack(which, values, at, results)
 
-    return search_critical(slack_of, study.config.draws, walk, bisections=0), columns
+    return search_critical(slack_of, study.config.draws, walk, bisections=0)._replace(violated=first.which), columns
