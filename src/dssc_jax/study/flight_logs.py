@@ -147,7 +147,9 @@ def table_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> 
     }
     for field, name in (("time", columns.time), *names.items()):
         if name not in present:
-            raise ConfigError(field, f"has no column '{name}'; {nearest(name, present)}")
+            raise ConfigError(
+                field, f"has no column '{name}'; {nearest(name, present)}; --columns FILE gives the names"
+            )
     try:
         time = frame[columns.time].to_numpy(float)
         return {name: Column(time, frame[source].to_numpy(float)) for name, source in names.items()}
