@@ -327,6 +327,10 @@ numbers are uncertain, the fewer draws lie near the median of all: 3 sigma hold 
 16.9 % of those of fourteen. The worst draw and the likeliest failure found come with their distance, the density of
 their scores relative to the mode, and the probability of all draws that lie nearer. In-loop noise is not part of the
 likelihood. The distance of the likeliest failure found is an upper bound of that of the likeliest one of all.
+
+Requirements are compared by their slacks in shares of their bounds. Where the bound is 0, as for an envelope, the slack
+counts in shares of its median over the first draws. A search that finds no failure proves nothing; a larger `--budget`
+searches longer.
 """
 
 
