@@ -71,8 +71,8 @@ def show_falsification(summary: Mapping[str, Any], files: list[Path]) -> None:
     nearest = summary["nearest_failure"]
     columns = [summary["witness"], nearest["witness"]] if nearest else [summary["witness"]]
     rows = [
-        (name, *(f"{column[name]:.6g}" for column in columns), summary["units"][name].removeprefix("1"))
-        for name in summary["witness"]
+        (name, *(f"{column[name]:.6g}" for column in columns), "" if unit == "1" else unit)
+        for name, unit in summary["units"].items()
     ]
     show_table((*("number", "worst draw", "likeliest failure")[: 1 + len(columns)], ""), rows)
     value, rule = summary["worst_value"], summary["worst_requirement"]
