@@ -95,7 +95,7 @@ def plain_shares(contests: dict[Case, dict[str, Measured]]) -> str:
     if any(C.name not in measured for measured in cases):
         return ""
     many, one = (np.median(ratios(measured[PLAIN.name], measured[C.name])) for measured in cases)
-    return f" (the UAV's, in float64, to C: {many:.2g} of it with RK4, {one:.2g} with Euler)"
+    return f" (for the UAV in float64, {many:.2g} of C's rate with RK4, {one:.2g} with Euler)"
 
 
 def costs_table(measured: dict[str, Measured]) -> str:
@@ -215,9 +215,8 @@ The rate of dssc_jax divided by those of the other programs, in one run:
 
 {ratios_table(found.contests)}
 
-In `jit(vmap(scan))`, each kernel of a step recomputes values that several kernels share. This costs more the more
-stages the step has: with Euler's single stage it is closer{plain_shares(found.contests)}. In the column "one device",
-one device simulates all the draws.
+In `jit(vmap(scan))`, each kernel of a step recomputes values that several kernels share, and keeps the state
+of all draws in memory{plain_shares(found.contests)}. In the column "one device", one device simulates all the draws.
 
 The next table shows the cost of a process for the UAV with RK4 in float64. Before its first result, each process
 imports this package to draw the same numbers. The metrics of all programs agree with ours to {ALLOWED[64]:g} relative

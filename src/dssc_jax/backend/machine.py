@@ -23,7 +23,7 @@ from dssc_jax.backend.llvm import ENTRY_POINT
 
 CORES_VARIABLE = "DSSC_JAX_CORES"
 CODE_LEVEL = 2  # of LLVM's code generation
-PARTS = 8  # parts of a batch per thread: ended draws make some parts quicker than others
+PARTS = 32  # parts of a batch per thread: some are quicker than others, and so are cores
 
 
 def usable_cores() -> int:
