@@ -7,7 +7,7 @@ from typing import Any
 
 from dssc_jax.console.terminal import output, show_files, show_table
 
-LEVEL = 0.05  # of the test of a log
+SIGNIFICANCE = 0.05  # of the test of a log
 
 
 def show_code(summary: dict[str, Any]) -> None:
@@ -61,11 +61,11 @@ def show_log_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
         f"p = {summary['p_value']:.4g}: {summary['draws_at_least_as_extreme']} of {summary['draws']} draws depart "
         f"as much; most in {summary['decisive_signal']} at {summary['decisive_time']:.4g} s"
     )
-    if summary["p_value"] > LEVEL:
-        say(f"at the {100 * LEVEL:g} % level, nothing in the log contradicts the study")
+    if summary["p_value"] > SIGNIFICANCE:
+        say(f"at the {100 * SIGNIFICANCE:g} % level, nothing in the log contradicts the study")
     else:
-        say(f"at the {100 * LEVEL:g} % level, the log is not a flight of the study")
-    if summary["least_p_value"] > LEVEL:
+        say(f"at the {100 * SIGNIFICANCE:g} % level, the log is not a flight of the study")
+    if summary["least_p_value"] > SIGNIFICANCE:
         say(f"p cannot be below {summary['least_p_value']:.3g}: take more draws")
     for name, own in summary["signals"].items():
         if "rms_difference" in own:
