@@ -11,6 +11,7 @@ from dssc_jax.backend import forms
 from dssc_jax.backend.lanes import CompiledLanes
 from dssc_jax.backend.llvm import module_text
 from dssc_jax.backend.needed import operation_counts
+from dssc_jax.backend.opposites import loops_of
 from dssc_jax.backend.translate import AXIS, translate
 from dssc_jax.backend.unsupported import Unsupported
 from tests.tolerances import ROUNDING
@@ -185,6 +186,27 @@ def test_what_does_not_change_leaves_a_loop():
     (loop,) = (node for node in program.body.nodes if hasattr(node, "body"))
     assert not any(getattr(node, "operation", "") in ("sqrt", "mul") for node in loop.body.nodes)
     assert operation_counts(program)["sqrt"] == 1
+
+
+@pytest.mark.parametrize(
+    ("begin", "strict", "carried"),
+    [((0.0, 0.0), False, 1), ((1.0, -1.0), False, 1), ((1.0, 1.0), False, 2), ((0.0, 0.0), True, 2)],
+)
+def test_a_loop_need_not_carry_the_negative_of_a_state(begin, strict, carried):
+    """A command u = -u_av in a loop within a loop. Where they begin otherwise, or zeros have signs, both are kept."""
+
+    def lane(x):
+        def turn(_, state):
+            average = 0.9 * state[0] + 0.1 * jnp.sin(x + state[1])
+            return average, -average
+
+        return jax.lax.fori_loop(0, 5, lambda _, state: jax.lax.fori_loop(0, 7, turn, state), begin)
+
+    lanes, plain = both(lane, X, strict=strict)
+    np.testing.assert_allclose(lanes, plain, rtol=ROUNDING)
+    compiled = CompiledLanes(lane, jax.ShapeDtypeStruct((), np.float64), strict=strict)
+    for loop in loops_of(compiled.program.body):
+        assert sum(state.dtype.kind == "f" for state in loop.states) == carried
 
 
 def test_equal_tables_are_told_apart_by_their_numbers():

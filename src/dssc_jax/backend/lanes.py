@@ -15,6 +15,7 @@ from dssc_jax.backend import machine
 from dssc_jax.backend.compiled_programs import kept
 from dssc_jax.backend.llvm import module_text
 from dssc_jax.backend.needed import operation_counts
+from dssc_jax.backend.opposites import join_opposites
 from dssc_jax.backend.program import BOOL, Program, Recording, Value
 from dssc_jax.backend.translate import translate
 
@@ -40,6 +41,8 @@ class CompiledLanes:
         self, lane: Callable[..., Any], *arguments: Any, width: int | None = None, strict: bool = False
     ) -> None:
         self.program, self.results = translate(lane, *arguments)
+        if not strict:
+            join_opposites(self.program)
         self.width = width or best_width(self.program)
         self.text = module_text(self.program, self.width, strict)
         self._code = machine.LoadedCode(kept(machine.code_name(self.text), lambda: machine.object_code(self.text)))
