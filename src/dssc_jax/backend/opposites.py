@@ -17,13 +17,13 @@ def join_opposites(program: Program) -> None:
     loops = list(loops_of(program.body))
     pairs = {(id(loop), *pair) for loop in loops for pair in permutations(range(len(loop.states)), 2)}
     # What holds before the first turn, and after a turn if it held before it, holds always.
-    while kept := {(id(loop), *pair) for loop in loops for pair in held(loop, pairs)}:
+    while kept := {(id(loop), *pair) for loop in loops for pair in holding_pairs(loop, pairs)}:
         if kept == pairs:
             break
         pairs = kept
     for loop in loops:
         negatives: dict[int, int] = {}
-        for position, negative in held(loop, kept):
+        for position, negative in holding_pairs(loop, kept):
             if not {position, negative} & negatives.keys() and negative not in negatives.values():
                 negatives[negative] = position
         if negatives:
@@ -41,7 +41,7 @@ def loops_of(block: CodeBlock) -> Iterator[CodeLoop]:
                 yield from loops_of(side)
 
 
-def held(loop: CodeLoop, pairs: set[Pair]) -> Iterator[tuple[int, int]]:
+def holding_pairs(loop: CodeLoop, pairs: set[Pair]) -> Iterator[tuple[int, int]]:
     """The pairs of a loop that hold before it and after a turn, if ``pairs`` hold within it and elsewhere."""
     for owner, one, other in pairs:
         if owner == id(loop) and all(opposite(x[one], x[other], pairs) for x in (loop.begin, loop.then)):
