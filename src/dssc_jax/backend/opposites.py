@@ -23,7 +23,7 @@ def join_opposites(program: Program) -> None:
         pairs = kept
     for loop in loops:
         negatives: dict[int, int] = {}
-        for position, negative in holding_pairs(loop, kept):
+        for position, negative in sorted(holding_pairs(loop, kept)):  # the text of a program is the key of its code
             if not {position, negative} & negatives.keys() and negative not in negatives.values():
                 negatives[negative] = position
         if negatives:

@@ -256,6 +256,11 @@ def integrate_sample(
         parts = zip(loop.unmodelled, params.unmodelled, unmodelled, commands, strict=True)
         return tuple(model.step(p, z, u, 0.5 * h) for model, p, z, u in parts)
 
+    @jax.jit  # traced once for all stages of the integrator
+    def rate(plant: State, stage_time: Scalar, actuation: Signals) -> State:
+        drive = plant_input(loop, params, state, plant, actuation, stage_time)
+        return loop.mimo_plant.derivative(params.plant, plant, drive, stage_time)
+
     def substep(index: Scalar, carry: tuple[State, tuple[State, ...]]) -> tuple[State, tuple[State, ...]]:
         plant, begin = carry
         middle = half_step(begin)
@@ -266,9 +271,7 @@ def integrate_sample(
         ]
 
         def derivative(plant: State, half_steps: int) -> State:
-            stage_time, actuation = stages[half_steps]
-            drive = plant_input(loop, params, state, plant, actuation, stage_time)
-            return loop.mimo_plant.derivative(params.plant, plant, drive, stage_time)
+            return rate(plant, *stages[half_steps])
 
         return loop.plant.project(params.plant, integrate(derivative, plant, h, loop.plant.velocities)), end
 

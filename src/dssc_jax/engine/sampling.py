@@ -8,13 +8,15 @@ them); those of a Latin hypercube cannot.
 
 import warnings
 from collections.abc import Callable, Sequence
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
+from dssc_jax.backend.lanes import CompiledLanes
+from dssc_jax.backend.machine import usable_cores
 from dssc_jax.core.numerics import stream
 from dssc_jax.study import Study
 
@@ -22,25 +24,28 @@ OUTERMOST_LEVEL = 2.0**-53  # keeps quantiles of unbounded laws finite
 SOBOL_BITS = 30  # of a coordinate; scipy's fast_forward knows words of 32 bits only
 
 
-def draw_key(seed: int, index: jax.Array | int) -> jax.Array:
+def draw_key(seed: jax.Array | int, index: jax.Array | int) -> jax.Array:
     """The random key of draw ``index``."""
     return jax.random.fold_in(jax.random.key(seed), index)
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def _uniform(seed: int, streams: tuple[int, ...], indices: jax.Array) -> jax.Array:
-    def point(index: jax.Array) -> jax.Array:
-        key = draw_key(seed, index)
-        return jax.vmap(lambda stream: jax.random.uniform(jax.random.fold_in(key, stream), dtype=jnp.float64))(factors)
+@lru_cache(maxsize=1)
+def level_program() -> CompiledLanes:
+    """Machine code for (seed, draw index, stream of a factor) -> a number of the half-open unit interval."""
 
-    factors = jnp.asarray(streams, dtype=jnp.uint32)
-    return jax.vmap(point)(indices)
+    def level(seed: jax.Array, index: jax.Array, factor: jax.Array) -> jax.Array:
+        return jax.random.uniform(jax.random.fold_in(draw_key(seed, index), factor), dtype=jnp.float64)
+
+    word = jax.ShapeDtypeStruct((), np.uint32)
+    with jax.enable_x64(True), jax.threefry_partitionable(True):
+        return CompiledLanes(level, word, word, word)
 
 
 def uniform(seed: int, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
     """Independent points of the half-open unit cube, shape (n, streams)."""
-    with jax.enable_x64(True):
-        return np.asarray(_uniform(seed, streams, np.asarray(indices, dtype=np.uint32)))
+    draws, factors = np.meshgrid(indices, np.array(streams, np.uint32), indexing="ij")
+    columns = np.full(draws.size, seed), draws.ravel(), factors.ravel()
+    return level_program().start(columns, draws.size, usable_cores())().reshape(draws.shape)
 
 
 def random_points(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
