@@ -14,7 +14,7 @@ from statistics import median
 import numpy as np
 
 import dssc_jax as dj
-from dssc_jax.console import machine
+from dssc_jax.console.environment import machine
 from dssc_jax.engine.batching import BLOCK, Engine, Layout, computing, execute
 from dssc_jax.results.schema import variables
 from dssc_jax.results.store import Store

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 import dssc_jax as dj
 from benchmarks.page import stored_part
 from dssc_jax import plotting
-from dssc_jax.console import machine
+from dssc_jax.console.environment import machine
 from dssc_jax.design import Bounds, Free, Guarantee, Parameters, certified, design, guarantee
 from dssc_jax.design.feasibility import scaled_bounds
 from dssc_jax.design.practice import practice

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 import dssc_jax as dj
 from dssc_jax import plotting
-from dssc_jax.console import machine
+from dssc_jax.console.environment import machine
 from dssc_jax.engine.batching import Engine, Layout, execute
 from dssc_jax.study.library import find
 

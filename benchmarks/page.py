@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from dssc_jax.console import machine
+from dssc_jax.console.environment import machine
 
 PAGE = Path(__file__).parents[1] / "docs" / "statistics.md"
 

@@ -22,7 +22,7 @@ from dssc_jax.analyses.hunt import Programs
 from dssc_jax.analyses.tuning.gradients import check_gradients
 from dssc_jax.analyses.tuning.plan import Plan
 from dssc_jax.analyses.tuning.problem import Problem
-from dssc_jax.console import machine
+from dssc_jax.console.environment import machine
 from dssc_jax.statistics import clopper_pearson
 
 ROOT = Path(__file__).parents[1]

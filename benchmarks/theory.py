@@ -14,7 +14,7 @@ from dssc_jax import plotting
 from dssc_jax.analyses.comparison import controller_table, with_controller
 from dssc_jax.analyses.margins import Margins
 from dssc_jax.analyses.theory import Assessment
-from dssc_jax.console import machine
+from dssc_jax.console.environment import machine
 
 ROOT = Path(__file__).parents[1]
 STUDY, CERTIFIED, DOCS = ROOT / "studies" / "compare_mu.toml", ROOT / "studies" / "certified_margin.toml", ROOT / "docs"

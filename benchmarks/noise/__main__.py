@@ -21,7 +21,7 @@ from benchmarks.noise.forms import (
 from benchmarks.noise.maps import ATTITUDE, PANELS, Vehicle, attitude, noise_map, spectra, vehicle
 from benchmarks.noise.starts import Start, starts
 from dssc_jax import plotting
-from dssc_jax.console import machine
+from dssc_jax.console.environment import machine
 
 DRAWS, SLOW, FINEST = 16, (0.02, 0.01, 0.005), 0.000625
 PAGE = (ROOT / "benchmarks" / "noise" / "page.md").read_text()

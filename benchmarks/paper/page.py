@@ -22,7 +22,7 @@ from benchmarks.paper.monte_carlo import (
     share,
 )
 from benchmarks.paper.signals import SECONDS, SMOOTH, fast_part, gap, lost, per_axis, rms, text, window
-from dssc_jax.console import machine
+from dssc_jax.console.environment import machine
 from dssc_jax.core.vectors import Vec3, quaternion_from_euler
 from dssc_jax.models.uav.aerodynamics import drag
 from dssc_jax.models.uav.vehicle import GRAVITY, QUADROTOR

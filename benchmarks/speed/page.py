@@ -28,7 +28,7 @@ from benchmarks.speed.others import Other, Start
 from benchmarks.speed.scaling import Run
 from benchmarks.speed.workloads import ALLOWED, Case
 from dssc_jax import plotting
-from dssc_jax.console import machine
+from dssc_jax.console.environment import machine
 
 DOCS = ROOT / "docs"
 RATES, SCALING = "performance_rates.png", "performance_scaling.png"

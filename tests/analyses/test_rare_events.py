@@ -8,7 +8,7 @@ import dssc_jax as dj
 from dssc_jax.analyses.rare_events import RareEvent
 from dssc_jax.analyses.splitting import split
 from dssc_jax.closed_loop.requirements import worst_slack
-from dssc_jax.console import show_rare
+from dssc_jax.console.analyses import show_rare
 from dssc_jax.core.signals import Outcome
 from dssc_jax.engine.batching import Engine, evaluate
 from tests.runs.test_run_until import TABLE

@@ -9,7 +9,7 @@ from scipy import special, stats
 import dssc_jax as dj
 from dssc_jax.analyses.sensitivity.outputs import FAILURE, NOISE, refusal
 from dssc_jax.analyses.sensitivity.sobol import saltelli, sobol_indices
-from dssc_jax.console import show_sensitivity
+from dssc_jax.console.analyses import show_sensitivity
 from tests.runs.test_run_until import TABLE
 
 FIRST, TOTAL = np.array([0.313905, 0.442411, 0.0]), np.array([0.557589, 0.442411, 0.243684])

@@ -9,7 +9,8 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.closed_loop.requirements import violated
-from dssc_jax.console import show_draw, show_result
+from dssc_jax.console.draws import show_draw
+from dssc_jax.console.results import show_result
 from dssc_jax.core.signals import Outcome
 from dssc_jax.plotting.thinning import PIXEL_COLUMNS
 from dssc_jax.report import html

@@ -46,7 +46,7 @@ def dssc_jax(
 @app.command()
 def studies(as_json: opt.Json = False) -> int:
     """List the studies that can be run by name."""
-    from dssc_jax.console import show_table
+    from dssc_jax.console.terminal import show_table
     from dssc_jax.study import read_toml
     from dssc_jax.study.library import available_studies
 
@@ -78,7 +78,7 @@ def info(
     Each kind with its fields and options, every law and metric, and the compiler of lanes. Of one kind: unit, meaning,
     admissible values and default of each field. Of a law: its arguments. Of a metric: meaning and unit.
     """
-    from dssc_jax.console import environment, show_environment
+    from dssc_jax.console.environment import environment, show_environment
 
     if kind is not None:
         from dssc_jax.console.kinds import show_kind

@@ -68,10 +68,10 @@ def require_one_form(as_json: bool, as_latex: bool) -> None:
 
 def output_design(design_file: "DesignFile", as_json: bool, as_latex: bool) -> int:
     """Print a design with its certificate; the exit code says whether it is certified."""
-    from dssc_jax.console import jsonable
     from dssc_jax.console.designs import latex, show
     from dssc_jax.design import check as check_design
     from dssc_jax.design.feasibility import limits
+    from dssc_jax.results.summary import jsonable
 
     certificate = check_design(design_file.parameters, design_file.bounds)
     reach = limits(design_file.parameters, design_file.bounds) if certificate.certified else None

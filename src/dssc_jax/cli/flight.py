@@ -118,8 +118,8 @@ def compare_log(
     the reason, if the flight does not tell them.
     """
     from dssc_jax.analyses.flight_log import compare_log as compare
-    from dssc_jax.console import progress_bar
     from dssc_jax.console.flight import show_log_comparison
+    from dssc_jax.console.terminal import progress_bar
     from dssc_jax.results.analysis_folder import require_free
     from dssc_jax.study import read_toml
     from dssc_jax.study.flight_logs import read_log

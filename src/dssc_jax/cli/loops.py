@@ -39,7 +39,8 @@ def loop(
     linearised along its flight with --at. The study's [sweep] is ignored.
     """
     from dssc_jax.analyses.classical import loop_margins
-    from dssc_jax.console import progress_bar, show_loop
+    from dssc_jax.console.loops import show_loop
+    from dssc_jax.console.terminal import progress_bar
     from dssc_jax.results.analysis_folder import require_free
 
     times = parse_times(at)

@@ -107,7 +107,7 @@ def write_certificate(proved: "Proved", out: Path | None) -> None:
 
 def prove_over(study: "Study", over: str, log: bool, boxes: int, out: Path | None, as_json: bool) -> int:
     """Find the last value of a number that is proved; ``out`` gets its certificate."""
-    from dssc_jax.console import output, progress_bar
+    from dssc_jax.console.terminal import output, progress_bar
     from dssc_jax.design.certification import NotCovered
     from dssc_jax.proofs.reach import proved_up_to
 

@@ -48,7 +48,8 @@ def region(
     study's [sweep] is ignored.
     """
     from dssc_jax.analyses.region import region as search
-    from dssc_jax.console import progress_bar, show_region
+    from dssc_jax.console.regions import show_region
+    from dssc_jax.console.terminal import progress_bar
     from dssc_jax.results.analysis_folder import require_free
 
     if len(over) != 2:

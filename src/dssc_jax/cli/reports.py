@@ -66,7 +66,7 @@ def report(
     if as_json:
         print(json.dumps({"report": str(page), "bytes": size, "seconds": seconds}))
     else:
-        from dssc_jax.console import show_page
+        from dssc_jax.console.terminal import show_page
 
         show_page(page, f"{size / 1e6:.2f} MB in {seconds:.1f} s")
     return DONE
@@ -74,7 +74,7 @@ def report(
 
 def output_index(root: Path, as_json: bool) -> int:
     """Write the index of a folder of results and analyses, and show its content."""
-    from dssc_jax.console import show_page
+    from dssc_jax.console.terminal import show_page
     from dssc_jax.report import write_index
 
     page, rows = write_index(root, lambda made: None if as_json else show_page(made, "it was missing or out of date"))

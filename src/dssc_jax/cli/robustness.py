@@ -69,7 +69,8 @@ def margin(
         raise ConfigError("--prove", "is not for --controllers: prove each with `dssc-jax prove --over`")
     from dssc_jax.analyses.comparison import compare_margins, with_own_controllers
     from dssc_jax.analyses.margins import margin as find
-    from dssc_jax.console import progress_bar, show_margin_contest, show_margins
+    from dssc_jax.console.margins import show_margin_contest, show_margins
+    from dssc_jax.console.terminal import progress_bar
     from dssc_jax.results.analysis_folder import require_free
 
     name, bounds = parse_bounds(over)
@@ -123,7 +124,8 @@ def theory(
     if prove:
         require_proofs()
     from dssc_jax.analyses.theory import assess
-    from dssc_jax.console import progress_bar, show_theory
+    from dssc_jax.console.margins import show_theory
+    from dssc_jax.console.terminal import progress_bar
     from dssc_jax.results.analysis_folder import require_free
 
     name, bounds = parse_bounds(over)
@@ -180,7 +182,8 @@ def compare(
     """
     from dssc_jax.analyses.comparison import compare as contest
     from dssc_jax.analyses.comparison import with_own_controllers
-    from dssc_jax.console import progress_bar, show_comparison
+    from dssc_jax.console.analyses import show_comparison
+    from dssc_jax.console.terminal import progress_bar
     from dssc_jax.results.analysis_folder import require_free
 
     loaded = load_study(study, settings, draws, seed, allow_local).without_sweep()

@@ -141,7 +141,7 @@ def simulate(
 
     Values are the study's own. Tells how the draw ended; --csv and --figure keep the trajectory.
     """
-    from dssc_jax.console import announce_compiling
+    from dssc_jax.console.terminal import announce_compiling
     from dssc_jax.runs import trajectory as trajectories
 
     loaded = load_study(study, settings, None, seed, allow_local)
@@ -171,7 +171,7 @@ def replay(
     In a sweep, --at picks the point (the nearest one); without it, the point where the draw's slack is smallest.
     A result whose study names code of its own needs --trust-code.
     """
-    from dssc_jax.console import announce_compiling
+    from dssc_jax.console.terminal import announce_compiling
     from dssc_jax.runs import trajectory as trajectories
     from dssc_jax.study import Described
 
@@ -222,7 +222,7 @@ def require_unset(purpose: str, **options: Any) -> None:
 
 def finish_sequential(study: "Study", rule: "Rule", most: int | None, out: Path | None, as_json: bool) -> int:
     """Make draws until the stopping rule is met."""
-    from dssc_jax.console import progress_bar
+    from dssc_jax.console.terminal import progress_bar
     from dssc_jax.runs.run_until import MOST_DRAWS, run_until
 
     warn_of_noise(study)
@@ -253,7 +253,7 @@ def require_provable(study: "Study") -> None:
 
 def proved_sweep(result: "Result", out: Path, boxes: int, quiet: bool) -> "Result":
     """Prove every point of a sweep, and keep the proofs in the results folder."""
-    from dssc_jax.console import progress_bar
+    from dssc_jax.console.terminal import progress_bar
     from dssc_jax.runs.prove_sweep import prove_sweep
 
     with progress_bar(result.study, quiet=quiet, of="proofs", compiles=False) as advance:
@@ -273,7 +273,7 @@ def finish(
     fresh: bool = False,
 ) -> int:
     """Simulate all draws unless a complete result has them, and prove every point if there is a number of boxes."""
-    from dssc_jax.console import notify, progress_bar
+    from dssc_jax.console.terminal import notify, progress_bar
     from dssc_jax.runs import run as running
 
     if not fresh and (result := complete_result(study, out)) is not None:
@@ -313,7 +313,7 @@ def complete_result(study: "Study", out: Path) -> "Result | None":
 
 def output_result(result: "Result", out: Path, as_json: bool) -> None:
     """Show the result, then draw its figures, which take longer."""
-    from dssc_jax.console import show_figures, show_result
+    from dssc_jax.console.results import show_figures, show_result
     from dssc_jax.results.blocks import writing
 
     if as_json:
@@ -344,7 +344,7 @@ def require_writable(csv: Path | None, figure: Path | None) -> None:
 
 def output_trajectory(trajectory: Any, csv: Path | None, figure: Path | None, as_json: bool) -> int:
     """Write the requested files of a trajectory, and show how the draw ended."""
-    from dssc_jax.console import show_draw
+    from dssc_jax.console.draws import show_draw
 
     if csv is not None:
         attempt(csv, lambda: trajectory.to_dataframe().to_csv(csv, index_label="t"))
@@ -353,7 +353,7 @@ def output_trajectory(trajectory: Any, csv: Path | None, figure: Path | None, as
 
         attempt(figure, lambda: plotting.write(plotting.trajectory(trajectory), figure))
     if as_json:
-        from dssc_jax.console import jsonable
+        from dssc_jax.results.summary import jsonable
 
         print(json.dumps(jsonable(trajectory.attrs), allow_nan=False))
     else:

@@ -29,7 +29,7 @@ def plan(
     Answers for a failure probability (Chernoff; Clopper-Pearson, at the expected count and assured), for the worst case
     and for no failure at all, and for tolerance limits (Wilks).
     """
-    from dssc_jax.console import show_table
+    from dssc_jax.console.terminal import show_table
     from dssc_jax.statistics import plan as answers
 
     try:
@@ -66,7 +66,8 @@ def sensitivity(
     draws are the total number of simulations. All with intervals. The study's [sweep] is ignored.
     """
     from dssc_jax.analyses.sensitivity import sensitivity as indices
-    from dssc_jax.console import progress_bar, show_sensitivity
+    from dssc_jax.console.analyses import show_sensitivity
+    from dssc_jax.console.terminal import progress_bar
     from dssc_jax.results.analysis_folder import require_free
 
     loaded = load_study(study, settings, draws, seed, allow_local).without_sweep()
@@ -104,7 +105,8 @@ def rare(
     """
     from dssc_jax.analyses.rare_events import rare as estimate
     from dssc_jax.analyses.splitting import Splitting
-    from dssc_jax.console import progress_bar, show_rare
+    from dssc_jax.console.analyses import show_rare
+    from dssc_jax.console.terminal import progress_bar
     from dssc_jax.results.analysis_folder import require_free
 
     loaded = load_study(study, settings, None, seed, allow_local).without_sweep()

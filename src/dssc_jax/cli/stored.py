@@ -24,7 +24,8 @@ def verify(
     The largest relative deviation is shown. Exit 1 where it is more than rounding explains, or where every lane
     amplifies rounding so much that none is evidence. A result whose study names code of its own needs --trust-code.
     """
-    from dssc_jax.console import jsonable, show_verification
+    from dssc_jax.console.draws import show_verification
+    from dssc_jax.results.summary import jsonable
     from dssc_jax.runs.verify import verify as verify_result
 
     verification = verify_result(load_result(result, trust_code, allow_local), draws, seed)
@@ -49,7 +50,7 @@ def export(
     csv and parquet: a table, of a result with one row a draw and sweep point, of an analysis with one row of its own
     kind (a draw, a controller's draw, a factor, a simulated point, ...). netcdf: the dataset, with CF attributes.
     """
-    from dssc_jax.console import show_files
+    from dssc_jax.console.terminal import show_files
     from dssc_jax.results.export import export as export_result
 
     written = export_result(load_any(result), to, out)

@@ -43,7 +43,8 @@ def tune(
     """
     from dssc_jax.analyses.tuning import tune as search
     from dssc_jax.analyses.tuning.result import PROOF_FILE
-    from dssc_jax.console import progress_bar, show_tuning
+    from dssc_jax.console.searches import show_tuning
+    from dssc_jax.console.terminal import progress_bar
     from dssc_jax.results.analysis_folder import require_free
     from dssc_jax.study.tables import to_toml
 
@@ -91,7 +92,8 @@ def falsify(
     draw (the folder witness, for `replay`).
     """
     from dssc_jax.analyses.falsification import falsify as hunt
-    from dssc_jax.console import progress_bar, show_falsification
+    from dssc_jax.console.searches import show_falsification
+    from dssc_jax.console.terminal import progress_bar
     from dssc_jax.results.analysis_folder import require_free
     from dssc_jax.runs.run import run
     from dssc_jax.study.tables import to_toml

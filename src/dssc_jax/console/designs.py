@@ -4,7 +4,7 @@ from typing import Any, NamedTuple, get_type_hints
 
 from rich.markup import escape
 
-from dssc_jax.console import output, show_table
+from dssc_jax.console.terminal import output, show_table
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.design import Certificate, Constants, Parameters
 from dssc_jax.design.feasibility import Limits

@@ -13,7 +13,7 @@ from functools import lru_cache
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import special
+import scipy
 
 from dssc_jax.backend.lanes import CompiledLanes
 from dssc_jax.backend.machine import usable_cores
@@ -149,8 +149,8 @@ def values_at(study: Study, points: np.ndarray) -> dict[str, np.ndarray]:
     points = np.asarray(points).copy()
     coupled = [names.index(name) for name in study.correlated]
     if coupled:
-        normal = special.ndtri(points[:, coupled]) @ np.linalg.cholesky(study.correlation).T
-        points[:, coupled] = inside(special.ndtr(normal))
+        normal = scipy.special.ndtri(points[:, coupled]) @ np.linalg.cholesky(study.correlation).T
+        points[:, coupled] = inside(scipy.special.ndtr(normal))
     return values_at_levels(study, points)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from functools import cache
+from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
@@ -15,9 +16,11 @@ from dssc_jax.core.numerics import arithmetic
 from dssc_jax.engine.batching import drawn
 from dssc_jax.engine.reference import Agreement, agreement
 from dssc_jax.engine.sampling import draw_key
-from dssc_jax.results.result import Result
 from dssc_jax.results.schema import outcome_codes, variables, verdict
 from dssc_jax.study import Study
+
+if TYPE_CHECKING:
+    from dssc_jax.results.result import Result
 
 MOST_KEPT = 5_000_000  # samples of a trajectory
 UNITS = {
@@ -200,7 +203,7 @@ def column_attributes(name: str, study: Study) -> dict[str, str]:
     return {"units": unit, "long_name": f"{channel}: {meaning}" if named else meaning}
 
 
-def replay(result: Result, draw: int, *, point: Mapping[str, float] | None = None, every: int = 1) -> xr.Dataset:
+def replay(result: "Result", draw: int, *, point: Mapping[str, float] | None = None, every: int = 1) -> xr.Dataset:
     """Simulate one draw of a result again and compare it with the stored values.
 
     Args:
@@ -227,7 +230,7 @@ def replay(result: Result, draw: int, *, point: Mapping[str, float] | None = Non
     return trajectory
 
 
-def point_of(result: Result, draw: int, point: Mapping[str, float] | None) -> dict[str, int]:
+def point_of(result: "Result", draw: int, point: Mapping[str, float] | None) -> dict[str, int]:
     """Index of each swept value at which a draw is simulated again; arguments as in :func:`replay`.
 
     Raises:
@@ -245,7 +248,7 @@ def point_of(result: Result, draw: int, point: Mapping[str, float] | None) -> di
     return index if point else hardest(result, draw)
 
 
-def agreement_of(result: Result, run: xr.Dataset) -> Agreement:
+def agreement_of(result: "Result", run: xr.Dataset) -> Agreement:
     """Compare a trajectory's draw with the stored values of a result."""
     study = result.study
     lanes = [np.array([axis.index(run.attrs[name])]) for name, axis in study.axes.items()]
@@ -259,7 +262,7 @@ def nearest_index(values: tuple[float, ...], wanted: float | None) -> int:
     return 0 if wanted is None else int(np.argmin(np.abs(np.asarray(values) - wanted)))
 
 
-def hardest(result: Result, draw: int) -> dict[str, int]:
+def hardest(result: "Result", draw: int) -> dict[str, int]:
     """The sweep point of the draw's smallest slack relative to its bound; the first one without requirements."""
     axes = list(result.study.axes)
     if not axes or not result.study.requirements:

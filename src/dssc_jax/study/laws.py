@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import special
+import scipy
 
 from dssc_jax.core.errors import nearest
 
@@ -40,11 +40,11 @@ def truncated_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
     mean, std, low, high = a
     left, right = (low - mean) / std, (high - mean) / std
     if left > 0.0:
-        below, above = special.ndtr(-right), special.ndtr(-left)
-        standard = -special.ndtri(above - u * (above - below))
+        below, above = scipy.special.ndtr(-right), scipy.special.ndtr(-left)
+        standard = -scipy.special.ndtri(above - u * (above - below))
     else:
-        below, above = special.ndtr(left), special.ndtr(right)
-        standard = special.ndtri(below + u * (above - below))
+        below, above = scipy.special.ndtr(left), scipy.special.ndtr(right)
+        standard = scipy.special.ndtri(below + u * (above - below))
     return np.clip(mean + std * standard, low, high)
 
 
@@ -60,7 +60,7 @@ def triangular_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
 def beta_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
     """Beta on [lo, hi], by default [0, 1]."""
     low, high = a[2:] or (0.0, 1.0)
-    return low + (high - low) * special.betaincinv(a[0], a[1], u)
+    return low + (high - low) * scipy.special.betaincinv(a[0], a[1], u)
 
 
 def choice_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
@@ -89,7 +89,7 @@ LAWS: dict[str, LawKind] = {
         (2,),
         ("std must be positive", lambda a: a[1] > 0.0),
         lambda a: (-INFINITE, INFINITE),
-        lambda a, u: a[0] + a[1] * special.ndtri(u),
+        lambda a, u: a[0] + a[1] * scipy.special.ndtri(u),
     ),
     "truncated_normal": LawKind(
         "[mean, std, lo, hi]",
@@ -106,7 +106,7 @@ LAWS: dict[str, LawKind] = {
         (2,),
         ("std must be positive", lambda a: a[1] > 0.0),
         lambda a: (math.ulp(0.0), INFINITE),
-        lambda a, u: np.exp(a[0] + a[1] * special.ndtri(u)),
+        lambda a, u: np.exp(a[0] + a[1] * scipy.special.ndtri(u)),
     ),
     "beta": LawKind(
         "[a, b] or [a, b, lo, hi]",

@@ -1,0 +1,54 @@
+"""Print single draws: one trajectory, or lanes of a result that were computed again."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.markup import escape
+
+from dssc_jax.console.terminal import output, show_files, show_table
+from dssc_jax.engine.reference import VERDICTS
+
+if TYPE_CHECKING:
+    from dssc_jax.runs.verify import Verification
+
+
+def show_draw(attributes: Mapping[str, Any], files: list[Path]) -> None:
+    """Print how one draw ended, its drawn numbers and its metrics."""
+    study, ended = (escape(str(attributes[name])) for name in ("study", "verdict"))
+    output().print(f"[bold]{study}[/bold] draw {attributes['draw']}: {ended}")
+    skipped = {"study", "draw", "outcome", "outcome_meaning", "verdict", "agreement", "deviation"}
+    if attributes["failed_at"] != attributes["failed_at"]:  # NaN: it did not
+        skipped.add("failed_at")
+    rows = [(name, f"{value:.6g}") for name, value in attributes.items() if name not in skipped]
+    show_table(("number", "value"), rows)
+    if "agreement" in attributes:
+        verdict = VERDICTS[attributes["agreement"]].format(attributes["deviation"])
+        output().print(f"computed again by the plain program, the draw {verdict}")
+    show_files(files)
+
+
+def show_verification(verification: "Verification") -> None:
+    """Print how a result compares with its recomputed lanes."""
+    console = output()
+    verdict = VERDICTS[verification.verdict].format(verification.deviation)
+    lanes = f"{verification.lanes} lane{'s' * (verification.lanes > 1)} (--seed {verification.seed} picks the same)"
+    console.print(f"computed again by the plain program, {lanes}: the result {verdict}")
+    if verification.undecided:
+        console.print(f"{verification.undecided} of them amplify rounding so much that they are no evidence")
+    if not verification.digests:
+        console.print("written without digests, by an earlier version: a file that was altered since is not noticed")
+    if verification.worst is not None:
+        rows = [
+            (name, f"{value:.17g}" if isinstance(value, float) else str(value))
+            for name, value in verification.worst.items()
+        ]
+        show_table(("largest deviation", f"{verification.deviation:.3g}"), rows)
+    if verification.otherwise:
+        console.print(f"the result was computed otherwise: {escape('; '.join(verification.otherwise))}")
+    if verification.single_precision:
+        single = verification.single_precision
+        console.print(
+            f"float32 itself, against float64 with the same noise: {single.outcomes} outcomes differ; relative "
+            f"deviation of a lane {single.median:.1g} (median), {single.largest:.1g} (largest)"
+        )
