@@ -16,7 +16,6 @@ import numpy as np
 import scipy
 
 from dssc_jax.backend.lanes import CompiledLanes
-from dssc_jax.backend.machine import usable_cores
 from dssc_jax.core.numerics import stream
 from dssc_jax.study import Study
 
@@ -45,7 +44,8 @@ def uniform(seed: int, streams: tuple[int, ...], indices: np.ndarray) -> np.ndar
     """Independent points of the half-open unit cube, shape (n, streams)."""
     draws, factors = np.meshgrid(indices, np.array(streams, np.uint32), indexing="ij")
     columns = np.full(draws.size, seed), draws.ravel(), factors.ravel()
-    return level_program().start(columns, draws.size, usable_cores())().reshape(draws.shape)
+    one_thread = 1  # while all of them may simulate the block before
+    return level_program().start(columns, draws.size, one_thread)().reshape(draws.shape)
 
 
 def random_points(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
