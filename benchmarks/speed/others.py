@@ -11,7 +11,7 @@ from typing import NamedTuple
 from benchmarks.speed.contest import ROOT, environment
 
 STUDY = "mu_robustness"
-IMPORTS = "import dssc_jax.study, dssc_jax.runs.run, dssc_jax.console"
+IMPORTS = "import dssc_jax.study, dssc_jax.runs.run, dssc_jax.console.results"
 AGAIN = 5  # starts with a filled cache; their median is told
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from dssc_jax.backend import machine
 from dssc_jax.backend.kernels import Unfit, in_registers
 from dssc_jax.backend.lanes import CompiledLanes, LaneBatch
-from dssc_jax.backend.plain import COMPILED_FAST, PlainBatch
+from dssc_jax.backend.plain import PlainBatch, plain_options
 from dssc_jax.backend.unsupported import Unsupported
 from dssc_jax.core.errors import ConfigError, nearest
 
@@ -133,7 +133,7 @@ def compiled_single(lane: Callable[..., Any], names: Sequence[str], plain: bool 
             )
         except Unsupported as problem:
             slower(f"no machine code for {problem}")
-    jitted = jax.jit(lane, compiler_options=COMPILED_FAST)
+    jitted = jax.jit(lane, compiler_options=plain_options())
     return lambda values, index: jax.tree.map(
         np.asarray, jitted({name: values[name] for name in names}, np.uint32(index))
     )

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
+from dssc_jax.backend.plain import plain_options
 from dssc_jax.engine.batching import Arrays, simulated
 from dssc_jax.engine.sampling import draw
 from dssc_jax.study import Study
@@ -78,7 +79,7 @@ def plain_results(study: Study, values: Mapping[str, np.ndarray], draws: np.ndar
     """
     with jax.enable_x64(study.config.loop.precision == 64):
         lanes = {name: jnp.asarray(column, jnp.result_type(float)) for name, column in values.items()}
-        batch = jax.jit(jax.vmap(simulated(study, together=None)))
+        batch = jax.jit(jax.vmap(simulated(study, together=None)), compiler_options=plain_options())
         return jax.tree.map(np.asarray, batch(lanes, np.asarray(draws, np.uint32)))
 
 

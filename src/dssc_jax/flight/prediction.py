@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dssc_jax.backend.plain import plain_options
 from dssc_jax.closed_loop.sample import Loop, as_arrays, initial_state, step
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.numerics import arithmetic
@@ -84,7 +85,7 @@ def prediction(study: Study, names: Sequence[str], samples: int) -> Prediction:
         predicted, slopes = jax.vmap(along)(jnp.eye(len(names)))
         return predicted[0], slopes
 
-    compiled = jax.jit(with_slopes)
+    compiled = jax.jit(with_slopes, compiler_options=plain_options())
 
     def predict(values: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         with arithmetic(study.config.loop.precision):

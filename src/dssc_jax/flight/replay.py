@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.backend import forms
+from dssc_jax.backend.plain import plain_options
 from dssc_jax.closed_loop.draw import Progress, initial_progress, sampler
 from dssc_jax.closed_loop.sample import ControlState, as_arrays, control, initial_control
 from dssc_jax.closed_loop.time_loops import scan_recorded
@@ -78,7 +79,7 @@ def commanded(study: Study, index: int, readings: np.ndarray, references: np.nda
     with arithmetic(study.config.loop.precision):
         real = jnp.result_type(float)
         given = [tuple(jnp.asarray(column, real) for column in columns) for columns in (readings, references)]
-        return np.asarray(jax.jit(flown)(*given), float)
+        return np.asarray(jax.jit(flown, compiler_options=plain_options())(*given), float)
 
 
 def curves_of_draws(study: Study, samples: int, every: int = 1) -> Iterator[tuple[ChannelCurves, ...]]:

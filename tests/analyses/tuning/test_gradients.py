@@ -9,6 +9,7 @@ import dssc_jax as dj
 from dssc_jax.analyses.tuning.gradients import check_gradients, compare_derivatives
 from dssc_jax.analyses.tuning.plan import Plan
 from dssc_jax.analyses.tuning.problem import Problem
+from dssc_jax.backend.plain import plain_options
 from dssc_jax.core.signals import Measurement, ReferencePoint
 from dssc_jax.engine import evaluation
 from dssc_jax.engine.batching import simulated
@@ -103,7 +104,7 @@ def bytes_of_reverse_mode(study):
     """Bytes that the compiled program of eight lanes takes beside its results."""
     numbers = dict.fromkeys([*study.laws, *NUMBERS], jax.ShapeDtypeStruct((8,), float))
     program = jax.jit(jax.vmap(evaluation.reverse_mode(study, NUMBERS)))
-    compiled = program.lower(numbers, jax.ShapeDtypeStruct((8,), np.uint32)).compile()
+    compiled = program.lower(numbers, jax.ShapeDtypeStruct((8,), np.uint32)).compile(plain_options())
     return compiled.memory_analysis().temp_size_in_bytes
 
 

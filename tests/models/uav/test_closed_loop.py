@@ -10,6 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import dssc_jax as dj
+from dssc_jax.backend.plain import plain_options
 from dssc_jax.closed_loop.draw import simulate_recorded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Outcome
@@ -247,13 +248,11 @@ def test_mirrored_flight_has_mirrored_errors():
     wrong = mirror | {name: value for name, value in own.items() if "spins" in name or "allocation" in name}
     stacked = {name: jnp.array([own[name], mirror[name], wrong[name]]) for name in mirror}
 
-    @jax.jit
-    @jax.vmap
     def fly(values):
         run, recorded = simulate_recorded(plain.loop, plain.params(values), draw_key(0, 0))
         return run.outcome, jnp.stack([s.e for s in recorded.instant.channels])
 
-    outcome, errors = fly(stacked)
+    outcome, errors = jax.jit(jax.vmap(fly), compiler_options=plain_options())(stacked)
     assert np.all(np.array(outcome) == Outcome.OK)
     sign = np.array([1.0, -1.0, 1.0, -1.0])[:, None]
     gap = np.abs(np.array(errors[1]) - sign * errors[0]).max()

@@ -23,7 +23,7 @@ from dssc_jax.analyses.classical.response import (
 )
 from dssc_jax.analyses.classical.result import EQUILIBRIUM, LoopAnswer, LoopMargins, Status, margins_dataset
 from dssc_jax.analyses.theory.linearised import require_smooth
-from dssc_jax.backend.plain import COMPILED_FAST
+from dssc_jax.backend.plain import plain_options
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import ProgressCallback
@@ -146,7 +146,7 @@ def linearisation(study: Study, rest: bool) -> Linearisation:
         at = (state, jnp.zeros(points, state.dtype))
         return jax.jvp(sample, at, (direction[:-points], direction[-points:]))
 
-    program = jax.jit(jax.vmap(one, in_axes=(0, 0, 0, 0, None)), compiler_options=COMPILED_FAST)
+    program = jax.jit(jax.vmap(one, in_axes=(0, 0, 0, 0, None)), compiler_options=plain_options())
 
     def of(values: Arrays, indices: np.ndarray, states: np.ndarray, k: int) -> StateMatrices:
         (count, order), directions = states.shape, np.eye(states.shape[1] + points)
@@ -175,7 +175,7 @@ def resting_starts(study: Study, values: Arrays, indices: np.ndarray) -> np.ndar
         return start_state(loop, params, draw_key(study.config.seed, lane[1]))
 
     with arithmetic():
-        return np.asarray(jax.jit(jax.vmap(one), compiler_options=COMPILED_FAST)((values, indices)))
+        return np.asarray(jax.jit(jax.vmap(one), compiler_options=plain_options())((values, indices)))
 
 
 def equilibrium(study: Study) -> Operating:
@@ -298,8 +298,8 @@ def states_before(study: Study, values: Arrays, indices: np.ndarray, samples: tu
 
     states = []
     with arithmetic():
-        at = jax.jit(jax.vmap(start), compiler_options=COMPILED_FAST)(values, indices)
-        program = jax.jit(jax.vmap(advance, in_axes=(0, 0, 0, None)), compiler_options=COMPILED_FAST)
+        at = jax.jit(jax.vmap(start), compiler_options=plain_options())(values, indices)
+        program = jax.jit(jax.vmap(advance, in_axes=(0, 0, 0, None)), compiler_options=plain_options())
         for k in range(samples[-1] + 1):
             if k in samples:
                 states.append(np.asarray(at))

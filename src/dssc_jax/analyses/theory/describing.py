@@ -20,6 +20,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from dssc_jax.analyses.theory.linearised import Linearised, at_rest, kind_of, open_loop
+from dssc_jax.backend.plain import plain_options
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import medians
 from dssc_jax.study import Study
@@ -48,7 +49,8 @@ def limit_cycle(study: Study, point: Mapping[str, float] | None = None) -> Limit
     rest = at_rest(study)
     values = {**medians(rest), **(point or {})}
     with jax.enable_x64(True):
-        response = jax.tree.map(np.asarray, jax.jit(lambda lane: open_loop(rest, rest.params(lane)))(values))
+        opened = jax.jit(lambda lane: open_loop(rest, rest.params(lane)), compiler_options=plain_options())
+        response = jax.tree.map(np.asarray, opened(values))
     gains = rest.params(values).controller[0]
     match kind_of(rest, "controller"):
         case "smc":

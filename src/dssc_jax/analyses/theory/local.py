@@ -19,6 +19,7 @@ from dssc_jax.analyses.theory.linearised import (
     require_smooth,
     sampled_matrix,
 )
+from dssc_jax.backend.plain import plain_options
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Arrays, drawn
 from dssc_jax.study import Study
@@ -57,7 +58,7 @@ def spectrum(study: Study, kind: Time = Time.SAMPLED) -> Callable[[Arrays], np.n
             return continuous_matrix(study, params), jnp.zeros(())
         return sampled_matrix(study.loop, params)
 
-    matrices_of = jax.jit(jax.vmap(matrix))
+    matrices_of = jax.jit(jax.vmap(matrix), compiler_options=plain_options())
 
     def eigenvalues(values: Arrays) -> np.ndarray:
         with jax.enable_x64(True):
