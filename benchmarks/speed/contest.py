@@ -39,7 +39,8 @@ class Contender(NamedTuple):
 
 OURS = Contender("dssc_jax", "engine")
 ONE_DEVICE = Contender("dssc_jax, one device", "engine", {machine.CORES_VARIABLE: "1"})
-PLAIN = Contender("jit(vmap(scan))", "scan")
+PLAIN = Contender("jit(vmap(scan))", "scan", every=4)
+UNFUSED = Contender("the same without fusion", "unfused", every=4)
 C = Contender("C", "c")
 NUMBA = Contender("Numba", "numba")
 NUMPY = Contender("NumPy", "numpy", every=4)
@@ -47,7 +48,7 @@ NUMPY = Contender("NumPy", "numpy", every=4)
 
 def available() -> list[Contender]:
     """Every contender that this machine can run, ours first."""
-    found = [OURS, ONE_DEVICE, PLAIN]
+    found = [OURS, ONE_DEVICE, PLAIN, UNFUSED]
     found += [C] if native.compiler() else []
     found += [NUMBA] if rivals.has_numba() else []
     return [*found, NUMPY]

@@ -1,7 +1,7 @@
 """The package's own engine on a task's draws, and the form that one would write first: ``jit(vmap(scan))``."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import jax
 import numpy as np
@@ -32,7 +32,7 @@ def tiled(task: Task, devices: int | None = None) -> tuple[Program, Engine]:
     return lambda: gather(task.study, engine(values, np.arange(count))()), engine
 
 
-def plain(task: Task) -> tuple[Program, float]:
+def plain(task: Task, options: Mapping[str, str | bool] | None = None) -> tuple[Program, float]:
     """``jit(vmap(scan))`` over all draws at once, and the seconds that its compilation took; each call runs it."""
     study, lane = task.study, simulated(task.study, together=None)
     names = list(study.laws)
@@ -41,7 +41,7 @@ def plain(task: Task) -> tuple[Program, float]:
     with precise:
         values = {name: jax.numpy.asarray(column, float) for name, column in zip(names, task.drawn(names), strict=True)}
         index = jax.numpy.arange(study.config.draws, dtype=jax.numpy.uint32)
-        compiled = jax.jit(jax.vmap(lane)).lower(values, index).compile()
+        compiled = jax.jit(jax.vmap(lane)).lower(values, index).compile(options and dict(options))
     seconds = time.perf_counter() - began
 
     def call() -> Found:

@@ -19,6 +19,7 @@ from benchmarks.speed.contest import (
     PLAIN,
     ROOT,
     SIZES,
+    UNFUSED,
     C,
     Measured,
     quartiles,
@@ -31,12 +32,13 @@ from dssc_jax import plotting
 from dssc_jax.console.environment import machine
 
 DOCS = ROOT / "docs"
+PURPLE = "#CC79A7"  # of the same palette as the others, for readers who confuse colours
 RATES, SCALING = "performance_rates.png", "performance_scaling.png"
-SHOWN = (C, OURS, PLAIN, NUMBA, NUMPY)
+SHOWN = (C, OURS, UNFUSED, PLAIN, NUMBA, NUMPY)
 COLOURS = dict(
     zip(
         [c.name for c in SHOWN],
-        (plotting.GREY, plotting.BLUE, plotting.ORANGE, plotting.GREEN, plotting.RED),
+        (plotting.GREY, plotting.BLUE, PURPLE, plotting.ORANGE, plotting.GREEN, plotting.RED),
         strict=True,
     )
 )
@@ -90,12 +92,17 @@ def ratios_table(contests: dict[Case, dict[str, Measured]]) -> str:
 
 
 def plain_shares(contests: dict[Case, dict[str, Measured]]) -> str:
-    """How near the plain form of the UAV comes to C."""
+    """How near the plain forms of the UAV come to C."""
     cases = [contests[Case("uav", method)] for method in ("rk4", "euler")]
     if any(C.name not in measured for measured in cases):
         return ""
-    many, one = (np.median(ratios(measured[PLAIN.name], measured[C.name])) for measured in cases)
-    return f" (for the UAV in float64, {many:.2g} of C's rate with RK4, {one:.2g} with Euler)"
+    (many, more), (one, two) = (
+        [np.median(ratios(measured[form.name], measured[C.name])) for form in (PLAIN, UNFUSED)] for measured in cases
+    )
+    return (
+        f" (for the UAV in float64, {many:.2g} and {more:.2g} of C's rate with RK4,\n"
+        f"{one:.2g} and {two:.2g} with Euler)"
+    )
 
 
 def costs_table(measured: dict[str, Measured]) -> str:
@@ -198,7 +205,8 @@ median and quartiles. All programs use every core, except in the column "one dev
 * **C**: `benchmarks/speed/c`, the same arithmetic written by hand and used as the baseline: vectors of draws in
   registers, one thread per core, the study's fixed numbers as compile-time constants, and the faster of two sets of
   compiler options.
-* **jit(vmap(scan))**: the straightforward form of this package's own loop.
+* **jit(vmap(scan))**: the straightforward form of this package's own loop. **The same without fusion**: XLA's pass
+  `fusion` is switched off, as in the plain form that checks results.
 * **Numba**: `prange` over draws, scalar code, fast mathematics. **NumPy**: all draws in one array. Both run
   `benchmarks/speed/by_hand.py`.
 
@@ -215,8 +223,9 @@ The rate of dssc_jax divided by those of the other programs, in one run:
 
 {ratios_table(found.contests)}
 
-In `jit(vmap(scan))`, each kernel of a step recomputes values that several kernels share, and keeps the state
-of all draws in memory{plain_shares(found.contests)}. In the column "one device", one device simulates all the draws.
+In `jit(vmap(scan))`, each fused kernel of a step recomputes values that several kernels share. With and without
+fusion, the state of all draws is in memory{plain_shares(found.contests)}. In the column "one device", one device
+simulates all the draws.
 
 The next table shows the cost of a process for the UAV with RK4 in float64. Before its first result, each process
 imports this package to draw the same numbers. The metrics of all programs agree with ours to {ALLOWED[64]:g} relative

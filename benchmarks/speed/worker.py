@@ -48,6 +48,13 @@ def scan(work: Task) -> tuple[Callable[[], Found], float]:
     return plain(work)
 
 
+def unfused(work: Task) -> tuple[Callable[[], Found], float]:
+    from benchmarks.speed.ours import plain
+    from dssc_jax.backend.plain import plain_options
+
+    return plain(work, plain_options())
+
+
 def c(work: Task) -> tuple[Callable[[], Found], float]:
     from benchmarks.speed import native
 
@@ -69,7 +76,7 @@ def numpy(work: Task) -> tuple[Callable[[], Found], float]:
     return batched(work), 0.0
 
 
-FORMS = {"engine": engine, "scan": scan, "c": c, "numba": numba, "numpy": numpy}
+FORMS = {"engine": engine, "scan": scan, "unfused": unfused, "c": c, "numba": numba, "numpy": numpy}
 
 
 def main(form: str, loop: str, integrator: str, bits: str, draws: str, seconds: str) -> None:
