@@ -40,7 +40,7 @@ class Contender(NamedTuple):
 OURS = Contender("dssc_jax", "engine")
 ONE_DEVICE = Contender("dssc_jax, one device", "engine", {machine.CORES_VARIABLE: "1"})
 PLAIN = Contender("jit(vmap(scan))", "scan", every=4)
-UNFUSED = Contender("the same without fusion", "unfused", every=4)
+UNFUSED = Contender("jit(vmap(scan)), no fusion", "unfused", every=4)
 C = Contender("C", "c")
 NUMBA = Contender("Numba", "numba")
 NUMPY = Contender("NumPy", "numpy", every=4)

@@ -34,11 +34,11 @@ from dssc_jax.console.environment import machine
 DOCS = ROOT / "docs"
 PURPLE = "#CC79A7"  # of the same palette as the others, for readers who confuse colours
 RATES, SCALING = "performance_rates.png", "performance_scaling.png"
-SHOWN = (C, OURS, UNFUSED, PLAIN, NUMBA, NUMPY)
+SHOWN = (C, OURS, PLAIN, UNFUSED, NUMBA, NUMPY)
 COLOURS = dict(
     zip(
         [c.name for c in SHOWN],
-        (plotting.GREY, plotting.BLUE, PURPLE, plotting.ORANGE, plotting.GREEN, plotting.RED),
+        (plotting.GREY, plotting.BLUE, plotting.ORANGE, PURPLE, plotting.GREEN, plotting.RED),
         strict=True,
     )
 )
@@ -205,8 +205,8 @@ median and quartiles. All programs use every core, except in the column "one dev
 * **C**: `benchmarks/speed/c`, the same arithmetic written by hand and used as the baseline: vectors of draws in
   registers, one thread per core, the study's fixed numbers as compile-time constants, and the faster of two sets of
   compiler options.
-* **jit(vmap(scan))**: the straightforward form of this package's own loop. **The same without fusion**: XLA's pass
-  `fusion` is switched off, as in the plain form that checks results.
+* **jit(vmap(scan))**: the straightforward form of this package's own loop. **No fusion**: the same without
+  XLA's pass `fusion`, as in the plain form that checks results.
 * **Numba**: `prange` over draws, scalar code, fast mathematics. **NumPy**: all draws in one array. Both run
   `benchmarks/speed/by_hand.py`.
 
@@ -224,8 +224,8 @@ The rate of dssc_jax divided by those of the other programs, in one run:
 {ratios_table(found.contests)}
 
 In `jit(vmap(scan))`, each fused kernel of a step recomputes values that several kernels share. With and without
-fusion, the state of all draws is in memory{plain_shares(found.contests)}. In the column "one device", one device
-simulates all the draws.
+fusion, the state of all draws is in memory{plain_shares(found.contests)}. In the column "one device",
+one device simulates all the draws.
 
 The next table shows the cost of a process for the UAV with RK4 in float64. Before its first result, each process
 imports this package to draw the same numbers. The metrics of all programs agree with ours to {ALLOWED[64]:g} relative
