@@ -16,6 +16,7 @@ from scipy.stats import spearmanr
 import dssc_jax as dj
 from benchmarks.paper.loops import AXES, RHO, TAU_AV, comparison, sta, wide
 from benchmarks.paper.signals import SETTLED, SMOOTH, moving_average
+from dssc_jax.backend.plain import plain_options
 from dssc_jax.closed_loop.draw import simulate_recorded
 from dssc_jax.core.numerics import stream
 from dssc_jax.engine.sampling import draw_key, inside, uniform
@@ -105,7 +106,10 @@ def fly(study: dj.Study, values: Columns, count: int = DRAWS) -> Flights:
     with jax.enable_x64(True):
         shaped = {k: np.pad(v, (0, padding), mode="edge").reshape(tiles, tile) for k, v in values.items()}
         indices = np.arange(tiles * tile, dtype=np.uint32).reshape(tiles, tile)
-        flown = jax.jit(lambda lanes, index: jax.lax.map(lambda part: jax.vmap(one)(*part), (lanes, index)))
+        flown = jax.jit(
+            lambda lanes, index: jax.lax.map(lambda part: jax.vmap(one)(*part), (lanes, index)),
+            compiler_options=plain_options(),
+        )
         outcome, back = (np.asarray(leaf) for leaf in flown(shaped, indices))
     back = back.reshape(tiles * tile, *back.shape[2:])[:count]
     dt = study.loop.sample_time
