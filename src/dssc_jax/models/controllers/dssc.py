@@ -190,23 +190,24 @@ def conservative_update(gains: DsscGains, state: DsscState, sample: ControlSampl
     wanted = (law.gain * sigma * (1.0 + dt * law.rate) - w) / share
     change = limited(wanted, u_av, sample.rho, share * decay * at.k_o * at.tau_av, gains.sign_width)
     after = decay * (w + share * change)
-    sigma_hat = jnp.where(change == wanted, sigma, predicted(gains, after, e))
+    sigma_hat = jnp.where(change == wanted, sigma, predicted(gains.functions, gains.l0, after, e))
     return Sampled(u_av + change, u_av + share * change, after, sigma_hat, u_av + wanted)
 
 
-def predicted(gains: DsscGains, w: Scalar, e: Scalar) -> Scalar:
+@jax.jit  # traced once for all channels
+def predicted(functions: State, l0: Scalar, w: Scalar, e: Scalar) -> Scalar:
     """sigma_hat with phi_1(sigma_hat, e) = w, by Newton's method from below; only what is recorded needs it."""
     size = jnp.abs(w)
 
     def laws(x: Scalar) -> tuple[Scalar, Scalar]:
-        at = gains.functions.at(x, e, gains.l0)
-        return gains.functions.law(x, e, at).gain * x, 1.0 / (at.k_o * at.tau_av)
+        at = functions.at(x, e, l0)
+        return functions.law(x, e, at).gain * x, 1.0 / (at.k_o * at.tau_av)
 
-    x = size / laws(0.0 * size)[1]
-    for _ in range(NEWTON_STEPS):
+    def nearer(_: int, x: Scalar) -> Scalar:
         phi_1, g = laws(x)
-        x = x + (size - phi_1) / g
-    return sign(w) * x
+        return x + (size - phi_1) / g
+
+    return sign(w) * jax.lax.fori_loop(0, NEWTON_STEPS, nearer, jnp.asarray(size / laws(0.0 * size)[1]))
 
 
 def explicit_update(gains: DsscGains, state: DsscState, sample: ControlSample, dt: Scalar) -> Sampled:
