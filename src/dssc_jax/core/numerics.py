@@ -2,8 +2,10 @@
 
 import math
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -92,6 +94,19 @@ def polynomial(coefficients: Sequence[float], x: Scalar) -> Scalar:
     for coefficient in coefficients[1:]:
         value = value * x + coefficient
     return value
+
+
+@partial(jax.jit, static_argnums=(0, 4))  # traced once for all channels of a controller
+def newton(
+    tangent: Callable[[Any, Scalar], tuple[Scalar, Scalar]], parameters: Any, value: Scalar, start: Scalar, steps: int
+) -> Scalar:
+    """x with f(x) = value, by Newton's method; ``tangent(parameters, x)`` is (f(x), f'(x)), a function of a module."""
+
+    def nearer(_: int, x: Scalar) -> Scalar:
+        f, slope = tangent(parameters, x)
+        return x + (value - f) / slope
+
+    return jax.lax.fori_loop(0, steps, nearer, jnp.asarray(start))
 
 
 def arc(opposite: Scalar, adjacent: Scalar) -> Scalar:

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import clip, sign
+from dssc_jax.core.numerics import clip, newton, sign
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Entry, Slot
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, State, TrackingError, tracking_error
@@ -190,24 +190,22 @@ def conservative_update(gains: DsscGains, state: DsscState, sample: ControlSampl
     wanted = (law.gain * sigma * (1.0 + dt * law.rate) - w) / share
     change = limited(wanted, u_av, sample.rho, share * decay * at.k_o * at.tau_av, gains.sign_width)
     after = decay * (w + share * change)
-    sigma_hat = jnp.where(change == wanted, sigma, predicted(gains.functions, gains.l0, after, e))
+    sigma_hat = jnp.where(change == wanted, sigma, predicted(gains, after, e))
     return Sampled(u_av + change, u_av + share * change, after, sigma_hat, u_av + wanted)
 
 
-@jax.jit  # traced once for all channels
-def predicted(functions: State, l0: Scalar, w: Scalar, e: Scalar) -> Scalar:
-    """sigma_hat with phi_1(sigma_hat, e) = w, by Newton's method from below; only what is recorded needs it."""
-    size = jnp.abs(w)
+def phi_1_and_slope(signals: tuple[State, Scalar, Scalar], sigma: Scalar) -> tuple[Scalar, Scalar]:
+    """phi_1(sigma, e) and its slope in sigma; ``signals``: the functions of the table, l_0 and e."""
+    functions, l0, e = signals
+    at = functions.at(sigma, e, l0)
+    return functions.law(sigma, e, at).gain * sigma, 1.0 / (at.k_o * at.tau_av)
 
-    def laws(x: Scalar) -> tuple[Scalar, Scalar]:
-        at = functions.at(x, e, l0)
-        return functions.law(x, e, at).gain * x, 1.0 / (at.k_o * at.tau_av)
 
-    def nearer(_: int, x: Scalar) -> Scalar:
-        phi_1, g = laws(x)
-        return x + (size - phi_1) / g
-
-    return sign(w) * jax.lax.fori_loop(0, NEWTON_STEPS, nearer, jnp.asarray(size / laws(0.0 * size)[1]))
+def predicted(gains: DsscGains, w: Scalar, e: Scalar) -> Scalar:
+    """sigma_hat with phi_1(sigma_hat, e) = w; only what is recorded needs it. Newton's method goes up from below."""
+    size, signals = jnp.abs(w), (gains.functions, gains.l0, e)
+    start = size / phi_1_and_slope(signals, 0.0 * size)[1]
+    return sign(w) * newton(phi_1_and_slope, signals, size, start, NEWTON_STEPS)
 
 
 def explicit_update(gains: DsscGains, state: DsscState, sample: ControlSample, dt: Scalar) -> Sampled:
