@@ -15,19 +15,37 @@ Pair = tuple[int, int, int]
 def join_opposites(program: Program) -> None:
     """Change a program so that no loop carries a state and its negative."""
     loops = list(loops_of(program.body))
-    pairs = {(id(loop), *pair) for loop in loops for pair in permutations(range(len(loop.states)), 2)}
-    # What holds before the first turn, and after a turn if it held before it, holds always.
-    while kept := {(id(loop), *pair) for loop in loops for pair in holding_pairs(loop, pairs)}:
-        if kept == pairs:
-            break
-        pairs = kept
+    holding = opposite_pairs(loops)
     for loop in loops:
         negatives: dict[int, int] = {}
-        for position, negative in sorted(holding_pairs(loop, kept)):  # the text of a program is the key of its code
-            if not {position, negative} & negatives.keys() and negative not in negatives.values():
+        for owner, position, negative in sorted(holding):  # the text of a program is the key of its code
+            free = not {position, negative} & negatives.keys() and negative not in negatives.values()
+            if owner == id(loop) and free:
                 negatives[negative] = position
         if negatives:
             remove(loop, negatives)
+
+
+def opposite_pairs(loops: list[CodeLoop]) -> set[Pair]:
+    """The pairs that hold before the first turn, and after a turn if all pairs held before it."""
+    holding, refuted = set[Pair](), list[Pair]()
+    dependent: dict[Pair, list[Pair]] = {}
+    for loop in loops:
+        for one, other in permutations(range(len(loop.states)), 2):
+            pair = id(loop), one, other
+            holding.add(pair)
+            for values in (loop.begin, loop.then):
+                condition = opposite(values[one], values[other])
+                if condition is False:
+                    refuted.append(pair)
+                elif condition is not True:
+                    dependent.setdefault(condition, []).append(pair)
+    while refuted:
+        pair = refuted.pop()
+        if pair in holding:
+            holding.remove(pair)
+            refuted += dependent.get(pair, ())
+    return holding
 
 
 def loops_of(block: CodeBlock) -> Iterator[CodeLoop]:
@@ -41,22 +59,15 @@ def loops_of(block: CodeBlock) -> Iterator[CodeLoop]:
                 yield from loops_of(side)
 
 
-def holding_pairs(loop: CodeLoop, pairs: set[Pair]) -> Iterator[tuple[int, int]]:
-    """The pairs of a loop that hold before it and after a turn, if ``pairs`` hold within it and elsewhere."""
-    for owner, one, other in pairs:
-        if owner == id(loop) and all(opposite(x[one], x[other], pairs) for x in (loop.begin, loop.then)):
-            yield one, other
-
-
-def opposite(one: Value, other: Value, pairs: set[Pair]) -> bool:
-    """Whether the second value is the negative of the first."""
+def opposite(one: Value, other: Value) -> bool | Pair:
+    """Whether the second value is the negative of the first, or the pair of states that decides it."""
     if other.operation == "neg" and other.operands[0] is one:
         return True
     if one.operation == other.operation == "constant":
         return one.dtype == other.dtype and one.dtype.kind == "f" and one.detail == -other.detail
     if one.operation == other.operation and one.operation in ("state", "result"):
-        (owner, position), (other_owner, negative) = one.detail, other.detail
-        return owner is other_owner and (id(owner), position, negative) in pairs
+        (loop, position), (other_loop, negative) = one.detail, other.detail
+        return loop is other_loop and (id(loop), position, negative)
     return False
 
 

@@ -195,7 +195,7 @@ def while_rule(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list
     varying, lanes_differ = own.varying_results.of_while(head.jaxpr, body.jaxpr, flags, first, second)
     enter = own.run(head, [*head_constants, *begin])[0]
     scalars = flat(begin, build)
-    differs = [flag for flag, value in zip(varying, begin, strict=True) for _ in components(value, build)]
+    differs = [bool(flag) for flag, value in zip(varying, begin, strict=True) for _ in components(value, build)]
     guard = None if enter.operation == "constant" and enter.detail else build.add("any", enter)
     loop = build.loop(
         [*scalars, *([enter] if lanes_differ else [])], [*differs, *([True] if lanes_differ else [])], guard
@@ -228,7 +228,7 @@ def scan_rule(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list[
         raise Unsupported("a loop that records arrays")
     flags = own.varying_results.of_scan(body.jaxpr, [is_varying(value) for value in operands], first, second)
     scalars, index = flat(begin, build), np.dtype(np.int32)
-    differs = [flag for flag, value in zip(flags, begin, strict=True) for _ in components(value, build)]
+    differs = [bool(flag) for flag, value in zip(flags, begin, strict=True) for _ in components(value, build)]
     loop = build.loop([build.constant(0, index), *scalars], [False, *differs], None)
     turn, *states = loop.states
     at = build.add("sub", build.constant(length - 1, index), turn) if params["reverse"] else turn
