@@ -64,7 +64,7 @@ def opposite(one: Value, other: Value) -> bool | Pair:
     if other.operation == "neg" and other.operands[0] is one:
         return True
     if one.operation == other.operation == "constant":
-        return one.dtype == other.dtype and one.dtype.kind == "f" and one.detail == -other.detail
+        return one.dtype == other.dtype and one.dtype.kind == "f" and bool(one.detail == -other.detail)
     if one.operation == other.operation and one.operation in ("state", "result"):
         (loop, position), (other_loop, negative) = one.detail, other.detail
         return loop is other_loop and (id(loop), position, negative)
