@@ -4,6 +4,7 @@ The number of lanes in a vector follows from the program and the processor alone
 so results do not depend on its size, nor on the number of threads.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -19,9 +20,9 @@ from dssc_jax.backend.opposites import join_opposites
 from dssc_jax.backend.program import BOOL, Program, Recording, Value
 from dssc_jax.backend.translate import translate
 
-SMALL = 1500  # operations of a program whose state leaves registers free for several vectors
-VECTORS = {True: 4, False: 2}
-"""Hardware vectors that make a vector of lanes, for a small program and a large one, as measured."""
+VECTORS = {512: ((1500, 4), (math.inf, 2)), 256: ((750, 4), (2000, 2), (math.inf, 1))}
+"""Bits of a hardware vector: operations of a program, and how many hardware vectors make a vector of lanes for programs
+below that, as measured. Processors with 512 bits have twice as many registers."""
 
 
 class CompiledLanes:
@@ -116,5 +117,6 @@ def numbers_a_lane(output: Value | Recording) -> int:
 
 def best_width(program: Program) -> int:
     """Lanes of a vector: more hide the time that an operation takes, fewer leave the state in registers."""
-    bits = 8 * max(dtype.itemsize for dtype in program.inputs)
-    return VECTORS[sum(operation_counts(program).values()) < SMALL] * machine.vector_bits() // bits
+    bits, size = machine.vector_bits(), sum(operation_counts(program).values())
+    vectors = next(vectors for limit, vectors in VECTORS[max(bits, 256)] if size < limit)
+    return vectors * bits // (8 * max(dtype.itemsize for dtype in program.inputs))
