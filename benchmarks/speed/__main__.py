@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from benchmarks.speed import others, page, scaling
-from benchmarks.speed.contest import SIZES, available, contest
+from benchmarks.speed.contest import OURS, SIZES, C, available, contest
 from benchmarks.speed.workloads import CASES, Case
 
 QUICK = (Case("uav"), Case("uav", precision=32), Case("axis"))
@@ -14,15 +14,19 @@ def main() -> None:
     """Measure, tell the terminal what comes, and write the page at the end."""
     parser = argparse.ArgumentParser(description=__doc__, prog="python -m benchmarks.speed")
     parser.add_argument("--quick", action="store_true", help="three loops in three rounds; leaves the page alone")
+    parser.add_argument("--with-c", action="store_true", help="ours and C alone, for the page's part on this processor")
     parser.add_argument("--rounds", type=int, default=9, help="turns of each program (9)")
     parser.add_argument("--simulators", type=Path, metavar="PYTHON", help="a Python that has crazyflow or RotorPy")
     options = parser.parse_args()
     rounds = 3 if options.quick else options.rounds
+    programs = [OURS, C] if options.with_c else available()
     contests = {}
     for case in QUICK if options.quick else CASES:
-        contests[case] = contest(case, available(), *SIZES[case.loop], rounds, at_once=options.quick)
+        contests[case] = contest(case, programs, *SIZES[case.loop], rounds, at_once=options.quick)
         print(page.brief(case, contests[case]), flush=True)
-    if options.quick:
+    if options.with_c:
+        page.write_with_c(contests)
+    if options.quick or options.with_c:
         return
     print("growth, a mission, the start of commands, other simulators", flush=True)
     found = page.Everything(

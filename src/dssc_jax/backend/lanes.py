@@ -24,6 +24,9 @@ VECTORS = {512: ((1500, 4), (math.inf, 2)), 256: ((750, 4), (2000, 2), (math.inf
 """Bits of a hardware vector: operations of a program, and how many hardware vectors make a vector of lanes for programs
 below that, as measured. Processors with 512 bits have twice as many registers."""
 
+RANDOM = 100
+"""Exclusive ors of a program that draws random numbers, in chains where each operation waits for the one before."""
+
 
 class CompiledLanes:
     """The program of a lane as machine code.
@@ -117,6 +120,9 @@ def numbers_a_lane(output: Value | Recording) -> int:
 
 def best_width(program: Program) -> int:
     """Lanes of a vector: more hide the time that an operation takes, fewer leave the state in registers."""
-    bits, size = machine.vector_bits(), sum(operation_counts(program).values())
+    bits, counts = machine.vector_bits(), operation_counts(program)
+    size = sum(counts.values())
     vectors = next(vectors for limit, vectors in VECTORS[max(bits, 256)] if size < limit)
+    if counts.get("xor", 0) > RANDOM:
+        vectors = max(vectors, 2)
     return vectors * bits // (8 * max(dtype.itemsize for dtype in program.inputs))
