@@ -24,7 +24,7 @@ VECTORS = {512: ((1500, 4), (math.inf, 2)), 256: ((750, 4), (2000, 2), (math.inf
 """Bits of a hardware vector: operations of a program, and how many hardware vectors make a vector of lanes for programs
 below that, as measured. Processors with 512 bits have twice as many registers."""
 
-RANDOM = 100
+MANY_XORS = 100
 """Exclusive ors of a program that draws random numbers, in chains where each operation waits for the one before."""
 
 
@@ -123,6 +123,6 @@ def best_width(program: Program) -> int:
     bits, counts = machine.vector_bits(), operation_counts(program)
     size = sum(counts.values())
     vectors = next(vectors for limit, vectors in VECTORS[max(bits, 256)] if size < limit)
-    if counts.get("xor", 0) > RANDOM:
+    if counts.get("xor", 0) > MANY_XORS:
         vectors = max(vectors, 2)
     return vectors * bits // (8 * max(dtype.itemsize for dtype in program.inputs))
