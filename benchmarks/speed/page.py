@@ -230,8 +230,7 @@ In `jit(vmap(scan))`, each fused kernel of a step recomputes values that several
 fusion, the state of all draws is in memory{plain_shares(found.contests)}. In the column "one device",
 one device simulates all the draws.
 
-The programs alone with C, by `python -m benchmarks.speed --with-c`, on a processor with narrower vectors and fewer
-registers:
+`python -m benchmarks.speed --with-c` lets dssc_jax and C alone take turns, on another kind of processor too:
 
 {stored_part(WITH_C, DOCS / "performance.md")}
 
@@ -312,7 +311,12 @@ def write(found: Everything, to: Path = DOCS / "performance.md") -> None:
 
 def write_with_c(contests: dict[Case, dict[str, Measured]], to: Path = DOCS / "performance.md") -> None:
     """The part of the page that compares two programs, for this machine's processor."""
-    lines = [f"Vectors of {vector_bits()} bits:", "", "| | C | dssc_jax | ours over C |", "|---|---|---|---|"]
+    lines = [
+        f"Millions of lane-steps per second with vectors of {vector_bits()} bits:",
+        "",
+        "| | C | dssc_jax | ours over C |",
+        "|---|---|---|---|",
+    ]
     for case, measured in contests.items():
         c, ours = measured[C.name], measured[OURS.name]
         cells = spread(c.rates, 1e-6), spread(ours.rates, 1e-6), spread(ratios(ours, c))

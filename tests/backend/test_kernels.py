@@ -85,7 +85,9 @@ def test_a_diverged_draw_ends_alike():
     np.testing.assert_array_equal(kernel["failed_at"], scan["failed_at"])
 
 
-LOWERS = pytest.mark.skipif(jax.__version_info__ >= (0, 11), reason="this JAX lowers a kernel only where a GPU is")
+LOWERS = pytest.mark.skipif(
+    jax.__version_info__ >= (0, 11), reason="since 0.11, JAX lowers a kernel for Triton only on a machine with a GPU"
+)
 
 
 @LOWERS

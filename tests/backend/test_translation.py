@@ -209,6 +209,23 @@ def test_a_loop_need_not_carry_the_negative_of_a_state(begin, strict, carried):
         assert sum(state.dtype.kind == "f" for state in loop.states) == carried
 
 
+def test_no_delayed_negative_is_carried():
+    """Each pair follows from the one before it in the delay, and the first from its command."""
+
+    def lane(x):
+        def turn(_, state):
+            (u, *line), (_, *mirrored) = state[:4], state[4:]
+            now = 0.9 * u + 0.1 * jnp.sin(x + line[-1])
+            return now, u, *line[:-1], -now, -u, *mirrored[:-1]
+
+        return jax.lax.fori_loop(0, 9, turn, (0.0,) * 8)
+
+    lanes, plain = both(lane, X)
+    np.testing.assert_allclose(lanes, plain, rtol=ROUNDING)
+    (loop,) = loops_of(CompiledLanes(lane, jax.ShapeDtypeStruct((), np.float64)).program.body)
+    assert sum(state.dtype.kind == "f" for state in loop.states) == 4
+
+
 def test_equal_tables_are_told_apart_by_their_numbers():
     other = TABLE.copy()
     other[1000] += 0.25

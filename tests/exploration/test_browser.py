@@ -2,7 +2,6 @@
 
 import asyncio
 import re
-import shutil
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -20,12 +19,9 @@ from dssc_jax.exploration.live import LiveStudy
 from dssc_jax.exploration.serving import PageServer
 from dssc_jax.exploration.study_page import StudyPage
 from dssc_jax.statistics import clopper_pearson, rounded_probability
+from tests.browser import BROWSER, needs_browser
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-pytestmark = pytest.mark.skipif(
-    BROWSER is None,
-    reason="no Chromium on the path; a browser is no Python package to ask for, .ci/run installs it",
-)
+pytestmark = needs_browser
 PATIENCE = 120_000  # ms; the machine may be busy
 HEADLINE = "failure probability"
 

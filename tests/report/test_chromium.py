@@ -1,6 +1,5 @@
 """The page in a real browser, where there is one: something is seen, nothing is complained of, it prints."""
 
-import shutil
 import subprocess
 
 import numpy as np
@@ -8,12 +7,9 @@ import pytest
 from matplotlib.image import imread
 
 from dssc_jax.report import write
+from tests.browser import BROWSER, needs_browser
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-pytestmark = pytest.mark.skipif(
-    BROWSER is None,
-    reason="no Chromium on the path; a browser is no Python package to ask for, .ci/run installs it",
-)
+pytestmark = needs_browser
 
 
 @pytest.fixture(scope="module")

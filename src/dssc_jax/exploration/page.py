@@ -1,5 +1,6 @@
 """What all pages have in common: work in the background, and a line that tells what is going on."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -20,7 +21,7 @@ p { margin: 2px 0; }
 """
 
 
-class Page:
+class Page(ABC):
     """A page for the browser, a notebook or a program.
 
     Args:
@@ -34,9 +35,9 @@ class Page:
         self.status = html_pane("")
 
     @property
+    @abstractmethod
     def view(self) -> Viewable:
         """The page for Panel."""
-        raise NotImplementedError
 
     def _repr_mimebundle_(self, *args: Any, **options: Any) -> Any:
         """How a notebook shows the page."""

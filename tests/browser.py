@@ -1,0 +1,11 @@
+"""The browser of the tests that open a page in one."""
+
+import shutil
+
+import pytest
+
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+needs_browser = pytest.mark.skipif(
+    BROWSER is None,
+    reason="no Chromium on the path: pip cannot install one, as .ci/run does",
+)
