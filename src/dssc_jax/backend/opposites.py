@@ -28,24 +28,45 @@ def join_opposites(program: Program) -> None:
 
 def opposite_pairs(loops: list[CodeLoop]) -> set[Pair]:
     """The pairs that hold before the first turn, and after a turn if all pairs held before it."""
-    holding, refuted = set[Pair](), list[Pair]()
+    candidates = {(id(loop), *pair): loop for loop in loops for pair in candidate_pairs(loop)}
+    holding, refuted = set(candidates), list[Pair]()
     dependent: dict[Pair, list[Pair]] = {}
-    for loop in loops:
-        for one, other in permutations(range(len(loop.states)), 2):
-            pair = id(loop), one, other
-            holding.add(pair)
-            for values in (loop.begin, loop.then):
-                condition = opposite(values[one], values[other])
-                if condition is False:
-                    refuted.append(pair)
-                elif condition is not True:
-                    dependent.setdefault(condition, []).append(pair)
+    for pair, loop in candidates.items():
+        _, one, other = pair
+        for values in (loop.begin, loop.then):
+            condition = opposite(values[one], values[other])
+            if condition is False or (condition is not True and condition not in candidates):
+                refuted.append(pair)
+            elif condition is not True:
+                dependent.setdefault(condition, []).append(pair)
     while refuted:
         pair = refuted.pop()
         if pair in holding:
             holding.remove(pair)
             refuted += dependent.get(pair, ())
     return holding
+
+
+def candidate_pairs(loop: CodeLoop) -> Iterator[tuple[int, int]]:
+    """Positions of states that may be opposite: they are equally far behind what is computed, as in delays."""
+    alike: dict[int, list[int]] = {}
+    for position in range(len(loop.states)):
+        alike.setdefault(turns_behind(loop, position), []).append(position)
+    for positions in alike.values():
+        yield from permutations(positions, 2)
+
+
+def turns_behind(loop: CodeLoop, position: int) -> int:
+    """How many states of the loop hand a value on, or its negative, before it is in this one."""
+    passed = set[int]()
+    while position not in passed:
+        passed.add(position)
+        then = loop.then[position]
+        source = then.operands[0] if then.operation == "neg" else then
+        if source.operation != "state" or source.detail[0] is not loop:
+            break
+        position = source.detail[1]
+    return len(passed)
 
 
 def loops_of(block: CodeBlock) -> Iterator[CodeLoop]:
