@@ -22,7 +22,7 @@ import xarray as xr
 import dssc_jax as dj
 from benchmarks.page import put
 from dssc_jax.backend import machine
-from dssc_jax.backend.compiled_programs import CACHE_VARIABLE
+from dssc_jax.cache.user_cache import CACHE_VARIABLE
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Engine, drawn, evaluate
 from dssc_jax.engine.reference import agreement, computed_again

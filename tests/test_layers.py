@@ -15,7 +15,7 @@ LAYERS = re.findall(r"^    (\w+) {2,}\S", PAGE[PAGE.index("## Layers") : PAGE.in
 """The folders of the package, top to bottom."""
 
 RANK = {name: rank for rank, name in enumerate(reversed(LAYERS))}
-EDGE = {"backend", "cli", "console", "exploration", "plotting", "report", "results", "study"}
+EDGE = {"backend", "cache", "cli", "console", "exploration", "plotting", "report", "results", "study"}
 """Layers that may read and write files; the simulator and the statistics may not."""
 
 FILES = sorted(ROOT.rglob("*.py"))

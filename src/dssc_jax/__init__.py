@@ -4,6 +4,7 @@ Importing the package changes no setting of the process. JAX is loaded on first 
 """
 
 import importlib
+import time
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -41,6 +42,8 @@ if TYPE_CHECKING:
     from dssc_jax.study.systems import plant_table
 
 __version__ = "0.1.0"
+IMPORTED = time.time()
+"""When this process imported the package [s since 1970]."""
 __all__ = [
     "AcceptReject",
     "Analysis",

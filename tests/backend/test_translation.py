@@ -205,7 +205,7 @@ def test_a_loop_need_not_carry_the_negative_of_a_state(begin, strict, carried):
     lanes, plain = both(lane, X, strict=strict)
     np.testing.assert_allclose(lanes, plain, rtol=ROUNDING)
     compiled = CompiledLanes(lane, jax.ShapeDtypeStruct((), np.float64), strict=strict)
-    for loop in loops_of(compiled.program.body):
+    for loop in loops_of(compiled.traced.program.body):
         assert sum(state.dtype.kind == "f" for state in loop.states) == carried
 
 
@@ -222,7 +222,7 @@ def test_no_delayed_negative_is_carried():
 
     lanes, plain = both(lane, X)
     np.testing.assert_allclose(lanes, plain, rtol=ROUNDING)
-    (loop,) = loops_of(CompiledLanes(lane, jax.ShapeDtypeStruct((), np.float64)).program.body)
+    (loop,) = loops_of(CompiledLanes(lane, jax.ShapeDtypeStruct((), np.float64)).traced.program.body)
     assert sum(state.dtype.kind == "f" for state in loop.states) == 4
 
 

@@ -6,19 +6,20 @@ so results do not depend on its size, nor on the number of threads.
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from functools import cached_property, partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.backend import machine
-from dssc_jax.backend.compiled_programs import kept
 from dssc_jax.backend.llvm import module_text
 from dssc_jax.backend.needed import operation_counts
 from dssc_jax.backend.opposites import join_opposites
-from dssc_jax.backend.program import BOOL, Program, Recording, Value
+from dssc_jax.backend.program import BOOL, Program, Recording
 from dssc_jax.backend.translate import translate
+from dssc_jax.cache.user_cache import kept, remembered
 
 VECTORS = {512: ((1500, 4), (math.inf, 2)), 256: ((750, 4), (2000, 2), (math.inf, 1))}
 """Bits of a hardware vector: operations of a program, and how many hardware vectors make a vector of lanes for programs
@@ -28,8 +29,47 @@ MANY_XORS = 100
 """Exclusive ors of a program that draws random numbers, in chains where each operation waits for the one before."""
 
 
+class Signature(NamedTuple):
+    """What a caller of a lane's machine code must know.
+
+    Args:
+        width: Lanes of a vector.
+        inputs: Types of the columns that it reads.
+        outputs: Type of each column that it writes, and the length of a recording; None for a number.
+        results: The tree of results, with 0 in place of each.
+        code: The name of the machine code.
+    """
+
+    width: int
+    inputs: tuple[np.dtype, ...]
+    outputs: tuple[tuple[np.dtype, int | None], ...]
+    results: Any
+    code: str
+
+
+class TracedLanes:
+    """The program of a lane as text for LLVM; arguments as of :class:`CompiledLanes`.
+
+    Raises:
+        Unsupported: An operation has no translation.
+    """
+
+    def __init__(self, lane: Callable[..., Any], arguments: tuple[Any, ...], width: int | None, strict: bool) -> None:
+        self.program, results = translate(lane, *arguments)
+        if not strict:
+            join_opposites(self.program)
+        width = width or best_width(self.program)
+        self.text = module_text(self.program, width, strict)
+        outputs = ((each.dtype, each.length if isinstance(each, Recording) else None) for each in self.program.outputs)
+        empty = jax.tree.map(lambda _: 0, results)
+        code = machine.code_name(self.text)
+        self.signature = Signature(width, tuple(self.program.inputs), tuple(outputs), empty, code)
+
+
 class CompiledLanes:
     """The program of a lane as machine code.
+
+    If the user's cache has the machine code and tells its name, the lane is not even traced.
 
     Args:
         lane: A function of trees of scalars.
@@ -44,12 +84,16 @@ class CompiledLanes:
     def __init__(
         self, lane: Callable[..., Any], *arguments: Any, width: int | None = None, strict: bool = False
     ) -> None:
-        self.program, self.results = translate(lane, *arguments)
-        if not strict:
-            join_opposites(self.program)
-        self.width = width or best_width(self.program)
-        self.text = module_text(self.program, self.width, strict)
-        self._code = machine.LoadedCode(kept(machine.code_name(self.text), lambda: machine.object_code(self.text)))
+        given = lane, arguments, width, strict
+        self._trace = partial(TracedLanes, *given)
+        self.signature = remembered("signature", lambda: self.traced.signature, *given, machine.translator())
+        code = kept(self.signature.code, lambda: machine.object_code(self.traced.text))
+        self._code = machine.LoadedCode(code)
+
+    @cached_property
+    def traced(self) -> TracedLanes:
+        """The program and its text."""
+        return self._trace()
 
     def start(self, arguments: Any, count: int, threads: int) -> Callable[[], Any]:
         """Begin to run a batch.
@@ -62,29 +106,29 @@ class CompiledLanes:
         Returns:
             A function that waits and returns the tree of results: columns of shape (n,), (n, length) of records.
         """
-        lanes = -(-count // self.width) * self.width
-        columns = [
+        width, inputs, outputs, results, _ = self.signature
+        lanes = -(-count // width) * width
+        given = [
             np.ascontiguousarray(np.pad(np.asarray(column, dtype), (0, lanes - count), mode="edge"))
-            for column, dtype in zip(jax.tree.leaves(arguments), self.program.inputs, strict=True)
+            for column, dtype in zip(jax.tree.leaves(arguments), inputs, strict=True)
         ]
-        outputs = [np.empty(lanes * numbers_a_lane(output), stored(output.dtype)) for output in self.program.outputs]
-        finish = self._code.start(columns, outputs, lanes, self.width, threads)
+        columns = [np.empty(lanes * (length or 1), stored(dtype)) for dtype, length in outputs]
+        finish = self._code.start(given, columns, lanes, width, threads)
 
-        def results() -> Any:
+        def unpacked() -> Any:
             finish()
-            pairs = zip(self.program.outputs, outputs, strict=True)
-            return jax.tree.unflatten(
-                jax.tree.structure(self.results), [self._unpacked(*pair, count) for pair in pairs]
-            )
+            pairs = zip(outputs, columns, strict=True)
+            inside = [in_order(column, length, width)[:count].view(dtype) for (dtype, length), column in pairs]
+            return jax.tree.unflatten(jax.tree.structure(results), inside)
 
-        return results
+        return unpacked
 
-    def _unpacked(self, output: Value | Recording, column: np.ndarray, count: int) -> np.ndarray:
-        """One result of all lanes in order."""
-        if isinstance(output, Recording):
-            vectors = column.reshape(-1, output.length, self.width)
-            column = np.moveaxis(vectors, 1, 2).reshape(-1, output.length)
-        return column[:count].view(output.dtype)
+
+def in_order(column: np.ndarray, length: int | None, width: int) -> np.ndarray:
+    """One result of all lanes: numbers, or recordings, which are stored sample by sample within a vector."""
+    if length is None:
+        return column
+    return np.moveaxis(column.reshape(-1, length, width), 1, 2).reshape(-1, length)
 
 
 class LaneBatch:
@@ -111,11 +155,6 @@ class LaneBatch:
 def stored(dtype: np.dtype) -> np.dtype:
     """The type in memory: a truth value is a byte."""
     return np.dtype(np.uint8) if dtype == BOOL else dtype
-
-
-def numbers_a_lane(output: Value | Recording) -> int:
-    """Numbers of one lane in a result."""
-    return output.length if isinstance(output, Recording) else 1
 
 
 def best_width(program: Program) -> int:

@@ -63,10 +63,15 @@ def vector_bits() -> int:
 
 
 def code_name(text: str) -> str:
-    """A name for the machine code of a module: that of its text, LLVM's version and the processor."""
+    """A name for the machine code of a module: that of its text and of all that translates it."""
+    return f"lanes-{hashlib.sha256(chr(10).join((text, *translator())).encode()).hexdigest()}"
+
+
+@cache
+def translator() -> tuple[str, ...]:
+    """What decides the machine code of a module's text: LLVM, and the processor with its features."""
     features = llvm.get_host_cpu_features().flatten()
-    parts = text, llvmlite.__version__, str(llvm.llvm_version_info), llvm.get_host_cpu_name(), features, str(CODE_LEVEL)
-    return f"lanes-{hashlib.sha256(chr(10).join(parts).encode()).hexdigest()}"
+    return llvmlite.__version__, str(llvm.llvm_version_info), llvm.get_host_cpu_name(), features, str(CODE_LEVEL)
 
 
 def object_code(text: str) -> bytes:

@@ -115,12 +115,25 @@ class Layout:
 
 @dataclass
 class Clock:
-    """Seconds spent compiling and running, lanes done, and how often the step was traced."""
+    """Seconds spent compiling and running, lanes done, and how often the step was traced; never if the cache has it."""
 
     compile_seconds: float = 0.0
     run_seconds: float = 0.0
     lanes: int = 0
     traces: int = 0
+
+
+@dataclass
+class CountedLane:
+    """A lane that counts how often it is traced."""
+
+    lane: Lane
+    clock: Clock = field(compare=False)
+
+    def __call__(self, values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
+        """The results of the lane."""
+        self.clock.traces += 1
+        return self.lane(values, index)
 
 
 @dataclass
@@ -183,14 +196,9 @@ class Engine:
         """The compiled program of a batch; compiled once, on first use."""
         if self._start is None:
             began = time.perf_counter()
-            lane = self.program(self.study)
-
-            def one(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
-                self.clock.traces += 1
-                return lane(values, index)
-
+            lane = CountedLane(self.program(self.study), self.clock)
             with arithmetic(self.study.config.loop.precision):
-                self._start = forms.compiled(self.kernel, one, self.names, self.lanes, self.tile, self.devices)
+                self._start = forms.compiled(self.kernel, lane, self.names, self.lanes, self.tile, self.devices)
             self.clock.compile_seconds += time.perf_counter() - began
         return self._start
 

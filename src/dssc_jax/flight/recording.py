@@ -89,8 +89,8 @@ def recorded_draws(
         lanes = CompiledLanes(
             recording_lane(study, controllers, samples), dict.fromkeys(names, number), index, strict=True
         )
-        columns = len(lanes.program.outputs)
-        together = max(1, BYTES // (samples * columns * np.dtype(number.dtype).itemsize * lanes.width)) * lanes.width
+        width, columns = lanes.signature.width, len(lanes.signature.outputs)
+        together = max(1, BYTES // (samples * columns * np.dtype(number.dtype).itemsize * width)) * width
         for first in range(0, draws, together):
             indices = np.arange(first, min(first + together, draws))
             drawn = draw(study, indices)

@@ -74,6 +74,4 @@ def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
         The files written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    files = [write(figure, folder / f"{name}.png")]
-    figure.set_layout_engine("none")  # what the first file's layout found holds for the second
-    return [*files, write(figure, folder / f"{name}.svg")]
+    return [write(figure, folder / f"{name}.{kind}") for kind in ("png", "svg")]

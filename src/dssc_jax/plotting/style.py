@@ -27,6 +27,8 @@ STYLE: dict[Any, Any] = {
     "axes.spines.right": False,
     "lines.linewidth": 1.8,
     "savefig.dpi": 140,
+    "figure.autolayout": False,
+    "figure.constrained_layout.use": False,
 }
 SLIDE, PANEL, SMALL = (11.5, 5.6), (6.4, 4.6), (4.6, 3.8)  # inches
 DRAWABLE = 1e100  # larger numbers overflow in matplotlib's axes
@@ -112,5 +114,15 @@ def fit_probability(ax: Axes, largest: float, margin: float = 0.06) -> None:
 def write(figure: Figure, path: Path) -> Path:
     """Save a figure."""
     with rc_context(STYLE):
+        arrange(figure)
         figure.savefig(path)
     return path
+
+
+def arrange(figure: Figure) -> None:
+    """Lay a figure out once, for all files that it is written to; matplotlib would do so twice for each."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        figure.set_dpi(STYLE["savefig.dpi"])
+        engine.execute(figure)
+        figure.set_layout_engine(None)

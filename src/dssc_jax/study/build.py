@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 from pydantic import BaseModel, ValidationError
 
+from dssc_jax.cache.user_cache import remembered
 from dssc_jax.closed_loop.metrics import Measure, available_metrics
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.closed_loop.sample import Loop, LoopParams, Settled, initial_state, step
@@ -294,7 +295,11 @@ def parse_channels(table: dict[str, Any], slot: str, channels: tuple[str, ...]) 
     return components
 
 
-def info_fields(loop: Loop, template: LoopParams) -> tuple[dict[str, tuple[str, ...]], tuple[str, ...]]:
+Fields = tuple[dict[str, tuple[str, ...]], tuple[str, ...]]
+"""Field names of each controller's info, and of the plant's."""
+
+
+def info_fields(loop: Loop, template: LoopParams) -> Fields:
     """Field names of each controller's info and of the plant's, found without computing anything."""
     params = jax.tree.map(
         lambda leaf: leaf.median if isinstance(leaf, Law) else leaf, template, is_leaf=lambda x: isinstance(x, Law)
@@ -305,10 +310,9 @@ def info_fields(loop: Loop, template: LoopParams) -> tuple[dict[str, tuple[str, 
 
 
 @lru_cache(maxsize=64)
-def traced_fields(
-    loop: Loop, structure: Any, leaves: tuple[Hashable, ...]
-) -> tuple[dict[str, tuple[str, ...]], tuple[str, ...]]:
+def traced_fields(loop: Loop, structure: Any, leaves: tuple[Hashable, ...]) -> Fields:
     """See :func:`info_fields`; tracing a vehicle takes most of a study's loading, and its variants share it."""
+    loop = replace(loop, integrator=Integrator.EULER, substeps=1)  # the shortest to trace; the fields are the same
 
     def is_array(leaf: Hashable) -> bool:
         return isinstance(leaf, jax.ShapeDtypeStruct)
@@ -319,13 +323,14 @@ def traced_fields(
         key = jax.random.key(0)
         return step(loop, params, key, initial_state(loop, params, key), 0)[1].instant
 
-    loop = replace(loop, integrator=Integrator.EULER, substeps=1)  # the shortest to trace; the fields are the same
-    with arithmetic():
-        instant = jax.eval_shape(first, [leaf for leaf in leaves if is_array(leaf)])
-    infos = {
-        name: getattr(sample.info, "_fields", ()) for name, sample in zip(loop.channels, instant.channels, strict=True)
-    }
-    return infos, getattr(instant.plant, "_fields", ())
+    def fields() -> Fields:
+        with arithmetic():
+            instant = jax.eval_shape(first, [leaf for leaf in leaves if is_array(leaf)])
+        samples = zip(loop.channels, instant.channels, strict=True)
+        infos = {name: getattr(sample.info, "_fields", ()) for name, sample in samples}
+        return infos, getattr(instant.plant, "_fields", ())
+
+    return remembered("fields", fields, loop, jax.tree.unflatten(structure, leaves))
 
 
 def check_axes(config: StudyTable, numbers: Mapping[str, Number]) -> None:

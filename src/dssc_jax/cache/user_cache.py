@@ -1,4 +1,4 @@
-"""A cache of compiled programs in the user's cache directory, shared by all processes.
+"""A cache of compiled programs, and of what else a trace tells, in the user's cache directory; all processes share it.
 
 A truncated program, or a different one under the same name, would end the process that runs it. Every file therefore
 begins with the digest of its name and content. A file that does not match is deleted with a one-line message, and the
@@ -9,11 +9,17 @@ The environment variable ``DSSC_JAX_CACHE=off`` disables the cache.
 
 import hashlib
 import os
+import pickle
 import sys
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any, TypeVar
 from uuid import uuid4
+
+from dssc_jax.cache.names import name_of
+
+T = TypeVar("T")
 
 CACHE_VARIABLE = "DSSC_JAX_CACHE"
 OFF = ("off", "0", "false")
@@ -89,7 +95,7 @@ def kept(name: str, compile_it: Callable[[], bytes]) -> bytes:
         compile_it: Makes it.
     """
     folder = cache_directory()
-    if folder is None or os.environ.get(CACHE_VARIABLE, "").lower() in OFF:
+    if folder is None or not enabled():
         return compile_it()
     cache = ProgramCache(folder)
     known = cache.get(name)
@@ -99,6 +105,23 @@ def kept(name: str, compile_it: Callable[[], bytes]) -> bytes:
     with suppress(OSError):  # a full disk: the program is compiled again next time
         cache.put(name, program)
     return program
+
+
+def remembered(what: str, compute: Callable[[], T], *things: Any) -> T:
+    """What follows from things alone: from the user's cache, or computed and kept there.
+
+    Args:
+        what: What of the things it is.
+        compute: Computes it.
+        things: All that it follows from, beside this package's code; see :func:`dssc_jax.cache.names.name_of`.
+    """
+    name = name_of(what, *things) if enabled() else None
+    return compute() if name is None else pickle.loads(kept(f"{what}-{name}", lambda: pickle.dumps(compute())))
+
+
+def enabled() -> bool:
+    """Whether there is a cache."""
+    return os.environ.get(CACHE_VARIABLE, "").lower() not in OFF
 
 
 def cache_directory() -> Path | None:

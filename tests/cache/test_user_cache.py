@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from dssc_jax.backend import compiled_programs
-from dssc_jax.backend.compiled_programs import DIGEST, ProgramCache, digest
+from dssc_jax.cache import user_cache
+from dssc_jax.cache.user_cache import DIGEST, ProgramCache, digest
 from tests.results.test_durability import SMALL
 
 UNSET = "DSSC_JAX_CACHE", "DSSC_JAX_KERNEL"
@@ -19,12 +19,13 @@ import dssc_jax as dj
 study = dj.Study.from_table(json.loads(sys.argv[1])).without_sweep()
 print(dj.run(study).dataset["error_rms"].values.tobytes().hex())
 """
+UNTRACED = "import jax; jax.make_jaxpr = jax.eval_shape = jax.jit = None"
 
 
-def run(home):
+def run(home, before=""):
     """A small study in a process of its own, whose cache is in ``home``; exit code, result, what was said."""
     done = subprocess.run(
-        [sys.executable, "-c", STUDY, json.dumps(SMALL)],
+        [sys.executable, "-c", f"import dssc_jax.runs.run\n{before}\n{STUDY}", json.dumps(SMALL)],
         env={**CLEAN, "XDG_CACHE_HOME": str(home)},
         capture_output=True,
         text=True,
@@ -53,9 +54,24 @@ def states(home):
 def test_the_second_process_reads_what_the_first_has_compiled(cold):
     home, done = cold
     before = states(home)
-    assert len(before) == 2  # the lanes, and the numbers of the draws
+    kinds = sorted(name.partition("-")[0] for name in before)
+    # the fields of controller and plant; machine code and how to call it, of the lanes and of the draws' numbers
+    assert kinds == ["fields", "lanes", "lanes", "signature", "signature"]
     assert run(home) == done
     assert states(home) == before  # read, not written anew
+
+
+def test_the_second_process_does_not_even_trace(cold):
+    home, done = cold
+    assert run(home, UNTRACED) == done
+
+
+def test_changed_sources_are_traced_anew(cold):
+    home, done = cold
+    code, _, said = run(home, f"dssc_jax.IMPORTED = 0.0; {UNTRACED}")
+    assert code != 0
+    assert "'NoneType' object is not callable" in said
+    assert run(home, "dssc_jax.IMPORTED = 0.0") == done
 
 
 @pytest.mark.parametrize("share", [0.0, 0.001, 0.5, 0.99])
@@ -133,5 +149,5 @@ def test_none_is_kept_on_request(tmp_path):
 def test_a_program_that_cannot_be_kept_is_used(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr("os.replace", lambda *_: (_ for _ in ()).throw(OSError("No space left on device")))
-    assert compiled_programs.kept("a", lambda: b"program") == b"program"
+    assert user_cache.kept("a", lambda: b"program") == b"program"
     assert not list(tmp_path.rglob("*.program"))
