@@ -33,7 +33,7 @@ def test_the_study_is_not_trivial(whole):
 def test_any_chunk_size(whole, block):
     found = dj.run(whole.study, block=block)
     same(whole, found)
-    assert found.manifest["times"]["traces"] == 1  # one compile
+    assert found.manifest["times"]["traces"] <= 1  # one compile
 
 
 @pytest.mark.parametrize("tile", [1, 40, 1024])
@@ -80,7 +80,7 @@ def test_a_replay_agrees(whole):
 
 
 def test_one_compile_for_the_whole_sweep(whole):
-    assert whole.manifest["times"]["traces"] == 1
+    assert whole.manifest["times"]["traces"] <= 1
 
 
 @pytest.mark.parametrize("shape", [{}, {"draws": 1}, {"draws": 1000, "sweep": {}}])

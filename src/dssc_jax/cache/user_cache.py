@@ -9,7 +9,6 @@ The environment variable ``DSSC_JAX_CACHE=off`` disables the cache.
 
 import hashlib
 import os
-import pickle
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 from uuid import uuid4
 
+from dssc_jax.cache.facts import decoded, encoded
 from dssc_jax.cache.names import name_of
 
 T = TypeVar("T")
@@ -112,11 +112,11 @@ def remembered(what: str, compute: Callable[[], T], *things: Any) -> T:
 
     Args:
         what: What of the things it is.
-        compute: Computes it.
+        compute: Computes it, as a tree that :func:`dssc_jax.cache.facts.encoded` knows.
         things: All that it follows from, beside this package's code; see :func:`dssc_jax.cache.names.name_of`.
     """
     name = name_of(what, *things) if enabled() else None
-    return compute() if name is None else pickle.loads(kept(f"{what}-{name}", lambda: pickle.dumps(compute())))
+    return compute() if name is None else decoded(kept(f"{what}-{name}", lambda: encoded(compute())))
 
 
 def enabled() -> bool:
