@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dssc_jax.backend import forms
+from dssc_jax.backend import forms, machine
 from dssc_jax.backend.lanes import CompiledLanes
 from dssc_jax.backend.llvm import module_text
 from dssc_jax.backend.needed import operation_counts
@@ -162,6 +162,52 @@ def test_values_of_the_time_alone_are_computed_ahead():
     program, _ = translate(sine_and_state, jax.ShapeDtypeStruct((), np.float64))
     assert "alloca <8 x double>" in module_text(program, 8)
     assert "alloca" not in module_text(program, 1)
+
+
+def with_branches(x):
+    """Waves that a branch of some lanes reads, within another branch, and that all lanes read after it."""
+
+    def turn(carry):
+        k, s = carry
+        wave = jnp.sin(0.1 * k) + jnp.sin(0.2 * k)
+        far = jax.lax.cond(
+            s > 1.5, lambda: jax.lax.cond(x > 0.0, lambda: jnp.exp(-wave * s), lambda: wave / s), lambda: s
+        )
+        return k + 1, 0.9 * s + 0.1 * far * wave + 0.2 * x
+
+    return jax.lax.while_loop(lambda carry: carry[0] < 203, turn, (0, x))[1]
+
+
+@pytest.mark.parametrize("strict", [False, True])
+def test_they_are_computed_ahead_for_branches_too(strict):
+    np.testing.assert_allclose(*both(with_branches, X, strict=strict), rtol=1e-13)
+    program, _ = translate(with_branches, jax.ShapeDtypeStruct((), np.float64))
+    assert "alloca <8 x double>" in module_text(program, 8, strict)
+
+
+def test_a_side_that_computes_nothing_is_no_branch():
+    def lane(x):
+        near = x * x + 1.0
+        return jax.lax.cond(x > 1.0, lambda: jnp.exp(x), lambda: near)
+
+    np.testing.assert_allclose(*both(lane, X), rtol=ROUNDING)
+    text = module_text(translate(lane, jax.ShapeDtypeStruct((), np.float64))[0], 8)
+    assert text.count("vector.reduce.or") == 2  # declared, and called for one side
+
+
+@pytest.mark.skipif(machine.vector_bits() < 256, reason="the names of instructions are those of x86-64 with AVX")
+def test_vectors_on_the_stack_are_aligned():
+    """One across two lines of the cache takes twice as long."""
+
+    def lane(x):
+        waves = [jnp.exp(x * n) for n in range(70)]
+        far = jax.lax.cond(x > 1.0, lambda: jnp.log(x), lambda: x)
+        return sum(wave * waves[n * n % 70] for n, wave in enumerate(waves)) + far
+
+    text = machine.assembly(module_text(translate(lane, jax.ShapeDtypeStruct((), np.float64))[0], 16))
+    moves = [line.split()[0] for line in text.splitlines() if "(%rsp)" in line and "vmov" in line and "mm" in line]
+    assert moves.count("vmovapd") + moves.count("vmovaps") > 20
+    assert not any(move.startswith(("vmovup", "vmovdqu")) for move in moves)
 
 
 @pytest.mark.parametrize("strict", [False, True])

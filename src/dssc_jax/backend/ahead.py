@@ -5,13 +5,14 @@ values would cost as much as all lanes of a vector. If the uniform state of a lo
 values of the next :data:`TURNS` turns. They are stored, and each turn reads its own.
 """
 
-from collections.abc import Set
+from collections.abc import Iterator, Set
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from dssc_jax.backend.instructions import Instructions, scalar_type
-from dssc_jax.backend.program import BOOL, CodeLoop, Record, Value
+from dssc_jax.backend.program import BOOL, Branch, CodeBlock, CodeLoop, Record, Value
 
 TURNS = 8
 WORTHWHILE = 12  # uniform operations in a turn that are worth it
@@ -39,22 +40,41 @@ def planned(loop: CodeLoop, alive: Set[int]) -> AheadPlan | None:
         loop: The loop.
         alive: Identities of the values that are needed.
     """
-    nodes = [node for node in loop.body.nodes if isinstance(node, Record) or id(node) in alive]
-    if not all(isinstance(node, Value | Record) for node in nodes):
+    nodes = list(needed_nodes(loop.body, alive))
+    if any(isinstance(node, CodeLoop) for node in nodes):
         return None
-    values = [node for node in nodes if isinstance(node, Value) and not node.varying]
+    if any(not value.varying for node in nodes if isinstance(node, Branch) for value in node.results):
+        return None
+    values = [node for node in loop.body.nodes if isinstance(node, Value) and not node.varying and id(node) in alive]
     if len(values) < WORTHWHILE or any(value.operation == "any" for value in values):
         return None
     states = [i for i, state in enumerate(loop.states) if id(state) in alive or id(loop.results[i]) in alive]
     counters = {i: step(loop, i) for i in states if not loop.states[i].varying}
     if not all(counters.values()):
         return None
-    readers = [node for node in nodes if isinstance(node, Value) and node.varying]
-    read = {id(operand) for node in readers for operand in node.operands} | {id(loop.again)}
-    read |= {id(loop.then[i]) for i in states}
-    read |= {id(part) for node in nodes if isinstance(node, Record) for part in (node.position, node.value)}
+    ahead = set(map(id, values))
+    read = {id(part) for node in nodes if id(node) not in ahead for part in read_by(node)}
+    read |= {id(loop.again), *(id(loop.then[i]) for i in states)}
     known = [*(loop.states[i] for i in counters), *values]
     return AheadPlan(counters, values, [value for value in known if id(value) in read])
+
+
+def needed_nodes(block: CodeBlock, alive: Set[int]) -> Iterator[Any]:
+    """What is needed of a block, and of the branches in it."""
+    for node in block.nodes:
+        if isinstance(node, Record) or id(node) in alive:
+            yield node
+            for side in node.sides if isinstance(node, Branch) else ():
+                yield from needed_nodes(side, alive)
+
+
+def read_by(node: Value | Record | Branch) -> tuple[Value, ...]:
+    """What an operation, a record or a branch reads; not what is read within the branch."""
+    if isinstance(node, Value):
+        return node.operands
+    if isinstance(node, Record):
+        return node.position, node.value
+    return node.condition, *node.values[0], *node.values[1]
 
 
 def step(loop: CodeLoop, position: int) -> int:

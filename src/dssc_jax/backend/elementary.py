@@ -242,7 +242,9 @@ def erf_inv(x: jax.Array) -> jax.Array:
 
     The form in w is that of M. Giles, "Approximating the erfinv function", GPU Computing Gems, Jade Edition (2012).
     """
-    w = -log((1.0 - x) * (1.0 + x))
+    y = (1.0 - x) * (1.0 + x)
+    k, scale = split_exponent(y)
+    w = -logarithm(y * scale - 1.0, jnp.zeros_like(x), k)
     near, *tails = zip(INVERSE_ERROR[width(x)], INVERSE_ERROR_RANGES[width(x)], strict=True)
 
     def tail() -> jax.Array:
@@ -251,13 +253,11 @@ def erf_inv(x: jax.Array) -> jax.Array:
         value = jnp.asarray(polynomial(coefficients, root - centre))
         for coefficients, (end, centre) in reversed(others):
             value = jnp.where(w < end, polynomial(coefficients, root - centre), value)
-        return value
+        return jnp.where(y > 0.0, value, jnp.where(y == 0.0, jnp.inf, jnp.nan))
 
     coefficients, (end, centre) = near
     central = polynomial(coefficients, w - centre)
-    ratio = jax.lax.cond(w < end, lambda: jnp.asarray(central), tail)
-    edge = jnp.abs(x) == 1.0
-    return jnp.where(edge, x * jnp.inf, x * ratio)
+    return x * jax.lax.cond(y > math.exp(-end), lambda: jnp.asarray(central), tail)
 
 
 def sinh(x: jax.Array) -> jax.Array:

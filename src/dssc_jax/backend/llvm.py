@@ -52,7 +52,10 @@ class Emitter(Instructions):
             "  ret void",
         ]
         head = f"define void @{ENTRY_POINT}(ptr noalias %inputs, ptr noalias %outputs, i64 %first, i64 %last) #0 {{"
-        attributes = 'attributes #0 = { nounwind "prefer-vector-width"="512" "min-legal-vector-width"="512" }'
+        wide = '"prefer-vector-width"="512" "min-legal-vector-width"="512"'
+        attributes = (
+            f'attributes #0 = {{ nounwind {wide} "stackrealign" }}'  # spilled vectors within lines of the cache
+        )
         start = [*self.tables, *sorted(self.declared), head, "entry:", *self.allocated]
         return "\n".join([*start, *self.lines, "}", attributes, ""])
 
@@ -159,34 +162,42 @@ class Emitter(Instructions):
 
     def branch(self, branch: Branch) -> None:
         """Both sides in turn, each if a lane takes it."""
-        alive = [i for i, value in enumerate(branch.results) if id(value) in self.alive]
+        alive = {i: value for i, value in enumerate(branch.results) if id(value) in self.alive}
         varying = self.is_vector(branch.condition)
         condition = self.read(branch.condition, varying)
-        sides: list[dict[int, str]] = []
+        sides = []
         for number, (block, values) in enumerate(zip(branch.sides, branch.values, strict=True)):
-            mask = condition
-            if number:
-                kind = self.kind(BOOL, varying)
-                mask = self.emit(f"xor {kind} {condition}, {'splat (i1 true)' if varying else 'true'}")
-            taken = self.any(mask) if varying else mask
-            inside, end, before = self.fresh("side"), self.fresh("end"), self.label
-            self.lines.append(f"  br i1 {taken}, label %{inside}, label %{end}")
-            self.begin(inside)
-            self.block(block)
-            reads = {i: self.read(values[i], branch.results[i].varying) for i in alive}
-            last = self.label
-            self.lines.append(f"  br label %{end}")
-            self.begin(end)
-            sides.append({})
-            for i in alive:
-                kind = self.kind(branch.results[i].dtype, branch.results[i].varying)
-                none = "zeroinitializer"
-                sides[-1][i] = self.emit(f"phi {kind} [ {none}, %{before} ], [ {reads[i]}, %{last} ]")
-        for i in alive:
-            kind = self.kind(branch.results[i].dtype, branch.results[i].varying)
+            if any(isinstance(node, Record) or id(node) in self.alive for node in block.nodes):
+                wanted = {i: (values[i], result.varying) for i, result in alive.items()}
+                sides.append(self.side(condition, number == 1, varying, block, wanted))
+            else:  # its values are known before
+                sides.append({i: self.read(values[i], alive[i].varying) for i in alive})
+        for i, result in alive.items():
+            kind = self.kind(result.dtype, result.varying)
             chooser = f"{self.kind(BOOL, varying)} {condition}"
-            name = self.emit(f"select {chooser}, {kind} {sides[0][i]}, {kind} {sides[1][i]}")
-            self.name(branch.results[i], name)
+            self.name(result, self.emit(f"select {chooser}, {kind} {sides[0][i]}, {kind} {sides[1][i]}"))
+
+    def side(
+        self, condition: str, otherwise: bool, varying: bool, block: CodeBlock, values: dict[int, tuple[Value, bool]]
+    ) -> dict[int, str]:
+        """One side of a branch, which is skipped if no lane takes it; registers of its values, wide or not."""
+        if otherwise:
+            kind = self.kind(BOOL, varying)
+            condition = self.emit(f"xor {kind} {condition}, {'splat (i1 true)' if varying else 'true'}")
+        taken = self.any(condition) if varying else condition
+        inside, end, before = self.fresh("side"), self.fresh("end"), self.label
+        self.lines.append(f"  br i1 {taken}, label %{inside}, label %{end}")
+        self.begin(inside)
+        self.block(block)
+        reads = {i: self.read(value, wide) for i, (value, wide) in values.items()}
+        last = self.label
+        self.lines.append(f"  br label %{end}")
+        self.begin(end)
+        joined = {}
+        for i, (value, wide) in values.items():
+            kind = self.kind(value.dtype, wide)
+            joined[i] = self.emit(f"phi {kind} [ zeroinitializer, %{before} ], [ {reads[i]}, %{last} ]")
+        return joined
 
     # Memory
 

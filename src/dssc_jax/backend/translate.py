@@ -246,11 +246,15 @@ def cond(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
     """One of several programs; a lane's own choice."""
     which, *rest = operands
     build, branches = own.build, equation.params["branches"]
+    condition = which.operands[0] if which.operation == "convert" and which.operands[0].dtype == BOOL else None
 
     def chosen(number: int) -> list[Any]:
         if number == len(branches) - 1:
             return own.run(branches[number], rest)
-        here = build.add("le", which, build.constant(number, which.dtype))
+        if condition is not None:  # a truth value that JAX has made a number
+            here = build.add("xor", condition, build.constant(True, BOOL))
+        else:
+            here = build.add("le", which, build.constant(number, which.dtype))
         kinds: list[list[Any]] = []
 
         def side(results: Callable[[], list[Any]]) -> Callable[[], list[Value]]:
