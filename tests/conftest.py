@@ -1,6 +1,7 @@
 """Shared fixtures; float64 whatever the machine."""
 
 import gc
+import os
 
 import jax
 import pytest
@@ -10,6 +11,18 @@ import dssc_jax
 jax.config.update("jax_enable_x64", True)
 gc.freeze()  # compiled programs are many long-lived objects, and a full collection visits all of them
 gc.set_threshold(50_000, 20, 50)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled_by_xla(tmp_path_factory):
+    """Plain programs that several tests compile are compiled once, for all processes of a session."""
+    session = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        session = session.parent
+    jax.config.update("jax_compilation_cache_dir", str(session / "xla"))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.05)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
 
 CASE_2 = {
     "name": "case-2-x",
