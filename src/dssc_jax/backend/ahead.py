@@ -9,9 +9,7 @@ from collections.abc import Iterator, Set
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from dssc_jax.backend.instructions import Instructions, scalar_type
+from dssc_jax.backend.instructions import Instructions, scalar_type, stored_type
 from dssc_jax.backend.program import BOOL, Branch, CodeBlock, CodeLoop, Record, Value
 
 TURNS = 8
@@ -145,8 +143,3 @@ class Ahead(Instructions):
             if value.dtype == BOOL:
                 name = self.emit(f"trunc {scalar} {name} to i1")
             self.lanes.name(value, name)
-
-
-def stored_type(dtype: np.dtype) -> np.dtype:
-    """The type in memory: a truth value is a byte."""
-    return np.dtype(np.uint8) if dtype == BOOL else dtype

@@ -6,7 +6,7 @@ so results do not depend on its size, nor on the number of threads.
 
 import math
 from collections.abc import Callable, Sequence
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import jax
@@ -14,10 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.backend import machine
+from dssc_jax.backend.instructions import stored_type
 from dssc_jax.backend.llvm import module_text
 from dssc_jax.backend.needed import operation_counts
 from dssc_jax.backend.opposites import join_opposites
-from dssc_jax.backend.program import BOOL, Program, Recording
+from dssc_jax.backend.program import Program, Recording
 from dssc_jax.backend.translate import translate
 from dssc_jax.cache.user_cache import kept, remembered
 
@@ -84,16 +85,15 @@ class CompiledLanes:
     def __init__(
         self, lane: Callable[..., Any], *arguments: Any, width: int | None = None, strict: bool = False
     ) -> None:
-        given = lane, arguments, width, strict
-        self._trace = partial(TracedLanes, *given)
-        self.signature = remembered("signature", lambda: self.traced.signature, *given, machine.translator())
+        self._given = lane, arguments, width, strict
+        self.signature = remembered("signature", lambda: self.traced.signature, *self._given, machine.translator())
         code = kept(self.signature.code, lambda: machine.object_code(self.traced.text))
         self._code = machine.LoadedCode(code)
 
     @cached_property
     def traced(self) -> TracedLanes:
         """The program and its text."""
-        return self._trace()
+        return TracedLanes(*self._given)
 
     def start(self, arguments: Any, count: int, threads: int) -> Callable[[], Any]:
         """Begin to run a batch.
@@ -112,7 +112,7 @@ class CompiledLanes:
             np.ascontiguousarray(np.pad(np.asarray(column, dtype), (0, lanes - count), mode="edge"))
             for column, dtype in zip(jax.tree.leaves(arguments), inputs, strict=True)
         ]
-        columns = [np.empty(lanes * (length or 1), stored(dtype)) for dtype, length in outputs]
+        columns = [np.empty(lanes * (1 if length is None else length), stored_type(dtype)) for dtype, length in outputs]
         finish = self._code.start(given, columns, lanes, width, threads)
 
         def unpacked() -> Any:
@@ -150,11 +150,6 @@ class LaneBatch:
     def start(self, values: dict[str, np.ndarray], index: np.ndarray) -> Callable[[], Any]:
         """Begin to run a batch; see :data:`dssc_jax.backend.forms.Start`."""
         return self._lanes.start((values, index), len(index), self._threads)
-
-
-def stored(dtype: np.dtype) -> np.dtype:
-    """The type in memory: a truth value is a byte."""
-    return np.dtype(np.uint8) if dtype == BOOL else dtype
 
 
 def best_width(program: Program) -> int:

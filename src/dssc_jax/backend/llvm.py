@@ -6,8 +6,8 @@ else is assumed: a NaN is an outcome. Strict arithmetic does neither.
 
 from collections.abc import Sequence
 
-from dssc_jax.backend.ahead import TURNS, Ahead, AheadPlan, planned, stored_type
-from dssc_jax.backend.instructions import FAST, STRICT, Instructions, scalar_type
+from dssc_jax.backend.ahead import TURNS, Ahead, AheadPlan, planned
+from dssc_jax.backend.instructions import FAST, STRICT, Instructions, scalar_type, stored_type
 from dssc_jax.backend.needed import reachable
 from dssc_jax.backend.program import BOOL, Branch, CodeBlock, CodeLoop, Program, Record, Value
 
@@ -168,8 +168,9 @@ class Emitter(Instructions):
         sides = []
         for number, (block, values) in enumerate(zip(branch.sides, branch.values, strict=True)):
             if any(isinstance(node, Record) or id(node) in self.alive for node in block.nodes):
+                mask = self.opposite(condition, varying) if number else condition
                 wanted = {i: (values[i], result.varying) for i, result in alive.items()}
-                sides.append(self.side(condition, number == 1, varying, block, wanted))
+                sides.append(self.side(self.any(mask) if varying else mask, block, wanted))
             else:  # its values are known before
                 sides.append({i: self.read(values[i], alive[i].varying) for i in alive})
         for i, result in alive.items():
@@ -177,14 +178,12 @@ class Emitter(Instructions):
             chooser = f"{self.kind(BOOL, varying)} {condition}"
             self.name(result, self.emit(f"select {chooser}, {kind} {sides[0][i]}, {kind} {sides[1][i]}"))
 
-    def side(
-        self, condition: str, otherwise: bool, varying: bool, block: CodeBlock, values: dict[int, tuple[Value, bool]]
-    ) -> dict[int, str]:
+    def opposite(self, condition: str, wide: bool) -> str:
+        """Where a condition does not hold."""
+        return self.emit(f"xor {self.kind(BOOL, wide)} {condition}, {'splat (i1 true)' if wide else 'true'}")
+
+    def side(self, taken: str, block: CodeBlock, values: dict[int, tuple[Value, bool]]) -> dict[int, str]:
         """One side of a branch, which is skipped if no lane takes it; registers of its values, wide or not."""
-        if otherwise:
-            kind = self.kind(BOOL, varying)
-            condition = self.emit(f"xor {kind} {condition}, {'splat (i1 true)' if varying else 'true'}")
-        taken = self.any(condition) if varying else condition
         inside, end, before = self.fresh("side"), self.fresh("end"), self.label
         self.lines.append(f"  br i1 {taken}, label %{inside}, label %{end}")
         self.begin(inside)

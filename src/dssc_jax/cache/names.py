@@ -21,7 +21,6 @@ from typing import Any
 
 import jax
 import numpy as np
-from pydantic import BaseModel
 
 import dssc_jax
 
@@ -157,7 +156,7 @@ def consists_of(thing: Any) -> list[Any]:
             return [thing.__name__]
         case jax.ShapeDtypeStruct():
             return [thing.shape, str(thing.dtype)]
-        case BaseModel():
+        case _ if hasattr(type(thing), "model_fields"):  # of pydantic
             return [thing.model_extra, *(getattr(thing, name) for name in type(thing).model_fields)]
         case _ if is_dataclass(thing):
             return [getattr(thing, field.name) for field in fields(thing) if field.compare]

@@ -87,24 +87,24 @@ def digest(key: str, program: bytes) -> bytes:
     return hashlib.sha256(key.encode() + b"\n" + program).digest()
 
 
-def kept(name: str, compile_it: Callable[[], bytes]) -> bytes:
-    """The program of a name from the user's cache, or compiled and kept there.
+def kept(name: str, make: Callable[[], bytes]) -> bytes:
+    """What has a name in the user's cache, or is now made and kept there.
 
     Args:
-        name: Identifies everything that the program depends on.
-        compile_it: Makes it.
+        name: Identifies everything that it depends on.
+        make: Makes it.
     """
     folder = cache_directory()
-    if folder is None or not enabled():
-        return compile_it()
+    if folder is None:
+        return make()
     cache = ProgramCache(folder)
     known = cache.get(name)
     if known is not None:
         return known
-    program = compile_it()
-    with suppress(OSError):  # a full disk: the program is compiled again next time
-        cache.put(name, program)
-    return program
+    made = make()
+    with suppress(OSError):  # a full disk: it is made again next time
+        cache.put(name, made)
+    return made
 
 
 def remembered(what: str, compute: Callable[[], T], *things: Any) -> T:
@@ -115,17 +115,14 @@ def remembered(what: str, compute: Callable[[], T], *things: Any) -> T:
         compute: Computes it, as a tree that :func:`dssc_jax.cache.facts.encoded` knows.
         things: All that it follows from, beside this package's code; see :func:`dssc_jax.cache.names.name_of`.
     """
-    name = name_of(what, *things) if enabled() else None
+    name = None if cache_directory() is None else name_of(what, *things)
     return compute() if name is None else decoded(kept(f"{what}-{name}", lambda: encoded(compute())))
 
 
-def enabled() -> bool:
-    """Whether there is a cache."""
-    return os.environ.get(CACHE_VARIABLE, "").lower() not in OFF
-
-
 def cache_directory() -> Path | None:
-    """The folder of compiled programs; None if the user's cache directory is not writable."""
+    """The cache's folder; None if the user has disabled the cache, or has no directory that can be written."""
+    if os.environ.get(CACHE_VARIABLE, "").lower() in OFF:
+        return None
     try:
         home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     except RuntimeError:  # no home

@@ -27,7 +27,7 @@ STYLE: dict[Any, Any] = {
     "axes.spines.right": False,
     "lines.linewidth": 1.8,
     "savefig.dpi": 140,
-    "figure.autolayout": False,
+    "figure.autolayout": False,  # each figure names its layout, and has none once it is laid out; see arrange
     "figure.constrained_layout.use": False,
 }
 SLIDE, PANEL, SMALL = (11.5, 5.6), (6.4, 4.6), (4.6, 3.8)  # inches
