@@ -1,5 +1,6 @@
 """The program of a lane: every kind of operation against plain XLA, random numbers bit for bit, and what is refused."""
 
+import itertools
 import warnings
 
 import jax
@@ -13,6 +14,7 @@ from dssc_jax.backend.lanes import CompiledLanes
 from dssc_jax.backend.llvm import module_text
 from dssc_jax.backend.needed import operation_counts
 from dssc_jax.backend.opposites import loops_of
+from dssc_jax.backend.order import ordered, users_of
 from dssc_jax.backend.translate import AXIS, translate
 from dssc_jax.backend.unsupported import Unsupported
 from tests.tolerances import ROUNDING
@@ -302,3 +304,42 @@ def test_what_has_no_translation_is_named_and_runs_anyway():
     with pytest.warns(forms.KernelWarning, match="no machine code for 'sort' in sorts"):
         start = forms.compiled("lanes", sorts, ["a"], LANES, None, None)
     np.testing.assert_array_equal(start(values, index)()["largest"], np.maximum(X, 1.0))
+
+
+def chains(x, y):
+    """Many quotients in two chains, a branch and a loop that read them, and a recording."""
+    a, b = x, y
+    for n in range(40):
+        a = 1.0 / (a * a + n + 1.0)
+    for n in range(40):
+        b = 1.0 / (b * b + n + 2.0)
+    c = jax.lax.cond(a > b, lambda: jnp.exp(a), lambda: jnp.sqrt(b))
+    last, several = jax.lax.scan(lambda s, k: (0.5 * s + c, s * b + k), a, jnp.arange(5.0))
+    return last * a - b, several
+
+
+@pytest.mark.parametrize("window", [0, 5, 1000])
+def test_the_order_of_nodes_keeps_operands_first(window):
+    scalar = jax.ShapeDtypeStruct((), np.float64)
+    nodes = translate(chains, scalar, scalar)[0].body.nodes
+    order = ordered(nodes, window)
+    assert sorted(map(id, order)) == sorted(map(id, nodes))
+    assert [id(node) for node in ordered(nodes, 0)] == [id(node) for node in nodes]
+    place = {id(node): i for i, node in enumerate(order)}
+    for i, several in enumerate(users_of(nodes)):
+        assert all(place[id(nodes[i])] < place[id(nodes[user])] for user in several)
+    for i, node in enumerate(order):
+        assert nodes.index(node) - i <= window
+    assert sum(map(len, users_of(nodes))) > len(nodes)
+
+
+def test_chains_that_do_not_wait_for_each_other_alternate():
+    scalar = jax.ShapeDtypeStruct((), np.float64)
+    nodes = translate(chains, scalar, scalar)[0].body.nodes
+
+    def turns(order):
+        quotients = [nodes.index(node) for node in order if getattr(node, "operation", "") == "div"]
+        return sum((one < 100) != (other < 100) for one, other in itertools.pairwise(quotients))
+
+    assert turns(nodes) <= 2
+    assert turns(ordered(nodes, 1000)) > 40

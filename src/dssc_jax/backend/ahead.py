@@ -5,12 +5,12 @@ values would cost as much as all lanes of a vector. If the uniform state of a lo
 values of the next :data:`TURNS` turns. They are stored, and each turn reads its own.
 """
 
-from collections.abc import Iterator, Set
+from collections.abc import Set
 from dataclasses import dataclass
-from typing import Any
 
 from dssc_jax.backend.instructions import Instructions, scalar_type, stored_type
-from dssc_jax.backend.program import BOOL, Branch, CodeBlock, CodeLoop, Record, Value
+from dssc_jax.backend.order import ordered
+from dssc_jax.backend.program import BOOL, Branch, CodeLoop, Record, Value, all_blocks, read_by
 
 TURNS = 8
 WORTHWHILE = 12  # uniform operations in a turn that are worth it
@@ -38,7 +38,8 @@ def planned(loop: CodeLoop, alive: Set[int]) -> AheadPlan | None:
         loop: The loop.
         alive: Identities of the values that are needed.
     """
-    nodes = list(needed_nodes(loop.body, alive))
+    inside = [node for block in all_blocks(loop.body) for node in block.nodes]
+    nodes = [node for node in inside if isinstance(node, Record) or id(node) in alive]
     if any(isinstance(node, CodeLoop) for node in nodes):
         return None
     if any(not value.varying for node in nodes if isinstance(node, Branch) for value in node.results):
@@ -57,24 +58,6 @@ def planned(loop: CodeLoop, alive: Set[int]) -> AheadPlan | None:
     return AheadPlan(counters, values, [value for value in known if id(value) in read])
 
 
-def needed_nodes(block: CodeBlock, alive: Set[int]) -> Iterator[Any]:
-    """What is needed of a block, and of the branches in it."""
-    for node in block.nodes:
-        if isinstance(node, Record) or id(node) in alive:
-            yield node
-            for side in node.sides if isinstance(node, Branch) else ():
-                yield from needed_nodes(side, alive)
-
-
-def read_by(node: Value | Record | Branch) -> tuple[Value, ...]:
-    """What an operation, a record or a branch reads; not what is read within the branch."""
-    if isinstance(node, Value):
-        return node.operands
-    if isinstance(node, Record):
-        return node.position, node.value
-    return node.condition, *node.values[0], *node.values[1]
-
-
 def step(loop: CodeLoop, position: int) -> int:
     """By how much a state grows in every turn; 0 if it does something else."""
     state, then = loop.states[position], loop.then[position]
@@ -91,11 +74,12 @@ class Ahead(Instructions):
     Args:
         lanes: Where the instructions of the lanes are written; both go to the same lines.
         chosen: What to compute.
+        window: See :func:`~dssc_jax.backend.order.ordered`.
     """
 
-    def __init__(self, lanes: Instructions, chosen: AheadPlan) -> None:
+    def __init__(self, lanes: Instructions, chosen: AheadPlan, window: int) -> None:
         super().__init__(TURNS, lanes.flags, lanes.lines, lanes.tables, {}, lanes.declared)
-        self.lanes, self.chosen, self.buffers = lanes, chosen, dict[int, str]()
+        self.lanes, self.chosen, self.window, self.buffers = lanes, chosen, window, dict[int, str]()
 
     def fresh(self, prefix: str = "v") -> str:
         """A new name."""
@@ -119,7 +103,7 @@ class Ahead(Instructions):
             later = ", ".join(f"{scalar} {growth * turn}" for turn in range(TURNS))
             start = self.repeated(state.dtype, self.lanes.read(state, False))
             self.names[id(state), True] = self.emit(f"add {self.kind(state.dtype, True)} {start}, <{later}>")
-        for value in self.chosen.values:
+        for value in ordered(self.chosen.values, self.window):
             self.name(value, self.value(value))
         for value in self.chosen.wanted:
             register, dtype = self.names[id(value), True], stored_type(value.dtype)

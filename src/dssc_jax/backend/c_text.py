@@ -7,14 +7,14 @@ a statement of its own; so does what is needed twice, and what would make a line
 
 import re
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from dssc_jax.backend.c_operations import ATOM, UNARY, Notation, c_literal, c_type
 from dssc_jax.backend.needed import reachable
 from dssc_jax.backend.origins import Origin
-from dssc_jax.backend.program import Branch, CodeBlock, CodeLoop, Program, Value
+from dssc_jax.backend.program import Branch, CodeBlock, CodeLoop, Program, Value, all_blocks, read_by
 from dssc_jax.backend.unsupported import Unsupported
 
 LONGEST_EXPRESSION = 88
@@ -217,28 +217,9 @@ def comment(text: str) -> list[str]:
 def use_counts(program: Program) -> dict[int, int]:
     """How often each value is an operand of what is needed, or an output; more than once within a deeper block."""
     alive, counts = reachable(program), dict.fromkeys((id(value) for value in program.outputs), 1)
-    for block in blocks_of(program.body):
+    for block in all_blocks(program.body):
         for node in block.nodes:
             if id(node) in alive:
-                for operand in operands_of(node):
+                for operand in read_by(node):
                     counts[id(operand)] = counts.get(id(operand), 0) + (1 if operand.block is block else 2)
     return counts
-
-
-def operands_of(node: object) -> list[Value]:
-    """The values that a value, loop or branch reads."""
-    if isinstance(node, CodeLoop):
-        ends = [value for value in (node.guard, node.again) if value is not None]
-        return [*node.begin, *node.then, *ends]
-    if isinstance(node, Branch):
-        return [node.condition, *node.values[0], *node.values[1]]
-    return list(node.operands) if isinstance(node, Value) else []
-
-
-def blocks_of(block: CodeBlock) -> Iterator[CodeBlock]:
-    """A block and all within it."""
-    yield block
-    for node in block.nodes:
-        inner = [node.body] if isinstance(node, CodeLoop) else node.sides if isinstance(node, Branch) else ()
-        for each in inner:
-            yield from blocks_of(each)

@@ -22,9 +22,12 @@ from dssc_jax.backend.program import Program, Recording
 from dssc_jax.backend.translate import translate
 from dssc_jax.cache.user_cache import kept, remembered
 
-VECTORS = {512: ((1500, 4), (math.inf, 2)), 256: ((750, 4), (2000, 2), (math.inf, 1))}
+VECTORS = {512: ((750, 4), (math.inf, 2)), 256: ((750, 4), (2000, 2), (math.inf, 1))}
 """Bits of a hardware vector: operations of a program, and how many hardware vectors make a vector of lanes for programs
 below that, as measured. Processors with 512 bits have twice as many registers."""
+
+LOOK_AHEAD = 300
+"""Instructions by which one may come earlier than in the trace: what a processor has under way at a time."""
 
 MANY_XORS = 100
 """Exclusive ors of a program that draws random numbers, in chains where each operation waits for the one before."""
@@ -60,7 +63,7 @@ class TracedLanes:
         if not strict:
             join_opposites(self.program)
         width = width or best_width(self.program)
-        self.text = module_text(self.program, width, strict)
+        self.text = module_text(self.program, width, strict, LOOK_AHEAD // hardware_vectors(self.program, width))
         outputs = ((each.dtype, each.length if isinstance(each, Recording) else None) for each in self.program.outputs)
         empty = jax.tree.map(lambda _: 0, results)
         code = machine.code_name(self.text)
@@ -159,4 +162,14 @@ def best_width(program: Program) -> int:
     vectors = next(vectors for limit, vectors in VECTORS[max(bits, 256)] if size < limit)
     if counts.get("xor", 0) > MANY_XORS:
         vectors = max(vectors, 2)
-    return vectors * bits // (8 * max(dtype.itemsize for dtype in program.inputs))
+    return vectors * bits // number_bits(program)
+
+
+def number_bits(program: Program) -> int:
+    """Bits of the longest number that a lane is given."""
+    return 8 * max(dtype.itemsize for dtype in program.inputs)
+
+
+def hardware_vectors(program: Program, width: int) -> int:
+    """Hardware vectors, at most, that hold a value of all lanes of a vector."""
+    return max(1, width * number_bits(program) // machine.vector_bits())

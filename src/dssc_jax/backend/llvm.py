@@ -5,10 +5,12 @@ else is assumed: a NaN is an outcome. Strict arithmetic does neither.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 from dssc_jax.backend.ahead import TURNS, Ahead, AheadPlan, planned
 from dssc_jax.backend.instructions import FAST, STRICT, Instructions, scalar_type, stored_type
 from dssc_jax.backend.needed import reachable
+from dssc_jax.backend.order import ordered
 from dssc_jax.backend.program import BOOL, Branch, CodeBlock, CodeLoop, Program, Record, Value
 
 ENTRY_POINT = "lanes"
@@ -21,11 +23,12 @@ class Emitter(Instructions):
         program: The program.
         width: Lanes of a vector.
         strict: Whether the arithmetic is strict.
+        window: See :func:`~dssc_jax.backend.order.ordered`.
     """
 
-    def __init__(self, program: Program, width: int, strict: bool = False) -> None:
+    def __init__(self, program: Program, width: int, strict: bool = False, window: int = 100) -> None:
         super().__init__(width, STRICT if strict else FAST)
-        self.program, self.label = program, "entry"
+        self.program, self.window, self.label = program, window, "entry"
         self.alive = reachable(program)
         self.allocated: list[str] = []
         self.computed: set[int] = set()
@@ -63,17 +66,20 @@ class Emitter(Instructions):
 
     def block(self, block: CodeBlock) -> None:
         """All that a block computes and that is needed."""
-        for node in block.nodes:
+        needed = [node for node in block.nodes if isinstance(node, Record) or self.is_needed(node)]
+        for node in ordered(needed, self.window):
             if isinstance(node, Record):
                 self.record(node)
-            elif id(node) not in self.alive or id(node) in self.computed:
-                continue
             elif isinstance(node, Value):
                 self.name(node, self.value(node))
             elif isinstance(node, CodeLoop):
                 self.loop(node)
             else:
                 self.branch(node)
+
+    def is_needed(self, node: Any) -> bool:
+        """Whether a result depends on a node, and it is not yet computed."""
+        return id(node) in self.alive and id(node) not in self.computed
 
     def begin(self, label: str) -> None:
         """Start a basic block."""
@@ -120,7 +126,7 @@ class Emitter(Instructions):
     def turns(self, loop: CodeLoop, chosen: AheadPlan, alive: Sequence[int]) -> str:
         """Several turns of a loop, with their uniform values computed ahead; whether it goes on after the last."""
         inner, out, before = self.fresh("turn"), self.fresh("out"), self.label
-        ahead = Ahead(self, chosen)
+        ahead = Ahead(self, chosen, self.window)
         ahead.write(loop)
         self.allocated += ahead.allocations()
         self.computed |= {id(value) for value in chosen.values}
@@ -227,6 +233,6 @@ class Emitter(Instructions):
         self.write(column, self.emit(f"add i64 {start}, {offset}"), record.value, True)
 
 
-def module_text(program: Program, width: int, strict: bool = False) -> str:
-    """The text of a module with the function of a program."""
-    return Emitter(program, width, strict).text()
+def module_text(program: Program, width: int, strict: bool = False, window: int = 100) -> str:
+    """The text of a module with the function of a program; arguments as of :class:`Emitter`."""
+    return Emitter(program, width, strict, window).text()

@@ -37,6 +37,16 @@ def available_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+@cache
+def scheduling_model() -> str:
+    """The processor whose latencies LLVM takes for ordering instructions.
+
+    That of x86-64 executes them in order. With this model, LLVM puts what does not wait between what waits, as
+    :mod:`dssc_jax.backend.order` does; with others it often restores the order of the text.
+    """
+    return "atom" if llvm.get_process_triple().startswith("x86_64") else llvm.get_host_cpu_name()
+
+
 def code_settings() -> list[str]:
     """What decides the machine code of a program: LLVM's version and the processor."""
     return [f"llvm {'.'.join(map(str, llvm.llvm_version_info))}", f"processor {llvm.get_host_cpu_name()}"]
@@ -48,7 +58,7 @@ def target_machine() -> Any:
     llvm.initialize_native_asmprinter()
     features = llvm.get_host_cpu_features().flatten()
     return llvm.Target.from_default_triple().create_target_machine(
-        cpu=llvm.get_host_cpu_name(), features=features, opt=CODE_LEVEL, reloc="default", codemodel="jitdefault"
+        cpu=scheduling_model(), features=features, opt=CODE_LEVEL, reloc="default", codemodel="jitdefault"
     )
 
 
@@ -71,7 +81,7 @@ def code_name(text: str) -> str:
 def translator() -> tuple[str, ...]:
     """What decides the machine code of a module's text: LLVM, and the processor with its features."""
     features = llvm.get_host_cpu_features().flatten()
-    return llvmlite.__version__, str(llvm.llvm_version_info), llvm.get_host_cpu_name(), features, str(CODE_LEVEL)
+    return llvmlite.__version__, str(llvm.llvm_version_info), scheduling_model(), features, str(CODE_LEVEL)
 
 
 def object_code(text: str) -> bytes:

@@ -1,9 +1,19 @@
 """What of a program its results depend on."""
 
-from collections.abc import Iterable
+from collections import Counter
 from typing import Any
 
-from dssc_jax.backend.program import Branch, CodeBlock, CodeLoop, Program, Record, Recording, Value
+from dssc_jax.backend.program import (
+    Branch,
+    CodeBlock,
+    CodeLoop,
+    Program,
+    Record,
+    Recording,
+    Value,
+    all_blocks,
+    inner_blocks,
+)  # fmt: skip
 
 
 def reachable(program: Program) -> set[int]:
@@ -41,25 +51,12 @@ def collect_records(block: CodeBlock, around: tuple[Any, ...], records: dict[int
     for node in block.nodes:
         if isinstance(node, Record):
             records.setdefault(id(node.recording), []).extend([node, *around])
-        elif isinstance(node, CodeLoop):
-            collect_records(node.body, (*around, node), records)
-        elif isinstance(node, Branch):
-            for side in node.sides:
-                collect_records(side, (*around, node), records)
+        for inner in inner_blocks(node):
+            collect_records(inner, (*around, node), records)
 
 
 def operation_counts(program: Program) -> dict[str, int]:
-    """How often each operation occurs among the values that are needed, for those who look at a program."""
-    alive, counts = reachable(program), {}
-
-    def visit(nodes: Iterable[Any]) -> None:
-        for node in nodes:
-            if isinstance(node, Value) and id(node) in alive:
-                counts[node.operation] = counts.get(node.operation, 0) + 1
-            elif isinstance(node, CodeLoop):
-                visit(node.body.nodes)
-            elif isinstance(node, Branch):
-                visit([*node.sides[0].nodes, *node.sides[1].nodes])
-
-    visit(program.body.nodes)
-    return counts
+    """How often each operation occurs among the values that are needed."""
+    alive = reachable(program)
+    nodes = (node for block in all_blocks(program.body) for node in block.nodes)
+    return dict(Counter(node.operation for node in nodes if isinstance(node, Value) and id(node) in alive))

@@ -6,7 +6,7 @@ No loop needs to carry both. Zeros may change their sign by it, so this is for f
 from collections.abc import Iterator
 from itertools import permutations
 
-from dssc_jax.backend.program import Branch, CodeBlock, CodeLoop, Program, Value
+from dssc_jax.backend.program import CodeBlock, CodeLoop, Program, Value, all_blocks
 
 Pair = tuple[int, int, int]
 """Identity of a loop, position of a state, position of its negative."""
@@ -14,7 +14,7 @@ Pair = tuple[int, int, int]
 
 def join_opposites(program: Program) -> None:
     """Change a program so that no loop carries a state and its negative."""
-    loops = list(loops_of(program.body))
+    loops = loops_of(program.body)
     holding = opposite_pairs(loops)
     for loop in loops:
         negatives: dict[int, int] = {}
@@ -69,15 +69,9 @@ def turns_behind(loop: CodeLoop, position: int) -> int:
     return len(passed)
 
 
-def loops_of(block: CodeBlock) -> Iterator[CodeLoop]:
+def loops_of(block: CodeBlock) -> list[CodeLoop]:
     """All loops within a block."""
-    for node in block.nodes:
-        if isinstance(node, CodeLoop):
-            yield node
-            yield from loops_of(node.body)
-        elif isinstance(node, Branch):
-            for side in node.sides:
-                yield from loops_of(side)
+    return [node for inner in all_blocks(block) for node in inner.nodes if isinstance(node, CodeLoop)]
 
 
 def opposite(one: Value, other: Value) -> bool | Pair:

@@ -9,7 +9,7 @@ operation joins the outermost block in which its operands are known, so that not
 not change there. Only a branch keeps its operations, because it exists to skip them.
 """
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -150,6 +150,34 @@ class Program:
     inputs: list[np.dtype]
     body: CodeBlock
     outputs: list[Value | Recording]
+
+
+def inner_blocks(node: Any) -> tuple[CodeBlock, ...]:
+    """The blocks of a loop or branch; other nodes have none."""
+    if isinstance(node, CodeLoop):
+        return (node.body,)
+    return node.sides if isinstance(node, Branch) else ()
+
+
+def all_blocks(block: CodeBlock) -> Iterator[CodeBlock]:
+    """A block and all within it."""
+    yield block
+    for node in block.nodes:
+        for inner in inner_blocks(node):
+            yield from all_blocks(inner)
+
+
+def read_by(node: Any) -> list[Value]:
+    """The values that a node reads; not what its blocks read."""
+    match node:
+        case Value():
+            return list(node.operands)
+        case Record():
+            return [node.position, node.value]
+        case Branch():
+            return [node.condition, *node.values[0], *node.values[1]]
+    ends = [value for value in (node.guard, node.again) if value is not None]
+    return [*node.begin, *node.then, *ends]
 
 
 class Builder:
