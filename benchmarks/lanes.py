@@ -1,15 +1,17 @@
 """``python -m benchmarks.lanes PART..``: machine code of lanes against plain XLA, and what compiling takes.
 
 Parts: ``packaged`` (deviation over every packaged study), ``random`` (over 200 random studies), ``compiling`` (seconds
-from a study to machine code, each in a process of its own without a cache, and the rate of a noisy study). Each writes
-its part of docs/lanes.md.
+from a study to machine code, each in a process of its own without a cache, and the rate of a noisy study), ``vehicle``
+(what the vehicle's program and code consist of). Each writes its part of docs/lanes.md.
 """
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 from statistics import median
@@ -22,9 +24,13 @@ import xarray as xr
 import dssc_jax as dj
 from benchmarks.page import put
 from dssc_jax.backend import machine
+from dssc_jax.backend.lanes import TracedLanes
+from dssc_jax.backend.needed import reachable
+from dssc_jax.backend.opposites import loops_of
+from dssc_jax.backend.program import Value, all_blocks
 from dssc_jax.cache.user_cache import CACHE_VARIABLE
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.engine.batching import Engine, drawn, evaluate
+from dssc_jax.engine.batching import Engine, drawn, evaluate, simulated
 from dssc_jax.engine.reference import agreement, computed_again
 from dssc_jax.study.library import available_studies
 
@@ -188,7 +194,50 @@ def noisy_share() -> float:
     return median(one / other for one, other in zip(*seconds, strict=True))
 
 
-PARTS = {"packaged": packaged, "random": random_ones, "compiling": compiling}
+def vehicle() -> str:
+    """What the vehicle's program consists of, and its code for one and two hardware vectors of lanes."""
+    study = dj.Study.load(VEHICLE)
+    with jax.enable_x64(True):
+        arguments = dict.fromkeys(study.laws, jax.ShapeDtypeStruct((), np.float64)), jax.ShapeDtypeStruct((), np.uint32)
+        one, two = (TracedLanes(simulated(study), arguments, n * machine.vector_bits() // 64, False) for n in (1, 2))
+    alive, loop = reachable(one.program), loops_of(one.program.body)[-1]
+    nodes = [node for block in all_blocks(loop.body) for node in block.nodes if id(node) in alive]
+    values = [node for node in nodes if isinstance(node, Value)]
+    counts = Counter(value.operation for value in values if value.varying)
+    lanes = f"{one.signature.width} and {two.signature.width} lanes"
+    codes = [Counter(map(kind_of_move, instructions(machine.assembly(each.text)))) for each in (one, two)]
+    rows = [
+        ["operations of a sample that differ between lanes", f"{counts.total():,}"],
+        ["products, sums, quotients, roots among them",
+         f"{counts['mul']:,}, {counts['add'] + counts['sub']:,}, {counts['div']}, {counts['sqrt']}"],
+        ["uniform operations of a sample, 8 samples at a time", str(sum(not value.varying for value in values))],
+        ["states of the time loop", str(sum(id(state) in alive for state in loop.states))],
+        ["lines of LLVM's text", f"{len(one.text.splitlines()):,}"],
+        [f"instructions, {lanes}", " and ".join(f"{code.total():,}" for code in codes)],
+        ["of these, stores of vectors on the stack", " and ".join(f"{code['store']:,}" for code in codes)],
+        ["loads of vectors from the stack", " and ".join(f"{code['load']:,}" for code in codes)],
+        ["bytes of the object file", " and ".join(f"{len(machine.object_code(each.text)):,}" for each in (one, two))],
+    ]  # fmt: skip
+    return (
+        "`benchmarks/speed/uav.toml`, Runge-Kutta of order 4, float64, 3 metrics of each channel, with vectors of\n"
+        f"{machine.vector_bits()} bits:\n\n" + table(["", ""], rows)
+    )
+
+
+def instructions(assembly: str) -> list[str]:
+    """The instructions of a listing."""
+    return [line.strip() for line in assembly.splitlines() if re.match(r"\t[a-z]", line)]
+
+
+def kind_of_move(instruction: str) -> str:
+    """Whether an instruction of x86-64 only moves a vector to or from the stack."""
+    if not re.match(r"vmov\w+\t.*mm\d", instruction):
+        return "other"
+    source, _, target = instruction.rpartition(", ")
+    return "store" if "(%rsp)" in target else "load" if "(%rsp)" in source else "other"
+
+
+PARTS = {"vehicle": vehicle, "packaged": packaged, "random": random_ones, "compiling": compiling}
 
 
 def main(arguments: list[str]) -> None:

@@ -1,9 +1,10 @@
 """``make bench``: our engine against other programs for the same loops, and how it grows, into docs/performance.md."""
 
 import argparse
+import os
 from pathlib import Path
 
-from benchmarks.speed import others, page, scaling
+from benchmarks.speed import narrow, others, page, scaling
 from benchmarks.speed.contest import OURS, SIZES, C, available, contest
 from benchmarks.speed.workloads import CASES, Case
 
@@ -15,9 +16,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, prog="python -m benchmarks.speed")
     parser.add_argument("--quick", action="store_true", help="three loops in three rounds; leaves the page alone")
     parser.add_argument("--with-c", action="store_true", help="ours and C alone, for the page's part on this processor")
+    parser.add_argument(
+        "--narrow", action="store_true", help="with --with-c, without AVX-512 on a processor that has it"
+    )
     parser.add_argument("--rounds", type=int, default=9, help="turns of each program (9)")
     parser.add_argument("--simulators", type=Path, metavar="PYTHON", help="a Python that has crazyflow or RotorPy")
     options = parser.parse_args()
+    if options.narrow:
+        os.environ[narrow.VARIABLE] = "1"  # for the contenders' processes
     rounds = 3 if options.quick else options.rounds
     programs = [OURS, C] if options.with_c else available()
     contests = {}
@@ -25,7 +31,7 @@ def main() -> None:
         contests[case] = contest(case, programs, *SIZES[case.loop], rounds, at_once=options.quick)
         print(page.brief(case, contests[case]), flush=True)
     if options.with_c:
-        page.write_with_c(contests)
+        page.write_with_c(contests, narrow=options.narrow)
     if options.quick or options.with_c:
         return
     print("growth, a mission, the start of commands, other simulators", flush=True)

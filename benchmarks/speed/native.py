@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.speed import narrow
 from benchmarks.speed.workloads import Found, Task, agree
 
 SOURCES = Path(__file__).parent / "c"
-COMMON = ("-O3", "-march=native", "-pthread", "-shared", "-fPIC", f"-I{SOURCES}")
+COMMON = ("-O3", "-march=native", *narrow.FLAGS, "-pthread", "-shared", "-fPIC", f"-I{SOURCES}")
 STRICT = ("-fno-math-errno", "-fno-trapping-math")
 LOOSE = ("-ffast-math",)
 TRIALS = 5
@@ -34,6 +35,8 @@ def version() -> str:
 
 def vector_bytes() -> int:
     """Bytes of this machine's vectors."""
+    if narrow.WANTED:
+        return 32
     flags = Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else ""
     return 64 if " avx512f" in flags else 32 if " avx" in flags else 16
 

@@ -230,7 +230,8 @@ In `jit(vmap(scan))`, each fused kernel of a step recomputes values that several
 fusion, the state of all draws is in memory{plain_shares(found.contests)}. In the column "one device",
 one device simulates all the draws.
 
-`python -m benchmarks.speed --with-c` lets dssc_jax and C alone take turns, on another kind of processor too:
+`python -m benchmarks.speed --with-c` lets dssc_jax and C alone take turns, on another kind of processor too; with
+`--narrow`, both leave AVX-512 alone:
 
 {stored_part(WITH_C, DOCS / "performance.md")}
 
@@ -309,10 +310,13 @@ def write(found: Everything, to: Path = DOCS / "performance.md") -> None:
     to.write_text(page(found), encoding="utf-8")
 
 
-def write_with_c(contests: dict[Case, dict[str, Measured]], to: Path = DOCS / "performance.md") -> None:
-    """The part of the page that compares two programs, for this machine's processor."""
+def write_with_c(
+    contests: dict[Case, dict[str, Measured]], narrow: bool = False, to: Path = DOCS / "performance.md"
+) -> None:
+    """The part of the page that compares two programs, for this machine's processor, perhaps without AVX-512."""
+    vectors = "256 bits, on a processor that could do 512" if narrow else f"{vector_bits()} bits"
     lines = [
-        f"Millions of lane-steps per second with vectors of {vector_bits()} bits:",
+        f"Millions of lane-steps per second with vectors of {vectors}:",
         "",
         "| | C | dssc_jax | ours over C |",
         "|---|---|---|---|",

@@ -16,6 +16,7 @@ BORN = time.time()
 
 import numpy as np  # noqa: E402  (the clock first)
 
+from benchmarks.speed import narrow  # noqa: E402
 from benchmarks.speed.workloads import Case, Found, Task, task  # noqa: E402
 
 
@@ -80,6 +81,8 @@ FORMS = {"engine": engine, "scan": scan, "unfused": unfused, "c": c, "numba": nu
 
 
 def main(form: str, loop: str, integrator: str, bits: str, draws: str, seconds: str) -> None:
+    if narrow.WANTED:
+        narrow.narrow()
     work = task(Case(loop, integrator, int(bits)), int(draws), float(seconds))
     program, compiling = FORMS[form](work)
     program()

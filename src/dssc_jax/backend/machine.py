@@ -38,6 +38,12 @@ def available_cores() -> int:
 
 
 @cache
+def features() -> Any:
+    """What this processor can do, by LLVM's names: a dictionary of truth values."""
+    return llvm.get_host_cpu_features()
+
+
+@cache
 def scheduling_model() -> str:
     """The processor whose latencies LLVM takes for ordering instructions.
 
@@ -56,18 +62,16 @@ def target_machine() -> Any:
     """A description of this processor for LLVM; an engine takes it over."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
-    features = llvm.get_host_cpu_features().flatten()
     return llvm.Target.from_default_triple().create_target_machine(
-        cpu=scheduling_model(), features=features, opt=CODE_LEVEL, reloc="default", codemodel="jitdefault"
+        cpu=scheduling_model(), features=features().flatten(), opt=CODE_LEVEL, reloc="default", codemodel="jitdefault"
     )
 
 
 @cache
 def vector_bits() -> int:
     """Bits of this processor's widest vectors that LLVM knows how to use."""
-    features = llvm.get_host_cpu_features()
     for name, bits in (("avx512f", 512), ("avx", 256)):
-        if features.get(name):
+        if features().get(name):
             return bits
     return 128
 
@@ -80,8 +84,8 @@ def code_name(text: str) -> str:
 @cache
 def translator() -> tuple[str, ...]:
     """What decides the machine code of a module's text: LLVM, and the processor with its features."""
-    features = llvm.get_host_cpu_features().flatten()
-    return llvmlite.__version__, str(llvm.llvm_version_info), scheduling_model(), features, str(CODE_LEVEL)
+    model, instructions = scheduling_model(), features().flatten()
+    return llvmlite.__version__, str(llvm.llvm_version_info), model, instructions, str(CODE_LEVEL)
 
 
 def object_code(text: str) -> bytes:
