@@ -48,6 +48,13 @@ def drawings(swept, one, flown):
     }
 
 
+def test_numbers_of_32_bits_are_drawn(one):
+    short = copy.copy(one)
+    short.dataset = one.dataset.astype("float32")
+    for figure in (dj.plot.distribution(short), dj.plot.factor(short, "plant.k_p"), dj.plot.failures(short)):
+        assert all(ax.has_data() for ax in figure.axes)
+
+
 def test_panels_draw_into_given_axes_or_their_own(swept, one, flown):
     for name, draw in drawings(swept, one, flown).items():
         figure = Figure()

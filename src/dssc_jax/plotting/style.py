@@ -31,7 +31,7 @@ STYLE: dict[Any, Any] = {
     "figure.constrained_layout.use": False,
 }
 SLIDE, PANEL, SMALL = (11.5, 5.6), (6.4, 4.6), (4.6, 3.8)  # inches
-DRAWABLE = 1e100  # larger numbers overflow in matplotlib's axes
+DRAWABLE = np.float64(1e100)  # larger numbers overflow in matplotlib's axes; float32 would make a float infinite
 TITLE_DENSITY = 8.0  # characters of a title per inch
 LOG_SPAN = 8.0  # axes whose positive values span more than this ratio are logarithmic
 DrawingArguments = ParamSpec("DrawingArguments")
