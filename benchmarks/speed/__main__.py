@@ -22,6 +22,8 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=9, help="turns of each program (9)")
     parser.add_argument("--simulators", type=Path, metavar="PYTHON", help="a Python that has crazyflow or RotorPy")
     options = parser.parse_args()
+    if options.narrow and not options.with_c:
+        parser.error("--narrow needs --with-c")
     if options.narrow:
         os.environ[narrow.VARIABLE] = "1"  # for the contenders' processes
     rounds = 3 if options.quick else options.rounds

@@ -7,7 +7,7 @@ from dssc_jax.backend import machine
 VARIABLE = "DSSC_JAX_BENCHMARK_NARROW"
 WANTED = VARIABLE in os.environ
 FLAGS = ("-mno-avx512f",) if WANTED else ()
-"""Of GCC."""
+"""GCC's options for it."""
 
 
 def narrow() -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from dssc_jax.backend.instructions import Instructions, scalar_type, stored_type
 from dssc_jax.backend.order import ordered
-from dssc_jax.backend.program import BOOL, Branch, CodeLoop, Record, Value, all_blocks, read_by
+from dssc_jax.backend.program import BOOL, Branch, CodeLoop, Value, all_blocks, read_by
 
 TURNS = 8
 WORTHWHILE = 12  # uniform operations in a turn that are worth it
@@ -39,7 +39,7 @@ def planned(loop: CodeLoop, alive: Set[int]) -> AheadPlan | None:
         alive: Identities of the values that are needed.
     """
     inside = [node for block in all_blocks(loop.body) for node in block.nodes]
-    nodes = [node for node in inside if isinstance(node, Record) or id(node) in alive]
+    nodes = [node for node in inside if id(node) in alive]
     if any(isinstance(node, CodeLoop) for node in nodes):
         return None
     if any(not value.varying for node in nodes if isinstance(node, Branch) for value in node.results):

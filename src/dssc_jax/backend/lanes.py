@@ -27,7 +27,9 @@ VECTORS = {512: ((750, 4), (math.inf, 2)), 256: ((750, 4), (2000, 2), (math.inf,
 below that, as measured. Processors with 512 bits have twice as many registers."""
 
 LOOK_AHEAD = 300
-"""Instructions by which one may come earlier than in the trace: what a processor has under way at a time."""
+"""Instructions by which one may come earlier than in the trace: about as many as a processor has under way.
+
+An operation is one instruction for each hardware vector."""
 
 MANY_XORS = 100
 """Exclusive ors of a program that draws random numbers, in chains where each operation waits for the one before."""
@@ -167,9 +169,9 @@ def best_width(program: Program) -> int:
 
 def number_bits(program: Program) -> int:
     """Bits of the longest number that a lane is given."""
-    return 8 * max(dtype.itemsize for dtype in program.inputs)
+    return 8 * max((dtype.itemsize for dtype in program.inputs), default=8)
 
 
 def hardware_vectors(program: Program, width: int) -> int:
-    """Hardware vectors, at most, that hold a value of all lanes of a vector."""
+    """Hardware vectors that hold the longest input of all lanes of a vector; 1 if it is shorter."""
     return max(1, width * number_bits(program) // machine.vector_bits())

@@ -26,7 +26,7 @@ class Emitter(Instructions):
         window: See :func:`~dssc_jax.backend.order.ordered`.
     """
 
-    def __init__(self, program: Program, width: int, strict: bool = False, window: int = 100) -> None:
+    def __init__(self, program: Program, width: int, strict: bool, window: int) -> None:
         super().__init__(width, STRICT if strict else FAST)
         self.program, self.window, self.label = program, window, "entry"
         self.alive = reachable(program)
@@ -66,8 +66,7 @@ class Emitter(Instructions):
 
     def block(self, block: CodeBlock) -> None:
         """All that a block computes and that is needed."""
-        needed = [node for node in block.nodes if isinstance(node, Record) or self.is_needed(node)]
-        for node in ordered(needed, self.window):
+        for node in ordered([node for node in block.nodes if self.is_needed(node)], self.window):
             if isinstance(node, Record):
                 self.record(node)
             elif isinstance(node, Value):
@@ -173,8 +172,8 @@ class Emitter(Instructions):
         condition = self.read(branch.condition, varying)
         sides = []
         for number, (block, values) in enumerate(zip(branch.sides, branch.values, strict=True)):
-            if any(isinstance(node, Record) or id(node) in self.alive for node in block.nodes):
-                mask = self.opposite(condition, varying) if number else condition
+            if any(id(node) in self.alive for node in block.nodes):
+                mask = self.inverted(condition, varying) if number else condition
                 wanted = {i: (values[i], result.varying) for i, result in alive.items()}
                 sides.append(self.side(self.any(mask) if varying else mask, block, wanted))
             else:  # its values are known before
@@ -184,7 +183,7 @@ class Emitter(Instructions):
             chooser = f"{self.kind(BOOL, varying)} {condition}"
             self.name(result, self.emit(f"select {chooser}, {kind} {sides[0][i]}, {kind} {sides[1][i]}"))
 
-    def opposite(self, condition: str, wide: bool) -> str:
+    def inverted(self, condition: str, wide: bool) -> str:
         """Where a condition does not hold."""
         return self.emit(f"xor {self.kind(BOOL, wide)} {condition}, {'splat (i1 true)' if wide else 'true'}")
 
@@ -222,17 +221,15 @@ class Emitter(Instructions):
 
     def record(self, record: Record) -> None:
         """Store an element of a recorded array: those of the lanes of a vector lie side by side."""
-        position = next(
-            (i for i, output in enumerate(self.program.outputs) if output is record.recording), None)  # fmt: skip
-        if position is None:
-            return
-        column = self.column("outputs", position)
         start = self.emit(f"mul i64 %lane, {record.recording.length}")
         index = self.emit(f"zext i32 {self.read(record.position, False)} to i64")
         offset = self.emit(f"mul i64 {index}, {self.width}")
-        self.write(column, self.emit(f"add i64 {start}, {offset}"), record.value, True)
+        element = self.emit(f"add i64 {start}, {offset}")
+        for position, output in enumerate(self.program.outputs):
+            if output is record.recording:
+                self.write(self.column("outputs", position), element, record.value, True)
 
 
-def module_text(program: Program, width: int, strict: bool = False, window: int = 100) -> str:
+def module_text(program: Program, width: int, strict: bool = False, window: int = 0) -> str:
     """The text of a module with the function of a program; arguments as of :class:`Emitter`."""
     return Emitter(program, width, strict, window).text()

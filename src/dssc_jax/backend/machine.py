@@ -45,16 +45,16 @@ def features() -> Any:
 
 @cache
 def scheduling_model() -> str:
-    """The processor whose latencies LLVM takes for ordering instructions.
+    """The processor for which LLVM chooses among the instructions that this one has, and orders them.
 
-    That of x86-64 executes them in order. With this model, LLVM puts what does not wait between what waits, as
-    :mod:`dssc_jax.backend.order` does; with others it often restores the order of the text.
+    Atom executes them in order. For it, LLVM puts what does not wait between what waits, as
+    :mod:`dssc_jax.backend.order` does; for others it often restores the order of the text.
     """
     return "atom" if llvm.get_process_triple().startswith("x86_64") else llvm.get_host_cpu_name()
 
 
 def code_settings() -> list[str]:
-    """What decides the machine code of a program: LLVM's version and the processor."""
+    """What a manifest tells of the machine code: LLVM's version and the processor."""
     return [f"llvm {'.'.join(map(str, llvm.llvm_version_info))}", f"processor {llvm.get_host_cpu_name()}"]
 
 

@@ -47,7 +47,7 @@ def reachable(program: Program) -> set[int]:
 
 
 def collect_records(block: CodeBlock, around: tuple[Any, ...], records: dict[int, list[Any]]) -> None:
-    """The records of each recording, with the loops around them."""
+    """The records of each recording, with the loops and branches around them."""
     for node in block.nodes:
         if isinstance(node, Record):
             records.setdefault(id(node.recording), []).extend([node, *around])

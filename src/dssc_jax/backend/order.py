@@ -9,13 +9,14 @@ precedes it in the trace. The wider it is, the more values are alive at a time, 
 
 from collections.abc import Iterator, Sequence
 from heapq import heappop, heappush
+from itertools import chain
 from typing import Any
 
-from dssc_jax.backend.program import Branch, CodeLoop, Value, all_blocks, inner_blocks, read_by
+from dssc_jax.backend.program import Branch, CodeLoop, Value, inner_blocks, read_by
 
 CYCLES = {"add": 3, "sub": 3, "mul": 3, "div": 15, "sqrt": 20, "rem": 40, "lookup": 20}
 OTHER_CYCLES = 2
-AT_A_TIME = 2
+AT_A_TIME = 2  # operations that begin in a cycle
 
 
 def ordered(nodes: Sequence[Any], window: int) -> list[Any]:
@@ -23,28 +24,29 @@ def ordered(nodes: Sequence[Any], window: int) -> list[Any]:
 
     Args:
         nodes: Nodes in an order in which operands precede what reads them.
-        window: By how many places a node may come before an earlier one.
+        window: How many places beyond the first node that is not yet placed to look.
     """
     users = users_of(nodes)
     remaining = [0] * len(nodes)
     for i in reversed(range(len(nodes))):
         remaining[i] = cycles(nodes[i]) + max((remaining[user] for user in users[i]), default=0)
     missing = [0] * len(nodes)
-    for user in (user for several in users for user in several):
+    for user in chain.from_iterable(users):
         missing[user] += 1
 
     done, known_at = [False] * len(nodes), [0.0] * len(nodes)
-    known = [i for i in range(len(nodes)) if not missing[i]]  # three heaps: known at some time,
-    waiting: list[tuple[float, int, int]] = []  # and within the window,
-    ready: list[tuple[int, int]] = []  # and at this time
+    free = [i for i in range(len(nodes)) if not missing[i]]  # operands are placed; a heap by place
+    waiting: list[tuple[float, int, int]] = []  # and within the window; a heap by when its operands are known
+    ready: list[tuple[int, int]] = []  # and these are known; a heap by the cycles that remain
     order, first, now = [], 0, 0.0
     while len(order) < len(nodes):
         while done[first]:
             first += 1
-        while known and known[0] <= first + window:
-            i = heappop(known)
+        while free and free[0] <= first + window:
+            i = heappop(free)
             heappush(waiting, (known_at[i], -remaining[i], i))
-        now = now if ready else max(now, waiting[0][0])
+        if not ready:
+            now = max(now, waiting[0][0])
         while waiting and waiting[0][0] <= now:
             heappush(ready, heappop(waiting)[1:])
         _, i = heappop(ready)
@@ -54,7 +56,7 @@ def ordered(nodes: Sequence[Any], window: int) -> list[Any]:
             missing[user] -= 1
             known_at[user] = max(known_at[user], now + cycles(nodes[i]))
             if not missing[user]:
-                heappush(known, user)
+                heappush(free, user)
         now += 1.0 / AT_A_TIME
     return order
 
@@ -64,7 +66,7 @@ def users_of(nodes: Sequence[Any]) -> list[list[int]]:
     users: list[list[int]] = [[] for _ in nodes]
     maker = {id(value): i for i, node in enumerate(nodes) for value in made_by(node)}
     for i, node in enumerate(nodes):
-        for operand in {maker.get(id(value), i) for value in read_within(node)} - {i}:
+        for operand in {maker[id(value)] for value in read_within(node) if id(value) in maker}:
             users[operand].append(i)
     return users
 
@@ -79,9 +81,9 @@ def made_by(node: Any) -> Sequence[Value]:
 def read_within(node: Any) -> Iterator[Value]:
     """The values that a node and its blocks read."""
     yield from read_by(node)
-    inside = (block for inner in inner_blocks(node) for block in all_blocks(inner))
-    for inner in (inner for block in inside for inner in block.nodes):
-        yield from read_by(inner)
+    for block in inner_blocks(node):
+        for part in block.nodes:
+            yield from read_within(part)
 
 
 def cycles(node: Any) -> int:

@@ -126,7 +126,7 @@ class Record:
 
 @dataclass(eq=False, repr=False, slots=True)
 class Recording:
-    """An array that a loop writes and nobody reads within the program.
+    """An array that a loop writes, by one record, and nobody reads within the program.
 
     Args:
         length: Number of its elements.
@@ -176,8 +176,10 @@ def read_by(node: Any) -> list[Value]:
             return [node.position, node.value]
         case Branch():
             return [node.condition, *node.values[0], *node.values[1]]
-    ends = [value for value in (node.guard, node.again) if value is not None]
-    return [*node.begin, *node.then, *ends]
+        case CodeLoop():
+            ends = [value for value in (node.guard, node.again) if value is not None]
+            return [*node.begin, *node.then, *ends]
+    raise TypeError(node)
 
 
 class Builder:
