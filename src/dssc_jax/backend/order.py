@@ -2,7 +2,7 @@
 
 A processor looks for work among its next few hundred instructions only. In the order of the trace these often wait for
 each other, such as one stage of Runge-Kutta's method for the one before. List scheduling puts them in the order in
-which a machine would begin them that begins two in a cycle: a node comes as soon as its operands are known, and among
+which a machine would begin them that begins three in a cycle: a node comes as soon as its operands are known, and among
 several the one with the most cycles to the end of the block. The window limits how far a node comes before one that
 precedes it in the trace. The wider it is, the more values are alive at a time, and registers are few.
 """
@@ -16,7 +16,7 @@ from dssc_jax.backend.program import Branch, CodeLoop, Value, inner_blocks, read
 
 CYCLES = {"add": 3, "sub": 3, "mul": 3, "div": 15, "sqrt": 20, "rem": 40, "lookup": 20}
 OTHER_CYCLES = 2
-AT_A_TIME = 2  # operations that begin in a cycle
+AT_A_TIME = 3  # operations that begin in a cycle
 
 
 def ordered(nodes: Sequence[Any], window: int) -> list[Any]:
