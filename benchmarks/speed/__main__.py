@@ -7,6 +7,7 @@ from pathlib import Path
 from benchmarks.speed import narrow, others, page, scaling
 from benchmarks.speed.contest import OURS, SIZES, C, available, contest
 from benchmarks.speed.workloads import CASES, Case
+from dssc_jax.backend import machine
 
 QUICK = (Case("uav"), Case("uav", precision=32), Case("axis"))
 
@@ -24,6 +25,8 @@ def main() -> None:
     options = parser.parse_args()
     if options.narrow and not options.with_c:
         parser.error("--narrow needs --with-c")
+    if options.with_c and machine.vector_bits() not in page.WITH_C:
+        parser.error(f"the page has no part for vectors of {machine.vector_bits()} bits")
     if options.narrow:
         os.environ[narrow.VARIABLE] = "1"  # for the contenders' processes
     rounds = 3 if options.quick else options.rounds
