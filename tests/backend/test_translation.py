@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from dssc_jax.backend import forms
-from dssc_jax.backend.lanes import CompiledLanes
+from dssc_jax.backend.lanes import SHAPES, CompiledLanes, Shape
 from dssc_jax.backend.llvm import module_text
-from dssc_jax.backend.needed import operation_counts
+from dssc_jax.backend.needed import operation_counts, reachable
 from dssc_jax.backend.opposites import loops_of
 from dssc_jax.backend.order import ordered, users_of
 from dssc_jax.backend.translate import AXIS, translate
@@ -336,7 +336,8 @@ def test_the_order_of_nodes_keeps_operands_first(window):
 @pytest.mark.parametrize("window", [0, 40, 5000])
 def test_strict_results_do_not_depend_on_the_order(window, monkeypatch):
     plain = both(chains, X, Y, strict=True)[0]
-    monkeypatch.setattr("dssc_jax.backend.lanes.LOOK_AHEAD", window)
+    shape = Shape(np.inf, 1, window)
+    monkeypatch.setattr("dssc_jax.backend.lanes.SHAPES", dict.fromkeys(SHAPES, (shape,)))
     for one, other in zip(both(chains, X, Y, strict=True)[0], plain, strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -365,3 +366,36 @@ def test_chains_that_do_not_wait_for_each_other_alternate():
 
     assert turns(nodes) == 1
     assert turns(ordered(nodes, 1000)) > 70
+
+
+def falling(x, y):
+    """A loop whose divisor, and two of three factors, are known before it; one divisor is not."""
+
+    def turn(k, v):
+        return v / (1.0 + y * y) + (x * v) * y * 3.0 + 1.0 / (2.0 + v * v)
+
+    return jax.lax.fori_loop(0, 20, turn, 0.1 * x)
+
+
+def test_what_is_known_before_a_loop_is_divided_and_multiplied_before_it():
+    scalar = jax.ShapeDtypeStruct((), np.float64)
+
+    def in_loop(fast):
+        program, _ = translate(falling, scalar, scalar, fast=fast)
+        (loop,), needed = loops_of(program.body), reachable(program)
+        operations = [node.operation for node in loop.body.nodes if id(node) in needed]
+        return operations.count("div"), operations.count("mul")
+
+    assert in_loop(fast=False) == (2, 4)
+    assert in_loop(fast=True) == (1, 3)
+
+
+@pytest.mark.parametrize("strict", [True, False])
+def test_a_divisor_that_is_known_before_a_loop_may_be_zero_infinite_or_nan(strict):
+    divisors = np.array([0.0, -0.0, np.inf, np.nan, 1e300, -2.0, 1e-300])
+
+    def lane(x, y):
+        return jax.lax.fori_loop(0, 3, lambda k, v: (v + x) / y, x)
+
+    lanes, plain = both(lane, np.array([0.0, 1.0, 2.0, 3.0, 1.0, np.inf, 1e10]), divisors, strict=strict)
+    np.testing.assert_allclose(lanes, plain, rtol=ROUNDING)

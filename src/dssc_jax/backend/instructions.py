@@ -10,9 +10,6 @@ import numpy as np
 from dssc_jax.backend.program import BOOL, COMPARISONS, Value
 
 FAST, STRICT = "contract nsz ", ""
-REGROUPED = "reassoc "
-"""For products with a constant in fast arithmetic: the constants of a chain join. Sums and other products keep their
-order, on which cancellation and overflow depend."""
 FLOATS = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv", "rem": "frem"}
 INTEGERS = {"add": "add", "sub": "sub", "mul": "mul", "and": "and", "or": "or", "xor": "xor", "shl": "shl"}
 SIGNED = {"div": "sdiv", "rem": "srem", "shr": "ashr"}
@@ -155,24 +152,17 @@ class Instructions:
             return self.convert(operation, source, dtype, wide, names[0])
         if operation in ("max", "min"):
             return self.extreme(operation, value, wide, names)
-        divisor = value.operands[-1]
-        if operation == "div" and dtype.kind == "f" and divisor.operation == "constant" and self.flags == FAST:
-            inverse = literal(dtype.type(1.0) / divisor.detail, dtype)  # as XLA does
-            factor = f"splat ({scalar_type(dtype)} {inverse})" if wide else inverse
-            return self.emit(f"fmul {self.flags}{REGROUPED}{kind} {names[0]}, {factor}")
-        scaled = operation == "mul" and any(operand.operation == "constant" for operand in value.operands)
-        flags = self.flags + REGROUPED if scaled and self.flags == FAST else self.flags
-        return self.arithmetic(operation, dtype, wide, names, flags)
+        return self.arithmetic(operation, dtype, wide, names)
 
-    def arithmetic(self, operation: str, dtype: np.dtype, wide: bool, names: Sequence[str], flags: str) -> str:
+    def arithmetic(self, operation: str, dtype: np.dtype, wide: bool, names: Sequence[str]) -> str:
         """An operation with the type of its operands."""
         kind = self.kind(dtype, wide)
         if dtype.kind == "f":
             if operation == "neg":
-                return self.emit(f"fneg {flags}{kind} {names[0]}")
+                return self.emit(f"fneg {self.flags}{kind} {names[0]}")
             if operation in CALLED:
                 return self.call(f"llvm.{CALLED[operation]}.{self.suffix(dtype, wide)}", kind, (kind, names[0]))
-            return self.emit(f"{FLOATS[operation]} {flags}{kind} {names[0]}, {names[1]}")
+            return self.emit(f"{FLOATS[operation]} {self.flags}{kind} {names[0]}, {names[1]}")
         if operation == "neg":
             return self.emit(f"sub {kind} {self.zero(dtype, wide)}, {names[0]}")
         if operation == "abs":

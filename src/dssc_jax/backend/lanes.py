@@ -22,14 +22,28 @@ from dssc_jax.backend.program import Program, Recording
 from dssc_jax.backend.translate import translate
 from dssc_jax.cache.user_cache import kept, remembered
 
-VECTORS = {512: ((750, 4), (math.inf, 2)), 256: ((750, 4), (2000, 2), (math.inf, 1))}
-"""Bits of a hardware vector: operations of a program, and how many hardware vectors make a vector of lanes for programs
-below that, as measured. Processors with 512 bits have twice as many registers."""
 
-LOOK_AHEAD = 300
-"""Instructions by which one may come earlier than in the trace: about as many as a processor has under way.
+class Shape(NamedTuple):
+    """How the program of a lane becomes that of a vector of lanes.
 
-An operation is one instruction for each hardware vector."""
+    Args:
+        below: The shape is for programs of fewer operations.
+        vectors: Hardware vectors that make a vector of lanes: more hide the time that an operation takes, fewer leave
+            the state in registers.
+        window: See :func:`dssc_jax.backend.order.ordered`. A processor looks that far ahead, too; where many vectors
+            share the registers, operations that come early cost more than they gain.
+    """
+
+    below: float
+    vectors: int
+    window: int
+
+
+SHAPES = {
+    512: (Shape(750, 4, 30), Shape(math.inf, 2, 150)),
+    256: (Shape(750, 4, 120), Shape(2000, 2, 150), Shape(math.inf, 1, 300)),
+}
+"""Shapes by the bits of a hardware vector, as measured. Processors with 512 bits have twice as many registers."""
 
 MANY_XORS = 100
 """Exclusive ors of a program that draws random numbers, in chains where each operation waits for the one before."""
@@ -61,11 +75,12 @@ class TracedLanes:
     """
 
     def __init__(self, lane: Callable[..., Any], arguments: tuple[Any, ...], width: int | None, strict: bool) -> None:
-        self.program, results = translate(lane, *arguments)
+        self.program, results = translate(lane, *arguments, fast=not strict)
         if not strict:
             join_opposites(self.program)
-        width = width or best_width(self.program)
-        self.text = module_text(self.program, width, strict, LOOK_AHEAD // hardware_vectors(self.program, width))
+        shape = best_shape(self.program)
+        width = width or shape.vectors * machine.vector_bits() // number_bits(self.program)
+        self.text = module_text(self.program, width, strict, shape.window)
         outputs = ((each.dtype, each.length if isinstance(each, Recording) else None) for each in self.program.outputs)
         empty = jax.tree.map(lambda _: 0, results)
         code = machine.code_name(self.text)
@@ -157,21 +172,16 @@ class LaneBatch:
         return self._lanes.start((values, index), len(index), self._threads)
 
 
-def best_width(program: Program) -> int:
-    """Lanes of a vector: more hide the time that an operation takes, fewer leave the state in registers."""
-    bits, counts = machine.vector_bits(), operation_counts(program)
+def best_shape(program: Program) -> Shape:
+    """The shape for this processor by the size of a program."""
+    counts = operation_counts(program)
     size = sum(counts.values())
-    vectors = next(vectors for limit, vectors in VECTORS[max(bits, 256)] if size < limit)
+    shape = next(shape for shape in SHAPES[max(machine.vector_bits(), 256)] if size < shape.below)
     if counts.get("xor", 0) > MANY_XORS:
-        vectors = max(vectors, 2)
-    return vectors * bits // number_bits(program)
+        return shape._replace(vectors=max(shape.vectors, 2))
+    return shape
 
 
 def number_bits(program: Program) -> int:
     """Bits of the longest number that a lane is given."""
     return 8 * max((dtype.itemsize for dtype in program.inputs), default=8)
-
-
-def hardware_vectors(program: Program, width: int) -> int:
-    """Hardware vectors that hold the longest input of all lanes of a vector; 1 if it is shorter."""
-    return max(1, width * number_bits(program) // machine.vector_bits())

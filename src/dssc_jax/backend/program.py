@@ -183,10 +183,14 @@ def read_by(node: Any) -> list[Value]:
 
 
 class Builder:
-    """Builds a program from the inside of the block ``here``."""
+    """Builds a program from the inside of the block ``here``.
 
-    def __init__(self) -> None:
-        self.here = CodeBlock()
+    Args:
+        fast: Whether a factor that is known before the others of a product is applied as one, see :meth:`_regrouped`.
+    """
+
+    def __init__(self, fast: bool = False) -> None:
+        self.here, self.fast = CodeBlock(), fast
         self._constants: dict[Hashable, Value] = {}
 
     def constant(self, number: Any, dtype: np.dtype) -> Value:
@@ -218,6 +222,8 @@ class Builder:
             constant = constant_result(operation, [operand.detail for operand in operands], dtype, detail)
             if constant is not None:
                 return self.constant(constant, dtype)
+        if self.fast and dtype.kind == "f" and (product := self._regrouped(operation, operands)) is not None:
+            return product
         varying = operation != "any" and any(operand.varying for operand in operands)
         return self._placed(operation, dtype, operands, detail, varying, self._home(operands))
 
@@ -264,6 +270,27 @@ class Builder:
     def record(self, recording: Recording, position: Value, value: Value) -> None:
         """Store a value in a recorded array."""
         self.here.nodes.append(Record(recording, position, value))
+
+    def _regrouped(self, operation: str, operands: Sequence[Value]) -> Value | None:
+        """The same product or quotient with fewer operations here, by what is known before; None if there is none.
+
+        A divisor that is known before a loop is inverted there. Two factors that are known before the third are
+        multiplied before it. Sums keep their order, on which cancellation depends.
+        """
+        if operation == "div" and self._known(operands[1]) < self._known(operands[0]):
+            one = self.constant(1.0, operands[1].dtype)
+            return self.add("mul", operands[0], self.add("div", one, operands[1]))
+        if operation == "mul":
+            for product, factor in (operands, operands[::-1]):
+                if product.operation == "mul":
+                    for late, early in (product.operands, product.operands[::-1]):
+                        if max(self._known(early), self._known(factor)) < self._known(late):
+                            return self.add("mul", late, self.add("mul", early, factor))
+        return None
+
+    def _known(self, value: Value) -> int:
+        """How deep an operation on a value alone is computed; -1 for a constant."""
+        return -1 if value.operation == "constant" else self._home([value]).depth
 
     def _home(self, operands: Sequence[Value]) -> CodeBlock:
         """The outermost block in which an operation on these operands may be computed."""

@@ -27,12 +27,13 @@ AXIS = "lanes"
 """Name of the axis over the lanes that run together, for :func:`jax.lax.pmax` in a lane's program."""
 
 
-def translate(lane: Callable[..., Any], *arguments: Any) -> tuple[Program, Any]:
+def translate(lane: Callable[..., Any], *arguments: Any, fast: bool = False) -> tuple[Program, Any]:
     """Trace the program of one lane and translate it.
 
     Args:
         lane: A function of scalars; its results may be reduced over the other lanes by ``pmax`` along :data:`AXIS`.
         arguments: Trees of ``jax.ShapeDtypeStruct`` with shape ().
+        fast: See :class:`~dssc_jax.backend.program.Builder`.
 
     Returns:
         The program, with one input for each leaf of the arguments; and the tree of results, with shapes and types.
@@ -40,7 +41,7 @@ def translate(lane: Callable[..., Any], *arguments: Any) -> tuple[Program, Any]:
     Raises:
         Unsupported: An operation has no rule.
     """
-    return traced_program(Translator(Builder()), lane, *arguments)
+    return traced_program(Translator(Builder(fast)), lane, *arguments)
 
 
 def traced_program(own: "Translator", lane: Callable[..., Any], *arguments: Any) -> tuple[Program, Any]:

@@ -165,10 +165,8 @@ def sampling_ratio(sample: Sample) -> Scalar:
     The stability limit is exact for constant functions and sigma' = k_p u; state-dependent functions enter with their
     values at the sample. k_p is the draw's own, so the largest ratio over the draws occurs at k_max.
     """
-    info = sample.info
-    proportional = sample.k_p * sample.dt / (info.k_o * info.tau_av)
-    rate = 1.0 / info.tau_m  # the nominal control divides so, too: one division serves both
-    return 0.5 * proportional * (1.0 + 0.5 * sample.dt * rate)
+    info, dt = sample.info, sample.dt
+    return 0.5 * sample.k_p * dt * (info.tau_m + 0.5 * dt) / (info.k_o * info.tau_av * info.tau_m)
 
 
 def position_error(instant: Instant) -> Scalar:
