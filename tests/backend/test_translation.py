@@ -15,6 +15,7 @@ from dssc_jax.backend.llvm import module_text
 from dssc_jax.backend.needed import operation_counts, reachable
 from dssc_jax.backend.opposites import loops_of
 from dssc_jax.backend.order import ordered, users_of
+from dssc_jax.backend.signs import is_unsigned
 from dssc_jax.backend.translate import AXIS, translate
 from dssc_jax.backend.unsupported import Unsupported
 from tests.tolerances import ROUNDING
@@ -399,3 +400,28 @@ def test_a_divisor_that_is_known_before_a_loop_may_be_zero_infinite_or_nan(stric
 
     lanes, plain = both(lane, np.array([0.0, 1.0, 2.0, 3.0, 1.0, np.inf, 1e10]), divisors, strict=strict)
     np.testing.assert_allclose(lanes, plain, rtol=ROUNDING)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("strict", [True, False])
+def test_a_peak_compares_as_an_integer_and_keeps_a_nan(dtype, strict):
+    def peak(x, y):
+        def turn(k, largest):
+            return jnp.maximum(largest, jnp.abs(jnp.where(k == 3, y, x * (k - 5))))
+
+        return jax.lax.fori_loop(0, 9, turn, jnp.zeros((), dtype))
+
+    x = np.array([1.0, -2.0, 3.0, 0.0, np.inf, -0.0], dtype)
+    y = np.array([-1.0, 50.0, np.nan, -0.0, 1.0, -np.inf], dtype)
+    np.testing.assert_array_equal(*both(peak, x, y, strict=strict))
+    (loop,) = loops_of(translate(peak, *(jax.ShapeDtypeStruct((), dtype),) * 2)[0].body)
+    assert [is_unsigned(node) for node in loop.body.nodes if node.operation == "max"] == [True]
+
+
+def test_a_state_that_may_become_negative_has_a_sign():
+    def lane(x):
+        return jax.lax.fori_loop(0, 9, lambda k, v: jnp.maximum(jnp.maximum(v, jnp.abs(x)) - 0.3, -x), jnp.zeros(()))
+
+    (loop,) = loops_of(translate(lane, jax.ShapeDtypeStruct((), np.float64))[0].body)
+    assert not any(is_unsigned(node) for node in loop.body.nodes)
+    np.testing.assert_allclose(*both(lane, X), rtol=ROUNDING)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from dssc_jax.backend.program import BOOL, COMPARISONS, Value
+from dssc_jax.backend.signs import is_unsigned
 
 FAST, STRICT = "contract nsz ", ""
 FLOATS = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv", "rem": "frem"}
@@ -189,9 +190,15 @@ class Instructions:
     def extreme(self, operation: str, value: Value, wide: bool, names: Sequence[str]) -> str:
         """The larger or smaller number; NaN if either is.
 
-        The select returns its last operand if one is NaN. A constant, which is not, therefore comes first.
+        The select returns its last operand if one is NaN. A constant, which is not, therefore comes first. As an
+        integer, a NaN without sign is larger than every number.
         """
         kind, mask = self.kind(value.dtype, wide), self.kind(BOOL, wide)
+        if operation == "max" and value.dtype.kind == "f" and is_unsigned(value):
+            integer = np.dtype(f"i{value.dtype.itemsize}")
+            bits = [(self.kind(integer, wide), self.convert("bitcast", value.dtype, integer, wide, n)) for n in names]
+            largest = self.call(f"llvm.smax.{self.suffix(integer, wide)}", bits[0][0], *bits)
+            return self.convert("bitcast", integer, value.dtype, wide, largest)
         first, second = names
         if value.operands[1].operation == "constant":
             first, second = second, first

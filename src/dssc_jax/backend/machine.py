@@ -23,6 +23,8 @@ from dssc_jax.backend.llvm import ENTRY_POINT
 
 CORES_VARIABLE = "DSSC_JAX_CORES"
 CODE_LEVEL = 2  # of LLVM's code generation
+AT_WORK = threading.Event()
+"""Set as soon as LLVM compiles or machine code runs, which leaves Python to other threads."""
 PARTS = 32  # parts of a batch per thread: some are quicker than others, and so are cores
 
 
@@ -90,6 +92,7 @@ def translator() -> tuple[str, ...]:
 
 def object_code(text: str) -> bytes:
     """Compile a module to an object file."""
+    AT_WORK.set()
     return target_machine().emit_object(module_here(text))
 
 
@@ -149,6 +152,7 @@ class LoadedCode:
                     return
                 self._function(given.ctypes.data, wanted.ctypes.data, first, min(first + part, lanes))
 
+        AT_WORK.set()
         running: list[Future[None]] = [workers(threads).submit(work) for _ in range(min(threads, -(-lanes // part)))]
 
         def finish() -> None:

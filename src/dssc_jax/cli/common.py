@@ -3,8 +3,10 @@
 import os
 import sys
 from collections.abc import Callable
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -97,6 +99,17 @@ def require_proofs() -> None:
     for name in ("clarabel", "flint"):
         if find_spec(name) is None:
             raise ConfigError("prove", f"needs {name}: pip install 'dssc_jax[proofs]'")
+
+
+def import_meanwhile(module: str) -> None:
+    """Import what a command needs at its end while LLVM compiles or machine code runs, which leave Python idle."""
+    from dssc_jax.backend.machine import AT_WORK
+
+    def later() -> None:
+        AT_WORK.wait()
+        import_module(module)
+
+    Thread(target=later, daemon=True).start()
 
 
 def load_study(

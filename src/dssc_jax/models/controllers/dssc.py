@@ -159,10 +159,10 @@ def limited(wanted: Scalar, u_av: Scalar, rho: Scalar, c: Scalar, width: Scalar 
 def sample_ratios(at: StateFunctions, dt: Scalar) -> SampleRatios:
     """The ratios from one common division, since a division costs far more than a product; for tau_m > 0."""
     gain = dt * at.k_o * at.tau_av / (at.tau_av + dt)  # T_s k_o/(1+a)
-    longer = at.tau_m + dt
-    inverse = 1.0 / (gain * at.tau_m * longer)
-    decay = gain * at.tau_m * inverse * at.tau_m
-    return SampleRatios(gain * longer * inverse, decay, gain * decay, longer * inverse * longer)
+    product, longer = gain * at.tau_m, at.tau_m + dt
+    inverse = 1.0 / (product * longer)
+    decay, inverse_product = product * inverse * at.tau_m, longer * inverse
+    return SampleRatios(gain * inverse_product, decay, gain * decay, inverse_product * longer)
 
 
 def implicit_update(gains: DsscGains, state: DsscState, sample: ControlSample, dt: Scalar) -> Sampled:
