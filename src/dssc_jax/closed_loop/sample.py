@@ -1,5 +1,6 @@
 """One sample of the closed loop for one draw: measure, control, integrate plant and unmodelled dynamics."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -308,8 +309,8 @@ def plant_input(
 
 def all_finite(state: LoopState) -> Scalar:
     """Whether the sum of the whole state is far below the numbers whose squares, which metrics sum, are infinite."""
-    total = sum(jax.tree.leaves(state))
-    return jnp.abs(total) < FAR_BELOW * jnp.sqrt(jnp.finfo(total.dtype).max)
+    largest = float(jnp.finfo(jnp.result_type(float)).max)
+    return jnp.abs(sum(jax.tree.leaves(state))) < FAR_BELOW * math.sqrt(largest)
 
 
 def control_channel(
