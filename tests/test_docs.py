@@ -19,9 +19,9 @@ from benchmarks.pages import PAGES as PAGES_OF
 from benchmarks.pages import type_name
 from dssc_jax.cli.common import app
 from dssc_jax.study.build import FIXED_TABLES
+from tests.page_examples import BLOCK
 
 ROOT = Path(__file__).parents[1]
-BLOCK = re.compile(r"```(\w+)\n(.*?)```", re.DOTALL)
 EVERY = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 PAGES = sorted(str(page.relative_to(ROOT)) for page in EVERY if BLOCK.search(page.read_text()))
@@ -36,26 +36,34 @@ LANGUAGES = {"sh", "python", "toml"}
 
 @pytest.mark.parametrize("page", PAGES)
 def test_examples_run(page, tmp_path):
-    """Files named in their first line are written, then every shell and Python block runs, in order."""
+    """In one process, which saves imports; those of the first page each in its own, as their reader runs them."""
     environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
-    ran = 0
-    for language, text in BLOCK.findall((ROOT / page).read_text()):
-        assert language in LANGUAGES, f"a block that is not tested; indent it by four blanks:\n{text}"
-        named = re.match(r"# (\w+\.(?:toml|py))\n", text)
-        if named:
-            (tmp_path / named[1]).write_text(text)
-            continue
-        commands = [line for line in text.splitlines() if not line.startswith("make ")]
-        if language == "python":
-            arguments = [sys.executable, "-c", text]
-        elif language == "sh" and commands:
-            arguments = ["bash", "-euc", "\n".join(commands)]
-        else:
-            continue
-        done = subprocess.run(arguments, cwd=tmp_path, env=environment, capture_output=True, text=True)
-        assert done.returncode == 0, done.stdout + done.stderr
-        ran += 1
-    assert ran >= 1
+    command = [sys.executable, str(ROOT / "tests" / "page_examples.py"), str(ROOT / page)]
+    if page == "README.md":
+        command.append("--in-shell")
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "\n--- " in f"\n{done.stdout}"
+
+
+def test_an_example_that_fails_is_told(tmp_path):
+    """Of any kind: a command's exit code, an exception."""
+    for text, told in (
+        ("```sh\ndssc-jax studies\ndssc-jax info nothing-like-it\n```", "exit code 2"),
+        ("```sh\nfalse | true\nexit 3\n```", "exit code 3"),
+        ("```python\nimport dssc_jax as dj\ndj.Study.load('none.toml')\n```", "none.toml"),
+    ):
+        (tmp_path / "page.md").write_text(text)
+        command = [sys.executable, str(ROOT / "tests" / "page_examples.py"), "page.md"]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == 1
+        assert told in done.stderr
+
+
+def test_every_block_is_of_a_language_that_runs():
+    for page in EVERY:
+        for language, text in BLOCK.findall(page.read_text()):
+            assert language in LANGUAGES, f"a block that is not tested; indent it by four blanks:\n{text}"
 
 
 @pytest.mark.parametrize("module", WITH_EXAMPLES)

@@ -92,10 +92,16 @@ def controller(dt: float, real: type, dialect: Dialect) -> Callable:
     return control
 
 
+def largest_sum(real: type) -> float:
+    """What the sum of a state stays below; its squares are finite far beyond it."""
+    return 1e-4 * float(np.sqrt(np.finfo(real).max))
+
+
 def axis(n: OneAxis, dt: float, euler: bool, real: type, dialect: Dialect) -> Program:
     """One degree of freedom behind a lag of order 2; drawn: k_p, a_p, mu, d."""
     compiled, control = dialect.compiled, controller(dt, real, dialect)
     h, half, sixth, two, zero = real(dt), real(dt / 2.0), real(dt / 6.0), real(2.0), real(0.0)
+    largest = real(largest_sum(real))
     gains, position, velocity = n.channel, n.position, n.velocity
     matched = n.matched > 0
 
@@ -146,8 +152,7 @@ def axis(n: OneAxis, dt: float, euler: bool, real: type, dialect: Dialect) -> Pr
     @compiled
     def ended(state):
         x1, x2, z1, z2, u_av, sigma_hat = state
-        squares = x1 * x1 + x2 * x2 + z1 * z1 + z2 * z2 + u_av * u_av + sigma_hat * sigma_hat
-        return np.logical_not(np.isfinite(squares)), x1 != x1
+        return np.logical_not(np.abs(x1 + x2 + z1 + z2 + u_av + sigma_hat) < largest), x1 != x1
 
     return Program(pick, start, sample, ended, 1)
 
@@ -158,6 +163,7 @@ def uav(n: Uav, dt: float, euler: bool, real: type, dialect: Dialect) -> Program
     control = controller(dt, real, dialect)
     h, half_h, third, sixth = real(dt), real(dt / 2.0), real(dt / 3.0), real(dt / 6.0)
     zero, half, one, two = real(0.0), real(0.5), real(1.0), real(2.0)
+    largest = real(largest_sum(real))
     gravity, least_lift, least_upright, tiny = real(GRAVITY), real(LEAST_LIFT), real(LEAST_UPRIGHT), real(1e-12)
     pi, turn = real(math.pi), real(2.0 * math.pi)
     cos_yaw, sin_yaw = real(math.cos(n.yaw / 2.0)), real(math.sin(n.yaw / 2.0))
@@ -357,16 +363,15 @@ def uav(n: Uav, dt: float, euler: bool, real: type, dialect: Dialect) -> Program
         return ((p, v, q, w, path, turned), (cx, cy, cz, cpsi)), (mx, my, mz, mpsi)
 
     @compiled
-    def norm(x):
-        return x[0] * x[0] + x[1] * x[1] + x[2] * x[2]
+    def total(x):
+        return x[0] + x[1] + x[2]
 
     @compiled
     def ended(state):
         (p, v, q, w, path, turned), (cx, cy, cz, cpsi) = state
-        squares = norm(p) + norm(v) + norm(w) + norm(path) + turned * turned + q[0] * q[0] + norm(q[1:])
-        squares = squares + cx[0] * cx[0] + cx[1] * cx[1] + cy[0] * cy[0] + cy[1] * cy[1]
-        squares = squares + cz[0] * cz[0] + cz[1] * cz[1] + cpsi[0] * cpsi[0] + cpsi[1] * cpsi[1]
-        return np.logical_not(np.isfinite(squares)), one - two * (q[1] * q[1] + q[2] * q[2]) < least_upright
+        whole = total(p) + total(v) + total(w) + total(path) + turned + q[0] + total(q[1:])
+        whole = whole + cx[0] + cx[1] + cy[0] + cy[1] + cz[0] + cz[1] + cpsi[0] + cpsi[1]
+        return np.logical_not(np.abs(whole) < largest), one - two * (q[1] * q[1] + q[2] * q[2]) < least_upright
 
     return Program(pick, start, sample, ended, 4)
 

@@ -1,6 +1,5 @@
 """The program of a lane: every kind of operation against plain XLA, random numbers bit for bit, and what is refused."""
 
-import itertools
 import warnings
 
 import jax
@@ -10,30 +9,19 @@ import numpy as np
 import pytest
 
 from dssc_jax.backend import forms
-from dssc_jax.backend.lanes import SHAPES, CompiledLanes, Shape
+from dssc_jax.backend.lanes import CompiledLanes
 from dssc_jax.backend.llvm import module_text
-from dssc_jax.backend.needed import operation_counts, reachable
+from dssc_jax.backend.needed import operation_counts
 from dssc_jax.backend.opposites import loops_of
-from dssc_jax.backend.order import ordered, users_of
-from dssc_jax.backend.signs import is_unsigned
 from dssc_jax.backend.translate import AXIS, translate
 from dssc_jax.backend.unsupported import Unsupported
+from tests.backend.against_plain import LANES, RNG, X, both
 from tests.tolerances import ROUNDING
 
-LANES = 37  # no whole number of vectors
-RNG = np.random.default_rng(1)
-X, Y = RNG.normal(size=LANES), RNG.normal(size=LANES)
 PLACES = RNG.integers(-2, 9, LANES, dtype=np.int32)
 TABLE = np.linspace(0.0, 1.0, 2000) ** 2
 TABLE[500:1500] += 1.0
 MATRIX = np.arange(12.0).reshape(3, 4)
-
-
-def both(function, *columns, **options):
-    """Machine code and plain XLA."""
-    types = [jax.ShapeDtypeStruct((), column.dtype) for column in columns]
-    lanes = CompiledLanes(function, *types, **options).start(columns, len(columns[0]), 2)()
-    return lanes, jax.tree.map(np.asarray, jax.jit(jax.vmap(function, axis_name=AXIS))(*columns))
 
 
 def ring(x, i):
@@ -307,42 +295,6 @@ def test_what_has_no_translation_is_named_and_runs_anyway():
     np.testing.assert_array_equal(start(values, index)()["largest"], np.maximum(X, 1.0))
 
 
-def chains(x, y):
-    """Many quotients in two chains, a branch and a loop that read them, and a recording."""
-    a, b = x, y
-    for n in range(40):
-        a = 1.0 / (a * a + n + 1.0)
-    for n in range(40):
-        b = 1.0 / (b * b + n + 2.0)
-    c = jax.lax.cond(a > b, lambda: jnp.exp(a), lambda: jnp.sqrt(b))
-    last, several = jax.lax.scan(lambda s, k: (0.5 * s + c, s * b + k), a, jnp.arange(5.0))
-    return last * a - b, several
-
-
-@pytest.mark.parametrize("window", [0, 5, 1000])
-def test_the_order_of_nodes_keeps_operands_first(window):
-    scalar = jax.ShapeDtypeStruct((), np.float64)
-    nodes = translate(chains, scalar, scalar)[0].body.nodes
-    order = ordered(nodes, window)
-    assert sorted(map(id, order)) == sorted(map(id, nodes))
-    assert [id(node) for node in ordered(nodes, 0)] == [id(node) for node in nodes]
-    place = {id(node): i for i, node in enumerate(order)}
-    for i, several in enumerate(users_of(nodes)):
-        assert all(place[id(nodes[i])] < place[id(nodes[user])] for user in several)
-    for i, node in enumerate(order):
-        assert nodes.index(node) - i <= window
-    assert sum(map(len, users_of(nodes))) > len(nodes)
-
-
-@pytest.mark.parametrize("window", [0, 40, 5000])
-def test_strict_results_do_not_depend_on_the_order(window, monkeypatch):
-    plain = both(chains, X, Y, strict=True)[0]
-    shape = Shape(np.inf, 1, window)
-    monkeypatch.setattr("dssc_jax.backend.lanes.SHAPES", dict.fromkeys(SHAPES, (shape,)))
-    for one, other in zip(both(chains, X, Y, strict=True)[0], plain, strict=True):
-        np.testing.assert_array_equal(one, other)
-
-
 def test_a_recording_may_be_a_result_twice_and_a_lane_needs_no_input():
     def lane(x):
         several = jax.lax.scan(lambda s, k: (0.5 * s + k, s), x, jnp.arange(5.0))[1]
@@ -352,76 +304,3 @@ def test_a_recording_may_be_a_result_twice_and_a_lane_needs_no_input():
     np.testing.assert_allclose(one, plain, rtol=ROUNDING)
     np.testing.assert_array_equal(one, other)
     assert CompiledLanes(lambda: jnp.sin(1.0)).start((), 3, 1)() == pytest.approx(3 * [np.sin(1.0)])
-
-
-def test_chains_that_do_not_wait_for_each_other_alternate():
-    scalar = jax.ShapeDtypeStruct((), np.float64)
-    nodes = translate(chains, scalar, scalar)[0].body.nodes
-
-    quotients = [id(node) for node in nodes if getattr(node, "operation", "") == "div"]
-    first = set(quotients[:40])
-
-    def turns(order):
-        chains = [id(node) in first for node in order if id(node) in quotients]
-        return sum(one != other for one, other in itertools.pairwise(chains))
-
-    assert turns(nodes) == 1
-    assert turns(ordered(nodes, 1000)) > 70
-
-
-def falling(x, y):
-    """A loop whose divisor, and two of three factors, are known before it; one divisor is not."""
-
-    def turn(k, v):
-        return v / (1.0 + y * y) + (x * v) * y * 3.0 + 1.0 / (2.0 + v * v)
-
-    return jax.lax.fori_loop(0, 20, turn, 0.1 * x)
-
-
-def test_what_is_known_before_a_loop_is_divided_and_multiplied_before_it():
-    scalar = jax.ShapeDtypeStruct((), np.float64)
-
-    def in_loop(fast):
-        program, _ = translate(falling, scalar, scalar, fast=fast)
-        (loop,), needed = loops_of(program.body), reachable(program)
-        operations = [node.operation for node in loop.body.nodes if id(node) in needed]
-        return operations.count("div"), operations.count("mul")
-
-    assert in_loop(fast=False) == (2, 4)
-    assert in_loop(fast=True) == (1, 3)
-
-
-@pytest.mark.parametrize("strict", [True, False])
-def test_a_divisor_that_is_known_before_a_loop_may_be_zero_infinite_or_nan(strict):
-    divisors = np.array([0.0, -0.0, np.inf, np.nan, 1e300, -2.0, 1e-300])
-
-    def lane(x, y):
-        return jax.lax.fori_loop(0, 3, lambda k, v: (v + x) / y, x)
-
-    lanes, plain = both(lane, np.array([0.0, 1.0, 2.0, 3.0, 1.0, np.inf, 1e10]), divisors, strict=strict)
-    np.testing.assert_allclose(lanes, plain, rtol=ROUNDING)
-
-
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-@pytest.mark.parametrize("strict", [True, False])
-def test_a_peak_compares_as_an_integer_and_keeps_a_nan(dtype, strict):
-    def peak(x, y):
-        def turn(k, largest):
-            return jnp.maximum(largest, jnp.abs(jnp.where(k == 3, y, x * (k - 5))))
-
-        return jax.lax.fori_loop(0, 9, turn, jnp.zeros((), dtype))
-
-    x = np.array([1.0, -2.0, 3.0, 0.0, np.inf, -0.0], dtype)
-    y = np.array([-1.0, 50.0, np.nan, -0.0, 1.0, -np.inf], dtype)
-    np.testing.assert_array_equal(*both(peak, x, y, strict=strict))
-    (loop,) = loops_of(translate(peak, *(jax.ShapeDtypeStruct((), dtype),) * 2)[0].body)
-    assert [is_unsigned(node) for node in loop.body.nodes if node.operation == "max"] == [True]
-
-
-def test_a_state_that_may_become_negative_has_a_sign():
-    def lane(x):
-        return jax.lax.fori_loop(0, 9, lambda k, v: jnp.maximum(jnp.maximum(v, jnp.abs(x)) - 0.3, -x), jnp.zeros(()))
-
-    (loop,) = loops_of(translate(lane, jax.ShapeDtypeStruct((), np.float64))[0].body)
-    assert not any(is_unsigned(node) for node in loop.body.nodes)
-    np.testing.assert_allclose(*both(lane, X), rtol=ROUNDING)

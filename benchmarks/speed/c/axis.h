@@ -68,9 +68,8 @@ INLINE void sample(group *g, const point *wanted, real on, int first_sample, lon
     g->x1 += h / 6 * (x + R(2) * (v2 + v3) + v4);
     g->x2 += h / 6 * (s1 + R(2) * (s2 + s3) + s4);
 #endif
-    vec squares = g->x1 * g->x1 + g->x2 * g->x2 + g->z[0] * g->z[0] + g->z[1] * g->z[1];
-    squares += g->c.u_av * g->c.u_av + g->c.sigma_hat * g->c.sigma_hat;
-    survive(&g->s, above(fill(LARGEST), squares), ALL, out, first);
+    vec sum = g->x1 + g->x2 + g->z[0] + g->z[1] + g->c.u_av + g->c.sigma_hat;
+    survive(&g->s, above(fill(LARGEST), size(sum)), ALL, out, first);
 }
 
 /* GROUPS LANES draws from start to end. A sample is one chain of operations that wait for each other: several groups

@@ -6,7 +6,6 @@
 #ifndef LANES_H
 #define LANES_H
 
-#include <float.h>
 #include <immintrin.h>
 #include <math.h>
 
@@ -17,11 +16,11 @@
 #if BITS == 64
 typedef double real;
 typedef long long word;
-#define LARGEST DBL_MAX
+#define LARGEST 1.3e150 /* of the sum of a state; squares are finite far beyond it */
 #else
 typedef float real;
 typedef int word;
-#define LARGEST FLT_MAX
+#define LARGEST 1.8e15f
 #endif
 typedef real vec __attribute__((vector_size(LANES * sizeof(real))));
 typedef word words __attribute__((vector_size(LANES * sizeof(real))));

@@ -191,10 +191,10 @@ INLINE void integrate(const vehicle *v, body *b, frame *f, const vec *command, c
     *f = look(b);
 }
 
-INLINE vec squares(const body *b, const channel *c) {
+INLINE vec total(const body *b, const channel *c) {
     vec sum = fill(0);
-    for (unsigned i = 0; i < BODY_VECS; i++) sum += ((const vec *)b)[i] * ((const vec *)b)[i];
-    for (int i = 0; i < CHANNELS; i++) sum += c[i].u_av * c[i].u_av + c[i].sigma_hat * c[i].sigma_hat;
+    for (unsigned i = 0; i < BODY_VECS; i++) sum += ((const vec *)b)[i];
+    for (int i = 0; i < CHANNELS; i++) sum += c[i].u_av + c[i].sigma_hat;
     return sum;
 }
 
@@ -215,7 +215,7 @@ INLINE void simulate(const real *drawn, const point *wanted, long samples, long 
             command[i] = control(&LOOP.channel[i], &c[i], b.position[i] - wanted[i].y, b.velocity[i], &wanted[i], k == 0);
         command[3] = control(&LOOP.channel[3], &c[3], psi, f.dpsi, &wanted[3], k == 0);
         integrate(&v, &b, &f, command, wind);
-        mask finite = above(fill(LARGEST), squares(&b, c)), upright = above(f.r[2][2], fill(R(LEAST_UPRIGHT)));
+        mask finite = above(fill(LARGEST), size(total(&b, c))), upright = above(f.r[2][2], fill(R(LEAST_UPRIGHT)));
         survive(&s, finite, upright, out, first);
     }
     report(&s, c, samples, out, first);

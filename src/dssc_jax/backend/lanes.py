@@ -23,11 +23,11 @@ from dssc_jax.backend.translate import translate
 from dssc_jax.cache.user_cache import kept, remembered
 
 
-class Shape(NamedTuple):
+class Packing(NamedTuple):
     """How the program of a lane becomes that of a vector of lanes.
 
     Args:
-        below: The shape is for programs of fewer operations.
+        below: The packing is for programs of fewer operations.
         vectors: Hardware vectors that make a vector of lanes: more hide the time that an operation takes, fewer leave
             the state in registers.
         window: See :func:`dssc_jax.backend.order.ordered`. A processor looks that far ahead, too; where many vectors
@@ -39,11 +39,11 @@ class Shape(NamedTuple):
     window: int
 
 
-SHAPES = {
-    512: (Shape(750, 4, 30), Shape(math.inf, 2, 150)),
-    256: (Shape(750, 4, 120), Shape(2000, 2, 150), Shape(math.inf, 1, 300)),
+PACKINGS = {
+    512: (Packing(750, 4, 30), Packing(math.inf, 2, 150)),
+    256: (Packing(750, 4, 120), Packing(2000, 2, 150), Packing(math.inf, 1, 300)),
 }
-"""Shapes by the bits of a hardware vector, as measured. Processors with 512 bits have twice as many registers."""
+"""Packings by the bits of a hardware vector, as measured. Processors with 512 bits have twice as many registers."""
 
 MANY_XORS = 100
 """Exclusive ors of a program that draws random numbers, in chains where each operation waits for the one before."""
@@ -78,9 +78,9 @@ class TracedLanes:
         self.program, results = translate(lane, *arguments, fast=not strict)
         if not strict:
             join_opposites(self.program)
-        shape = best_shape(self.program)
-        width = width or shape.vectors * machine.vector_bits() // number_bits(self.program)
-        self.text = module_text(self.program, width, strict, shape.window)
+        packing = best_packing(self.program)
+        width = width or packing.vectors * machine.vector_bits() // number_bits(self.program)
+        self.text = module_text(self.program, width, strict, packing.window)
         outputs = ((each.dtype, each.length if isinstance(each, Recording) else None) for each in self.program.outputs)
         empty = jax.tree.map(lambda _: 0, results)
         code = machine.code_name(self.text)
@@ -172,14 +172,14 @@ class LaneBatch:
         return self._lanes.start((values, index), len(index), self._threads)
 
 
-def best_shape(program: Program) -> Shape:
-    """The shape for this processor by the size of a program."""
+def best_packing(program: Program) -> Packing:
+    """The packing for this processor by the size of a program."""
     counts = operation_counts(program)
     size = sum(counts.values())
-    shape = next(shape for shape in SHAPES[max(machine.vector_bits(), 256)] if size < shape.below)
+    packing = next(packing for packing in PACKINGS[max(machine.vector_bits(), 256)] if size < packing.below)
     if counts.get("xor", 0) > MANY_XORS:
-        return shape._replace(vectors=max(shape.vectors, 2))
-    return shape
+        return packing._replace(vectors=max(packing.vectors, 2))
+    return packing
 
 
 def number_bits(program: Program) -> int:
