@@ -101,13 +101,14 @@ def require_proofs() -> None:
             raise ConfigError("prove", f"needs {name}: pip install 'dssc_jax[proofs]'")
 
 
-def import_meanwhile(module: str) -> None:
+def import_meanwhile(*modules: str) -> None:
     """Import what a command needs at its end while LLVM compiles or machine code runs, which leave Python idle."""
     from dssc_jax.backend.machine import AT_WORK
 
     def later() -> None:
         AT_WORK.wait()
-        import_module(module)
+        for module in modules:
+            import_module(module)
 
     Thread(target=later, daemon=True).start()
 

@@ -284,7 +284,7 @@ def finish(
         output_result(result, out, as_json)
         return DONE
     warn_of_noise(study)
-    import_meanwhile("dssc_jax.plotting")
+    import_meanwhile("dssc_jax.plotting", "dssc_jax.console.results")
     folder = str(Path(study.source).resolve().parent) if local else None
     with progress_bar(study, quiet=as_json) as advance:
         result = running.run(study, out, resume=resume, progress=advance, cluster=cluster, notify=notify, local=folder)

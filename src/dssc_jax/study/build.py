@@ -11,9 +11,10 @@ import jax
 from pydantic import BaseModel, ValidationError
 
 from dssc_jax.cache.user_cache import remembered
+from dssc_jax.closed_loop.infos import first_infos
 from dssc_jax.closed_loop.metrics import Measure, available_metrics
 from dssc_jax.closed_loop.requirements import Requirement
-from dssc_jax.closed_loop.sample import Loop, LoopParams, Settled, initial_state, step
+from dssc_jax.closed_loop.sample import Loop, LoopParams, Settled
 from dssc_jax.core.contracts import JoinedParams, Plant, joined_reference, joined_wind
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.integrators import Integrator
@@ -312,23 +313,19 @@ def info_fields(loop: Loop, template: LoopParams) -> Fields:
 @lru_cache(maxsize=64)
 def traced_fields(loop: Loop, structure: Any, leaves: tuple[Hashable, ...]) -> Fields:
     """See :func:`info_fields`; tracing a vehicle takes most of a study's loading, and its variants share it."""
-    loop = replace(loop, integrator=Integrator.EULER, substeps=1)  # the shortest to trace; the fields are the same
 
     def is_array(leaf: Hashable) -> bool:
         return isinstance(leaf, jax.ShapeDtypeStruct)
 
-    def first(arrays: list[jax.Array]) -> Any:
+    def first(arrays: list[jax.Array]) -> tuple[tuple[Any, ...], Any]:
         rest = iter(arrays)
-        params = jax.tree.unflatten(structure, [next(rest) if is_array(x) else x for x in leaves])
-        key = jax.random.key(0)
-        return step(loop, params, key, initial_state(loop, params, key), 0)[1].instant
+        return first_infos(loop, jax.tree.unflatten(structure, [next(rest) if is_array(x) else x for x in leaves]))
 
     def fields() -> Fields:
         with arithmetic():
-            instant = jax.eval_shape(first, [leaf for leaf in leaves if is_array(leaf)])
-        samples = zip(loop.channels, instant.channels, strict=True)
-        infos = {name: getattr(sample.info, "_fields", ()) for name, sample in samples}
-        return infos, getattr(instant.plant, "_fields", ())
+            controllers, plant = jax.eval_shape(first, [leaf for leaf in leaves if is_array(leaf)])
+        seen = (getattr(info, "_fields", ()) for info in controllers)
+        return dict(zip(loop.channels, seen, strict=True)), getattr(plant, "_fields", ())
 
     return remembered("fields", fields, loop, jax.tree.unflatten(structure, leaves))
 

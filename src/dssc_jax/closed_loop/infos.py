@@ -1,0 +1,29 @@
+"""What controllers and plant report at a sample, without simulating one."""
+
+from typing import Any
+
+import jax
+
+from dssc_jax.closed_loop.sample import Loop, LoopParams, as_arrays, control, initial_control, measure
+from dssc_jax.core.signals import Info, PlantInput
+
+
+def first_infos(loop: Loop, params: LoopParams) -> tuple[tuple[Info, ...], Info]:
+    """The info of each channel's controller, and of the plant, at the first sample of a loop at rest without noise.
+
+    Channels that differ in numbers alone share one info; only its form is of use.
+    """
+    plant = as_arrays(loop.plant.init(params.plant))
+    references = loop.mimo_reference.at(params.reference, 0.0)
+    measurements = measure(loop, params, plant, references)
+    forms: dict[Any, Info] = {}
+    infos = []
+    for i in range(len(loop.channels)):
+        form = loop.differentiator[i], loop.controller[i], jax.tree.structure(params.controller[i])
+        if form not in forms:
+            start = as_arrays(initial_control(loop, params, i, measurements[i], references[i]))
+            forms[form] = control(loop, params, i, start, measurements[i], references[i])[1].info
+        infos.append(forms[form])
+    still = (0.0,) * len(loop.channels)
+    wind = loop.wind.value(params.wind, loop.wind.init(params.wind, jax.random.key(0)), 0.0)
+    return tuple(infos), loop.mimo_plant.monitor(params.plant, plant, PlantInput(still, still, wind))
