@@ -45,8 +45,10 @@ PACKINGS = {
 }
 """Packings by the bits of a hardware vector, as measured. Processors with 512 bits have twice as many registers."""
 
+RANDOM_PACKINGS = Packing(5000, 4, 150), Packing(math.inf, 2, 150)
+"""For programs that draw random numbers, in chains where each operation waits for the one before."""
 MANY_XORS = 100
-"""Exclusive ors of a program that draws random numbers, in chains where each operation waits for the one before."""
+"""Exclusive ors of a program that draws random numbers."""
 
 
 class Signature(NamedTuple):
@@ -175,11 +177,9 @@ class LaneBatch:
 def best_packing(program: Program) -> Packing:
     """The packing for this processor by the size of a program."""
     counts = operation_counts(program)
-    size = sum(counts.values())
-    packing = next(packing for packing in PACKINGS[max(machine.vector_bits(), 256)] if size < packing.below)
-    if counts.get("xor", 0) > MANY_XORS:
-        return packing._replace(vectors=max(packing.vectors, 2))
-    return packing
+    random = counts.get("xor", 0) > MANY_XORS
+    packings = RANDOM_PACKINGS if random else PACKINGS[max(machine.vector_bits(), 256)]
+    return next(packing for packing in packings if sum(counts.values()) < packing.below)
 
 
 def number_bits(program: Program) -> int:
