@@ -215,8 +215,8 @@ class Builder:
             detail: The table of a ``lookup``.
         """
         dtype = dtype or (BOOL if operation in COMPARISONS else operands[-1].dtype)
-        if operation in ("mul", "abs") and all(operand.operation == "neg" for operand in operands):
-            operands = tuple(operand.operands[0] for operand in operands)
+        if operation in ("mul", "abs") and dtype.kind == "f" and all(value.operation == "neg" for value in operands):
+            operands = tuple(value.operands[0] for value in operands)
         simple = simplified(operation, operands, dtype)
         if simple is not None:
             return simple
