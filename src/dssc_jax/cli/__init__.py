@@ -42,7 +42,7 @@ INTERRUPTED = [128 + number for number in ENDING]
 HUNG_UP = 129  # as if the terminal's signal had come
 RECEIVED: list[int] = []
 """Exit codes of the signals that have come to this process."""
-YOUNG = 500_000  # objects between two garbage collections: imports and traces create a million that stay
+YOUNG = 1_000_000  # objects between two garbage collections: imports and traces create a million that stay
 
 
 def main() -> None:
