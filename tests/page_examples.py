@@ -33,7 +33,7 @@ def examples(page: Path) -> Iterator[tuple[str, str]]:
 def run(command: str, in_shell: bool) -> int:
     """The exit code of a line of a shell block."""
     words = shlex.split(command, comments=True)
-    if in_shell or words[0] != "dssc-jax" or SHELL & set("".join(words)):
+    if in_shell or words[:1] != ["dssc-jax"] or SHELL & set("".join(words)):
         return subprocess.run(["bash", "-euc", command], check=False).returncode
     from dssc_jax.cli import guarded
 

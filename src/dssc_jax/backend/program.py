@@ -186,7 +186,7 @@ class Builder:
     """Builds a program from the inside of the block ``here``.
 
     Args:
-        fast: Whether a factor that is known before the others of a product is applied as one, see :meth:`_regrouped`.
+        fast: Whether products and quotients may be regrouped, see :meth:`_regrouped`; it changes their last bits.
     """
 
     def __init__(self, fast: bool = False) -> None:

@@ -166,7 +166,7 @@ def sampling_ratio(sample: Sample) -> Scalar:
     values at the sample. k_p is the draw's own, so the largest ratio over the draws occurs at k_max.
     """
     info, dt = sample.info, sample.dt
-    return 0.5 * sample.k_p * dt * (info.tau_m + 0.5 * dt) / (info.k_o * info.tau_av * info.tau_m)
+    return 0.5 * sample.k_p * dt * (info.tau_m + 0.5 * dt) / (info.k_o * info.tau_av * info.tau_m)  # one division
 
 
 def position_error(instant: Instant) -> Scalar:

@@ -37,7 +37,7 @@ from dssc_jax.core.signals import (
     tracking_error,
 )
 
-FAR_BELOW = 1e-4  # so that no cancellation of large numbers matters
+FAR_BELOW = 1e-4  # the root of the largest number: large numbers may cancel in the sum of a state
 UNROLLED = 2  # substeps at most that are traced one by one
 
 
@@ -308,7 +308,7 @@ def plant_input(
 
 
 def all_finite(state: LoopState) -> Scalar:
-    """Whether the sum of the whole state is far below the numbers whose squares, which metrics sum, are infinite."""
+    """Whether the sum of the whole state is finite, and so small that metrics can sum the squares of signals."""
     largest = float(jnp.finfo(jnp.result_type(float)).max)
     return jnp.abs(sum(jax.tree.leaves(state))) < FAR_BELOW * math.sqrt(largest)
 

@@ -264,7 +264,7 @@ def execute(engine: Engine, blocks: list[tuple[slice, ...]]) -> Iterator[tuple[t
         The block, its results with the block's shape, and the drawn values of its range of draws.
     """
     waiting = None
-    engine.compiled()
+    engine.compiled()  # before the draws: commands import while LLVM is at work on the largest program
     for block in blocks:
         values = drawn(engine.study, block[-1])
         started = engine(*lanes_of(engine.study, block, values))
