@@ -3,8 +3,8 @@
 import jax
 import numpy as np
 
+from dssc_jax.backend.interface import AXIS
 from dssc_jax.backend.lanes import CompiledLanes
-from dssc_jax.backend.translate import AXIS
 
 LANES = 37  # no whole number of vectors
 RNG = np.random.default_rng(1)

@@ -14,7 +14,8 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.backend import forms, kernels
-from dssc_jax.backend.kernels import Unfit, in_registers
+from dssc_jax.backend.kernels import in_registers
+from dssc_jax.backend.unsupported import Unfit
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Outcome
 from dssc_jax.engine.batching import Engine, computing, drawn
@@ -155,7 +156,7 @@ def on_an_old_gpu(batch):
 def test_what_does_not_fit_falls_back_to_the_scan(kernel, reason, monkeypatch):
     """The program, or the device."""
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    monkeypatch.setattr(forms, "in_registers", kernel)
+    monkeypatch.setattr("dssc_jax.backend.kernels.in_registers", kernel)
     with pytest.warns(forms.KernelWarning, match=reason):
         start = forms.compiled("auto", noisy, ["a"], 8, None, None)
     values, index = {"a": np.arange(8.0)}, np.arange(8)

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dssc_jax.backend.lanes import PACKINGS, Packing
 from dssc_jax.backend.order import ordered, users_of
+from dssc_jax.backend.traced_lanes import PACKINGS, Packing
 from dssc_jax.backend.translate import translate
 from tests.backend.against_plain import X, Y, both
 
@@ -44,7 +44,7 @@ def test_the_order_of_nodes_keeps_operands_first(window):
 def test_strict_results_do_not_depend_on_the_order(window, monkeypatch):
     plain = both(chains, X, Y, strict=True)[0]
     packing = Packing(np.inf, 1, window)
-    monkeypatch.setattr("dssc_jax.backend.lanes.PACKINGS", dict.fromkeys(PACKINGS, (packing,)))
+    monkeypatch.setattr("dssc_jax.backend.traced_lanes.PACKINGS", dict.fromkeys(PACKINGS, (packing,)))
     for one, other in zip(both(chains, X, Y, strict=True)[0], plain, strict=True):
         np.testing.assert_array_equal(one, other)
 

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from dssc_jax.backend import forms
+from dssc_jax.backend.interface import AXIS
 from dssc_jax.backend.lanes import CompiledLanes
 from dssc_jax.backend.llvm import module_text
 from dssc_jax.backend.needed import operation_counts
 from dssc_jax.backend.opposites import loops_of
-from dssc_jax.backend.translate import AXIS, translate
+from dssc_jax.backend.translate import translate
 from dssc_jax.backend.unsupported import Unsupported
 from tests.backend.against_plain import LANES, RNG, X, both
 from tests.tolerances import ROUNDING

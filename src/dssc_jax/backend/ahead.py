@@ -8,7 +8,8 @@ values of the next :data:`TURNS` turns. They are stored, and each turn reads its
 from collections.abc import Set
 from dataclasses import dataclass
 
-from dssc_jax.backend.instructions import Instructions, scalar_type, stored_type
+from dssc_jax.backend.instructions import Instructions, scalar_type
+from dssc_jax.backend.interface import stored_type
 from dssc_jax.backend.order import ordered
 from dssc_jax.backend.program import BOOL, Branch, CodeLoop, Value, all_blocks, read_by
 

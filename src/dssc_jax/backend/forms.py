@@ -16,10 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.backend import machine
-from dssc_jax.backend.kernels import Unfit, in_registers
 from dssc_jax.backend.lanes import CompiledLanes, LaneBatch
 from dssc_jax.backend.plain import PlainBatch, plain_options
-from dssc_jax.backend.unsupported import Unsupported
+from dssc_jax.backend.unsupported import Unfit, Unsupported
 from dssc_jax.core.errors import ConfigError, nearest
 
 KERNEL_VARIABLE = "DSSC_JAX_KERNEL"
@@ -99,14 +98,23 @@ def compiled(
                 raise ConfigError("kernel", f"strict arithmetic cannot express {problem}") from None
             slower(f"no machine code for {problem}")
     if choice == Form.PALLAS:
-        return PlainBatch(lane, names, lanes, tile, devices, in_registers).start
+        return kernel_batch(lane, names, lanes, tile, devices).start
     if choice == AUTO and not on_cpu:
         try:
-            return PlainBatch(lane, names, lanes, tile, devices, in_registers).start
+            return kernel_batch(lane, names, lanes, tile, devices).start
         # Our own refusal, JAX's of a primitive or device, Triton's of a program; what else is wrong, the scan meets.
         except (Unfit, RuntimeError) as error:
             slower(str(error))
     return PlainBatch(lane, names, lanes, tile, devices).start
+
+
+def kernel_batch(
+    lane: Callable[..., Any], names: Sequence[str], lanes: int, tile: int | None, devices: int | None
+) -> PlainBatch:
+    """The batch as a kernel of a GPU."""
+    from dssc_jax.backend.kernels import in_registers  # imports Pallas, which a CPU does without
+
+    return PlainBatch(lane, names, lanes, tile, devices, in_registers)
 
 
 def compiled_single(lane: Callable[..., Any], names: Sequence[str], plain: bool = False) -> Callable[..., Any]:

@@ -26,11 +26,6 @@ def scalar_type(dtype: np.dtype) -> str:
     return "i1" if dtype == BOOL else f"i{8 * dtype.itemsize}"
 
 
-def stored_type(dtype: np.dtype) -> np.dtype:
-    """The type in memory: a truth value is a byte."""
-    return np.dtype(np.uint8) if dtype == BOOL else dtype
-
-
 def literal(number: Any, dtype: np.dtype) -> str:
     """LLVM's notation of a number."""
     if dtype == BOOL:

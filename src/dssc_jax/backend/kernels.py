@@ -22,7 +22,7 @@ import numpy as np
 from jax import lax
 from jax.extend.core import ClosedJaxpr, DebugInfo, Jaxpr, JaxprEqn, Literal, Var, jaxpr_as_fun
 
-from dssc_jax.core.errors import ConfigError
+from dssc_jax.backend.unsupported import Unfit
 
 DEPRECATED = "The Pallas Triton backend is deprecated"  # by JAX 0.11; pyproject.toml admits no version without it
 CALLS = ("jit", "closed_call", "custom_jvp_call", "custom_vjp_call")
@@ -41,13 +41,6 @@ ORDERED = {"max": jnp.greater_equal, "min": jnp.less_equal}
 
 Batch = Callable[[dict[str, jax.Array], jax.Array], Any]
 """(numbers of n lanes, their indices) -> a tree of arrays of shape (n,), for any n."""
-
-
-class Unfit(ConfigError):
-    """The program cannot be a kernel."""
-
-    def __init__(self, rule: str) -> None:
-        super().__init__("kernel", f"{rule}; take 'scan'")
 
 
 def in_registers(batch: Batch, interpret: bool | None = None) -> Batch:

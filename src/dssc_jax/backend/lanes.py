@@ -4,89 +4,20 @@ The number of lanes in a vector follows from the program and the processor alone
 so results do not depend on its size, nor on the number of threads.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.backend import machine
-from dssc_jax.backend.instructions import stored_type
-from dssc_jax.backend.llvm import module_text
-from dssc_jax.backend.needed import operation_counts
-from dssc_jax.backend.opposites import join_opposites
-from dssc_jax.backend.program import Program, Recording
-from dssc_jax.backend.translate import translate
+from dssc_jax.backend.interface import stored_type
 from dssc_jax.cache.user_cache import kept, remembered
 
-
-class Packing(NamedTuple):
-    """How the program of a lane becomes that of a vector of lanes.
-
-    Args:
-        below: The packing is for programs of fewer operations.
-        vectors: Hardware vectors that make a vector of lanes: more hide the time that an operation takes, fewer leave
-            the state in registers.
-        window: See :func:`dssc_jax.backend.order.ordered`. A processor looks that far ahead, too; where many vectors
-            share the registers, operations that come early cost more than they gain.
-    """
-
-    below: float
-    vectors: int
-    window: int
-
-
-PACKINGS = {
-    512: (Packing(750, 4, 30), Packing(math.inf, 2, 75)),
-    256: (Packing(750, 4, 120), Packing(2000, 2, 150), Packing(math.inf, 1, 300)),
-}
-"""Packings by the bits of a hardware vector, as measured. Processors with 512 bits have twice as many registers."""
-
-RANDOM_PACKINGS = Packing(5000, 4, 150), Packing(math.inf, 2, 150)
-"""For programs that draw random numbers, in chains where each operation waits for the one before."""
-MANY_XORS = 100
-"""Exclusive ors of a program that draws random numbers."""
-
-
-class Signature(NamedTuple):
-    """What a caller of a lane's machine code must know.
-
-    Args:
-        width: Lanes of a vector.
-        inputs: Types of the columns that it reads.
-        outputs: Type of each column that it writes, and the length of a recording; None for a number.
-        results: The tree of results, with 0 in place of each.
-        code: The name of the machine code.
-    """
-
-    width: int
-    inputs: tuple[np.dtype, ...]
-    outputs: tuple[tuple[np.dtype, int | None], ...]
-    results: Any
-    code: str
-
-
-class TracedLanes:
-    """The program of a lane as text for LLVM; arguments as of :class:`CompiledLanes`.
-
-    Raises:
-        Unsupported: An operation has no translation.
-    """
-
-    def __init__(self, lane: Callable[..., Any], arguments: tuple[Any, ...], width: int | None, strict: bool) -> None:
-        self.program, results = translate(lane, *arguments, fast=not strict)
-        if not strict:
-            join_opposites(self.program)
-        packing = best_packing(self.program)
-        width = width or packing.vectors * machine.vector_bits() // number_bits(self.program)
-        self.text = module_text(self.program, width, strict, packing.window)
-        outputs = ((each.dtype, each.length if isinstance(each, Recording) else None) for each in self.program.outputs)
-        empty = jax.tree.map(lambda _: 0, results)
-        code = machine.code_name(self.text)
-        self.signature = Signature(width, tuple(self.program.inputs), tuple(outputs), empty, code)
+if TYPE_CHECKING:
+    from dssc_jax.backend.traced_lanes import TracedLanes
 
 
 class CompiledLanes:
@@ -113,8 +44,10 @@ class CompiledLanes:
         self._code = machine.LoadedCode(code)
 
     @cached_property
-    def traced(self) -> TracedLanes:
+    def traced(self) -> "TracedLanes":
         """The program and its text."""
+        from dssc_jax.backend.traced_lanes import TracedLanes  # the translator, if the cache does not do without it
+
         return TracedLanes(*self._given)
 
     def start(self, arguments: Any, count: int, threads: int) -> Callable[[], Any]:
@@ -172,16 +105,3 @@ class LaneBatch:
     def start(self, values: dict[str, np.ndarray], index: np.ndarray) -> Callable[[], Any]:
         """Begin to run a batch; see :data:`dssc_jax.backend.forms.Start`."""
         return self._lanes.start((values, index), len(index), self._threads)
-
-
-def best_packing(program: Program) -> Packing:
-    """The packing for this processor by the size of a program."""
-    counts = operation_counts(program)
-    random = counts.get("xor", 0) > MANY_XORS
-    packings = RANDOM_PACKINGS if random else PACKINGS[max(machine.vector_bits(), 256)]
-    return next(packing for packing in packings if sum(counts.values()) < packing.below)
-
-
-def number_bits(program: Program) -> int:
-    """Bits of the longest number that a lane is given."""
-    return 8 * max((dtype.itemsize for dtype in program.inputs), default=8)

@@ -8,12 +8,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from dssc_jax.backend.ahead import TURNS, Ahead, AheadPlan, planned
-from dssc_jax.backend.instructions import FAST, STRICT, Instructions, scalar_type, stored_type
+from dssc_jax.backend.instructions import FAST, STRICT, Instructions, scalar_type
+from dssc_jax.backend.interface import ENTRY_POINT, stored_type
 from dssc_jax.backend.needed import reachable
 from dssc_jax.backend.order import ordered
 from dssc_jax.backend.program import BOOL, Branch, CodeBlock, CodeLoop, Program, Record, Value
-
-ENTRY_POINT = "lanes"
 
 
 class Emitter(Instructions):

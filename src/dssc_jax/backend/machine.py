@@ -11,20 +11,22 @@ import threading
 import weakref
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
+from queue import Empty, SimpleQueue
 from typing import Any
 
 import llvmlite
 import llvmlite.binding as llvm
 import numpy as np
 
-from dssc_jax.backend.llvm import ENTRY_POINT
+from dssc_jax.backend.interface import ENTRY_POINT
 
 CORES_VARIABLE = "DSSC_JAX_CORES"
 CODE_LEVEL = 2  # of LLVM's code generation
-AT_WORK = threading.Event()
-"""Set as soon as LLVM compiles or machine code runs, which leaves Python to other threads."""
+MEANWHILE = SimpleQueue[Callable[[], object]]()
+"""What else this process has to do: it does so while LLVM compiles or machine code runs, which leave Python idle."""
 PARTS = 32  # parts of a batch per thread: some are quicker than others, and so are cores
 
 
@@ -92,7 +94,8 @@ def translator() -> tuple[str, ...]:
 
 def object_code(text: str) -> bytes:
     """Compile a module to an object file."""
-    AT_WORK.set()
+    if not MEANWHILE.empty():
+        threading.Thread(target=catch_up).start()
     return target_machine().emit_object(module_here(text))
 
 
@@ -113,7 +116,7 @@ class LoadedCode:
     """Machine code in this process.
 
     Args:
-        code: An object file with the function :data:`~dssc_jax.backend.llvm.ENTRY_POINT`.
+        code: An object file with the function :data:`~dssc_jax.backend.interface.ENTRY_POINT`.
     """
 
     code: bytes
@@ -152,7 +155,6 @@ class LoadedCode:
                     return
                 self._function(given.ctypes.data, wanted.ctypes.data, first, min(first + part, lanes))
 
-        AT_WORK.set()
         running: list[Future[None]] = [workers(threads).submit(work) for _ in range(min(threads, -(-lanes // part)))]
 
         def finish() -> None:
@@ -165,6 +167,13 @@ class LoadedCode:
 
         weakref.finalize(finish, stopped.set)  # nobody waits any more
         return finish
+
+
+def catch_up() -> None:
+    """Do what waits in :data:`MEANWHILE`."""
+    with suppress(Empty):
+        while True:
+            MEANWHILE.get_nowait()()
 
 
 def addresses(columns: Sequence[np.ndarray]) -> np.ndarray:

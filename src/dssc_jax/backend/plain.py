@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
-from dssc_jax.backend.translate import AXIS
+from dssc_jax.backend.interface import AXIS
 
 LANES = 512  # of a tile on a CPU, so that calling the kernels of a sample costs little
 TILE_STEP = 16  # every tile is a multiple of it: of 8, a 512-bit vector, the compiler may contract other products

@@ -14,6 +14,7 @@ from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal, Var
 from dssc_jax.backend import arrays, random_bits
 from dssc_jax.backend.arrays import as_tensor, elementwise
 from dssc_jax.backend.elementary import ELEMENTARY
+from dssc_jax.backend.interface import AXIS
 from dssc_jax.backend.primitives import ELEMENT_RULES
 from dssc_jax.backend.program import BOOL, Builder, Program, Recording, Value
 from dssc_jax.backend.random_bits import Key
@@ -23,15 +24,14 @@ from dssc_jax.backend.varying import VaryingResults, is_key, parts_of_scan
 INLINED = {"jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint", "custom_jvp_call",
          "custom_vjp_call", "custom_vjp_call_jaxpr", "custom_lin"}  # fmt: skip
 REDUCTIONS_OVER_LANES = ("pmax", "pmax_p")
-AXIS = "lanes"
-"""Name of the axis over the lanes that run together, for :func:`jax.lax.pmax` in a lane's program."""
 
 
 def translate(lane: Callable[..., Any], *arguments: Any, fast: bool = False) -> tuple[Program, Any]:
     """Trace the program of one lane and translate it.
 
     Args:
-        lane: A function of scalars; its results may be reduced over the other lanes by ``pmax`` along :data:`AXIS`.
+        lane: A function of scalars; its results may be reduced over the other lanes by ``pmax`` along
+            :data:`~dssc_jax.backend.interface.AXIS`.
         arguments: Trees of ``jax.ShapeDtypeStruct`` with shape ().
         fast: See :class:`~dssc_jax.backend.program.Builder`.
 

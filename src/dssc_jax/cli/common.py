@@ -3,10 +3,10 @@
 import os
 import sys
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -103,14 +103,10 @@ def require_proofs() -> None:
 
 def import_meanwhile(*modules: str) -> None:
     """Import what a command needs at its end while LLVM compiles or machine code runs, which leave Python idle."""
-    from dssc_jax.backend.machine import AT_WORK
+    from dssc_jax.backend.machine import MEANWHILE
 
-    def later() -> None:
-        AT_WORK.wait()
-        for module in modules:
-            import_module(module)
-
-    Thread(target=later, daemon=True).start()
+    for module in modules:
+        MEANWHILE.put(partial(import_module, module))
 
 
 def load_study(

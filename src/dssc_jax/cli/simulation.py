@@ -298,11 +298,12 @@ def complete_result(study: "Study", out: Path) -> "Result | None":
     """The complete result of the same study in a folder, computed with the same software and device; None otherwise."""
     from dssc_jax.engine.batching import computing
     from dssc_jax.results.manifest import MANIFEST, about_code, machinery_differences, read_manifest
-    from dssc_jax.results.result import Result
-    from dssc_jax.results.store import read_dataset
 
     if not (out / MANIFEST).exists():
         return None
+    from dssc_jax.results.result import Result
+    from dssc_jax.results.store import read_dataset
+
     try:
         manifest = read_manifest(out)
         same = manifest["hash"] == study.hash and manifest.get("complete") and not manifest.get("stopping")

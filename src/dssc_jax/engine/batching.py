@@ -9,7 +9,7 @@ import itertools
 import math
 import platform
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from typing import Any
@@ -18,7 +18,8 @@ import jax
 import numpy as np
 
 from dssc_jax.backend import forms
-from dssc_jax.backend.translate import AXIS
+from dssc_jax.backend.interface import AXIS
+from dssc_jax.backend.machine import catch_up
 from dssc_jax.closed_loop.draw import Run, simulate_draw
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Scalar
@@ -28,6 +29,9 @@ from dssc_jax.study import Study
 BLOCK = 16384  # lanes
 PROBES = 16  # draws that are simulated twice to find in-loop noise
 VERSIONS = ("dssc_jax", "jax", "jaxlib", "llvmlite", "numpy", "scipy", "xarray", "zarr")
+
+Block = tuple[slice, ...]
+"""A box of the grid."""
 
 Arrays = dict[Any, np.ndarray]
 """Arrays by name; derivatives by :class:`dssc_jax.engine.evaluation.Derivative`."""
@@ -100,11 +104,11 @@ class Layout:
         """Lanes of the largest block."""
         return math.prod(map(min, self.shape, self.block))
 
-    def index(self, block: tuple[slice, ...]) -> tuple[int, ...]:
+    def index(self, block: Block) -> tuple[int, ...]:
         """The index of a block, or of the block that contains a part, among the blocks."""
         return tuple(part.start // size for part, size in zip(block, self.block, strict=True))
 
-    def blocks(self) -> list[tuple[slice, ...]]:
+    def blocks(self) -> list[Block]:
         """Every block as a slice of the grid, in C order."""
         starts = (range(0, size, step) for size, step in zip(self.shape, self.block, strict=True))
         return [
@@ -184,6 +188,7 @@ class Engine:
             results = start(columns, np.asarray(indices))
 
         def finish() -> Arrays:
+            catch_up()
             arrays = results()
             self.clock.run_seconds += time.perf_counter() - max(began, self._finished)
             self._finished = time.perf_counter()
@@ -228,7 +233,7 @@ def drawn(study: Study, draws: slice) -> Arrays:
     return draw(study, np.arange(draws.start, draws.stop))
 
 
-def lanes_of(study: Study, block: tuple[slice, ...], values: Arrays) -> tuple[Arrays, np.ndarray]:
+def lanes_of(study: Study, block: Block, values: Arrays) -> tuple[Arrays, np.ndarray]:
     """Values and draw indices of every lane of a block, flattened in C order; ``values`` are those of its draws."""
     *points, draws = block
     shape = tuple(part.stop - part.start for part in block)
@@ -242,7 +247,7 @@ def lanes_of(study: Study, block: tuple[slice, ...], values: Arrays) -> tuple[Ar
     return flat, indices
 
 
-def lanes_in(block: tuple[slice, ...]) -> int:
+def lanes_in(block: Block) -> int:
     """Number of lanes of a block."""
     return math.prod(part.stop - part.start for part in block)
 
@@ -257,22 +262,27 @@ def computing() -> dict[str, Any]:
     }
 
 
-def execute(engine: Engine, blocks: list[tuple[slice, ...]]) -> Iterator[tuple[tuple[slice, ...], Arrays, Arrays]]:
-    """Compute blocks in turn; each is started before the previous one is yielded.
+def execute(engine: Engine, blocks: Sequence[Block]) -> Iterator[tuple[Block, Arrays, Arrays]]:
+    """Compute blocks in turn. The first is started at once, each other one before the previous one is yielded.
 
-    Yields:
-        The block, its results with the block's shape, and the drawn values of its range of draws.
+    Returns:
+        An iterator of the blocks: each with its results in the block's shape, and the drawn values of its draws.
     """
-    waiting = None
     engine.compiled()  # before the draws: commands import while LLVM is at work on the largest program
-    for block in blocks:
+
+    def start(block: Block) -> tuple[Block, Callable[[], Arrays], Arrays]:
         values = drawn(engine.study, block[-1])
-        started = engine(*lanes_of(engine.study, block, values))
-        if waiting is not None:
+        return block, engine(*lanes_of(engine.study, block, values)), values
+
+    def finish(first: tuple[Block, Callable[[], Arrays], Arrays]) -> Iterator[tuple[Block, Arrays, Arrays]]:
+        waiting = first
+        for block in blocks[1:]:
+            started = start(block)
             yield collect(*waiting)
-        waiting = block, started, values
-    if waiting is not None:
+            waiting = started
         yield collect(*waiting)
+
+    return finish(start(blocks[0])) if blocks else iter(())
 
 
 def evaluate(engine: Engine, values: Arrays, indices: np.ndarray) -> Arrays:
@@ -299,9 +309,7 @@ def is_noisy(engine: Engine) -> bool:
     return any(not np.array_equal(same[name], other[name], equal_nan=True) for name in same)
 
 
-def collect(
-    block: tuple[slice, ...], started: Callable[[], Arrays], values: Arrays
-) -> tuple[tuple[slice, ...], Arrays, Arrays]:
+def collect(block: Block, started: Callable[[], Arrays], values: Arrays) -> tuple[Block, Arrays, Arrays]:
     """Wait for a block and give its results the block's shape."""
     shape = tuple(part.stop - part.start for part in block)
     return block, {name: array.reshape(shape) for name, array in started().items()}, values

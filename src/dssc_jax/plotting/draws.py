@@ -41,9 +41,13 @@ def failures(result: Result) -> Figure:
     distribution(result, axes[0])
     for ax, name in zip(axes[1:], laws, strict=False):
         factor(result, name, ax)
-    tops = [ax.get_ylim()[1] for ax in axes[1 : 1 + len(laws)]]
-    for ax in axes[1 : 1 + len(laws)]:
+    factors = axes[1 : 1 + len(laws)]
+    tops = [ax.get_ylim()[1] for ax in factors]
+    for position, ax in enumerate(factors):
         fit_probability(ax, max(tops), margin=0.0)
+        if position and (1 + position) % columns:  # the panel on its left has the same axis
+            ax.set_ylabel("")
+            ax.tick_params(labelleft=False)
     failed = result.failed.values
     low, high = result.method.interval(failed)
     title(

@@ -9,6 +9,7 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, PercentFormatter
 
@@ -30,6 +31,8 @@ STYLE: dict[Any, Any] = {
     "figure.autolayout": False,  # each figure names its layout, and has none once it is laid out; see arrange
     "figure.constrained_layout.use": False,
 }
+FAST_PNG: dict[str, Any] = {"pil_kwargs": {"compress_level": 3}}
+"""Two thirds of the time, and a file 4 % larger."""
 SLIDE, PANEL, SMALL = (11.5, 5.6), (6.4, 4.6), (4.6, 3.8)  # inches
 DRAWABLE = np.float64(1e100)  # larger numbers overflow in matplotlib's axes; float32 would make a float infinite
 TITLE_DENSITY = 8.0  # characters of a title per inch
@@ -88,13 +91,18 @@ def set_scale(ax: Axes, values: np.ndarray, which: str = "x") -> None:
 
 
 def set_log(ax: Axes, values: np.ndarray, which: str = "x") -> None:
-    """Make an axis logarithmic, with plain numbers, more of them if the range is short."""
+    """Make an axis logarithmic; see :func:`set_log_ticks`."""
     (ax.set_xscale if which == "x" else ax.set_yscale)("log")
-    axis = ax.xaxis if which == "x" else ax.yaxis
     positive = values[np.isfinite(values)]
-    decades = np.log10(positive.max() / positive.min())
+    set_log_ticks(ax.xaxis if which == "x" else ax.yaxis, positive.min(), positive.max())
+
+
+def set_log_ticks(axis: Axis, low: float, high: float) -> None:
+    """Label a logarithmic axis with plain numbers, more of them if the range is short."""
+    decades = np.log10(high / low)
     subs = (1.0, 2.0, 5.0) if decades < 1.3 else (1.0, 3.0) if decades < 2.0 else (1.0,)
     axis.set_major_locator(LogLocator(subs=subs))
+    axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
@@ -115,7 +123,7 @@ def write(figure: Figure, path: Path) -> Path:
     """Save a figure."""
     with rc_context(STYLE):
         arrange(figure)
-        figure.savefig(path)
+        figure.savefig(path, **FAST_PNG if path.suffix == ".png" else {})
     return path
 
 

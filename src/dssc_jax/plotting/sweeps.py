@@ -26,6 +26,7 @@ from dssc_jax.plotting.style import (
     label,
     named,
     panel,
+    set_log_ticks,
     set_scale,
     styled,
     title,
@@ -284,12 +285,14 @@ def typical_map(ax: Axes, result: Result, measure: Measure, down: str, across: s
     if not finite.size:
         ax.text(0.5, 0.5, "no finite median", transform=ax.transAxes, ha="center")
     image = ax.pcolormesh(x, y, middle, cmap="viridis", norm=norm, **cells(middle), **colour_limits(finite, cap))
-    ax.figure.colorbar(
+    bar = ax.figure.colorbar(
         image,
         ax=ax,
         label=textwrap.fill(f"median {label(result.dataset[measure.name].attrs)}", 40),
         extend="max" if colour_limits(finite, cap) else "neither",
     )
+    if norm == "log":
+        set_log_ticks(bar.ax.yaxis, *image.get_clim())
     for limit in metric_bounds(result, measure):
         contour(ax, x, y, middle, limit, "-")
     ax.set_title("median over draws")

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import zarr
 from zarr.codecs import BytesCodec, ZstdCodec
+from zarr.core.metadata import ArrayV3Metadata
 from zarr.storage import MemoryStore
 
 from dssc_jax.core.errors import ConfigError
@@ -24,18 +25,23 @@ from dssc_jax.results.schema import (
 from dssc_jax.study import Study
 
 MEND = "--resume computes again what is not as it was written"
+EVERY_CHUNK = {"array.write_empty_chunks": True}  # chunks of NaN too, since presence has a meaning
 Extent = tuple[tuple[int, ...], tuple[int, ...]]
 """Shape and chunks of an array."""
 
 
-def lay_out(folder: Path, study: Study, layout: Layout) -> zarr.Group:
-    """Create every array of the store, empty."""
+def lay_out(folder: Path, study: Study, layout: Layout) -> dict[str, Any]:
+    """Create every array of the store, and return those of the variables, which are empty."""
     group = zarr.open_group(folder / DATA, mode="w", zarr_format=3, attributes={**dataset_attributes(study)})
-    for name, values in coordinate_values(study).items():
-        create(group, name, coordinates(study)[name], (values.shape, values.shape))[...] = values
-    for name, variable in variables(study).items():
-        create(group, name, variable, array_extent(variable, layout))
-    return group
+    values = coordinate_values(study)
+    nodes = {name: metadata(coordinates(study)[name], (values[name].shape, values[name].shape)) for name in values}
+    nodes |= {name: metadata(variable, array_extent(variable, layout)) for name, variable in variables(study).items()}
+    with zarr.config.set(EVERY_CHUNK):
+        described: dict[str, Any] = {name: ArrayV3Metadata.from_dict(node) for name, node in nodes.items()}
+        arrays: dict[str, Any] = dict(zarr.create_hierarchy(store=group.store, nodes=described))
+    for name, column in values.items():
+        arrays[name][...] = column
+    return {name: arrays[name] for name in variables(study)}
 
 
 def array_extent(variable: Variable, layout: Layout) -> Extent:
@@ -126,7 +132,7 @@ def checked_array(
     """
     shape, chunks = extent
     try:
-        with zarr.config.set({"array.write_empty_chunks": True}):  # chunks of NaN too, since presence has a meaning
+        with zarr.config.set(EVERY_CHUNK):
             array: Any = group[place.name]
         actual = as_json(array.metadata.to_dict(), free)
         shape = (*shape[:-1], array.shape[-1]) if growing else shape

@@ -13,13 +13,11 @@ import numpy as np
 import xarray as xr
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.engine.batching import Arrays, Layout, lanes_in
+from dssc_jax.engine.batching import Arrays, Block, Layout, lanes_in
 from dssc_jax.results.arrays import MEND, checked_arrays, one_line
 from dssc_jax.results.digests import DIGESTS, Piece, add_piece, over_all, pieces_of, sum_of
 from dssc_jax.results.manifest import DATA
 from dssc_jax.study import Study
-
-Block = tuple[slice, ...]
 
 
 @contextmanager
@@ -47,14 +45,23 @@ class Chunks:
         layout: Its blocks.
         mode: ``r`` to read, ``r+`` to write.
         growing: Whether arrays may have a different number of draws.
+        arrays: The arrays, if they have just been created; None: they are opened.
 
     Raises:
         ConfigError: An array is absent or differs from its creation.
     """
 
-    def __init__(self, folder: Path, study: Study, layout: Layout, mode: str = "r", growing: bool = False) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        study: Study,
+        layout: Layout,
+        mode: str = "r",
+        growing: bool = False,
+        arrays: dict[str, Any] | None = None,
+    ) -> None:
         self.folder, self.layout = folder, layout
-        self.arrays = checked_arrays(folder, study, layout, mode, growing)
+        self.arrays = checked_arrays(folder, study, layout, mode, growing) if arrays is None else arrays
         self.drawn = list(study.laws)
 
     def write(self, block: Block, results: Arrays, drawn: Arrays) -> None:

@@ -10,6 +10,7 @@ from uuid import uuid4
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.design.certification import mark
 from dssc_jax.engine.batching import Layout
+from dssc_jax.results import lock
 from dssc_jax.study import Described, Study, hash_of
 from dssc_jax.study.code import recorded
 from dssc_jax.study.described import describe
@@ -193,6 +194,29 @@ def differences(old: Any, new: Any, path: str = "") -> list[str]:
 def listed(lines: list[str], most: int = 3) -> str:
     """The first differences in one line."""
     return "; ".join(lines[:most]) + (f"; and {len(lines) - most} more" if len(lines) > most else "")
+
+
+def occupied(folder: Path) -> bool:
+    """Whether a folder holds more than a run leaves that was killed at its very beginning.
+
+    Raises:
+        ConfigError: It is a file.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise ConfigError(str(folder), "is a file, not a results folder; nothing was written")
+    return folder.exists() and any(
+        file.name not in (lock.LOCK, lock.HOLDER) and file.suffix != PARTIAL for file in folder.iterdir()
+    )
+
+
+def require_startable(folder: Path, study: Study, resume: bool) -> None:
+    """Require that a study may be run into a folder, without touching it.
+
+    Raises:
+        ConfigError: It holds another study's results or something else.
+    """
+    if occupied(folder):
+        require_same_study(folder, read_manifest(folder), study, resume)
 
 
 def require_same_study(folder: Path, manifest: dict[str, Any], study: Study, resume: bool) -> bool:

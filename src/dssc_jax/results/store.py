@@ -21,18 +21,17 @@ from dssc_jax.results.manifest import (
     SCHEMA,
     SUMMARY,
     WITHOUT_DIGESTS,
+    occupied,
     read_manifest,
     require_same_machinery,
     require_same_study,
+    require_startable,
     stored_layout,
     write_manifest,
     write_text,
 )
 from dssc_jax.results.schema import in_memory
 from dssc_jax.study import Study, received
-
-OWN = (lock.LOCK, lock.HOLDER)
-"""Files that a run killed at its very beginning leaves, in addition to a partial manifest."""
 
 
 class Store:
@@ -51,13 +50,12 @@ class Store:
 
     def __init__(self, folder: Path, study: Study, manifest: dict[str, Any], resume: bool = False) -> None:
         self.folder, self.study = folder, study
-        if self._occupied():
-            require_same_study(folder, read_manifest(folder), study, resume)  # before anything is touched
+        require_startable(folder, study, resume)
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
             self._lock = lock.take(folder)
         try:
-            old = read_manifest(folder) if self._occupied() else None
+            old = read_manifest(folder) if occupied(folder) else None
             more = old is not None and require_same_study(folder, old, study, resume)
             with writing(folder):
                 if old is None or not resume or not self._go_on(old, manifest, more):
@@ -86,13 +84,6 @@ class Store:
         """The blocks; a resumed run keeps its original layout."""
         return self.chunks.layout
 
-    def _occupied(self) -> bool:
-        if self.folder.exists() and not self.folder.is_dir():
-            raise ConfigError(str(self.folder), "is a file, not a results folder; nothing was written")
-        return self.folder.exists() and any(
-            file.name not in OWN and file.suffix != PARTIAL for file in self.folder.iterdir()
-        )
-
     def _begin(self, manifest: dict[str, Any]) -> None:
         for name in (DATA, DIGESTS):
             shutil.rmtree(self.folder / name, ignore_errors=True)
@@ -101,9 +92,8 @@ class Store:
         manifest = {name: value for name, value in manifest.items() if name != DIGESTS} | {"schema": SCHEMA}
         write_manifest(self.folder, manifest)  # before the data, so that an interrupted run is known as one
         layout = Layout.from_dict(manifest["layout"])
-        lay_out(self.folder, self.study, layout)
         self.manifest, self.pending = manifest, layout.blocks()
-        self.chunks = Chunks(self.folder, self.study, layout, "r+")
+        self.chunks = Chunks(self.folder, self.study, layout, arrays=lay_out(self.folder, self.study, layout))
 
     def _go_on(self, old: dict[str, Any], new: dict[str, Any], more: bool) -> bool:
         """Continue an earlier run; False if that run had not created its store."""

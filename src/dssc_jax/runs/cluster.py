@@ -21,8 +21,8 @@ from typing import Any
 
 from dssc_jax.backend import machine
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.engine.batching import Engine, Layout, computing, execute, lanes_in
-from dssc_jax.results.blocks import Block, Chunks
+from dssc_jax.engine.batching import Block, Engine, Layout, computing, execute, lanes_in
+from dssc_jax.results.blocks import Chunks
 from dssc_jax.results.manifest import listed, machinery_differences
 from dssc_jax.results.store import Store
 from dssc_jax.study import Study

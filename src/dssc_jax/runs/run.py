@@ -2,24 +2,26 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
-from dssc_jax.engine.batching import Engine, Layout, computing, execute, lanes_in
-from dssc_jax.results.manifest import SCHEMA, about_code
-from dssc_jax.results.result import Result
-from dssc_jax.results.schema import in_memory, put
-from dssc_jax.results.store import Store
-from dssc_jax.runs.cluster import connected
+from dssc_jax.engine.batching import Arrays, Block, Engine, Layout, computing, execute, lanes_in
+from dssc_jax.results.manifest import SCHEMA, about_code, require_startable
 from dssc_jax.study import Study
 from dssc_jax.study.correlation import gaussian
+
+if TYPE_CHECKING:
+    from dssc_jax.results.result import Result
+    from dssc_jax.results.store import Store
+    from dssc_jax.runs.cluster import Cluster
 
 
 def about_run(study: Study, layout: Layout, machinery: Mapping[str, Any]) -> dict[str, Any]:
@@ -68,7 +70,7 @@ def run(
     cluster: str | None = None,
     notify: Callable[[str], None] = print,
     local: str | None = None,
-) -> Result:
+) -> "Result":
     """Simulate every draw of a study at every point of its sweep.
 
     Args:
@@ -91,36 +93,69 @@ def run(
     """
     layout = Layout.of(study, block) if block else Layout.of(study)
     if out is None:
-        if cluster:
-            raise ConfigError("out", "is needed on a cluster: a folder that every worker can access")
-        manifest = about_run(study, layout, computing())
-        return in_one_piece(study, manifest, Engine(study, layout.lanes, tile, devices), progress)
+        for given, why in ((cluster, "on a cluster: a folder that every worker can access"), (resume, "to resume")):
+            if given:
+                raise ConfigError("out", f"is needed {why}")
+        return in_one_piece(study, layout, Engine(study, layout.lanes, tile, devices), progress)
+    require_startable(Path(out), study, resume)
+    here = Here(study, tile, devices)
+    if not resume and not cluster:
+        here.start(layout, layout.blocks())
+
+    # xarray and Zarr take as long to import as a small study takes to run: the first block runs meanwhile
+    from dssc_jax.results.result import Result
+    from dssc_jax.results.store import Store
+
     with ExitStack() as stack:
-        workers = stack.enter_context(connected(cluster, notify)) if cluster else None
-        manifest = about_run(study, layout, workers.machinery() if workers else computing())
+        workers: Here | Cluster = here
+        if cluster:
+            from dssc_jax.runs.cluster import connected
+
+            workers = stack.enter_context(connected(cluster, notify))
+        manifest = about_run(study, layout, workers.machinery())
         target = stack.enter_context(Store(Path(out), study, manifest, resume))
         if not target.finished:
             advance = LanesDone(progress, target.layout, target.pending)
-            if workers:
-                about = workers.fill(study, target, advance, local)
-            else:
-                about = fill(study, target, advance, tile, devices)
-            target.complete(about)
+            target.complete(workers.fill(study, target, advance, local))
         result = Result.of(study, *target.read(), Path(out))
         target.summarise(result.lines())
     return result
 
 
-def fill(
-    study: Study, target: Store, advance: Callable[[int], None], tile: int | None, devices: int | None
-) -> dict[str, Any]:
-    """Compute the missing blocks of a folder in this process, and return the times for the manifest."""
-    began = time.perf_counter()
-    engine = Engine(study, target.layout.lanes, tile, devices)
-    for box, results, values in execute(engine, target.pending):
-        target.chunks.write(box, results, values)
-        advance(lanes_in(box))
-    return {"times": engine.times(began)}
+@dataclass
+class Here:
+    """This process, which computes blocks as the workers of a cluster do.
+
+    Args:
+        study: The study.
+        tile: Lanes of a tile.
+        devices: Number of devices to use.
+    """
+
+    study: Study
+    tile: int | None
+    devices: int | None
+
+    def __post_init__(self) -> None:
+        self.began = time.perf_counter()
+        self.computed: Iterator[tuple[Block, Arrays, Arrays]] | None = None
+
+    def machinery(self) -> dict[str, Any]:
+        """See :func:`dssc_jax.engine.batching.computing`."""
+        return computing()
+
+    def start(self, layout: Layout, blocks: list[Block]) -> Iterator[tuple[Block, Arrays, Arrays]]:
+        """Start the first of some blocks; see :func:`dssc_jax.engine.batching.execute`."""
+        self.engine = Engine(self.study, layout.lanes, self.tile, self.devices)
+        self.computed = execute(self.engine, blocks)
+        return self.computed
+
+    def fill(self, _: Study, target: "Store", advance: Callable[[int], None], __: str | None) -> dict[str, Any]:
+        """Compute the missing blocks of a folder, and return the times for the manifest."""
+        for box, results, values in self.computed or self.start(target.layout, target.pending):
+            target.chunks.write(box, results, values)
+            advance(lanes_in(box))
+        return {"times": self.engine.times(self.began)}
 
 
 class LanesDone:
@@ -132,7 +167,7 @@ class LanesDone:
         pending: The blocks that are not finished at the beginning.
     """
 
-    def __init__(self, progress: ProgressCallback | None, layout: Layout, pending: list[tuple[slice, ...]]) -> None:
+    def __init__(self, progress: ProgressCallback | None, layout: Layout, pending: list[Block]) -> None:
         self.progress, self.total = progress, math.prod(layout.shape)
         self.done = self.total - sum(map(lanes_in, pending))
         self(0)
@@ -144,12 +179,17 @@ class LanesDone:
             self.progress(self.done, self.total)
 
 
-def in_one_piece(study: Study, manifest: dict[str, Any], engine: Engine, progress: ProgressCallback | None) -> Result:
+def in_one_piece(study: Study, layout: Layout, engine: Engine, progress: ProgressCallback | None) -> "Result":
     """Run a study in memory."""
-    began = time.perf_counter()
-    layout = Layout.from_dict(manifest["layout"])
-    dataset, advance = in_memory(study), LanesDone(progress, layout, layout.blocks())
-    for box, results, values in execute(engine, layout.blocks()):
+    began, blocks = time.perf_counter(), layout.blocks()
+    computed = execute(engine, blocks)
+
+    from dssc_jax.results.result import Result
+    from dssc_jax.results.schema import in_memory, put
+
+    manifest = about_run(study, layout, computing())
+    dataset, advance = in_memory(study), LanesDone(progress, layout, blocks)
+    for box, results, values in computed:
         put(dataset, box, results, values)
         advance(lanes_in(box))
     return Result.of(study, dataset, manifest | {"complete": True, "times": engine.times(began)})
