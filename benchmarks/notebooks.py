@@ -3,9 +3,12 @@
 import base64
 import io
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import nbformat
+from jupyter_client.manager import KernelManager
 from nbclient import NotebookClient
 from nbclient.exceptions import CellTimeoutError, DeadKernelError
 from PIL import Image
@@ -24,16 +27,35 @@ def smaller(picture: str) -> str:
     return base64.b64encode(out.getvalue()).decode()
 
 
-def run_through(path: Path, attempts: int = ATTEMPTS) -> nbformat.NotebookNode:
+@contextmanager
+def kernel() -> Iterator[KernelManager]:
+    """A kernel that runs one notebook after another, which saves imports."""
+    manager = KernelManager(kernel_name="python3")
+    manager.start_kernel(cwd=str(NOTEBOOKS))
+    try:
+        yield manager
+    finally:
+        manager.shutdown_kernel(now=True)
+
+
+def run_through(path: Path, manager: KernelManager, attempts: int = ATTEMPTS) -> nbformat.NotebookNode:
     """The notebook after its execution; again if a kernel's reply was lost, which happens on a busy machine."""
     book = nbformat.read(path, as_version=4)
-    where = {"metadata": {"path": path.parent}}
+    client = manager.client()
+    client.start_channels()
     try:
-        return NotebookClient(book, timeout=PATIENCE, kernel_name="python3", resources=where).execute()
+        client.wait_for_ready(PATIENCE)
+        client.execute_interactive("%reset -f", silent=True, timeout=PATIENCE)  # names of earlier notebooks
+        runner = NotebookClient(book, km=manager, timeout=PATIENCE)
+        runner.kc = client
+        return runner.execute()
     except (CellTimeoutError, DeadKernelError):
         if attempts == 1:
             raise
-        return run_through(path, attempts - 1)
+        manager.restart_kernel(now=True)
+        return run_through(path, manager, attempts - 1)
+    finally:
+        client.stop_channels()
 
 
 def is_set_up(output: nbformat.NotebookNode) -> bool:
@@ -41,9 +63,9 @@ def is_set_up(output: nbformat.NotebookNode) -> bool:
     return output.output_type == "display_data" and "image/png" not in output.data
 
 
-def executed(path: Path) -> nbformat.NotebookNode:
-    """The notebook, executed anew in its own folder, without the times and the widgets of this execution."""
-    book = run_through(path)
+def executed(path: Path, manager: KernelManager) -> nbformat.NotebookNode:
+    """The notebook, executed anew in a kernel, without the times and the widgets of this execution."""
+    book = run_through(path, manager)
     book.metadata.pop("widgets", None)
     book.metadata["language_info"] = {"name": "python"}  # whatever the version
     for cell in book.cells:
@@ -58,9 +80,10 @@ def executed(path: Path) -> nbformat.NotebookNode:
 
 def main() -> int:
     """Execute all notebooks, or those whose names are given."""
-    for path in [Path(name) for name in sys.argv[1:]] or sorted(NOTEBOOKS.glob("*.ipynb")):
-        nbformat.write(executed(path), path)
-        print(path.name)
+    with kernel() as manager:
+        for path in [Path(name) for name in sys.argv[1:]] or sorted(NOTEBOOKS.glob("*.ipynb")):
+            nbformat.write(executed(path, manager), path)
+            print(path.name)
     return 0
 
 

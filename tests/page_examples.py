@@ -30,26 +30,24 @@ def examples(page: Path) -> Iterator[tuple[str, str]]:
                     yield language, line
 
 
-def run(command: str, in_shell: bool) -> int:
+def run(command: str) -> int:
     """The exit code of a line of a shell block."""
     words = shlex.split(command, comments=True)
-    if in_shell or words[:1] != ["dssc-jax"] or SHELL & set("".join(words)):
+    if words[:1] != ["dssc-jax"] or SHELL & set("".join(words)):
         return subprocess.run(["bash", "-euc", command], check=False).returncode
     from dssc_jax.cli import guarded
 
     return guarded(words[1:])
 
 
-def main(page: str, in_shell: bool) -> None:
+def main(page: str) -> None:
     """Run all examples of a page; end with the first that fails."""
     sys.path[0] = os.getcwd()
     for number, (language, text) in enumerate(examples(Path(page)), 1):
         print(f"--- {text}", flush=True)
         code = 0
         if language == "sh":
-            code = run(text, in_shell)
-        elif in_shell:
-            code = subprocess.run([sys.executable, "-c", text], check=False).returncode
+            code = run(text)
         else:
             exec(compile(text, f"example {number}", "exec"), {"__name__": "__main__"})
         if code:
@@ -57,4 +55,4 @@ def main(page: str, in_shell: bool) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], in_shell=sys.argv[2:] == ["--in-shell"])
+    main(sys.argv[1])

@@ -36,11 +36,9 @@ LANGUAGES = {"sh", "python", "toml"}
 
 @pytest.mark.parametrize("page", PAGES)
 def test_examples_run(page, tmp_path):
-    """In one process, which saves imports; those of the first page each in its own, as their reader runs them."""
+    """In one process, which saves imports."""
     environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
     command = [sys.executable, str(ROOT / "tests" / "page_examples.py"), str(ROOT / page)]
-    if page == "README.md":
-        command.append("--in-shell")
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "\n--- " in f"\n{done.stdout}"

@@ -8,7 +8,7 @@ from pathlib import Path
 import nbformat
 import pytest
 
-from benchmarks.notebooks import executed
+from benchmarks.notebooks import executed, kernel
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 NUMBER = re.compile(r"[-+]?\d[\d,]*\.?\d*(?:e[-+]?\d+)?")
@@ -36,6 +36,12 @@ def differences(old, new):
     return [f"{a} is now {b}" for a, b in pairs if not math.isclose(a, b, rel_tol=NEAR, abs_tol=1e-3)]
 
 
+@pytest.fixture(scope="module")
+def manager():
+    with kernel() as running:
+        yield running
+
+
 def test_there_are_notebooks():
     assert [path.stem[3:] for path in NOTEBOOKS] == [
         "first_loop",
@@ -50,8 +56,8 @@ def test_there_are_notebooks():
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 @pytest.mark.filterwarnings("default")  # of the notebook machinery, not of this package
-def test_a_notebook_prints_and_plots_what_is_stored_in_it(path):
-    stored, fresh = nbformat.read(path, as_version=4), executed(path)
+def test_a_notebook_prints_and_plots_what_is_stored_in_it(path, manager):
+    stored, fresh = nbformat.read(path, as_version=4), executed(path, manager)
     assert sum(pictures(stored)) >= 1
     assert pictures(fresh) == pictures(stored)
     assert differences(stored, fresh) == [], "run `make notebooks`"

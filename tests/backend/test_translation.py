@@ -62,6 +62,7 @@ CASES = {
     "logarithms": lambda x, i: jnp.log2(1.0 + x * x) + jnp.exp2(x) + jnp.log10(i),
     "power": lambda x, i: x**3 + x**-2 + jnp.sqrt(jnp.abs(x)) + jax.lax.rsqrt(1.0 + x * x),
     "scan over rows": lambda x, i: jax.lax.scan(lambda s, row: (s * x + row, None), x, jnp.arange(5.0))[0],
+    "no turns": lambda x, i: jax.lax.fori_loop(1, 1, lambda k, s: 2.0 * s, x),
     "search": lambda x, i: jnp.searchsorted(jnp.linspace(-1.0, 1.0, 9), jnp.where(i > 3, jnp.nan, x)),
     "search from the right": lambda x, i: jnp.searchsorted(jnp.array([-1.0, x, jnp.nan]), i - 3.0, side="right"),
     "tangent": lambda x, i: jax.jvp(lambda z: jnp.tanh(z) * jnp.exp(-z * z), (x,), (1.0,))[1],

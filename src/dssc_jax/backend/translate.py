@@ -222,8 +222,10 @@ def scan_rule(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list[
     second = first + carried
     constants, begin, rows = operands[:first], operands[first:second], operands[second:]
     kept = equation.outvars[carried:]
-    if length == 0 or (params["reverse"] and kept):
-        raise Unsupported("a loop without turns, or one that records backwards")
+    if kept and (length == 0 or params["reverse"]):
+        raise Unsupported("a loop that records nothing, or backwards")
+    if length == 0:
+        return begin
     recordings = [Recording(length, np.dtype(type_of(variable).dtype)) for variable in kept]
     if any(type_of(variable).shape != (length,) or is_key(type_of(variable)) for variable in kept):
         raise Unsupported("a loop that records arrays")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy import linalg, optimize, special
 
+from dssc_jax.backend.lanes import CompiledLanes
 from dssc_jax.core.vectors import Vec3
 from dssc_jax.models.environment import wind
 from tests.models.environment.test_wind import TABLES, arrays, held_at, parsed
@@ -75,20 +76,21 @@ DIRECTION = TABLES["dryden"]["direction"]
 def in_wind_axes(velocity, direction):
     """u, v, w of an inertial velocity."""
     c, s = jnp.cos(direction), jnp.sin(direction)
-    return jnp.stack([c * velocity.x + s * velocity.y, c * velocity.y - s * velocity.x, velocity.z])
+    return Vec3(c * velocity.x + s * velocity.y, c * velocity.y - s * velocity.x, velocity.z)
 
 
 def simulated(dt, paths=PATHS, block=BLOCK, blocks=BLOCKS, seed=1):
     """Turbulence u, v, w over sigma at the start of each block, and its mean over each block: (paths, blocks, 3)."""
     model, params = dryden()
     law = wind.dryden_law(params)
-    sigma, mean = jnp.array([law.sigma_uv, law.sigma_uv, law.sigma_w]), jnp.array([law.mean, 0.0, 0.0])
     inner = round(block / dt)
 
-    def path(key):
+    def path(index):
+        key = jax.random.fold_in(jax.random.key(seed), index)
+
         def sample(state, k):
             state = model.step(params, state, jax.random.fold_in(key, k + 1), k * dt, dt)
-            return state, (in_wind_axes(model.value(params, state, k * dt), DIRECTION) - mean) / sigma
+            return state, in_wind_axes(model.value(params, state, k * dt), DIRECTION)
 
         def record(carry, j):
             state, first = sample(carry, j * inner)
@@ -102,8 +104,9 @@ def simulated(dt, paths=PATHS, block=BLOCK, blocks=BLOCKS, seed=1):
 
         return jax.lax.scan(record, arrays(model.init(params, jax.random.fold_in(key, 0))), jnp.arange(blocks))[1]
 
-    x, means = jax.jit(jax.vmap(path))(jax.random.split(jax.random.key(seed), paths))
-    return np.asarray(x), np.asarray(means)
+    lanes = CompiledLanes(path, jax.ShapeDtypeStruct((), np.uint32)).start((np.arange(paths),), paths, 2)()
+    sigma, mean = np.array([law.sigma_uv, law.sigma_uv, law.sigma_w]), np.array([law.mean, 0.0, 0.0])
+    return tuple((np.stack(velocity, axis=-1) - mean) / sigma for velocity in lanes)
 
 
 def correlation(lags, transverse):
@@ -221,7 +224,7 @@ def test_direction_may_be_random():
         drawn = params._replace(direction=direction)
         return in_wind_axes(model.value(drawn, model.step(drawn, model.init(drawn, key), key, 0.0, 0.005), 0.0), 0.0)
 
-    found = np.asarray(jax.jit(jax.vmap(velocity))(directions))
+    found = np.stack(jax.jit(jax.vmap(velocity))(directions), axis=-1)
     angle = np.unwrap(np.arctan2(found[:, 1], found[:, 0]))
     np.testing.assert_allclose(angle - angle[0], directions - directions[0], rtol=0, atol=1e-12)
     np.testing.assert_allclose(np.hypot(found[:, 0], found[:, 1]), np.hypot(*found[0, :2]), rtol=ROUNDING)
