@@ -5,10 +5,16 @@ import os
 import subprocess
 import sys
 
+import jax
+import numpy as np
 import pytest
 
+import dssc_jax as dj
+from dssc_jax.backend.lanes import CompiledLanes
 from dssc_jax.cache import user_cache
 from dssc_jax.cache.user_cache import DIGEST, ProgramCache, digest
+from dssc_jax.core.numerics import arithmetic
+from dssc_jax.engine.batching import simulated
 from tests.results.test_durability import SMALL
 
 UNSET = "DSSC_JAX_CACHE", "DSSC_JAX_KERNEL"
@@ -151,3 +157,16 @@ def test_a_program_that_cannot_be_kept_is_used(tmp_path, monkeypatch):
     monkeypatch.setattr("os.replace", lambda *_: (_ for _ in ()).throw(OSError("No space left on device")))
     assert user_cache.kept("a", lambda: b"program") == b"program"
     assert not list(tmp_path.rglob("*.program"))
+
+
+def test_the_trace_of_a_known_program_has_its_precision(tmp_path, monkeypatch):
+    """It is made when somebody reads it, under whatever setting."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    study = dj.Study.from_table(SMALL).without_sweep()
+    number = jax.ShapeDtypeStruct((), np.float32)
+    with arithmetic(32):
+        lane, index = simulated(study), jax.ShapeDtypeStruct((), np.uint32)
+        first, second = (CompiledLanes(lane, dict.fromkeys(study.laws, number), index) for _ in range(2))
+    assert "traced" in vars(first)
+    assert "traced" not in vars(second)
+    assert second.traced.text == first.traced.text

@@ -15,6 +15,7 @@ import numpy as np
 from dssc_jax.backend import machine
 from dssc_jax.backend.interface import stored_type
 from dssc_jax.cache.user_cache import kept, remembered
+from dssc_jax.core.numerics import arithmetic
 
 if TYPE_CHECKING:
     from dssc_jax.backend.traced_lanes import TracedLanes
@@ -38,7 +39,7 @@ class CompiledLanes:
     def __init__(
         self, lane: Callable[..., Any], *arguments: Any, width: int | None = None, strict: bool = False
     ) -> None:
-        self._given = lane, arguments, width, strict
+        self._given, self._bits = (lane, arguments, width, strict), 8 * jnp.result_type(float).itemsize
         self.signature = remembered("signature", lambda: self.traced.signature, *self._given, machine.translator())
         code = kept(self.signature.code, lambda: machine.object_code(self.traced.text))
         self._code = machine.LoadedCode(code)
@@ -48,7 +49,8 @@ class CompiledLanes:
         """The program and its text."""
         from dssc_jax.backend.traced_lanes import TracedLanes  # the translator, if the cache does not do without it
 
-        return TracedLanes(*self._given)
+        with arithmetic(self._bits):  # that of the compilation, perhaps by another process
+            return TracedLanes(*self._given)
 
     def start(self, arguments: Any, count: int, threads: int) -> Callable[[], Any]:
         """Begin to run a batch.
