@@ -4,6 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 QUICK := $(addprefix tests/,engine/test_batching.py backend closed_loop/test_settled.py test_protocols.py cli/test_commands.py)
 
+# Commands and tests are many processes that import the same modules.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: study test quick lint types check measure bench ratios proofs paper conservatism noise notebooks pages screenshots exploring pareto docs clean
 
 study: $(VENV)/run  ## install, and run the main job: how much unmodelled lag does a DSSC loop survive?

@@ -34,7 +34,7 @@ def inline(draw: Callable[[], Figure], text: str, prefix: str) -> Markup:
     """
     look = {**STYLE, **dict.fromkeys(INKED, INK), **dict.fromkeys(CLEAR, "none")}
     buffer = io.StringIO()
-    with rc_context({**look, "svg.fonttype": "none", "svg.hashsalt": prefix}):
+    with rc_context({**look, "svg.hashsalt": prefix}):
         draw().savefig(buffer, format="svg")
     source = buffer.getvalue()
     box = re.search(r'viewBox="([\d. -]+)"', source)
