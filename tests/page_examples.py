@@ -1,7 +1,8 @@
-"""Runs the examples of a page of the documentation, in order: ``python page_examples.py PAGE``, in an empty folder.
+"""Runs the examples of pages of the documentation, in order: ``python page_examples.py PAGE...``, in an empty folder.
 
-Files named in their first line are written, then every shell and Python block runs. Commands run in this process,
-which imports the package once for all of them; those that are not ours, or use the shell, run in a shell.
+Each page has a folder of its own there. Files named in their first line are written, then every shell and Python block
+runs. Commands run in this process, which imports the package once for all of them; those that are not ours, or use the
+shell, run in a shell.
 """
 
 import os
@@ -40,19 +41,32 @@ def run(command: str) -> int:
     return guarded(words[1:])
 
 
-def main(page: str) -> None:
+def enter(folder: Path) -> None:
+    """Make a folder, and work in it without the modules of the folder before."""
+    left = Path.cwd()
+    for name, module in list(sys.modules.items()):
+        if left == Path(getattr(module, "__file__", None) or "/").parent:
+            del sys.modules[name]
+    folder.mkdir(exist_ok=True)
+    os.chdir(folder)
+    sys.path[0] = str(folder)
+
+
+def run_page(page: Path) -> None:
     """Run all examples of a page; end with the first that fails."""
-    sys.path[0] = os.getcwd()
-    for number, (language, text) in enumerate(examples(Path(page)), 1):
-        print(f"--- {text}", flush=True)
+    for number, (language, text) in enumerate(examples(page), 1):
+        print(f"--- {page.name}: {text}", flush=True)
         code = 0
         if language == "sh":
             code = run(text)
         else:
             exec(compile(text, f"example {number}", "exec"), {"__name__": "__main__"})
         if code:
-            sys.exit(f"exit code {code}")
+            sys.exit(f"{page.name}: exit code {code}")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    here = Path.cwd()
+    for page in [Path(name).resolve() for name in sys.argv[1:]]:
+        enter(here / page.stem)
+        run_page(page)

@@ -34,14 +34,15 @@ WITH_EXAMPLES = sorted(
 LANGUAGES = {"sh", "python", "toml"}
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_examples_run(page, tmp_path):
-    """In one process, which saves imports."""
+@pytest.mark.parametrize("pages", [PAGES[::2], PAGES[1::2]], ids=["half", "other half"])
+def test_examples_run(pages, tmp_path):
+    """In two processes for all pages, which saves imports."""
     environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
-    command = [sys.executable, str(ROOT / "tests" / "page_examples.py"), str(ROOT / page)]
+    command = [sys.executable, str(ROOT / "tests" / "page_examples.py"), *(str(ROOT / page) for page in pages)]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "\n--- " in f"\n{done.stdout}"
+    for page in pages:
+        assert f"\n--- {Path(page).name}: " in f"\n{done.stdout}"
 
 
 def test_an_example_that_fails_is_told(tmp_path):
