@@ -166,3 +166,13 @@ def test_an_edited_study_has_a_folder_of_its_own(study, capsys):
     second = last_json(capsys)
     assert second["result"].startswith(f"{first}-")
     assert second["draws"] == 21
+
+
+def test_a_run_whose_figures_cannot_be_drawn_is_kept(study):
+    """Their library is imported while lanes run, and fails at once."""
+    command = [sys.executable, "-m", "dssc_jax.cli", "run", str(study), "--out", "kept"]
+    done = subprocess.run(command, env={**os.environ, "MPLBACKEND": "nonsense"}, capture_output=True, text=True)
+    assert done.returncode != 0
+    assert "nonsense" in done.stderr
+    assert json.loads(Path("kept/manifest.json").read_text())["complete"]
+    assert dj.load("kept").dataset.sizes["draw"] == 20

@@ -116,6 +116,8 @@ def test_more_draws_keep_what_exists(study, tmp_path, block):
         dj.run(study, folder, block=block, progress=stop)
     except KeyboardInterrupt:
         assert block != 1000
+    with pytest.raises(ConfigError, match="out: is needed to resume"):
+        dj.run(more, resume=True)
     with pytest.raises(ConfigError, match="holds 24 draws of this study; add 35 with --resume"):
         dj.run(more, folder)
     told = []

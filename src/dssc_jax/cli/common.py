@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
@@ -105,8 +106,12 @@ def import_meanwhile(*modules: str) -> None:
     """Import what a command needs at its end while LLVM compiles or machine code runs, which leave Python idle."""
     from dssc_jax.backend.machine import MEANWHILE
 
+    def imported(module: str) -> None:
+        with suppress(Exception):  # whoever uses it will tell
+            import_module(module)
+
     for module in modules:
-        MEANWHILE.put(partial(import_module, module))
+        MEANWHILE.put(partial(imported, module))
 
 
 def load_study(

@@ -98,7 +98,7 @@ def run(
                 raise ConfigError("out", f"is needed {why}")
         return in_one_piece(study, layout, Engine(study, layout.lanes, tile, devices), progress)
     require_startable(Path(out), study, resume)
-    here = Here(study, tile, devices)
+    here = ThisProcess(study, tile, devices)
     if not resume and not cluster:
         here.start(layout, layout.blocks())
 
@@ -107,7 +107,7 @@ def run(
     from dssc_jax.results.store import Store
 
     with ExitStack() as stack:
-        workers: Here | Cluster = here
+        workers: ThisProcess | Cluster = here
         if cluster:
             from dssc_jax.runs.cluster import connected
 
@@ -123,8 +123,8 @@ def run(
 
 
 @dataclass
-class Here:
-    """This process, which computes blocks as the workers of a cluster do.
+class ThisProcess:
+    """This process in the place of a cluster's workers; see :class:`dssc_jax.runs.cluster.Cluster`.
 
     Args:
         study: The study.
@@ -150,7 +150,9 @@ class Here:
         self.computed = execute(self.engine, blocks)
         return self.computed
 
-    def fill(self, _: Study, target: "Store", advance: Callable[[int], None], __: str | None) -> dict[str, Any]:
+    def fill(
+        self, _study: Study, target: "Store", advance: Callable[[int], None], _local: str | None
+    ) -> dict[str, Any]:
         """Compute the missing blocks of a folder, and return the times for the manifest."""
         for box, results, values in self.computed or self.start(target.layout, target.pending):
             target.chunks.write(box, results, values)
