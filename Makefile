@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 QUICK := $(addprefix tests/,engine/test_batching.py backend closed_loop/test_settled.py test_protocols.py cli/test_commands.py)
 
-# Commands and tests are many processes that import the same modules.
+# Each command and many tests are processes of their own: they read the modules' bytecode instead of compiling them again.
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: study test quick lint types check measure bench ratios proofs paper conservatism noise notebooks pages screenshots exploring pareto docs clean

@@ -8,7 +8,7 @@ from tests.tolerances import ROUNDING
 
 
 def assert_contract(two_steps, first):
-    """Scalars, one structure of the state, ``vmap`` equal to a loop, and float32 kept where nothing has a value yet.
+    """Scalars, one structure of the state, ``vmap`` equal to a loop, and a trace without values that keeps float32.
 
     Args:
         two_steps: ``(y, y_dot) -> (state, outputs...)`` after two samples.

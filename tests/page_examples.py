@@ -2,7 +2,7 @@
 
 Each page has a folder of its own there. Files named in their first line are written, then every shell and Python block
 runs. Commands run in this process, which imports the package once for all of them; those that are not ours, or use the
-shell, run in a shell.
+shell, run in a shell. With ``--apart`` before the pages, each block runs in a process of its own.
 """
 
 import os
@@ -31,10 +31,10 @@ def examples(page: Path) -> Iterator[tuple[str, str]]:
                     yield language, line
 
 
-def run(command: str) -> int:
+def run(command: str, apart: bool) -> int:
     """The exit code of a line of a shell block."""
     words = shlex.split(command, comments=True)
-    if words[:1] != ["dssc-jax"] or SHELL & set("".join(words)):
+    if apart or words[:1] != ["dssc-jax"] or SHELL & set("".join(words)):
         return subprocess.run(["bash", "-euc", command], check=False).returncode
     from dssc_jax.cli import guarded
 
@@ -52,13 +52,15 @@ def enter(folder: Path) -> None:
     sys.path[0] = str(folder)
 
 
-def run_page(page: Path) -> None:
+def run_page(page: Path, apart: bool) -> None:
     """Run all examples of a page; end with the first that fails."""
     for number, (language, text) in enumerate(examples(page), 1):
         print(f"--- {page.name}: {text}", flush=True)
         code = 0
         if language == "sh":
-            code = run(text)
+            code = run(text, apart)
+        elif apart:
+            code = subprocess.run([sys.executable, "-c", text], check=False).returncode
         else:
             exec(compile(text, f"example {number}", "exec"), {"__name__": "__main__"})
         if code:
@@ -66,7 +68,7 @@ def run_page(page: Path) -> None:
 
 
 if __name__ == "__main__":
-    here = Path.cwd()
-    for page in [Path(name).resolve() for name in sys.argv[1:]]:
+    here, apart = Path.cwd(), sys.argv[1] == "--apart"
+    for page in [Path(name).resolve() for name in sys.argv[1 + apart :]]:
         enter(here / page.stem)
-        run_page(page)
+        run_page(page, apart)

@@ -34,11 +34,16 @@ WITH_EXAMPLES = sorted(
 LANGUAGES = {"sh", "python", "toml"}
 
 
-@pytest.mark.parametrize("pages", [PAGES[::2], PAGES[1::2]], ids=["half", "other half"])
+FIRST, *OTHERS = sorted(PAGES, key=lambda page: page != "README.md")
+
+
+@pytest.mark.parametrize("pages", [[FIRST], OTHERS[::2], OTHERS[1::2]], ids=["README.md", "half", "other half"])
 def test_examples_run(pages, tmp_path):
-    """In two processes for all pages, which saves imports."""
+    """README's each in a process of its own, as their reader runs them; those of other pages in two for all."""
     environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
-    command = [sys.executable, str(ROOT / "tests" / "page_examples.py"), *(str(ROOT / page) for page in pages)]
+    apart = ["--apart"] if pages == ["README.md"] else []
+    script = [sys.executable, str(ROOT / "tests" / "page_examples.py")]
+    command = [*script, *apart, *(str(ROOT / page) for page in pages)]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     for page in pages:

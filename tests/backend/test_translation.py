@@ -1,5 +1,6 @@
 """The program of a lane: every kind of operation against plain XLA, random numbers bit for bit, and what is refused."""
 
+import time
 import warnings
 
 import jax
@@ -288,13 +289,19 @@ def sorts(values, index):
     return {"largest": jnp.sort(jnp.stack([values["a"], 1.0, -1.0]))[-1]}
 
 
+def test_lanes_tell_when_they_ended_not_when_somebody_asks():
+    finish = CompiledLanes(jnp.sin, jax.ShapeDtypeStruct((), np.float64)).start_timed((X,), LANES, 2)
+    (_, ended), asked, (_, again) = finish(), time.perf_counter(), finish()
+    assert ended == again <= asked
+
+
 def test_what_has_no_translation_is_named_and_runs_anyway():
     values, index = {"a": X}, np.arange(LANES)
     with pytest.raises(Unsupported, match=r"'sort' in sorts .*test_translation.py"):
         CompiledLanes(sorts, {"a": jax.ShapeDtypeStruct((), np.float64)}, jax.ShapeDtypeStruct((), np.uint32))
     with pytest.warns(forms.KernelWarning, match="no machine code for 'sort' in sorts"):
         start = forms.compiled("lanes", sorts, ["a"], LANES, None, None)
-    np.testing.assert_array_equal(start(values, index)()["largest"], np.maximum(X, 1.0))
+    np.testing.assert_array_equal(start(values, index)()[0]["largest"], np.maximum(X, 1.0))
 
 
 def test_a_recording_may_be_a_result_twice_and_a_lane_needs_no_input():

@@ -22,8 +22,11 @@ from dssc_jax.backend.unsupported import Unfit, Unsupported
 from dssc_jax.core.errors import ConfigError, nearest
 
 KERNEL_VARIABLE = "DSSC_JAX_KERNEL"
-Start = Callable[[dict[str, np.ndarray], np.ndarray], Callable[[], dict[Any, np.ndarray]]]
-"""(columns of numbers, draw indices) -> a function that waits for the results, as columns of the same length."""
+Start = Callable[[dict[str, np.ndarray], np.ndarray], Callable[[], tuple[dict[Any, np.ndarray], float]]]
+"""(columns of numbers, draw indices) -> a function that waits for the results.
+
+They are columns of the same length, beside the time of :func:`time.perf_counter` at which the lanes ended.
+"""
 
 
 class Form(StrEnum):

@@ -63,6 +63,11 @@ class CompiledLanes:
         Returns:
             A function that waits and returns the tree of results: columns of shape (n,), (n, length) of records.
         """
+        finish = self.start_timed(arguments, count, threads)
+        return lambda: finish()[0]
+
+    def start_timed(self, arguments: Any, count: int, threads: int) -> Callable[[], tuple[Any, float]]:
+        """As :meth:`start`; the function also tells when the lanes ended, see :meth:`.machine.LoadedCode.start`."""
         width, inputs, outputs, results, _ = self.signature
         lanes = -(-count // width) * width
         given = [
@@ -72,11 +77,11 @@ class CompiledLanes:
         columns = [np.empty(lanes * (1 if length is None else length), stored_type(dtype)) for dtype, length in outputs]
         finish = self._code.start(given, columns, lanes, width, threads)
 
-        def unpacked() -> Any:
-            finish()
+        def unpacked() -> tuple[Any, float]:
+            ended = finish()
             pairs = zip(outputs, columns, strict=True)
             inside = [in_order(column, length, width)[:count].view(dtype) for (dtype, length), column in pairs]
-            return jax.tree.unflatten(jax.tree.structure(results), inside)
+            return jax.tree.unflatten(jax.tree.structure(results), inside), ended
 
         return unpacked
 
@@ -104,6 +109,6 @@ class LaneBatch:
         self._lanes = CompiledLanes(lane, dict.fromkeys(names, number), index, strict=strict)
         self._threads = min(cores or machine.usable_cores(), machine.usable_cores())
 
-    def start(self, values: dict[str, np.ndarray], index: np.ndarray) -> Callable[[], Any]:
+    def start(self, values: dict[str, np.ndarray], index: np.ndarray) -> Callable[[], tuple[Any, float]]:
         """Begin to run a batch; see :data:`dssc_jax.backend.forms.Start`."""
-        return self._lanes.start((values, index), len(index), self._threads)
+        return self._lanes.start_timed((values, index), len(index), self._threads)

@@ -8,6 +8,7 @@ import ctypes
 import hashlib
 import os
 import threading
+import time
 import weakref
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -132,8 +133,8 @@ class LoadedCode:
 
     def start(
         self, inputs: Sequence[np.ndarray], outputs: Sequence[np.ndarray], lanes: int, width: int, threads: int
-    ) -> Callable[[], None]:
-        """Begin to run all lanes, and return a function that waits for them.
+    ) -> Callable[[], float]:
+        """Begin to run all lanes, and return a function that waits for them and tells when they ended.
 
         Args:
             inputs: Columns of at least ``lanes`` numbers each.
@@ -141,26 +142,28 @@ class LoadedCode:
             lanes: Their number, a multiple of ``width``.
             width: Lanes of a vector.
             threads: How many threads to use.
+
+        Returns:
+            The function; its result is a time of :func:`time.perf_counter`.
         """
         part = max(1, -(-lanes // (width * threads * PARTS))) * width
         starts = iter(range(0, lanes, part))
         lock, stopped = threading.Lock(), threading.Event()
 
-        def work() -> None:  # holds the columns as long as it runs, whoever else lets go of them
+        def work() -> float:  # holds the columns as long as it runs, whoever else lets go of them
             given, wanted = addresses(inputs), addresses(outputs)
             while True:
                 with lock:
                     first = next(starts, None)
                 if first is None or stopped.is_set():
-                    return
+                    return time.perf_counter()
                 self._function(given.ctypes.data, wanted.ctypes.data, first, min(first + part, lanes))
 
-        running: list[Future[None]] = [workers(threads).submit(work) for _ in range(min(threads, -(-lanes // part)))]
+        running: list[Future[float]] = [workers(threads).submit(work) for _ in range(min(threads, -(-lanes // part)))]
 
-        def finish() -> None:
+        def finish() -> float:
             try:
-                for future in running:
-                    future.result()
+                return max(future.result() for future in running)
             except BaseException:  # such as Ctrl-C: the threads end with the part that they run
                 stopped.set()
                 raise

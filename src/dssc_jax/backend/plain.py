@@ -3,6 +3,7 @@
 This is the reference, and the form for whatever has no machine code.
 """
 
+import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -66,7 +67,7 @@ class PlainBatch:
         lowered = jax.jit(sharded).lower(dict.fromkeys(names, number), jax.ShapeDtypeStruct(shape, jnp.uint32))
         self._run = lowered.compile(compiler_options=plain_options())
 
-    def start(self, values: dict[str, np.ndarray], index: np.ndarray) -> Callable[[], Any]:
+    def start(self, values: dict[str, np.ndarray], index: np.ndarray) -> Callable[[], tuple[Any, float]]:
         """Begin to run a batch; see :data:`dssc_jax.backend.forms.Start`."""
         count, shape = len(index), (self._tiles, self._tile)
 
@@ -75,4 +76,9 @@ class PlainBatch:
 
         columns = {name: tiled(column, self._real) for name, column in values.items()}
         out = self._run(columns, tiled(index, np.uint32))
-        return lambda: jax.tree.map(lambda array: np.asarray(array).reshape(-1, *array.shape[2:])[:count], out)
+
+        def flat() -> tuple[Any, float]:
+            inside = jax.tree.map(lambda array: np.asarray(array).reshape(-1, *array.shape[2:])[:count], out)
+            return inside, time.perf_counter()  # at the latest: XLA does not tell
+
+        return flat

@@ -166,7 +166,7 @@ class Engine:
     def __post_init__(self) -> None:
         self.kernel = forms.requested(self.kernel)
         self._start: forms.Start | None = None
-        self._finished = 0.0
+        self._ended = 0.0
 
     @property
     def names(self) -> list[str]:
@@ -189,9 +189,10 @@ class Engine:
 
         def finish() -> Arrays:
             catch_up()
-            arrays = results()
-            self.clock.run_seconds += time.perf_counter() - max(began, self._finished)
-            self._finished = time.perf_counter()
+            arrays, ended = results()
+            ended = max(ended, self._ended)
+            self.clock.run_seconds += ended - max(began, self._ended)
+            self._ended = ended
             self.clock.lanes += count
             return arrays
 

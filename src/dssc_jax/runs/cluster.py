@@ -111,10 +111,11 @@ class Cluster:
         client: A ``distributed.Client`` connected to it.
         address: The address given by the user.
         notify: Called with a line of text when a worker is lost or joins.
+        local: See :class:`Job`.
     """
 
-    def __init__(self, client: Any, address: str, notify: Callable[[str], None]) -> None:
-        self.client, self.address, self.notify = client, address, notify
+    def __init__(self, client: Any, address: str, notify: Callable[[str], None], local: str | None = None) -> None:
+        self.client, self.address, self.notify, self.local = client, address, notify, local
         self.lost: list[str] = []
         self._present = self._workers()
         self._seen = self._looked = time.monotonic()
@@ -140,14 +141,12 @@ class Cluster:
                 raise ConfigError(OPTION, text)
         return here
 
-    def fill(self, study: Study, target: Store, advance: Callable[[int], None], local: str | None) -> dict[str, Any]:
+    def fill(self, target: Store, advance: Callable[[int], None]) -> dict[str, Any]:
         """Compute the missing blocks of a folder.
 
         Args:
-            study: The study.
             target: The folder, locked by this process.
             advance: Called with the number of lanes of every finished task.
-            local: See :class:`Job`.
 
         Returns:
             Entries for the manifest: ``times`` and ``cluster``.
@@ -155,8 +154,8 @@ class Cluster:
         Raises:
             ConfigError: The scheduler or all workers are permanently lost, or a worker cannot write.
         """
-        began = time.perf_counter()
-        job = Job(json.dumps(study.table), str(target.folder.resolve()), target.layout.block, local)
+        began, study = time.perf_counter(), target.study
+        job = Job(json.dumps(study.table), str(target.folder.resolve()), target.layout.block, self.local)
         workers = len(self._present)
         shares = []
         for share in self._done(job, block_ranges(target.pending, workers)):
@@ -218,12 +217,13 @@ def summed(shares: list[Share], steps: int, seconds: float) -> dict[str, Any]:
 
 
 @contextmanager
-def connected(address: str, notify: Callable[[str], None]) -> Iterator[Cluster]:
+def connected(address: str, notify: Callable[[str], None], local: str | None = None) -> Iterator[Cluster]:
     """Connect to workers at an address, or start local workers for the duration of the context.
 
     Args:
         address: ``tcp://host:port`` of a scheduler, or ``local:N`` for N processes on this machine.
         notify: See :class:`Cluster`.
+        local: See :class:`Job`.
 
     Raises:
         ConfigError: The address is wrong, there is no answer, or dask.distributed is not installed.
@@ -241,7 +241,7 @@ def connected(address: str, notify: Callable[[str], None]) -> Iterator[Cluster]:
             client.wait_for_workers(count or 1, timeout=PATIENCE)
         except (OSError, TimeoutError, ValueError) as error:
             raise ConfigError(OPTION, f"no scheduler with workers answers at {address}: {error}") from error
-        yield Cluster(client, address, notify)
+        yield Cluster(client, address, notify, local)
 
 
 def parsed(address: str) -> int:

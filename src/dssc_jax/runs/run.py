@@ -89,7 +89,8 @@ def run(
         local: Folder in which a cluster's workers also look for the study's ``module:object`` names.
 
     Raises:
-        ConfigError: ``out`` contains something else, is being written, or cannot be written; or the cluster is lost.
+        ConfigError: ``out`` contains something else, is being written, cannot be written, or is missing where
+            ``resume`` or ``cluster`` needs it; or the cluster is lost.
     """
     layout = Layout.of(study, block) if block else Layout.of(study)
     if out is None:
@@ -111,12 +112,12 @@ def run(
         if cluster:
             from dssc_jax.runs.cluster import connected
 
-            workers = stack.enter_context(connected(cluster, notify))
+            workers = stack.enter_context(connected(cluster, notify, local))
         manifest = about_run(study, layout, workers.machinery())
         target = stack.enter_context(Store(Path(out), study, manifest, resume))
         if not target.finished:
             advance = LanesDone(progress, target.layout, target.pending)
-            target.complete(workers.fill(study, target, advance, local))
+            target.complete(workers.fill(target, advance))
         result = Result.of(study, *target.read(), Path(out))
         target.summarise(result.lines())
     return result
@@ -150,9 +151,7 @@ class ThisProcess:
         self.computed = execute(self.engine, blocks)
         return self.computed
 
-    def fill(
-        self, _study: Study, target: "Store", advance: Callable[[int], None], _local: str | None
-    ) -> dict[str, Any]:
+    def fill(self, target: "Store", advance: Callable[[int], None]) -> dict[str, Any]:
         """Compute the missing blocks of a folder, and return the times for the manifest."""
         for box, results, values in self.computed or self.start(target.layout, target.pending):
             target.chunks.write(box, results, values)
