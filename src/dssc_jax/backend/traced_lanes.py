@@ -32,7 +32,7 @@ class Packing(NamedTuple):
 
 
 PACKINGS = {
-    512: (Packing(750, 4, 30), Packing(math.inf, 2, 75)),
+    512: (Packing(450, 4, 25), Packing(math.inf, 2, 60)),
     256: (Packing(750, 4, 120), Packing(2000, 2, 150), Packing(math.inf, 1, 300)),
 }
 """Packings by the bits of a hardware vector, as measured. Processors with 512 bits have twice as many registers."""

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from dssc_jax.closed_loop.metrics import Instant, Measure, starts, update_all, values
 from dssc_jax.closed_loop.requirements import Requirement, judge
@@ -94,10 +95,10 @@ def sampler(
     def sample(at: Progress) -> tuple[Progress, Recorded]:
         state, recorded = step(loop, params, key, at.state, at.k)
         accumulators = update_all(measures, at.accumulators, recorded.instant, at.k, loop.sample_time)
-        code = jnp.where(recorded.broken, Outcome.SINGULAR_ATTITUDE, Outcome.OK)
-        code = jnp.where(recorded.finite, code, Outcome.NON_FINITE)
+        code = jnp.where(recorded.broken, np.int32(Outcome.SINGULAR_ATTITUDE), np.int32(Outcome.OK))
+        code = jnp.where(recorded.finite, code, np.int32(Outcome.NON_FINITE))
         running = is_running(loop, at)
-        outcome = jnp.where(running, code, at.outcome).astype(jnp.int32)
+        outcome = jnp.where(running, code, at.outcome)
         completed = running & jnp.logical_and(recorded.finite, jnp.logical_not(recorded.broken))
         in_band = count_in_band(loop, at.in_band, recorded.instant, at.k)
         if freeze:

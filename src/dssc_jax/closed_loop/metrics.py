@@ -166,7 +166,7 @@ def sampling_ratio(sample: Sample) -> Scalar:
     values at the sample. k_p is the draw's own, so the largest ratio over the draws occurs at k_max.
     """
     info, dt = sample.info, sample.dt
-    return 0.5 * sample.k_p * dt * (info.tau_m + 0.5 * dt) / (info.k_o * info.tau_av * info.tau_m)  # one division
+    return 0.5 * sample.k_p * dt * info.integral_gain * (info.tau_m + 0.5 * dt)
 
 
 def position_error(instant: Instant) -> Scalar:
@@ -184,7 +184,7 @@ def as_float(flag: Scalar, like: Scalar) -> Scalar:
     return jnp.where(flag, jnp.ones_like(like), jnp.zeros_like(like))
 
 
-SLIDING, SAMPLING, FLYING = ("sliding_margin",), ("k_o", "tau_av", "tau_m"), ("tilt",)
+SLIDING, SAMPLING, FLYING = ("sliding_margin",), ("integral_gain", "tau_m"), ("tilt",)
 METRICS: dict[str, Metric] = {
     "error_rms": Metric("y", "rms of the output error e", total(lambda s: s.e * s.e), root_mean),
     "error_max": Metric("y", "largest |e|", peak(lambda s: s.e), itself),

@@ -94,7 +94,7 @@ class DriftSum(NamedTuple):
 def drift_sum(acc: DriftSum, sample: Sample, window: Window) -> DriftSum:
     """Add g(sigma_k) (n_k - n_(k-1)) with g = 1/(k_o tau_av) at the measured sigma; the first sample has none."""
     noise = sample.sigma_measured - sample.sigma
-    step = (noise - acc.last) / (sample.info.k_o * sample.info.tau_av)
+    step = (noise - acc.last) * sample.info.integral_gain * sample.info.tau_m
     return DriftSum(acc.samples + 1.0, noise, acc.total + jnp.where(acc.samples == 0.0, 0.0, step))
 
 

@@ -25,11 +25,20 @@ def arithmetic(precision: int = 64) -> Iterator[None]:
         yield
 
 
+@partial(jax.custom_jvp, nondiff_argnums=(1,))
 def root_abs(x: Scalar, floor: float = 0.0) -> Scalar:
     """r = max(|x|, floor^2)^(1/2), with gradient 0 at x = 0, where the slope of the root is infinite."""
     magnitude = jnp.abs(x)
-    positive = magnitude > floor**2
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, magnitude, 1.0)), floor)
+    return jnp.sqrt(jnp.maximum(magnitude, floor**2) if floor else magnitude)
+
+
+@root_abs.defjvp
+def root_abs_slope(floor: float, at: tuple[Scalar], tangent: tuple[Scalar]) -> tuple[Scalar, Scalar]:
+    """The root, and its slope sgn(x)/(2 r) where |x| > floor^2, else 0."""
+    (x,), (x_dot,) = at, tangent
+    above = jnp.abs(x) > floor**2
+    r = root_abs(x, floor)
+    return r, x_dot * jnp.where(above, jnp.sign(x) / (2.0 * jnp.where(above, r, 1.0)), 0.0)
 
 
 def binary_exponent(x: Scalar) -> tuple[Scalar, Scalar]:

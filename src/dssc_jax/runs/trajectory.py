@@ -41,6 +41,7 @@ UNITS = {
     "k_o": ("y/(s^2 u)", "predictor gain"),
     "tau_m": ("s", "predictor time constant"),
     "tau_av": ("s", "averaging time constant"),
+    "integral_gain": ("u/y", "integral gain of the synthesised law"),
     "integral": ("u", "integral term of u"),
     "proportional": ("u", "proportional term of u"),
     "derivative": ("u", "derivative term of u"),

@@ -77,6 +77,7 @@ class DsscInfo(NamedTuple):
     ``sliding_margin`` is rho - |u_eq| [m/s] with u_eq = d_0/k_o of (20), discretised: in the implicit form the u_0
     that brings sigma_tilde to 0 within the sample; in the explicit form, which never reaches 0, (20) with the
     difference of the last two sigma. The sliding condition rho > |d_0|/k_o holds if the margin is not negative.
+    ``integral_gain`` is K_I = 1/(k_o tau_av tau_m) of the synthesised law (22), whose K_P is K_I tau_m.
     """
 
     sigma_tilde: Scalar
@@ -88,6 +89,7 @@ class DsscInfo(NamedTuple):
     k_o: Scalar
     tau_m: Scalar
     tau_av: Scalar
+    integral_gain: Scalar
 
 
 class Sampled(NamedTuple):
@@ -101,12 +103,13 @@ class Sampled(NamedTuple):
 
 
 class SampleRatios(NamedTuple):
-    """Ratios of the functions to T_s: 1/tau_m [1/s], 1/(1+b), c [1/s] and its inverse [s]."""
+    """Quotients of the functions and T_s: 1/tau_m [1/s], 1/(1+b), c [1/s] and its inverse [s], K_I of (22)."""
 
     pole: Scalar
     decay: Scalar
     c: Scalar
     inverse_c: Scalar
+    integral_gain: Scalar
 
 
 class ControlSample(NamedTuple):
@@ -158,17 +161,24 @@ def limited(wanted: Scalar, u_av: Scalar, rho: Scalar, c: Scalar, width: Scalar 
 
 def sample_ratios(at: StateFunctions, dt: Scalar) -> SampleRatios:
     """The ratios from one common division, since a division costs far more than a product; for tau_m > 0."""
-    gain = dt * at.k_o * at.tau_av / (at.tau_av + dt)  # T_s k_o/(1+a)
+    share = dt / (at.tau_av + dt)  # a/(1+a)
+    gain = share * at.k_o * at.tau_av  # T_s k_o/(1+a)
     product, longer = gain * at.tau_m, at.tau_m + dt
     inverse = 1.0 / (product * longer)
     decay, inverse_product = product * inverse * at.tau_m, longer * inverse
-    return SampleRatios(gain * inverse_product, decay, gain * decay, inverse_product * longer)
+    return SampleRatios(
+        pole=gain * inverse_product,
+        decay=decay,
+        c=gain * decay,
+        inverse_c=inverse_product * longer,
+        integral_gain=share * inverse_product,
+    )
 
 
 def implicit_update(gains: DsscGains, state: DsscState, sample: ControlSample, dt: Scalar) -> Sampled:
     """Backward Euler for (15)-(18), solved exactly."""
     u_av, sigma_hat, at = state.u_av, state.predictor, sample.at
-    _, decay, c, inverse_c = sample.ratios
+    _, decay, c, inverse_c, _ = sample.ratios
     wanted = (sample.error.sigma - decay * sigma_hat) * inverse_c  # u_eq - u_av
     change = limited(wanted, u_av, sample.rho, c, gains.sign_width)
     after = decay * sigma_hat + c * change
@@ -291,6 +301,7 @@ def dssc(form: SampledForm) -> Controller:
             rho=rho,
             sliding_margin=rho - abs(after.u_eq),
             **at._asdict(),
+            integral_gain=ratios.integral_gain,
         )
         state = DsscState(after.u_av, after.predictor, error.sigma, modulation, earlier)
         return state, Command(-after.u_av, u_nominal), info
