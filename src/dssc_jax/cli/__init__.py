@@ -1,5 +1,6 @@
 """The command line. Heavy imports are deferred until a command needs them, so that help is fast."""
 
+import atexit
 import gc
 import importlib
 import os
@@ -8,6 +9,7 @@ import signal
 import sys
 from contextlib import suppress
 from types import FrameType
+from typing import NoReturn
 
 import typer
 
@@ -39,6 +41,7 @@ ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if h
 """Signals that end a command as Ctrl-C does: finished work is kept."""
 INTERRUPTED = [128 + number for number in ENDING]
 """Exit codes of a command that a signal ended."""
+CRASHED = 1  # by an exception, as Python has it
 HUNG_UP = 129  # as if the terminal's signal had come
 RECEIVED: list[int] = []
 """Exit codes of the signals that have come to this process."""
@@ -48,6 +51,8 @@ YOUNG = 1_000_000  # objects between two garbage collections: imports and traces
 def main() -> None:
     """Run the command line; bad input gives a one-line message without a traceback."""
     gc.set_threshold(YOUNG)
+    codes = [CRASHED]
+    atexit.register(lambda: leave(codes[-1]))  # libraries' own callbacks are registered later and come first
     for number in ENDING:
         if signal.getsignal(number) != signal.SIG_IGN:  # as nohup has it
             signal.signal(number, end)
@@ -59,12 +64,17 @@ def main() -> None:
         code = RECEIVED[0]
     code = RECEIVED[0] if RECEIVED else code
     if code in INTERRUPTED:  # threads may still run machine code, which Python would wait for and then pull away
-        for stream in (sys.stdout, sys.stderr):
-            with suppress(OSError):
-                stream.flush()
-        os._exit(code)
-    gc.freeze()  # the process ends anyway: a last collection would take half a second
+        leave(code)
+    codes.append(code)
     sys.exit(code)
+
+
+def leave(code: int) -> NoReturn:
+    """End the process without visiting each of its objects once more, which would take up to half a second."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError):
+            stream.flush()
+    os._exit(code)
 
 
 def end(number: int, _: FrameType | None) -> None:

@@ -17,7 +17,7 @@ from dssc_jax.plotting.margins import margin
 from dssc_jax.plotting.rare import rare
 from dssc_jax.plotting.regions import region
 from dssc_jax.plotting.searches import falsification, tuning
-from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, STYLE, write
+from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, STYLE, write, write_png_and_svg
 from dssc_jax.plotting.sweeps import fitted_slope, probability, standing, sweep, typical
 from dssc_jax.plotting.theory import theory
 from dssc_jax.plotting.trajectories import signals, trajectory
@@ -74,4 +74,6 @@ def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
         The files written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    return [write(figure, folder / f"{name}.{kind}") for kind in ("png", "svg")]
+    png, svg = folder / f"{name}.png", folder / f"{name}.svg"
+    write_png_and_svg(figure, png, svg)
+    return [png, svg]

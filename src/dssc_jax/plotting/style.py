@@ -2,6 +2,7 @@
 
 import textwrap
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
@@ -10,7 +11,9 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.image import imsave
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, PercentFormatter
 
 # Okabe and Ito's palette, distinguishable with any colour vision
@@ -126,6 +129,19 @@ def write(figure: Figure, path: Path) -> Path:
         arrange(figure)
         figure.savefig(path, **FAST_PNG if path.suffix == ".png" else {})
     return path
+
+
+def write_png_and_svg(figure: Figure, png: Path, svg: Path) -> None:
+    """Save a figure as PNG and SVG; a thread compresses the one while the other is drawn."""
+    with rc_context(STYLE), ThreadPoolExecutor(1) as compressing:
+        arrange(figure)
+        figure.set_dpi(STYLE["savefig.dpi"])
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        image = canvas.buffer_rgba()
+        compressed = compressing.submit(imsave, png, image, dpi=figure.dpi, origin="upper", **FAST_PNG)
+        figure.savefig(svg)
+        compressed.result()
 
 
 def arrange(figure: Figure) -> None:

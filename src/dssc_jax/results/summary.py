@@ -12,7 +12,7 @@ from dssc_jax.closed_loop.requirements import ended_early, violated
 from dssc_jax.core.signals import Outcome
 from dssc_jax.results.schema import outcome_codes
 from dssc_jax.statistics import Method, Replicated
-from dssc_jax.statistics.order import at_rank, quantile_ranks, ranked, upper_quantiles
+from dssc_jax.statistics.order import at_rank, quantile_ranks, ranked, upper_quantile
 from dssc_jax.study import Study
 
 QUANTILES = (0.05, 0.5, 0.95)
@@ -44,8 +44,8 @@ class Statements(NamedTuple):
     def quantiles(self, values: np.ndarray) -> dict[str, list[Any]]:
         """Columns of quantiles and their intervals, None where infinite, from draws of shape (points, draws)."""
         ordered, columns = ranked(values), {}
-        for level, column in zip(QUANTILES, upper_quantiles(ordered, QUANTILES), strict=True):
-            columns[f"q{100 * level:g}"] = column
+        for level in QUANTILES:
+            columns[f"q{100 * level:g}"] = upper_quantile(ordered, level)
             if not isinstance(self.method, Replicated):
                 ranks = quantile_ranks(ordered.shape[-1], level, self.method.level(self.confidence))
                 columns[f"q{100 * level:g}_interval"] = np.stack([at_rank(ordered, rank) for rank in ranks], axis=-1)

@@ -1,5 +1,6 @@
 """Intervals of quantiles and tolerance limits from order statistics, valid for any law."""
 
+import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 
@@ -35,7 +36,9 @@ def first(holds: Callable[[int], bool], start: int = 1) -> int:
 
 def ranked(values: np.ndarray) -> np.ndarray:
     """Values in ascending order along the last axis; a draw without a value (NaN) counts as +inf."""
-    return np.sort(np.where(np.isnan(values), np.inf, values))
+    ordered = np.sort(values)  # NaN last
+    ordered[np.isnan(ordered)] = np.inf
+    return ordered
 
 
 def at_rank(ordered: np.ndarray, rank: int) -> np.ndarray:
@@ -45,12 +48,22 @@ def at_rank(ordered: np.ndarray, rank: int) -> np.ndarray:
     return np.full(ordered.shape[:-1], -np.inf if rank < 1 else np.inf)
 
 
-def upper_quantiles(values: np.ndarray, levels: Sequence[float]) -> np.ndarray:
-    """Quantiles along the last axis with draws without a value at infinity, shape (levels, ...).
+def upper_quantile(ordered: np.ndarray, level: float) -> np.ndarray:
+    """The smallest value with at least the share ``level`` of the draws at or below it, along the last axis.
 
-    Order statistics only: a finite value is never averaged with an infinite one.
+    An order statistic: a finite value is never averaged with an infinite one.
+
+    Args:
+        ordered: The draws as :func:`ranked` returns them.
+        level: In [0, 1].
     """
-    return np.quantile(np.where(np.isnan(values), np.inf, values), levels, axis=-1, method="inverted_cdf")
+    return at_rank(ordered, max(1, math.ceil(level * ordered.shape[-1])))
+
+
+def upper_quantiles(values: np.ndarray, levels: Sequence[float]) -> np.ndarray:
+    """Quantiles along the last axis with draws without a value at infinity, shape (levels, ...)."""
+    ordered = ranked(values)
+    return np.stack([upper_quantile(ordered, level) for level in levels])
 
 
 @lru_cache
