@@ -28,6 +28,7 @@ def test_root_abs_is_exact_and_has_finite_gradients():
     np.testing.assert_allclose(root_abs(x), [2.0, 0.0, 1e-150, 3.0], rtol=1e-15)
     assert np.all(np.isfinite(jax.vmap(jax.grad(root_abs))(jnp.asarray(x))))
     assert jax.grad(root_abs)(0.0) == 0.0
+    assert np.isnan(root_abs(np.nan))
 
 
 def test_root_abs_floor():

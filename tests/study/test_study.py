@@ -117,7 +117,7 @@ BAD = {
             "controller": {"kind": "pi", "l0": 1.0, "k_p": 1.0, "k_i": 1.0},
             "requirement": [{"metric": "sampling_ratio", "max": 1.0}],
         },
-        "'sampling_ratio' needs k_o, tau_av, tau_m, which this loop does not have",
+        "'sampling_ratio' needs integral_gain, tau_m, which this loop does not have",
     ),
     "nothing measured": (
         {"metrics.names": [], "requirement": []},

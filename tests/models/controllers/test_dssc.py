@@ -90,6 +90,7 @@ def test_implicit_identities_for_every_row(kind, record_property):
                     backward_euler = (sigma - before + ratio * sigma) / product
                     worst = max(worst, abs(increment - backward_euler) / scale)
                 assert command.robust == -after.u_av
+                assert info.integral_gain == pytest.approx(1.0 / (product * info.tau_m), rel=1e-12)
                 checked += 1
             held, before, state = sliding, sigma, after
     record_property("worst", worst)
