@@ -16,8 +16,9 @@ def point(gradient, excess):
     return Point(np.zeros(2), merit, np.array(gradient), {"command_tv": np.array([1.0, 0.0])})
 
 
-def test_a_limit_that_chatter_exceeds_decides_alone():
-    direction = Multipliers(1.0).gradient(point(CHATTER, excess=0.1))
+@pytest.mark.parametrize("gradient", [CHATTER, [np.inf, 1.0], [1.0, np.nan]])
+def test_a_limit_that_chatter_exceeds_decides_alone(gradient):
+    direction = Multipliers(1.0).gradient(point(gradient, excess=0.1))
     assert direction[0] > 0.0
     assert direction[1] == 0.0
 

@@ -13,7 +13,9 @@ from dssc_jax.core.signals import ProgressCallback
 LAST = 0.01  # final share of the learning rate in the cosine schedule
 HALVINGS = 8
 CLIFF = 0.5  # a step may not worsen the objective by more, relative to the start's: beyond lies a loop that chatters
-STEEPEST = 1e6  # of the objective, relative to the start's: in a loop that chatters a derivative grows with every sample
+STEEPEST = (
+    1e6  # of the objective, relative to the start's: in a loop that chatters a derivative grows with every sample
+)
 SWERVE = 0.05  # a step may not exceed a limit by more, relative to it, unless the point before did
 EXACT = 0.2  # share of the steps, the last ones, in which the sign is not smoothed
 
@@ -41,9 +43,10 @@ class Multipliers:
         }
 
     def gradient(self, point: Point) -> np.ndarray:
-        """Gradient of the augmented Lagrangian; the limits' part alone where the objective's slope is that of chatter."""
+        """Gradient of the augmented Lagrangian; the limits' part alone where the objective has the slope of chatter."""
         total, pushes = point.gradient / self.scale, self.pushes(point)
-        if np.max(np.abs(total)) > STEEPEST and any(pushes.values()):
+        chatters = not np.all(np.abs(total) <= STEEPEST)  # an overflow, too
+        if chatters and any(pushes.values()):
             total = np.zeros_like(total)
         for name, push in pushes.items():
             total = total + push * point.slopes[name]
