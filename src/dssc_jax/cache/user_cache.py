@@ -24,6 +24,8 @@ T = TypeVar("T")
 CACHE_VARIABLE = "DSSC_JAX_CACHE"
 OFF = ("off", "0", "false")
 CACHE_SIZE = 2**28  # bytes; what has not been read for the longest time goes first
+SEARCHES = 16  # of the whole folder, while as much is stored as it may hold: one visits every file
+SMALLEST = 4096  # bytes of a disk that a file takes at least
 DIGEST = hashlib.sha256().digest_size
 
 
@@ -32,7 +34,7 @@ class ProgramCache:
 
     Args:
         folder: The folder; created when a program is stored.
-        most: Maximum size in bytes.
+        most: Maximum size in bytes; one sixteenth more between two searches for what may go.
     """
 
     def __init__(self, folder: Path, most: int = CACHE_SIZE) -> None:
@@ -57,13 +59,16 @@ class ProgramCache:
         """Store a program under its name."""
         self._path.mkdir(parents=True, exist_ok=True)
         partial = self._path / f"{uuid4().hex}.partial"
+        content = digest(key, value) + value
         try:
-            partial.write_bytes(digest(key, value) + value)
+            partial.write_bytes(content)
             os.replace(partial, self._file(key))
         except OSError:
             partial.unlink(missing_ok=True)
             raise
-        self._make_room()
+        chance = int.from_bytes(content[:8]) / 2**64  # the digest is as good as a random number
+        if chance * self.most < SEARCHES * max(len(content), SMALLEST):
+            self._make_room()
 
     def _file(self, key: str) -> Path:
         return self._path / f"{key}.program"
@@ -71,9 +76,8 @@ class ProgramCache:
     def _make_room(self) -> None:
         """Delete the files that have not been read for the longest time."""
         with os.scandir(self._path) as entries:
-            known = [
-                (about.stat().st_mtime_ns, about.stat().st_size, about.path) for about in entries if about.is_file()
-            ]
+            files = [(entry.stat(), entry.path) for entry in entries if entry.is_file()]
+        known = [(about.st_mtime_ns, max(about.st_size, SMALLEST), path) for about, path in files]
         excess = sum(size for _, size, _ in known) - self.most
         for _, size, path in sorted(known):
             if excess <= 0:
