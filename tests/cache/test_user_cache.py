@@ -12,7 +12,7 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.backend.lanes import CompiledLanes
 from dssc_jax.cache import user_cache
-from dssc_jax.cache.user_cache import DIGEST, SEARCHES, SMALLEST, ProgramCache, digest
+from dssc_jax.cache.user_cache import DIGEST, DISK_BLOCK, SEARCHES, ProgramCache, digest
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.engine.batching import simulated
 from tests.results.test_durability import SMALL
@@ -124,7 +124,7 @@ def test_what_has_not_been_read_for_long_goes_first(tmp_path):
     (tmp_path / "jit_old-cache").write_bytes(bytes(100))  # what JAX's own cache has left
     os.utime(tmp_path / "jit_old-cache", (0, 0))
     (tmp_path / "folder").mkdir()
-    programs = ProgramCache(tmp_path, most=3 * SMALLEST)
+    programs = ProgramCache(tmp_path, most=3 * DISK_BLOCK)
     for age, name in enumerate("abc", 1):
         programs.put(name, bytes(100))
         os.utime(tmp_path / f"{name}.program", (age, age))
@@ -137,7 +137,7 @@ def test_what_has_not_been_read_for_long_goes_first(tmp_path):
 def test_a_store_does_not_visit_every_file(tmp_path, monkeypatch):
     searches, scandir = [], os.scandir
     monkeypatch.setattr(os, "scandir", lambda path: searches.append(path) or scandir(path))
-    programs = ProgramCache(tmp_path, most=100 * SMALLEST)
+    programs = ProgramCache(tmp_path, most=100 * DISK_BLOCK)
     most = 0
     for index in range(300):
         programs.put(f"{index}", bytes(100))

@@ -25,7 +25,7 @@ CACHE_VARIABLE = "DSSC_JAX_CACHE"
 OFF = ("off", "0", "false")
 CACHE_SIZE = 2**28  # bytes; what has not been read for the longest time goes first
 SEARCHES = 16  # of the whole folder, while as much is stored as it may hold: one visits every file
-SMALLEST = 4096  # bytes of a disk that a file takes at least
+DISK_BLOCK = 4096  # bytes of a disk that a file takes at least
 DIGEST = hashlib.sha256().digest_size
 
 
@@ -67,7 +67,7 @@ class ProgramCache:
             partial.unlink(missing_ok=True)
             raise
         chance = int.from_bytes(content[:8]) / 2**64  # the digest is as good as a random number
-        if chance * self.most < SEARCHES * max(len(content), SMALLEST):
+        if chance * self.most < SEARCHES * max(len(content), DISK_BLOCK):
             self._make_room()
 
     def _file(self, key: str) -> Path:
@@ -77,7 +77,7 @@ class ProgramCache:
         """Delete the files that have not been read for the longest time."""
         with os.scandir(self._path) as entries:
             files = [(entry.stat(), entry.path) for entry in entries if entry.is_file()]
-        known = [(about.st_mtime_ns, max(about.st_size, SMALLEST), path) for about, path in files]
+        known = [(about.st_mtime_ns, max(about.st_size, DISK_BLOCK), path) for about, path in files]
         excess = sum(size for _, size, _ in known) - self.most
         for _, size, path in sorted(known):
             if excess <= 0:

@@ -8,7 +8,7 @@ from typing import Any
 import xarray as xr
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.engine.batching import Layout
+from dssc_jax.engine.batching import Arrays, Block, Layout
 from dssc_jax.results import lock
 from dssc_jax.results.arrays import laid_out, lay_out, require_coordinates, reshape
 from dssc_jax.results.blocks import Chunks, writing
@@ -30,7 +30,7 @@ from dssc_jax.results.manifest import (
     write_manifest,
     write_text,
 )
-from dssc_jax.results.schema import in_memory
+from dssc_jax.results.schema import in_memory, put
 from dssc_jax.study import Study, received
 
 
@@ -50,6 +50,7 @@ class Store:
 
     def __init__(self, folder: Path, study: Study, manifest: dict[str, Any], resume: bool = False) -> None:
         self.folder, self.study = folder, study
+        self.values: xr.Dataset | None = None
         require_startable(folder, study, resume)
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
@@ -136,6 +137,14 @@ class Store:
         for partial in self.folder.rglob(f"*{PARTIAL}"):
             partial.unlink(missing_ok=True)
 
+    def write(self, block: Block, results: Arrays, drawn: Arrays) -> None:
+        """Write a pending block, and keep it if this process computes all blocks: then none need be read again."""
+        self.chunks.write(block, results, drawn)
+        if self.values is None and self.pending == self.layout.blocks():
+            self.values = in_memory(self.study)
+        if self.values is not None:
+            put(self.values, block, results, drawn)
+
     def complete(self, about: dict[str, Any]) -> None:
         """Record that every block is complete, with further manifest entries of the finished run."""
         self._require_sealed(self.manifest, self.layout)  # what was mended is what had been there
@@ -147,9 +156,10 @@ class Store:
         """Dataset and manifest, once the run is complete.
 
         Raises:
-            ConfigError: The data on disk differ from the written data.
+            ConfigError: Other processes have written blocks, and the data on disk differ from theirs.
         """
-        return read_dataset(self.folder, self.study, self.manifest), self.manifest
+        values = read_dataset(self.folder, self.study, self.manifest) if self.values is None else self.values
+        return values, self.manifest
 
     def summarise(self, lines: Iterable[str]) -> None:
         """Write summary.json."""

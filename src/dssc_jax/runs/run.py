@@ -154,7 +154,7 @@ class ThisProcess:
     def fill(self, target: "Store", advance: Callable[[int], None]) -> dict[str, Any]:
         """Compute the missing blocks of a folder, and return the times for the manifest."""
         for box, results, values in self.computed or self.start(target.layout, target.pending):
-            target.chunks.write(box, results, values)
+            target.write(box, results, values)
             advance(lanes_in(box))
         return {"times": self.engine.times(self.began)}
 
