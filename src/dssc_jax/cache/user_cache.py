@@ -34,7 +34,7 @@ class ProgramCache:
 
     Args:
         folder: The folder; created when a program is stored.
-        most: Maximum size in bytes; one sixteenth more between two searches for what may go.
+        most: Maximum size in bytes; about a sixteenth more between two searches for what may go.
     """
 
     def __init__(self, folder: Path, most: int = CACHE_SIZE) -> None:
