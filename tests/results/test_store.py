@@ -11,7 +11,9 @@ import zarr
 
 import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.results import store
 from dssc_jax.results.digests import sum_of
+from dssc_jax.results.schema import NOT_COMPUTED
 from tests.conftest import UNCERTAIN
 from tests.forging import redigested, resealed, without_digests
 from tests.tolerances import COMPILER
@@ -45,6 +47,17 @@ def kept(study):
 
 def test_folder_and_memory_agree(kept, stored):
     same(stored, kept)
+
+
+def test_a_run_keeps_what_its_folder_holds(study, tmp_path, monkeypatch):
+    """Its values are those of the folder, which it need not read; a longer run reads the blocks of the earlier one."""
+    with monkeypatch.context() as patch:
+        patch.setattr(store, "read_dataset", None)
+        whole = dj.run(study, tmp_path / "run", block=24)
+    assert whole.dataset.identical(dj.load(tmp_path / "run").dataset)
+    longer = dj.run(study.override({"draws": 30}), tmp_path / "run", resume=True)
+    assert longer.dataset.identical(dj.load(tmp_path / "run").dataset)
+    assert not longer.dataset["outcome"].isin(NOT_COMPUTED).any()
 
 
 def test_save_of_a_result_in_memory(kept, tmp_path):

@@ -50,7 +50,7 @@ class Store:
 
     def __init__(self, folder: Path, study: Study, manifest: dict[str, Any], resume: bool = False) -> None:
         self.folder, self.study = folder, study
-        self.values: xr.Dataset | None = None
+        self.values: xr.Dataset | None = None  # all blocks, where this process computes them
         require_startable(folder, study, resume)
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
@@ -138,7 +138,7 @@ class Store:
             partial.unlink(missing_ok=True)
 
     def write(self, block: Block, results: Arrays, drawn: Arrays) -> None:
-        """Write a pending block, and keep it if this process computes all blocks: then none need be read again."""
+        """Write a pending block; where none was finished before, also keep it, so that the folder need not be read."""
         self.chunks.write(block, results, drawn)
         if self.values is None and self.pending == self.layout.blocks():
             self.values = in_memory(self.study)
@@ -156,7 +156,7 @@ class Store:
         """Dataset and manifest, once the run is complete.
 
         Raises:
-            ConfigError: Other processes have written blocks, and the data on disk differ from theirs.
+            ConfigError: Another process or an earlier run has written blocks, and the data on disk differ from them.
         """
         values = read_dataset(self.folder, self.study, self.manifest) if self.values is None else self.values
         return values, self.manifest

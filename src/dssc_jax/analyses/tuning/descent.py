@@ -13,9 +13,7 @@ from dssc_jax.core.signals import ProgressCallback
 LAST = 0.01  # final share of the learning rate in the cosine schedule
 HALVINGS = 8
 CLIFF = 0.5  # a step may not worsen the objective by more, relative to the start's: beyond lies a loop that chatters
-STEEPEST = (
-    1e6  # of the objective, relative to the start's: in a loop that chatters a derivative grows with every sample
-)
+STEEPEST = 1e6  # slope of the objective, relative to the start's: where a loop chatters, it grows with every sample
 SWERVE = 0.05  # a step may not exceed a limit by more, relative to it, unless the point before did
 EXACT = 0.2  # share of the steps, the last ones, in which the sign is not smoothed
 
