@@ -10,8 +10,9 @@ import numpy as np
 
 from dssc_jax.closed_loop.metrics import Instant, Measure, starts, update_all, values
 from dssc_jax.closed_loop.requirements import Requirement, judge
-from dssc_jax.closed_loop.sample import Loop, LoopParams, LoopState, Recorded, as_arrays, initial_state, step
+from dssc_jax.closed_loop.sample import Loop, LoopParams, LoopState, Recorded, held_between_samples, initial_state, step
 from dssc_jax.closed_loop.time_loops import scan_recorded, scan_segments, until_all_ended
+from dssc_jax.core.numerics import as_arrays
 from dssc_jax.core.signals import Outcome, Scalar
 
 
@@ -92,8 +93,10 @@ def sampler(
             Otherwise they continue; the draw's outcome and number of samples are kept in either case.
     """
 
+    advance = held_between_samples(loop, params)
+
     def sample(at: Progress) -> tuple[Progress, Recorded]:
-        state, recorded = step(loop, params, key, at.state, at.k)
+        state, recorded = step(loop, params, key, at.state, at.k, advance)
         accumulators = update_all(measures, at.accumulators, recorded.instant, at.k, loop.sample_time)
         code = jnp.where(recorded.broken, np.int32(Outcome.SINGULAR_ATTITUDE), np.int32(Outcome.OK))
         code = jnp.where(recorded.finite, code, np.int32(Outcome.NON_FINITE))

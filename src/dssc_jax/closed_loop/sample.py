@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from dssc_jax.closed_loop.hold import Advance, HeldParts, between_samples
 from dssc_jax.closed_loop.metrics import Instant, Sample
 from dssc_jax.core.contracts import (
     Controller,
@@ -21,8 +22,8 @@ from dssc_jax.core.contracts import (
     as_mimo_plant,
     as_mimo_reference,
 )
-from dssc_jax.core.integrators import INTEGRATORS, Integrator
-from dssc_jax.core.numerics import stream, wrap_angle
+from dssc_jax.core.integrators import Integrator
+from dssc_jax.core.numerics import as_arrays, stream, wrap_angle
 from dssc_jax.core.signals import (
     Command,
     Info,
@@ -38,7 +39,6 @@ from dssc_jax.core.signals import (
 )
 
 FAR_BELOW = 1e-4  # the root of the largest number: large numbers may cancel in the sum of a state
-UNROLLED = 2  # substeps at most that are traced one by one
 
 
 class LoopParams(NamedTuple):
@@ -169,11 +169,6 @@ class Recorded(NamedTuple):
     controlled: tuple[Controlled, ...]
 
 
-def as_arrays(tree: Any) -> Any:
-    """Convert every leaf to an array of the working precision, so that the scan's carry keeps its types."""
-    return jax.tree.map(lambda x: jnp.asarray(x, dtype=jnp.result_type(float)), tree)
-
-
 def measure(loop: Loop, params: LoopParams, plant: State, references: ReferencePoints) -> Measurements:
     """The plant's outputs, before sensors; an angle is shifted by whole turns to lie within pi of its reference."""
     measurements = loop.mimo_plant.measure(params.plant, plant)
@@ -243,48 +238,17 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
     return as_arrays(LoopState(plant, wind, tuple(channels)))
 
 
-def integrate_sample(
-    loop: Loop, params: LoopParams, state: LoopState, commands: Signals, t: Scalar
-) -> tuple[State, tuple[State, ...]]:
-    """Plant and unmodelled dynamics after one sample, with the commands held constant (zero-order hold).
-
-    The unmodelled dynamics are evaluated at the start, middle and end of a substep, where the integrator needs them.
-    Up to :data:`UNROLLED` substeps are unrolled; otherwise only one is traced, to keep compilation short.
-    """
-    h = loop.sample_time / loop.substeps
-    integrate = INTEGRATORS[loop.integrator]
-
-    def half_step(unmodelled: tuple[State, ...]) -> tuple[State, ...]:
-        parts = zip(loop.unmodelled, params.unmodelled, unmodelled, commands, strict=True)
-        return tuple(model.step(p, z, u, 0.5 * h) for model, p, z, u in parts)
-
-    @jax.jit  # traced once for all stages of the integrator
-    def rate(plant: State, stage_time: Scalar, actuation: Signals) -> State:
-        drive = plant_input(loop, params, state, plant, actuation, stage_time)
-        return loop.mimo_plant.derivative(params.plant, plant, drive, stage_time)
-
-    def substep(index: Scalar, carry: tuple[State, tuple[State, ...]]) -> tuple[State, tuple[State, ...]]:
-        plant, begin = carry
-        middle = half_step(begin)
-        end = half_step(middle)
-        stages = [
-            (t + (index + fraction) * h, actuate(loop, params, unmodelled, commands))
-            for fraction, unmodelled in ((0.0, begin), (0.5, middle), (1.0, end))
-        ]
-
-        def derivative(plant: State, half_steps: int) -> State:
-            return rate(plant, *stages[half_steps])
-
-        return loop.plant.project(params.plant, integrate(derivative, plant, h, loop.plant.velocities)), end
-
-    carry = state.plant, tuple(channel.unmodelled for channel in state.channels)
-    if loop.substeps > UNROLLED:
-        return jax.lax.fori_loop(
-            0, loop.substeps, lambda index, carry: as_arrays(substep(index, carry)), as_arrays(carry)
-        )
-    for index in range(loop.substeps):
-        carry = substep(index, carry)
-    return carry
+def held_between_samples(loop: Loop, params: LoopParams) -> Advance:
+    """What happens between two samples of one draw; to be called before the time loop."""
+    parts = HeldParts(
+        loop.mimo_plant,
+        loop.unmodelled,
+        tuple(model.variation for model in loop.disturbance),
+        loop.integrator,
+        loop.sample_time,
+        loop.substeps,
+    )
+    return between_samples(parts, params.plant, params.unmodelled)
 
 
 def actuate(loop: Loop, params: LoopParams, unmodelled: tuple[State, ...], commands: Signals) -> Signals:
@@ -347,8 +311,27 @@ def control_channel(
     return after, controlled
 
 
-def step(loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Scalar) -> tuple[LoopState, Recorded]:
-    """Advance the loop by sample k: measure, control, integrate."""
+def step(
+    loop: Loop,
+    params: LoopParams,
+    key: jax.Array,
+    state: LoopState,
+    k: Scalar,
+    advance: Advance | None = None,
+    added: Signals | None = None,
+) -> tuple[LoopState, Recorded]:
+    """Advance the loop by sample k: measure, control, integrate.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        key: The draw's random key.
+        state: The state at the sample.
+        k: Index of the sample.
+        advance: :func:`held_between_samples` of these parameters, computed before the time loop; None: computed here.
+        added: Signals added to the commands of the channels, before the unmodelled dynamics.
+    """
+    advance = advance or held_between_samples(loop, params)
     dt = loop.sample_time
     t = k * dt
     references = loop.mimo_reference.at(params.reference, t)
@@ -375,15 +358,21 @@ def step(loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Sc
                 reference=r,
             )
         )
-        sampled = loop.unmodelled[i].sample(params.unmodelled[i], channel.unmodelled, command.total, dt)
+        total = command.total if added is None else command.total + added[i]
+        sampled = loop.unmodelled[i].sample(params.unmodelled[i], channel.unmodelled, total, dt)
         channels.append(after._replace(unmodelled=sampled))
-        commands.append(command.total)
+        commands.append(total)
         outputs.append(controlled)
     wind = loop.wind.step(params.wind, state.wind, jax.random.fold_in(loop.key(key, "wind"), k + 1), t, dt)
     controlled = LoopState(state.plant, wind, tuple(channels))
-    plant, unmodelled = integrate_sample(loop, params, controlled, tuple(commands), t)
-    actuation = actuate(loop, params, tuple(channel.unmodelled for channel in channels), tuple(commands))
-    drive = plant_input(loop, params, controlled, state.plant, actuation, t)
+    held = as_arrays(tuple(commands))
+    sampled = tuple(channel.unmodelled for channel in channels)
+
+    def drive_at(plant: State, actuation: Signals, now: Scalar) -> PlantInput[Signals]:
+        return plant_input(loop, params, controlled, plant, actuation, now)
+
+    plant, unmodelled = advance(drive_at, state.plant, sampled, held, t)
+    drive = drive_at(state.plant, actuate(loop, params, sampled, held), t)
     info = loop.mimo_plant.monitor(params.plant, state.plant, drive)
     after = as_arrays(
         LoopState(plant, wind, tuple(c._replace(unmodelled=z) for c, z in zip(channels, unmodelled, strict=True)))

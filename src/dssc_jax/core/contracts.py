@@ -6,10 +6,13 @@ annotated with a :class:`~dssc_jax.core.quantities.Quantity`, which is used to v
 """
 
 from collections.abc import Callable
+from enum import StrEnum
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import jax
 
+from dssc_jax.core.numerics import dot
+from dssc_jax.core.sampled_linear import Column, Forcing, LinearSystem, Rows, hold
 from dssc_jax.core.signals import (
     Command,
     Info,
@@ -70,6 +73,20 @@ def ignore_sample(params: Params, state: State, command: Scalar, dt: Scalar) -> 
     return state
 
 
+class LinearDynamics(NamedTuple):
+    """x' = A x + B (u_p) + E d of a plant whose state x is the list of its state's leaves; the loop holds it exactly.
+
+    Args:
+        a: A, row by row, shape (n, n).
+        command: Column of the command of each channel, shape (n,) each.
+        disturbance: Column of the disturbance of each channel, shape (n,) each.
+    """
+
+    a: Rows
+    command: tuple[Column, ...]
+    disturbance: tuple[Column, ...]
+
+
 class Plant(NamedTuple, Generic[Output, Signal]):
     """A plant of relative degree two from each command to its output.
 
@@ -91,6 +108,10 @@ class Plant(NamedTuple, Generic[Output, Signal]):
         monitor: ``(params, state, input) -> info`` at each sample, a NamedTuple for metrics and plots.
         broken: ``(params, state) -> bool``: whether the model is no longer valid (a singular attitude); the draw is
             then frozen.
+        linear: ``(params) -> LinearDynamics``: the plant's linear part, which the loop advances by its exact solution.
+            None: the loop integrates ``derivative`` by its fixed-step method.
+        remainder: ``(params, state, input, t) -> state'``: what ``derivative`` adds to the linear part, as plain 0.0
+            where it adds nothing. None: the plant is linear.
     """
 
     params: type
@@ -106,6 +127,26 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     project: Callable[[Params, State], State] = no_constraint
     monitor: Callable[[Params, State, PlantInput[Signal]], Info] = no_info
     broken: Callable[[Params, State], Scalar | bool] = always_valid
+    linear: Callable[[Params], LinearDynamics] | None = None
+    remainder: Callable[[Params, State, PlantInput[Signal], Scalar], State] | None = None
+
+
+def linear_derivative(
+    linear: Callable[[Params], LinearDynamics],
+) -> Callable[[Params, State, PlantInput[Scalar], Scalar], State]:
+    """The ``derivative`` of a plant with one channel that is linear: A x + b u_p + e d."""
+
+    def derivative(params: Params, state: State, drive: PlantInput[Scalar], t: Scalar) -> State:
+        del t
+        dynamics = linear(params)
+        (command,) = dynamics.command
+        (disturbance,) = dynamics.disturbance
+        x, structure = jax.tree.flatten(state)
+        signals = (*x, drive.command, drive.disturbance)
+        rows = zip(dynamics.a, command, disturbance, strict=True)
+        return structure.unflatten([dot((*row, b, e), signals) for row, b, e in rows])
+
+    return derivative
 
 
 def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Signals]:
@@ -115,6 +156,7 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
         (command,), (disturbance,) = drive.command, drive.disturbance
         return PlantInput(command, disturbance, drive.wind)
 
+    remainder = plant.remainder
     return Plant(
         plant.params,
         plant.init,
@@ -129,6 +171,8 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
         project=plant.project,
         monitor=lambda params, state, drive: plant.monitor(params, state, plain(drive)),
         broken=plant.broken,
+        linear=plant.linear,
+        remainder=remainder and (lambda params, state, drive, t: remainder(params, state, plain(drive), t)),
     )
 
 
@@ -198,6 +242,14 @@ def joined_reference(whole: Reference[ReferencePoints], own: dict[int, Reference
     return Reference(JoinedParams, at)
 
 
+class Variation(StrEnum):
+    """What a disturbance varies with within a sample, from which the loop chooses how it integrates it."""
+
+    HELD = "held"  # nothing: it is constant from one sample to the next
+    TIME = "time"  # time alone
+    STATE = "state"  # time and the plant's state
+
+
 class Disturbance(NamedTuple):
     """A matched disturbance d(y, y', t) [m/s].
 
@@ -207,6 +259,7 @@ class Disturbance(NamedTuple):
         step: ``(params, state, key, t, dt) -> state`` at each sample: what is held over [t, t + dt).
         value: ``(params, state, measurement, sigma, t) -> d``, evaluated in every stage of the integrator.
         prepare: As in :class:`Plant`.
+        variation: What ``value`` varies with within a sample.
     """
 
     params: type
@@ -214,6 +267,7 @@ class Disturbance(NamedTuple):
     step: Callable[[Params, State, jax.Array, Scalar, Scalar], State]
     value: Callable[[Params, State, Measurement, Scalar, Scalar], Scalar]
     prepare: Callable[[Params], Params] = as_given
+    variation: Variation = Variation.STATE
 
 
 class Wind(NamedTuple):
@@ -288,8 +342,24 @@ class Differentiator(NamedTuple):
     prepare: Callable[[Params], Params] = as_given
 
 
+class Moments(NamedTuple):
+    """A signal over a step, as the straight line with the same mean and the same first moment.
+
+    Args:
+        mean: Mean of the signal over the step.
+        rise: Rise of the line from the start to the end of the step.
+    """
+
+    mean: Scalar
+    rise: Scalar
+
+
 class Unmodelled(NamedTuple):
     """Unmodelled dynamics G_mu(mu s) in series with the plant input (Section V-A2).
+
+    The loop needs their output between the samples. Linear dynamics declare ``linear``, dynamics whose output is
+    constant between the samples declare ``held``; both are then exact at any T_s. All others are advanced by ``step``,
+    and their output acts through its :class:`Moments`.
 
     Args:
         params: NamedTuple type of the parameters.
@@ -298,6 +368,10 @@ class Unmodelled(NamedTuple):
         output: ``(params, state, command) -> command`` received by the plant.
         prepare: As in :class:`Plant`.
         sample: ``(params, state, command, dt) -> state`` once per sample of length dt, at the time of its command.
+        linear: ``(params) -> LinearSystem`` from the command to the output; its state lists the leaves of ``state``.
+        held: Whether the output is constant from one sample to the next, and ``step`` changes nothing.
+        moments: ``(params, state, command, dt) -> Moments`` of the output over dt. None: by Simpson's rule, from the
+            output at the start, middle and end of dt, which must then resolve it.
     """
 
     params: type
@@ -306,3 +380,27 @@ class Unmodelled(NamedTuple):
     output: Callable[[Params, State, Scalar], Scalar]
     prepare: Callable[[Params], Params] = as_given
     sample: Callable[[Params, State, Scalar, Scalar], State] = ignore_sample
+    linear: Callable[[Params], LinearSystem] | None = None
+    held: bool = False
+    moments: Callable[[Params, State, Scalar, Scalar], Moments] | None = None
+
+
+def linear_unmodelled(
+    params: type,
+    init: Callable[[Params], State],
+    linear: Callable[[Params], LinearSystem],
+    prepare: Callable[[Params], Params] = as_given,
+) -> Unmodelled:
+    """Linear unmodelled dynamics: their step and output follow from the system."""
+
+    def step(values: Params, state: State, command: Scalar, dt: Scalar) -> State:
+        system = linear(values)
+        x, structure = jax.tree.flatten(state)
+        held = hold(system.a, (Forcing(system.b, terms=1),), dt)
+        return structure.unflatten(held.whole.apply(x, ((command,),)))
+
+    def output(values: Params, state: State, command: Scalar) -> Scalar:
+        system = linear(values)
+        return dot((*system.c, system.d), (*jax.tree.leaves(state), command))
+
+    return Unmodelled(params, init, step, output, prepare, linear=linear)

@@ -86,6 +86,16 @@ def clip(x: Scalar, low: Scalar, high: Scalar) -> Scalar:
     return jnp.where(high < x, high, x)
 
 
+def as_arrays(tree: Any) -> Any:
+    """Convert every leaf to an array of the working precision, so that the scan's carry keeps its types."""
+    return jax.tree.map(lambda x: jnp.asarray(x, dtype=jnp.result_type(float)), tree)
+
+
+def at_least(x: Scalar, low: float) -> Scalar:
+    """The larger of x and low; a plain number if x is one, so that constants stay constants."""
+    return max(x, low) if isinstance(x, float) else jnp.maximum(x, low)
+
+
 def saturate(x: Scalar, limit: Scalar) -> Scalar:
     """X clipped to [-limit, limit]."""
     return clip(x, -limit, limit)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.backend.plain import plain_options
-from dssc_jax.closed_loop.sample import Loop, as_arrays, initial_state, step
+from dssc_jax.closed_loop.sample import Loop, as_arrays, held_between_samples, initial_state, step
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Command
@@ -69,10 +69,11 @@ def prediction(study: Study, names: Sequence[str], samples: int) -> Prediction:
         sensors = (IDEAL,) * len(study.loop.channels)
         loop: Loop = replace(study.loop, settled=None, sensor=sensors, controller=played)
         params, key = study.params({**quiet, **given}), draw_key(study.config.seed, 0)
+        advance = held_between_samples(loop, params)
 
         def sample(at: tuple[Any, Any], _: None) -> tuple[tuple[Any, Any], Any]:
             state, k = at
-            after, recorded = step(loop, params, key, state, k)
+            after, recorded = step(loop, params, key, state, k, advance)
             return (after, k + 1), tuple(each.y for each in recorded.measurements)
 
         begin = initial_state(loop, params, key), jnp.zeros((), jnp.int32)

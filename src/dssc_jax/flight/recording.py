@@ -14,7 +14,7 @@ import numpy as np
 
 from dssc_jax.backend.lanes import CompiledLanes
 from dssc_jax.backend.machine import usable_cores
-from dssc_jax.closed_loop.sample import ControlState, LoopState, initial_state, step
+from dssc_jax.closed_loop.sample import ControlState, LoopState, held_between_samples, initial_state, step
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine.sampling import draw, draw_key
@@ -46,10 +46,11 @@ def recording_lane(study: Study, controllers: Sequence[SampledController], sampl
     def lane(values: dict[str, jax.Array], index: jax.Array) -> Any:
         loop, params = study.loop, study.params(values)
         key = draw_key(study.config.seed, index)
+        advance = held_between_samples(loop, params)
 
         def sample(at: tuple[LoopState, Scalar], _: None) -> tuple[tuple[LoopState, Scalar], Any]:
             state, k = at
-            after, recorded = step(loop, params, key, state, k)
+            after, recorded = step(loop, params, key, state, k, advance)
             rows = []
             for channel, reference, controlled in zip(
                 after.channels, recorded.references, recorded.controlled, strict=True

@@ -102,17 +102,15 @@ def test_many_short_steps_are_one_long_one():
 
 
 def test_the_loop_is_the_one_with_the_lag():
-    """A whole run; and with direct feedthrough, whatever the substeps."""
+    """A whole run; and with direct feedthrough, whatever the substeps: it is exact."""
     lagged = dj.Study.from_table(LAGGED | {"name": "lag", "draws": 8})
     shape = {"numerator": [1], "denominator": [1, 2, 1]}
     same = lagged.override({"unmodelled": {"kind": "transfer_function", "mu": 0.02, **shape}})
     known, found = (dj.run(study).dataset["error_rms"].values for study in (lagged, same))
     np.testing.assert_allclose(found, known, rtol=1e-9)
     through = same.override({"unmodelled.numerator": [1, 0.5, 0.25]})
-    runs = [dj.run(through.override({"loop.substeps": n})).dataset["error_rms"].values for n in (2, 3, 16)]
-    np.testing.assert_allclose(runs[1], runs[2], rtol=2e-3)
-    assert np.abs(runs[1] - runs[2]).max() < np.abs(runs[0] - runs[2]).max()
-    assert np.abs(runs[2] / known - 1.0).max() > 1e-4
+    runs = [dj.run(through.override({"loop.substeps": n})).dataset["error_rms"].values for n in (1, 16)]
+    np.testing.assert_allclose(runs[0], runs[1], rtol=1e-11)
 
 
 @pytest.mark.parametrize("shape", ["resonance", "complex, with feedthrough", "sextuple"])
@@ -166,7 +164,6 @@ def test_single_precision_is_kept():
             {"numerator": [1e-300, 1e300], "denominator": [1e-300, 1e-300]},
             "unmodelled.numerator: must be in proportion",
         ),
-        ({"denominator": of_poles(-1, -1, -1, -1, -1, -1e4)[1]}, "unmodelled.denominator: must not have poles so far"),
         ({"denominator": [1, 1e20, 1]}, "no pole slower than 1e-06 of their geometric mean"),
         ({"denominator": [1, {"uniform": [1, 2]}, 1]}, "unmodelled.denominator: must be a plain number here"),
         ({"denominator": 1.0}, "unmodelled.denominator: must be a list of numbers"),

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from dssc_jax.closed_loop.sample import Loop, LoopParams, initial_state, measure, step
-from dssc_jax.core.contracts import NoParams, Reference, Sensor, Unmodelled
+from dssc_jax.core.contracts import NoParams, Reference, Sensor
 from dssc_jax.core.signals import Measurement, ReferencePoint, Scalar
 from dssc_jax.models.environment.disturbances import NO_DISTURBANCE
 from dssc_jax.models.environment.wind import NO_WIND
@@ -38,17 +38,6 @@ class WithAdded(NamedTuple):
 
     own: Any
     added: Any
-
-
-def with_added_command(model: Unmodelled) -> Unmodelled:
-    """Unmodelled dynamics whose command is the controller's and an added one."""
-    return Unmodelled(
-        WithAdded,
-        init=lambda p: model.init(p.own),
-        step=lambda p, z, command, dt: model.step(p.own, z, command + p.added, dt),
-        output=lambda p, z, command: model.output(p.own, z, command + p.added),
-        sample=lambda p, z, command, dt: model.sample(p.own, z, command + p.added, dt),
-    )
 
 
 def with_added_measurement(sensor: Sensor) -> Sensor:
@@ -100,19 +89,18 @@ def sample_map(
     _, unravel = ravel_pytree(initial_state(loop, params, key))
     opened = replace(
         loop,
-        unmodelled=tuple(map(with_added_command, loop.unmodelled)),
         sensor=tuple(map(with_added_measurement, loop.sensor)),
     )
 
     def sample(state: jax.Array, added: jax.Array) -> tuple[jax.Array, jax.Array]:
         signals = added.reshape(len(loop.channels), len(BreakPoint))
         with_inputs = params._replace(
-            unmodelled=tuple(WithAdded(own, signals[i, 0]) for i, own in enumerate(params.unmodelled)),
             sensor=tuple(
                 WithAdded(own, Measurement(signals[i, 1], signals[i, 2])) for i, own in enumerate(params.sensor)
             ),
         )
-        after, recorded = step(opened, with_inputs, key, unravel(state), k)
+        commands = tuple(signals[:, 0])
+        after, recorded = step(opened, with_inputs, key, unravel(state), k, added=commands)
         read = [
             (sample.u_total, measurement.y, measurement.y_dot)
             for sample, measurement in zip(recorded.instant.channels, recorded.measurements, strict=True)

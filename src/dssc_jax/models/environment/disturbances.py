@@ -6,7 +6,7 @@ from typing import Annotated, Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dssc_jax.core.contracts import Disturbance, NoParams, stateless, unchanged
+from dssc_jax.core.contracts import Disturbance, NoParams, Variation, stateless, unchanged
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import begun, cubic_spline, standard_normal
 from dssc_jax.core.quantities import Quantity
@@ -130,10 +130,18 @@ def partition_value(params: PartitionParams, state: Any, measurement: Measuremen
     return growth * sigma + stiffness * measurement.y + drift + params.value
 
 
-NO_DISTURBANCE = Disturbance(NoParams, stateless, unchanged, lambda params, state, measurement, sigma, t: 0.0)
-CONSTANT = Disturbance(ConstantParams, stateless, unchanged, lambda params, state, measurement, sigma, t: params.value)
-STEP = Disturbance(StepParams, lambda params, key: 0.0, step_mean, held_value)
-SINE_DISTURBANCE = Disturbance(SineDisturbanceParams, stateless, unchanged, sine_value)
-SPLINE = Disturbance(SplineParams, stateless, unchanged, spline_value, check_knots)
-FILTERED_NOISE = Disturbance(NoiseParams, noise_init, noise_step, held_value)
-PARTITION = Disturbance(PartitionParams, stateless, unchanged, partition_value)
+NO_DISTURBANCE = Disturbance(
+    NoParams, stateless, unchanged, lambda params, state, measurement, sigma, t: 0.0, variation=Variation.HELD
+)
+CONSTANT = Disturbance(
+    ConstantParams,
+    stateless,
+    unchanged,
+    lambda params, state, measurement, sigma, t: params.value,
+    variation=Variation.HELD,
+)
+STEP = Disturbance(StepParams, lambda params, key: 0.0, step_mean, held_value, variation=Variation.HELD)
+SINE_DISTURBANCE = Disturbance(SineDisturbanceParams, stateless, unchanged, sine_value, variation=Variation.TIME)
+SPLINE = Disturbance(SplineParams, stateless, unchanged, spline_value, check_knots, Variation.TIME)
+FILTERED_NOISE = Disturbance(NoiseParams, noise_init, noise_step, held_value, variation=Variation.HELD)
+PARTITION = Disturbance(PartitionParams, stateless, unchanged, partition_value, variation=Variation.STATE)

@@ -12,12 +12,12 @@ with c A^(r-1) b not zero, or the excess of poles over zeros. It decides what th
 
 from typing import Annotated, Any, NamedTuple
 
-from dssc_jax.core.contracts import Plant
+from dssc_jax.core.contracts import LinearDynamics, Plant, linear_derivative
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.normal_form import RealisedSystem, polynomial_degree, relative_degree
 from dssc_jax.core.numerics import dot
 from dssc_jax.core.quantities import Quantity, nominal
-from dssc_jax.core.signals import Measurement, PlantInput, Scalar
+from dssc_jax.core.signals import Measurement, Scalar
 
 MOST_STATES = 20
 ENTRY = Quantity("SI", "entry of A, row by row")
@@ -60,11 +60,9 @@ def state_of(x0: tuple[Scalar, ...], order: int) -> LinearState:
     return LinearState((*x0, *(0.0,) * (order - len(x0))))
 
 
-def state_space_derivative(params: StateSpaceParams, state: LinearState, drive: PlantInput, t: Scalar) -> LinearState:
-    """A x + b (u + d)."""
-    del t
-    u = drive.command + drive.disturbance
-    return LinearState(tuple(dot(row, state.x) + dot((b,), (u,)) for row, b in zip(params.a, params.b, strict=True)))
+def state_space_dynamics(params: StateSpaceParams) -> LinearDynamics:
+    """A, and b for the command and the disturbance."""
+    return LinearDynamics(params.a, (params.b,), (params.b,))
 
 
 def state_space_measure(params: StateSpaceParams, state: LinearState) -> Measurement:
@@ -107,12 +105,14 @@ def last_slope(params: RationalParams, state: LinearState) -> Scalar:
     return -dot(tuple(reversed(rest)), state.x) / leading
 
 
-def transfer_function_derivative(
-    params: RationalParams, state: LinearState, drive: PlantInput, t: Scalar
-) -> LinearState:
-    """Controllable canonical form: x_i' = x_(i+1), and the last state's slope takes the command."""
-    del t
-    return LinearState((*state.x[1:], last_slope(params, state) + drive.command + drive.disturbance))
+def transfer_function_dynamics(params: RationalParams) -> LinearDynamics:
+    """Controllable canonical form: x_i' = x_(i+1), and the last state's slope takes command and disturbance."""
+    leading, *lower = params.denominator
+    order = len(lower)
+    rows = [tuple(1.0 if j == i + 1 else 0.0 for j in range(order)) for i in range(order - 1)]
+    rows.append(tuple(-coefficient / leading for coefficient in reversed(lower)))
+    column = (*(0.0,) * (order - 1), 1.0)
+    return LinearDynamics(tuple(rows), (column,), (column,))
 
 
 def transfer_function_measure(params: RationalParams, state: LinearState) -> Measurement:
@@ -176,16 +176,18 @@ def nominal_values(values: Any) -> Any:
 STATE_SPACE = Plant(
     StateSpaceParams,
     init=lambda params: state_of(params.x0, len(params.a)),
-    derivative=state_space_derivative,
+    derivative=linear_derivative(state_space_dynamics),
     measure=state_space_measure,
     input_gain=state_space_gain,
     prepare=prepare_state_space,
+    linear=state_space_dynamics,
 )
 RATIONAL_PLANT = Plant(
     RationalParams,
     init=lambda params: state_of(params.x0, len(params.denominator) - 1),
-    derivative=transfer_function_derivative,
+    derivative=linear_derivative(transfer_function_dynamics),
     measure=transfer_function_measure,
     input_gain=transfer_function_gain,
     prepare=prepare_transfer_function,
+    linear=transfer_function_dynamics,
 )

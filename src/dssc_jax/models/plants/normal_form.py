@@ -2,11 +2,10 @@
 
 from typing import Annotated, NamedTuple
 
-from dssc_jax.core.contracts import Plant
+from dssc_jax.core.contracts import LinearDynamics, Plant, linear_derivative
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import dot
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.core.signals import Measurement, PlantInput, Scalar
+from dssc_jax.core.signals import Measurement, Scalar
 from dssc_jax.core.units import POSITION
 from dssc_jax.core.zero_dynamics import ZeroDynamics, require_hurwitz
 
@@ -38,16 +37,18 @@ def init(params: NormalFormParams) -> NormalFormState:
     return NormalFormState(x1, x2, tuple(eta) + (0.0,) * (order - len(eta)))
 
 
-def derivative(params: NormalFormParams, state: NormalFormState, drive: PlantInput, t: Scalar) -> NormalFormState:
-    """Right-hand side of (5)-(7); A_eta in controllable canonical form, B_eta = [0 ... 0 1]^T."""
-    del t
-    eta_dot: tuple[Scalar, ...] = ()
-    coupling: Scalar = 0.0
-    if params.zero_dynamics is not None:
-        eta_dot = (*state.eta[1:], state.x2 - dot(params.zero_dynamics.a, state.eta))
-        coupling = dot(params.zero_dynamics.c, state.eta)
-    x2_dot = -params.a_p * state.x2 - coupling + params.k_p * (drive.command + drive.disturbance)
-    return NormalFormState(state.x2, x2_dot, eta_dot)
+def linear(params: NormalFormParams) -> LinearDynamics:
+    """Matrices of (5)-(7) for x = (x1, x2, eta); A_eta in controllable canonical form, B_eta = [0 ... 0 1]^T."""
+    zero_dynamics = params.zero_dynamics
+    order = 0 if zero_dynamics is None else len(zero_dynamics.a)
+    coupling = () if zero_dynamics is None else tuple(-c for c in zero_dynamics.c)
+    rows = [(0.0, 1.0, *(0.0,) * order), (0.0, -params.a_p, *coupling)]
+    for i in range(order - 1):
+        rows.append((0.0, 0.0, *(1.0 if j == i + 1 else 0.0 for j in range(order))))
+    if zero_dynamics is not None:
+        rows.append((0.0, 1.0, *(-a for a in zero_dynamics.a)))
+    column = (0.0, params.k_p, *(0.0,) * order)
+    return LinearDynamics(tuple(rows), (column,), (column,))
 
 
 def measure(params: NormalFormParams, state: NormalFormState) -> Measurement:
@@ -92,4 +93,14 @@ def from_inner_pi(k_p: Scalar, k_i: Scalar) -> NormalFormParams:
     )
 
 
-NORMAL_FORM = Plant(NormalFormParams, init, derivative, measure, input_gain, ("x2",), prepare, units=(POSITION,))
+NORMAL_FORM = Plant(
+    NormalFormParams,
+    init,
+    linear_derivative(linear),
+    measure,
+    input_gain,
+    ("x2",),
+    prepare,
+    units=(POSITION,),
+    linear=linear,
+)

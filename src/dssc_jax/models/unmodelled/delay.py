@@ -62,4 +62,5 @@ DELAY = Unmodelled(
     output=lambda params, state, command: state.delayed,
     prepare=prepare,
     sample=sample,
+    held=True,
 )

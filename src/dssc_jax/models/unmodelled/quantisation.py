@@ -25,4 +25,5 @@ QUANTISATION = Unmodelled(
     init=lambda params: (),
     step=lambda params, state, command, dt: state,
     output=nearest_multiple,
+    held=True,
 )

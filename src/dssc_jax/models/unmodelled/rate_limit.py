@@ -2,7 +2,9 @@
 
 from typing import Annotated, NamedTuple
 
-from dssc_jax.core.contracts import Unmodelled
+import jax.numpy as jnp
+
+from dssc_jax.core.contracts import Moments, Unmodelled
 from dssc_jax.core.numerics import saturate
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
@@ -20,9 +22,23 @@ def step(params: RateLimitParams, state: tuple[Scalar], command: Scalar, dt: Sca
     return (z + saturate(command - z, params.rate * dt),)
 
 
+def moments(params: RateLimitParams, state: tuple[Scalar], command: Scalar, dt: Scalar) -> Moments:
+    """Of a ramp that reaches the command after the share s of dt, and of the constant after it.
+
+    With s the share, the mean lies s/2 of the covered gap before its end, and the line with the same first moment rises
+    by s (3 - 2 s) of it.
+    """
+    (z,) = state
+    reach = params.rate * dt
+    covered = saturate(command - z, reach)
+    share = jnp.abs(covered) / reach
+    return Moments(z + covered * (1.0 - 0.5 * share), covered * share * (3.0 - 2.0 * share))
+
+
 RATE_LIMIT = Unmodelled(
     RateLimitParams,
     init=lambda params: (0.0,),
     step=step,
     output=lambda params, state, command: state[0],
+    moments=moments,
 )

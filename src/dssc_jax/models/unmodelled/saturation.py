@@ -19,4 +19,5 @@ SATURATION = Unmodelled(
     init=lambda params: (),
     step=lambda params, state, command, dt: state,
     output=lambda params, state, command: saturate(command, params.limit),
+    held=True,
 )

@@ -1,0 +1,361 @@
+"""Plant and unmodelled dynamics between two samples, with the commands held (zero-order hold).
+
+What is linear is advanced by its exact solution, whose matrices are computed once for a draw: the plant where it
+declares its linear part, and linear unmodelled dynamics. Disturbances that vary within the sample, and the nonlinear
+remainder of a plant, are added by an exponential Runge-Kutta method of order 4. A plant without a linear part is
+integrated by the loop's fixed-step method; the output of the unmodelled dynamics then enters as the straight line with
+its mean and its first moment over the step. Thus a lag that is much faster than the sample acts as no lag does.
+
+Reference:
+    S. Krogstad, J. Comput. Phys. 203 (2005) 72-88: the method ETDRK4-B.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax
+
+from dssc_jax.core.contracts import LinearDynamics, Moments, Plant, Unmodelled, Variation
+from dssc_jax.core.integrators import INTEGRATORS, Integrator
+from dssc_jax.core.numerics import as_arrays
+from dssc_jax.core.sampled_linear import Column, Forcing, HeldSystem, LinearSystem, Rows, hold, is_zero
+from dssc_jax.core.signals import Measurements, Params, PlantInput, Scalar, Signals, State
+
+UNROLLED = 2  # substeps at most that are traced one by one
+VARYING = 3  # terms of an input that varies within a step: it is interpolated at start, middle and end
+
+DriveAt = Callable[[State, Signals, Scalar], PlantInput[Signals]]
+"""``(plant's state, commands that reach it, t) -> input`` at a stage of the integrator: adds disturbances and wind."""
+
+States = tuple[State, ...]
+Advance = Callable[[DriveAt, State, States, Signals, Scalar], tuple[State, States]]
+"""``(drive, plant's state, states of the unmodelled dynamics, commands, t)`` -> both states after the sample."""
+
+
+class HeldParts(NamedTuple):
+    """The parts of a loop that move between the samples, and how time is divided.
+
+    Args:
+        plant: The plant, with tuples as signals.
+        unmodelled: Unmodelled dynamics of each channel.
+        variations: What the disturbance of each channel varies with within a sample.
+        integrator: Method for what is not linear.
+        sample_time: T_s [s].
+        substeps: Steps within a sample for what is not held exactly.
+    """
+
+    plant: Plant[Measurements, Signals]
+    unmodelled: tuple[Unmodelled, ...]
+    variations: tuple[Variation, ...]
+    integrator: Integrator
+    sample_time: float
+    substeps: int
+
+
+def between_samples(parts: HeldParts, plant: Params, unmodelled: tuple[Params, ...]) -> Advance:
+    """The function that advances plant and unmodelled dynamics of one draw by a sample.
+
+    Call it before the time loop: what it computes from the parameters alone is then computed once for a draw.
+
+    Args:
+        parts: The models and the clock.
+        plant: The plant's parameters.
+        unmodelled: Parameters of the unmodelled dynamics of each channel.
+    """
+    if parts.plant.linear is not None:
+        return exact(parts, parts.plant.linear(plant), plant, unmodelled)
+    return integrated(parts, plant, unmodelled)
+
+
+def repeated(
+    substep: Callable[[Scalar, tuple[State, States]], tuple[State, States]], begin: tuple[State, States], count: int
+) -> tuple[State, States]:
+    """The states after ``count`` substeps; many are traced once, to keep compilation short."""
+    if count > UNROLLED:
+        return jax.lax.fori_loop(0, count, lambda i, carry: as_arrays(substep(i, carry)), as_arrays(begin))
+    for index in range(count):
+        begin = substep(index, begin)
+    return begin
+
+
+def scaled(column: Column, factor: Scalar) -> Column:
+    """A column times a number; products with a known 0 are plain zeros."""
+    return tuple(0.0 if is_zero(entry) or is_zero(factor) else entry * factor for entry in column)
+
+
+class Assembly(NamedTuple):
+    """The linear plant with its linear unmodelled dynamics as one system.
+
+    Args:
+        a: Its matrix, shape (n, n).
+        inputs: Input of each channel's command, in the order of the channels, then of each disturbance.
+        offsets: Place of the state of each channel's unmodelled dynamics; None where they are not linear.
+    """
+
+    a: Rows
+    inputs: tuple[Forcing, ...]
+    offsets: tuple[int | None, ...]
+
+
+def assembled(parts: HeldParts, dynamics: LinearDynamics, unmodelled: States) -> Assembly:
+    """The plant's linear part in series with the linear unmodelled dynamics of each channel."""
+    order = len(dynamics.a)
+    systems: list[LinearSystem | None] = []
+    offsets: list[int | None] = []
+    size = order
+    for model, params in zip(parts.unmodelled, unmodelled, strict=True):
+        system = None if model.linear is None else model.linear(params)
+        systems.append(system)
+        offsets.append(None if system is None else size)
+        size += 0 if system is None else len(system.a)
+    matrix: list[list[Scalar]] = [[0.0] * size for _ in range(size)]
+    for row, entries in enumerate(dynamics.a):
+        matrix[row][:order] = entries
+    inputs = []
+    for column, system, offset, model in zip(dynamics.command, systems, offsets, parts.unmodelled, strict=True):
+        reaching = [*column, *(0.0,) * (size - order)]
+        if system is None or offset is None:
+            inputs.append(Forcing(tuple(reaching), terms=1 if model.held else 2))
+            continue
+        for state, weight in enumerate(system.c):
+            for row, entry in enumerate(scaled(column, weight)):
+                matrix[row][offset + state] = entry
+        for row, entries in enumerate(system.a):
+            matrix[offset + row][offset : offset + len(system.a)] = entries
+        reaching[:order] = scaled(column, system.d)
+        reaching[offset : offset + len(system.a)] = system.b
+        inputs.append(Forcing(tuple(reaching), terms=1))
+    for column, variation in zip(dynamics.disturbance, parts.variations, strict=True):
+        terms = 1 if variation == Variation.HELD else VARYING
+        inputs.append(Forcing((*column, *(0.0,) * (size - order)), terms))
+    return Assembly(tuple(map(tuple, matrix)), tuple(inputs), tuple(offsets))
+
+
+def remainder_rows(plant: Plant[Measurements, Signals], params: Params, channels: int) -> tuple[int, ...]:
+    """Rows of the state to which a plant's nonlinear remainder adds something."""
+    if plant.remainder is None:
+        return ()
+    remainder = plant.remainder
+    zeros = (0.0,) * channels
+    known: list[bool] = []
+
+    def traced(state: State) -> State:
+        slope = remainder(params, state, PlantInput(zeros, zeros, None), 0.0)
+        known.extend(is_zero(entry) for entry in jax.tree.leaves(slope))
+        return slope
+
+    jax.eval_shape(traced, as_arrays(plant.init(params)))
+    return tuple(row for row, zero in enumerate(known) if not zero)
+
+
+def gathered(assembly: Assembly, plant: State, states: States) -> list[Scalar]:
+    """The state of the linear system: the leaves of the plant's state, then those of linear unmodelled dynamics."""
+    x = jax.tree.leaves(plant)
+    for offset, state in zip(assembly.offsets, states, strict=True):
+        if offset is not None:
+            x.extend(jax.tree.leaves(state))
+    return x
+
+
+def scattered(assembly: Assembly, x: Sequence[Scalar], plant: State, states: States) -> tuple[State, States]:
+    """The inverse of :func:`gathered`; states of other unmodelled dynamics are those of ``states``."""
+    leaves, structure = jax.tree.flatten(plant)
+    found = []
+    for offset, state in zip(assembly.offsets, states, strict=True):
+        if offset is not None:
+            known, kind = jax.tree.flatten(state)
+            state = kind.unflatten(x[offset : offset + len(known)])
+        found.append(state)
+    return structure.unflatten(x[: len(leaves)]), tuple(found)
+
+
+def exact(parts: HeldParts, dynamics: LinearDynamics, params: Params, unmodelled: States) -> Advance:
+    """Advance a plant with a linear part: exactly what is linear, by ETDRK4-B what else varies within the sample."""
+    assembly = assembled(parts, dynamics, unmodelled)
+    rows = remainder_rows(parts.plant, params, len(parts.unmodelled))
+    forcings = list(assembly.inputs)
+    for row in rows:
+        column = tuple(1.0 if i == row else 0.0 for i in range(len(assembly.a)))
+        forcings.append(Forcing(column, VARYING))
+    constant = all(forcing.terms == 1 for forcing in forcings)
+    count = 1 if constant else parts.substeps
+    h = parts.sample_time / count
+    held = hold(assembly.a, forcings, h)
+
+    def advance(drive_at: DriveAt, plant: State, states: States, commands: Signals, t: Scalar) -> tuple[State, States]:
+        def substep(index: Scalar, carry: tuple[State, States]) -> tuple[State, States]:
+            plant, states = carry
+            lines = straight_lines(parts, unmodelled, states, commands, h)
+
+            def signals(x: Sequence[Scalar], fraction: float) -> list[Scalar]:
+                """Disturbances and remainder at a stage."""
+                now = t + (index + fraction) * h
+                at_plant, at_states = scattered(assembly, x, plant, states)
+                drive = drive_at(at_plant, actuation_at(parts, unmodelled, at_states, commands, lines, fraction), now)
+                slopes = []
+                if parts.plant.remainder is not None:
+                    slope = jax.tree.leaves(parts.plant.remainder(params, at_plant, drive, now))
+                    slopes = [slope[row] for row in rows]
+                return [*drive.disturbance, *slopes]
+
+            inputs = []
+            for model, command, line in zip(parts.unmodelled, commands, lines, strict=True):
+                if model.linear is not None:
+                    inputs.append((command,))
+                else:
+                    inputs.append((line.mean,) if model.held else (line.mean - 0.5 * line.rise, line.rise))
+            x = gathered(assembly, plant, states)
+            if constant or parts.integrator == Integrator.EULER:
+                x = held.whole.apply(x, [*inputs, *((signal,) for signal in signals(x, 0.0))])
+            else:
+                x = etd_step(held, parts, x, inputs, forcings, signals)
+            stepped = tuple(
+                state if model.linear is not None else model.step(p, state, command, h)
+                for model, p, state, command in zip(parts.unmodelled, unmodelled, states, commands, strict=True)
+            )
+            plant, states = scattered(assembly, x, plant, stepped)
+            return parts.plant.project(params, plant), states
+
+        return repeated(substep, (plant, states), count)
+
+    return advance
+
+
+def etd_step(
+    held: HeldSystem,
+    parts: HeldParts,
+    x: Sequence[Scalar],
+    inputs: Sequence[Sequence[Scalar]],
+    forcings: Sequence[Forcing],
+    signals: Callable[[Sequence[Scalar], float], list[Scalar]],
+) -> tuple[Scalar, ...]:
+    """One step of ETDRK4-B.
+
+    Args:
+        held: The exact solution over the step and over half of it.
+        parts: The models.
+        x: State of the linear system, length n.
+        inputs: Terms of the input of each channel's command.
+        forcings: All inputs of the linear system: commands, then disturbances and remainder.
+        signals: ``(state, share of the step) -> disturbances and remainder`` at a stage.
+    """
+
+    def forced(polynomials: Sequence[Sequence[Scalar]]) -> list[Sequence[Scalar]]:
+        varying = zip(polynomials, forcings[len(inputs) :], strict=True)
+        return [*inputs, *(terms[: forcing.terms] for terms, forcing in varying)]
+
+    time_alone = parts.plant.remainder is None and Variation.STATE not in parts.variations
+    start = signals(x, 0.0)
+    middle = signals(held.half.apply(x, forced([(a,) for a in start])), 0.5)
+    again = middle
+    if not time_alone:
+        pairs = zip(start, middle, strict=True)
+        again = signals(held.half.apply(x, forced([(a, 4.0 * (b - a)) for a, b in pairs])), 0.5)
+    pairs = zip(start, again, strict=True)
+    end = signals(held.whole.apply(x, forced([(a, 2.0 * (b - a)) for a, b in pairs])), 1.0)
+    polynomials = []
+    for a, b, c, d in zip(start, middle, again, end, strict=True):
+        twice = 2.0 * (b + c)
+        polynomials.append((a, twice - 3.0 * a - d, 4.0 * (a + d) - 2.0 * twice))
+    return held.whole.apply(x, forced(polynomials))
+
+
+def straight_lines(
+    parts: HeldParts, unmodelled: States, states: States, commands: Signals, h: float
+) -> tuple[Moments, ...]:
+    """Moments over a step of the output of unmodelled dynamics that are not linear; of others they are not used."""
+    lines = []
+    for model, p, state, command in zip(parts.unmodelled, unmodelled, states, commands, strict=True):
+        if model.linear is not None or model.held:
+            lines.append(Moments(model.output(p, state, command), 0.0))
+        elif model.moments is not None:
+            lines.append(model.moments(p, state, command, h))
+        else:
+            middle = model.step(p, state, command, 0.5 * h)
+            end = model.step(p, middle, command, 0.5 * h)
+            start, half, whole = (model.output(p, z, command) for z in (state, middle, end))
+            lines.append(Moments((start + 4.0 * half + whole) / 6.0, whole - start))
+    return tuple(lines)
+
+
+def actuation_at(
+    parts: HeldParts,
+    unmodelled: States,
+    states: States,
+    commands: Signals,
+    lines: tuple[Moments, ...],
+    fraction: float,
+) -> Signals:
+    """The commands that reach the plant at a share of the step: of linear dynamics from their state at that stage."""
+    reaching = []
+    for model, p, state, command, line in zip(parts.unmodelled, unmodelled, states, commands, lines, strict=True):
+        exact = model.linear is not None
+        reaching.append(model.output(p, state, command) if exact else line.mean + (fraction - 0.5) * line.rise)
+    return tuple(reaching)
+
+
+class Averaged(NamedTuple):
+    """Linear unmodelled dynamics with the integrals of their output over a step of a nonlinear plant.
+
+    Args:
+        order: Number of their states.
+        held: Their exact solution over the step, with mean and double integral of the output as further states.
+    """
+
+    order: int
+    held: HeldSystem
+
+    def over(self, state: State, command: Scalar) -> tuple[State, Moments]:
+        """The state after the step, and the output's moments over it."""
+        leaves, structure = jax.tree.flatten(state)
+        *after, mean, double = self.held.whole.apply((*leaves, 0.0, 0.0), ((command,),))
+        return structure.unflatten(after), Moments(mean, 6.0 * mean - 12.0 * double)
+
+
+def averaged(system: LinearSystem, h: float) -> Averaged:
+    """Linear unmodelled dynamics with q' = y/h and r' = q/h: after h, q is the mean and r the double integral."""
+    order = len(system.a)
+    rate = 1.0 / h
+    rows = [(*row, 0.0, 0.0) for row in system.a]
+    rows.append((*scaled(system.c, rate), 0.0, 0.0))
+    rows.append((*(0.0,) * order, rate, 0.0))
+    column = (*system.b, *scaled((system.d,), rate), 0.0)
+    return Averaged(order, hold(tuple(rows), (Forcing(column, 1),), h))
+
+
+def integrated(parts: HeldParts, params: Params, unmodelled: States) -> Advance:
+    """Advance a plant without a linear part by the loop's fixed-step method."""
+    h = parts.sample_time / parts.substeps
+    integrate = INTEGRATORS[parts.integrator]
+    systems: list[Averaged | None] = []
+    for model, p in zip(parts.unmodelled, unmodelled, strict=True):
+        systems.append(None if model.linear is None else averaged(model.linear(p), h))
+
+    def advance(drive_at: DriveAt, plant: State, states: States, commands: Signals, t: Scalar) -> tuple[State, States]:
+        @jax.jit  # traced once for all stages of the integrator
+        def rate(plant: State, now: Scalar, actuation: Signals) -> State:
+            return parts.plant.derivative(params, plant, drive_at(plant, actuation, now), now)
+
+        def substep(index: Scalar, carry: tuple[State, States]) -> tuple[State, States]:
+            plant, states = carry
+            lines = list(straight_lines(parts, unmodelled, states, commands, h))
+            after = []
+            for i, (model, system) in enumerate(zip(parts.unmodelled, systems, strict=True)):
+                if system is None:
+                    after.append(model.step(unmodelled[i], states[i], commands[i], h))
+                else:
+                    state, lines[i] = system.over(states[i], commands[i])
+                    after.append(state)
+
+            def derivative(plant: State, half_steps: int) -> State:
+                fraction = 0.5 * half_steps
+                share = 0.0 if parts.integrator == Integrator.EULER else fraction - 0.5
+                actuation = tuple(line.mean + share * line.rise for line in lines)
+                return rate(plant, t + (index + fraction) * h, actuation)
+
+            moved = integrate(derivative, plant, h, parts.plant.velocities)
+            return parts.plant.project(params, moved), tuple(after)
+
+        return repeated(substep, (plant, states), parts.substeps)
+
+    return advance

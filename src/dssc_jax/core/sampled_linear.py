@@ -1,0 +1,223 @@
+"""Exact sampling of linear systems: matrix exponential and the integrals of its inputs, for one draw.
+
+Over a step of length h, x' = A x + g p(t) with p(t) = p_1 + p_2 t/h + p_3 (t/h)^2/2 has the exact solution
+
+    x(h) = exp(A h) x(0) + h phi_1(A h) g p_1 + h phi_2(A h) g p_2 + h phi_3(A h) g p_3,
+    phi_0(z) = exp(z),   phi_(k+1)(z) = (phi_k(z) - 1/k!)/z.
+
+All of these follow from one exponential of an augmented matrix (Van Loan). It is computed by doubling: X(t) = exp(M t)
+- 1 satisfies X(2 t) = 2 X(t) + X(t)^2, from a step so short that two terms of the series suffice. Doubling X instead of
+the exponential keeps the relative accuracy of slow modes beside fast ones, so poles may lie 1e9 apart.
+
+References:
+    C. F. Van Loan, IEEE Trans. Automatic Control 23 (1978) 395-404.
+    M. Hochbruck, A. Ostermann, Acta Numerica 19 (2010) 209-286, for the functions phi_k.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.core.signals import Scalar
+
+DOUBLINGS = 64
+"""Number of doublings, from a step of h 2^-64 to one of h: a pole may be as fast as 1e18/h."""
+
+FASTEST = 1e-15
+"""Shortest time constant of unmodelled dynamics that is told from none [s]."""
+
+Entries = dict[tuple[int, int], Scalar]
+"""The entries of a matrix that may differ from zero, by row and column."""
+
+Column = tuple[Scalar, ...]
+Rows = tuple[Column, ...]
+
+
+class LinearSystem(NamedTuple):
+    """x' = A x + b u, y = c x + d u, with one input and one output; a zero known before tracing is a plain 0.0.
+
+    Args:
+        a: A, row by row, shape (n, n) [1/s].
+        b: Input column, shape (n,).
+        c: Output row, shape (n,).
+        d: Direct feedthrough.
+    """
+
+    a: Rows
+    b: Column
+    c: Column
+    d: Scalar
+
+
+class Forcing(NamedTuple):
+    """An input of a linear system, by its column g and the number of terms of its polynomial p in time.
+
+    Args:
+        column: g, shape (n,).
+        terms: 1: constant over the step; 2: linear in time; 3: quadratic.
+    """
+
+    column: Column
+    terms: int
+
+
+class Transition(NamedTuple):
+    """The exact solution over one step, or half of it: x + ``matrix`` x + sum of ``inputs[j][k] p_jk``.
+
+    Args:
+        size: n.
+        entries: X = exp(A t) - 1 in columns 0..n-1, and the columns of the inputs' terms after them.
+        starts: Column of the first term of each input.
+    """
+
+    size: int
+    entries: Entries
+    starts: tuple[int, ...]
+
+    def apply(self, state: Sequence[Scalar], inputs: Sequence[Sequence[Scalar]]) -> tuple[Scalar, ...]:
+        """The state after the step.
+
+        Args:
+            state: x(0), length n.
+            inputs: The terms p_1, p_2, ... of each input; those that are left out are zero.
+        """
+        signals: dict[int, Scalar] = dict(enumerate(state))
+        for start, terms in zip(self.starts, inputs, strict=True):
+            for k, term in enumerate(terms):
+                signals[start + k] = term
+        change: list[Scalar] = [0.0] * self.size
+        for (row, column), entry in self.entries.items():
+            if column in signals:
+                change[row] = change[row] + entry * signals[column]
+        return tuple(x + dx for x, dx in zip(state, change, strict=True))
+
+    def column(self, index: int, term: int) -> Column:
+        """The column of an input's term, shape (n,)."""
+        place = self.starts[index] + term
+        return tuple(self.entries.get((row, place), 0.0) for row in range(self.size))
+
+
+class HeldSystem(NamedTuple):
+    """Transitions over a whole step and over half of it."""
+
+    whole: Transition
+    half: Transition
+
+
+def is_zero(value: Scalar) -> bool:
+    """Whether a number is known to be 0 before tracing."""
+    return is_known(value) and float(value) == 0.0
+
+
+def is_known(value: Scalar) -> bool:
+    """Whether a number is known before tracing."""
+    return isinstance(value, int | float | np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0)
+
+
+def hold(a: Rows, forcings: Sequence[Forcing], h: float) -> HeldSystem:
+    """The exact solution of x' = A x + sum of g_j p_j over steps of length h.
+
+    Args:
+        a: A, row by row, shape (n, n) [1/s]; entries may be traced.
+        forcings: The inputs.
+        h: Length of the step [s].
+    """
+    size = len(a)
+    starts = tuple(int(start) for start in size + np.cumsum([0, *(forcing.terms for forcing in forcings)])[:-1])
+    rates: Entries = {}
+    for row, numbers in enumerate(a):
+        for column, number in enumerate(numbers):
+            if not is_zero(number):
+                rates[row, column] = number * h
+    for start, forcing in zip(starts, forcings, strict=True):
+        for row, number in enumerate(forcing.column):
+            if not is_zero(number):
+                rates[row, start] = number * h
+    chains = {}  # (row, column) of the shift from one term to the next: p_1' = p_2/h, p_2' = p_3/h
+    for start, forcing in zip(starts, forcings, strict=True):
+        for k in range(forcing.terms - 1):
+            chains[start + k] = start + k + 1
+    half, whole = doubled(size, rates, chains)
+    return HeldSystem(Transition(size, whole, starts), Transition(size, half, starts))
+
+
+def doubled(size: int, rates: Entries, chains: dict[int, int]) -> tuple[Entries, Entries]:
+    """X over half a step and over the whole step, in the rows of the state.
+
+    Args:
+        size: Number of states.
+        rates: M h in the rows of the state.
+        chains: For each column of an input's term that has a next term, that next column.
+    """
+    pattern = reached(rates, size, chains)
+    shortest = 2.0**-DOUBLINGS
+    first = {place: number * shortest for place, number in rates.items()}
+    second = product(first, first, size)
+    for (row, column), number in first.items():
+        if column in chains:
+            add(second, (row, chains[column]), number * shortest)
+    start = {}
+    for place in pattern:
+        start[place] = first.get(place, 0.0) + 0.5 * second.get(place, 0.0)
+
+    def double(values: tuple[Scalar, ...], t: Scalar) -> tuple[Scalar, ...]:
+        x = dict(zip(pattern, values, strict=True))
+        square = product(x, x, size)
+        for (row, column), number in x.items():
+            later = chains.get(column)
+            if later is not None:
+                add(square, (row, later), number * t)
+                last = chains.get(later)
+                if last is not None:
+                    add(square, (row, last), number * (0.5 * t * t))
+        return tuple(2.0 * x[place] + square.get(place, 0.0) for place in pattern)
+
+    values = tuple(start[place] for place in pattern)
+    if all(map(is_known, values)):
+        for k in range(DOUBLINGS - 1):
+            values = double(values, shortest * 2.0**k)
+    else:
+        real = jnp.result_type(float)
+
+        def doubling(_: Scalar, carry: tuple[tuple[Scalar, ...], Scalar]) -> tuple[tuple[Scalar, ...], Scalar]:
+            values, t = carry
+            return double(values, t), 2.0 * t
+
+        begin = tuple(jnp.asarray(value, real) for value in values), jnp.asarray(shortest, real)
+        values, _ = jax.lax.fori_loop(0, DOUBLINGS - 1, doubling, begin)
+    whole = double(values, 0.5)
+    return dict(zip(pattern, values, strict=True)), dict(zip(pattern, whole, strict=True))
+
+
+def product(left: Entries, right: Entries, size: int) -> Entries:
+    """The product of two matrices in the rows of the state."""
+    by_row: dict[int, list[tuple[int, Scalar]]] = {}
+    for (row, column), number in right.items():
+        by_row.setdefault(row, []).append((column, number))
+    total: Entries = {}
+    for (row, middle), number in left.items():
+        if middle < size:
+            for column, factor in by_row.get(middle, ()):
+                add(total, (row, column), number * factor)
+    return total
+
+
+def add(entries: Entries, place: tuple[int, int], number: Scalar) -> None:
+    """Add a number to an entry."""
+    entries[place] = entries[place] + number if place in entries else number
+
+
+def reached(rates: Entries, size: int, chains: dict[int, int]) -> tuple[tuple[int, int], ...]:
+    """The places where the exponential may differ from the identity: where a path of the matrix leads."""
+    known = set(rates)
+    while True:
+        found = {(row, chains[column]) for row, column in known if column in chains}
+        for row, middle in known:
+            if middle < size:
+                found |= {(row, column) for start, column in known if start == middle}
+        if found <= known:
+            return tuple(sorted(known))
+        known |= found
