@@ -224,6 +224,20 @@ def warn_of_noise(study: "Study") -> None:
         say(f"warning: {text}")
 
 
+def checked(study: "Study") -> dict[str, Any] | None:
+    """The error of integration between the samples; None of a study whose code is not imported."""
+    from dssc_jax.engine.integration import integration_error
+    from dssc_jax.study import Described
+
+    return None if isinstance(study, Described) else integration_error(study).to_dict()
+
+
+def warn_of_integration(about: dict[str, Any] | None) -> None:
+    """Print a warning where the error of integration matters."""
+    if about and about["warning"]:
+        say(f"warning: {about['warning']}")
+
+
 def default_out(study: "Study", command: str, *options: Any) -> Path:
     """results/NAME-COMMAND, followed by the study's hash if an option or an edit has changed the question."""
     folder = Path("results") / f"{study.name}-{command}"
@@ -237,10 +251,19 @@ def of_another(folder: Path, study: "Study") -> bool:
     return bool(contents) and not any(f'"{study.hash}"' in content for content in contents)
 
 
-def save_analysis(analysis: "Analysis", folder: Path) -> list[Path]:
-    """Write an analysis and its figure into its folder; return the figure's files."""
+def save_analysis(analysis: "Analysis", folder: Path, check: bool) -> list[Path]:
+    """Write an analysis and its figure into its folder; return the figure's files.
+
+    Args:
+        analysis: The analysis.
+        folder: Its folder.
+        check: Whether to tell the error of integration between the samples.
+    """
     from dssc_jax.plotting import save_figure
 
+    if check:
+        analysis.integration = checked(analysis.study)
+        warn_of_integration(analysis.integration)
     analysis.save(folder)
     return save_figure(analysis.figure(), folder / "figures", analysis.kind)
 

@@ -103,6 +103,7 @@ def compare_log(
     draws: opt.Draws = None,
     seed: opt.Seed = None,
     out: opt.Out = None,
+    no_check: opt.NoCheck = False,
     as_json: opt.Json = False,
     allow_local: opt.Local = False,
 ) -> int:
@@ -143,7 +144,9 @@ def compare_log(
     require_free(folder, "compare-log", loaded)
     with progress_bar(loaded, quiet=as_json, of="draws") as advance:
         answer = compare(loaded, flown, progress=advance)
-    output_analysis(answer, {"result": folder}, save_analysis(answer, folder), as_json, show_log_comparison)
+    output_analysis(
+        answer, {"result": folder}, save_analysis(answer, folder, check=not no_check), as_json, show_log_comparison
+    )
     return DONE
 
 

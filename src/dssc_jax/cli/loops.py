@@ -28,6 +28,7 @@ def loop(
     draws: opt.Draws = None,
     seed: opt.Seed = None,
     out: opt.Out = None,
+    no_check: opt.NoCheck = False,
     as_json: opt.Json = False,
     allow_local: opt.Local = False,
 ) -> int:
@@ -49,5 +50,5 @@ def loop(
     require_free(folder, "loop", loaded)
     with progress_bar(loaded, quiet=as_json) as advance:
         margins = loop_margins(loaded, times=times, progress=advance)
-    output_analysis(margins, {"result": folder}, save_analysis(margins, folder), as_json, show_loop)
+    output_analysis(margins, {"result": folder}, save_analysis(margins, folder, check=not no_check), as_json, show_loop)
     return DONE

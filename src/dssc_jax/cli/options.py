@@ -28,6 +28,7 @@ ClusterOption = Annotated[
     typer.Option("--cluster", metavar="ADDRESS", help="Workers: tcp://HOST:PORT of a dask scheduler, or local:N."),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
+NoCheck = Annotated[bool, typer.Option("--no-check", help="Do not simulate some draws again with twice the substeps.")]
 Local = Annotated[
     bool, typer.Option("--allow-local", help="Let `module:object` names also import from the study's own folder.")
 ]

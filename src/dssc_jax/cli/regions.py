@@ -38,6 +38,7 @@ def region(
     draws: opt.Draws = None,
     seed: opt.Seed = None,
     out: opt.Out = None,
+    no_check: opt.NoCheck = False,
     as_json: opt.Json = False,
     allow_local: opt.Local = False,
 ) -> int:
@@ -60,5 +61,5 @@ def region(
     require_free(folder, "region", loaded)
     with progress_bar(loaded, quiet=as_json, of="simulations") as advance:
         answer = search(loaded, over=(one, other), halvings=halvings, progress=advance)
-    output_analysis(answer, {"result": folder}, save_analysis(answer, folder), as_json, show_region)
+    output_analysis(answer, {"result": folder}, save_analysis(answer, folder, check=not no_check), as_json, show_region)
     return DONE

@@ -51,6 +51,7 @@ def margin(
     draws: opt.Draws = None,
     seed: opt.Seed = None,
     out: opt.Out = None,
+    no_check: opt.NoCheck = False,
     as_json: opt.Json = False,
     allow_local: opt.Local = False,
 ) -> int:
@@ -86,7 +87,7 @@ def margin(
             margins, show = find(loaded, **walk, prove=prove, progress=advance), show_margins
         else:
             margins, show = compare_margins(loaded, names, **walk, progress=advance), show_margin_contest
-    output_analysis(margins, {"result": folder}, save_analysis(margins, folder), as_json, show)
+    output_analysis(margins, {"result": folder}, save_analysis(margins, folder, check=not no_check), as_json, show)
     return DONE
 
 
@@ -112,6 +113,7 @@ def theory(
     draws: opt.Draws = None,
     seed: opt.Seed = None,
     out: opt.Out = None,
+    no_check: opt.NoCheck = False,
     as_json: opt.Json = False,
     allow_local: opt.Local = False,
 ) -> int:
@@ -136,7 +138,9 @@ def theory(
     rivals = switching_rivals(loaded)
     with progress_bar(loaded, quiet=as_json, **WALKED) as advance:
         assessment = assess(loaded, **walk, rivals=rivals, prove=prove, progress=advance)
-    output_analysis(assessment, {"result": folder}, save_analysis(assessment, folder), as_json, show_theory)
+    output_analysis(
+        assessment, {"result": folder}, save_analysis(assessment, folder, check=not no_check), as_json, show_theory
+    )
     return DONE
 
 
@@ -170,6 +174,7 @@ def compare(
     draws: opt.Draws = None,
     seed: opt.Seed = None,
     out: opt.Out = None,
+    no_check: opt.NoCheck = False,
     as_json: opt.Json = False,
     allow_local: opt.Local = False,
 ) -> int:
@@ -194,5 +199,7 @@ def compare(
     candidates = usual if tune is None else tune
     with progress_bar(loaded, quiet=as_json, of="runs") as advance:
         comparison = contest(loaded, names, candidates=candidates, progress=advance)
-    output_analysis(comparison, {"result": folder}, save_analysis(comparison, folder), as_json, show_comparison)
+    output_analysis(
+        comparison, {"result": folder}, save_analysis(comparison, folder, check=not no_check), as_json, show_comparison
+    )
     return DONE

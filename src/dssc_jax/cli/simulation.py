@@ -15,12 +15,14 @@ from dssc_jax.cli.common import (
     app,
     assignment,
     attempt,
+    checked,
     default_out,
     import_meanwhile,
     load_result,
     load_study,
     parse_overs,
     require_proofs,
+    warn_of_integration,
     warn_of_noise,
 )
 from dssc_jax.core.errors import ConfigError
@@ -54,6 +56,7 @@ def run(
         int | None, typer.Option("--max-draws", metavar="N", help="Stop undecided at so many draws [100000].")
     ] = None,
     cluster: opt.ClusterOption = None,
+    no_check: opt.NoCheck = False,
     as_json: opt.Json = False,
     allow_local: opt.Local = False,
 ) -> int:
@@ -70,7 +73,7 @@ def run(
     loaded = load_study(study, settings, draws, seed, allow_local, cluster).without_sweep()
     if rule is not None:
         require_unset("a data-driven stop", draws=draws, resume=resume or None, cluster=cluster)
-        return finish_sequential(loaded, rule, max_draws, out, as_json)
+        return finish_sequential(loaded, rule, max_draws, out, as_json, check=not no_check)
     require_unset("a fixed number of draws", max_draws=max_draws)
     return finish(
         loaded,
@@ -80,6 +83,7 @@ def run(
         cluster,
         allow_local,
         fresh=fresh,
+        check=not no_check,
     )
 
 
@@ -101,6 +105,7 @@ def sweep(
         int,
         typer.Option("--boxes", metavar="N", min=1, help="Boxes of uncertain numbers that --prove tries."),
     ] = SWEEP_BOXES,
+    no_check: opt.NoCheck = False,
     as_json: opt.Json = False,
     allow_local: opt.Local = False,
 ) -> int:
@@ -123,7 +128,8 @@ def sweep(
     if prove:
         require_provable(loaded)
     out = out or default_out(loaded, "sweep", over, settings, draws, seed)
-    return finish(loaded, out, resume, as_json, cluster, allow_local, boxes if prove else None, fresh)
+    proved = boxes if prove else None
+    return finish(loaded, out, resume, as_json, cluster, allow_local, proved, fresh, check=not no_check)
 
 
 @app.command()
@@ -135,6 +141,7 @@ def simulate(
     every: opt.Every = 1,
     settings: opt.Set = None,
     seed: opt.Seed = None,
+    no_check: opt.NoCheck = False,
     as_json: opt.Json = False,
     allow_local: opt.Local = False,
 ) -> int:
@@ -150,7 +157,10 @@ def simulate(
     require_writable(csv, figure)
     trajectories.lane_values(loaded.without_sweep(), draw, {})  # bad input is reported before anything is compiled
     announce_compiling(loaded, quiet=as_json)
-    return output_trajectory(trajectories.simulate(loaded, draw, every=every), csv, figure, as_json)
+    trajectory = trajectories.simulate(loaded, draw, every=every)
+    if not no_check:
+        warn_of_integration(checked(loaded.without_sweep()))
+    return output_trajectory(trajectory, csv, figure, as_json)
 
 
 @app.command()
@@ -221,7 +231,9 @@ def require_unset(purpose: str, **options: Any) -> None:
             raise ConfigError(f"--{name.replace('_', '-')}", f"has no meaning with {purpose}")
 
 
-def finish_sequential(study: "Study", rule: "Rule", most: int | None, out: Path | None, as_json: bool) -> int:
+def finish_sequential(
+    study: "Study", rule: "Rule", most: int | None, out: Path | None, as_json: bool, check: bool
+) -> int:
     """Make draws until the stopping rule is met."""
     from dssc_jax.console.terminal import progress_bar
     from dssc_jax.runs.run_until import MOST_DRAWS, run_until
@@ -230,7 +242,7 @@ def finish_sequential(study: "Study", rule: "Rule", most: int | None, out: Path 
     most = MOST_DRAWS if most is None else most
     out = out or default_out(study.override({"draws": most}), f"run-{rule.slug}", most)
     with progress_bar(study, quiet=as_json, early="the rule is met") as advance:
-        result = run_until(study, rule, out, most=most, progress=advance)
+        result = run_until(study, rule, out, most=most, progress=advance, check=check)
     output_result(result, out, as_json)
     return DONE if result.manifest["stopping"]["verdict"] in ("narrow", "accepted") else FAILS
 
@@ -272,6 +284,7 @@ def finish(
     local: bool = False,
     boxes: int | None = None,
     fresh: bool = False,
+    check: bool = True,
 ) -> int:
     """Simulate all draws unless a complete result has them, and prove every point if there is a number of boxes."""
     from dssc_jax.console.terminal import notify, progress_bar
@@ -287,7 +300,16 @@ def finish(
     import_meanwhile("dssc_jax.plotting", "dssc_jax.console.results")
     folder = str(Path(study.source).resolve().parent) if local else None
     with progress_bar(study, quiet=as_json) as advance:
-        result = running.run(study, out, resume=resume, progress=advance, cluster=cluster, notify=notify, local=folder)
+        result = running.run(
+            study,
+            out,
+            resume=resume,
+            progress=advance,
+            cluster=cluster,
+            notify=notify,
+            local=folder,
+            check=check,
+        )
     if boxes is not None:
         result = proved_sweep(result, out, boxes, as_json)
     output_result(result, out, as_json)
@@ -316,6 +338,7 @@ def complete_result(study: "Study", out: Path) -> "Result | None":
 
 def output_result(result: "Result", out: Path, as_json: bool) -> None:
     """Show the result, then draw its figures, which take longer."""
+    warn_of_integration(result.manifest.get("integration"))
     from dssc_jax.console.results import show_figures, show_result
     from dssc_jax.results.blocks import writing
 

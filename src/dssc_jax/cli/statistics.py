@@ -55,6 +55,7 @@ def sensitivity(
     draws: opt.Draws = None,
     seed: opt.Seed = None,
     out: opt.Out = None,
+    no_check: opt.NoCheck = False,
     as_json: opt.Json = False,
     allow_local: opt.Local = False,
 ) -> int:
@@ -75,7 +76,9 @@ def sensitivity(
     require_free(folder, "sensitivity", loaded)
     with progress_bar(loaded, quiet=as_json) as advance:
         result = indices(loaded, method, progress=advance)
-    output_analysis(result, {"result": folder}, save_analysis(result, folder), as_json, show_sensitivity)
+    output_analysis(
+        result, {"result": folder}, save_analysis(result, folder, check=not no_check), as_json, show_sensitivity
+    )
     return DONE
 
 
@@ -94,6 +97,7 @@ def rare(
     settings: opt.Set = None,
     seed: opt.Seed = None,
     out: opt.Out = None,
+    no_check: opt.NoCheck = False,
     as_json: opt.Json = False,
     allow_local: opt.Local = False,
 ) -> int:
@@ -115,5 +119,5 @@ def rare(
     require_free(folder, "rare", loaded)
     with progress_bar(loaded, quiet=as_json, of="simulations") as advance:
         event = estimate(loaded, spent, progress=advance)
-    output_analysis(event, {"result": folder}, save_analysis(event, folder), as_json, show_rare)
+    output_analysis(event, {"result": folder}, save_analysis(event, folder, check=not no_check), as_json, show_rare)
     return DONE

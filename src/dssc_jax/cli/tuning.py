@@ -32,6 +32,7 @@ def tune(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="The tuned study [results/NAME-tune/tuned.toml].")
     ] = None,
+    no_check: opt.NoCheck = False,
     as_json: opt.Json = False,
     allow_local: opt.Local = False,
 ) -> int:
@@ -53,7 +54,7 @@ def tune(
     require_free(folder, "tune", loaded)
     with progress_bar(loaded, quiet=as_json, of="steps", early="nothing better came") as advance:
         tuned = search(loaded, robust=robust, rounds=rounds, budget=budget, progress=advance)
-    figures = save_analysis(tuned, folder)
+    figures = save_analysis(tuned, folder, check=not no_check)
     file = out or folder / "tuned.toml"
     attempt(file, lambda: file.write_text(to_toml(tuned.tuned_study.table), encoding="utf-8"))
     files = {"tuned_study": file, "result": folder}
@@ -79,6 +80,7 @@ def falsify(
     settings: opt.Set = None,
     seed: opt.Seed = None,
     out: opt.Out = None,
+    no_check: opt.NoCheck = False,
     as_json: opt.Json = False,
     allow_local: opt.Local = False,
 ) -> int:
@@ -110,7 +112,7 @@ def falsify(
             within_mass=within_mass,
             progress=advance,
         )
-    figures = save_analysis(falsified, folder)
+    figures = save_analysis(falsified, folder, check=not no_check)
     file, witness = folder / "witness.toml", folder / "witness"
     file.write_text(to_toml(falsified.witness_study.table), encoding="utf-8")
     shutil.rmtree(witness, ignore_errors=True)

@@ -52,6 +52,13 @@ class HeldParts(NamedTuple):
     substeps: int
 
 
+def is_exact(parts: HeldParts) -> bool:
+    """Whether everything between the samples is held exactly, so that the number of substeps does not matter."""
+    linear = parts.plant.linear is not None and parts.plant.remainder is None
+    held = all(model.held or model.linear is not None for model in parts.unmodelled)
+    return linear and held and all(variation == Variation.HELD for variation in parts.variations)
+
+
 def between_samples(parts: HeldParts, plant: Params, unmodelled: tuple[Params, ...]) -> Advance:
     """The function that advances plant and unmodelled dynamics of one draw by a sample.
 

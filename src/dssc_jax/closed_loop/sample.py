@@ -238,9 +238,9 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
     return as_arrays(LoopState(plant, wind, tuple(channels)))
 
 
-def held_between_samples(loop: Loop, params: LoopParams) -> Advance:
-    """What happens between two samples of one draw; to be called before the time loop."""
-    parts = HeldParts(
+def held_parts(loop: Loop) -> HeldParts:
+    """The parts of a loop that move between the samples."""
+    return HeldParts(
         loop.mimo_plant,
         loop.unmodelled,
         tuple(model.variation for model in loop.disturbance),
@@ -248,7 +248,11 @@ def held_between_samples(loop: Loop, params: LoopParams) -> Advance:
         loop.sample_time,
         loop.substeps,
     )
-    return between_samples(parts, params.plant, params.unmodelled)
+
+
+def held_between_samples(loop: Loop, params: LoopParams) -> Advance:
+    """What happens between two samples of one draw; to be called before the time loop."""
+    return between_samples(held_parts(loop), params.plant, params.unmodelled)
 
 
 def actuate(loop: Loop, params: LoopParams, unmodelled: tuple[State, ...], commands: Signals) -> Signals:

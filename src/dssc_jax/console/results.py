@@ -43,7 +43,7 @@ def show_result(result: "Result") -> None:
     else:
         show_points(result)
         show_paired(result)
-    for text in filter(None, (idle_text(result), result.certificate)):
+    for text in filter(None, (idle_text(result), result.certificate, result.integration)):
         console.print(text, markup=False)
     times = result.manifest["times"]
     console.print(

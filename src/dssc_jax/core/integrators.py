@@ -44,4 +44,7 @@ def semi_implicit_euler(derivative: VectorField, state: S, h: Scalar, velocities
     return drifted._replace(**{name: getattr(middle, name) for name in velocities})
 
 
+ORDERS = {Integrator.RK4: 4, Integrator.EULER: 1}
+"""Order of convergence of each method."""
+
 INTEGRATORS = {Integrator.RK4: rk4, Integrator.EULER: semi_implicit_euler}

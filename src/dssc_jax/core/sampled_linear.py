@@ -117,7 +117,7 @@ def is_known(value: Scalar) -> bool:
     return isinstance(value, int | float | np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0)
 
 
-def hold(a: Rows, forcings: Sequence[Forcing], h: float) -> HeldSystem:
+def hold(a: Rows, forcings: Sequence[Forcing], h: Scalar) -> HeldSystem:
     """The exact solution of x' = A x + sum of g_j p_j over steps of length h.
 
     Args:

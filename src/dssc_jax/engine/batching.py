@@ -36,6 +36,9 @@ Block = tuple[slice, ...]
 Arrays = dict[Any, np.ndarray]
 """Arrays by name; derivatives by :class:`dssc_jax.engine.evaluation.Derivative`."""
 
+Lanes = tuple[np.ndarray, ...]
+"""Lanes of a result: their index along every swept parameter and along the draws, shape (n,) each."""
+
 Lane = Callable[[dict[str, jax.Array], jax.Array], dict[str, Scalar]]
 """(each of the lane's own numbers, draw index) -> the results of the lane."""
 
@@ -246,6 +249,12 @@ def lanes_of(study: Study, block: Block, values: Arrays) -> tuple[Arrays, np.nda
         flat[name] = np.broadcast_to(column, shape).reshape(-1)
     indices = np.broadcast_to(np.arange(draws.start, draws.stop), shape).reshape(-1)
     return flat, indices
+
+
+def lane_numbers(study: Study, lanes: Lanes) -> Arrays:
+    """Swept and drawn numbers of each lane, shape (n,) each."""
+    swept = {name: np.asarray(axis)[i] for (name, axis), i in zip(study.axes.items(), lanes, strict=False)}
+    return {**swept, **draw(study, lanes[-1])}
 
 
 def lanes_in(block: Block) -> int:

@@ -15,8 +15,8 @@ import numpy as np
 import xarray as xr
 
 from dssc_jax.backend.plain import plain_options
-from dssc_jax.engine.batching import Arrays, simulated
-from dssc_jax.engine.sampling import draw
+from dssc_jax.engine.batching import Arrays, Lanes, lane_numbers, simulated
+from dssc_jax.statistics.order import typical_size
 from dssc_jax.study import Study
 from dssc_jax.study.laws import Law
 
@@ -38,9 +38,6 @@ VERDICTS = {
     "undecided": "proves nothing, since rounding alone changes the result (relative deviation {:.1g})",
 }
 """Text of each verdict on recomputed values, with the largest relative deviation."""
-
-Lanes = tuple[np.ndarray, ...]
-"""Lanes of a result: their index along every swept parameter and along the draws, shape (n,) each."""
 
 
 class Agreement(NamedTuple):
@@ -81,12 +78,6 @@ def plain_results(study: Study, values: Mapping[str, np.ndarray], draws: np.ndar
         lanes = {name: jnp.asarray(column, jnp.result_type(float)) for name, column in values.items()}
         batch = jax.jit(jax.vmap(simulated(study, together=None)), compiler_options=plain_options())
         return jax.tree.map(np.asarray, batch(lanes, np.asarray(draws, np.uint32)))
-
-
-def lane_numbers(study: Study, lanes: Lanes) -> Arrays:
-    """Swept and drawn numbers of each lane, shape (n,) each."""
-    swept = {name: np.asarray(axis)[i] for (name, axis), i in zip(study.axes.items(), lanes, strict=False)}
-    return {**swept, **draw(study, lanes[-1])}
 
 
 def computed_again(study: Study, lanes: Lanes) -> Arrays:
@@ -175,9 +166,3 @@ def sample_counts(study: Study) -> dict[str, float]:
     samples = {m.name: (1.0 + 1e-6) * sample[m.metric.unit] for m in study.measures if m.metric.counted}
     samples |= {r.name: samples[r.measure.name] for r in study.requirements if r.measure.name in samples}
     return samples | dict.fromkeys(("failed_at", "settled_at"), (1.0 + 1e-6) * clock.sample_time)
-
-
-def typical_size(values: np.ndarray) -> float:
-    """The median magnitude of the finite values; the smallest normal number if there are none."""
-    finite = np.abs(values[np.isfinite(values)])
-    return max(float(np.median(finite)) if finite.size else 0.0, np.finfo(float).tiny)

@@ -44,9 +44,15 @@ CHATTER = ("command_tv", "sampling_ratio", "sampling_ratio_above_1", "outside_sl
 def outcome(about: Subject) -> Section:
     """How the draws ended, with intervals; for a sweep, its points, and how the draws ended at one of them."""
     if about.result.study.axes:
-        return Section("outcome", "The outcome", [*points_section(about), *ways(about)])
+        return Section("outcome", "The outcome", [*points_section(about), *ways(about), integration(about)])
     certificate = about.result.certificate and h.p[h.strong[about.result.certificate], "."]
-    return Section("outcome", "The outcome", [*ways(about), certificate])
+    return Section("outcome", "The outcome", [*ways(about), certificate, integration(about)])
+
+
+def integration(about: Subject) -> h.Node:
+    """The error of integration between the samples; none if it was not checked."""
+    text = about.result.integration
+    return text and h.p[f"Integration: {text}."]
 
 
 def ways(about: Subject) -> list[h.Node]:

@@ -23,6 +23,8 @@ class Analysis(ABC):
         study: The study that was analysed.
         dataset: Its numbers; variables and coordinates have units and meanings as attributes.
         path: Its folder, if it has been saved.
+        integration: The error of integration between the samples
+            (:meth:`dssc_jax.engine.integration.IntegrationError.to_dict`), if it was checked.
     """
 
     kind: ClassVar[str]
@@ -35,6 +37,7 @@ class Analysis(ABC):
     study: Study
     dataset: xr.Dataset = field(repr=False)
     path: Path | None = field(default=None, init=False, repr=False)
+    integration: dict[str, Any] | None = field(default=None, init=False, repr=False)
 
     @property
     @abstractmethod
@@ -64,7 +67,8 @@ class Analysis(ABC):
 
     def summary(self) -> dict[str, Any]:
         """The analysis in plain numbers, for JSON; infinite values and NaN become None."""
-        return jsonable({"study": self.study.name, **self.content()})
+        checked = {} if self.integration is None else {"integration": self.integration}
+        return jsonable({"study": self.study.name, **self.content(), **checked})
 
     def save(self, folder: str | Path) -> Path:
         """Write description, dataset and summary into a folder.
@@ -75,7 +79,8 @@ class Analysis(ABC):
         Raises:
             ConfigError: the folder contains something else.
         """
-        self.path = save(Path(folder), self.kind, self.study, self.dataset, self.summary(), self.settings())
+        settings = self.settings() | {"integration": self.integration}
+        self.path = save(Path(folder), self.kind, self.study, self.dataset, self.summary(), settings)
         return self.path
 
     @classmethod
@@ -98,6 +103,7 @@ class Analysis(ABC):
             rule = f"{cls.kind}.json is damaged, or of another version: {error!r}"
             raise ConfigError(str(folder), rule) from error
         analysis.path = Path(folder)
+        analysis.integration = stored.settings.get("integration")
         return analysis
 
     def __eq__(self, other: object) -> bool:

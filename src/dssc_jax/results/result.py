@@ -81,6 +81,12 @@ class Result:
         return f"{np.count_nonzero(proved)} of {proved.size} points are proved, with lag and sampling"
 
     @property
+    def integration(self) -> str:
+        """The error of integration between the samples in words; empty if it was not checked."""
+        about = self.manifest.get("integration") or {}
+        return about.get("warning") or about.get("text", "")
+
+    @property
     def theorem(self) -> str:
         """The result of Theorem 1 for the loop, in one line; empty without the functions of Table 1."""
         if "certified" not in self.dataset:
@@ -137,6 +143,7 @@ class Result:
             "certificate": self.certificate,
             "interval_method": self.method.name,
             "stopping": self.manifest.get("stopping"),
+            "integration": self.manifest.get("integration"),
             "requirements": [requirement.text for requirement in self.study.requirements],
             "points": points,
             "rate": times.get("rate"),

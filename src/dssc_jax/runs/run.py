@@ -14,6 +14,7 @@ import numpy as np
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import Arrays, Block, Engine, Layout, computing, execute, lanes_in
+from dssc_jax.engine.integration import integration_error
 from dssc_jax.results.manifest import SCHEMA, about_code, require_startable
 from dssc_jax.study import Study
 from dssc_jax.study.correlation import gaussian
@@ -70,6 +71,7 @@ def run(
     cluster: str | None = None,
     notify: Callable[[str], None] = print,
     local: str | None = None,
+    check: bool = True,
 ) -> "Result":
     """Simulate every draw of a study at every point of its sweep.
 
@@ -87,6 +89,8 @@ def run(
             tiles are then the workers' own choice.
         notify: Called with a line of text when a worker of the cluster is lost or joins.
         local: Folder in which a cluster's workers also look for the study's ``module:object`` names.
+        check: Whether to simulate some draws again with twice the substeps; see
+            :func:`dssc_jax.engine.integration.integration_error`.
 
     Raises:
         ConfigError: ``out`` contains something else, is being written, cannot be written, or is missing where
@@ -97,7 +101,7 @@ def run(
         for given, why in ((cluster, "on a cluster: a folder that every worker can access"), (resume, "to resume")):
             if given:
                 raise ConfigError("out", f"is needed {why}")
-        return in_one_piece(study, layout, Engine(study, layout.lanes, tile, devices), progress)
+        return in_one_piece(study, layout, Engine(study, layout.lanes, tile, devices), progress, check)
     require_startable(Path(out), study, resume)
     here = ThisProcess(study, tile, devices)
     if not resume and not cluster:
@@ -117,7 +121,8 @@ def run(
         target = stack.enter_context(Store(Path(out), study, manifest, resume))
         if not target.finished:
             advance = LanesDone(progress, target.layout, target.pending)
-            target.complete(workers.fill(target, advance))
+            about = workers.fill(target, advance)
+            target.complete(about | about_integration(study, check))
         result = Result.of(study, *target.read(), Path(out))
         target.summarise(result.lines())
     return result
@@ -180,7 +185,14 @@ class LanesDone:
             self.progress(self.done, self.total)
 
 
-def in_one_piece(study: Study, layout: Layout, engine: Engine, progress: ProgressCallback | None) -> "Result":
+def about_integration(study: Study, check: bool) -> dict[str, Any]:
+    """The manifest's entry on the error between the samples; empty if it is not to be checked."""
+    return {"integration": integration_error(study).to_dict()} if check else {}
+
+
+def in_one_piece(
+    study: Study, layout: Layout, engine: Engine, progress: ProgressCallback | None, check: bool
+) -> "Result":
     """Run a study in memory."""
     began, blocks = time.perf_counter(), layout.blocks()
     computed = execute(engine, blocks)
@@ -193,4 +205,5 @@ def in_one_piece(study: Study, layout: Layout, engine: Engine, progress: Progres
     for box, results, values in computed:
         put(dataset, box, results, values)
         advance(lanes_in(box))
-    return Result.of(study, dataset, manifest | {"complete": True, "times": engine.times(began)})
+    manifest |= {"complete": True, "times": engine.times(began), **about_integration(study, check)}
+    return Result.of(study, dataset, manifest)

@@ -13,7 +13,7 @@ from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.results.manifest import read_manifest
 from dssc_jax.results.result import Result
 from dssc_jax.results.schema import in_memory, put
-from dssc_jax.runs.run import about_run
+from dssc_jax.runs.run import about_integration, about_run
 from dssc_jax.statistics import AcceptReject, UntilWidth, looks
 from dssc_jax.statistics.sequential import FIRST
 from dssc_jax.study import Study
@@ -32,6 +32,7 @@ def run_until(
     *,
     most: int = MOST_DRAWS,
     progress: ProgressCallback | None = None,
+    check: bool = True,
 ) -> Result:
     """Simulate draws until a stopping rule is satisfied, at a geometric sequence of looks.
 
@@ -44,6 +45,7 @@ def run_until(
         out: Results folder, written at the end; None keeps the result in memory.
         most: Maximum number of draws, after which the run stops undecided.
         progress: Called with the draws done and ``most``.
+        check: As of :func:`dssc_jax.runs.run.run`.
 
     Raises:
         ConfigError: The study is swept or its draws are not independent, ``most`` is out of range, or ``out``
@@ -81,6 +83,7 @@ def run_until(
     manifest = about_run(final, Layout.of(final), computing()) | {
         "complete": True,
         "times": engine.times(began),
+        **about_integration(final, check),
         "stopping": {
             "data_driven": True,
             "rule": rule.text,

@@ -7,18 +7,11 @@ from typing import Any
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.engine.batching import Arrays, computing
-from dssc_jax.engine.reference import (
-    Agreement,
-    Lanes,
-    agreement,
-    computed_again,
-    deviations,
-    stored_lanes,
-    typical_size,
-)
+from dssc_jax.engine.batching import Arrays, Lanes, computing
+from dssc_jax.engine.reference import Agreement, agreement, computed_again, deviations, stored_lanes
 from dssc_jax.results.manifest import WITHOUT_DIGESTS, machinery_differences
 from dssc_jax.results.result import Result
+from dssc_jax.statistics.order import typical_size
 from dssc_jax.study.code import recorded
 
 LANES, MOST_LANES = 16, 16384

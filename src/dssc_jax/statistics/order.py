@@ -185,3 +185,9 @@ def tolerance_limits(
     low = float(at_rank(ordered, order)) if order and side != "upper" else -np.inf
     high = float(at_rank(ordered, len(values) + 1 - order)) if order and side != "lower" else np.inf
     return low, high
+
+
+def typical_size(values: np.ndarray) -> float:
+    """The median magnitude of the finite values; the smallest normal number if there are none."""
+    finite = np.abs(values[np.isfinite(values)])
+    return max(float(np.median(finite)) if finite.size else 0.0, np.finfo(float).tiny)

@@ -109,7 +109,7 @@ def transfer_function_dynamics(params: RationalParams) -> LinearDynamics:
     """Controllable canonical form: x_i' = x_(i+1), and the last state's slope takes command and disturbance."""
     leading, *lower = params.denominator
     order = len(lower)
-    rows = [tuple(1.0 if j == i + 1 else 0.0 for j in range(order)) for i in range(order - 1)]
+    rows: list[tuple[Scalar, ...]] = [tuple(1.0 if j == i + 1 else 0.0 for j in range(order)) for i in range(order - 1)]
     rows.append(tuple(-coefficient / leading for coefficient in reversed(lower)))
     column = (*(0.0,) * (order - 1), 1.0)
     return LinearDynamics(tuple(rows), (column,), (column,))

@@ -1,0 +1,131 @@
+"""The error of integration between the samples: some draws again, with twice the substeps.
+
+A loop in which everything between the samples is held exactly has none; see
+:func:`dssc_jax.closed_loop.hold.is_exact`. For others, draws spread over the study are simulated with the study's
+substeps and with twice as many. A method of order p leaves about 1/(2^p - 1) of the change.
+"""
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dssc_jax.closed_loop.hold import is_exact
+from dssc_jax.closed_loop.requirements import ended_early
+from dssc_jax.closed_loop.sample import held_parts
+from dssc_jax.core.integrators import ORDERS
+from dssc_jax.engine.batching import Arrays, Engine, evaluate, lane_numbers
+from dssc_jax.statistics.order import typical_size
+from dssc_jax.study import Study
+
+CHECKED_DRAWS = 16
+NEGLIGIBLE = 0.01
+"""Change of a required metric, in shares of its bound, below which nothing is said (assumed)."""
+
+MOST_SUBSTEPS = 1000  # that a study may have
+
+
+class IntegrationError(NamedTuple):
+    """The change of some draws when the steps between the samples are halved.
+
+    Args:
+        exact: Whether everything between the samples is held exactly; then nothing was simulated.
+        draws: Number of draws simulated again.
+        substeps: Substeps of the study.
+        change: Largest change of a required metric in shares of its bound; without requirements, of any metric in
+            shares of its median size. Infinite if a draw ends early with one of the two numbers of substeps alone.
+        metric: That metric; empty if none changes.
+        scale: ``bound`` or ``median size``.
+        verdicts: Number of draws whose outcome changes.
+        remedy: Number of substeps that is expected to make the change negligible.
+    """
+
+    exact: bool
+    draws: int
+    substeps: int
+    change: float
+    metric: str
+    scale: str
+    verdicts: int
+    remedy: int
+
+    @property
+    def matters(self) -> bool:
+        """Whether a verdict changes, or a metric by more than :data:`NEGLIGIBLE`."""
+        return self.verdicts > 0 or self.change > NEGLIGIBLE
+
+    @property
+    def text(self) -> str:
+        """The error in words."""
+        if self.exact:
+            return "between the samples everything is held exactly"
+        size = f"{self.change:.1g}" if self.change < 1e-4 else f"{100.0 * self.change:.2g} %"
+        changes = f"{self.metric} changes by at most {size} of its {self.scale}" if self.metric else "no metric changes"
+        flips = "no verdict changes" if not self.verdicts else f"{self.verdicts} verdicts change"
+        return (
+            f"with {2 * self.substeps} substeps instead of {self.substeps}, {changes} and {flips} in {self.draws} draws"
+        )
+
+    @property
+    def warning(self) -> str:
+        """What to do about it; empty where the error does not matter."""
+        if not self.matters:
+            return ""
+        remedy = f"set loop.substeps = {self.remedy}, or shorten loop.sample_time"
+        return f"the integration between the samples is too coarse: {self.text}; {remedy}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON; an infinite change is None."""
+        finite = self.change if np.isfinite(self.change) else None
+        return self._asdict() | {"change": finite, "text": self.text, "warning": self.warning}
+
+
+def integration_error(study: Study, draws: int = CHECKED_DRAWS) -> IntegrationError:
+    """Simulate some draws of a study again, with twice the substeps.
+
+    Args:
+        study: The study; with a sweep, the draws are spread over its points.
+        draws: Number of draws at most.
+    """
+    loop = study.loop
+    if is_exact(held_parts(loop)):
+        return IntegrationError(True, 0, loop.substeps, 0.0, "", "", 0, loop.substeps)
+    shape = (*(len(values) for values in study.axes.values()), study.config.draws)
+    total = int(np.prod(shape))
+    picked = np.unique(np.linspace(0, total - 1, min(draws, total)).astype(int))
+    lanes = np.unravel_index(picked, shape)
+    values = lane_numbers(study, lanes)
+    results = []
+    for substeps in (loop.substeps, 2 * loop.substeps):
+        engine = Engine(replace(study, loop=replace(loop, substeps=substeps)), len(picked))
+        results.append(evaluate(engine, {name: values[name] for name in engine.names}, lanes[-1]))
+    change, metric = largest_change(study, *results)
+    verdicts = int(np.count_nonzero(results[0]["outcome"] != results[1]["outcome"]))
+    scale = "bound" if study.requirements else "median size"
+    order = ORDERS[loop.integrator]
+    excess = max(2.0, change / NEGLIGIBLE) if np.isfinite(change) else 2.0**order
+    doublings = int(np.ceil(np.log2(excess) / order))
+    remedy = min(MOST_SUBSTEPS, loop.substeps * 2 ** max(1, doublings))
+    return IntegrationError(False, len(picked), loop.substeps, change, metric, scale, verdicts, remedy)
+
+
+def largest_change(study: Study, coarse: Arrays, fine: Arrays) -> tuple[float, str]:
+    """Largest change of a required metric (without requirements, of any) in shares of its scale, and the metric."""
+    scales = {}
+    for requirement in study.requirements:
+        scales[requirement.measure.name] = requirement.scale
+    if not scales:
+        scales = {measure.name: typical_size(fine[measure.name]) for measure in study.measures}
+    worst, name = 0.0, ""
+    for metric, scale in scales.items():
+        before = coarse[metric]
+        after = fine[metric]
+        both = np.isfinite(before) & np.isfinite(after)
+        gaps = np.abs(np.where(both, before, 0.0) - np.where(both, after, 0.0)) / scale
+        change = float(np.max(gaps, initial=0.0))
+        ended = [ended_early(arrays["outcome"]) for arrays in (coarse, fine)]
+        if np.any(ended[0] != ended[1]):
+            change = float("inf")
+        if change > worst:
+            worst, name = change, metric
+    return worst, name
