@@ -66,13 +66,6 @@ class NormalForm(NamedTuple):
         return "" if self.gain > 0.0 else f"the plant's high-frequency gain is {self.gain:.4g}, and k_p > 0 in (5)-(8)"
 
 
-def polynomial_degree(coefficients: tuple[float, ...]) -> int | None:
-    """Degree of a polynomial, highest power first, without leading coefficients that are rounding; None if it is 0."""
-    size = np.abs(coefficients)
-    significant = np.flatnonzero(size > VANISHING * size.max())
-    return len(coefficients) - 1 - int(significant[0]) if size.max() > 0.0 else None
-
-
 def relative_degree(system: RealisedSystem) -> int | None:
     """The smallest r with c A^(r-1) b not zero; None if the command does not reach the output.
 

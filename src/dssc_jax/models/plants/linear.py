@@ -14,7 +14,7 @@ from typing import Annotated, Any, NamedTuple
 
 from dssc_jax.core.contracts import LinearDynamics, Plant, linear_derivative
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.normal_form import RealisedSystem, polynomial_degree, relative_degree
+from dssc_jax.core.normal_form import RealisedSystem, relative_degree
 from dssc_jax.core.numerics import dot
 from dssc_jax.core.quantities import Quantity, nominal
 from dssc_jax.core.signals import Measurement, Scalar
@@ -141,7 +141,7 @@ def prepare_transfer_function(params: RationalParams) -> RationalParams:
         rule = f"must have 1 to {order} coefficients: fewer than the denominator, so that the plant is strictly proper"
         raise ConfigError("numerator", f"{rule}; got {len(params.numerator)}")
     for name in ("numerator", "denominator"):
-        if polynomial_degree(nominal_values(getattr(params, name))) != len(getattr(params, name)) - 1:
+        if nominal_values(getattr(params, name))[0] == 0.0:
             raise ConfigError(f"{name}.0", "is the coefficient of the highest power and must not be zero; leave it out")
     require_start(params.x0, order)
     return params._replace(degree=order + 1 - len(params.numerator))
