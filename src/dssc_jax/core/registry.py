@@ -1,5 +1,6 @@
 """Registries of the model kinds available in a study, their options, and slots for parts of a model."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, NamedTuple, TypeAlias
@@ -32,6 +33,8 @@ class Entry(NamedTuple):
         default: The option's value if the table does not give it.
         summary: One line for ``dssc-jax info``.
         base: The table that the study's own table overrides.
+        default_of: ``(table) -> value`` of the option where a part in the table decides on its default; None where
+            ``default`` holds for every table.
     """
 
     members: dict[Any, Any]
@@ -39,6 +42,7 @@ class Entry(NamedTuple):
     option: str | None = None
     default: Any = None
     base: dict[str, Any] = {}  # noqa: RUF012  (never changed)
+    default_of: Callable[[dict[str, Any]], Any] | None = None
 
 
 Registry: TypeAlias = dict[str, Entry]

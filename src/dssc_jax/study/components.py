@@ -237,7 +237,8 @@ def member_of(entry: Entry, table: dict[str, Any]) -> Any:
     """The member of an entry that the table's option selects."""
     if entry.option is None:
         return entry.members[None]
-    choice = table.get(entry.option, entry.default)
+    default = entry.default if entry.default_of is None else entry.default_of(table)
+    choice = table.get(entry.option, default)
     for key, member in entry.members.items():
         if choice == key and not isinstance(choice, bool):
             return member

@@ -1,8 +1,8 @@
 """Dynamic Smooth Sliding Control (14)-(18), and SSC as its special case with constant functions.
 
-The implicit (backward Euler) form has a closed-form solution and is the default. The conservative form is
-backward Euler in the coordinate phi_1(sigma_hat) of the predictor. Its sums telescope, so that measurement noise causes
-no drift.
+The conservative form is backward Euler in the coordinate phi_1(sigma_hat) of the predictor. Its sums telescope, so that
+measurement noise causes no drift; it is the default wherever phi_1 has a finite slope. The implicit form is backward
+Euler in sigma_hat. Both have closed-form solutions.
 
 With a = T_s/tau_av, b = T_s/tau_m and c = T_s k_o/((1+a)(1+b)) the set-valued u_0 in rho Sgn(sigma_tilde+) is solved
 exactly by a clip. While the clip is inactive sigma_hat+ = sigma to rounding and the command obeys the synthesised law
@@ -12,7 +12,7 @@ T_s > 2 tau_av.
 
 from collections.abc import Callable
 from enum import StrEnum
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -53,7 +53,7 @@ class DsscGains(NamedTuple):
     functions: Annotated[State, Slot(GAIN_FUNCTIONS)]
     rho: Annotated[State, Slot(MODULATIONS, number="constant")]
     nominal: NominalGains | None = None
-    predictor_start: PredictorStart = PredictorStart.ZERO
+    predictor_start: PredictorStart = PredictorStart.MIDPOINT
     sign_width: Annotated[Scalar | None, Quantity("y/s", "width of the smoothed sign", at_least=0.0)] = None
 
 
@@ -325,11 +325,28 @@ MEMBERS = {
     Discretisation.CONSERVATIVE: dssc(SampledForm(integrated, integrated_rate, conservative_update)),
     Discretisation.EXPLICIT: dssc(SampledForm(own_coordinate, own_rate, explicit_update)),
 }
-DSSC = Entry(MEMBERS, "dynamic smooth sliding control (14)-(18)", "discretisation", Discretisation.IMPLICIT)
+
+
+def default_form(table: dict[str, Any]) -> Discretisation:
+    """The sampled form of a controller's table that does not give it: that of its state-dependent functions."""
+    functions = table.get("functions")
+    kind = functions.get("kind") if isinstance(functions, dict) else None
+    if kind not in GAIN_FUNCTIONS:  # its absence is reported where the functions are parsed
+        return Discretisation.CONSERVATIVE
+    return GAIN_FUNCTIONS[kind].members[None].sampled_form
+
+
+DSSC = Entry(
+    MEMBERS,
+    "dynamic smooth sliding control (14)-(18)",
+    "discretisation",
+    Discretisation.CONSERVATIVE,
+    default_of=default_form,
+)
 SSC = Entry(
     {form: member._replace(prepare=constant_functions) for form, member in MEMBERS.items()},
     "smooth sliding control: DSSC with constant functions",
     "discretisation",
-    Discretisation.IMPLICIT,
+    Discretisation.CONSERVATIVE,
     {"functions": {"kind": "constant"}},
 )

@@ -2,7 +2,8 @@
 
 Each row is a NamedTuple of its constants with two methods. ``at(sigma, e, l0)`` gives the functions. In sliding only
 the product k_o tau_av and tau_m matter (22); rows that define only the product take one of k_o or tau_av, and the other
-follows. ``law(sigma, e, at)`` gives the control law that (22) synthesises, integrated. r = |sigma|^(1/2) throughout.
+follows. ``law(sigma, e, at)`` gives the control law that (22) synthesises, integrated. ``sampled_form`` is the form in
+which DSSC is sampled unless the study says otherwise. r = |sigma|^(1/2) throughout.
 """
 
 from typing import Annotated, Any, NamedTuple
@@ -10,7 +11,7 @@ from typing import Annotated, Any, NamedTuple
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import log_defect, root_abs, sign
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.core.registry import Registry, single
+from dssc_jax.core.registry import Discretisation, Registry, single
 from dssc_jax.core.signals import Scalar
 
 ROOT_FLOOR = 1e-9  # [(m/s)^(1/2)]: the standard STA's k_o tau_av and tau_m vanish at sigma = 0
@@ -79,6 +80,8 @@ class Constant(NamedTuple):
     tau_av: Annotated[Scalar, TAU_AV]
     tau_m: Annotated[Scalar, TAU_M]
 
+    sampled_form = Discretisation.CONSERVATIVE
+
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """Table 2, row 1."""
         return StateFunctions(self.k_o, self.tau_av, self.tau_m)
@@ -97,6 +100,7 @@ class StandardSta(NamedTuple):
     tau_av: Annotated[Scalar | None, TAU_AV] = None
 
     prepare = one_factor
+    sampled_form = Discretisation.IMPLICIT  # the slope of phi_1 is infinite at 0
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """Table 2, row 2: k_o tau_av = 2 r/kappa1 (printed with phi_1 for phi_1'), tau_m = (kappa1/kappa2) r."""
@@ -118,6 +122,7 @@ class ApproximateSta1(NamedTuple):
     tau_av: Annotated[Scalar | None, TAU_AV] = None
 
     prepare = one_factor
+    sampled_form = Discretisation.CONSERVATIVE
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """Table 2, row 3: tau_m = (kappa1/kappa2) r/[1 - (delta/r) ln((r + delta)/delta)]."""
@@ -140,6 +145,7 @@ class ApproximateSta2(NamedTuple):
     tau_av: Annotated[Scalar | None, TAU_AV] = None
 
     prepare = one_factor
+    sampled_form = Discretisation.CONSERVATIVE
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """Table 2, row 4: k_o tau_av = 2 (r + delta)/kappa1, tau_m = (kappa1/kappa2)(r + delta)."""
@@ -160,6 +166,8 @@ class SquareRoot(NamedTuple):
     delta_m: Annotated[Scalar, DELTA]
     tau_av: Annotated[Scalar, TAU_AV]
 
+    sampled_form = Discretisation.CONSERVATIVE
+
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """k_o = kappa_o (r + delta_o), tau_m = kappa_m (r + delta_m)."""
         r = root_abs(sigma)
@@ -177,6 +185,8 @@ class Field(NamedTuple):
     kappa1: Annotated[Scalar, KAPPA_1]
     kappa2: Annotated[Scalar, Quantity("u/s", "integral gain kappa_2, multiplying sgn itself", above=0.0)]
     delta: Annotated[Scalar, Quantity("s", "smoothing delta of both time constants", above=0.0)]
+
+    sampled_form = Discretisation.CONSERVATIVE
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """tau_av = 2 r/(k_o kappa1) + delta, tau_m = kappa1 r/(2 kappa2) + delta."""
@@ -236,6 +246,7 @@ class Vgsta(NamedTuple):
     tau_av: Annotated[Scalar | None, TAU_AV] = None
 
     prepare = one_factor
+    sampled_form = Discretisation.CONSERVATIVE
 
     def gains(self, sigma: Scalar, e: Scalar) -> VariableGains:
         """kappa_1 and kappa_2."""
