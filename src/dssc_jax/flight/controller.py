@@ -14,7 +14,8 @@ from dssc_jax.backend.c_text import KEYWORDS
 from dssc_jax.backend.origins import Origin, translate_with_origins
 from dssc_jax.backend.program import Program
 from dssc_jax.backend.unsupported import Unsupported
-from dssc_jax.closed_loop.sample import ControlState, as_arrays, control, initial_control
+from dssc_jax.closed_loop.control import ControlState, control, initial_control
+from dssc_jax.closed_loop.sample import as_arrays
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.quantities import Quantity
