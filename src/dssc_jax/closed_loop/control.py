@@ -13,7 +13,16 @@ Steps 3 and 4 are part of :func:`control`, hence of the generated C. Metrics cou
 from typing import TYPE_CHECKING, NamedTuple
 
 from dssc_jax.core.numerics import turned_near, wrap_angle
-from dssc_jax.core.signals import Command, Info, Measurement, Measurements, ReferencePoint, ReferencePoints, State
+from dssc_jax.core.signals import (
+    Command,
+    Info,
+    Measurement,
+    Measurements,
+    ReferencePoint,
+    ReferencePoints,
+    Scalar,
+    State,
+)
 
 if TYPE_CHECKING:
     from dssc_jax.closed_loop.sample import Loop, LoopParams
@@ -73,7 +82,10 @@ def continued(loop: "Loop", i: int, measurement: Measurement, before: State) -> 
     So the angle is continuous in time, unless it turns by more than pi within a sample. What has a memory, a sensor
     or a differentiator, must see no jump by a turn.
     """
-    return measurement._replace(y=turned_near(measurement.y, before)) if is_angle(loop, i) else measurement
+    if not is_angle(loop, i):
+        return measurement
+    continuous = turned_near(measurement.y, before)
+    return measurement._replace(y=continuous)
 
 
 def shown(loop: "Loop", i: int, measurement: Measurement) -> Measurement:
@@ -105,7 +117,10 @@ def faced(loop: "Loop", i: int, reference: ReferencePoint, sensed: Measurement) 
     The reference is shifted, not the measurement: a controller that differentiates its measurement sees no jump where
     the reference crosses pi, or steps by more than half a turn.
     """
-    return reference._replace(y=turned_near(reference.y, sensed.y)) if is_angle(loop, i) else reference
+    if not is_angle(loop, i):
+        return reference
+    near_measurement = turned_near(reference.y, sensed.y)
+    return reference._replace(y=near_measurement)
 
 
 def control(
@@ -134,3 +149,27 @@ def control(
     controller, command, info = loop.controller[i].step(params.controller[i], state.controller, sensed, desired, dt)
     after = ControlState(differentiator, controller, seen.y if is_angle(loop, i) else ())
     return after, Controlled(reading, sensed, desired, command, info)
+
+
+def transferred_control(
+    loop: "Loop", params: "LoopParams", i: int, reading: Measurement, reference: ReferencePoint, command: Scalar
+) -> ControlState | None:
+    """The state of channel i whose first step at this sample gives a command, for a bumpless start.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        i: Index of the channel.
+        reading: What the sensor shows.
+        reference: The desired output.
+        command: The whole command u + u_n.
+
+    Returns:
+        The state; None if the controller's state cannot carry a command.
+    """
+    transfer = loop.controller[i].transfer
+    if transfer is None:
+        return None
+    differentiator, sensed, desired = first_signals(loop, params, i, reading, reference)
+    controller = transfer(params.controller[i], sensed, desired, command, loop.sample_time)
+    return ControlState(differentiator, controller, reading.y if is_angle(loop, i) else ())

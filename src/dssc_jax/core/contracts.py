@@ -91,6 +91,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
         monitor: ``(params, state, input) -> info`` at each sample, a NamedTuple for metrics and plots.
         broken: ``(params, state) -> bool``: whether the model is no longer valid (a singular attitude); the draw is
             then frozen.
+        onboard: What of the plant is software of the vehicle, in words: generated code of its controllers lacks it.
     """
 
     params: type
@@ -106,6 +107,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     project: Callable[[Params, State], State] = no_constraint
     monitor: Callable[[Params, State, PlantInput[Signal]], Info] = no_info
     broken: Callable[[Params, State], Scalar | bool] = always_valid
+    onboard: tuple[str, ...] = ()
 
 
 def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Signals]:
@@ -129,6 +131,7 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
         project=plant.project,
         monitor=lambda params, state, drive: plant.monitor(params, state, plain(drive)),
         broken=plant.broken,
+        onboard=plant.onboard,
     )
 
 
@@ -149,12 +152,15 @@ class Controller(NamedTuple):
         step: ``(gains, state, measurement, reference, dt) -> (state, command, info)``. ``info`` is a NamedTuple of
             scalars for metrics and plots, and is never fed back.
         prepare: As in :class:`Plant`.
+        transfer: ``(gains, measurement, reference, command, dt) -> state`` whose first step at that sample gives the
+            whole command, for a bumpless start; None: the state cannot carry a command.
     """
 
     gains: type
     init: Callable[[Params, Measurement, ReferencePoint], State]
     step: Callable[[Params, State, Measurement, ReferencePoint, Scalar], tuple[State, Command, Info]]
     prepare: Callable[[Params], Params] = as_given
+    transfer: Callable[[Params, Measurement, ReferencePoint, Scalar, Scalar], State] | None = None
 
     @property
     def params(self) -> type:
