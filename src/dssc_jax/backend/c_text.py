@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from dssc_jax.backend.c_names import is_known, words
 from dssc_jax.backend.c_operations import ATOM, UNARY, Notation, c_literal, c_type
 from dssc_jax.backend.needed import reachable
 from dssc_jax.backend.origins import Origin
@@ -19,19 +20,6 @@ from dssc_jax.backend.unsupported import Unsupported
 
 LONGEST_EXPRESSION = 88
 """Characters of an expression on a line."""
-
-KEYWORDS = frozenset({
-    "auto", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern",
-    "float", "for", "goto", "if", "inline", "int", "long", "register", "restrict", "return", "short", "signed",
-    "sizeof", "static", "struct", "switch", "typedef", "union", "unsigned", "void", "volatile", "while", "bool",
-    "true", "false"
-})  # fmt: skip
-FUNCTIONS = frozenset({
-    "sqrt", "sqrtf", "fabs", "fabsf", "fmod", "fmodf", "maximum", "minimum", "nearest", "round_down",
-    "round_up", "toward_zero", "bits_of", "number_of", "finite", "y0", "y1", "yn", "j0", "j1", "jn", "gamma",
-    "exp", "log", "sin", "cos", "tan", "pow", "floor", "ceil", "index"
-})  # fmt: skip
-"""Functions that a variable of the same name would hide."""
 
 
 class CText:
@@ -60,7 +48,7 @@ class CText:
         self.notation = Notation(real)
         self.tables: list[str] = []
         self.lines: list[str] = []
-        self._taken = {*KEYWORDS, *FUNCTIONS, *taken}
+        self._taken = {*taken}
         self._written: dict[int, tuple[str, int]] = {}
         self._uses = use_counts(program)
         self._function = ""
@@ -121,9 +109,10 @@ class CText:
 
     def _variable(self, wanted: str) -> str:
         """A new name like the wanted one."""
-        base = re.sub(r"\W", "_", wanted, flags=re.ASCII).strip("_") or "part"
+        base = words(wanted) or "part"
+        base = f"part_{base}" if base[0].isdigit() else base
         name, count = base, 1
-        while name in self._taken or (count == 1 and base == "part"):
+        while name in self._taken or (count == 1 and (base == "part" or is_known(base))):
             name = f"{base}_{count}"
             count += 1
         self._taken.add(name)

@@ -8,6 +8,16 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from dssc_jax.closed_loop.control import (
+    Controlled,
+    ControlState,
+    continued,
+    control,
+    initial_control,
+    is_angle,
+    measure,
+    shown,
+)
 from dssc_jax.closed_loop.hold import Advance, HeldParts, between_samples
 from dssc_jax.closed_loop.metrics import Instant, Sample
 from dssc_jax.core.contracts import (
@@ -23,10 +33,8 @@ from dssc_jax.core.contracts import (
     as_mimo_reference,
 )
 from dssc_jax.core.integrators import Integrator
-from dssc_jax.core.numerics import as_arrays, stream, wrap_angle
+from dssc_jax.core.numerics import as_arrays, stream
 from dssc_jax.core.signals import (
-    Command,
-    Info,
     Measurement,
     Measurements,
     PlantInput,
@@ -115,7 +123,18 @@ class Loop:
 
 
 class ChannelState(NamedTuple):
-    """State of one channel's parts, and its last robust command."""
+    """State of one channel's parts, its last robust command, and two angles.
+
+    Args:
+        controller: State of the controller.
+        sensor: State of the sensor.
+        differentiator: State of the differentiator.
+        unmodelled: State of the unmodelled dynamics.
+        disturbance: State of the disturbance.
+        u: The last robust command.
+        angle: The plant's last output, continuous in time [rad]; (), if the output is no angle.
+        reading: The last reading, continuous in time [rad]; (), if the output is no angle.
+    """
 
     controller: State
     sensor: State
@@ -123,22 +142,13 @@ class ChannelState(NamedTuple):
     unmodelled: State
     disturbance: State
     u: Scalar
+    angle: State = ()
+    reading: State = ()
 
-
-class ControlState(NamedTuple):
-    """State of differentiator and controller of one channel."""
-
-    differentiator: State
-    controller: State
-
-
-class Controlled(NamedTuple):
-    """One channel at one sample: the sensor's reading, the controller's measurement, its command and its info."""
-
-    reading: Measurement
-    sensed: Measurement
-    command: Command
-    info: Info
+    @property
+    def control(self) -> ControlState:
+        """The part of the state that a flight computer holds."""
+        return ControlState(self.differentiator, self.controller, self.reading)
 
 
 class LoopState(NamedTuple):
@@ -169,46 +179,6 @@ class Recorded(NamedTuple):
     controlled: tuple[Controlled, ...]
 
 
-def measure(loop: Loop, params: LoopParams, plant: State, references: ReferencePoints) -> Measurements:
-    """The plant's outputs, before sensors; an angle is shifted by whole turns to lie within pi of its reference."""
-    measurements = loop.mimo_plant.measure(params.plant, plant)
-    return tuple(
-        m._replace(y=r.y + wrap_angle(m.y - r.y)) if name in loop.plant.angles else m
-        for name, m, r in zip(loop.channels, measurements, references, strict=True)
-    )
-
-
-def initial_control(
-    loop: Loop, params: LoopParams, i: int, reading: Measurement, reference: ReferencePoint
-) -> ControlState:
-    """Differentiator and controller of channel i at the first sample, before their first step."""
-    differentiator = loop.differentiator[i].init(params.differentiator[i], reading)
-    _, sensed = loop.differentiator[i].step(params.differentiator[i], differentiator, reading, loop.sample_time)
-    return ControlState(differentiator, loop.controller[i].init(params.controller[i], sensed, reference))
-
-
-def control(
-    loop: Loop, params: LoopParams, i: int, state: ControlState, reading: Measurement, reference: ReferencePoint
-) -> tuple[ControlState, Controlled]:
-    """Run differentiator and controller of channel i at one sample: all that a flight computer runs.
-
-    Args:
-        loop: The models and the clock.
-        params: Their parameters.
-        i: Index of the channel.
-        state: State of differentiator and controller.
-        reading: What the sensor shows.
-        reference: The desired output.
-
-    Returns:
-        The next state, and what the controller saw and gave.
-    """
-    dt = loop.sample_time
-    differentiator, sensed = loop.differentiator[i].step(params.differentiator[i], state.differentiator, reading, dt)
-    controller, command, info = loop.controller[i].step(params.controller[i], state.controller, sensed, reference, dt)
-    return ControlState(differentiator, controller), Controlled(reading, sensed, command, info)
-
-
 def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
     """State at t = 0."""
     plant = as_arrays(loop.plant.init(params.plant))
@@ -221,7 +191,7 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
         # the controller starts from what it will measure at the first sample, not from the plant's own output
         first = jax.random.fold_in(stream_key, 1)
         _, reading = loop.sensor[i].step(params.sensor[i], sensor, measurements[i], first, 0.0, loop.sample_time)
-        control = initial_control(loop, params, i, reading, references[i])
+        control = initial_control(loop, params, i, shown(loop, i, reading), references[i])
         channels.append(
             ChannelState(
                 controller=control.controller,
@@ -232,6 +202,8 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
                     params.disturbance[i], jax.random.fold_in(loop.key(key, "disturbance", name), 0)
                 ),
                 u=0.0,
+                angle=measurements[i].y if is_angle(loop, i) else (),
+                reading=control.reading,
             )
         )
     wind = loop.wind.init(params.wind, jax.random.fold_in(loop.key(key, "wind"), 0))
@@ -291,8 +263,12 @@ def control_channel(
     reference: ReferencePoint,
     k: Scalar,
 ) -> tuple[ChannelState, Controlled]:
-    """Run sensor, differentiator and controller of channel i at sample k, and advance its disturbance's state."""
+    """Run sensor, differentiator and controller of channel i at sample k, and advance its disturbance's state.
+
+    The sensor sees an angle that is continuous in time.
+    """
     t, dt, name = k * loop.sample_time, loop.sample_time, loop.channels[i]
+    measurement = continued(loop, i, measurement, channel.angle)
     sensor, reading = loop.sensor[i].step(
         params.sensor[i],
         channel.sensor,
@@ -301,8 +277,7 @@ def control_channel(
         t,
         dt,
     )
-    before = ControlState(channel.differentiator, channel.controller)
-    state, controlled = control(loop, params, i, before, reading, reference)
+    state, controlled = control(loop, params, i, channel.control, shown(loop, i, reading), reference)
     disturbance = loop.disturbance[i].step(
         params.disturbance[i],
         channel.disturbance,
@@ -311,7 +286,16 @@ def control_channel(
         dt,
     )
     u = controlled.command.robust
-    after = ChannelState(state.controller, sensor, state.differentiator, channel.unmodelled, disturbance, u)
+    after = ChannelState(
+        controller=state.controller,
+        sensor=sensor,
+        differentiator=state.differentiator,
+        unmodelled=channel.unmodelled,
+        disturbance=disturbance,
+        u=u,
+        angle=measurement.y if is_angle(loop, i) else (),
+        reading=state.reading,
+    )
     return after, controlled
 
 
@@ -345,7 +329,7 @@ def step(
     for i, channel in enumerate(state.channels):
         m, r = measurements[i], references[i]
         after, controlled = control_channel(loop, params, key, channel, i, m, r, k)
-        _, sensed, command, info = controlled
+        _, sensed, desired, command, info = controlled
         error = tracking_error(m, r, params.controller[i].l0)
         samples.append(
             Sample(
@@ -353,7 +337,7 @@ def step(
                 dt=dt,
                 e=error.e,
                 sigma=error.sigma,
-                sigma_measured=tracking_error(sensed, r, params.controller[i].l0).sigma,
+                sigma_measured=tracking_error(sensed, desired, params.controller[i].l0).sigma,
                 u=command.robust,
                 u_previous=jnp.where(k == 0, command.robust, channel.u),
                 u_total=command.total,

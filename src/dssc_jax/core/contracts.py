@@ -112,6 +112,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
             None: the loop integrates ``derivative`` by its fixed-step method.
         remainder: ``(params, state, input, t) -> state'``: what ``derivative`` adds to the linear part, as plain 0.0
             where it adds nothing. None: the plant is linear.
+        onboard: What of the plant is software of the vehicle, in words: generated code of its controllers lacks it.
     """
 
     params: type
@@ -129,6 +130,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     broken: Callable[[Params, State], Scalar | bool] = always_valid
     linear: Callable[[Params], LinearDynamics] | None = None
     remainder: Callable[[Params, State, PlantInput[Signal], Scalar], State] | None = None
+    onboard: tuple[str, ...] = ()
 
 
 def linear_derivative(
@@ -173,6 +175,7 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
         broken=plant.broken,
         linear=plant.linear,
         remainder=remainder and (lambda params, state, drive, t: remainder(params, state, plain(drive), t)),
+        onboard=plant.onboard,
     )
 
 
@@ -193,12 +196,15 @@ class Controller(NamedTuple):
         step: ``(gains, state, measurement, reference, dt) -> (state, command, info)``. ``info`` is a NamedTuple of
             scalars for metrics and plots, and is never fed back.
         prepare: As in :class:`Plant`.
+        transfer: ``(gains, measurement, reference, command, dt) -> state`` whose first step at that sample gives the
+            whole command, for a bumpless start; None: the state cannot carry a command.
     """
 
     gains: type
     init: Callable[[Params, Measurement, ReferencePoint], State]
     step: Callable[[Params, State, Measurement, ReferencePoint, Scalar], tuple[State, Command, Info]]
     prepare: Callable[[Params], Params] = as_given
+    transfer: Callable[[Params, Measurement, ReferencePoint, Scalar, Scalar], State] | None = None
 
     @property
     def params(self) -> type:

@@ -171,9 +171,17 @@ def atan2(y: Scalar, x: Scalar) -> Scalar:
     return jnp.where(y < 0.0, -angle, angle)
 
 
+def turned_near(angle: Scalar, target: Scalar) -> Scalar:
+    """The angle, shifted by whole turns to lie within pi of a target: their difference is in (-pi, pi] [rad].
+
+    An angle that is near the target already keeps its bits.
+    """
+    return angle - 2.0 * math.pi * jnp.ceil((angle - target - math.pi) / (2.0 * math.pi))
+
+
 def wrap_angle(angle: Scalar) -> Scalar:
     """The same angle in (-pi, pi] [rad]."""
-    return angle - 2.0 * math.pi * jnp.ceil((angle - math.pi) / (2.0 * math.pi))
+    return turned_near(angle, 0.0)
 
 
 def begun(at: Scalar, t: Scalar, dt: Scalar) -> Scalar:

@@ -41,6 +41,15 @@ class Quantity:
             return f"must be <= {self.at_most:g}"
         return None
 
+    @property
+    def interval(self) -> str:
+        """The admissible values, in words; empty if all are."""
+        lower = f"> {self.above:g}" if self.above is not None else None
+        lower = f">= {self.at_least:g}" if self.at_least is not None else lower
+        upper = f"< {self.below:g}" if self.below is not None else None
+        upper = f"<= {self.at_most:g}" if self.at_most is not None else upper
+        return " and ".join(filter(None, (lower, upper)))
+
 
 def extent(value: Any) -> tuple[float, float]:
     """Lowest and highest value of a number or of the law that replaces it."""

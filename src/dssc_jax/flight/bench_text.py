@@ -3,22 +3,27 @@
 from collections.abc import Sequence
 from importlib.resources import files
 
+from dssc_jax.backend.c_names import c_string
 from dssc_jax.backend.c_operations import c_type
 from dssc_jax.flight.controller import COMMAND, SampledController
+from dssc_jax.flight.names import identifier, prefix
 from dssc_jax.flight.recording import row_names
-from dssc_jax.flight.source_text import identifier, prefix
 from dssc_jax.study import Study
 
 MAKEFILE = """# The bench replays recorded draws of the study through the controller and compares every bit.
 STRICT := -std=c99 -O2 -Wall -Wextra -Wconversion -Werror -pedantic -ffp-contract=off
+STRICTER := -std=c++11 -O2 -Wall -Wextra -Werror -pedantic -ffp-contract=off
 FILES := {name}_controller.c bench.c
 NEEDED := $(FILES) {name}_controller.h bench_channels.h
 RECORDING ?= recorded.bin
 
-.PHONY: check clang arm64 armhf sanitized detected cycles stack clean
+.PHONY: check cpp clang arm64 armhf sanitized detected cycles stack clean
 
 check: bench  ## the same bits on this processor
 	./bench $(RECORDING)
+
+cpp: bench-cpp  ## the controller compiled as C++, called from C
+	./bench-cpp $(RECORDING)
 
 clang: bench-clang  ## compiled by clang
 	./bench-clang $(RECORDING)
@@ -49,6 +54,10 @@ QEMU_ARMHF ?= qemu-arm -L /usr/arm-linux-gnueabihf
 bench: $(NEEDED)
 	$(CC) $(STRICT) $(FILES) -o $@ -lm
 
+bench-cpp: $(NEEDED)
+	$(CXX) $(STRICTER) -x c++ -c {name}_controller.c -o controller-cpp.o
+	$(CC) $(STRICT) bench.c controller-cpp.o -o $@ -lm
+
 bench-clang: $(NEEDED)
 	clang $(STRICT) $(FILES) -o $@ -lm
 
@@ -68,15 +77,15 @@ bench-contracted: $(NEEDED)
 	$(CC) $(STRICT) -ffp-contract=fast -march=native -DDSSC_JAX_ANY_ARITHMETIC $(FILES) -o $@ -lm
 
 clean:
-	rm -f bench bench-clang bench-arm64 bench-armhf bench-sanitized bench-fast bench-contracted stack.o *.su
+	rm -f bench bench-cpp bench-clang bench-arm64 bench-armhf bench-sanitized bench-fast bench-contracted *.o *.su
 """
 
 CHANNEL = """
-static {name}_controller {name};
+static {name}_controller controller_of_{name};
 
 static void prepare_{name}(const real *given)
 {{
-    {name}_init(&{name});
+    {name}_init(&controller_of_{name});
     if (given != NULL) {{
 {set_parameters}
     }}
@@ -87,8 +96,9 @@ static unsigned advance_{name}(const real *row, real *results, bool telemetry)
     const {name}_measurement measurement = {{row[0], row[1]}};
     const {name}_reference reference = {{row[2], row[3], row[4]}};
     {name}_command command;
-    {name}_telemetry seen;
-    const unsigned flag = {name}_step(&{name}, measurement, reference, &command, telemetry ? &seen : NULL);
+    {name}_telemetry seen = {{0}};
+    {name}_controller *const controller = &controller_of_{name};
+    const unsigned flag = {name}_step(controller, measurement, reference, &command, telemetry ? &seen : NULL);
 {get_results}
     return flag;
 }}
@@ -127,18 +137,18 @@ def channels_text(study: Study, controllers: Sequence[SampledController]) -> str
 def channel_text(study: Study, controller: SampledController) -> str:
     """The functions of one channel."""
     name = prefix(study, controller)
-    given = [f"        {name}.parameters.{each.name} = given[{i}];" for i, each in enumerate(controller.parameters)]
+    variable = f"controller_of_{name}"
+    given = [f"        {variable}.parameters.{each.name} = given[{i}];" for i, each in enumerate(controller.parameters)]
     results = [
         *(f"command.{member}" for member in COMMAND),
-        *(f"{name}.state.{state}" for state in controller.states),
+        *(f"{variable}.state.{state}" for state in controller.states),
     ]
     lines = [f"    results[{i}] = {member};" for i, member in enumerate(results)]
     if controller.infos:
         lines.append("    if (telemetry) {")
         lines += [f"        results[{len(results) + i}] = seen.{info};" for i, info in enumerate(controller.infos)]
         lines.append("    }")
-    text = CHANNEL.format(name=name, set_parameters="\n".join(given), get_results="\n".join(lines))
-    return text if controller.infos else text.replace("_telemetry seen;", "_telemetry seen;\n    (void)telemetry;")
+    return CHANNEL.format(name=name, set_parameters="\n".join(given), get_results="\n".join(lines))
 
 
 def tables_text(study: Study, controllers: Sequence[SampledController]) -> str:
@@ -148,25 +158,30 @@ def tables_text(study: Study, controllers: Sequence[SampledController]) -> str:
         name = prefix(study, each)
         results = row_names(each)
         for kind, words in (("results", results), ("numbers", [p.name for p in each.parameters] or [""])):
-            quoted = ", ".join(f'"{word}"' for word in words)
+            quoted = ", ".join(c_string(word) for word in words)
             lines.append(f"static const char *const {kind}_of_{name}[] = {{{quoted}}};")
-        label = f"{each.channel}: " if each.channel else ""
+        label = c_string(f"{each.channel}: " if each.channel else "")
         counts = f"{len(each.parameters)}u, {len(each.states)}u, {len(results)}u"
-        shapes.append(f'    {{"{label}", {counts}, results_of_{name}, numbers_of_{name}}},')
+        shapes.append(f"    {{{label}, {counts}, results_of_{name}, numbers_of_{name}}},")
     names = [prefix(study, each) for each in controllers]
     cases = {
         f"static void {use}": [f"    case {i}:\n        {call.format(name=name)}" for i, name in enumerate(names)]
         for use, call in (
             ("prepare(unsigned channel, const real *given)", "prepare_{name}(given);\n        break;"),
-            ("restart(unsigned channel)", "{name}_reset(&{name});\n        break;"),
+            ("restart(unsigned channel)", "{name}_reset(&controller_of_{name});\n        break;"),
         )
     }
+    checks = []
+    for i, name in enumerate(names):
+        checks.append(f"    case {i}:\n        return {name}_check(&controller_of_{name}.parameters);")
     advance = [
         f"    case {i}:\n        return advance_{name}(row, results, telemetry);" for i, name in enumerate(names)
     ]
     lines += ["", "static const channel_shape shapes[] = {", *shapes, "};"]
     for head, body in cases.items():
         lines += ["", head, "{", "    switch (channel) {", *body, "    default:\n        break;", "    }", "}"]
+    check = "static unsigned check(unsigned channel)"
+    lines += ["", check, "{", "    switch (channel) {", *checks, "    default:\n        return 0;", "    }", "}"]
     signature = "static unsigned advance(unsigned channel, const real *row, real *results, bool telemetry)"
     lines += ["", signature, "{", "    switch (channel) {", *advance, "    default:\n        return 0;", "    }", "}"]
     return "\n".join([*lines, ""])

@@ -1,6 +1,5 @@
 """The part of a loop that runs on a flight computer, traced by itself: differentiator and controller of one channel."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -10,15 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import keystr, tree_flatten_with_path
 
-from dssc_jax.backend.c_text import KEYWORDS
+from dssc_jax.backend.c_names import member_names
 from dssc_jax.backend.origins import Origin, translate_with_origins
 from dssc_jax.backend.program import Program
 from dssc_jax.backend.unsupported import Unsupported
-from dssc_jax.closed_loop.sample import ControlState, as_arrays, control, initial_control
+from dssc_jax.closed_loop.control import ControlState, control, initial_control, transferred_control
+from dssc_jax.closed_loop.sample import as_arrays
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.core.signals import Measurement, ReferencePoint
+from dssc_jax.core.signals import Command, Measurement, ReferencePoint
 from dssc_jax.study import Law, Study
 
 FLOWN_SLOTS = ("controller", "differentiator")
@@ -69,6 +69,8 @@ class SampledController:
         infos: Names of what it reports.
         start: (parameters, signals) -> states before the first sample.
         step: (parameters, states, signals) -> states, command, infos.
+        transfer: (parameters, command, signals) -> states whose first step gives the command, and the command that it
+            gives; None if the controller's state cannot carry a command.
         precision: Bits of a number.
     """
 
@@ -79,6 +81,7 @@ class SampledController:
     infos: tuple[str, ...]
     start: Traced
     step: Traced
+    transfer: Traced | None
     precision: int
 
     @property
@@ -116,17 +119,25 @@ def sampled_controller(study: Study, index: int) -> SampledController:
     def step(numbers: tuple[Any, ...], state: ControlState, measurement: Measurement, reference: ReferencePoint) -> Any:
         params = study.params(dict(zip(keys, numbers, strict=True)))
         after, controlled = control(loop, params, index, state, measurement, reference)
-        command = controlled.command
-        return as_arrays((after, (command.robust, command.nominal, command.total), controlled.info))
+        return as_arrays((after, command_parts(controlled.command), controlled.info))
+
+    def transfer(numbers: tuple[Any, ...], command: Any, measurement: Measurement, reference: ReferencePoint) -> Any:
+        params = study.params(dict(zip(keys, numbers, strict=True)))
+        state = transferred_control(loop, params, index, measurement, reference, command)
+        assert state is not None  # asked for only where the controller declares it
+        _, controlled = control(loop, params, index, state, measurement, reference)
+        return as_arrays((state, command_parts(controlled.command)))
 
     keys = [parameter.key for parameter in parameters]
     numbers = (number,) * len(keys)
     signals = Measurement(number, number), ReferencePoint(number, number, number)
     place = f"controller.{loop.channels[index]}".rstrip(".")
+    carries = loop.controller[index].transfer is not None
     try:
         start_program, state, start_origins = translate_with_origins(start, numbers, *signals)
         state = jax.tree.map(lambda leaf: number, state)
         step_program, results, step_origins = translate_with_origins(step, numbers, state, *signals)
+        moved = translate_with_origins(transfer, numbers, number, *signals) if carries else None
     except Unsupported as problem:
         raise ConfigError(place, f"has no exact form in C: {problem}") from None
     return SampledController(
@@ -137,8 +148,14 @@ def sampled_controller(study: Study, index: int) -> SampledController:
         leaf_names(results[2]),
         Traced(start_program, start_origins),
         Traced(step_program, step_origins),
+        Traced(moved[0], moved[2]) if moved else None,
         study.config.loop.precision,
     )
+
+
+def command_parts(command: Command) -> tuple[Any, Any, Any]:
+    """The command in the order of :data:`COMMAND`."""
+    return command.robust, command.nominal, command.total
 
 
 def parameters_of(study: Study, index: int) -> tuple[Parameter, ...]:
@@ -162,23 +179,18 @@ def parameters_of(study: Study, index: int) -> tuple[Parameter, ...]:
         label = "_".join([*([] if slot == "controller" else [slot]), *own])
         value = float(leaf.median) if isinstance(leaf, Law) else leaf
         key = number.name if number is not None else dotted
-        parameters[key] = Parameter(key, member_name(label), number and number.quantity, value, isinstance(leaf, Law))
-    return tuple(parameters.values())
+        parameters[key] = Parameter(key, label, number and number.quantity, value, isinstance(leaf, Law))
+    names = member_names(parameter.name for parameter in parameters.values())
+    return tuple(parameter._replace(name=name) for parameter, name in zip(parameters.values(), names, strict=True))
 
 
 def leaf_names(tree: Any, prefix: tuple[str, ...] = ()) -> tuple[str, ...]:
     """A name in C for each leaf; a leading part in ``prefix`` is left out."""
     names = []
     for path, _ in tree_flatten_with_path(tree)[0]:
-        parts = [part.strip("_") for part in keystr(path, simple=True, separator=".").split(".")]
-        names.append(member_name("_".join(parts[1:] if parts[0] in prefix else parts)))
-    return tuple(names)
-
-
-def member_name(name: str) -> str:
-    """A name for a member of a structure in C."""
-    text = re.sub(r"\W", "_", name, flags=re.ASCII)
-    return f"{text}_" if text in KEYWORDS else text
+        parts = keystr(path, simple=True, separator=".").split(".")
+        names.append("_".join(parts[1:] if parts[0] in prefix else parts))
+    return tuple(member_names(names))
 
 
 def numbers_by_key(controllers: list[SampledController]) -> Mapping[str, float]:

@@ -19,7 +19,9 @@ from importlib.resources import files
 from dssc_jax.flight.controller import SampledController
 from dssc_jax.flight.fmu_description import description_text
 from dssc_jax.flight.fmu_variables import variables_text
-from dssc_jax.flight.source_text import header_text, identifier, source_text
+from dssc_jax.flight.header_text import header_text
+from dssc_jax.flight.names import identifier
+from dssc_jax.flight.source_text import source_text
 from dssc_jax.study import Study
 
 FMI_PLATFORMS = {("Linux", "x86_64"): "linux64"}

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 from dssc_jax.core.units import parsed_unit
 from dssc_jax.flight.controller import SampledController
 from dssc_jax.flight.fmu_variables import INPUT, OUTPUT, PARAMETER, FmuVariable, flag_variables, real_variables
-from dssc_jax.flight.source_text import identifier
+from dssc_jax.flight.names import identifier
 from dssc_jax.study import Study
 
 BASE: tuple[str, ...] = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")

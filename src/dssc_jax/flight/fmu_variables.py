@@ -9,7 +9,7 @@ import numpy as np
 from dssc_jax.backend.c_operations import c_literal, c_type
 from dssc_jax.core.signals import Measurement, ReferencePoint
 from dssc_jax.flight.controller import COMMAND, Parameter, SampledController
-from dssc_jax.flight.source_text import identifier, prefix
+from dssc_jax.flight.names import identifier, prefix
 from dssc_jax.study import Study
 
 PARAMETER, INPUT, OUTPUT = "parameter", "input", "output"

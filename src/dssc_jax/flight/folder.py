@@ -10,8 +10,10 @@ from dssc_jax.flight.bench_text import bench_source, channels_text, makefile
 from dssc_jax.flight.controller import SampledController, sampled_controllers
 from dssc_jax.flight.cost import parameter_bytes, state_bytes, step_cost
 from dssc_jax.flight.fmu import ControllerFmu, controller_fmu
+from dssc_jax.flight.header_text import header_text, readme_text
+from dssc_jax.flight.names import identifier, prefix
 from dssc_jax.flight.recording import recorded_draws, recording
-from dssc_jax.flight.source_text import header_text, identifier, prefix, source_text
+from dssc_jax.flight.source_text import source_text
 from dssc_jax.study import Study
 
 RECORDED_DRAWS, RECORDED_SAMPLES = 32, 2000
@@ -52,6 +54,7 @@ class FlightFolder:
             "bench.c": bench_source(),
             "bench_channels.h": channels_text(*given),
             "Makefile": makefile(self.study),
+            "README.md": readme_text(*given, self.certificate),
         }
 
     def fmu(self) -> ControllerFmu:

@@ -14,7 +14,7 @@ import numpy as np
 
 from dssc_jax.backend.lanes import CompiledLanes
 from dssc_jax.backend.machine import usable_cores
-from dssc_jax.closed_loop.sample import ControlState, LoopState, held_between_samples, initial_state, step
+from dssc_jax.closed_loop.sample import LoopState, held_between_samples, initial_state, step
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine.sampling import draw, draw_key
@@ -56,9 +56,10 @@ def recording_lane(study: Study, controllers: Sequence[SampledController], sampl
                 after.channels, recorded.references, recorded.controlled, strict=True
             ):
                 command = controlled.command
-                kept = ControlState(channel.differentiator, channel.controller)
                 given = (command.robust, command.nominal, command.total)
-                rows.append((*controlled.reading, *reference, *given, *jax.tree.leaves((kept, controlled.info))))
+                rows.append(
+                    (*controlled.reading, *reference, *given, *jax.tree.leaves((channel.control, controlled.info)))
+                )
             real = jnp.result_type(float)
             return (after, k + 1), jax.tree.map(lambda x: jnp.asarray(x, real), rows)
 

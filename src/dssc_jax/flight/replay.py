@@ -10,8 +10,9 @@ import numpy as np
 
 from dssc_jax.backend import forms
 from dssc_jax.backend.plain import plain_options
+from dssc_jax.closed_loop.control import ControlState, control, initial_control, near_reference
 from dssc_jax.closed_loop.draw import Progress, initial_progress, sampler
-from dssc_jax.closed_loop.sample import ControlState, as_arrays, control, initial_control
+from dssc_jax.closed_loop.sample import as_arrays
 from dssc_jax.closed_loop.time_loops import scan_recorded
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Measurement, Outcome, ReferencePoint
@@ -24,7 +25,7 @@ class ChannelCurves(NamedTuple):
     """What a flight computer logs of a channel: the sensor's readings and the command; of one draw or of many.
 
     Args:
-        y: Measured output.
+        y: Measured output; an angle lies within pi of its reference.
         y_dot: Its measured derivative.
         u_total: The command u + u_n (11).
     """
@@ -115,7 +116,10 @@ def recorded_lane(study: Study, samples: int, every: int) -> Callable[..., tuple
         def sample(at: Progress) -> tuple[Progress, tuple[ChannelCurves, ...]]:
             after, recorded = advance(at)
             going = after.outcome == Outcome.OK
-            curves = (ChannelCurves(*each.reading, each.command.total) for each in recorded.controlled)
+            curves = []
+            for i, controlled in enumerate(recorded.controlled):
+                reading = near_reference(loop, i, controlled.reading, recorded.references[i])
+                curves.append(ChannelCurves(*reading, controlled.command.total))
             return after, jax.tree.map(lambda x: jnp.where(going, x, jnp.nan), as_arrays(tuple(curves)))
 
         return scan_recorded(sample, initial_progress(loop, params, key, ()), samples, every)[1]

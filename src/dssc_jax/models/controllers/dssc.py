@@ -128,11 +128,14 @@ class SampledForm(NamedTuple):
         predictor: (gains, error) -> the predictor's state where sigma_hat = sigma.
         rate: (gains, sample) -> the rate [1/s] at which that state decays.
         update: (gains, state, sample, T_s) -> filter and predictor after the sample.
+        resting: (gains, u_av+, sample, T_s) -> u_av and the predictor's state before the sample, with which it ends at
+            u_av+ and slides.
     """
 
     predictor: Callable[[DsscGains, TrackingError], Scalar]
     rate: Callable[[DsscGains, ControlSample], Scalar]
     update: Callable[[DsscGains, DsscState, ControlSample, Scalar], Sampled]
+    resting: Callable[[DsscGains, Scalar, ControlSample, Scalar], tuple[Scalar, Scalar]]
 
 
 def smoothed_rest(free: Scalar, c: Scalar, rho: Scalar, width: Scalar) -> Scalar:
@@ -236,6 +239,37 @@ def smoothed_sign(x: Scalar, width: Scalar | None) -> Scalar:
     return x / jnp.where(size > 0.0, size, 1.0)
 
 
+def resting_sigma_tilde(gains: DsscGains, u_av: Scalar, rho: Scalar) -> Scalar:
+    """The sigma_tilde at which u_0 = u_av: 0, or what the smoothed sign needs."""
+    if gains.sign_width is None:
+        return 0.0
+    room = rho - jnp.abs(u_av)
+    return jnp.where(room > 0.0, gains.sign_width * u_av / jnp.where(room > 0.0, room, 1.0), 0.0)
+
+
+def implicit_resting(gains: DsscGains, u_av: Scalar, sample: ControlSample, dt: Scalar) -> tuple[Scalar, Scalar]:
+    """The sigma_hat that decays to sigma - sigma_tilde."""
+    sigma_tilde = resting_sigma_tilde(gains, u_av, sample.rho)
+    return u_av, (sample.error.sigma - sigma_tilde) / sample.ratios.decay
+
+
+def conservative_resting(gains: DsscGains, u_av: Scalar, sample: ControlSample, dt: Scalar) -> tuple[Scalar, Scalar]:
+    """The w that decays to phi_1(sigma), less the part of sigma_tilde."""
+    e, sigma = sample.error
+    at = sample.at
+    law = gains.functions.law(sigma, e, at)
+    longer = 1.0 + dt * law.rate
+    part = resting_sigma_tilde(gains, u_av, sample.rho) * longer / (at.k_o * at.tau_av)
+    return u_av, law.gain * sigma * longer - part
+
+
+def explicit_resting(gains: DsscGains, u_av: Scalar, sample: ControlSample, dt: Scalar) -> tuple[Scalar, Scalar]:
+    """Without a width, u_0 = 0 at sigma_tilde = 0, and u_av decays in this sample."""
+    sigma_tilde = resting_sigma_tilde(gains, u_av, sample.rho)
+    before = u_av / (1.0 - dt / sample.at.tau_av) if gains.sign_width is None else u_av
+    return before, sample.error.sigma - sigma_tilde
+
+
 def own_coordinate(gains: DsscGains, error: TrackingError) -> Scalar:
     """Sigma itself."""
     return error.sigma
@@ -258,6 +292,29 @@ def integrated_rate(gains: DsscGains, sample: ControlSample) -> Scalar:
     return gains.functions.law(sigma, e, sample.at).rate
 
 
+def control_sample(
+    gains: DsscGains, modulation: State, u_av: Scalar, measurement: Measurement, reference: ReferencePoint, dt: Scalar
+) -> tuple[State, Scalar, ControlSample]:
+    """The next state of the modulation, the nominal control, and what filter and predictor see at one sample."""
+    error: TrackingError = tracking_error(measurement, reference, gains.l0)
+    at: StateFunctions = gains.functions.at(error.sigma, error.e, gains.l0)
+    ratios = sample_ratios(at, dt)
+    u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, ratios.pole)
+    signals = ModulationSignals(
+        u_av=u_av,
+        u_nominal=u_nominal,
+        y=measurement.y,
+        y_dot=measurement.y_dot,
+        sigma=error.sigma,
+        sigma_m_dot=reference.y_ddot + gains.l0 * reference.y_dot,
+        k_o=at.k_o,
+        tau_m=at.tau_m,
+        l0=gains.l0,
+    )
+    modulation, rho = gains.rho.at(modulation, signals, dt)
+    return modulation, u_nominal, ControlSample(error, at, ratios, rho)
+
+
 def dssc(form: SampledForm) -> Controller:
     """DSSC with the given sampled form of filter and predictor."""
 
@@ -271,23 +328,8 @@ def dssc(form: SampledForm) -> Controller:
     def step(
         gains: DsscGains, state: DsscState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
     ) -> tuple[DsscState, Command, DsscInfo]:
-        error: TrackingError = tracking_error(measurement, reference, gains.l0)
-        at: StateFunctions = gains.functions.at(error.sigma, error.e, gains.l0)
-        ratios = sample_ratios(at, dt)
-        u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, ratios.pole)
-        signals = ModulationSignals(
-            u_av=state.u_av,
-            u_nominal=u_nominal,
-            y=measurement.y,
-            y_dot=measurement.y_dot,
-            sigma=error.sigma,
-            sigma_m_dot=reference.y_ddot + gains.l0 * reference.y_dot,
-            k_o=at.k_o,
-            tau_m=at.tau_m,
-            l0=gains.l0,
-        )
-        modulation, rho = gains.rho.at(state.modulation, signals, dt)
-        sample = ControlSample(error, at, ratios, rho)
+        modulation, u_nominal, sample = control_sample(gains, state.modulation, state.u_av, measurement, reference, dt)
+        error, at, ratios, rho = sample
         earlier = state.earlier
         if gains.predictor_start == PredictorStart.MIDPOINT:
             undecayed = state.predictor * (1.0 + earlier * dt * form.rate(gains, sample))
@@ -306,7 +348,19 @@ def dssc(form: SampledForm) -> Controller:
         state = DsscState(after.u_av, after.predictor, error.sigma, modulation, earlier)
         return state, Command(-after.u_av, u_nominal), info
 
-    return Controller(DsscGains, init, step)
+    def transfer(
+        gains: DsscGains, measurement: Measurement, reference: ReferencePoint, command: Scalar, dt: Scalar
+    ) -> DsscState:
+        """u_av is what the command lacks of the nominal control, and the predictor's state keeps it in sliding."""
+        state = init(gains, measurement, reference)
+        _, u_nominal, sample = control_sample(gains, state.modulation, 0.0, measurement, reference, dt)
+        u_av = u_nominal - command
+        _, _, sample = control_sample(gains, state.modulation, u_av, measurement, reference, dt)
+        before, predictor = form.resting(gains, u_av, sample, dt)
+        earlier = 0.0 if gains.predictor_start == PredictorStart.MIDPOINT else ()
+        return state._replace(u_av=before, predictor=predictor, earlier=earlier)
+
+    return Controller(DsscGains, init, step, transfer=transfer)
 
 
 def constant_functions(gains: DsscGains) -> DsscGains:
@@ -321,9 +375,11 @@ def constant_functions(gains: DsscGains) -> DsscGains:
 
 
 MEMBERS = {
-    Discretisation.IMPLICIT: dssc(SampledForm(own_coordinate, own_rate, implicit_update)),
-    Discretisation.CONSERVATIVE: dssc(SampledForm(integrated, integrated_rate, conservative_update)),
-    Discretisation.EXPLICIT: dssc(SampledForm(own_coordinate, own_rate, explicit_update)),
+    Discretisation.IMPLICIT: dssc(SampledForm(own_coordinate, own_rate, implicit_update, implicit_resting)),
+    Discretisation.CONSERVATIVE: dssc(
+        SampledForm(integrated, integrated_rate, conservative_update, conservative_resting)
+    ),
+    Discretisation.EXPLICIT: dssc(SampledForm(own_coordinate, own_rate, explicit_update, explicit_resting)),
 }
 
 

@@ -2,6 +2,8 @@
 
 from typing import Annotated, NamedTuple
 
+import jax.numpy as jnp
+
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Entry
@@ -47,7 +49,17 @@ def pi(implicit: bool) -> Controller:
         integral = -gains.k_i * (after if implicit else state.integral)
         return PiState(after), Command(integral - gains.k_p * error.sigma, u_nominal), PiInfo(integral)
 
-    return Controller(PiGains, init, step)
+    def transfer(
+        gains: PiGains, measurement: Measurement, reference: ReferencePoint, command: Scalar, dt: Scalar
+    ) -> PiState:
+        """The integral that leaves the command as it is; 0 without integral action."""
+        error = tracking_error(measurement, reference, gains.l0)
+        robust = command - nominal_control(gains.nominal, gains.l0, error, reference, 0.0)
+        integrates = gains.k_i > 0.0
+        needed = -(robust + gains.k_p * error.sigma) / jnp.where(integrates, gains.k_i, 1.0)
+        return PiState(jnp.where(integrates, needed - (dt * error.sigma if implicit else 0.0), 0.0))
+
+    return Controller(PiGains, init, step, transfer=transfer)
 
 
 PI = Entry(

@@ -97,6 +97,15 @@ def step(
     return PidState(integral, derivative, weighted), Command(u, 0.0), info
 
 
+def transfer(
+    gains: PidGains, measurement: Measurement, reference: ReferencePoint, command: Scalar, dt: Scalar
+) -> PidState:
+    """The integral part that leaves the command as it is, with the derivative at rest; 0 without integral action."""
+    proportional = gains.k_p * (gains.proportional_weight * reference.y - measurement.y)
+    integral = jnp.where(gains.k_i > 0.0, command - proportional, 0.0)
+    return init(gains, measurement, reference)._replace(integral=integral)
+
+
 def prepare(gains: PidGains) -> PidGains:
     """Require limits in order.
 
@@ -121,6 +130,6 @@ def require_order(low: Scalar | None, high: Scalar | None) -> None:
 
 
 PID: Entry = single(
-    Controller(PidGains, init, step, prepare),
+    Controller(PidGains, init, step, prepare, transfer),
     "PID with filtered derivative, set-point weights, limits and anti-windup",
 )

@@ -83,12 +83,34 @@ def proper_update(x: Scalar, v: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> tu
     return -k1 * s * xi + 2.0 * v_next - v, v_next
 
 
+Carried: TypeAlias = Callable[[Scalar, Scalar, Scalar, Scalar, Scalar], Scalar]
+"""(x, w, k_1, k_2, T_s) -> the v with which the sample gives w."""
+
+
+def explicit_carried(x: Scalar, w: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> Scalar:
+    """The inverse of :func:`explicit_update` in v."""
+    return w + k1 * root_abs(x) * sign(x)
+
+
+def implicit_carried(x: Scalar, w: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> Scalar:
+    """The inverse of :func:`implicit_update` in v: w leads to x+ = x + h w, where both terms are known."""
+    after = x + h * w
+    return w + (k1 * root_abs(after) + h * k2) * sign(after)
+
+
+def proper_carried(x: Scalar, w: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> Scalar:
+    """The inverse of :func:`proper_update` in v."""
+    xi = saturate(x / (h * h * k2), 1.0)
+    s = root_of(jnp.abs(x) - h * h * k2, h * k1)
+    return w + (2.0 * h * k2 + k1 * s) * xi
+
+
 def init(gains: StaGains, measurement: Measurement, reference: ReferencePoint) -> IntegralState:
     """v = 0."""
     return IntegralState(0.0)
 
 
-def sta(update: Update) -> Controller:
+def sta(update: Update, carried: Carried) -> Controller:
     """The STA with the given sampled form."""
 
     def step(
@@ -102,14 +124,22 @@ def sta(update: Update) -> Controller:
             u = saturate(u, gains.limit)
         return IntegralState(v), Command(u, u_nominal), IntegralInfo(v / gains.k_n)
 
-    return Controller(StaGains, init, step)
+    def transfer(
+        gains: StaGains, measurement: Measurement, reference: ReferencePoint, command: Scalar, dt: Scalar
+    ) -> IntegralState:
+        """The integral term that leaves the command as it is."""
+        error = tracking_error(measurement, reference, gains.l0)
+        w = gains.k_n * (command - nominal_control(gains.nominal, gains.l0, error, reference, 0.0))
+        return IntegralState(carried(error.sigma, w, gains.k_n * gains.kappa1, 0.5 * gains.k_n * gains.kappa2, dt))
+
+    return Controller(StaGains, init, step, transfer=transfer)
 
 
 STA = Entry(
     {
-        Discretisation.IMPLICIT: sta(implicit_update),
-        Discretisation.EXPLICIT: sta(explicit_update),
-        Discretisation.PROPER: sta(proper_update),
+        Discretisation.IMPLICIT: sta(implicit_update, implicit_carried),
+        Discretisation.EXPLICIT: sta(explicit_update, explicit_carried),
+        Discretisation.PROPER: sta(proper_update, proper_carried),
     },
     "super-twisting algorithm, three sampled forms",
     "discretisation",

@@ -9,6 +9,8 @@ References:
 
 from typing import Annotated, NamedTuple
 
+import jax.numpy as jnp
+
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, single
@@ -59,6 +61,15 @@ def step(
     return FeedbackState(integral), Command(u, 0.0), FeedbackInfo(state.integral)
 
 
+def transfer(
+    gains: FeedbackGains, measurement: Measurement, reference: ReferencePoint, command: Scalar, dt: Scalar
+) -> FeedbackState:
+    """The integral part that leaves the command as it is; 0 without integral action."""
+    error = measurement.y - reference.y
+    needed = command + gains.k_1 * error + gains.k_2 * (measurement.y_dot - reference.y_dot)
+    return FeedbackState(jnp.where(gains.k_i > 0.0, needed, 0.0))
+
+
 def prepare(gains: FeedbackGains) -> FeedbackGains:
     """Require limits in order; raises ConfigError."""
     require_order(gains.low, gains.high)
@@ -66,5 +77,5 @@ def prepare(gains: FeedbackGains) -> FeedbackGains:
 
 
 STATE_FEEDBACK: Entry = single(
-    Controller(FeedbackGains, init, step, prepare), "feedback of output and derivative, with integral action"
+    Controller(FeedbackGains, init, step, prepare, transfer), "feedback of output and derivative, with integral action"
 )

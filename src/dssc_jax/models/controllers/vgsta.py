@@ -17,7 +17,7 @@ from dssc_jax.core.contracts import Controller
 from dssc_jax.core.numerics import root_abs, saturate, sign
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Entry
-from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, tracking_error
+from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, TrackingError, tracking_error
 from dssc_jax.models.controllers.gain_functions import KAPPA_ABC, ROOT_FLOOR, VariableGains, variable_gains
 from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
 from dssc_jax.models.controllers.sta import K_N, LIMIT, IntegralInfo, IntegralState, root_of
@@ -60,13 +60,26 @@ Update: TypeAlias = Callable[[Scalar, Scalar, Shape, VariableGains, Scalar, Scal
 """(x, v, factors of phi_1, gains, k_n, T_s) -> w and v+ after the sample."""
 
 
+class Phi(NamedTuple):
+    """phi_1 and phi_2 = phi_1 phi_1' at one x."""
+
+    first: Scalar
+    second: Scalar
+
+
+def phi_at(x: Scalar, shape: Shape) -> Phi:
+    """phi_1 and phi_2. Apart from its sign, phi_1 phi_1' is even in s = |x|^(1/2), hence bounded at 0."""
+    s = root_abs(x)
+    first = (shape.a + shape.b * s) * s * sign(x)
+    second = (shape.a + shape.b * s) * (0.5 * shape.a_slope + shape.b * s) * sign(x)
+    return Phi(first, second)
+
+
 def explicit_update(
     x: Scalar, v: Scalar, shape: Shape, at: VariableGains, k_n: Scalar, h: Scalar
 ) -> tuple[Scalar, Scalar]:
-    """Forward Euler: (w, v+). Apart from its sign, phi_1 phi_1' is even in s, hence bounded at 0."""
-    s = root_abs(x)
-    phi_1 = (shape.a + shape.b * s) * s * sign(x)
-    phi_2 = (shape.a + shape.b * s) * (0.5 * shape.a_slope + shape.b * s) * sign(x)
+    """Forward Euler: (w, v+)."""
+    phi_1, phi_2 = phi_at(x, shape)
     return -k_n * at.kappa1 * phi_1 + v, v - h * k_n * at.kappa2 * phi_2
 
 
@@ -88,12 +101,33 @@ def implicit_update(
     return jnp.where(sliding, -x / h, v_next - k_n * at.kappa1 * phi_1), v_next
 
 
+Carried: TypeAlias = Callable[[Scalar, Scalar, Shape, VariableGains, Scalar, Scalar], Scalar]
+"""(x, w, factors of phi_1, gains, k_n, T_s) -> the v with which the sample gives w."""
+
+
+def explicit_carried(x: Scalar, w: Scalar, shape: Shape, at: VariableGains, k_n: Scalar, h: Scalar) -> Scalar:
+    """The inverse of :func:`explicit_update` in v."""
+    return w + k_n * at.kappa1 * phi_at(x, shape).first
+
+
+def implicit_carried(x: Scalar, w: Scalar, shape: Shape, at: VariableGains, k_n: Scalar, h: Scalar) -> Scalar:
+    """The inverse of :func:`implicit_update` in v: w leads to x+ = x + h w, where both terms are known."""
+    phi_1, phi_2 = phi_at(x + h * w, shape)
+    return w + k_n * (at.kappa1 * phi_1 + h * at.kappa2 * phi_2)
+
+
 def init(gains: VgstaGains, measurement: Measurement, reference: ReferencePoint) -> IntegralState:
     """v = 0."""
     return IntegralState(0.0)
 
 
-def vgsta(update: Update) -> Controller:
+def gains_at(gains: VgstaGains, error: TrackingError) -> VariableGains:
+    """kappa_1 and kappa_2 at the sample."""
+    coefficients = (gains.kappa_a, gains.kappa_b, gains.kappa_c, gains.kappa_d)
+    return variable_gains(error.sigma, error.e, coefficients, gains.epsilon, gains.gamma)
+
+
+def vgsta(update: Update, carried: Carried) -> Controller:
     """The VGSTA with the given sampled form."""
 
     def step(
@@ -101,19 +135,30 @@ def vgsta(update: Update) -> Controller:
     ) -> tuple[IntegralState, Command, IntegralInfo]:
         error = tracking_error(measurement, reference, gains.l0)
         u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, 0.0)
-        coefficients = (gains.kappa_a, gains.kappa_b, gains.kappa_c, gains.kappa_d)
-        at = variable_gains(error.sigma, error.e, coefficients, gains.epsilon, gains.gamma)
-        w, v = update(error.sigma, state.v, shape_at(gains, error.sigma), at, gains.k_n, dt)
+        w, v = update(error.sigma, state.v, shape_at(gains, error.sigma), gains_at(gains, error), gains.k_n, dt)
         u = w / gains.k_n
         if gains.limit is not None:
             u = saturate(u, gains.limit)
         return IntegralState(v), Command(u, u_nominal), IntegralInfo(v / gains.k_n)
 
-    return Controller(VgstaGains, init, step)
+    def transfer(
+        gains: VgstaGains, measurement: Measurement, reference: ReferencePoint, command: Scalar, dt: Scalar
+    ) -> IntegralState:
+        """The integral term that leaves the command as it is."""
+        error = tracking_error(measurement, reference, gains.l0)
+        w = gains.k_n * (command - nominal_control(gains.nominal, gains.l0, error, reference, 0.0))
+        return IntegralState(
+            carried(error.sigma, w, shape_at(gains, error.sigma), gains_at(gains, error), gains.k_n, dt)
+        )
+
+    return Controller(VgstaGains, init, step, transfer=transfer)
 
 
 VGSTA = Entry(
-    {Discretisation.IMPLICIT: vgsta(implicit_update), Discretisation.EXPLICIT: vgsta(explicit_update)},
+    {
+        Discretisation.IMPLICIT: vgsta(implicit_update, implicit_carried),
+        Discretisation.EXPLICIT: vgsta(explicit_update, explicit_carried),
+    },
     "variable-gain super-twisting algorithm with the gains of Table 1",
     "discretisation",
     Discretisation.IMPLICIT,

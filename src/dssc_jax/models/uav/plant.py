@@ -229,4 +229,9 @@ UAV = Plant(
     project=project,
     monitor=monitor,
     broken=broken,
+    onboard=(
+        "the velocity loops of x, y and z",
+        "the attitude loops and the yaw-rate loop",
+        "the allocation of thrust and torque to the rotors (the mixer)",
+    ),
 )

@@ -1,0 +1,104 @@
+"""Names that are safe in C and C++: no keyword, no macro, nothing that a library's header or the linker knows."""
+
+import re
+from collections.abc import Iterable
+
+KEYWORDS = frozenset({
+    "asm", "auto", "bool", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum",
+    "extern", "false", "float", "for", "fortran", "goto", "if", "inline", "int", "long", "register", "restrict",
+    "return", "short", "signed", "sizeof", "static", "struct", "switch", "true", "typedef", "typeof", "union",
+    "unsigned", "void", "volatile", "while"
+})  # fmt: skip
+"""Keywords of C, with those of common compilers."""
+
+CPP_KEYWORDS = frozenset({
+    "alignas", "alignof", "and", "and_eq", "bitand", "bitor", "catch", "char16_t", "char32_t", "char8_t", "class",
+    "co_await", "co_return", "co_yield", "compl", "concept", "const_cast", "consteval", "constexpr", "constinit",
+    "decltype", "delete", "dynamic_cast", "explicit", "export", "friend", "mutable", "namespace", "new", "noexcept",
+    "not", "not_eq", "nullptr", "operator", "or", "or_eq", "private", "protected", "public", "reinterpret_cast",
+    "requires", "static_assert", "static_cast", "template", "this", "thread_local", "throw", "try", "typeid",
+    "typename", "using", "virtual", "wchar_t", "xor", "xor_eq"
+})  # fmt: skip
+"""Keywords of C++: a header may be included there."""
+
+MACROS = frozenset({
+    "assert", "complex", "errno", "fpclassify", "imaginary", "isfinite", "isgreater", "isgreaterequal", "isinf",
+    "isless", "islessequal", "islessgreater", "isnan", "isnormal", "isunordered", "linux", "math_errhandling",
+    "offsetof", "setjmp", "signbit", "stderr", "stdin", "stdout", "unix", "va_arg", "va_copy", "va_end", "va_start"
+})  # fmt: skip
+"""Macros in small letters, of C's library and of compilers."""
+
+FUNCTIONS = frozenset({
+    "abort", "abs", "acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "atexit", "atof", "atoi", "bits_of",
+    "bsearch", "calloc", "cbrt", "ceil", "clock", "copysign", "cos", "cosh", "div", "erf", "erfc", "exit", "exp",
+    "exp2", "expm1", "fabs", "fabsf", "fclose", "fdim", "finite", "floor", "fma", "fmax", "fmin", "fmod", "fmodf",
+    "fopen", "fprintf", "fread", "free", "frexp", "fwrite", "gamma", "getc", "getenv", "gets", "hypot", "ilogb",
+    "index", "is_finite", "j0", "j1", "jn", "labs", "ldexp", "lgamma", "link", "log", "log10", "log1p", "log2",
+    "logb", "lrint", "lround", "main", "malloc", "maximum", "memchr", "memcmp", "memcpy", "memmove", "memset",
+    "minimum", "modf", "nan", "nearbyint", "nearest", "nextafter", "number_of", "pause", "pow", "printf", "puts",
+    "qsort", "raise", "rand", "read", "realloc", "remainder", "remove", "remquo", "rename", "rint", "round",
+    "round_down", "round_up", "scalbn", "select", "setenv", "signal", "sin", "sinh", "sleep", "sprintf", "sqrt",
+    "sqrtf", "srand", "sscanf", "strcat", "strcmp", "strcpy", "strlen", "strtod", "system", "tan", "tanh", "tgamma",
+    "time", "toward_zero", "trunc", "ungetc", "wait", "write", "y0", "y1", "yn"
+})  # fmt: skip
+"""Functions of the usual libraries and of the generated source; a variable of the same name would hide them."""
+
+LINKED = re.compile(r"(pthread|posix|sem|obstack|va|atomic|mtx|cnd|tss|thrd|fmi2|std|dssc_jax)(_.*)?")
+"""Prefixes of a library's functions: sem_init and pthread_mutex_init would be taken over."""
+
+
+def is_reserved(name: str) -> bool:
+    """Whether nothing may have the name, not even a member; words in capitals are left to macros."""
+    return (
+        name in KEYWORDS
+        or name in CPP_KEYWORDS
+        or name in MACROS
+        or not re.search("[a-z]", name)
+        or name.startswith("_")
+        or "__" in name
+    )
+
+
+def is_known(name: str) -> bool:
+    """Whether a variable or a file may not have the name: it is reserved, or that of a library's function."""
+    return is_reserved(name) or name in FUNCTIONS
+
+
+def words(text: str) -> str:
+    """The text with what no name may have as single underscores."""
+    return re.sub(r"(\W|_)+", "_", text, flags=re.ASCII).strip("_")
+
+
+def member_name(text: str) -> str:
+    """A name for a member of a structure."""
+    name = words(text) or "value"
+    if name[0].isdigit():
+        name = f"value_{name}"
+    return f"{name}_" if is_reserved(name) else name
+
+
+def member_names(texts: Iterable[str]) -> list[str]:
+    """A name for each member of one structure; like ones are numbered."""
+    names: list[str] = []
+    for text in texts:
+        base = member_name(text)
+        name, count = base, 2
+        while name in names:
+            name = f"{base.rstrip('_')}_{count}"
+            count += 1
+        names.append(name)
+    return names
+
+
+def prefix_name(text: str) -> str:
+    """What the names of functions and types begin with, in small letters."""
+    name = words(text).lower()
+    if not name[:1].isalpha() or is_known(name) or LINKED.fullmatch(name):
+        name = f"study_{name}".rstrip("_")
+    return name
+
+
+def c_string(text: str) -> str:
+    """The literal of a text; what is no printable ASCII becomes a question mark."""
+    plain = re.sub(r"[^\x20-\x7e]", "?", text)
+    return '"' + plain.replace("\\", "\\\\").replace('"', '\\"').replace("??", "?\\?") + '"'

@@ -1,0 +1,175 @@
+"""What a flight computer runs in one channel: differentiator and controller; where angles are unwrapped and wrapped.
+
+An angle passes from the plant to the controller in four forms:
+
+1. The sensor sees it continuous in time: shifted by whole turns to within pi of its last value.
+2. The sensor's reading reaches the flight computer by its principal value in (-pi, pi], as autopilots give it.
+3. The flight computer makes it continuous again before the differentiator.
+4. The controller's reference is shifted by whole turns to within pi of the measurement, so that the error is wrapped.
+
+Steps 3 and 4 are part of :func:`control`, hence of the generated C. Metrics count the wrapped error.
+"""
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from dssc_jax.core.numerics import turned_near, wrap_angle
+from dssc_jax.core.signals import (
+    Command,
+    Info,
+    Measurement,
+    Measurements,
+    ReferencePoint,
+    ReferencePoints,
+    Scalar,
+    State,
+)
+
+if TYPE_CHECKING:
+    from dssc_jax.closed_loop.sample import Loop, LoopParams
+
+
+class ControlState(NamedTuple):
+    """State of what a flight computer runs in one channel.
+
+    Args:
+        differentiator: State of the differentiator.
+        controller: State of the controller.
+        reading: The last reading of an angle, continuous in time [rad]; (), if the output is no angle.
+    """
+
+    differentiator: State
+    controller: State
+    reading: State = ()
+
+
+class Controlled(NamedTuple):
+    """One channel at one sample.
+
+    Args:
+        reading: What the flight computer gets: the sensor's reading, an angle in (-pi, pi].
+        sensed: The controller's measurement, after the differentiator; an angle is continuous in time.
+        reference: The controller's reference; that of an angle lies within pi of the measurement.
+        command: The command.
+        info: What the controller reports.
+    """
+
+    reading: Measurement
+    sensed: Measurement
+    reference: ReferencePoint
+    command: Command
+    info: Info
+
+
+def measure(loop: "Loop", params: "LoopParams", plant: State, references: ReferencePoints) -> Measurements:
+    """The plant's outputs, before sensors; an angle is shifted by whole turns to lie within pi of its reference."""
+    measurements = loop.mimo_plant.measure(params.plant, plant)
+    return tuple(near_reference(loop, i, measurement, references[i]) for i, measurement in enumerate(measurements))
+
+
+def is_angle(loop: "Loop", i: int) -> bool:
+    """Whether the output of channel i is an angle."""
+    return loop.channels[i] in loop.plant.angles
+
+
+def near_reference(loop: "Loop", i: int, measurement: Measurement, reference: ReferencePoint) -> Measurement:
+    """The measurement of channel i; an angle is shifted by whole turns to lie within pi of its reference."""
+    return measurement._replace(y=turned_near(measurement.y, reference.y)) if is_angle(loop, i) else measurement
+
+
+def continued(loop: "Loop", i: int, measurement: Measurement, before: State) -> Measurement:
+    """The measurement of channel i; an angle is shifted by whole turns to lie within pi of the one before.
+
+    So the angle is continuous in time, unless it turns by more than pi within a sample. What has a memory, a sensor
+    or a differentiator, must see no jump by a turn.
+    """
+    if not is_angle(loop, i):
+        return measurement
+    continuous = turned_near(measurement.y, before)
+    return measurement._replace(y=continuous)
+
+
+def shown(loop: "Loop", i: int, measurement: Measurement) -> Measurement:
+    """What the sensor of channel i sends to the flight computer: an angle by its principal value in (-pi, pi]."""
+    return measurement._replace(y=wrap_angle(measurement.y)) if is_angle(loop, i) else measurement
+
+
+def initial_control(
+    loop: "Loop", params: "LoopParams", i: int, reading: Measurement, reference: ReferencePoint
+) -> ControlState:
+    """Differentiator and controller of channel i at the first sample, before their first step."""
+    differentiator, sensed, desired = first_signals(loop, params, i, reading, reference)
+    controller = loop.controller[i].init(params.controller[i], sensed, desired)
+    return ControlState(differentiator, controller, reading.y if is_angle(loop, i) else ())
+
+
+def first_signals(
+    loop: "Loop", params: "LoopParams", i: int, reading: Measurement, reference: ReferencePoint
+) -> tuple[State, Measurement, ReferencePoint]:
+    """State of channel i's differentiator before its first step; what the controller will see in that step."""
+    differentiator = loop.differentiator[i].init(params.differentiator[i], reading)
+    _, sensed = loop.differentiator[i].step(params.differentiator[i], differentiator, reading, loop.sample_time)
+    return differentiator, sensed, faced(loop, i, reference, sensed)
+
+
+def faced(loop: "Loop", i: int, reference: ReferencePoint, sensed: Measurement) -> ReferencePoint:
+    """The controller's reference; that of an angle is shifted by whole turns to lie within pi of the measurement.
+
+    The reference is shifted, not the measurement: a controller that differentiates its measurement sees no jump where
+    the reference crosses pi, or steps by more than half a turn.
+    """
+    if not is_angle(loop, i):
+        return reference
+    near_measurement = turned_near(reference.y, sensed.y)
+    return reference._replace(y=near_measurement)
+
+
+def control(
+    loop: "Loop", params: "LoopParams", i: int, state: ControlState, reading: Measurement, reference: ReferencePoint
+) -> tuple[ControlState, Controlled]:
+    """Run differentiator and controller of channel i at one sample: all that a flight computer runs.
+
+    Reading and reference of an angle may have any number of turns. The reading is made continuous in time before the
+    differentiator, and the error is wrapped before the controller.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        i: Index of the channel.
+        state: State of differentiator and controller.
+        reading: What the sensor shows.
+        reference: The desired output.
+
+    Returns:
+        The next state, and what the controller saw and gave.
+    """
+    dt = loop.sample_time
+    seen = continued(loop, i, reading, state.reading)
+    differentiator, sensed = loop.differentiator[i].step(params.differentiator[i], state.differentiator, seen, dt)
+    desired = faced(loop, i, reference, sensed)
+    controller, command, info = loop.controller[i].step(params.controller[i], state.controller, sensed, desired, dt)
+    after = ControlState(differentiator, controller, seen.y if is_angle(loop, i) else ())
+    return after, Controlled(reading, sensed, desired, command, info)
+
+
+def transferred_control(
+    loop: "Loop", params: "LoopParams", i: int, reading: Measurement, reference: ReferencePoint, command: Scalar
+) -> ControlState | None:
+    """The state of channel i whose first step at this sample gives a command, for a bumpless start.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        i: Index of the channel.
+        reading: What the sensor shows.
+        reference: The desired output.
+        command: The whole command u + u_n.
+
+    Returns:
+        The state; None if the controller's state cannot carry a command.
+    """
+    transfer = loop.controller[i].transfer
+    if transfer is None:
+        return None
+    differentiator, sensed, desired = first_signals(loop, params, i, reading, reference)
+    controller = transfer(params.controller[i], sensed, desired, command, loop.sample_time)
+    return ControlState(differentiator, controller, reading.y if is_angle(loop, i) else ())
