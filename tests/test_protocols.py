@@ -116,7 +116,7 @@ def test_plant(table):
     slope = plant.derivative(params, state, PlantInput(0.5, 0.1), 0.0)
     assert jax.tree.structure(state) == jax.tree.structure(slope)
     assert set(plant.velocities) <= set(state._fields)
-    assert isinstance(plant.measure(params, state), Measurement)
+    assert isinstance(plant.measure(params, state, PlantInput(0.5, 0.1)), Measurement)
     assert float(plant.input_gain(params)) == 1.0
 
 

@@ -41,7 +41,7 @@ def test_a_draw_that_has_ended_is_frozen_where_that_is_asked_for(freeze):
 def test_a_siso_plant_as_a_mimo_plant_of_one_channel():
     plant, params = as_mimo_plant(NORMAL_FORM), NormalFormParams(k_p=2.0, a_p=0.5, initial=(1.0, -1.0))
     state = plant.init(params)
-    assert plant.measure(params, state) == (Measurement(1.0, -1.0),)
+    assert plant.measure(params, state, PlantInput((0.0,), (0.0,))) == (Measurement(1.0, -1.0),)
     assert plant.input_gain(params) == (2.0,)
     slope = plant.derivative(params, state, PlantInput((0.3,), (0.1,)), 0.0)
     assert slope == NORMAL_FORM.derivative(params, state, PlantInput(0.3, 0.1), 0.0) == NormalFormState(-1.0, 1.3, ())

@@ -226,7 +226,7 @@ def swing(params, state, drive, t):
     )
 
 
-def measured(params, state):
+def measured(params, state, drive):
     return Measurement(state.angle, state.rate)
 
 

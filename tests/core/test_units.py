@@ -30,7 +30,7 @@ def plant(**about):
         Shaft,
         init=lambda params: Spinning(1.0, 0.0),
         derivative=derivative,
-        measure=lambda params, state: Measurement(state.speed, state.rate),
+        measure=lambda params, state, drive: Measurement(state.speed, state.rate),
         input_gain=lambda params: params.gain,
         **about,
     )

@@ -271,7 +271,7 @@ PLANT = Plant(
     Pendulum,
     init=lambda params: State(0.5, 0.0),
     derivative=derivative,
-    measure=lambda params, s: Measurement(s.angle, s.rate),
+    measure=lambda params, s, drive: Measurement(s.angle, s.rate),
     input_gain=lambda params: params.k_p,
     velocities=("rate",),
 )

@@ -18,9 +18,11 @@ from dssc_jax.core.signals import (
     Info,
     Measurement,
     Measurements,
+    PlantInput,
     ReferencePoint,
     ReferencePoints,
     Scalar,
+    Signals,
     State,
 )
 
@@ -60,9 +62,25 @@ class Controlled(NamedTuple):
     info: Info
 
 
-def measure(loop: "Loop", params: "LoopParams", plant: State, references: ReferencePoints) -> Measurements:
-    """The plant's outputs, before sensors; an angle is shifted by whole turns to lie within pi of its reference."""
-    measurements = loop.mimo_plant.measure(params.plant, plant)
+def measure(
+    loop: "Loop",
+    params: "LoopParams",
+    plant: State,
+    references: ReferencePoints,
+    drive: PlantInput[Signals] | None = None,
+) -> Measurements:
+    """The plant's outputs, before sensors; an angle is shifted by whole turns to lie within pi of its reference.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        plant: The plant's state.
+        references: The desired outputs.
+        drive: The plant's input just before; None: commands and disturbances are 0.
+    """
+    zeros = (0.0,) * len(loop.channels)
+    drive = PlantInput(zeros, zeros) if drive is None else drive
+    measurements = loop.mimo_plant.measure(params.plant, plant, drive)
     return tuple(near_reference(loop, i, measurement, references[i]) for i, measurement in enumerate(measurements))
 
 

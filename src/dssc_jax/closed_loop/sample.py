@@ -123,7 +123,7 @@ class Loop:
 
 
 class ChannelState(NamedTuple):
-    """State of one channel's parts, its last robust command, and two angles.
+    """State of one channel's parts, its last robust command, what reaches the plant, and two angles.
 
     Args:
         controller: State of the controller.
@@ -132,6 +132,7 @@ class ChannelState(NamedTuple):
         unmodelled: State of the unmodelled dynamics.
         disturbance: State of the disturbance.
         u: The last robust command.
+        reaching: The command that reaches the plant, just before the sample.
         angle: The plant's last output, continuous in time [rad]; (), if the output is no angle.
         reading: The last reading, continuous in time [rad]; (), if the output is no angle.
     """
@@ -142,6 +143,7 @@ class ChannelState(NamedTuple):
     unmodelled: State
     disturbance: State
     u: Scalar
+    reaching: Scalar
     angle: State = ()
     reading: State = ()
 
@@ -180,10 +182,19 @@ class Recorded(NamedTuple):
 
 
 def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
-    """State at t = 0."""
+    """State at t = 0: unmodelled dynamics are at rest, and their command before it was 0."""
     plant = as_arrays(loop.plant.init(params.plant))
     references = loop.mimo_reference.at(params.reference, 0.0)
-    measurements = measure(loop, params, plant, references)
+    zeros = (0.0,) * len(loop.channels)
+    at_rest = tuple(model.init(p) for model, p in zip(loop.unmodelled, params.unmodelled, strict=True))
+    reaching = actuate(loop, params, at_rest, zeros)
+    wind = loop.wind.init(params.wind, jax.random.fold_in(loop.key(key, "wind"), 0))
+    disturbances = []
+    for i, name in enumerate(loop.channels):
+        stream_key = loop.key(key, "disturbance", name)
+        disturbances.append(loop.disturbance[i].init(params.disturbance[i], jax.random.fold_in(stream_key, 0)))
+    drive = plant_input(loop, params, tuple(disturbances), wind, plant, reaching, 0.0)
+    measurements = measure(loop, params, plant, references, drive)
     channels = []
     for i, name in enumerate(loop.channels):
         stream_key = loop.key(key, "sensor", name)
@@ -197,16 +208,14 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
                 controller=control.controller,
                 sensor=sensor,
                 differentiator=control.differentiator,
-                unmodelled=loop.unmodelled[i].init(params.unmodelled[i]),
-                disturbance=loop.disturbance[i].init(
-                    params.disturbance[i], jax.random.fold_in(loop.key(key, "disturbance", name), 0)
-                ),
+                unmodelled=at_rest[i],
+                disturbance=disturbances[i],
                 u=0.0,
+                reaching=reaching[i],
                 angle=measurements[i].y if is_angle(loop, i) else (),
                 reading=control.reading,
             )
         )
-    wind = loop.wind.init(params.wind, jax.random.fold_in(loop.key(key, "wind"), 0))
     return as_arrays(LoopState(plant, wind, tuple(channels)))
 
 
@@ -234,21 +243,40 @@ def actuate(loop: Loop, params: LoopParams, unmodelled: tuple[State, ...], comma
 
 
 def plant_input(
-    loop: Loop, params: LoopParams, state: LoopState, plant: State, actuation: Signals, t: Scalar
+    loop: Loop,
+    params: LoopParams,
+    held: tuple[State, ...],
+    wind: State,
+    plant: State,
+    actuation: Signals,
+    t: Scalar,
 ) -> PlantInput[Signals]:
-    """The plant's input at a stage of the integrator: commands, disturbances at the stage's plant state, and wind."""
+    """The plant's input at a stage of the integrator: commands, disturbances at the stage's plant state, and wind.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        held: State of the disturbance of each channel.
+        wind: State of the wind.
+        plant: State of the plant.
+        actuation: The commands that reach it.
+        t: Time [s].
+    """
     references = loop.mimo_reference.at(params.reference, t)
     measurements = measure(loop, params, plant, references)
     disturbances = []
-    for i, channel in enumerate(state.channels):
+    for i, model in enumerate(loop.disturbance):
         sigma = tracking_error(measurements[i], references[i], params.controller[i].l0).sigma
-        model = loop.disturbance[i]
-        disturbances.append(model.value(params.disturbance[i], channel.disturbance, measurements[i], sigma, t))
-    return PlantInput(actuation, tuple(disturbances), loop.wind.value(params.wind, state.wind, t))
+        disturbances.append(model.value(params.disturbance[i], held[i], measurements[i], sigma, t))
+    return PlantInput(actuation, tuple(disturbances), loop.wind.value(params.wind, wind, t))
 
 
 def all_finite(state: LoopState) -> Scalar:
-    """Whether the sum of the whole state is finite, and so small that metrics can sum the squares of signals."""
+    """Whether the sum of the whole state is finite, and so small that metrics can sum the squares of signals.
+
+    What reaches the plant follows from the rest of the state, and is left out.
+    """
+    state = state._replace(channels=tuple(channel._replace(reaching=0.0) for channel in state.channels))
     largest = float(jnp.finfo(jnp.result_type(float)).max)
     return jnp.abs(sum(jax.tree.leaves(state))) < FAR_BELOW * math.sqrt(largest)
 
@@ -293,6 +321,7 @@ def control_channel(
         unmodelled=channel.unmodelled,
         disturbance=disturbance,
         u=u,
+        reaching=channel.reaching,
         angle=measurement.y if is_angle(loop, i) else (),
         reading=state.reading,
     )
@@ -323,7 +352,10 @@ def step(
     dt = loop.sample_time
     t = k * dt
     references = loop.mimo_reference.at(params.reference, t)
-    measurements = measure(loop, params, state.plant, references)
+    disturbances = tuple(channel.disturbance for channel in state.channels)
+    reaching = tuple(channel.reaching for channel in state.channels)
+    before = plant_input(loop, params, disturbances, state.wind, state.plant, reaching, t)
+    measurements = measure(loop, params, state.plant, references, before)
     gains = loop.mimo_plant.input_gain(params.plant)
     channels, samples, commands, outputs = [], [], [], []
     for i, channel in enumerate(state.channels):
@@ -352,19 +384,20 @@ def step(
         commands.append(total)
         outputs.append(controlled)
     wind = loop.wind.step(params.wind, state.wind, jax.random.fold_in(loop.key(key, "wind"), k + 1), t, dt)
-    controlled = LoopState(state.plant, wind, tuple(channels))
     held = as_arrays(tuple(commands))
     sampled = tuple(channel.unmodelled for channel in channels)
+    disturbances = tuple(channel.disturbance for channel in channels)
 
     def drive_at(plant: State, actuation: Signals, now: Scalar) -> PlantInput[Signals]:
-        return plant_input(loop, params, controlled, plant, actuation, now)
+        return plant_input(loop, params, disturbances, wind, plant, actuation, now)
 
     plant, unmodelled = advance(drive_at, state.plant, sampled, held, t)
     drive = drive_at(state.plant, actuate(loop, params, sampled, held), t)
     info = loop.mimo_plant.monitor(params.plant, state.plant, drive)
-    after = as_arrays(
-        LoopState(plant, wind, tuple(c._replace(unmodelled=z) for c, z in zip(channels, unmodelled, strict=True)))
-    )
+    arriving = actuate(loop, params, unmodelled, held)
+    for i, channel in enumerate(channels):
+        channels[i] = channel._replace(unmodelled=unmodelled[i], reaching=arriving[i])
+    after = as_arrays(LoopState(plant, wind, tuple(channels)))
     broken = loop.plant.broken(params.plant, after.plant)
     instant = Instant(t, dt, tuple(samples), info)
     return after, Recorded(instant, measurements, references, all_finite(after), broken, tuple(outputs))

@@ -97,7 +97,10 @@ class Plant(NamedTuple, Generic[Output, Signal]):
         params: NamedTuple type of the parameters.
         init: ``(params) -> state`` at t = 0.
         derivative: ``(params, state, input, t) -> state'``, the same structure as the state.
-        measure: ``(params, state) -> Measurement``.
+        measure: ``(params, state, input) -> Measurement``. At a sample the input is that just before it: the commands that
+            reach the plant, the disturbances and the wind. A y' that depends on the input (a load current in v') can only
+            then be the derivative that a sensor would show. For disturbances that depend on the measurement, and at an
+            equilibrium, commands and disturbances are 0.
         input_gain: ``(params) -> k_p``, the high-frequency gain from command to y''.
         velocities: Names of the state's fields that semi-implicit Euler advances first.
         prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
@@ -118,7 +121,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     params: type
     init: Callable[[Params], State]
     derivative: Callable[[Params, State, PlantInput[Signal], Scalar], State]
-    measure: Callable[[Params, State], Output]
+    measure: Callable[[Params, State, PlantInput[Signal]], Output]
     input_gain: Callable[[Params], Signal]
     velocities: tuple[str, ...] = ()
     prepare: Callable[[Params], Params] = as_given
@@ -163,7 +166,7 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
         plant.params,
         plant.init,
         derivative=lambda params, state, drive, t: plant.derivative(params, state, plain(drive), t),
-        measure=lambda params, state: (plant.measure(params, state),),
+        measure=lambda params, state, drive: (plant.measure(params, state, plain(drive)),),
         input_gain=lambda params: (plant.input_gain(params),),
         velocities=plant.velocities,
         prepare=plant.prepare,

@@ -77,7 +77,7 @@ def linearised(gains, yaw, vehicle=QUADROTOR):
         return ravel_pytree(UAV.derivative(params, unravel(x), PlantInput(tuple(u), (0.0,) * 4, ZERO), 0.0))[0]
 
     def rates(x):
-        return jnp.stack([m.y_dot for m in UAV.measure(params, unravel(x))])
+        return jnp.stack([m.y_dot for m in UAV.measure(params, unravel(x), None)])
 
     u = jnp.zeros(4)
     return jax.jacfwd(slope)(state, u), jax.jacfwd(slope, argnums=1)(state, u), jax.jacfwd(rates)(state)

@@ -16,6 +16,7 @@ SET_VALUED = ("sta", "vgsta", "smc")  # their gain at the origin is infinite
 CONTINUOUS = ("none", "lag", "transfer_function", "saturation")  # unmodelled dynamics with a continuous-time form
 SMOOTH = ("dssc", "ssc", "pi")
 ORIGIN = ReferencePoint(0.0, 0.0, 0.0)
+QUIET = PlantInput(0.0, 0.0)
 
 
 class Linearised(NamedTuple):
@@ -85,11 +86,11 @@ def open_loop(study: Study, params: LoopParams) -> Linearised:
     order = len(model.init(dynamics))
 
     def sigma_of(x: jax.Array) -> Scalar:
-        return tracking_error(loop.plant.measure(params.plant, unravel(x)), ORIGIN, gains.l0).sigma
+        return tracking_error(loop.plant.measure(params.plant, unravel(x), QUIET), ORIGIN, gains.l0).sigma
 
     def derivative(state: jax.Array, u: Scalar) -> jax.Array:
         x, z = state[: rest.size], tuple(state[rest.size :])
-        error = tracking_error(loop.plant.measure(params.plant, unravel(x)), ORIGIN, gains.l0)
+        error = tracking_error(loop.plant.measure(params.plant, unravel(x), QUIET), ORIGIN, gains.l0)
         total = u + nominal_control(gains.nominal, gains.l0, error, ORIGIN, predictor_pole_at_rest(gains))
         _, slope = jax.jvp(lambda dt: model.step(dynamics, z, total, dt), (0.0,), (1.0,))
         reaching = model.output(dynamics, z, total)

@@ -5,7 +5,7 @@ with c A^(r-1) b not zero, or the excess of poles over zeros. It decides what th
 
 * r = 2: y' does not depend on the command, and y'' depends on it with the gain c A b. The plant is of the class
   (5)-(8) where its zeros are stable (:mod:`dssc_jax.core.normal_form`).
-* r = 1: y' jumps with the command. What is measured is its part c A x, which does not; a differentiator
+* r = 1: y' jumps with the command. What is measured is its part c A x + c e d, which does not; a differentiator
   (``[differentiator]``) or a controller that uses y alone (PID) does not need it.
 * r > 2: y' is exact, but sigma = e' + l_0 e does not have relative degree one.
 """
@@ -17,7 +17,8 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.normal_form import RealisedSystem, relative_degree
 from dssc_jax.core.numerics import dot
 from dssc_jax.core.quantities import Quantity, nominal
-from dssc_jax.core.signals import Measurement, Scalar
+from dssc_jax.core.sampled_linear import Column
+from dssc_jax.core.signals import Measurement, PlantInput, Scalar
 
 MOST_STATES = 20
 ENTRY = Quantity("SI", "entry of A, row by row")
@@ -25,19 +26,30 @@ INPUT = Quantity("SI", "entry of the input column b")
 OUTPUT = Quantity("SI", "entry of the output row c")
 PLANT_NUMERATOR = Quantity("SI", "numerator's coefficient, highest power of s first")
 PLANT_DENOMINATOR = Quantity("SI", "denominator's coefficient, highest power of s first")
+DISTURBANCE_INPUT = Quantity("SI", "entry of the disturbance's input column e; absent: b")
 INITIAL_STATE = Quantity("SI", "initial state; the rest of it is zero")
 
 MatrixRows = tuple[tuple[Scalar, ...], ...]
 
 
 class StateSpaceParams(NamedTuple):
-    """x' = A x + b (u + d), y = c x; the relative degree is found before tracing."""
+    """x' = A x + b u + e d, y = c x; the relative degrees of command and disturbance are found before tracing.
+
+    ``disturbance`` is e; absent, the disturbance is matched: e = b.
+    """
 
     a: Annotated[MatrixRows, ENTRY]
     b: Annotated[tuple[Scalar, ...], INPUT]
     c: Annotated[tuple[Scalar, ...], OUTPUT]
+    disturbance: Annotated[tuple[Scalar, ...] | None, DISTURBANCE_INPUT] = None
     x0: Annotated[tuple[Scalar, ...], INITIAL_STATE] = ()
     degree: int | None = None
+    disturbance_degree: int | None = None
+
+    @property
+    def disturbed(self) -> Column:
+        """The input column of the disturbance."""
+        return self.b if self.disturbance is None else self.disturbance
 
 
 class RationalParams(NamedTuple):
@@ -61,14 +73,16 @@ def state_of(x0: tuple[Scalar, ...], order: int) -> LinearState:
 
 
 def state_space_dynamics(params: StateSpaceParams) -> LinearDynamics:
-    """A, and b for the command and the disturbance."""
-    return LinearDynamics(params.a, (params.b,), (params.b,))
+    """A, b for the command, and e for the disturbance."""
+    return LinearDynamics(params.a, (params.b,), (params.disturbed,))
 
 
-def state_space_measure(params: StateSpaceParams, state: LinearState) -> Measurement:
-    """y = c x, and c A x."""
-    slope = tuple(dot(row, state.x) for row in params.a)
-    return Measurement(dot(params.c, state.x), dot(params.c, slope))
+def state_space_measure(params: StateSpaceParams, state: LinearState, drive: PlantInput) -> Measurement:
+    """y = c x, and c A x + c e d."""
+    slope = dot(params.c, tuple(dot(row, state.x) for row in params.a))
+    if params.disturbance_degree == 1:
+        slope = slope + dot(params.c, params.disturbed) * drive.disturbance
+    return Measurement(dot(params.c, state.x), slope)
 
 
 def state_space_gain(params: StateSpaceParams) -> Scalar:
@@ -91,12 +105,15 @@ def prepare_state_space(params: StateSpaceParams) -> StateSpaceParams:
     for i, row in enumerate(params.a):
         if len(row) != order:
             raise ConfigError(f"a.{i}", f"must have {order} numbers, one for each row, got {len(row)}")
-    for name in ("b", "c"):
-        if len(getattr(params, name)) != order:
+    for name in ("b", "c", "disturbance"):
+        if getattr(params, name) is not None and len(getattr(params, name)) != order:
             raise ConfigError(name, f"must have {order} numbers, one for each state, got {len(getattr(params, name))}")
     require_start(params.x0, order)
-    system = RealisedSystem(*(nominal_values(part) for part in (params.a, params.b, params.c)))
-    return params._replace(degree=required(relative_degree(system), "c"))
+    a, b, c, disturbed = (nominal_values(part) for part in (params.a, params.b, params.c, params.disturbed))
+    return params._replace(
+        degree=required(relative_degree(RealisedSystem(a, b, c)), "c"),
+        disturbance_degree=relative_degree(RealisedSystem(a, disturbed, c)),
+    )
 
 
 def last_slope(params: RationalParams, state: LinearState) -> Scalar:
@@ -115,10 +132,10 @@ def transfer_function_dynamics(params: RationalParams) -> LinearDynamics:
     return LinearDynamics(tuple(rows), (column,), (column,))
 
 
-def transfer_function_measure(params: RationalParams, state: LinearState) -> Measurement:
-    """y = (b_0 x_1 + b_1 x_2 + ...)/a_n, and its slope without the command's own part."""
+def transfer_function_measure(params: RationalParams, state: LinearState, drive: PlantInput) -> Measurement:
+    """y = (b_0 x_1 + b_1 x_2 + ...)/a_n, and its slope without the part that jumps with the command."""
     rising = tuple(reversed(params.numerator))
-    slope = (*state.x[1:], last_slope(params, state))
+    slope = (*state.x[1:], last_slope(params, state) + drive.disturbance)
     count, leading = len(rising), params.denominator[0]
     return Measurement(dot(rising, state.x[:count]) / leading, dot(rising, slope[:count]) / leading)
 

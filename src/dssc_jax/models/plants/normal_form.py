@@ -5,7 +5,7 @@ from typing import Annotated, NamedTuple
 from dssc_jax.core.contracts import LinearDynamics, Plant, linear_derivative
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.core.signals import Measurement, Scalar
+from dssc_jax.core.signals import Measurement, PlantInput, Scalar
 from dssc_jax.core.units import POSITION
 from dssc_jax.core.zero_dynamics import ZeroDynamics, require_hurwitz
 
@@ -51,9 +51,9 @@ def linear(params: NormalFormParams) -> LinearDynamics:
     return LinearDynamics(tuple(rows), (column,), (column,))
 
 
-def measure(params: NormalFormParams, state: NormalFormState) -> Measurement:
-    """y = x1 (8) and y' = x2 (6)."""
-    del params
+def measure(params: NormalFormParams, state: NormalFormState, drive: PlantInput) -> Measurement:
+    """y = x1 (8) and y' = x2 (6), neither of which depends on the input."""
+    del params, drive
     return Measurement(state.x1, state.x2)
 
 

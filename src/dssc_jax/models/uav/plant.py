@@ -157,8 +157,9 @@ def project(params: UavParams, state: UavState) -> UavState:
     return state._replace(attitude=state.attitude.normalised())
 
 
-def measure(params: UavParams, state: UavState) -> tuple[Measurement, ...]:
-    """Position and yaw with their rates; yaw in (-pi, pi]."""
+def measure(params: UavParams, state: UavState, drive: PlantInput) -> tuple[Measurement, ...]:
+    """Position and yaw with their rates, which do not depend on the input; yaw in (-pi, pi]."""
+    del drive
     rotation = state.attitude.matrix()
     turning = euler_rates(trig_of(rotation), state.rate)
     psi = atan2(rotation.b.x, rotation.a.x)
