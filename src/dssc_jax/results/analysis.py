@@ -95,6 +95,7 @@ class Analysis(ABC):
             ConfigError: it contains no such analysis, or it is damaged.
         """
         stored = read_analysis(Path(folder), cls.kind, trust_code)
+        integration = stored.settings.pop("integration", None)
         try:
             analysis = cls.restored(stored)
         except ConfigError:
@@ -103,7 +104,7 @@ class Analysis(ABC):
             rule = f"{cls.kind}.json is damaged, or of another version: {error!r}"
             raise ConfigError(str(folder), rule) from error
         analysis.path = Path(folder)
-        analysis.integration = stored.settings.get("integration")
+        analysis.integration = integration
         return analysis
 
     def __eq__(self, other: object) -> bool:
