@@ -24,6 +24,7 @@ from dssc_jax.core.signals import (
     Signals,
     State,
 )
+from dssc_jax.core.smoothness import Declaration
 from dssc_jax.core.units import ChannelUnits
 from dssc_jax.core.vectors import Vec3
 
@@ -91,6 +92,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
         monitor: ``(params, state, input) -> info`` at each sample, a NamedTuple for metrics and plots.
         broken: ``(params, state) -> bool``: whether the model is no longer valid (a singular attitude); the draw is
             then frozen.
+        smooth: Where the part has a derivative (:mod:`dssc_jax.core.smoothness`); without it, nothing is linearised.
     """
 
     params: type
@@ -106,6 +108,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     project: Callable[[Params, State], State] = no_constraint
     monitor: Callable[[Params, State, PlantInput[Signal]], Info] = no_info
     broken: Callable[[Params, State], Scalar | bool] = always_valid
+    smooth: Declaration = None
 
 
 def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Signals]:
@@ -129,6 +132,7 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
         project=plant.project,
         monitor=lambda params, state, drive: plant.monitor(params, state, plain(drive)),
         broken=plant.broken,
+        smooth=plant.smooth,
     )
 
 
@@ -140,6 +144,18 @@ class Preset(NamedTuple):
     prepare: Callable[[Params], Params] = as_given
 
 
+class HarmonicBalance(NamedTuple):
+    """A switching law's side of the harmonic balance N(A, w) = q = -1/W(i w), for Re q > 0.
+
+    Args:
+        amplitude: ``(q) -> A`` from the real part.
+        residual: ``(q, A, w) -> remaining imaginary part``, 0 in balance.
+    """
+
+    amplitude: Callable[[complex], float]
+    residual: Callable[[complex, float, float], float]
+
+
 class Controller(NamedTuple):
     """A sampled controller.
 
@@ -149,12 +165,19 @@ class Controller(NamedTuple):
         step: ``(gains, state, measurement, reference, dt) -> (state, command, info)``. ``info`` is a NamedTuple of
             scalars for metrics and plots, and is never fed back.
         prepare: As in :class:`Plant`.
+        smooth: As in :class:`Plant`.
+        synthesised: ``(gains) -> (K_P, K_I)`` of the law u = -K_P sigma - K_I int sigma (22) near the origin; None: the
+            controller synthesises no such law.
+        describing: ``(gains) -> HarmonicBalance``, the describing function of a switching law; None: it is not known.
     """
 
     gains: type
     init: Callable[[Params, Measurement, ReferencePoint], State]
     step: Callable[[Params, State, Measurement, ReferencePoint, Scalar], tuple[State, Command, Info]]
     prepare: Callable[[Params], Params] = as_given
+    smooth: Declaration = None
+    synthesised: Callable[[Params], tuple[Scalar, Scalar]] | None = None
+    describing: Callable[[Params], HarmonicBalance] | None = None
 
     @property
     def params(self) -> type:
@@ -207,6 +230,7 @@ class Disturbance(NamedTuple):
         step: ``(params, state, key, t, dt) -> state`` at each sample: what is held over [t, t + dt).
         value: ``(params, state, measurement, sigma, t) -> d``, evaluated in every stage of the integrator.
         prepare: As in :class:`Plant`.
+        smooth: As in :class:`Plant`.
     """
 
     params: type
@@ -214,6 +238,7 @@ class Disturbance(NamedTuple):
     step: Callable[[Params, State, jax.Array, Scalar, Scalar], State]
     value: Callable[[Params, State, Measurement, Scalar, Scalar], Scalar]
     prepare: Callable[[Params], Params] = as_given
+    smooth: Declaration = None
 
 
 class Wind(NamedTuple):
@@ -264,12 +289,14 @@ class Sensor(NamedTuple):
         init: ``(params, measurement, key) -> state`` from the first true measurement.
         step: ``(params, state, measurement, key, t, dt) -> (state, measurement)`` at each sample.
         prepare: As in :class:`Plant`.
+        smooth: As in :class:`Plant`.
     """
 
     params: type
     init: Callable[[Params, Measurement, jax.Array], State]
     step: Callable[[Params, State, Measurement, jax.Array, Scalar, Scalar], tuple[State, Measurement]]
     prepare: Callable[[Params], Params] = as_given
+    smooth: Declaration = None
 
 
 class Differentiator(NamedTuple):
@@ -280,12 +307,14 @@ class Differentiator(NamedTuple):
         init: ``(params, measurement) -> state`` from the first measurement, whose velocity is not to be used.
         step: ``(params, state, measurement, dt) -> (state, measurement)`` at each sample.
         prepare: As in :class:`Plant`.
+        smooth: As in :class:`Plant`.
     """
 
     params: type
     init: Callable[[Params, Measurement], State]
     step: Callable[[Params, State, Measurement, Scalar], tuple[State, Measurement]]
     prepare: Callable[[Params], Params] = as_given
+    smooth: Declaration = None
 
 
 class Unmodelled(NamedTuple):
@@ -298,6 +327,8 @@ class Unmodelled(NamedTuple):
         output: ``(params, state, command) -> command`` received by the plant.
         prepare: As in :class:`Plant`.
         sample: ``(params, state, command, dt) -> state`` once per sample of length dt, at the time of its command.
+        smooth: As in :class:`Plant`.
+        continuous: Whether the slope of ``step`` at dt = 0 is that of a model in continuous time, apart from the sample.
     """
 
     params: type
@@ -306,3 +337,5 @@ class Unmodelled(NamedTuple):
     output: Callable[[Params, State, Scalar], Scalar]
     prepare: Callable[[Params], Params] = as_given
     sample: Callable[[Params, State, Scalar, Scalar], State] = ignore_sample
+    smooth: Declaration = None
+    continuous: bool = False

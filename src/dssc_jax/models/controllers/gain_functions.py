@@ -12,6 +12,7 @@ from dssc_jax.core.numerics import log_defect, root_abs, sign
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.core.signals import Scalar
+from dssc_jax.core.smoothness import SMOOTH, SWITCHES, not_smooth, piecewise
 
 ROOT_FLOOR = 1e-9  # [(m/s)^(1/2)]: the standard STA's k_o tau_av and tau_m vanish at sigma = 0
 
@@ -79,6 +80,8 @@ class Constant(NamedTuple):
     tau_av: Annotated[Scalar, TAU_AV]
     tau_m: Annotated[Scalar, TAU_M]
 
+    smooth = SMOOTH
+
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """Table 2, row 1."""
         return StateFunctions(self.k_o, self.tau_av, self.tau_m)
@@ -97,6 +100,7 @@ class StandardSta(NamedTuple):
     tau_av: Annotated[Scalar | None, TAU_AV] = None
 
     prepare = one_factor
+    smooth = not_smooth(f"with the functions of the standard STA {SWITCHES}")
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """Table 2, row 2: k_o tau_av = 2 r/kappa1 (printed with phi_1 for phi_1'), tau_m = (kappa1/kappa2) r."""
@@ -118,6 +122,7 @@ class ApproximateSta1(NamedTuple):
     tau_av: Annotated[Scalar | None, TAU_AV] = None
 
     prepare = one_factor
+    smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """Table 2, row 3: tau_m = (kappa1/kappa2) r/[1 - (delta/r) ln((r + delta)/delta)]."""
@@ -140,6 +145,7 @@ class ApproximateSta2(NamedTuple):
     tau_av: Annotated[Scalar | None, TAU_AV] = None
 
     prepare = one_factor
+    smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """Table 2, row 4: k_o tau_av = 2 (r + delta)/kappa1, tau_m = (kappa1/kappa2)(r + delta)."""
@@ -160,6 +166,8 @@ class SquareRoot(NamedTuple):
     delta_m: Annotated[Scalar, DELTA]
     tau_av: Annotated[Scalar, TAU_AV]
 
+    smooth = SMOOTH
+
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """k_o = kappa_o (r + delta_o), tau_m = kappa_m (r + delta_m)."""
         r = root_abs(sigma)
@@ -177,6 +185,8 @@ class Field(NamedTuple):
     kappa1: Annotated[Scalar, KAPPA_1]
     kappa2: Annotated[Scalar, Quantity("u/s", "integral gain kappa_2, multiplying sgn itself", above=0.0)]
     delta: Annotated[Scalar, Quantity("s", "smoothing delta of both time constants", above=0.0)]
+
+    smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """tau_av = 2 r/(k_o kappa1) + delta, tau_m = kappa1 r/(2 kappa2) + delta."""
@@ -236,6 +246,7 @@ class Vgsta(NamedTuple):
     tau_av: Annotated[Scalar | None, TAU_AV] = None
 
     prepare = one_factor
+    smooth = piecewise("the jump of tau_m at e = 0")
 
     def gains(self, sigma: Scalar, e: Scalar) -> VariableGains:
         """kappa_1 and kappa_2."""

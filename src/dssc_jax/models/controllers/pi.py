@@ -6,6 +6,7 @@ from dssc_jax.core.contracts import Controller
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Entry
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, tracking_error
+from dssc_jax.core.smoothness import SMOOTH
 from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
 
 
@@ -47,7 +48,7 @@ def pi(implicit: bool) -> Controller:
         integral = -gains.k_i * (after if implicit else state.integral)
         return PiState(after), Command(integral - gains.k_p * error.sigma, u_nominal), PiInfo(integral)
 
-    return Controller(PiGains, init, step)
+    return Controller(PiGains, init, step, smooth=SMOOTH, synthesised=lambda gains: (gains.k_p, gains.k_i))
 
 
 PI = Entry(

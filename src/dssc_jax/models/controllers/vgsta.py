@@ -18,6 +18,7 @@ from dssc_jax.core.numerics import root_abs, saturate, sign
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Entry
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, tracking_error
+from dssc_jax.core.smoothness import SWITCHES, not_smooth
 from dssc_jax.models.controllers.gain_functions import KAPPA_ABC, ROOT_FLOOR, VariableGains, variable_gains
 from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
 from dssc_jax.models.controllers.sta import K_N, LIMIT, IntegralInfo, IntegralState, root_of
@@ -109,7 +110,7 @@ def vgsta(update: Update) -> Controller:
             u = saturate(u, gains.limit)
         return IntegralState(v), Command(u, u_nominal), IntegralInfo(v / gains.k_n)
 
-    return Controller(VgstaGains, init, step)
+    return Controller(VgstaGains, init, step, smooth=not_smooth(SWITCHES))
 
 
 VGSTA = Entry(

@@ -11,6 +11,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import begun, cubic_spline, standard_normal
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurement, Scalar
+from dssc_jax.core.smoothness import SMOOTH, piecewise
 
 VALUE = Quantity("u", "value of d")
 
@@ -130,10 +131,16 @@ def partition_value(params: PartitionParams, state: Any, measurement: Measuremen
     return growth * sigma + stiffness * measurement.y + drift + params.value
 
 
-NO_DISTURBANCE = Disturbance(NoParams, stateless, unchanged, lambda params, state, measurement, sigma, t: 0.0)
-CONSTANT = Disturbance(ConstantParams, stateless, unchanged, lambda params, state, measurement, sigma, t: params.value)
-STEP = Disturbance(StepParams, lambda params, key: 0.0, step_mean, held_value)
-SINE_DISTURBANCE = Disturbance(SineDisturbanceParams, stateless, unchanged, sine_value)
-SPLINE = Disturbance(SplineParams, stateless, unchanged, spline_value, check_knots)
-FILTERED_NOISE = Disturbance(NoiseParams, noise_init, noise_step, held_value)
-PARTITION = Disturbance(PartitionParams, stateless, unchanged, partition_value)
+NO_DISTURBANCE = Disturbance(
+    NoParams, stateless, unchanged, lambda params, state, measurement, sigma, t: 0.0, smooth=SMOOTH
+)
+CONSTANT = Disturbance(
+    ConstantParams, stateless, unchanged, lambda params, state, measurement, sigma, t: params.value, smooth=SMOOTH
+)
+STEP = Disturbance(StepParams, lambda params, key: 0.0, step_mean, held_value, smooth=SMOOTH)
+SINE_DISTURBANCE = Disturbance(SineDisturbanceParams, stateless, unchanged, sine_value, smooth=SMOOTH)
+SPLINE = Disturbance(SplineParams, stateless, unchanged, spline_value, check_knots, SMOOTH)
+FILTERED_NOISE = Disturbance(NoiseParams, noise_init, noise_step, held_value, smooth=SMOOTH)
+PARTITION = Disturbance(
+    PartitionParams, stateless, unchanged, partition_value, smooth=piecewise("the kinks of its bounds at y = 0 and y' = 0")
+)

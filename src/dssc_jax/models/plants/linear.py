@@ -18,6 +18,7 @@ from dssc_jax.core.normal_form import RealisedSystem, polynomial_degree, relativ
 from dssc_jax.core.numerics import dot
 from dssc_jax.core.quantities import Quantity, nominal
 from dssc_jax.core.signals import Measurement, PlantInput, Scalar
+from dssc_jax.core.smoothness import SMOOTH
 
 MOST_STATES = 20
 ENTRY = Quantity("SI", "entry of A, row by row")
@@ -180,6 +181,7 @@ STATE_SPACE = Plant(
     measure=state_space_measure,
     input_gain=state_space_gain,
     prepare=prepare_state_space,
+    smooth=SMOOTH,
 )
 RATIONAL_PLANT = Plant(
     RationalParams,
@@ -188,4 +190,5 @@ RATIONAL_PLANT = Plant(
     measure=transfer_function_measure,
     input_gain=transfer_function_gain,
     prepare=prepare_transfer_function,
+    smooth=SMOOTH,
 )

@@ -7,6 +7,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import dot
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurement, PlantInput, Scalar
+from dssc_jax.core.smoothness import SMOOTH
 from dssc_jax.core.units import POSITION
 from dssc_jax.core.zero_dynamics import ZeroDynamics, require_hurwitz
 
@@ -92,4 +93,14 @@ def from_inner_pi(k_p: Scalar, k_i: Scalar) -> NormalFormParams:
     )
 
 
-NORMAL_FORM = Plant(NormalFormParams, init, derivative, measure, input_gain, ("x2",), prepare, units=(POSITION,))
+NORMAL_FORM = Plant(
+    NormalFormParams,
+    init,
+    derivative,
+    measure,
+    input_gain,
+    ("x2",),
+    prepare,
+    units=(POSITION,),
+    smooth=SMOOTH,
+)

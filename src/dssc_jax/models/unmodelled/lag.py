@@ -13,6 +13,7 @@ from dssc_jax.core.contracts import NoParams, Unmodelled
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry
 from dssc_jax.core.signals import Scalar
+from dssc_jax.core.smoothness import SMOOTH
 
 
 class Order(IntEnum):
@@ -50,6 +51,8 @@ def lag(order: Order) -> Unmodelled:
         init=lambda params: (0.0,) * order,
         step=first_order if order == Order.ONE else second_order,
         output=lambda params, state, command: state[-1],
+        smooth=SMOOTH,
+        continuous=True,
     )
 
 
@@ -58,5 +61,7 @@ NO_DYNAMICS = Unmodelled(
     init=lambda params: (),
     step=lambda params, state, command, dt: state,
     output=lambda params, state, command: command,
+    smooth=SMOOTH,
+    continuous=True,
 )
 LAG = Entry({order: lag(order) for order in Order}, "1/(mu s + 1)^order, order 1 or 2", "order", Order.ONE)

@@ -2,10 +2,13 @@
 
 from typing import Annotated, NamedTuple
 
+import jax.numpy as jnp
+
 from dssc_jax.core.contracts import Unmodelled
 from dssc_jax.core.numerics import saturate
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
+from dssc_jax.core.smoothness import piecewise
 
 
 class RateLimitParams(NamedTuple):
@@ -20,9 +23,15 @@ def step(params: RateLimitParams, state: tuple[Scalar], command: Scalar, dt: Sca
     return (z + saturate(command - z, params.rate * dt),)
 
 
+def unlimited(params: RateLimitParams) -> tuple[Unmodelled, RateLimitParams]:
+    """The rate limit within its slope: the command itself."""
+    return RATE_LIMIT, RateLimitParams(jnp.inf)
+
+
 RATE_LIMIT = Unmodelled(
     RateLimitParams,
     init=lambda params: (0.0,),
     step=step,
     output=lambda params, state, command: state[0],
+    smooth=piecewise("its largest slope; there it counts as slower than that, and follows the command", unlimited),
 )

@@ -24,6 +24,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import dot
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
+from dssc_jax.core.smoothness import SMOOTH
 from dssc_jax.core.zero_dynamics import companion
 
 MOST_ORDER = 6
@@ -199,4 +200,6 @@ def output(params: TransferFunctionParams, state: tuple[Scalar, ...], command: S
     return dot((*g.c, g.d), (*state, command))
 
 
-TRANSFER_FUNCTION = Unmodelled(TransferFunctionParams, init, step, output, prepare)
+TRANSFER_FUNCTION = Unmodelled(
+    TransferFunctionParams, init, step, output, prepare, smooth=SMOOTH, continuous=True
+)
