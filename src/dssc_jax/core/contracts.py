@@ -328,7 +328,7 @@ class Unmodelled(NamedTuple):
         prepare: As in :class:`Plant`.
         sample: ``(params, state, command, dt) -> state`` once per sample of length dt, at the time of its command.
         smooth: As in :class:`Plant`.
-        continuous: Whether the slope of ``step`` at dt = 0 is that of a model in continuous time, apart from the sample.
+        continuous: Whether the slope of ``step`` at dt = 0 is that of a model in continuous time.
     """
 
     params: type

@@ -23,8 +23,8 @@ class Smoothness(NamedTuple):
     """Where a part has a derivative, and what an analysis takes where it has none.
 
     Args:
-        extent: ``everywhere``; ``piecewise``, except on boundaries such as a limit; or ``nowhere`` that helps, as with a
-            quantiser or a switching law.
+        extent: ``everywhere``; ``piecewise``, except on boundaries such as a limit; or ``nowhere`` that helps, as with
+            a quantiser or a switching law.
         meaning: In words that follow the part's name: its boundaries or, if it is smooth nowhere, why not. With a
             substitute, what the substitute is; the output of an analysis repeats it.
         substitute: ``(params) -> (part, params)``: the smooth part that is differentiated instead. For a piecewise part
@@ -42,12 +42,14 @@ Declaration: TypeAlias = Smoothness | Callable[[Any], Smoothness] | None
 """The field ``smooth`` of a part: plainly, or from its parameters; None: not declared."""
 
 MEAN_GAIN = (
-    "its mean gain 1, with an error of at most half a step; the describing function reaches 4/pi, so that a gain margin "
-    "below 1.27 does not exclude a limit cycle of about one step"
+    "its mean gain 1, with an error of at most half a step; the describing function reaches 4/pi, so that a gain "
+    "margin below 1.27 does not exclude a limit cycle of about one step"
 )
 """What a rounding to a resolution counts as."""
 
-SWITCHES = "switches at the origin and has no linearisation there; describing functions (dssc-jax theory) cover such laws"
+SWITCHES = (
+    "switches at the origin and has no linearisation there; describing functions (dssc-jax theory) cover such laws"
+)
 """Why a switching law is smooth nowhere that helps."""
 
 SMOOTH = Smoothness(Extent.EVERYWHERE)

@@ -83,6 +83,7 @@ class LoopMargins(Analysis):
 
     Args:
         times: Times of the operating points [s]; empty: the equilibrium.
+        taken: What is taken for parts of the loop that have no derivative, in words.
         seconds: Computing time.
     """
 
@@ -91,6 +92,7 @@ class LoopMargins(Analysis):
     table = ("operating_point", "loop", "draw")
 
     times: tuple[float, ...]
+    taken: tuple[str, ...]
     seconds: float
 
     def values(self, name: str, point: str, loop: str) -> np.ndarray:
@@ -161,6 +163,7 @@ class LoopMargins(Analysis):
             "share": SHARE_WITHIN,
             "confidence": CONFIDENCE,
             "limits": "Wilks; each limit holds with this confidence for itself",
+            "taken": "; ".join(self.taken) or "nothing: every part has a derivative",
             "loops": every[self.points[0]],
             "operating_points": every,
             "seconds": self.seconds,
@@ -168,12 +171,14 @@ class LoopMargins(Analysis):
 
     def settings(self) -> dict[str, Any]:
         """See :class:`Analysis`."""
-        return {"times": list(self.times), "seconds": self.seconds}
+        return {"times": list(self.times), "taken": list(self.taken), "seconds": self.seconds}
 
     @classmethod
     def restored(cls, stored: Stored) -> Self:
         """See :class:`Analysis`."""
-        return cls(stored.study, stored.dataset, tuple(stored.settings["times"]), stored.settings["seconds"])
+        settings = stored.settings
+        times, taken = tuple(settings["times"]), tuple(settings["taken"])
+        return cls(stored.study, stored.dataset, times, taken, settings["seconds"])
 
 
 def margins_dataset(

@@ -142,5 +142,9 @@ SINE_DISTURBANCE = Disturbance(SineDisturbanceParams, stateless, unchanged, sine
 SPLINE = Disturbance(SplineParams, stateless, unchanged, spline_value, check_knots, SMOOTH)
 FILTERED_NOISE = Disturbance(NoiseParams, noise_init, noise_step, held_value, smooth=SMOOTH)
 PARTITION = Disturbance(
-    PartitionParams, stateless, unchanged, partition_value, smooth=piecewise("the kinks of its bounds at y = 0 and y' = 0")
+    PartitionParams,
+    stateless,
+    unchanged,
+    partition_value,
+    smooth=piecewise("the kinks of its bounds at y = 0 and y' = 0"),
 )

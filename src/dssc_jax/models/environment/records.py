@@ -13,6 +13,7 @@ from dssc_jax.core.numerics import uniforms
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry
 from dssc_jax.core.signals import Measurement, ReferencePoint, Scalar
+from dssc_jax.core.smoothness import SMOOTH
 from dssc_jax.core.vectors import Vec3
 
 MOST_VALUES = 50_000

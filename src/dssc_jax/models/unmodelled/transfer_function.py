@@ -200,6 +200,4 @@ def output(params: TransferFunctionParams, state: tuple[Scalar, ...], command: S
     return dot((*g.c, g.d), (*state, command))
 
 
-TRANSFER_FUNCTION = Unmodelled(
-    TransferFunctionParams, init, step, output, prepare, smooth=SMOOTH, continuous=True
-)
+TRANSFER_FUNCTION = Unmodelled(TransferFunctionParams, init, step, output, prepare, smooth=SMOOTH, continuous=True)
