@@ -39,7 +39,7 @@ DEVIATION = 1e-3  # of a difference from the derivative, relative to the largest
 SHRINKING = 0.5  # of that deviation from the large push to the small one, where a derivative exists
 NOISE = 64.0 * float(np.finfo(np.float64).eps)  # of an output, relative to 1 + |y|
 MOST_AXES = 32  # inputs that are pushed one by one
-RANDOM = 4  # directions in which all inputs are pushed together
+RANDOM = 4  # directions in which all inputs are pushed together, and all signals
 
 
 class Place(NamedTuple):
@@ -195,12 +195,14 @@ class PartMap(NamedTuple):
     """A part as a function of its state and inputs, at one operating point.
 
     Args:
-        apply: ``(part, params, inputs) -> outputs``.
-        inputs: A tree of numbers.
+        apply: ``(part, params, (memory, signals)) -> outputs``.
+        memory: The part's own state, which may hold counters.
+        signals: Its inputs and, for the plant, its state.
     """
 
     apply: Callable[[Any, Any, Any], Any]
-    inputs: Any
+    memory: Any
+    signals: Any
 
 
 def part_maps(
@@ -225,7 +227,7 @@ def part_maps(
     drive = plant_input(loop, params, state, state.plant, actuate(loop, params, sampled, commands), t)
 
     def plant(part: Any, own: Any, inputs: Any) -> Any:
-        at, actuation = inputs
+        _, (at, actuation) = inputs
         slope = part.derivative(own, at, PlantInput(actuation, drive.disturbance, drive.wind), t)
         return slope, measure(loop, params, at, references)
 
@@ -245,23 +247,26 @@ def part_maps(
         measurement = recorded.measurements[i]
         match place.slot:
             case "plant":
-                return PartMap(plant, (state.plant, drive.command))
+                return PartMap(plant, (), (state.plant, drive.command))
             case "sensor":
-                return PartMap(lambda part, own, at: sensor(part, own, at, i), (channel.sensor, measurement))
+                return PartMap(lambda part, own, at: sensor(part, own, at, i), channel.sensor, measurement)
             case "differentiator":
                 return PartMap(
-                    lambda part, own, at: part.step(own, *at, dt), (channel.differentiator, controlled.reading)
+                    lambda part, own, at: part.step(own, *at, dt), channel.differentiator, controlled.reading
                 )
             case "controller":
                 return PartMap(
                     lambda part, own, at: part.step(own, *at, references[i], dt)[:2],
-                    (channel.controller, controlled.sensed),
+                    channel.controller,
+                    controlled.sensed,
                 )
             case "unmodelled":
-                return PartMap(unmodelled, (channel.unmodelled, commands[i]))
+                return PartMap(unmodelled, channel.unmodelled, commands[i])
             case _:
                 sigma = tracking_error(measurement, references[i], params.controller[i].l0).sigma
-                return PartMap(lambda part, own, at: part.value(own, channel.disturbance, *at, t), (measurement, sigma))
+                return PartMap(
+                    lambda part, own, at: part.value(own, channel.disturbance, *at[1], t), (), (measurement, sigma)
+                )
 
     return [of(place) for place in places]
 
@@ -288,8 +293,10 @@ def examined(
 
 def finding_of(place: Place, part_map: PartMap, part: Any, own: Any) -> jax.Array:
     """What one part is at its operating point: differences to both sides at two sizes, against the derivative."""
-    x, unravel = ravel_pytree(as_arrays(part_map.inputs))
-    axes = directions(x.size) * (1.0 + jnp.abs(x))
+    x, unravel = ravel_pytree(as_arrays((part_map.memory, part_map.signals)))
+    memory = len(jax.tree.leaves(part_map.memory))
+    pattern = directions(memory, x.size - memory)
+    axes = pattern * (1.0 + jnp.abs(x))
 
     def function(model: Any, params: Any) -> Callable[[jax.Array], jax.Array]:
         return lambda at: ravel_pytree(as_arrays(part_map.apply(model, params, unravel(at))))[0]
@@ -317,7 +324,8 @@ def finding_of(place: Place, part_map: PartMap, part: Any, own: Any) -> jax.Arra
     corner, beyond = jnp.asarray(False), jnp.asarray(False)
     if place.smoothness.extent != Extent.PIECEWISE:
         moves = jnp.stack([jnp.abs(sides(push)) * push for push in LADDER])
-        still = (moves[:-1] == 0.0) & (slopes == 0.0)
+        signals = ~np.any(pattern[:, :memory], axis=1)[:, None]
+        still = (moves[:-1] == 0.0) & (slopes == 0.0) & signals
         jumps = jnp.isfinite(moves[1:]) & (moves[1:] > JUMP * (1.0 + jnp.abs(value)))
         defect = defect | jnp.any(still & jumps)
     if place.inner:
@@ -332,11 +340,17 @@ def finding_of(place: Place, part_map: PartMap, part: Any, own: Any) -> jax.Arra
     return jnp.where(defect, Finding.DEFECT.value, jnp.where(corner, Finding.CORNER.value, code))
 
 
-def directions(count: int) -> np.ndarray:
-    """Directions in which inputs are pushed, shape (directions, count): one by one if they are few, and together."""
-    together = np.random.default_rng(0).uniform(0.5, 1.5, (RANDOM, count)) * np.array([[1.0], [-1.0], [1.0], [1.0]])
-    together[2:, ::2] *= -1.0
-    return np.concatenate([np.eye(count), together]) if count <= MOST_AXES else together
+def directions(memory: int, signals: int) -> np.ndarray:
+    """Directions in which a part is pushed, shape (directions, memory + signals): if few, one by one, and together."""
+    random = np.random.default_rng(0)
+    together = random.uniform(0.5, 1.5, (RANDOM, memory + signals)) * random.choice([-1.0, 1.0], (RANDOM, 1))
+    together[: RANDOM // 2, ::2] *= -1.0
+    alone = together.copy()
+    alone[:, :memory] = 0.0
+    parts = [together, alone] if memory and signals else [together]
+    if memory + signals <= MOST_AXES:
+        parts.append(np.eye(memory + signals))
+    return np.concatenate(parts)
 
 
 def require_smooth_there(study: Study, places: Sequence[Place], findings: np.ndarray) -> dict[str, int]:
@@ -359,10 +373,11 @@ def require_smooth_there(study: Study, places: Sequence[Place], findings: np.nda
             int(np.count_nonzero(own == finding)) for finding in (Finding.DEFECT, Finding.CORNER, Finding.BEYOND)
         )
         meaning = place.smoothness.meaning
+        boundary = meaning.partition(";")[0]
         if defects and place.smoothness.extent == Extent.PIECEWISE:
             raise ConfigError(
                 study.source,
-                f"{place.label} has no derivative at {defects} of {draws} operating points, which lie on {meaning}; "
+                f"{place.label} has no derivative at {defects} of {draws} operating points, which lie on {boundary}; "
                 "move the operating point or the boundary",
             )
         if defects:
@@ -375,5 +390,5 @@ def require_smooth_there(study: Study, places: Sequence[Place], findings: np.nda
         if corners:
             notes[f"{place.label} lies on {meaning}"] = corners
         if beyond:
-            notes[f"{place.label} lies beyond {meaning.partition(';')[0]}, where deviations do not pass"] = beyond
+            notes[f"{place.label} lies beyond {boundary}, where deviations do not pass"] = beyond
     return notes

@@ -156,7 +156,7 @@ def noisy_step(
     Returns:
         The next state, and the measurement that the controller sees.
     """
-    due = state.age >= whole("period_samples", params.period_samples)
+    due = state.age > whole("period_samples", params.period_samples) - 0.5  # a counter, compared halfway
     true, arrives = measurement, due
     if params.loss is not None or params.jitter is not None:
         chance, share = uniforms(jax.random.fold_in(key, EXTRA), 2)
