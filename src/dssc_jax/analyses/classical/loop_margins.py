@@ -124,14 +124,15 @@ def answer_of(part: Part, reached: np.ndarray, common: np.ndarray, sample_time: 
     g[reached] = response_of(a, b, c)(np.broadcast_to(common, (len(a), common.size)))
     if np.nanmax(np.abs(g)) < NO_EFFECT:
         return None
+    opened = np.full((len(reached), a.shape[-1]), np.nan, complex)
+    opened[reached] = np.linalg.eigvals(a - b[:, :, None] * c[:, None, :])
     stable = np.max(np.abs(poles), axis=1) < 1.0
     status = np.full(len(reached), Status.NO_OPERATING_POINT.value)
     status[reached] = np.where(stable, Status.STABLE.value, Status.UNSTABLE.value)
     columns = {field: np.full(len(reached), np.nan) for field in ClassicalMargins._fields}
     if stable.any():
-        opened = np.linalg.eigvals(a - b[:, :, None] * c[:, None, :])
-        own = own_grid(common, np.concatenate([poles, opened], axis=1)[stable])
+        own = own_grid(common, np.concatenate([poles, opened[reached]], axis=1)[stable])
         margins = classical_margins(response_of(a[stable], b[stable], c[stable]), own, sample_time)
         for field, values in margins._asdict().items():
             columns[field][status == Status.STABLE] = values
-    return LoopAnswer(columns, status, g)
+    return LoopAnswer(columns, status, g, opened)

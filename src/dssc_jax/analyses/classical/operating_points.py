@@ -6,22 +6,21 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 
 from dssc_jax.analyses.classical.break_points import break_points, sample_map, start_state, undisturbed
 from dssc_jax.analyses.classical.result import EQUILIBRIUM
+from dssc_jax.analyses.part_slopes import LaneLoop, examination
 from dssc_jax.analyses.smooth_parts import (
     Finding,
     Place,
     chosen,
     declared_places,
-    examined,
     require_smooth_there,
     stated,
     substituted,
 )
 from dssc_jax.backend.plain import plain_options
-from dssc_jax.closed_loop.sample import Loop, LoopParams, initial_state
+from dssc_jax.closed_loop.sample import Loop, LoopParams
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.engine.batching import Arrays, drawn
@@ -93,6 +92,11 @@ def operation(study: Study, times: tuple[float, ...]) -> Operation:
     return Operation(points, tuple(stated(places)))
 
 
+def lane_loop(study: Study, places: tuple[Place, ...], rest: bool) -> LaneLoop:
+    """The loop of a draw as :func:`prepared` gives it, with the draw's random key."""
+    return lambda values, index: (*prepared(study, values, places, rest), draw_key(study.config.seed, index))
+
+
 def prepared(study: Study, values: dict[str, jax.Array], places: tuple[Place, ...], rest: bool) -> LoopWithParams:
     """The loop of one draw as it is linearised: without disturbances at rest, with the substitutes of its parts."""
     loop, params = study.loop, study.params(values)
@@ -147,31 +151,6 @@ def linearisation(study: Study, places: tuple[Place, ...], rest: bool) -> Linear
         a = state_slopes.reshape(count, size, order).swapaxes(1, 2)
         c = signal_slopes.reshape(count, size, points).swapaxes(1, 2)
         return StateMatrices(after.reshape(count, size, order)[:, 0], a[..., :order], a[..., order:], c[..., :order])
-
-    return of
-
-
-def examination(
-    study: Study, places: tuple[Place, ...], rest: bool
-) -> Callable[[Arrays, np.ndarray, np.ndarray, int], np.ndarray]:
-    """What every part is at an operating point: (values, indices, states, sample) -> findings, shape (n, parts)."""
-
-    def one(values: dict[str, jax.Array], index: jax.Array, state: jax.Array, k: jax.Array) -> jax.Array:
-        loop, params = prepared(study, values, places, rest)
-        key = draw_key(study.config.seed, index)
-        _, unravel = ravel_pytree(initial_state(loop, params, key))
-        return examined(loop, params, key, unravel(state), k, places)
-
-    program = jax.jit(jax.vmap(one, in_axes=(0, 0, 0, None)), compiler_options=plain_options())
-
-    def of(values: Arrays, indices: np.ndarray, states: np.ndarray, k: int) -> np.ndarray:
-        parts = []
-        for first in range(0, len(indices), LANES_TOGETHER):
-            lane = slice(first, first + LANES_TOGETHER)
-            own = {name: column[lane] for name, column in values.items()}
-            with arithmetic():
-                parts.append(np.asarray(program(own, indices[lane], states[lane], k)))
-        return np.concatenate(parts)
 
     return of
 
@@ -236,7 +215,7 @@ def equilibrium(study: Study, places: tuple[Place, ...]) -> Operating:
         raise ConfigError(
             study.source, "no draw has an equilibrium at a constant reference; linearise along the flight"
         )
-    findings = examination(study, places, rest=True)(values, indices, states, 1)
+    findings = examination(lane_loop(study, places, rest=True), places)(values, indices, states, 1)
     taken = told(study, places, findings[still], EQUILIBRIUM)
     cornered = np.any(findings == Finding.CORNER, axis=1)
     plain = still & ~cornered
@@ -308,7 +287,7 @@ def along(study: Study, times: tuple[float, ...], places: tuple[Place, ...]) -> 
         raise ConfigError("times", rule)
     indices, values = np.arange(study.config.draws), drawn(study, slice(0, study.config.draws))
     flown = states_before(study, values, indices, samples)
-    of, examine = linearisation(study, places, rest=False), examination(study, places, rest=False)
+    of, examine = linearisation(study, places, rest=False), examination(lane_loop(study, places, rest=False), places)
     operating = {}
     for place, (t, k) in enumerate(zip(times, samples, strict=True)):
         findings = examine(values, indices, flown[place], k)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from dssc_jax.analyses.smooth_parts import Place, chosen, declared_place, examined, substituted
+from dssc_jax.analyses.smooth_parts import declared_place, substituted
 from dssc_jax.closed_loop.sample import Loop, LoopParams, initial_state, step
 from dssc_jax.core.contracts import Unmodelled
 from dssc_jax.core.errors import ConfigError
@@ -136,33 +136,23 @@ class AtRest(NamedTuple):
     Args:
         matrix: Its derivative, shape (states, states).
         moved: The state's largest change in one sample: 0 at an equilibrium.
-        findings: What each part is there; shape (places,).
     """
 
     matrix: jax.Array
     moved: jax.Array
-    findings: jax.Array
 
 
-def linearised_at_rest(loop: Loop, params: LoopParams, places: tuple[Place, ...], continuous: bool) -> AtRest:
-    """Linearise the loop where it starts, with the substitutes that its parts declare.
+def start_at_rest(loop: Loop, params: LoopParams) -> jax.Array:
+    """The state in which the loop starts, as a vector."""
+    return ravel_pytree(initial_state(loop, params, jax.random.key(0)))[0]
 
-    Args:
-        loop: A loop at rest.
-        params: Its parameters for one draw.
-        places: Its parts.
-        continuous: Take the synthesised law in continuous time, instead of the step from sample to sample.
-    """
+
+def linearised_at_rest(loop: Loop, params: LoopParams) -> AtRest:
+    """The derivative of the loop's step where it starts."""
     key = jax.random.key(0)
-    loop, params = substituted(loop, params, places)
-    start = initial_state(loop, params, key)
-    rest, unravel = ravel_pytree(start)
-    findings = examined(loop, params, key, start, 1, places)
-    if continuous:
-        return AtRest(continuous_matrix(loop, params), jnp.zeros(()), findings)
-    loop, params = chosen(loop, params, places, findings)
+    rest, unravel = ravel_pytree(initial_state(loop, params, key))
 
     def after(state: jax.Array) -> jax.Array:
         return ravel_pytree(step(loop, params, key, unravel(state), 1)[0])[0]
 
-    return AtRest(jax.jacfwd(after)(rest), jnp.max(jnp.abs(after(rest) - rest), initial=0.0), findings)
+    return AtRest(jax.jacfwd(after)(rest), jnp.max(jnp.abs(after(rest) - rest), initial=0.0))

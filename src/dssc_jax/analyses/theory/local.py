@@ -6,14 +6,24 @@ from enum import StrEnum
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
 from dssc_jax.analyses.margins import Margins, Walk, search_critical
 from dssc_jax.analyses.margins.simulated import checked_walk, placed, require_spread
-from dssc_jax.analyses.smooth_parts import declared_places, require_smooth_there, stated
-from dssc_jax.analyses.theory.linearised import AtRest, at_rest, linearised_at_rest, require_continuous
+from dssc_jax.analyses.part_slopes import examination
+from dssc_jax.analyses.smooth_parts import chosen, declared_places, require_smooth_there, stated, substituted
+from dssc_jax.analyses.theory.linearised import (
+    AtRest,
+    at_rest,
+    continuous_matrix,
+    linearised_at_rest,
+    require_continuous,
+    start_at_rest,
+)
 from dssc_jax.backend.plain import plain_options
+from dssc_jax.closed_loop.sample import Loop, LoopParams
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Arrays, drawn
 from dssc_jax.study import Study
@@ -73,20 +83,32 @@ def spectrum_with_notes(study: Study, kind: Time) -> Spectrum:
     if continuous:
         require_continuous(study)
 
-    def at_rest_of(lane: dict[str, jax.Array]) -> AtRest:
-        return linearised_at_rest(study.loop, study.params(lane), places, continuous)
+    def lane(values: dict[str, jax.Array], index: jax.Array) -> tuple[Loop, LoopParams, jax.Array]:
+        return *substituted(study.loop, study.params(values), places), jax.random.key(0)
 
-    taken = stated(places)
-    linearised = jax.jit(jax.vmap(at_rest_of), compiler_options=plain_options())
+    def start(values: dict[str, jax.Array]) -> jax.Array:
+        return start_at_rest(*substituted(study.loop, study.params(values), places))
+
+    def at_rest_of(values: dict[str, jax.Array], findings: jax.Array) -> AtRest:
+        loop, params = substituted(study.loop, study.params(values), places)
+        if continuous:
+            return AtRest(continuous_matrix(loop, params), jnp.zeros(()))
+        return linearised_at_rest(*chosen(loop, params, places, findings))
+
+    taken, examine, options = stated(places), examination(lane, places), plain_options()
+    starts = jax.jit(jax.vmap(start), compiler_options=options)
+    linearised = jax.jit(jax.vmap(at_rest_of), compiler_options=options)
 
     def eigenvalues(values: Arrays) -> np.ndarray:
         with jax.enable_x64(True):
-            found = jax.tree.map(np.asarray, linearised(values))
+            states = np.asarray(starts(values))
+            findings = examine(values, np.arange(len(states)), states, 1)
+            found = jax.tree.map(np.asarray, linearised(values, findings))
         if np.any(found.moved > 0.0):
             raise ConfigError(
                 study.source, f"is not at rest at the origin: one sample moves it by {found.moved.max():.3g}"
             )
-        for text in require_smooth_there(study, places, found.findings):
+        for text in require_smooth_there(study, places, findings):
             if text not in taken:
                 taken.append(text)
         return np.linalg.eigvals(found.matrix)
