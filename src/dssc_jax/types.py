@@ -4,6 +4,7 @@ from dssc_jax.core.contracts import (
     Controller,
     Differentiator,
     Disturbance,
+    HarmonicBalance,
     NoParams,
     Plant,
     Preset,
@@ -27,9 +28,11 @@ from dssc_jax.core.signals import (
     TrackingError,
     tracking_error,
 )
+from dssc_jax.core.smoothness import SMOOTH, Smoothness, not_smooth, piecewise
 from dssc_jax.core.units import ChannelUnits
 
 __all__ = [
+    "SMOOTH",
     "ChannelUnits",
     "Command",
     "Controller",
@@ -37,6 +40,7 @@ __all__ = [
     "Discretisation",
     "Disturbance",
     "Entry",
+    "HarmonicBalance",
     "Measurement",
     "NoParams",
     "Outcome",
@@ -50,10 +54,13 @@ __all__ = [
     "Scalar",
     "Sensor",
     "Slot",
+    "Smoothness",
     "State",
     "TrackingError",
     "Unmodelled",
     "Wind",
+    "not_smooth",
+    "piecewise",
     "single",
     "stateless",
     "tracking_error",

@@ -48,6 +48,7 @@ def show_loop(summary: Mapping[str, Any], files: list[Path]) -> None:
             reason = without_margins(own, draws, needed, f"{share:g} % of all draws with {confidence:g} % confidence")
             if reason:
                 console.print(reason, markup=False, soft_wrap=True)
+    console.print(f"taken where there is no derivative: {summary['taken']}", markup=False, soft_wrap=True)
     if set(summary["operating_points"]) == {"equilibrium"}:
         console.print("margins hold at rest, where dry friction sticks; --at T1,T2 takes them in motion", markup=False)
     if draws < needed:

@@ -27,6 +27,7 @@ from dssc_jax.core.signals import (
     Signals,
     State,
 )
+from dssc_jax.core.smoothness import SMOOTH, Declaration
 from dssc_jax.core.units import ChannelUnits
 from dssc_jax.core.vectors import Vec3
 
@@ -97,10 +98,10 @@ class Plant(NamedTuple, Generic[Output, Signal]):
         params: NamedTuple type of the parameters.
         init: ``(params) -> state`` at t = 0.
         derivative: ``(params, state, input, t) -> state'``, the same structure as the state.
-        measure: ``(params, state, input) -> Measurement``. At a sample the input is that just before it: the commands that
-            reach the plant, the disturbances and the wind. A y' that depends on the input (a load current in v') can only
-            then be the derivative that a sensor would show. For disturbances that depend on the measurement, and at an
-            equilibrium, commands and disturbances are 0.
+        measure: ``(params, state, input) -> Measurement``. At a sample, ``input`` is the input just before it: the
+            commands that reach the plant, the disturbances and the wind. So a y' that depends on the input (a load
+            current in v') can be the derivative that a sensor shows. Where a disturbance that depends on the
+            measurement is evaluated, and at an equilibrium, commands and disturbances of ``input`` are 0.
         input_gain: ``(params) -> k_p``, the high-frequency gain from command to y''.
         velocities: Names of the state's fields that semi-implicit Euler advances first.
         prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
@@ -116,6 +117,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
         remainder: ``(params, state, input, t) -> state'``: what ``derivative`` adds to the linear part, as plain 0.0
             where it adds nothing. None: the plant is linear.
         onboard: What of the plant is software of the vehicle, in words: generated code of its controllers lacks it.
+        smooth: Where the part has a derivative (:mod:`dssc_jax.core.smoothness`); without it, nothing is linearised.
     """
 
     params: type
@@ -134,6 +136,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     linear: Callable[[Params], LinearDynamics] | None = None
     remainder: Callable[[Params, State, PlantInput[Signal], Scalar], State] | None = None
     onboard: tuple[str, ...] = ()
+    smooth: Declaration = None
 
 
 def linear_derivative(
@@ -179,6 +182,7 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
         linear=plant.linear,
         remainder=remainder and (lambda params, state, drive, t: remainder(params, state, plain(drive), t)),
         onboard=plant.onboard,
+        smooth=plant.smooth,
     )
 
 
@@ -188,6 +192,18 @@ class Preset(NamedTuple):
     params: type
     defaults: Any
     prepare: Callable[[Params], Params] = as_given
+
+
+class HarmonicBalance(NamedTuple):
+    """A switching law's side of the harmonic balance N(A, w) = q = -1/W(i w), for Re q > 0.
+
+    Args:
+        amplitude: ``(q) -> A`` from the real part.
+        residual: ``(q, A, w) -> remaining imaginary part``, 0 in balance.
+    """
+
+    amplitude: Callable[[complex], float]
+    residual: Callable[[complex, float, float], float]
 
 
 class Controller(NamedTuple):
@@ -201,6 +217,10 @@ class Controller(NamedTuple):
         prepare: As in :class:`Plant`.
         transfer: ``(gains, measurement, reference, command, dt) -> state`` whose first step at that sample gives the
             whole command, for a bumpless start; None: the state cannot carry a command.
+        smooth: As in :class:`Plant`.
+        synthesised: ``(gains) -> (K_P, K_I)`` of the law u = -K_P sigma - K_I int sigma (22) near the origin; None: the
+            controller synthesises no such law.
+        describing: ``(gains) -> HarmonicBalance``, the describing function of a switching law; None: it is not known.
     """
 
     gains: type
@@ -208,6 +228,9 @@ class Controller(NamedTuple):
     step: Callable[[Params, State, Measurement, ReferencePoint, Scalar], tuple[State, Command, Info]]
     prepare: Callable[[Params], Params] = as_given
     transfer: Callable[[Params, Measurement, ReferencePoint, Scalar, Scalar], State] | None = None
+    smooth: Declaration = None
+    synthesised: Callable[[Params], tuple[Scalar, Scalar]] | None = None
+    describing: Callable[[Params], HarmonicBalance] | None = None
 
     @property
     def params(self) -> type:
@@ -269,6 +292,7 @@ class Disturbance(NamedTuple):
         value: ``(params, state, measurement, sigma, t) -> d``, evaluated in every stage of the integrator.
         prepare: As in :class:`Plant`.
         variation: What ``value`` varies with within a sample.
+        smooth: As in :class:`Plant`.
     """
 
     params: type
@@ -277,6 +301,7 @@ class Disturbance(NamedTuple):
     value: Callable[[Params, State, Measurement, Scalar, Scalar], Scalar]
     prepare: Callable[[Params], Params] = as_given
     variation: Variation = Variation.STATE
+    smooth: Declaration = None
 
 
 class Wind(NamedTuple):
@@ -327,12 +352,14 @@ class Sensor(NamedTuple):
         init: ``(params, measurement, key) -> state`` from the first true measurement.
         step: ``(params, state, measurement, key, t, dt) -> (state, measurement)`` at each sample.
         prepare: As in :class:`Plant`.
+        smooth: As in :class:`Plant`.
     """
 
     params: type
     init: Callable[[Params, Measurement, jax.Array], State]
     step: Callable[[Params, State, Measurement, jax.Array, Scalar, Scalar], tuple[State, Measurement]]
     prepare: Callable[[Params], Params] = as_given
+    smooth: Declaration = None
 
 
 class Differentiator(NamedTuple):
@@ -343,12 +370,14 @@ class Differentiator(NamedTuple):
         init: ``(params, measurement) -> state`` from the first measurement, whose velocity is not to be used.
         step: ``(params, state, measurement, dt) -> (state, measurement)`` at each sample.
         prepare: As in :class:`Plant`.
+        smooth: As in :class:`Plant`.
     """
 
     params: type
     init: Callable[[Params, Measurement], State]
     step: Callable[[Params, State, Measurement, Scalar], tuple[State, Measurement]]
     prepare: Callable[[Params], Params] = as_given
+    smooth: Declaration = None
 
 
 class Moments(NamedTuple):
@@ -381,6 +410,8 @@ class Unmodelled(NamedTuple):
         held: Whether the output is constant from one sample to the next, and ``step`` changes nothing.
         moments: ``(params, state, command, dt) -> Moments`` of the output over dt. None: by Simpson's rule, from the
             output at the start, middle and end of dt, which must then resolve it.
+        smooth: As in :class:`Plant`.
+        continuous: Whether the slope of ``step`` at dt = 0 is that of a model in continuous time.
     """
 
     params: type
@@ -392,6 +423,8 @@ class Unmodelled(NamedTuple):
     linear: Callable[[Params], LinearSystem] | None = None
     held: bool = False
     moments: Callable[[Params, State, Scalar, Scalar], Moments] | None = None
+    smooth: Declaration = None
+    continuous: bool = False
 
 
 def linear_unmodelled(
@@ -412,4 +445,4 @@ def linear_unmodelled(
         system = linear(values)
         return dot((*system.c, system.d), (*jax.tree.leaves(state), command))
 
-    return Unmodelled(params, init, step, output, prepare, linear=linear)
+    return Unmodelled(params, init, step, output, prepare, linear=linear, smooth=SMOOTH, continuous=True)

@@ -171,7 +171,7 @@ def test_statistics_are_order_statistics(found):
                     "functions": {"kind": "sta", "kappa1": 1.0, "kappa2": 1.0, "k_o": 1.0},
                 }
             },
-            "its gain is infinite there; describing functions",
+            "functions of the standard STA switches at the origin",
         ),
     ],
 )

@@ -197,8 +197,8 @@ def test_delay_margin():
 @pytest.mark.parametrize(
     ("changes", "options", "rule"),
     [
-        ({"controller": {"kind": "sta", "l0": 1.0, "kappa1": 1.0, "kappa2": 1.0}}, {}, "sta switches at the origin"),
-        ({"controller.discretisation": "explicit"}, {}, "the explicit form of dssc switches"),
+        ({"controller": {"kind": "sta", "l0": 1.0, "kappa1": 1.0, "kappa2": 1.0}}, {}, "'sta' switches at the origin"),
+        ({"controller.discretisation": "explicit"}, {}, "'dssc' in its explicit form switches"),
         ({"sensor": {"kind": "noisy", "position_bias": 0.1}}, {}, "is not at rest"),
         (
             {"unmodelled": {"kind": "delay", "samples": 1}},

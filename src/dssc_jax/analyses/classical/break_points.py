@@ -116,5 +116,5 @@ def break_points(loop: Loop) -> list[str]:
 
 
 def start_state(loop: Loop, params: LoopParams, key: jax.Array) -> jax.Array:
-    """The state at t = 0 as a vector."""
-    return ravel_pytree(initial_state(loop, params, key))[0]
+    """The state after the first sample as a vector: a controller may treat its first sample unlike the others."""
+    return ravel_pytree(step(loop, params, key, initial_state(loop, params, key), 0)[0])[0]

@@ -10,6 +10,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from dssc_jax import plotting
+from dssc_jax.analyses.classical.fans import FANS, LEVELS_OF_FAN, fan_of
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.analysis_folder import Stored
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson, quantile_interval, tolerance_limits
@@ -19,7 +20,6 @@ from dssc_jax.study import Study
 EQUILIBRIUM = "equilibrium"
 SHARE_WITHIN = 0.95  # of all draws, within the tolerance limit
 LINES = 60  # draws whose frequency responses are stored
-LEVELS_OF_FAN = (0.05, 0.5, 0.95)
 
 
 class Status(IntEnum):
@@ -65,11 +65,13 @@ class LoopAnswer(NamedTuple):
         margins: By name, each of shape (draws,); NaN for a draw without margins.
         status: A :class:`Status` for each draw.
         response: G on the common grid, shape (draws, frequencies).
+        poles: Of L, shape (draws, states); NaN for a draw without an operating point.
     """
 
     margins: dict[str, np.ndarray]
     status: np.ndarray
     response: np.ndarray
+    poles: np.ndarray
 
 
 @dataclass(eq=False)
@@ -83,6 +85,7 @@ class LoopMargins(Analysis):
 
     Args:
         times: Times of the operating points [s]; empty: the equilibrium.
+        taken: What is taken for parts of the loop that have no derivative, in words.
         seconds: Computing time.
     """
 
@@ -91,6 +94,7 @@ class LoopMargins(Analysis):
     table = ("operating_point", "loop", "draw")
 
     times: tuple[float, ...]
+    taken: tuple[str, ...]
     seconds: float
 
     def values(self, name: str, point: str, loop: str) -> np.ndarray:
@@ -161,6 +165,7 @@ class LoopMargins(Analysis):
             "share": SHARE_WITHIN,
             "confidence": CONFIDENCE,
             "limits": "Wilks; each limit holds with this confidence for itself",
+            "taken": "; ".join(self.taken) or "none; every part has a derivative",
             "loops": every[self.points[0]],
             "operating_points": every,
             "seconds": self.seconds,
@@ -168,12 +173,14 @@ class LoopMargins(Analysis):
 
     def settings(self) -> dict[str, Any]:
         """See :class:`Analysis`."""
-        return {"times": list(self.times), "seconds": self.seconds}
+        return {"times": list(self.times), "taken": list(self.taken), "seconds": self.seconds}
 
     @classmethod
     def restored(cls, stored: Stored) -> Self:
         """See :class:`Analysis`."""
-        return cls(stored.study, stored.dataset, tuple(stored.settings["times"]), stored.settings["seconds"])
+        settings = stored.settings
+        times, taken = tuple(settings["times"]), tuple(settings["taken"])
+        return cls(stored.study, stored.dataset, times, taken, settings["seconds"])
 
 
 def margins_dataset(
@@ -193,8 +200,10 @@ def margins_dataset(
         {name: np.full(draws, np.nan) for name in MARGIN_KINDS},
         np.full(draws, Status.NO_OPERATING_POINT.value),
         np.full((draws, frequencies.size), np.nan, complex),
+        np.full((draws, 0), np.nan, complex),
     )
     every = [answers[point].get(loop, blank) for point in points for loop in loops]
+    angles = frequencies * study.config.loop.sample_time
     columns: dict[str, Any] = {}
     for name, about in MARGIN_KINDS.items():
         values = np.stack([one.margins[name] for one in every]).reshape(*shape, draws)
@@ -203,7 +212,7 @@ def margins_dataset(
     status = np.stack([one.status for one in every]).reshape(*shape, draws)
     columns["status"] = (LoopMargins.table, status, {"long_name": "whether the loop has margins", **flags})
     with np.errstate(all="ignore"):
-        fans = [fan_of(one.response) for one in every]
+        fans = [fan_of(one.response, one.poles, angles) for one in every]
         shown = np.stack([(-one.response / (1.0 + one.response))[:LINES] for one in every])
     for name, (unit, meaning) in FANS.items():
         values = np.stack([fan[name] for fan in fans]).reshape(*shape, len(LEVELS_OF_FAN), -1)
@@ -221,37 +230,3 @@ def margins_dataset(
         "frequency": ("frequency", frequencies, {"units": "rad/s", "long_name": "frequency"}),
     }
     return xr.Dataset(columns, coords=coords, attrs={"title": study.name})
-
-
-FANS = {
-    "loop_gain": ("1", "magnitude of L"),
-    "loop_phase": ("rad", "phase of L"),
-    "sensitivity": ("1", "magnitude of S = 1/(1 + L)"),
-    "complementary": ("1", "magnitude of T = L/(1 + L)"),
-}
-"""Unit and meaning of the magnitudes and phases over frequency."""
-
-
-def fan_of(response: np.ndarray) -> dict[str, np.ndarray]:
-    """Quantiles over the draws of magnitudes and phase, each of shape (levels, frequencies).
-
-    Args:
-        response: G, shape (draws, frequencies); NaN for a draw without an operating point.
-    """
-    response = response[np.all(np.isfinite(response), axis=1)]
-    if not len(response):
-        return {name: np.full((len(LEVELS_OF_FAN), response.shape[1]), np.nan) for name in FANS}
-    loop = -response / (1.0 + response)
-    phase = np.unwrap(np.angle(loop), axis=1)
-    with np.errstate(divide="ignore"):
-        crossing = np.argmin(np.abs(np.log(np.abs(loop))), axis=1)[:, None]
-    phase -= (
-        2.0 * np.pi * np.ceil(np.take_along_axis(phase, crossing, 1) / (2.0 * np.pi))
-    )  # in (-2 pi, 0] where |L| = 1
-    columns = {
-        "loop_gain": np.abs(loop),
-        "loop_phase": phase,
-        "sensitivity": np.abs(1.0 + response),
-        "complementary": np.abs(response),
-    }
-    return {name: np.quantile(values, LEVELS_OF_FAN, axis=0) for name, values in columns.items()}

@@ -7,7 +7,7 @@ are kept apart: each result names its criterion.
 from dssc_jax.analyses.theory.assessment import Assessment, assess
 from dssc_jax.analyses.theory.chattering import chattering
 from dssc_jax.analyses.theory.describing import LimitCycle, limit_cycle
-from dssc_jax.analyses.theory.linearised import Linearised, at_rest, open_loop, synthesised_gains
+from dssc_jax.analyses.theory.linearised import Linearised, at_rest, open_loop
 from dssc_jax.analyses.theory.local import Time, local_margin, spectrum
 
 __all__ = [
@@ -22,5 +22,4 @@ __all__ = [
     "local_margin",
     "open_loop",
     "spectrum",
-    "synthesised_gains",
 ]

@@ -49,7 +49,7 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
         "sweep": {MU: [float(value) for value in values]},
     }
     largest = running.run(rest.override({**middle, **changes})).dataset["sigma_max"].values[:, 0]
-    known = kind_of(study, "controller") in ("sta", "smc")
+    known = study.loop.controller[0].describing is not None
     cycles = [limit_cycle(rest, {MU: value}) if known else None for value in values]
     predicted = [(cycle.amplitude, cycle.frequency) if cycle else (np.nan, np.nan) for cycle in cycles]
     amplitude, frequency = np.array(predicted).T

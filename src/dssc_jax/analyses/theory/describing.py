@@ -12,20 +12,20 @@ References:
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax
 import numpy as np
 from scipy.optimize import brentq
 
-from dssc_jax.analyses.theory.linearised import Linearised, at_rest, kind_of, open_loop
+from dssc_jax.analyses.theory.linearised import Linearised, at_rest, kind_of, open_loop, require_continuous_dynamics
 from dssc_jax.backend.plain import plain_options
+from dssc_jax.core.contracts import HarmonicBalance
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import medians
 from dssc_jax.study import Study
 
-ROOT_FACTOR = 2.0 / math.sqrt(math.pi) * math.gamma(1.25) / math.gamma(1.75)  # of |x|^(1/2) sgn x: 1.1128
 SPAN, SCANNED = 1e4, 400  # frequencies scanned, around that of the fastest pole
 
 
@@ -40,54 +40,31 @@ def limit_cycle(study: Study, point: Mapping[str, float] | None = None) -> Limit
     """The chattering that the describing function predicts, or None if it predicts none.
 
     Args:
-        study: A study of ``smc`` or ``sta`` on a plant of one channel, with a lag or without unmodelled dynamics.
+        study: A study on a plant of one channel whose controller declares its describing function (``smc``, ``sta``),
+            with a lag or without unmodelled dynamics.
         point: Values of some numbers; the others have their own values, and laws their medians.
 
     Raises:
-        ConfigError: the law's describing function is not implemented.
+        ConfigError: the law's describing function is not known, or the unmodelled dynamics have no form in continuous
+            time.
     """
     rest = at_rest(study)
+    describing = rest.loop.controller[0].describing
+    if describing is None:
+        raise ConfigError(
+            f"{study.source}: controller.kind",
+            f"the describing function of '{kind_of(rest, 'controller')}' is not known",
+        )
+    require_continuous_dynamics(rest, rest.loop.unmodelled[0])
     values = {**medians(rest), **(point or {})}
     with jax.enable_x64(True):
-        opened = jax.jit(lambda lane: open_loop(rest, rest.params(lane)), compiler_options=plain_options())
+        opened = jax.jit(lambda lane: open_loop(rest.loop, rest.params(lane)), compiler_options=plain_options())
         response = jax.tree.map(np.asarray, opened(values))
-    gains = rest.params(values).controller[0]
-    match kind_of(rest, "controller"):
-        case "smc":
-            balance = relay_balance(float(gains.gain))
-        case "sta":
-            balance = sta_balance(float(gains.kappa1), float(gains.kappa2))
-        case kind:
-            raise ConfigError(f"{study.source}: controller.kind", f"the describing function of '{kind}' is not known")
+    balance = describing(rest.params(values).controller[0])
     return solve_balance(response, balance)
 
 
-class Balance(NamedTuple):
-    """The switching law's side of the harmonic balance with q = -1/W(i w), for Re q > 0.
-
-    Args:
-        amplitude: ``(q) -> A`` from the real part.
-        residual: ``(q, A, w) -> remaining imaginary part``, 0 in balance.
-    """
-
-    amplitude: Callable[[complex], float]
-    residual: Callable[[complex, float, float], float]
-
-
-def relay_balance(gain: float) -> Balance:
-    """The balance of the relay, with real N = 4 K/(pi A)."""
-    return Balance(lambda q: 4.0 * gain / (math.pi * q.real), lambda q, amplitude, w: q.imag)
-
-
-def sta_balance(kappa1: float, kappa2: float) -> Balance:
-    """The balance of the STA: N = c kappa1 A^(-1/2) + 2 kappa2/(pi A)/(i w), in the normalisation of Table 2."""
-    return Balance(
-        lambda q: (ROOT_FACTOR * kappa1 / q.real) ** 2,
-        lambda q, amplitude, w: q.imag + 2.0 * kappa2 / (math.pi * amplitude * w),
-    )
-
-
-def solve_balance(response: Linearised, balance: Balance) -> LimitCycle | None:
+def solve_balance(response: Linearised, balance: HarmonicBalance) -> LimitCycle | None:
     """The limit cycle of the highest frequency, at which chattering settles."""
 
     def inverse(w: float) -> complex:

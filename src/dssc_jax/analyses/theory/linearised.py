@@ -6,15 +6,17 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from dssc_jax.closed_loop.sample import Loop, LoopParams, initial_state, step
+from dssc_jax.analyses.smooth_parts import declared_place, substituted
+from dssc_jax.closed_loop.sample import Loop, LoopParams, LoopState, initial_state, step
+from dssc_jax.core.contracts import Unmodelled
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.registry import Registry
 from dssc_jax.core.signals import PlantInput, ReferencePoint, Scalar, tracking_error
+from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.models.controllers.nominal import nominal_control
+from dssc_jax.models.unmodelled import UNMODELLED
 from dssc_jax.study import Study
 
-SET_VALUED = ("sta", "vgsta", "smc")  # their gain at the origin is infinite
-CONTINUOUS = ("none", "lag", "transfer_function", "saturation")  # unmodelled dynamics with a continuous-time form
-SMOOTH = ("dssc", "ssc", "pi")
 ORIGIN = ReferencePoint(0.0, 0.0, 0.0)
 QUIET = PlantInput(0.0, 0.0)
 
@@ -46,41 +48,52 @@ def kind_of(study: Study, slot: str) -> str:
     return str(getattr(study.config, slot)["kind"])
 
 
-def require_smooth(study: Study) -> None:
-    """Require a controller that has a linearisation at the origin.
+def require_continuous(study: Study) -> None:
+    """Require what the continuous-time analysis needs: a law (22), and unmodelled dynamics in continuous time.
 
     Raises:
-        ConfigError: the controller switches there.
+        ConfigError: the controller synthesises no such law, or the unmodelled dynamics have no continuous-time form.
     """
-    kind = kind_of(study, "controller")
-    explicit = kind in ("dssc", "ssc") and study.config.controller.get("discretisation") == "explicit"
-    if kind in SET_VALUED or explicit:
-        law = f"the explicit form of {kind}" if explicit else kind
+    if study.loop.controller[0].synthesised is None:
         raise ConfigError(
-            f"{study.source}: controller.kind", f"{law} switches at the origin and has no linearisation there"
+            f"{study.source}: controller.kind",
+            f"'{kind_of(study, 'controller')}' synthesises no law (22), which the continuous-time analysis takes; "
+            f"{', '.join(kinds_with(CONTROLLERS, 'synthesised'))} do",
+        )
+    loop, template = study.loop, study.template
+    dynamics = declared_place(study, "unmodelled", 0, loop.unmodelled[0], template.unmodelled[0])
+    require_continuous_dynamics(study, substituted(loop, template, [dynamics])[0].unmodelled[0])
+
+
+def require_continuous_dynamics(study: Study, dynamics: Unmodelled) -> None:
+    """Require unmodelled dynamics that :func:`open_loop` can linearise in continuous time.
+
+    Raises:
+        ConfigError: they have no continuous-time form.
+    """
+    if not dynamics.continuous:
+        known = ", ".join(kinds_with(UNMODELLED, "continuous"))
+        raise ConfigError(
+            f"{study.source}: unmodelled.kind",
+            f"the continuous-time analysis covers {known}, got '{kind_of(study, 'unmodelled')}'; use the sampled loop",
         )
 
 
-def open_loop(study: Study, params: LoopParams) -> Linearised:
+def kinds_with(registry: Registry, field: str) -> list[str]:
+    """The kinds whose models declare something in a field."""
+    return [kind for kind, entry in registry.items() if any(getattr(part, field) for part in entry.members.values())]
+
+
+def open_loop(loop: Loop, params: LoopParams) -> Linearised:
     """Plant, nominal control and unmodelled dynamics between the robust command and sigma, at the origin.
 
     The slope of the unmodelled state is the initial slope of its exact step.
 
     Args:
-        study: A study at rest.
+        loop: A loop at rest; see :func:`require_continuous`.
         params: Its parameters for one draw.
-
-    Raises:
-        ConfigError: the unmodelled dynamics have no continuous-time form.
     """
-    kind = kind_of(study, "unmodelled")
-    if kind not in CONTINUOUS:
-        known = ", ".join(CONTINUOUS)
-        raise ConfigError(
-            f"{study.source}: unmodelled.kind",
-            f"the continuous-time analysis covers {known}, got '{kind}'; use the sampled loop",
-        )
-    loop, gains = study.loop, params.controller[0]
+    gains = params.controller[0]
     model, dynamics = loop.unmodelled[0], params.unmodelled[0]
     rest, unravel = ravel_pytree(loop.plant.init(params.plant))
     order = len(model.init(dynamics))
@@ -108,33 +121,45 @@ def predictor_pole_at_rest(gains: Any) -> Scalar:
     return 1.0 / gains.functions.at(0.0, 0.0, gains.l0).tau_m if hasattr(gains, "functions") else 0.0
 
 
-def synthesised_gains(gains: Any) -> tuple[Scalar, Scalar]:
-    """K_P and K_I of the law that (22) synthesises at the origin: u = -K_P sigma - K_I int sigma.
-
-    Args:
-        gains: Those of DSSC or SSC, K_P = 1/(k_o tau_av) and K_I = K_P/tau_m, or of PI.
-    """
-    if not hasattr(gains, "functions"):
-        return gains.k_p, gains.k_i
-    at = gains.functions.at(0.0, 0.0, gains.l0)
-    proportional = 1.0 / (at.k_o * at.tau_av)
-    return proportional, proportional / at.tau_m
-
-
-def continuous_matrix(study: Study, params: LoopParams) -> jax.Array:
+def continuous_matrix(loop: Loop, params: LoopParams) -> jax.Array:
     """The loop closed by the synthesised law (22), in continuous time; the last state is the integral term of u."""
-    a, b, c = open_loop(study, params)
-    proportional, integral = synthesised_gains(params.controller[0])
+    a, b, c = open_loop(loop, params)
+    law = loop.controller[0].synthesised
+    assert law is not None  # held by require_continuous, before tracing
+    proportional, integral = law(params.controller[0])
     closed = a - proportional * jnp.outer(b, c)
     return jnp.block([[closed, b[:, None]], [-integral * c[None, :], jnp.zeros((1, 1))]])
 
 
-def sampled_matrix(loop: Loop, params: LoopParams) -> tuple[jax.Array, jax.Array]:
-    """The derivative of the loop's step at its start, and the state's change in that step: 0 at an equilibrium."""
+class AtRest(NamedTuple):
+    """A loop linearised where it starts.
+
+    Args:
+        matrix: Its derivative, shape (states, states).
+        moved: The state's largest change in one sample: 0 at an equilibrium.
+    """
+
+    matrix: jax.Array
+    moved: jax.Array
+
+
+def start_at_rest(loop: Loop, params: LoopParams) -> jax.Array:
+    """The state after the first sample as a vector: a controller may treat its first sample unlike the others."""
+    return ravel_pytree(first_sample(loop, params))[0]
+
+
+def first_sample(loop: Loop, params: LoopParams) -> LoopState:
+    """The state after the first sample."""
     key = jax.random.key(0)
-    rest, unravel = ravel_pytree(initial_state(loop, params, key))
+    return step(loop, params, key, initial_state(loop, params, key), 0)[0]
+
+
+def linearised_at_rest(loop: Loop, params: LoopParams) -> AtRest:
+    """The derivative of the loop's step after its first sample."""
+    key = jax.random.key(0)
+    rest, unravel = ravel_pytree(first_sample(loop, params))
 
     def after(state: jax.Array) -> jax.Array:
         return ravel_pytree(step(loop, params, key, unravel(state), 1)[0])[0]
 
-    return jax.jacfwd(after)(rest), jnp.max(jnp.abs(after(rest) - rest), initial=0.0)
+    return AtRest(jax.jacfwd(after)(rest), jnp.max(jnp.abs(after(rest) - rest), initial=0.0))

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from enum import StrEnum
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,15 +12,18 @@ import numpy as np
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
 from dssc_jax.analyses.margins import Margins, Walk, search_critical
 from dssc_jax.analyses.margins.simulated import checked_walk, placed, require_spread
+from dssc_jax.analyses.part_slopes import examination
+from dssc_jax.analyses.smooth_parts import chosen, declared_places, require_smooth_there, stated, substituted
 from dssc_jax.analyses.theory.linearised import (
-    SMOOTH,
+    AtRest,
     at_rest,
     continuous_matrix,
-    kind_of,
-    require_smooth,
-    sampled_matrix,
+    linearised_at_rest,
+    require_continuous,
+    start_at_rest,
 )
 from dssc_jax.backend.plain import plain_options
+from dssc_jax.closed_loop.sample import Loop, LoopParams
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Arrays, drawn
 from dssc_jax.study import Study
@@ -39,6 +43,18 @@ CRITERION = {
 }
 
 
+class Spectrum(NamedTuple):
+    """Eigenvalues of the linearised loop, and what was taken for parts without a derivative.
+
+    Args:
+        eigenvalues: See :func:`spectrum`.
+        taken: In words; those about parts at a corner come with the values at which they are.
+    """
+
+    eigenvalues: Callable[[Arrays], np.ndarray]
+    taken: list[str]
+
+
 def spectrum(study: Study, kind: Time = Time.SAMPLED) -> Callable[[Arrays], np.ndarray]:
     """Eigenvalues of the linearised loop for many draws.
 
@@ -49,25 +65,55 @@ def spectrum(study: Study, kind: Time = Time.SAMPLED) -> Callable[[Arrays], np.n
     Returns:
         A function of the values of every law and every swept number, each of shape (n,). It returns eigenvalues, shape
         (n, states), of the step from sample to sample, or in 1/s. It raises ConfigError if the loop does not start at
-        rest.
+        rest, or has no derivative there.
+
+    Raises:
+        ConfigError: a part does not declare where it is smooth, or is smooth nowhere.
     """
+    return spectrum_with_notes(study, kind).eigenvalues
 
-    def matrix(lane: dict[str, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        params = study.params(lane)
-        if kind == Time.CONTINUOUS:
-            return continuous_matrix(study, params), jnp.zeros(())
-        return sampled_matrix(study.loop, params)
 
-    matrices_of = jax.jit(jax.vmap(matrix), compiler_options=plain_options())
+def spectrum_with_notes(study: Study, kind: Time) -> Spectrum:
+    """The function of :func:`spectrum`, and what is taken for parts without a derivative.
+
+    Raises:
+        ConfigError: as :func:`spectrum` says.
+    """
+    places, continuous = declared_places(study, moving=False), kind == Time.CONTINUOUS
+    if continuous:
+        require_continuous(study)
+
+    def lane(values: dict[str, jax.Array], index: jax.Array) -> tuple[Loop, LoopParams, jax.Array]:
+        return *substituted(study.loop, study.params(values), places), jax.random.key(0)
+
+    def start(values: dict[str, jax.Array]) -> jax.Array:
+        return start_at_rest(*substituted(study.loop, study.params(values), places))
+
+    def at_rest_of(values: dict[str, jax.Array], findings: jax.Array) -> AtRest:
+        loop, params = substituted(study.loop, study.params(values), places)
+        if continuous:
+            return AtRest(continuous_matrix(loop, params), jnp.zeros(()))
+        return linearised_at_rest(*chosen(loop, params, places, findings))
+
+    taken, examine, options = stated(places), examination(lane, places), plain_options()
+    starts = jax.jit(jax.vmap(start), compiler_options=options)
+    linearised = jax.jit(jax.vmap(at_rest_of), compiler_options=options)
 
     def eigenvalues(values: Arrays) -> np.ndarray:
         with jax.enable_x64(True):
-            matrices, moved = jax.tree.map(np.asarray, matrices_of(values))
-        if np.any(moved > 0.0):
-            raise ConfigError(study.source, f"is not at rest at the origin: one sample moves it by {moved.max():.3g}")
-        return np.linalg.eigvals(matrices)
+            states = np.asarray(starts(values))
+            findings = examine(values, np.arange(len(states)), states, 1)
+            found = jax.tree.map(np.asarray, linearised(values, findings))
+        if np.any(found.moved > 0.0):
+            raise ConfigError(
+                study.source, f"is not at rest at the origin: one sample moves it by {found.moved.max():.3g}"
+            )
+        for text in require_smooth_there(study, places, findings):
+            if text not in taken:
+                taken.append(text)
+        return np.linalg.eigvals(found.matrix)
 
-    return eigenvalues
+    return Spectrum(eigenvalues, taken)
 
 
 def local_margin(
@@ -86,7 +132,7 @@ def local_margin(
     where state-dependent functions have their values at sigma = e = 0.
 
     Args:
-        study: A study of DSSC, SSC or PI on a plant of one channel.
+        study: A study on a plant of one channel, whose parts declare where they are smooth.
         over: Dotted name of the number.
         bounds: The safe end, then the other end.
         log: Space the values evenly in the logarithm.
@@ -101,9 +147,6 @@ def local_margin(
         ConfigError: the loop has no linearisation, or the number or a bound is not admissible.
     """
     kind, rest, began = Time(kind), at_rest(study), time.perf_counter()
-    require_smooth(rest)
-    if kind == Time.CONTINUOUS and kind_of(rest, "controller") not in SMOOTH:
-        raise ConfigError(f"{study.source}: controller.kind", f"(22) is known for {', '.join(SMOOTH)} only")
     walk = Walk(*checked_walk(over, bounds, log, points, bisections), log, points)
     if over in study.quantities and over not in rest.quantities:
         raise ConfigError(over, "has no effect near the origin, where reference and disturbance are neglected")
@@ -112,7 +155,7 @@ def local_margin(
     swept = rest.override({"sweep": {over: sorted(bounds)} if over != SPREAD else {}})
     draws, place = study.config.draws, placed(rest, over)
     laws = drawn(swept, slice(0, draws))
-    eigenvalues_of = spectrum(swept, kind)
+    eigenvalues_of, taken = spectrum_with_notes(swept, kind)
 
     def decay(which: np.ndarray, values: np.ndarray) -> np.ndarray:
         eigenvalues = eigenvalues_of(place({name: column[which] for name, column in laws.items()}, values))
@@ -122,4 +165,4 @@ def local_margin(
 
     critical = search_critical(decay, draws, walk, bisections)
     times = {"seconds": time.perf_counter() - began, "compile_seconds": 0.0}
-    return Margins.of(study, over, walk, critical, laws, times, (CRITERION[kind],), unit="1/s")
+    return Margins.of(study, over, walk, critical, laws, times, (CRITERION[kind], *taken), unit="1/s")

@@ -23,6 +23,7 @@ from dssc_jax.core.numerics import sign
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.core.signals import Measurement, Scalar
+from dssc_jax.core.smoothness import SMOOTH, not_smooth
 from dssc_jax.models.controllers.sta import root_of
 
 TAU_F = Quantity("s", "time constant tau_f of the lead filter", above=0.0)
@@ -170,14 +171,36 @@ def levant_step(
     return LevantState(measurement.y + s * s * sign(b), velocity), Measurement(measurement.y, velocity)
 
 
+def backward_difference_step(
+    params: LevantParams, state: LevantState, measurement: Measurement, dt: Scalar
+) -> tuple[LevantState, Measurement]:
+    """The step of :func:`levant_step` in sliding; with its arguments."""
+    velocity = (measurement.y - state.z0) / dt
+    return LevantState(measurement.y, velocity), Measurement(measurement.y, velocity)
+
+
+def in_sliding(params: LevantParams) -> tuple[Differentiator, LevantParams]:
+    """The robust exact differentiator in sliding."""
+    return BACKWARD_DIFFERENCE, params
+
+
 NO_DIFFERENTIATOR = Differentiator(
     NoParams,
     init=lambda params, measurement: (),
     step=lambda params, state, measurement, dt: (state, measurement),
+    smooth=SMOOTH,
 )
-LEAD_FILTER = Differentiator(LeadFilterParams, lead_filter_init, lead_filter_step)
-HIGH_GAIN_OBSERVER = Differentiator(HighGainParams, high_gain_init, high_gain_step)
-LEVANT = Differentiator(LevantParams, levant_init, levant_step)
+LEAD_FILTER = Differentiator(LeadFilterParams, lead_filter_init, lead_filter_step, smooth=SMOOTH)
+HIGH_GAIN_OBSERVER = Differentiator(HighGainParams, high_gain_init, high_gain_step, smooth=SMOOTH)
+BACKWARD_DIFFERENCE = Differentiator(LevantParams, levant_init, backward_difference_step, smooth=SMOOTH)
+LEVANT = Differentiator(
+    LevantParams,
+    levant_init,
+    levant_step,
+    smooth=not_smooth(
+        "counts as the backward difference of y, which it is in sliding, while |y''| <= lipschitz", in_sliding
+    ),
+)
 
 DIFFERENTIATORS: Registry = {
     "none": single(NO_DIFFERENTIATOR, "the measured velocity"),

@@ -20,9 +20,18 @@ import jax.numpy as jnp
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import clip, newton, sign
-from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.registry import Discretisation, Entry, Slot
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, State, TrackingError, tracking_error
+from dssc_jax.core.smoothness import (
+    SWITCHES,
+    Declaration,
+    Extent,
+    Smoothness,
+    declared_smoothness,
+    not_smooth,
+    piecewise,
+)
 from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS, Constant, StateFunctions
 from dssc_jax.models.controllers.modulation import MODULATIONS, ModulationSignals
 from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
@@ -315,7 +324,32 @@ def control_sample(
     return modulation, u_nominal, ControlSample(error, at, ratios, rho)
 
 
-def dssc(form: SampledForm) -> Controller:
+def sliding_smoothness(gains: DsscGains) -> Smoothness:
+    """Smooth in sliding, if its functions are; what is between is the clip of u_0 to rho."""
+    try:
+        functions = declared_smoothness(gains.functions, gains)
+    except ConfigError as error:
+        raise error.within_path("functions") from None
+    if functions.extent == Extent.NOWHERE:
+        return functions
+    return piecewise("the end of sliding, |u_eq| = rho")
+
+
+def explicit_smoothness(gains: DsscGains) -> Smoothness:
+    """The sign switches, unless it is smoothed."""
+    if gains.sign_width is None or extent(gains.sign_width)[0] == 0.0:
+        return not_smooth(f"in its explicit form {SWITCHES}")
+    return sliding_smoothness(gains)
+
+
+def synthesised_gains(gains: DsscGains) -> tuple[Scalar, Scalar]:
+    """K_P = 1/(k_o tau_av) and K_I = K_P/tau_m of the law that (22) synthesises at the origin."""
+    at = gains.functions.at(0.0, 0.0, gains.l0)
+    proportional = 1.0 / (at.k_o * at.tau_av)
+    return proportional, proportional / at.tau_m
+
+
+def dssc(form: SampledForm, smooth: Declaration = sliding_smoothness) -> Controller:
     """DSSC with the given sampled form of filter and predictor."""
 
     def init(gains: DsscGains, measurement: Measurement, reference: ReferencePoint) -> DsscState:
@@ -360,7 +394,7 @@ def dssc(form: SampledForm) -> Controller:
         earlier = 0.0 if gains.predictor_start == PredictorStart.MIDPOINT else ()
         return state._replace(u_av=before, predictor=predictor, earlier=earlier)
 
-    return Controller(DsscGains, init, step, transfer=transfer)
+    return Controller(DsscGains, init, step, transfer=transfer, smooth=smooth, synthesised=synthesised_gains)
 
 
 def constant_functions(gains: DsscGains) -> DsscGains:
@@ -379,7 +413,9 @@ MEMBERS = {
     Discretisation.CONSERVATIVE: dssc(
         SampledForm(integrated, integrated_rate, conservative_update, conservative_resting)
     ),
-    Discretisation.EXPLICIT: dssc(SampledForm(own_coordinate, own_rate, explicit_update, explicit_resting)),
+    Discretisation.EXPLICIT: dssc(
+        SampledForm(own_coordinate, own_rate, explicit_update, explicit_resting), explicit_smoothness
+    ),
 }
 
 

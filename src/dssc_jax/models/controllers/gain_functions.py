@@ -13,6 +13,7 @@ from dssc_jax.core.numerics import log_defect, root_abs, sign
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Registry, single
 from dssc_jax.core.signals import Scalar
+from dssc_jax.core.smoothness import SMOOTH, SWITCHES, not_smooth, piecewise
 
 ROOT_FLOOR = 1e-9  # [(m/s)^(1/2)]: the standard STA's k_o tau_av and tau_m vanish at sigma = 0
 
@@ -81,6 +82,7 @@ class Constant(NamedTuple):
     tau_m: Annotated[Scalar, TAU_M]
 
     sampled_form = Discretisation.CONSERVATIVE
+    smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """Table 2, row 1."""
@@ -101,6 +103,7 @@ class StandardSta(NamedTuple):
 
     prepare = one_factor
     sampled_form = Discretisation.IMPLICIT  # the slope of phi_1 is infinite at 0
+    smooth = not_smooth(f"with the functions of the standard STA {SWITCHES}")
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """Table 2, row 2: k_o tau_av = 2 r/kappa1 (printed with phi_1 for phi_1'), tau_m = (kappa1/kappa2) r."""
@@ -123,6 +126,7 @@ class ApproximateSta1(NamedTuple):
 
     prepare = one_factor
     sampled_form = Discretisation.CONSERVATIVE
+    smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """Table 2, row 3: tau_m = (kappa1/kappa2) r/[1 - (delta/r) ln((r + delta)/delta)]."""
@@ -146,6 +150,7 @@ class ApproximateSta2(NamedTuple):
 
     prepare = one_factor
     sampled_form = Discretisation.CONSERVATIVE
+    smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """Table 2, row 4: k_o tau_av = 2 (r + delta)/kappa1, tau_m = (kappa1/kappa2)(r + delta)."""
@@ -167,6 +172,7 @@ class SquareRoot(NamedTuple):
     tau_av: Annotated[Scalar, TAU_AV]
 
     sampled_form = Discretisation.CONSERVATIVE
+    smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """k_o = kappa_o (r + delta_o), tau_m = kappa_m (r + delta_m)."""
@@ -187,6 +193,7 @@ class Field(NamedTuple):
     delta: Annotated[Scalar, Quantity("s", "smoothing delta of both time constants", above=0.0)]
 
     sampled_form = Discretisation.CONSERVATIVE
+    smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """tau_av = 2 r/(k_o kappa1) + delta, tau_m = kappa1 r/(2 kappa2) + delta."""
@@ -247,6 +254,7 @@ class Vgsta(NamedTuple):
 
     prepare = one_factor
     sampled_form = Discretisation.CONSERVATIVE
+    smooth = piecewise("the jump of tau_m at e = 0")
 
     def gains(self, sigma: Scalar, e: Scalar) -> VariableGains:
         """kappa_1 and kappa_2."""

@@ -8,6 +8,7 @@ from dssc_jax.core.contracts import Controller
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Entry
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, tracking_error
+from dssc_jax.core.smoothness import SMOOTH
 from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
 
 
@@ -59,7 +60,14 @@ def pi(implicit: bool) -> Controller:
         needed = -(robust + gains.k_p * error.sigma) / jnp.where(integrates, gains.k_i, 1.0)
         return PiState(jnp.where(integrates, needed - (dt * error.sigma if implicit else 0.0), 0.0))
 
-    return Controller(PiGains, init, step, transfer=transfer)
+    return Controller(
+        PiGains,
+        init,
+        step,
+        transfer=transfer,
+        smooth=SMOOTH,
+        synthesised=lambda gains: (gains.k_p, gains.k_i),
+    )
 
 
 PI = Entry(

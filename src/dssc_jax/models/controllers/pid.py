@@ -12,7 +12,8 @@ References:
     K. J. Astrom, T. Hagglund, Advanced PID Control (2006), sections 3.5 and 13.4.
 """
 
-from typing import Annotated, NamedTuple
+from collections.abc import Callable
+from typing import Annotated, Any, NamedTuple
 
 import jax.numpy as jnp
 
@@ -21,6 +22,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.registry import Entry, single
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar
+from dssc_jax.core.smoothness import SMOOTH, Smoothness, piecewise
 from dssc_jax.models.controllers.nominal import L0
 
 LOW, HIGH = Quantity("u", "lower limit of the command"), Quantity("u", "upper limit of the command")
@@ -129,7 +131,23 @@ def require_order(low: Scalar | None, high: Scalar | None) -> None:
         raise ConfigError("low", f"must be below high = {bottom:g}, got up to {top:g}")
 
 
+def limited_smoothness(substitute: Callable[[Any], tuple[Controller, Any]]) -> Callable[[Any], Smoothness]:
+    """The declaration of a linear law between the limits ``low`` and ``high``, which its gains may have."""
+
+    def smoothness(gains: Any) -> Smoothness:
+        if gains.low is None and gains.high is None:
+            return SMOOTH
+        return piecewise("the limits low and high of its command; there it counts as within them", substitute)
+
+    return smoothness
+
+
+def unlimited(gains: PidGains) -> tuple[Controller, PidGains]:
+    """The controller within its limits."""
+    return Controller(PidGains, init, step), gains._replace(low=None, high=None)
+
+
 PID: Entry = single(
-    Controller(PidGains, init, step, prepare, transfer),
+    Controller(PidGains, init, step, prepare, transfer, limited_smoothness(unlimited)),
     "PID with filtered derivative, set-point weights, limits and anti-windup",
 )

@@ -1,12 +1,14 @@
 """First-order sliding mode u = -K sgn(sigma)."""
 
+import math
 from typing import Annotated, NamedTuple
 
-from dssc_jax.core.contracts import Controller
+from dssc_jax.core.contracts import Controller, HarmonicBalance
 from dssc_jax.core.numerics import saturate, sign
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Entry
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, tracking_error
+from dssc_jax.core.smoothness import SWITCHES, not_smooth
 from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
 from dssc_jax.models.controllers.sta import K_N
 
@@ -35,6 +37,12 @@ def init(gains: SmcGains, measurement: Measurement, reference: ReferencePoint) -
     return ()
 
 
+def relay_balance(gains: SmcGains) -> HarmonicBalance:
+    """The balance of the relay, with real N = 4 K/(pi A)."""
+    gain = float(gains.gain)
+    return HarmonicBalance(lambda q: 4.0 * gain / (math.pi * q.real), lambda q, amplitude, w: q.imag)
+
+
 def smc(implicit: bool) -> Controller:
     """The relay in implicit form, u = -clip(sigma/(T_s k_n), -K, K), or switched by the sign of the sample."""
 
@@ -48,7 +56,7 @@ def smc(implicit: bool) -> Controller:
             return state, Command(saturate(u_eq, gains.gain), u_nominal), SmcInfo(gains.gain - abs(u_eq))
         return state, Command(-gains.gain * sign(error.sigma), u_nominal), NoInfo()
 
-    return Controller(SmcGains, init, step)
+    return Controller(SmcGains, init, step, smooth=not_smooth(SWITCHES), describing=relay_balance)
 
 
 SMC = Entry(

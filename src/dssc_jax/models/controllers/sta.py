@@ -9,21 +9,24 @@ References:
     R. Seeber, B. Andritsch, proper implicit discretisation of the super-twisting controller, Automatica (2025).
 """
 
+import math
 from collections.abc import Callable
 from typing import Annotated, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 
-from dssc_jax.core.contracts import Controller
+from dssc_jax.core.contracts import Controller, HarmonicBalance
 from dssc_jax.core.numerics import root_abs, saturate, sign
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Entry
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, tracking_error
+from dssc_jax.core.smoothness import SWITCHES, not_smooth
 from dssc_jax.models.controllers.gain_functions import KAPPA_1, KAPPA_2
 from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
 
 K_N = Quantity("y/(s^2 u)", "nominal input gain k_n", above=0.0)
 LIMIT = Quantity("u", "limit of |u|", above=0.0)
+ROOT_FACTOR = 2.0 / math.sqrt(math.pi) * math.gamma(1.25) / math.gamma(1.75)  # of |x|^(1/2) sgn x: 1.1128
 
 
 class StaGains(NamedTuple):
@@ -110,6 +113,15 @@ def init(gains: StaGains, measurement: Measurement, reference: ReferencePoint) -
     return IntegralState(0.0)
 
 
+def sta_balance(gains: StaGains) -> HarmonicBalance:
+    """The balance of the STA: N = c kappa1 A^(-1/2) + 2 kappa2/(pi A)/(i w), in the normalisation of Table 2."""
+    kappa1, kappa2 = float(gains.kappa1), float(gains.kappa2)
+    return HarmonicBalance(
+        lambda q: (ROOT_FACTOR * kappa1 / q.real) ** 2,
+        lambda q, amplitude, w: q.imag + 2.0 * kappa2 / (math.pi * amplitude * w),
+    )
+
+
 def sta(update: Update, carried: Carried) -> Controller:
     """The STA with the given sampled form."""
 
@@ -132,7 +144,7 @@ def sta(update: Update, carried: Carried) -> Controller:
         w = gains.k_n * (command - nominal_control(gains.nominal, gains.l0, error, reference, 0.0))
         return IntegralState(carried(error.sigma, w, gains.k_n * gains.kappa1, 0.5 * gains.k_n * gains.kappa2, dt))
 
-    return Controller(StaGains, init, step, transfer=transfer)
+    return Controller(StaGains, init, step, transfer=transfer, smooth=not_smooth(SWITCHES), describing=sta_balance)
 
 
 STA = Entry(

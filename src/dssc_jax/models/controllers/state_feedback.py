@@ -16,7 +16,7 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, single
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar
 from dssc_jax.models.controllers.nominal import L0
-from dssc_jax.models.controllers.pid import HIGH, LOW, require_order, tracking_rate, within_limits
+from dssc_jax.models.controllers.pid import HIGH, LOW, limited_smoothness, require_order, tracking_rate, within_limits
 
 
 class FeedbackGains(NamedTuple):
@@ -76,6 +76,12 @@ def prepare(gains: FeedbackGains) -> FeedbackGains:
     return gains
 
 
+def unlimited(gains: FeedbackGains) -> tuple[Controller, FeedbackGains]:
+    """The controller within its limits."""
+    return Controller(FeedbackGains, init, step), gains._replace(low=None, high=None)
+
+
 STATE_FEEDBACK: Entry = single(
-    Controller(FeedbackGains, init, step, prepare, transfer), "feedback of output and derivative, with integral action"
+    Controller(FeedbackGains, init, step, prepare, transfer, limited_smoothness(unlimited)),
+    "feedback of output and derivative, with integral action",
 )

@@ -18,6 +18,7 @@ from dssc_jax.core.numerics import root_abs, saturate, sign
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Entry
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, TrackingError, tracking_error
+from dssc_jax.core.smoothness import SWITCHES, not_smooth
 from dssc_jax.models.controllers.gain_functions import KAPPA_ABC, ROOT_FLOOR, VariableGains, variable_gains
 from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
 from dssc_jax.models.controllers.sta import K_N, LIMIT, IntegralInfo, IntegralState, root_of
@@ -151,7 +152,7 @@ def vgsta(update: Update, carried: Carried) -> Controller:
             carried(error.sigma, w, shape_at(gains, error.sigma), gains_at(gains, error), gains.k_n, dt)
         )
 
-    return Controller(VgstaGains, init, step, transfer=transfer)
+    return Controller(VgstaGains, init, step, transfer=transfer, smooth=not_smooth(SWITCHES))
 
 
 VGSTA = Entry(

@@ -11,6 +11,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import begun, cubic_spline, standard_normal
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurement, Scalar
+from dssc_jax.core.smoothness import SMOOTH, piecewise
 
 VALUE = Quantity("u", "value of d")
 
@@ -131,7 +132,12 @@ def partition_value(params: PartitionParams, state: Any, measurement: Measuremen
 
 
 NO_DISTURBANCE = Disturbance(
-    NoParams, stateless, unchanged, lambda params, state, measurement, sigma, t: 0.0, variation=Variation.HELD
+    NoParams,
+    stateless,
+    unchanged,
+    lambda params, state, measurement, sigma, t: 0.0,
+    variation=Variation.HELD,
+    smooth=SMOOTH,
 )
 CONSTANT = Disturbance(
     ConstantParams,
@@ -139,9 +145,21 @@ CONSTANT = Disturbance(
     unchanged,
     lambda params, state, measurement, sigma, t: params.value,
     variation=Variation.HELD,
+    smooth=SMOOTH,
 )
-STEP = Disturbance(StepParams, lambda params, key: 0.0, step_mean, held_value, variation=Variation.HELD)
-SINE_DISTURBANCE = Disturbance(SineDisturbanceParams, stateless, unchanged, sine_value, variation=Variation.TIME)
-SPLINE = Disturbance(SplineParams, stateless, unchanged, spline_value, check_knots, Variation.TIME)
-FILTERED_NOISE = Disturbance(NoiseParams, noise_init, noise_step, held_value, variation=Variation.HELD)
-PARTITION = Disturbance(PartitionParams, stateless, unchanged, partition_value, variation=Variation.STATE)
+STEP = Disturbance(StepParams, lambda params, key: 0.0, step_mean, held_value, variation=Variation.HELD, smooth=SMOOTH)
+SINE_DISTURBANCE = Disturbance(
+    SineDisturbanceParams, stateless, unchanged, sine_value, variation=Variation.TIME, smooth=SMOOTH
+)
+SPLINE = Disturbance(
+    SplineParams, stateless, unchanged, spline_value, check_knots, variation=Variation.TIME, smooth=SMOOTH
+)
+FILTERED_NOISE = Disturbance(NoiseParams, noise_init, noise_step, held_value, variation=Variation.HELD, smooth=SMOOTH)
+PARTITION = Disturbance(
+    PartitionParams,
+    stateless,
+    unchanged,
+    partition_value,
+    variation=Variation.STATE,
+    smooth=piecewise("the kinks of its bounds at y = 0 and y' = 0"),
+)

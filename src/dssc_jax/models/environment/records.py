@@ -13,6 +13,7 @@ from dssc_jax.core.numerics import uniforms
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry
 from dssc_jax.core.signals import Measurement, ReferencePoint, Scalar
+from dssc_jax.core.smoothness import SMOOTH
 from dssc_jax.core.vectors import Vec3
 
 MOST_VALUES = 50_000
@@ -174,6 +175,7 @@ def recorded_disturbance(rule: Interpolation) -> Disturbance:
             lambda pieces, state, key, t, dt: piece_at(pieces, t).y,
             lambda pieces, state, measurement, sigma, t: state,
             prepare,
+            smooth=SMOOTH,
         )
     return Disturbance(
         RecordedDisturbanceParams,
@@ -181,6 +183,7 @@ def recorded_disturbance(rule: Interpolation) -> Disturbance:
         unchanged,
         lambda pieces, state, measurement, sigma, t: piece_at(pieces, t).y,
         prepare,
+        smooth=SMOOTH,
     )
 
 
@@ -220,7 +223,7 @@ def recorded_sensor(start: NoiseStart) -> Sensor:
         errors = piece_at(noise.position, at).y, piece_at(noise.velocity, at).y
         return begin, Measurement(measurement.y + errors[0], measurement.y_dot + errors[1])
 
-    return Sensor(RecordedNoiseParams, init, step, prepare)
+    return Sensor(RecordedNoiseParams, init, step, prepare, smooth=SMOOTH)
 
 
 def piece_at(pieces: Pieces, t: Scalar) -> ReferencePoint:

@@ -8,9 +8,10 @@ import jax.numpy as jnp
 from dssc_jax.core.contracts import NoParams, Sensor
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import standard_normals, uniforms
-from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.core.signals import Measurement, Scalar
+from dssc_jax.core.smoothness import MEAN_GAIN, SMOOTH, Smoothness, not_smooth
 from dssc_jax.models.environment.records import RECORDED_NOISE
 
 EXTRA = 2  # index of the random numbers of losses and jitter; those of noise have 0 and 1
@@ -155,19 +156,41 @@ def noisy_step(
     Returns:
         The next state, and the measurement that the controller sees.
     """
-    due = state.age >= whole("period_samples", params.period_samples)
+    due = state.age > whole("period_samples", params.period_samples) - 0.5  # a counter, compared halfway
     true, arrives = measurement, due
     if params.loss is not None or params.jitter is not None:
         chance, share = uniforms(jax.random.fold_in(key, EXTRA), 2)
         if params.jitter is not None:
             true = earlier(measurement, state.before[0], params.jitter * share, dt)
-        if params.loss is not None:
+        if params.loss is not None and extent(params.loss)[1] > 0.0:
             arrives = due & (chance >= params.loss)
     fresh = reading(params, true, key)
     held = Measurement(*(jnp.where(arrives, new, old) for new, old in zip(fresh, state.held, strict=True)))
     delivered, *queue = (*state.queue, held)
     before = () if params.jitter is None else (measurement,)
     return NoisyState(jnp.where(due, 1.0, state.age + 1.0), held, tuple(queue), before), delivered
+
+
+def noisy_smoothness(params: NoisyParams) -> Smoothness:
+    """Linear, but for its own period, lost readings, jitter and a resolution."""
+    if params.period_samples != 1.0:
+        return not_smooth(
+            f"has period_samples = {params.period_samples:g}, which must be 1 for a frequency response: the loop is "
+            "periodic otherwise"
+        )
+    if params.loss is not None and extent(params.loss)[1] > 0.0:
+        return not_smooth("loses readings at random, so that no derivative holds from sample to sample; leave loss out")
+    counted = []
+    if params.jitter is not None:
+        counted.append("counts the age of its readings as constant in each draw, at most the jitter")
+    if params.position_resolution is not None or params.velocity_resolution is not None:
+        counted.append(f"counts its resolution as {MEAN_GAIN}")
+    return not_smooth("; ".join(counted), with_mean_gain) if counted else SMOOTH
+
+
+def with_mean_gain(params: NoisyParams) -> tuple[Sensor, NoisyParams]:
+    """The sensor for signals that are large against its resolution; with the jitter of the draw."""
+    return NOISY, params._replace(position_resolution=None, velocity_resolution=None)
 
 
 def lag_init(params: SensorLagParams, measurement: Measurement, key: jax.Array) -> LagState:
@@ -205,9 +228,10 @@ IDEAL = Sensor(
     NoParams,
     init=lambda params, measurement, key: (),
     step=lambda params, state, measurement, key, t, dt: (state, measurement),
+    smooth=SMOOTH,
 )
-NOISY = Sensor(NoisyParams, noisy_init, noisy_step, prepare)
-SENSOR_LAG = Sensor(SensorLagParams, lag_init, lag_step)
+NOISY = Sensor(NoisyParams, noisy_init, noisy_step, prepare, noisy_smoothness)
+SENSOR_LAG = Sensor(SensorLagParams, lag_init, lag_step, smooth=SMOOTH)
 
 SENSORS: Registry = {
     "ideal": single(IDEAL, "the plant's own y and y'"),

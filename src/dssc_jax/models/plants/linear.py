@@ -19,6 +19,7 @@ from dssc_jax.core.numerics import dot
 from dssc_jax.core.quantities import Quantity, nominal
 from dssc_jax.core.sampled_linear import Column
 from dssc_jax.core.signals import Measurement, PlantInput, Scalar
+from dssc_jax.core.smoothness import SMOOTH
 
 MOST_STATES = 20
 ENTRY = Quantity("SI", "entry of A, row by row")
@@ -198,6 +199,7 @@ STATE_SPACE = Plant(
     input_gain=state_space_gain,
     prepare=prepare_state_space,
     linear=state_space_dynamics,
+    smooth=SMOOTH,
 )
 RATIONAL_PLANT = Plant(
     RationalParams,
@@ -207,4 +209,5 @@ RATIONAL_PLANT = Plant(
     input_gain=transfer_function_gain,
     prepare=prepare_transfer_function,
     linear=transfer_function_dynamics,
+    smooth=SMOOTH,
 )

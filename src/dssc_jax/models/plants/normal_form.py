@@ -6,6 +6,7 @@ from dssc_jax.core.contracts import LinearDynamics, Plant, linear_derivative
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurement, PlantInput, Scalar
+from dssc_jax.core.smoothness import SMOOTH
 from dssc_jax.core.units import POSITION
 from dssc_jax.core.zero_dynamics import ZeroDynamics, require_hurwitz
 
@@ -103,4 +104,5 @@ NORMAL_FORM = Plant(
     prepare,
     units=(POSITION,),
     linear=linear,
+    smooth=SMOOTH,
 )

@@ -11,6 +11,7 @@ from dssc_jax.core.numerics import atan2, dot, root_abs
 from dssc_jax.core.quantities import Quantity, nominal
 from dssc_jax.core.registry import Registry, Slot, single
 from dssc_jax.core.signals import Measurement, PlantInput, Scalar
+from dssc_jax.core.smoothness import piecewise
 from dssc_jax.core.units import ANGLE, POSITION
 from dssc_jax.core.vectors import Quaternion, Vec3, quaternion_from_euler
 from dssc_jax.models.uav.aerodynamics import drag
@@ -235,4 +236,5 @@ UAV = Plant(
         "the attitude loops and the yaw-rate loop",
         "the allocation of thrust and torque to the rotors (the mixer)",
     ),
+    smooth=piecewise("the limits of its rotors and its lift"),
 )

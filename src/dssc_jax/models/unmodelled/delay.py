@@ -9,6 +9,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import dot
 from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.signals import Scalar
+from dssc_jax.core.smoothness import SMOOTH
 
 MOST_SAMPLES = 200  # samples: the state holds a scalar for each, and every scalar is copied at every sample
 
@@ -63,4 +64,5 @@ DELAY = Unmodelled(
     prepare=prepare,
     sample=sample,
     held=True,
+    smooth=SMOOTH,
 )

@@ -12,6 +12,7 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry
 from dssc_jax.core.sampled_linear import FASTEST, LinearSystem
 from dssc_jax.core.signals import Scalar
+from dssc_jax.core.smoothness import SMOOTH
 
 
 class Order(IntEnum):
@@ -47,5 +48,7 @@ NO_DYNAMICS = Unmodelled(
     step=lambda params, state, command, dt: state,
     output=lambda params, state, command: command,
     held=True,
+    smooth=SMOOTH,
+    continuous=True,
 )
 LAG = Entry({order: lag(order) for order in Order}, "1/(mu s + 1)^order, order 1 or 2", "order", Order.ONE)

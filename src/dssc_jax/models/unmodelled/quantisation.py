@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from dssc_jax.core.contracts import Unmodelled
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
+from dssc_jax.core.smoothness import MEAN_GAIN, SMOOTH, not_smooth
 
 
 class QuantisationParams(NamedTuple):
@@ -20,10 +21,24 @@ def nearest_multiple(params: QuantisationParams, state: tuple[()], command: Scal
     return params.resolution * jnp.round(command / params.resolution)
 
 
+def mean_gain(params: QuantisationParams) -> tuple[Unmodelled, QuantisationParams]:
+    """The quantiser for signals that are large against its resolution: a gain of 1, with an error of half a step."""
+    return UNIT_GAIN, params
+
+
+UNIT_GAIN = Unmodelled(
+    QuantisationParams,
+    init=lambda params: (),
+    step=lambda params, state, command, dt: state,
+    output=lambda params, state, command: command,
+    smooth=SMOOTH,
+    continuous=True,
+)
 QUANTISATION = Unmodelled(
     QuantisationParams,
     init=lambda params: (),
     step=lambda params, state, command, dt: state,
     output=nearest_multiple,
     held=True,
+    smooth=not_smooth(f"counts as {MEAN_GAIN}", mean_gain),
 )

@@ -8,6 +8,7 @@ from dssc_jax.core.contracts import Moments, Unmodelled
 from dssc_jax.core.numerics import saturate
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
+from dssc_jax.core.smoothness import piecewise
 
 
 class RateLimitParams(NamedTuple):
@@ -35,10 +36,16 @@ def moments(params: RateLimitParams, state: tuple[Scalar], command: Scalar, dt: 
     return Moments(z + covered * (1.0 - 0.5 * share), covered * share * (3.0 - 2.0 * share))
 
 
+def unlimited(params: RateLimitParams) -> tuple[Unmodelled, RateLimitParams]:
+    """The rate limit within its slope: the command itself."""
+    return RATE_LIMIT, RateLimitParams(jnp.inf)
+
+
 RATE_LIMIT = Unmodelled(
     RateLimitParams,
     init=lambda params: (0.0,),
     step=step,
     output=lambda params, state, command: state[0],
     moments=moments,
+    smooth=piecewise("its largest slope; there it counts as slower than that, and follows the command", unlimited),
 )

@@ -2,10 +2,13 @@
 
 from typing import Annotated, NamedTuple
 
+import jax.numpy as jnp
+
 from dssc_jax.core.contracts import Unmodelled
 from dssc_jax.core.numerics import saturate
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
+from dssc_jax.core.smoothness import piecewise
 
 
 class SaturationParams(NamedTuple):
@@ -14,10 +17,17 @@ class SaturationParams(NamedTuple):
     limit: Annotated[Scalar, Quantity("u", "largest magnitude of the plant input", above=0.0)]
 
 
+def unlimited(params: SaturationParams) -> tuple[Unmodelled, SaturationParams]:
+    """The saturation within its limit: a gain of 1."""
+    return SATURATION, SaturationParams(jnp.inf)
+
+
 SATURATION = Unmodelled(
     SaturationParams,
     init=lambda params: (),
     step=lambda params, state, command, dt: state,
     output=lambda params, state, command: saturate(command, params.limit),
     held=True,
+    smooth=piecewise("its limit; there it counts as within the limit, a gain of 1", unlimited),
+    continuous=True,
 )

@@ -1,0 +1,80 @@
+"""Quantiles of frequency responses over the draws; their phases are unwrapped together."""
+
+import numpy as np
+
+LEVELS_OF_FAN = (0.05, 0.5, 0.95)
+TURN = 2.0 * np.pi
+
+
+FANS = {
+    "loop_gain": ("1", "magnitude of L"),
+    "loop_phase": ("rad", "phase of L"),
+    "sensitivity": ("1", "magnitude of S = 1/(1 + L)"),
+    "complementary": ("1", "magnitude of T = L/(1 + L)"),
+}
+"""Unit and meaning of the magnitudes and phases over frequency."""
+
+
+def fan_of(response: np.ndarray, poles: np.ndarray, angles: np.ndarray) -> dict[str, np.ndarray]:
+    """Quantiles over the draws of magnitudes and phase, each of shape (levels, frequencies).
+
+    Args:
+        response: G, shape (draws, frequencies); NaN for a draw without an operating point.
+        poles: Of L, shape (draws, states).
+        angles: omega T_s, shape (frequencies,).
+    """
+    known = np.all(np.isfinite(response), axis=1)
+    response, poles = response[known], poles[known]
+    if not len(response):
+        return {name: np.full((len(LEVELS_OF_FAN), response.shape[1]), np.nan) for name in FANS}
+    loop = -response / (1.0 + response)
+    phase = joint_phase(loop, poles, angles)
+    columns = {
+        "loop_gain": np.abs(loop),
+        "loop_phase": phase,
+        "sensitivity": np.abs(1.0 + response),
+        "complementary": np.abs(response),
+    }
+    return {name: np.quantile(values, LEVELS_OF_FAN, axis=0) for name, values in columns.items()}
+
+
+def joint_phase(loop: np.ndarray, poles: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Phases of several loop transfer functions [rad], all on the same turn; shape (draws, frequencies).
+
+    A phase is known up to whole turns. Each loop's own curve is continuous over frequency; the phase that its poles
+    turn through is taken exactly, since a light resonance turns it by half a turn between two frequencies of the grid.
+    The curves then agree at the frequency where most loops cross the gain 1. Where one still lies more than half a turn
+    from the median of all, as beyond a resonance that is unstable in some draws, it is shifted by whole turns.
+
+    Args:
+        loop: L, shape (draws, frequencies).
+        poles: Of L, shape (draws, states).
+        angles: omega T_s, ascending, shape (frequencies,).
+    """
+    turned = pole_phase(poles, angles)
+    phase = np.unwrap(np.angle(loop * np.exp(1j * turned)), axis=1) - turned
+    with np.errstate(divide="ignore"):
+        distance = np.median(np.abs(np.log(np.abs(loop))), axis=0)
+    there = phase[:, np.argmin(distance)]
+    middle = np.angle(np.mean(np.exp(1j * there)))
+    middle -= TURN * np.ceil(middle / TURN - 0.25)  # within (-3 pi/2, pi/2], around an integrator's
+    phase -= TURN * np.round((there - middle) / TURN)[:, None]
+    median = np.median(phase, axis=0)
+    return phase - TURN * np.round((phase - median) / TURN)
+
+
+def pole_phase(poles: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Sum of the arguments of e^(i theta) - p over the poles p [rad], continuous in theta; shape (draws, angles).
+
+    Args:
+        poles: Shape (draws, states).
+        angles: theta, shape (angles,).
+    """
+    z, total = np.exp(1j * angles), np.zeros((len(poles), angles.size))
+    for column in poles.T:
+        p = column[:, None]
+        inside = np.abs(p) <= 1.0
+        within = angles + np.angle(1.0 - p / z)
+        beyond = np.angle(-p) + np.angle(1.0 - z / np.where(inside, 2.0, p))
+        total += np.where(inside, within, beyond)
+    return total

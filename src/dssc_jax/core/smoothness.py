@@ -1,0 +1,90 @@
+"""Where a part of the loop has a derivative: declared on the part, and read before anything is linearised.
+
+A derivative that is taken where there is none is a wrong number without a word: that of a clip at its corner is 1/2
+under JAX, and that of a quantiser is 0. A part without a declaration is therefore refused.
+"""
+
+from collections.abc import Callable
+from enum import StrEnum
+from typing import Any, NamedTuple, TypeAlias
+
+from dssc_jax.core.errors import ConfigError
+
+
+class Extent(StrEnum):
+    """Where a part has a derivative in its state and inputs."""
+
+    EVERYWHERE = "everywhere"
+    PIECEWISE = "piecewise"
+    NOWHERE = "nowhere"
+
+
+class Smoothness(NamedTuple):
+    """Where a part has a derivative, and what an analysis takes where it has none.
+
+    Args:
+        extent: ``everywhere``; ``piecewise``, except on boundaries such as a limit; or ``nowhere`` that helps, as with
+            a quantiser or a switching law.
+        meaning: In words that follow the part's name: its boundaries or, if it is smooth nowhere, why not. With a
+            substitute, what the substitute is; the output of an analysis repeats it.
+        substitute: ``(params) -> (part, params)``: the smooth part that is differentiated instead. For a piecewise part
+            it is the part on the inner side of its boundaries, taken where the operating point lies on one; for a part
+            that is smooth nowhere it is taken always. Its state has the same structure. Without one, the analysis
+            refuses.
+    """
+
+    extent: Extent
+    meaning: str = ""
+    substitute: Callable[[Any], tuple[Any, Any]] | None = None
+
+
+Declaration: TypeAlias = Smoothness | Callable[[Any], Smoothness] | None
+"""The field ``smooth`` of a part: plainly, or from its parameters; None: not declared."""
+
+MEAN_GAIN = (
+    "its mean gain 1, with an error of at most half a step; the describing function reaches 4/pi, so that a gain "
+    "margin below 1.27 does not exclude a limit cycle of about one step"
+)
+"""What a rounding to a resolution counts as."""
+
+SWITCHES = (
+    "switches at the origin and has no linearisation there; describing functions (dssc-jax theory) cover such laws"
+)
+"""Why a switching law is smooth nowhere that helps."""
+
+SMOOTH = Smoothness(Extent.EVERYWHERE)
+"""A part with a derivative at every point, such as a linear one."""
+
+
+def piecewise(meaning: str, substitute: Callable[[Any], tuple[Any, Any]] | None = None) -> Smoothness:
+    """A part with a derivative except on boundaries; see :class:`Smoothness`."""
+    return Smoothness(Extent.PIECEWISE, meaning, substitute)
+
+
+def not_smooth(meaning: str, substitute: Callable[[Any], tuple[Any, Any]] | None = None) -> Smoothness:
+    """A part without a derivative that helps; see :class:`Smoothness`."""
+    return Smoothness(Extent.NOWHERE, meaning, substitute)
+
+
+def declared_smoothness(part: Any, params: Any) -> Smoothness:
+    """The declaration of a part with these parameters.
+
+    Args:
+        part: An instance of a contract, or any object with the field ``smooth``.
+        params: Its parameters, in which laws may stand for numbers.
+
+    Raises:
+        ConfigError: there is none, or it is not a :class:`Smoothness`.
+    """
+    declaration = getattr(part, "smooth", None)
+    found = declaration(params) if callable(declaration) else declaration
+    if found is None:
+        raise ConfigError(
+            "",
+            "does not declare where it is smooth, so the loop is not linearised; set the field smooth of the "
+            f"{type(part).__name__}: smooth=SMOOTH if it has a derivative everywhere, else piecewise(...) or "
+            "not_smooth(...) (docs/extending.md)",
+        )
+    if not isinstance(found, Smoothness):
+        raise ConfigError("", f"must declare a Smoothness in its field smooth, such as SMOOTH, got {found!r}")
+    return found
