@@ -136,7 +136,7 @@ def test_parts_without_a_linearisation_are_refused_by_name(change, text):
 
 
 def local_margin_of(study):
-    return dj.theory.local_margin(study, over="loop.duration", bounds=(1.0, 2.0))
+    return dj.theory.local_margin(study, over="controller.l0", bounds=(1.0, 2.0), points=2, bisections=1)
 
 
 @pytest.mark.parametrize(

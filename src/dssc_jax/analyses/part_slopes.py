@@ -97,7 +97,7 @@ def part_maps(
         return end, part.output(own, begin, u), part.output(own, end, u)
 
     def of(place: Place) -> PartMap:
-        i = place.index
+        i = place.channel
         channel, controlled = state.channels[i], recorded.controlled[i]
         measurement = recorded.measurements[i]
         match place.slot:
@@ -153,7 +153,7 @@ def slopes_of(place: Place, part_map: PartMap, part: Any, params: Any, point: ja
         return jax.jvp(lambda at: vector_of(part_map.apply(model, own, unravel(at))), (point,), (axis,))
 
     value, slope = derivative(part, params)
-    inner = derivative(*place.smoothness.substitute(params))[1] if place.inner else slope
+    inner = derivative(*place.substitute(params))[1] if place.inner else slope
     return Slopes(value, slope, inner)
 
 
@@ -169,7 +169,8 @@ def examination(lane: LaneLoop, places: Sequence[Place]) -> Callable[[Arrays, np
         (n, places).
     """
 
-    def maps_of(values: dict[str, jax.Array], index: jax.Array, state: jax.Array, k: jax.Array) -> Any:
+    def maps_of(*arguments: Any) -> tuple[Loop, LoopParams, list[PartMap]]:
+        values, index, state, k = arguments
         loop, params, key = lane(values, index)
         _, unravel = ravel_pytree(initial_state(loop, params, key))
         return loop, params, part_maps(loop, params, key, unravel(state), k, places)

@@ -37,13 +37,13 @@ class Place(NamedTuple):
 
     Args:
         slot: Name of the field of :class:`Loop`.
-        index: Of the channel; 0 for the plant.
+        channel: Index of its channel; 0 for the plant.
         label: Slot, channel and kind in words.
         smoothness: Its declaration.
     """
 
     slot: str
-    index: int
+    channel: int
     label: str
     smoothness: Smoothness
 
@@ -51,6 +51,11 @@ class Place(NamedTuple):
     def replaced(self) -> bool:
         """Whether its substitute is always taken."""
         return self.smoothness.extent == Extent.NOWHERE
+
+    def substitute(self, params: Any) -> tuple[Any, Any]:
+        """The part that is differentiated in its place, and the parameters of that."""
+        assert self.smoothness.substitute is not None  # held where places are declared
+        return self.smoothness.substitute(params)
 
     @property
     def inner(self) -> bool:
@@ -129,14 +134,14 @@ def part_of(loop: Loop, params: LoopParams, place: Place) -> tuple[Any, Any]:
     """The part in a place, and its parameters."""
     if place.slot == "plant":
         return loop.mimo_plant, params.plant
-    return getattr(loop, place.slot)[place.index], getattr(params, place.slot)[place.index]
+    return getattr(loop, place.slot)[place.channel], getattr(params, place.slot)[place.channel]
 
 
 def with_part(loop: Loop, params: LoopParams, place: Place, part: Any, own: Any) -> tuple[Loop, LoopParams]:
     """The loop with another part in a channel's place."""
     models, values = list(getattr(loop, place.slot)), list(getattr(params, place.slot))
-    models[place.index] = part
-    values[place.index] = own
+    models[place.channel] = part
+    values[place.channel] = own
     return replace(loop, **{place.slot: tuple(models)}), params._replace(**{place.slot: tuple(values)})
 
 
@@ -145,7 +150,7 @@ def substituted(loop: Loop, params: LoopParams, places: Sequence[Place]) -> tupl
     for place in places:
         if place.replaced:
             _, own = part_of(loop, params, place)
-            loop, params = with_part(loop, params, place, *place.smoothness.substitute(own))
+            loop, params = with_part(loop, params, place, *place.substitute(own))
     return loop, params
 
 
@@ -161,7 +166,7 @@ def chosen(loop: Loop, params: LoopParams, places: Sequence[Place], findings: ja
     for place, finding in zip(places, findings, strict=True):
         if place.inner:
             part, own = part_of(loop, params, place)
-            substitute, inner = place.smoothness.substitute(own)
+            substitute, inner = place.substitute(own)
             both = Chosen(own, inner, finding == Finding.CORNER)
             loop, params = with_part(loop, params, place, choice(part, substitute), both)
     return loop, params
