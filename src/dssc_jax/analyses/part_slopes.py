@@ -196,7 +196,7 @@ def examination(lane: LaneLoop, places: Sequence[Place]) -> Callable[[Arrays, np
             points = [np.concatenate(pair, axis=1) for pair in vectors]
             count, rows = len(indices), len(MULTIPLES) * len(patterns[0])
             together = min(count, max(1, LANES_TOGETHER // rows))
-            found = []
+            blocks = []
             for first in range(0, count, together):
                 draw = np.minimum(np.arange(first, first + together), count - 1)
                 lanes = np.repeat(draw, rows)
@@ -206,13 +206,13 @@ def examination(lane: LaneLoop, places: Sequence[Place]) -> Callable[[Arrays, np
                 own = {name: column[lanes] for name, column in values.items()}
                 slopes = push((own, indices[lanes], states[lanes]), k, list(moved), list(axes))
                 shape = (together, len(MULTIPLES), len(patterns[0]), -1)
-                found.append(
+                blocks.append(
                     [
                         finding(place, Slopes(*(np.asarray(part).reshape(shape) for part in one)), memory.shape[1], own)
                         for place, one, (memory, _), own in zip(places, slopes, vectors, patterns, strict=True)
                     ]
                 )
-        return np.concatenate([np.stack(part, axis=1) for part in found])[:count]
+        return np.concatenate([np.stack(part, axis=1) for part in blocks])[:count]
 
     return of
 

@@ -77,14 +77,14 @@ def declared_smoothness(part: Any, params: Any) -> Smoothness:
         ConfigError: there is none, or it is not a :class:`Smoothness`.
     """
     declaration = getattr(part, "smooth", None)
-    found = declaration(params) if callable(declaration) else declaration
-    if found is None:
+    smoothness = declaration(params) if callable(declaration) else declaration
+    if smoothness is None:
         raise ConfigError(
             "",
             "does not declare where it is smooth, so the loop is not linearised; set the field smooth of the "
             f"{type(part).__name__}: smooth=SMOOTH if it has a derivative everywhere, else piecewise(...) or "
             "not_smooth(...) (docs/extending.md)",
         )
-    if not isinstance(found, Smoothness):
-        raise ConfigError("", f"must declare a Smoothness in its field smooth, such as SMOOTH, got {found!r}")
-    return found
+    if not isinstance(smoothness, Smoothness):
+        raise ConfigError("", f"must declare a Smoothness in its field smooth, such as SMOOTH, got {smoothness!r}")
+    return smoothness

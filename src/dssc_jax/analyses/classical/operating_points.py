@@ -155,7 +155,7 @@ def linearisation(study: Study, places: tuple[Place, ...], rest: bool) -> Linear
     return of
 
 
-def told(study: Study, places: tuple[Place, ...], findings: np.ndarray, where: str) -> tuple[str, ...]:
+def corner_notes(study: Study, places: tuple[Place, ...], findings: np.ndarray, where: str) -> tuple[str, ...]:
     """What is taken for parts that lie at a corner, in words.
 
     Args:
@@ -216,7 +216,7 @@ def equilibrium(study: Study, places: tuple[Place, ...]) -> Operating:
             study.source, "no draw has an equilibrium at a constant reference; linearise along the flight"
         )
     findings = examination(lane_loop(study, places, rest=True), places)(values, indices, states, 1)
-    taken = told(study, places, findings[still], EQUILIBRIUM)
+    taken = corner_notes(study, places, findings[still], EQUILIBRIUM)
     cornered = np.any(findings == Finding.CORNER, axis=1)
     plain = still & ~cornered
     if plain.any():
@@ -294,7 +294,7 @@ def along(study: Study, times: tuple[float, ...], places: tuple[Place, ...]) -> 
         matrices = of(values, indices, flown[place], k, findings)
         finite = np.all(np.isfinite(flown[place]), axis=1) & np.all(np.isfinite(matrices.a), axis=(1, 2))
         name = f"t = {t:g} s"
-        operating[name] = Operating(matrices, finite, told(study, places, findings[finite], name))
+        operating[name] = Operating(matrices, finite, corner_notes(study, places, findings[finite], name))
     return operating
 
 

@@ -103,15 +103,15 @@ def spectrum_with_notes(study: Study, kind: Time) -> Spectrum:
         with jax.enable_x64(True):
             states = np.asarray(starts(values))
             findings = examine(values, np.arange(len(states)), states, 1)
-            found = jax.tree.map(np.asarray, linearised(values, findings))
-        if np.any(found.moved > 0.0):
+            linear = jax.tree.map(np.asarray, linearised(values, findings))
+        if np.any(linear.moved > 0.0):
             raise ConfigError(
-                study.source, f"is not at rest at the origin: one sample moves it by {found.moved.max():.3g}"
+                study.source, f"is not at rest at the origin: one sample moves it by {linear.moved.max():.3g}"
             )
         for text in require_smooth_there(study, places, findings):
             if text not in taken:
                 taken.append(text)
-        return np.linalg.eigvals(found.matrix)
+        return np.linalg.eigvals(linear.matrix)
 
     return Spectrum(eigenvalues, taken)
 
