@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeAlias
 from dssc_jax.core.errors import ConfigError
 
 
-class Extent(StrEnum):
+class SmoothExtent(StrEnum):
     """Where a part has a derivative in its state and inputs."""
 
     EVERYWHERE = "everywhere"
@@ -33,7 +33,7 @@ class Smoothness(NamedTuple):
             refuses.
     """
 
-    extent: Extent
+    extent: SmoothExtent
     meaning: str = ""
     substitute: Callable[[Any], tuple[Any, Any]] | None = None
 
@@ -52,18 +52,18 @@ SWITCHES = (
 )
 """Why a switching law is smooth nowhere that helps."""
 
-SMOOTH = Smoothness(Extent.EVERYWHERE)
+SMOOTH = Smoothness(SmoothExtent.EVERYWHERE)
 """A part with a derivative at every point, such as a linear one."""
 
 
 def piecewise(meaning: str, substitute: Callable[[Any], tuple[Any, Any]] | None = None) -> Smoothness:
     """A part with a derivative except on boundaries; see :class:`Smoothness`."""
-    return Smoothness(Extent.PIECEWISE, meaning, substitute)
+    return Smoothness(SmoothExtent.PIECEWISE, meaning, substitute)
 
 
 def not_smooth(meaning: str, substitute: Callable[[Any], tuple[Any, Any]] | None = None) -> Smoothness:
     """A part without a derivative that helps; see :class:`Smoothness`."""
-    return Smoothness(Extent.NOWHERE, meaning, substitute)
+    return Smoothness(SmoothExtent.NOWHERE, meaning, substitute)
 
 
 def declared_smoothness(part: Any, params: Any) -> Smoothness:

@@ -13,7 +13,7 @@ from dssc_jax.analyses.defaults import BISECTIONS, POINTS
 from dssc_jax.analyses.margins import Margins, Walk, search_critical
 from dssc_jax.analyses.margins.simulated import checked_walk, placed, require_spread
 from dssc_jax.analyses.part_slopes import examination
-from dssc_jax.analyses.smooth_parts import chosen, declared_places, require_smooth_there, stated, substituted
+from dssc_jax.analyses.smooth_parts import declared_places, require_smooth_there, stated, substituted, with_inner_sides
 from dssc_jax.analyses.theory.linearised import (
     AtRest,
     at_rest,
@@ -93,7 +93,7 @@ def spectrum_with_notes(study: Study, kind: Time) -> Spectrum:
         loop, params = substituted(study.loop, study.params(values), places)
         if continuous:
             return AtRest(continuous_matrix(loop, params), jnp.zeros(()))
-        return linearised_at_rest(*chosen(loop, params, places, findings))
+        return linearised_at_rest(*with_inner_sides(loop, params, places, findings))
 
     taken, examine, options = stated(places), examination(lane, places), plain_options()
     starts = jax.jit(jax.vmap(start), compiler_options=options)

@@ -23,7 +23,7 @@ def step(params: RateLimitParams, state: tuple[Scalar], command: Scalar, dt: Sca
     return (z + saturate(command - z, params.rate * dt),)
 
 
-def unlimited(params: RateLimitParams) -> tuple[Unmodelled, RateLimitParams]:
+def without_rate_limit(params: RateLimitParams) -> tuple[Unmodelled, RateLimitParams]:
     """The rate limit within its slope: the command itself."""
     return RATE_LIMIT, RateLimitParams(jnp.inf)
 
@@ -33,5 +33,7 @@ RATE_LIMIT = Unmodelled(
     init=lambda params: (0.0,),
     step=step,
     output=lambda params, state, command: state[0],
-    smooth=piecewise("its largest slope; there it counts as slower than that, and follows the command", unlimited),
+    smooth=piecewise(
+        "its largest slope; there it counts as slower than that, and follows the command", without_rate_limit
+    ),
 )

@@ -17,7 +17,7 @@ class SaturationParams(NamedTuple):
     limit: Annotated[Scalar, Quantity("u", "largest magnitude of the plant input", above=0.0)]
 
 
-def unlimited(params: SaturationParams) -> tuple[Unmodelled, SaturationParams]:
+def without_limit(params: SaturationParams) -> tuple[Unmodelled, SaturationParams]:
     """The saturation within its limit: a gain of 1."""
     return SATURATION, SaturationParams(jnp.inf)
 
@@ -27,6 +27,6 @@ SATURATION = Unmodelled(
     init=lambda params: (),
     step=lambda params, state, command, dt: state,
     output=lambda params, state, command: saturate(command, params.limit),
-    smooth=piecewise("its limit; there it counts as within the limit, a gain of 1", unlimited),
+    smooth=piecewise("its limit; there it counts as within the limit, a gain of 1", without_limit),
     continuous=True,
 )
