@@ -16,7 +16,7 @@ from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS
 from dssc_jax.models.environment import DISTURBANCES, SENSORS
 from dssc_jax.models.plants import PLANTS
 from dssc_jax.models.unmodelled import UNMODELLED
-from dssc_jax.types import Controller
+from dssc_jax.models.unmodelled.lag import LAG, Order
 
 SAMPLE_TIME, K_P, K_I = 0.1, 10.290658464501297, 9.818466253345544
 PID = {"kind": "pid", "k_p": K_P, "k_i": K_I}
@@ -136,7 +136,7 @@ def test_parts_without_a_linearisation_are_refused_by_name(change, text):
 
 
 def local_margin_of(study):
-    return dj.theory.local_margin(study, over="loop.duration", bounds=(1.0, 2.0))
+    return dj.theory.local_margin(study, over="controller.l0", bounds=(1.0, 2.0), points=2, bisections=1)
 
 
 @pytest.mark.parametrize(
@@ -228,7 +228,7 @@ def test_powers_and_roots_times_their_argument_are_smooth(own_parts):
 
 
 def test_a_declaration_may_follow_from_the_parameters():
-    part = Controller(object, None, None, smooth=lambda gains: SMOOTH if gains == 1 else None)
+    part = LAG.members[Order.ONE]._replace(smooth=lambda own: SMOOTH if own == 1 else None)
     assert declared_smoothness(part, 1) is SMOOTH
     with pytest.raises(ConfigError, match="does not declare where it is smooth"):
         declared_smoothness(part, 2)

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from dssc_jax.analyses.smooth_parts import Finding, Place, part_of
+from dssc_jax.analyses.smooth_parts import Finding, LoopPart, part_of
 from dssc_jax.backend.plain import plain_options
 from dssc_jax.closed_loop.sample import (
     Loop,
@@ -27,7 +27,7 @@ from dssc_jax.closed_loop.sample import (
 )
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import PlantInput, Scalar, tracking_error
-from dssc_jax.core.smoothness import Extent
+from dssc_jax.core.smoothness import SmoothExtent
 from dssc_jax.engine.batching import Arrays
 
 SMALL, LARGE = 1e-8, 1e-6  # pushes, relative to 1 + |x|, at which differences are compared with the derivative
@@ -37,10 +37,10 @@ SIDES = np.array([1.0, -1.0])[:, None, None]
 JUMP = 1e-7  # of an output that stood still under the push before, relative to 1 + |y|
 DEVIATION = 1e-3  # of a difference from the derivative, relative to the largest derivative of the same output
 SHRINKING = 0.5  # of that deviation from the large push to the small one, where a derivative exists
-NOISE = 64.0 * float(np.finfo(np.float64).eps)  # of an output, relative to 1 + |y|
-LANES_TOGETHER = 16384  # pushes of all draws that are computed at once
-MOST_AXES = 32  # inputs that are pushed one by one
-RANDOM = 4  # directions in which all inputs are pushed together, and all signals
+ROUNDING_NOISE = 64.0 * float(np.finfo(np.float64).eps)  # of an output, relative to 1 + |y|
+PUSHES_TOGETHER = 16384  # pushes of all draws that are computed at once
+MOST_INPUTS = 32  # inputs that are pushed one by one
+RANDOM_DIRECTIONS = 4  # directions in which all inputs are pushed together, and all signals
 
 LaneLoop = Callable[[dict[str, jax.Array], jax.Array], tuple[Loop, LoopParams, jax.Array]]
 """(laws' values, draw index) -> the loop that is linearised, its parameters and its random key."""
@@ -61,7 +61,7 @@ class PartMap(NamedTuple):
 
 
 def part_maps(
-    loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Scalar, places: Sequence[Place]
+    loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Scalar, places: Sequence[LoopPart]
 ) -> list[PartMap]:
     """Every part with its inputs at sample k.
 
@@ -98,8 +98,8 @@ def part_maps(
         end = part.step(own, begin, u, dt)
         return end, part.output(own, begin, u), part.output(own, end, u)
 
-    def of(place: Place) -> PartMap:
-        i = place.index
+    def of(place: LoopPart) -> PartMap:
+        i = place.channel
         channel, controlled = state.channels[i], recorded.controlled[i]
         measurement = recorded.measurements[i]
         match place.slot:
@@ -147,7 +147,7 @@ def vector_of(tree: Any) -> jax.Array:
     return ravel_pytree(as_arrays(tree))[0]
 
 
-def slopes_of(place: Place, part_map: PartMap, part: Any, params: Any, point: jax.Array, axis: jax.Array) -> Slopes:
+def slopes_of(place: LoopPart, part_map: PartMap, part: Any, params: Any, point: jax.Array, axis: jax.Array) -> Slopes:
     """A part at a point near its operating point."""
     _, unravel = ravel_pytree(as_arrays((part_map.memory, part_map.signals)))
 
@@ -155,11 +155,13 @@ def slopes_of(place: Place, part_map: PartMap, part: Any, params: Any, point: ja
         return jax.jvp(lambda at: vector_of(part_map.apply(model, own, unravel(at))), (point,), (axis,))
 
     value, slope = derivative(part, params)
-    inner = derivative(*place.smoothness.substitute(params))[1] if place.inner else slope
+    inner = derivative(*place.substitute(params))[1] if place.inner else slope
     return Slopes(value, slope, inner)
 
 
-def examination(lane: LaneLoop, places: Sequence[Place]) -> Callable[[Arrays, np.ndarray, np.ndarray, int], np.ndarray]:
+def examination(
+    lane: LaneLoop, places: Sequence[LoopPart]
+) -> Callable[[Arrays, np.ndarray, np.ndarray, int], np.ndarray]:
     """Find what every part is at the operating points of many draws.
 
     Args:
@@ -171,7 +173,8 @@ def examination(lane: LaneLoop, places: Sequence[Place]) -> Callable[[Arrays, np
         (n, places).
     """
 
-    def maps_of(values: dict[str, jax.Array], index: jax.Array, state: jax.Array, k: jax.Array) -> Any:
+    def maps_of(*arguments: Any) -> tuple[Loop, LoopParams, list[PartMap]]:
+        values, index, state, k = arguments
         loop, params, key = lane(values, index)
         _, unravel = ravel_pytree(initial_state(loop, params, key))
         return loop, params, part_maps(loop, params, key, unravel(state), k, places)
@@ -196,8 +199,8 @@ def examination(lane: LaneLoop, places: Sequence[Place]) -> Callable[[Arrays, np
             patterns = same_length([directions(memory.shape[1], signals.shape[1]) for memory, signals in vectors])
             points = [np.concatenate(pair, axis=1) for pair in vectors]
             count, rows = len(indices), len(MULTIPLES) * len(patterns[0])
-            together = min(count, max(1, LANES_TOGETHER // rows))
-            found = []
+            together = min(count, max(1, PUSHES_TOGETHER // rows))
+            blocks = []
             for first in range(0, count, together):
                 draw = np.minimum(np.arange(first, first + together), count - 1)
                 lanes = np.repeat(draw, rows)
@@ -207,13 +210,13 @@ def examination(lane: LaneLoop, places: Sequence[Place]) -> Callable[[Arrays, np
                 own = {name: column[lanes] for name, column in values.items()}
                 slopes = push((own, indices[lanes], states[lanes]), k, list(moved), list(axes))
                 shape = (together, len(MULTIPLES), len(patterns[0]), -1)
-                found.append(
+                blocks.append(
                     [
                         finding(place, Slopes(*(np.asarray(part).reshape(shape) for part in one)), memory.shape[1], own)
                         for place, one, (memory, _), own in zip(places, slopes, vectors, patterns, strict=True)
                     ]
                 )
-        return np.concatenate([np.stack(part, axis=1) for part in found])[:count]
+        return np.concatenate([np.stack(part, axis=1) for part in blocks])[:count]
 
     return of
 
@@ -221,12 +224,14 @@ def examination(lane: LaneLoop, places: Sequence[Place]) -> Callable[[Arrays, np
 def directions(memory: int, signals: int) -> np.ndarray:
     """Directions in which a part is pushed, shape (directions, memory + signals): if few, one by one, and together."""
     random = np.random.default_rng(0)
-    together = random.uniform(0.5, 1.5, (RANDOM, memory + signals)) * random.choice([-1.0, 1.0], (RANDOM, 1))
-    together[: RANDOM // 2, ::2] *= -1.0
+    together = random.uniform(0.5, 1.5, (RANDOM_DIRECTIONS, memory + signals)) * random.choice(
+        [-1.0, 1.0], (RANDOM_DIRECTIONS, 1)
+    )
+    together[: RANDOM_DIRECTIONS // 2, ::2] *= -1.0
     alone = together.copy()
     alone[:, :memory] = 0.0
     parts = [together, alone] if memory and signals else [together]
-    if memory + signals <= MOST_AXES:
+    if memory + signals <= MOST_INPUTS:
         parts.append(np.eye(memory + signals))
     return np.concatenate(parts)
 
@@ -250,7 +255,7 @@ def pushes(points: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndar
     return moved.reshape(-1, points.shape[1]), axes.reshape(-1, points.shape[1])
 
 
-def finding(place: Place, near: Slopes, memory: int, pattern: np.ndarray) -> np.ndarray:
+def finding(place: LoopPart, near: Slopes, memory: int, pattern: np.ndarray) -> np.ndarray:
     """What one part is at the operating points: a :class:`Finding` of each draw, shape (n,).
 
     Args:
@@ -262,7 +267,7 @@ def finding(place: Place, near: Slopes, memory: int, pattern: np.ndarray) -> np.
     value, slopes, inner = near.value[:, 0, 0], near.slope[:, 0], near.inner[:, 0]
     with np.errstate(all="ignore"):
         moves = near.value[:, 1:].reshape(len(value), -1, 2, *slopes.shape[1:]) - value[:, None, None, None]
-        noise = NOISE * (1.0 + np.abs(value))[:, None, None]
+        noise = ROUNDING_NOISE * (1.0 + np.abs(value))[:, None, None]
 
         def error(derivative: np.ndarray, index: int) -> np.ndarray:
             """Deviation of both differences from a derivative, shape (n, sides, directions, outputs)."""
@@ -274,7 +279,7 @@ def finding(place: Place, near: Slopes, memory: int, pattern: np.ndarray) -> np.
         small, large = error(slopes, 0), error(slopes, 1)
         largest = np.max(np.abs(slopes), axis=1)[:, None, None]
         defect = np.any((small > DEVIATION * largest) & (small > SHRINKING * large), axis=(1, 2, 3))
-        if place.smoothness.extent != Extent.PIECEWISE:
+        if place.smoothness.extent != SmoothExtent.PIECEWISE:
             defect |= np.any(staircase(moves, slopes, value) & ~np.any(pattern[:, :memory], axis=1), axis=1)
         corner, beyond = np.zeros((2, len(value)), dtype=bool)
         if place.inner:

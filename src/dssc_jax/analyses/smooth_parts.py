@@ -18,44 +18,49 @@ from dssc_jax.closed_loop.sample import Loop, LoopParams
 from dssc_jax.core.contracts import Controller, Differentiator, Sensor, Unmodelled
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Scalar
-from dssc_jax.core.smoothness import Extent, Smoothness, declared_smoothness
+from dssc_jax.core.smoothness import SmoothExtent, Smoothness, declared_smoothness
 from dssc_jax.study import Study
 
 CHANNEL_SLOTS = ("sensor", "differentiator", "controller", "unmodelled")
 DISTURBANCE = "disturbance"
-STEPS = {
+PART_FUNCTIONS = {
     Controller: ("init", "step"),
     Sensor: ("init", "step"),
     Differentiator: ("init", "step"),
-    Unmodelled: ("init", "step", "output", "sample"),
+    Unmodelled: ("init", "step", "output", "sample", "linear", "moments"),
 }
-"""The functions of a part that a choice between two parts has to make."""
+"""The functions of a part that a choice between two parts has to make, where the part has them."""
 
 
-class Place(NamedTuple):
+class LoopPart(NamedTuple):
     """One part of the loop with what it declares.
 
     Args:
         slot: Name of the field of :class:`Loop`.
-        index: Of the channel; 0 for the plant.
+        channel: Index of its channel; 0 for the plant.
         label: Slot, channel and kind in words.
         smoothness: Its declaration.
     """
 
     slot: str
-    index: int
+    channel: int
     label: str
     smoothness: Smoothness
 
     @property
     def replaced(self) -> bool:
         """Whether its substitute is always taken."""
-        return self.smoothness.extent == Extent.NOWHERE
+        return self.smoothness.extent == SmoothExtent.NOWHERE
+
+    def substitute(self, params: Any) -> tuple[Any, Any]:
+        """The part that is differentiated in its place, and the parameters of that."""
+        assert self.smoothness.substitute is not None  # held where places are declared
+        return self.smoothness.substitute(params)
 
     @property
     def inner(self) -> bool:
         """Whether it has a substitute for operating points on its boundaries."""
-        return self.smoothness.extent == Extent.PIECEWISE and self.smoothness.substitute is not None
+        return self.smoothness.extent == SmoothExtent.PIECEWISE and self.smoothness.substitute is not None
 
 
 class Finding(IntEnum):
@@ -80,7 +85,7 @@ class Chosen(NamedTuple):
         return self.part.l0
 
 
-def declared_places(study: Study, moving: bool) -> tuple[Place, ...]:
+def declared_places(study: Study, moving: bool) -> tuple[LoopPart, ...]:
     """Every part that a linearisation of the study differentiates.
 
     Args:
@@ -100,7 +105,7 @@ def declared_places(study: Study, moving: bool) -> tuple[Place, ...]:
     return tuple(places)
 
 
-def declared_place(study: Study, slot: str, index: int, part: Any, params: Any) -> Place:
+def declared_place(study: Study, slot: str, index: int, part: Any, params: Any) -> LoopPart:
     """A part with its declaration.
 
     Raises:
@@ -114,42 +119,44 @@ def declared_place(study: Study, slot: str, index: int, part: Any, params: Any) 
         smoothness = declared_smoothness(part, params)
     except ConfigError as error:
         raise ConfigError(where, f"'{kind}' {error.rule}") from None
-    if smoothness.extent == Extent.NOWHERE and smoothness.substitute is None:
+    if smoothness.extent == SmoothExtent.NOWHERE and smoothness.substitute is None:
         raise ConfigError(where, f"'{kind}' {smoothness.meaning}")
     label = f"{slot} '{kind}'" if not channel else f"{slot} '{kind}' of {channel}"
-    return Place(slot, index, label, smoothness)
+    return LoopPart(slot, index, label, smoothness)
 
 
-def stated(places: Sequence[Place]) -> list[str]:
+def stated(places: Sequence[LoopPart]) -> list[str]:
     """What is taken for the parts that are smooth nowhere, in words."""
     return list(dict.fromkeys(f"{place.label} {place.smoothness.meaning}" for place in places if place.replaced))
 
 
-def part_of(loop: Loop, params: LoopParams, place: Place) -> tuple[Any, Any]:
+def part_of(loop: Loop, params: LoopParams, place: LoopPart) -> tuple[Any, Any]:
     """The part in a place, and its parameters."""
     if place.slot == "plant":
         return loop.mimo_plant, params.plant
-    return getattr(loop, place.slot)[place.index], getattr(params, place.slot)[place.index]
+    return getattr(loop, place.slot)[place.channel], getattr(params, place.slot)[place.channel]
 
 
-def with_part(loop: Loop, params: LoopParams, place: Place, part: Any, own: Any) -> tuple[Loop, LoopParams]:
+def with_part(loop: Loop, params: LoopParams, place: LoopPart, part: Any, own: Any) -> tuple[Loop, LoopParams]:
     """The loop with another part in a channel's place."""
     models, values = list(getattr(loop, place.slot)), list(getattr(params, place.slot))
-    models[place.index] = part
-    values[place.index] = own
+    models[place.channel] = part
+    values[place.channel] = own
     return replace(loop, **{place.slot: tuple(models)}), params._replace(**{place.slot: tuple(values)})
 
 
-def substituted(loop: Loop, params: LoopParams, places: Sequence[Place]) -> tuple[Loop, LoopParams]:
+def substituted(loop: Loop, params: LoopParams, places: Sequence[LoopPart]) -> tuple[Loop, LoopParams]:
     """The loop in which parts that are smooth nowhere are replaced by their substitutes."""
     for place in places:
         if place.replaced:
             _, own = part_of(loop, params, place)
-            loop, params = with_part(loop, params, place, *place.smoothness.substitute(own))
+            loop, params = with_part(loop, params, place, *place.substitute(own))
     return loop, params
 
 
-def chosen(loop: Loop, params: LoopParams, places: Sequence[Place], findings: jax.Array) -> tuple[Loop, LoopParams]:
+def with_inner_sides(
+    loop: Loop, params: LoopParams, places: Sequence[LoopPart], findings: jax.Array
+) -> tuple[Loop, LoopParams]:
     """The loop in which parts at one of their corners are replaced by their substitutes.
 
     Args:
@@ -161,7 +168,7 @@ def chosen(loop: Loop, params: LoopParams, places: Sequence[Place], findings: ja
     for place, finding in zip(places, findings, strict=True):
         if place.inner:
             part, own = part_of(loop, params, place)
-            substitute, inner = place.smoothness.substitute(own)
+            substitute, inner = place.substitute(own)
             both = Chosen(own, inner, finding == Finding.CORNER)
             loop, params = with_part(loop, params, place, choice(part, substitute), both)
     return loop, params
@@ -178,10 +185,11 @@ def choice(part: Any, substitute: Any) -> Any:
 
         return run
 
-    return part._replace(**{name: choosing(name) for name in STEPS[type(part)]})
+    functions = [name for name in PART_FUNCTIONS[type(part)] if getattr(part, name) is not None]
+    return part._replace(**{name: choosing(name) for name in functions})
 
 
-def require_smooth_there(study: Study, places: Sequence[Place], findings: np.ndarray) -> dict[str, int]:
+def require_smooth_there(study: Study, places: Sequence[LoopPart], findings: np.ndarray) -> dict[str, int]:
     """Require that no part has a defect at any operating point.
 
     Args:
@@ -202,7 +210,7 @@ def require_smooth_there(study: Study, places: Sequence[Place], findings: np.nda
         )
         meaning = place.smoothness.meaning
         boundary = meaning.partition(";")[0]
-        if defects and place.smoothness.extent == Extent.PIECEWISE:
+        if defects and place.smoothness.extent == SmoothExtent.PIECEWISE:
             raise ConfigError(
                 study.source,
                 f"{place.label} has no derivative at {defects} of {draws} operating points, which lie on {boundary}; "

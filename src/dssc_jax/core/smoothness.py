@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeAlias
 from dssc_jax.core.errors import ConfigError
 
 
-class Extent(StrEnum):
+class SmoothExtent(StrEnum):
     """Where a part has a derivative in its state and inputs."""
 
     EVERYWHERE = "everywhere"
@@ -33,7 +33,7 @@ class Smoothness(NamedTuple):
             refuses.
     """
 
-    extent: Extent
+    extent: SmoothExtent
     meaning: str = ""
     substitute: Callable[[Any], tuple[Any, Any]] | None = None
 
@@ -52,18 +52,18 @@ SWITCHES = (
 )
 """Why a switching law is smooth nowhere that helps."""
 
-SMOOTH = Smoothness(Extent.EVERYWHERE)
+SMOOTH = Smoothness(SmoothExtent.EVERYWHERE)
 """A part with a derivative at every point, such as a linear one."""
 
 
 def piecewise(meaning: str, substitute: Callable[[Any], tuple[Any, Any]] | None = None) -> Smoothness:
     """A part with a derivative except on boundaries; see :class:`Smoothness`."""
-    return Smoothness(Extent.PIECEWISE, meaning, substitute)
+    return Smoothness(SmoothExtent.PIECEWISE, meaning, substitute)
 
 
 def not_smooth(meaning: str, substitute: Callable[[Any], tuple[Any, Any]] | None = None) -> Smoothness:
     """A part without a derivative that helps; see :class:`Smoothness`."""
-    return Smoothness(Extent.NOWHERE, meaning, substitute)
+    return Smoothness(SmoothExtent.NOWHERE, meaning, substitute)
 
 
 def declared_smoothness(part: Any, params: Any) -> Smoothness:
@@ -77,14 +77,14 @@ def declared_smoothness(part: Any, params: Any) -> Smoothness:
         ConfigError: there is none, or it is not a :class:`Smoothness`.
     """
     declaration = getattr(part, "smooth", None)
-    found = declaration(params) if callable(declaration) else declaration
-    if found is None:
+    smoothness = declaration(params) if callable(declaration) else declaration
+    if smoothness is None:
         raise ConfigError(
             "",
             "does not declare where it is smooth, so the loop is not linearised; set the field smooth of the "
             f"{type(part).__name__}: smooth=SMOOTH if it has a derivative everywhere, else piecewise(...) or "
             "not_smooth(...) (docs/extending.md)",
         )
-    if not isinstance(found, Smoothness):
-        raise ConfigError("", f"must declare a Smoothness in its field smooth, such as SMOOTH, got {found!r}")
-    return found
+    if not isinstance(smoothness, Smoothness):
+        raise ConfigError("", f"must declare a Smoothness in its field smooth, such as SMOOTH, got {smoothness!r}")
+    return smoothness

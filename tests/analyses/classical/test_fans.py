@@ -35,7 +35,7 @@ def test_light_resonances_behind_a_delay_turn_every_loop_the_same_way():
         poles.append([1.0, pole, pole.conj()] + [0.0] * 6)
     widest, last = band_of(np.array(loops), np.array(poles))
     assert widest <= HALF_TURN + 0.1  # a loop before its resonance, and one behind it
-    assert last == pytest.approx(-180.0 - 2 * 360.0 / 2 * 2 - 6 * 180.0, abs=0.1)
+    assert last == pytest.approx(-HALF_TURN * (1 + 2 + 6), abs=0.1)
 
 
 def test_a_resonance_that_is_unstable_in_some_draws_turns_the_other_way_to_the_same_direction():

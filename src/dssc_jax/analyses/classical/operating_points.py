@@ -12,12 +12,12 @@ from dssc_jax.analyses.classical.result import EQUILIBRIUM
 from dssc_jax.analyses.part_slopes import LaneLoop, examination
 from dssc_jax.analyses.smooth_parts import (
     Finding,
-    Place,
-    chosen,
+    LoopPart,
     declared_places,
     require_smooth_there,
     stated,
     substituted,
+    with_inner_sides,
 )
 from dssc_jax.backend.plain import plain_options
 from dssc_jax.closed_loop.sample import Loop, LoopParams
@@ -92,12 +92,14 @@ def operation(study: Study, times: tuple[float, ...]) -> Operation:
     return Operation(points, tuple(stated(places)))
 
 
-def lane_loop(study: Study, places: tuple[Place, ...], rest: bool) -> LaneLoop:
-    """The loop of a draw as :func:`prepared` gives it, with the draw's random key."""
-    return lambda values, index: (*prepared(study, values, places, rest), draw_key(study.config.seed, index))
+def lane_loop(study: Study, places: tuple[LoopPart, ...], rest: bool) -> LaneLoop:
+    """The loop of a draw as :func:`linearised_loop` gives it, with the draw's random key."""
+    return lambda values, index: (*linearised_loop(study, values, places, rest), draw_key(study.config.seed, index))
 
 
-def prepared(study: Study, values: dict[str, jax.Array], places: tuple[Place, ...], rest: bool) -> LoopWithParams:
+def linearised_loop(
+    study: Study, values: dict[str, jax.Array], places: tuple[LoopPart, ...], rest: bool
+) -> LoopWithParams:
     """The loop of one draw as it is linearised: without disturbances at rest, with the substitutes of its parts."""
     loop, params = study.loop, study.params(values)
     if rest:
@@ -113,7 +115,7 @@ def at_origin(study: Study) -> Study:
     return study.override({"plant.initial": [0.0] * len(initial)})
 
 
-def linearisation(study: Study, places: tuple[Place, ...], rest: bool) -> Linearisation:
+def linearisation(study: Study, places: tuple[LoopPart, ...], rest: bool) -> Linearisation:
     """The compiled linearisation of a study; without disturbances for a loop at rest.
 
     A lane is one draw and one direction: one derivative a lane compiles and runs far faster than all in one.
@@ -128,7 +130,7 @@ def linearisation(study: Study, places: tuple[Place, ...], rest: bool) -> Linear
         k: jax.Array,
         findings: jax.Array,
     ) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
-        loop, params = chosen(*prepared(study, values, places, rest), places, findings)
+        loop, params = with_inner_sides(*linearised_loop(study, values, places, rest), places, findings)
         sample = sample_map(loop, params, draw_key(study.config.seed, index), k)
         at = (state, jnp.zeros(points, state.dtype))
         return jax.jvp(sample, at, (direction[:-points], direction[-points:]))
@@ -155,7 +157,7 @@ def linearisation(study: Study, places: tuple[Place, ...], rest: bool) -> Linear
     return of
 
 
-def told(study: Study, places: tuple[Place, ...], findings: np.ndarray, where: str) -> tuple[str, ...]:
+def corner_notes(study: Study, places: tuple[LoopPart, ...], findings: np.ndarray, where: str) -> tuple[str, ...]:
     """What is taken for parts that lie at a corner, in words.
 
     Args:
@@ -171,18 +173,18 @@ def told(study: Study, places: tuple[Place, ...], findings: np.ndarray, where: s
     return tuple(f"{text} ({where}: {count} of {len(findings)} draws)" for text, count in notes.items())
 
 
-def resting_starts(study: Study, values: Arrays, indices: np.ndarray, places: tuple[Place, ...]) -> np.ndarray:
+def resting_starts(study: Study, values: Arrays, indices: np.ndarray, places: tuple[LoopPart, ...]) -> np.ndarray:
     """The state at t = 0 of every draw of the undisturbed loop, shape (n, states)."""
 
     def one(lane: tuple[dict[str, jax.Array], jax.Array]) -> jax.Array:
-        loop, params = prepared(study, lane[0], places, rest=True)
+        loop, params = linearised_loop(study, lane[0], places, rest=True)
         return start_state(loop, params, draw_key(study.config.seed, lane[1]))
 
     with arithmetic():
         return np.asarray(jax.jit(jax.vmap(one), compiler_options=plain_options())((values, indices)))
 
 
-def equilibrium(study: Study, places: tuple[Place, ...]) -> Operating:
+def equilibrium(study: Study, places: tuple[LoopPart, ...]) -> Operating:
     """Every draw's matrices at its equilibrium, found by Newton's method from the initial state.
 
     A state that no signal of the loop depends on, as an integrator whose gain is 0, need not be at rest.
@@ -216,7 +218,7 @@ def equilibrium(study: Study, places: tuple[Place, ...]) -> Operating:
             study.source, "no draw has an equilibrium at a constant reference; linearise along the flight"
         )
     findings = examination(lane_loop(study, places, rest=True), places)(values, indices, states, 1)
-    taken = told(study, places, findings[still], EQUILIBRIUM)
+    taken = corner_notes(study, places, findings[still], EQUILIBRIUM)
     cornered = np.any(findings == Finding.CORNER, axis=1)
     plain = still & ~cornered
     if plain.any():
@@ -275,7 +277,7 @@ def require_derivative(
             )
 
 
-def along(study: Study, times: tuple[float, ...], places: tuple[Place, ...]) -> dict[str, Operating]:
+def along(study: Study, times: tuple[float, ...], places: tuple[LoopPart, ...]) -> dict[str, Operating]:
     """Every draw's matrices at the states of its flight at the given times, by name.
 
     Raises:
@@ -294,7 +296,7 @@ def along(study: Study, times: tuple[float, ...], places: tuple[Place, ...]) -> 
         matrices = of(values, indices, flown[place], k, findings)
         finite = np.all(np.isfinite(flown[place]), axis=1) & np.all(np.isfinite(matrices.a), axis=(1, 2))
         name = f"t = {t:g} s"
-        operating[name] = Operating(matrices, finite, told(study, places, findings[finite], name))
+        operating[name] = Operating(matrices, finite, corner_notes(study, places, findings[finite], name))
     return operating
 
 

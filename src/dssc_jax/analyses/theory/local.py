@@ -13,7 +13,7 @@ from dssc_jax.analyses.defaults import BISECTIONS, POINTS
 from dssc_jax.analyses.margins import Margins, Walk, search_critical
 from dssc_jax.analyses.margins.simulated import checked_walk, placed, require_spread
 from dssc_jax.analyses.part_slopes import examination
-from dssc_jax.analyses.smooth_parts import chosen, declared_places, require_smooth_there, stated, substituted
+from dssc_jax.analyses.smooth_parts import declared_places, require_smooth_there, stated, substituted, with_inner_sides
 from dssc_jax.analyses.theory.linearised import (
     AtRest,
     at_rest,
@@ -93,7 +93,7 @@ def spectrum_with_notes(study: Study, kind: Time) -> Spectrum:
         loop, params = substituted(study.loop, study.params(values), places)
         if continuous:
             return AtRest(continuous_matrix(loop, params), jnp.zeros(()))
-        return linearised_at_rest(*chosen(loop, params, places, findings))
+        return linearised_at_rest(*with_inner_sides(loop, params, places, findings))
 
     taken, examine, options = stated(places), examination(lane, places), plain_options()
     starts = jax.jit(jax.vmap(start), compiler_options=options)
@@ -103,15 +103,15 @@ def spectrum_with_notes(study: Study, kind: Time) -> Spectrum:
         with jax.enable_x64(True):
             states = np.asarray(starts(values))
             findings = examine(values, np.arange(len(states)), states, 1)
-            found = jax.tree.map(np.asarray, linearised(values, findings))
-        if np.any(found.moved > 0.0):
+            linear = jax.tree.map(np.asarray, linearised(values, findings))
+        if np.any(linear.moved > 0.0):
             raise ConfigError(
-                study.source, f"is not at rest at the origin: one sample moves it by {found.moved.max():.3g}"
+                study.source, f"is not at rest at the origin: one sample moves it by {linear.moved.max():.3g}"
             )
         for text in require_smooth_there(study, places, findings):
             if text not in taken:
                 taken.append(text)
-        return np.linalg.eigvals(found.matrix)
+        return np.linalg.eigvals(linear.matrix)
 
     return Spectrum(eigenvalues, taken)
 

@@ -26,7 +26,7 @@ from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, 
 from dssc_jax.core.smoothness import (
     SWITCHES,
     Declaration,
-    Extent,
+    SmoothExtent,
     Smoothness,
     declared_smoothness,
     not_smooth,
@@ -330,7 +330,7 @@ def sliding_smoothness(gains: DsscGains) -> Smoothness:
         functions = declared_smoothness(gains.functions, gains)
     except ConfigError as error:
         raise error.within_path("functions") from None
-    if functions.extent == Extent.NOWHERE:
+    if functions.extent == SmoothExtent.NOWHERE:
         return functions
     return piecewise("the end of sliding, |u_eq| = rho")
 

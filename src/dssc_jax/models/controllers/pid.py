@@ -142,12 +142,12 @@ def limited_smoothness(substitute: Callable[[Any], tuple[Controller, Any]]) -> C
     return smoothness
 
 
-def unlimited(gains: PidGains) -> tuple[Controller, PidGains]:
+def pid_within_limits(gains: PidGains) -> tuple[Controller, PidGains]:
     """The controller within its limits."""
     return Controller(PidGains, init, step), gains._replace(low=None, high=None)
 
 
 PID: Entry = single(
-    Controller(PidGains, init, step, prepare, transfer, limited_smoothness(unlimited)),
+    Controller(PidGains, init, step, prepare, transfer, limited_smoothness(pid_within_limits)),
     "PID with filtered derivative, set-point weights, limits and anti-windup",
 )

@@ -76,12 +76,12 @@ def prepare(gains: FeedbackGains) -> FeedbackGains:
     return gains
 
 
-def unlimited(gains: FeedbackGains) -> tuple[Controller, FeedbackGains]:
+def feedback_within_limits(gains: FeedbackGains) -> tuple[Controller, FeedbackGains]:
     """The controller within its limits."""
     return Controller(FeedbackGains, init, step), gains._replace(low=None, high=None)
 
 
 STATE_FEEDBACK: Entry = single(
-    Controller(FeedbackGains, init, step, prepare, transfer, limited_smoothness(unlimited)),
+    Controller(FeedbackGains, init, step, prepare, transfer, limited_smoothness(feedback_within_limits)),
     "feedback of output and derivative, with integral action",
 )

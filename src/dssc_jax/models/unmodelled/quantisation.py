@@ -21,7 +21,7 @@ def nearest_multiple(params: QuantisationParams, state: tuple[()], command: Scal
     return params.resolution * jnp.round(command / params.resolution)
 
 
-def mean_gain(params: QuantisationParams) -> tuple[Unmodelled, QuantisationParams]:
+def unit_gain(params: QuantisationParams) -> tuple[Unmodelled, QuantisationParams]:
     """The quantiser for signals that are large against its resolution: a gain of 1, with an error of half a step."""
     return UNIT_GAIN, params
 
@@ -40,5 +40,5 @@ QUANTISATION = Unmodelled(
     step=lambda params, state, command, dt: state,
     output=nearest_multiple,
     held=True,
-    smooth=not_smooth(f"counts as {MEAN_GAIN}", mean_gain),
+    smooth=not_smooth(f"counts as {MEAN_GAIN}", unit_gain),
 )

@@ -36,7 +36,7 @@ def moments(params: RateLimitParams, state: tuple[Scalar], command: Scalar, dt: 
     return Moments(z + covered * (1.0 - 0.5 * share), covered * share * (3.0 - 2.0 * share))
 
 
-def unlimited(params: RateLimitParams) -> tuple[Unmodelled, RateLimitParams]:
+def without_rate_limit(params: RateLimitParams) -> tuple[Unmodelled, RateLimitParams]:
     """The rate limit within its slope: the command itself."""
     return RATE_LIMIT, RateLimitParams(jnp.inf)
 
@@ -47,5 +47,7 @@ RATE_LIMIT = Unmodelled(
     step=step,
     output=lambda params, state, command: state[0],
     moments=moments,
-    smooth=piecewise("its largest slope; there it counts as slower than that, and follows the command", unlimited),
+    smooth=piecewise(
+        "its largest slope; there it counts as slower than that, and follows the command", without_rate_limit
+    ),
 )

@@ -17,7 +17,7 @@ class SaturationParams(NamedTuple):
     limit: Annotated[Scalar, Quantity("u", "largest magnitude of the plant input", above=0.0)]
 
 
-def unlimited(params: SaturationParams) -> tuple[Unmodelled, SaturationParams]:
+def without_limit(params: SaturationParams) -> tuple[Unmodelled, SaturationParams]:
     """The saturation within its limit: a gain of 1."""
     return SATURATION, SaturationParams(jnp.inf)
 
@@ -28,6 +28,6 @@ SATURATION = Unmodelled(
     step=lambda params, state, command, dt: state,
     output=lambda params, state, command: saturate(command, params.limit),
     held=True,
-    smooth=piecewise("its limit; there it counts as within the limit, a gain of 1", unlimited),
+    smooth=piecewise("its limit; there it counts as within the limit, a gain of 1", without_limit),
     continuous=True,
 )
