@@ -162,7 +162,7 @@ def readme_text(study: Study, controllers: Sequence[SampledController], certific
         f"Sample time {study.loop.sample_time:g} s, {controllers[0].precision} bits a number. {certificate}",
         "",
         f"* `{name}_controller.h`, `{name}_controller.c`: the controllers, in C99 that is C++ as well.",
-        "* `bench.c`, `bench_channels.h`, `recorded.bin`, `Makefile`: `make` replays recorded draws, compares every bit.",
+        "* `bench.c`, `bench_channels.h`, `recorded.bin`, `Makefile`: `make` compares every bit of recorded draws.",
         "",
         "## What is generated",
         "",
