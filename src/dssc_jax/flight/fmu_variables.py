@@ -175,10 +175,10 @@ def rules_text(study: Study, controller: SampledController) -> list[str]:
     if not controller.parameters:
         return []
     messages = []
-    for each in controller.parameters:
-        interval = each.quantity.interval if each.quantity is not None else ""
+    for parameter in controller.parameters:
+        interval = parameter.quantity.interval if parameter.quantity is not None else ""
         wanted = "must be finite" + (f" and {interval}" if interval else "")
-        text = f"the parameter {parameter_name(controller, each)} {wanted}"
+        text = f"the parameter {parameter_name(controller, parameter)} {wanted}"
         messages.append(f"    {c_string(text.replace('%', '?').replace('#', '?'))},")
     name = prefix(study, controller)
     return [f"static const char *const rules_of_{name}[] = {{", *messages, "};", ""]
@@ -188,8 +188,8 @@ def parameters_text(study: Study, controller: SampledController, places: dict[st
     """The statements that give a channel its parameters."""
     name, cast = prefix(study, controller), real_cast(controller)
     return [
-        f"    all->{name}.parameters.{each.name} = {cast}value[{places[parameter_name(controller, each)]}];"
-        for each in controller.parameters
+        f"    all->{name}.parameters.{parameter.name} = {cast}value[{places[parameter_name(controller, parameter)]}];"
+        for parameter in controller.parameters
     ]
 
 

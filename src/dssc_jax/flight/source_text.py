@@ -239,7 +239,7 @@ def step_function(study: Study, controller: SampledController) -> tuple[str, CTe
 def transfer_function(study: Study, controller: SampledController, traced: Traced) -> tuple[str, CText]:
     """The state that carries a command."""
     name, kind = prefix(study, controller), c_type(controller.real)
-    inputs = [*(f"p->{each.name}" for each in controller.parameters), "command", *SAMPLED_SIGNALS]
+    inputs = [*(f"p->{parameter.name}" for parameter in controller.parameters), "command", *SAMPLED_SIGNALS]
     text = emitter_of(controller, traced.program, traced.origins, inputs, study.loop.sample_time)
     outputs = values_of(traced.program)
     commands = [f"computed.{member}" for member in COMMAND]
