@@ -128,6 +128,10 @@ CONTRACTS = {
     "explicit_update",
     "implicit_update",
     "Update",
+    "explicit_carried",
+    "implicit_carried",
+    "Carried",
+    "transfer",
 }
 """What every model of a kind has."""
 

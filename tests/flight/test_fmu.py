@@ -246,14 +246,44 @@ def test_misuse_is_an_error_with_a_reason(opened):
         with pytest.raises(FMICallException):
             one.doStep(0.02, 0.01)
         assert "begins at 0.02 s; the controller's next sample is at 0.01 s" in said[-1]
-        one.setReal([unit.references["measurement.y"]], [float("nan")])
+        one.setReal([unit.references["measurement.y"]], [1e308])
+        one.setReal([unit.references["reference.y"]], [-1e308])
         with pytest.raises(FMICallException):
             one.doStep(0.01, 0.01)
-        assert "the command or the state is not finite after the sample at 0.01 s" in said[-1]
-        assert one.getInteger([unit.references["flag"]]) == [3]
+        assert "the command or the state would not be finite after the sample at 0.01 s" in said[-1]
+        assert one.getInteger([unit.references["flag"]]) == [2]
         with pytest.raises(FMICallException):
             one.doStep(0.02, 0.01)
         assert "reset the FMU" in said[-1]
+
+
+@needs_library
+def test_a_broken_input_holds_command_and_telemetry(opened):
+    unit, said = opened(CASES["pid"]), []
+    outputs = [place for name, place in unit.references.items() if name.startswith(("command", "telemetry"))]
+    with instance(unit, said) as one:
+        one.setReal([unit.references["measurement.y"]], [0.3])
+        one.doStep(0.0, 0.01)
+        before = one.getReal(outputs)
+        one.setReal([unit.references["measurement.y"]], [float("nan")])
+        one.doStep(0.01, 0.01)
+        assert "is not finite at 0.01 s: the command is held" in said[-1]
+        assert one.getReal(outputs) == before
+        assert one.getInteger([unit.references["flag"]]) == [1]
+        one.setReal([unit.references["measurement.y"]], [0.3])
+        one.doStep(0.02, 0.01)
+        assert one.getInteger([unit.references["flag"]]) == [0]
+        assert np.isfinite(one.getReal(outputs)).all()
+
+
+@needs_library
+def test_parameters_outside_of_their_ranges_are_refused(opened):
+    unit, said = opened(CASES["pid"]), []
+    with instance(unit, said) as one:
+        one.setReal([unit.references["controller.k_p"]], [-1.0])
+        with pytest.raises(FMICallException):
+            one.doStep(0.0, 0.01)
+        assert "the parameter controller.k_p must be finite and >= 0" in said[-1]
 
 
 @needs_library

@@ -64,14 +64,14 @@ def is_known(name: str) -> bool:
     return is_reserved(name) or name in FUNCTIONS
 
 
-def words(text: str) -> str:
+def underscored(text: str) -> str:
     """The text with what no name may have as single underscores."""
     return re.sub(r"(\W|_)+", "_", text, flags=re.ASCII).strip("_")
 
 
 def member_name(text: str) -> str:
     """A name for a member of a structure."""
-    name = words(text) or "value"
+    name = underscored(text) or "value"
     if name[0].isdigit():
         name = f"value_{name}"
     return f"{name}_" if is_reserved(name) else name
@@ -92,7 +92,7 @@ def member_names(texts: Iterable[str]) -> list[str]:
 
 def prefix_name(text: str) -> str:
     """What the names of functions and types begin with, in small letters."""
-    name = words(text).lower()
+    name = underscored(text).lower()
     if not name[:1].isalpha() or is_known(name) or LINKED.fullmatch(name):
         name = f"study_{name}".rstrip("_")
     return name

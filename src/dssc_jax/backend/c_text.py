@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from dssc_jax.backend.c_names import is_known, words
+from dssc_jax.backend.c_names import is_known, underscored
 from dssc_jax.backend.c_operations import ATOM, UNARY, Notation, c_literal, c_type
 from dssc_jax.backend.needed import reachable
 from dssc_jax.backend.origins import Origin
@@ -109,7 +109,7 @@ class CText:
 
     def _variable(self, wanted: str) -> str:
         """A new name like the wanted one."""
-        base = words(wanted) or "part"
+        base = underscored(wanted) or "part"
         base = f"part_{base}" if base[0].isdigit() else base
         name, count = base, 1
         while name in self._taken or (count == 1 and (base == "part" or is_known(base))):

@@ -94,7 +94,7 @@ def near_reference(loop: "Loop", i: int, measurement: Measurement, reference: Re
     return measurement._replace(y=turned_near(measurement.y, reference.y)) if is_angle(loop, i) else measurement
 
 
-def continued(loop: "Loop", i: int, measurement: Measurement, before: State) -> Measurement:
+def unwrapped(loop: "Loop", i: int, measurement: Measurement, before: State) -> Measurement:
     """The measurement of channel i; an angle is shifted by whole turns to lie within pi of the one before.
 
     So the angle is continuous in time, unless it turns by more than pi within a sample. What has a memory, a sensor
@@ -106,7 +106,7 @@ def continued(loop: "Loop", i: int, measurement: Measurement, before: State) -> 
     return measurement._replace(y=continuous)
 
 
-def shown(loop: "Loop", i: int, measurement: Measurement) -> Measurement:
+def principal_value(loop: "Loop", i: int, measurement: Measurement) -> Measurement:
     """What the sensor of channel i sends to the flight computer: an angle by its principal value in (-pi, pi]."""
     return measurement._replace(y=wrap_angle(measurement.y)) if is_angle(loop, i) else measurement
 
@@ -126,10 +126,10 @@ def first_signals(
     """State of channel i's differentiator before its first step; what the controller will see in that step."""
     differentiator = loop.differentiator[i].init(params.differentiator[i], reading)
     _, sensed = loop.differentiator[i].step(params.differentiator[i], differentiator, reading, loop.sample_time)
-    return differentiator, sensed, faced(loop, i, reference, sensed)
+    return differentiator, sensed, nearest_reference(loop, i, reference, sensed)
 
 
-def faced(loop: "Loop", i: int, reference: ReferencePoint, sensed: Measurement) -> ReferencePoint:
+def nearest_reference(loop: "Loop", i: int, reference: ReferencePoint, sensed: Measurement) -> ReferencePoint:
     """The controller's reference; that of an angle is shifted by whole turns to lie within pi of the measurement.
 
     The reference is shifted, not the measurement: a controller that differentiates its measurement sees no jump where
@@ -161,9 +161,9 @@ def control(
         The next state, and what the controller saw and gave.
     """
     dt = loop.sample_time
-    seen = continued(loop, i, reading, state.reading)
+    seen = unwrapped(loop, i, reading, state.reading)
     differentiator, sensed = loop.differentiator[i].step(params.differentiator[i], state.differentiator, seen, dt)
-    desired = faced(loop, i, reference, sensed)
+    desired = nearest_reference(loop, i, reference, sensed)
     controller, command, info = loop.controller[i].step(params.controller[i], state.controller, sensed, desired, dt)
     after = ControlState(differentiator, controller, seen.y if is_angle(loop, i) else ())
     return after, Controlled(reading, sensed, desired, command, info)

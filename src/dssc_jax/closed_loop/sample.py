@@ -11,12 +11,12 @@ import jax.numpy as jnp
 from dssc_jax.closed_loop.control import (
     Controlled,
     ControlState,
-    continued,
     control,
     initial_control,
     is_angle,
     measure,
-    shown,
+    principal_value,
+    unwrapped,
 )
 from dssc_jax.closed_loop.hold import Advance, HeldParts, between_samples
 from dssc_jax.closed_loop.metrics import Instant, Sample
@@ -202,7 +202,7 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
         # the controller starts from what it will measure at the first sample, not from the plant's own output
         first = jax.random.fold_in(stream_key, 1)
         _, reading = loop.sensor[i].step(params.sensor[i], sensor, measurements[i], first, 0.0, loop.sample_time)
-        control = initial_control(loop, params, i, shown(loop, i, reading), references[i])
+        control = initial_control(loop, params, i, principal_value(loop, i, reading), references[i])
         channels.append(
             ChannelState(
                 controller=control.controller,
@@ -296,7 +296,7 @@ def control_channel(
     The sensor sees an angle that is continuous in time.
     """
     t, dt, name = k * loop.sample_time, loop.sample_time, loop.channels[i]
-    measurement = continued(loop, i, measurement, channel.angle)
+    measurement = unwrapped(loop, i, measurement, channel.angle)
     sensor, reading = loop.sensor[i].step(
         params.sensor[i],
         channel.sensor,
@@ -305,7 +305,7 @@ def control_channel(
         t,
         dt,
     )
-    state, controlled = control(loop, params, i, channel.control, shown(loop, i, reading), reference)
+    state, controlled = control(loop, params, i, channel.control, principal_value(loop, i, reading), reference)
     disturbance = loop.disturbance[i].step(
         params.disturbance[i],
         channel.disturbance,

@@ -137,7 +137,7 @@ def sampled_controller(study: Study, index: int) -> SampledController:
         start_program, state, start_origins = translate_with_origins(start, numbers, *signals)
         state = jax.tree.map(lambda leaf: number, state)
         step_program, results, step_origins = translate_with_origins(step, numbers, state, *signals)
-        moved = translate_with_origins(transfer, numbers, number, *signals) if carries else None
+        carried = translate_with_origins(transfer, numbers, number, *signals) if carries else None
     except Unsupported as problem:
         raise ConfigError(place, f"has no exact form in C: {problem}") from None
     return SampledController(
@@ -148,7 +148,7 @@ def sampled_controller(study: Study, index: int) -> SampledController:
         leaf_names(results[2]),
         Traced(start_program, start_origins),
         Traced(step_program, step_origins),
-        Traced(moved[0], moved[2]) if moved else None,
+        Traced(carried[0], carried[2]) if carried else None,
         study.config.loop.precision,
     )
 

@@ -201,7 +201,7 @@ PUBLIC(status, fmi2DoStep)(void *component, double at, double step, boolean fina
     state *now = &one->now;
     char text[200];
     if (now->at == BROKEN) {
-        return wrong(one, "the controller's state is lost: reset the FMU");
+        return wrong(one, "the controller has failed at the last sample: reset the FMU");
     }
     if (now->at != STEPPING) {
         return wrong(one, "doStep comes after the initialization, and before terminate");
@@ -216,6 +216,11 @@ PUBLIC(status, fmi2DoStep)(void *component, double at, double step, boolean fina
                  now->stepped ? now->last + SAMPLE_TIME : 0.0);
         return wrong(one, text);
     }
+    set_parameters(&now->all, now->value);
+    const char *const rule = broken_rule(&now->all);
+    if (rule != NULL) {
+        return wrong(one, rule);
+    }
     int before[FLAGS];
     memcpy(before, now->flag, sizeof before);
     advance(&now->all, now->value, now->flag);
@@ -224,12 +229,12 @@ PUBLIC(status, fmi2DoStep)(void *component, double at, double step, boolean fina
     status worst = OK;
     for (size_t i = 0; i < FLAGS; ++i) {
         if ((now->flag[i] & 2) != 0) {
-            snprintf(text, sizeof text, "%sthe command or the state is not finite after the sample at %.9g s",
+            snprintf(text, sizeof text, "%sthe command or the state would not be finite after the sample at %.9g s",
                      labels[i], at);
             now->at = BROKEN;
             worst = wrong(one, text);
         } else if (now->flag[i] != 0) {
-            snprintf(text, sizeof text, "%sa measurement or reference is not finite at %.9g s", labels[i], at);
+            snprintf(text, sizeof text, "%sa measurement or reference is not finite at %.9g s: the command is held", labels[i], at);
             if (before[i] == 0) {
                 said(one->given, one->name, WARNING, text);
             }

@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 from dssc_jax.core.units import parsed_unit
 from dssc_jax.flight.controller import SampledController
 from dssc_jax.flight.fmu_variables import INPUT, OUTPUT, PARAMETER, FmuVariable, flag_variables, real_variables
+from dssc_jax.flight.header_text import not_generated
 from dssc_jax.flight.names import identifier
 from dssc_jax.study import Study
 
@@ -74,7 +75,8 @@ def description_text(
         guid=guid,
         description=xml_text(
             f"Sampled controller of the study {study.name}. Step it before the plant: its inputs are the samples at "
-            f"the begin of a step, and its command is the plant's input during that step. {certificate}"
+            f"the begin of a step, and its command is the plant's input during that step. {certificate} "
+            f"Not generated: {'; '.join(not_generated(study))}."
         ),
         generationTool=f"dssc_jax {version('dssc_jax')}, study {study.hash}",
         variableNamingConvention="structured" if structured else "flat",

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dssc_jax.backend.c_names import c_string
 from dssc_jax.backend.c_operations import c_literal, c_type
 from dssc_jax.core.signals import Measurement, ReferencePoint
 from dssc_jax.flight.controller import COMMAND, Parameter, SampledController
@@ -100,7 +101,7 @@ def real_variables(study: Study, controllers: Sequence[SampledController]) -> li
 
 def flag_variables(controllers: Sequence[SampledController]) -> list[FmuVariable]:
     """The flag of each channel."""
-    meaning = "0, or a sum of 1 (an input is not finite) and 2 (the command or the state is not finite)"
+    meaning = "0, or 1 (an input is not finite) or 2 (the command or the state would not be finite); then both are held"
     return [FmuVariable(channel_variable(controller, "flag"), OUTPUT, "", meaning) for controller in controllers]
 
 
@@ -111,7 +112,7 @@ def variables_text(study: Study, controllers: Sequence[SampledController], guid:
     first = next(place for place, each in enumerate(variables) if each.causality == OUTPUT)
     names = [prefix(study, each) for each in controllers]
     starts = ", ".join(c_literal(np.float64(each.start or 0.0), np.dtype(float)) for each in variables)
-    labels = ", ".join(f'"channel {each.channel}: "' if each.channel else '""' for each in controllers)
+    labels = ", ".join(c_string(channel_label(each)) for each in controllers)
     lines = [
         "/* The variables of the FMU, and how they reach the controllers. */",
         f'#include "{identifier(study.name)}_controller.h"',
@@ -134,6 +135,27 @@ def variables_text(study: Study, controllers: Sequence[SampledController], guid:
         *(f"    {name}_init(&all->{name});" for name in names),
         "}",
         "",
+    ]
+    for controller in controllers:
+        lines += rules_text(study, controller)
+    lines += ["static void set_parameters(controllers *all, const double *value)", "{"]
+    for controller in controllers:
+        lines += parameters_text(study, controller, places)
+    lines += [
+        "    (void)all;",
+        "    (void)value;",
+        "}",
+        "",
+        "static const char *broken_rule(const controllers *all)  /* NULL: parameters are within their ranges */",
+        "{",
+    ]
+    for controller in controllers:
+        lines += check_text(study, controller)
+    lines += [
+        "    (void)all;",
+        "    return NULL;",
+        "}",
+        "",
         "static void advance(controllers *all, double *value, int *flag)",
         "{",
     ]
@@ -142,10 +164,57 @@ def variables_text(study: Study, controllers: Sequence[SampledController], guid:
     return "\n".join([*lines, "}", ""])
 
 
+def channel_label(controller: SampledController) -> str:
+    """What begins a message about a channel; simulators expand % and #."""
+    label = f"channel {controller.channel}: " if controller.channel else ""
+    return label.replace("%", "?").replace("#", "?")
+
+
+def rules_text(study: Study, controller: SampledController) -> list[str]:
+    """The messages for parameters outside of their ranges."""
+    if not controller.parameters:
+        return []
+    messages = []
+    for parameter in controller.parameters:
+        interval = parameter.quantity.interval if parameter.quantity is not None else ""
+        wanted = "must be finite" + (f" and {interval}" if interval else "")
+        text = f"the parameter {parameter_name(controller, parameter)} {wanted}"
+        messages.append(f"    {c_string(text.replace('%', '?').replace('#', '?'))},")
+    name = prefix(study, controller)
+    return [f"static const char *const rules_of_{name}[] = {{", *messages, "};", ""]
+
+
+def parameters_text(study: Study, controller: SampledController, places: dict[str, int]) -> list[str]:
+    """The statements that give a channel its parameters."""
+    name, cast = prefix(study, controller), real_cast(controller)
+    return [
+        f"    all->{name}.parameters.{parameter.name} = {cast}value[{places[parameter_name(controller, parameter)]}];"
+        for parameter in controller.parameters
+    ]
+
+
+def check_text(study: Study, controller: SampledController) -> list[str]:
+    """The statements that check a channel's parameters."""
+    if not controller.parameters:
+        return []
+    name = prefix(study, controller)
+    return [
+        f"    const unsigned number_of_{name} = {name}_check(&all->{name}.parameters);",
+        f"    if (number_of_{name} != 0) {{",
+        f"        return rules_of_{name}[number_of_{name} - 1];",
+        "    }",
+    ]
+
+
+def real_cast(controller: SampledController) -> str:
+    """The cast from the FMU's numbers to the controller's."""
+    kind = c_type(controller.real)
+    return "" if kind == "double" else f"({kind})"
+
+
 def channel_step_text(study: Study, controller: SampledController, places: dict[str, int], flag: str) -> list[str]:
     """The block that steps a channel."""
-    name, kind = prefix(study, controller), c_type(controller.real)
-    cast = "" if kind == "double" else f"({kind})"
+    name, cast = prefix(study, controller), real_cast(controller)
 
     def value(variable: str) -> str:
         return f"value[{places[channel_variable(controller, variable)]}]"
@@ -156,11 +225,10 @@ def channel_step_text(study: Study, controller: SampledController, places: dict[
 
     lines = ["    {", given("measurement", Measurement._fields), given("reference", ReferencePoint._fields)]
     lines += [f"        {name}_command command;", f"        {name}_telemetry telemetry = {{0}};"]
-    lines += [
-        f"        all->{name}.parameters.{each.name} = {cast}value[{places[parameter_name(controller, each)]}];"
-        for each in controller.parameters
-    ]
     lines.append(f"        {flag} = (int){name}_step(&all->{name}, measurement, reference, &command, &telemetry);")
     lines += [f"        {value(f'command.{member}')} = command.{member};" for member in COMMAND]
-    lines += [f"        {value(f'telemetry.{info}')} = telemetry.{info};" for info in controller.infos]
-    return [*lines, "        (void)telemetry;", "    }"]
+    if controller.infos:
+        lines.append(f"        if ({flag} == 0) {{")
+        lines += [f"            {value(f'telemetry.{info}')} = telemetry.{info};" for info in controller.infos]
+        lines.append("        }")
+    return [*lines, "    }"]

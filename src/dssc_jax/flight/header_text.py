@@ -109,7 +109,8 @@ def declarations(study: Study, controller: SampledController) -> str:
         "telemetry": [(info, "") for info in controller.infos],
     }
     parameters = [
-        (each.name, parameter_comment(number, each)) for number, each in enumerate(controller.parameters, start=1)
+        (parameter.name, parameter_comment(number, parameter))
+        for number, parameter in enumerate(controller.parameters, start=1)
     ]
     return "\n\n".join(
         [
@@ -162,17 +163,17 @@ def readme_text(study: Study, controllers: Sequence[SampledController], certific
         f"Sample time {study.loop.sample_time:g} s, {controllers[0].precision} bits a number. {certificate}",
         "",
         f"* `{name}_controller.h`, `{name}_controller.c`: the controllers, in C99 that is C++ as well.",
-        "* `bench.c`, `bench_channels.h`, `recorded.bin`, `Makefile`: `make` replays draws and compares all bits.",
+        "* `bench.c`, `bench_channels.h`, `recorded.bin`, `Makefile`: `make` compares every bit of recorded draws.",
         "",
         "## What is generated",
         "",
     ]
     for controller in controllers:
-        own = prefix(study, controller)
+        functions = prefix(study, controller)
         channel = f"channel {controller.channel}" if controller.channel else "the only channel"
         angle = ", an angle: unwrapping and wrapping are generated" if angle_note(study, controller) else ""
-        moved = "" if controller.transfer else f"; there is no `{own}_transfer`"
-        lines.append(f"* `{own}_...`: differentiator and controller of {channel}{angle}{moved}.")
+        missing = "" if controller.transfer else f"; there is no `{functions}_transfer`"
+        lines.append(f"* `{functions}_...`: differentiator and controller of {channel}{angle}{missing}.")
     lines += ["", "## What is not generated", "", *(f"* {part}" for part in not_generated(study)), ""]
     lines += [
         "## Use",

@@ -1,6 +1,6 @@
 """The names of generated files, functions and types."""
 
-from dssc_jax.backend.c_names import prefix_name, words
+from dssc_jax.backend.c_names import prefix_name, underscored
 from dssc_jax.flight.controller import SampledController
 from dssc_jax.study import Study
 
@@ -12,15 +12,15 @@ def identifier(name: str) -> str:
 
 def channel_words(channels: tuple[str, ...]) -> list[str]:
     """A part of a name for each channel; like ones are numbered, and that of a single channel may be empty."""
-    found: list[str] = []
+    labels: list[str] = []
     for channel in channels:
-        base = words(channel) or ("channel" if channel else "")
+        base = underscored(channel) or ("channel" if channel else "")
         name, count = base, 2
-        while name in found:
+        while name in labels:
             name = f"{base}_{count}"
             count += 1
-        found.append(name)
-    return found
+        labels.append(name)
+    return labels
 
 
 def prefix(study: Study, controller: SampledController) -> str:

@@ -30,7 +30,7 @@ def source_text(study: Study, controllers: Sequence[SampledController], certific
         written = [start_function(study, controller)] if controller.states else []
         written.append(step_function(study, controller))
         if controller.transfer is not None:
-            written.append(transfer_function(study, controller, controller.transfer))
+            written.append(bumpless_function(study, controller, controller.transfer))
         for _, text in written:
             helpers |= dict.fromkeys(text.notation.helpers())
             tables += text.tables
@@ -93,9 +93,9 @@ def conditions(parameter: Parameter, controller: SampledController) -> list[str]
     """What must hold of a parameter; NaN holds of nothing."""
     member = f"parameters->{parameter.name}"
     quantity = parameter.quantity
-    found = [f"is_finite({member})"]
+    rules = [f"is_finite({member})"]
     if quantity is None:
-        return found
+        return rules
     for sign, bound in (
         (">", quantity.above),
         (">=", quantity.at_least),
@@ -103,8 +103,8 @@ def conditions(parameter: Parameter, controller: SampledController) -> list[str]
         ("<=", quantity.at_most),
     ):
         if bound is not None:
-            found.append(f"{member} {sign} {c_literal(controller.real.type(bound), controller.real)}")
-    return found
+            rules.append(f"{member} {sign} {c_literal(controller.real.type(bound), controller.real)}")
+    return rules
 
 
 def check_function(study: Study, controller: SampledController) -> str:
@@ -170,14 +170,14 @@ def start_function(study: Study, controller: SampledController) -> tuple[str, CT
     return "\n".join([*head, body, "}"]), text
 
 
-def all_finite(members: Sequence[str]) -> str:
+def finite_condition(members: Sequence[str]) -> str:
     """The condition that numbers are finite."""
     return "\n        && ".join(f"is_finite({member})" for member in members)
 
 
 def guard(members: Sequence[str], flag: int, held: bool) -> list[str]:
     """Leave a function with a flag if a number is not finite; with the last command, if it gives one."""
-    lines = [f"    if (!({all_finite(members)})) {{"]
+    lines = [f"    if (!({finite_condition(members)})) {{"]
     if held:
         lines.append("        *command = controller->last;")
     return [*lines, f"        return {flag}u;", "    }"]
@@ -236,10 +236,10 @@ def step_function(study: Study, controller: SampledController) -> tuple[str, CTe
     return "\n".join([*head, *local, body, "    return 0;", "}"]), text
 
 
-def transfer_function(study: Study, controller: SampledController, traced: Traced) -> tuple[str, CText]:
+def bumpless_function(study: Study, controller: SampledController, traced: Traced) -> tuple[str, CText]:
     """The state that carries a command."""
     name, kind = prefix(study, controller), c_type(controller.real)
-    inputs = [*(f"p->{each.name}" for each in controller.parameters), "command", *SAMPLED_SIGNALS]
+    inputs = [*(f"p->{parameter.name}" for parameter in controller.parameters), "command", *SAMPLED_SIGNALS]
     text = emitter_of(controller, traced.program, traced.origins, inputs, study.loop.sample_time)
     outputs = values_of(traced.program)
     commands = [f"computed.{member}" for member in COMMAND]

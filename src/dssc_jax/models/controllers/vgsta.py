@@ -122,7 +122,7 @@ def init(gains: VgstaGains, measurement: Measurement, reference: ReferencePoint)
     return IntegralState(0.0)
 
 
-def gains_at(gains: VgstaGains, error: TrackingError) -> VariableGains:
+def gains_of_sample(gains: VgstaGains, error: TrackingError) -> VariableGains:
     """kappa_1 and kappa_2 at the sample."""
     coefficients = (gains.kappa_a, gains.kappa_b, gains.kappa_c, gains.kappa_d)
     return variable_gains(error.sigma, error.e, coefficients, gains.epsilon, gains.gamma)
@@ -136,7 +136,7 @@ def vgsta(update: Update, carried: Carried) -> Controller:
     ) -> tuple[IntegralState, Command, IntegralInfo]:
         error = tracking_error(measurement, reference, gains.l0)
         u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, 0.0)
-        w, v = update(error.sigma, state.v, shape_at(gains, error.sigma), gains_at(gains, error), gains.k_n, dt)
+        w, v = update(error.sigma, state.v, shape_at(gains, error.sigma), gains_of_sample(gains, error), gains.k_n, dt)
         u = w / gains.k_n
         if gains.limit is not None:
             u = saturate(u, gains.limit)
@@ -149,7 +149,7 @@ def vgsta(update: Update, carried: Carried) -> Controller:
         error = tracking_error(measurement, reference, gains.l0)
         w = gains.k_n * (command - nominal_control(gains.nominal, gains.l0, error, reference, 0.0))
         return IntegralState(
-            carried(error.sigma, w, shape_at(gains, error.sigma), gains_at(gains, error), gains.k_n, dt)
+            carried(error.sigma, w, shape_at(gains, error.sigma), gains_of_sample(gains, error), gains.k_n, dt)
         )
 
     return Controller(VgstaGains, init, step, transfer=transfer, smooth=not_smooth(SWITCHES))
