@@ -8,7 +8,7 @@ import jax
 from dssc_jax.core.registry import Discretisation
 from dssc_jax.design.certification import Ends, NotCovered, disturbance_bounds, ends_of, reference_bounds
 from dssc_jax.models.controllers.differentiators import NO_DIFFERENTIATOR
-from dssc_jax.models.controllers.dssc import DSSC, SSC, DsscGains, PredictorStart
+from dssc_jax.models.controllers.dssc import DSSC, SSC, DsscGains
 from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS
 from dssc_jax.models.controllers.modulation import ConstantModulation
 from dssc_jax.models.controllers.pi import PI, PiGains
@@ -173,7 +173,7 @@ def controller_of(study: Study) -> dict[str, Any]:
         constants = {"k_o": 1.0, "tau_av": 1.0 / gains.k_p, "tau_m": gains.k_p / gains.k_i}
         functions = {"kind": "constant", **constants}
         own = (*common["nominal"][:2], False) if common["nominal"] else None
-        return common | {"nominal": own, "form": "implicit", "functions": functions, "rho": None, "matched": False}
+        return common | {"nominal": own, "form": "implicit", "functions": functions, "rho": None, "start": "zero"}
     forms = {Discretisation.IMPLICIT, Discretisation.CONSERVATIVE}
     form = next((f for f in forms if member in (DSSC.members[f], SSC.members[f])), None)
     if form is None or not isinstance(gains, DsscGains):
@@ -182,17 +182,14 @@ def controller_of(study: Study) -> dict[str, Any]:
         raise NotCovered("rho is not constant")
     if gains.sign_width is not None:
         raise NotCovered("the sign is smoothed")
-    if gains.predictor_start == PredictorStart.MIDPOINT:
-        raise NotCovered("the predictor starts at 'midpoint'; 'matched' and 'zero' are covered")
     kind = next(kind for kind, entry in GAIN_FUNCTIONS.items() if isinstance(gains.functions, entry.members[None]))
-    if kind == "vgsta" and form == Discretisation.CONSERVATIVE:
-        raise NotCovered("in the conservative form, functions of Table 1 depend on e between samples")
     if kind == "sta" and form == Discretisation.CONSERVATIVE:
-        raise NotCovered("in the conservative form, the slope of the standard STA's phi_1 jumps at its floor")
+        reason = "in the conservative form, the slope of the standard STA's phi_1 jumps at its floor"
+        raise NotCovered(f"{reason}; set controller.discretisation = 'implicit'")
     constants = {name: float(value) for name, value in gains.functions._asdict().items() if value is not None}
     return common | {
         "form": form.value,
         "functions": {"kind": kind, **constants},
         "rho": float(gains.rho.rho),
-        "matched": gains.predictor_start == PredictorStart.MATCHED,
+        "start": gains.predictor_start.value,
     }

@@ -1,6 +1,5 @@
 """(P3), (P5), (P6): a set {z'Pz <= 1} that is invariant and attracts, for all plants of a box and gains of a region."""
 
-import math
 from functools import reduce
 from itertools import pairwise, product
 from typing import Any
@@ -33,7 +32,10 @@ from dssc_jax.proofs.enclosed_loop import (
     start_columns,
     state_places,
 )
-from dssc_jax.proofs.gain_enclosures import enclosed_gains
+from dssc_jax.proofs.gain_enclosures import enclosed_gains, start_ratio
+
+ERROR, SPEED = 0, 1
+"""Places of e and e' among the states."""
 
 
 def invariant_bounds(
@@ -57,11 +59,11 @@ def invariant_bounds(
         check_invariance(arb(problem["sample_time"]), stage, p, corners, where)
     inverse, rows = p.inv(), signal_rows(problem)
     if started:
-        check_start(problem, box, p, start_mean(problem) if integrated else None, where)
+        check_start(problem, box, p, where)
         check_sliding(problem, box, inverse, gains, pieces, where)
     sigma, e = (bound_in_set(inverse, rows[name]) for name in ("sigma", "e"))
     require_premise(not any(problem["by_state"]), f"P8: the set of {where} does not bound what the state adds to d")
-    return StageLimits(sigma, e, error_between_samples(problem, box, inverse, gains, integrated), arb(0), arb(0))
+    return StageLimits(sigma, e, largest_between_samples(problem, box, inverse, gains, ERROR), arb(0), arb(0))
 
 
 def piece_gains(problem: dict[str, Any], stage: dict[str, Any]) -> list[tuple[float, Balls]]:
@@ -71,18 +73,9 @@ def piece_gains(problem: dict[str, Any], stage: dict[str, Any]) -> list[tuple[fl
     return [(high, enclosed_gains(problem, high, stage["e"], low)) for low, high in pairwise(ends)]
 
 
-def start_mean(problem: dict[str, Any]) -> arb:
-    """phi_1/sigma over the starts."""
-    e, speed = (enclosing(*pair) for pair in problem["initial"][:2])
-    size = abs(speed + arb(problem["l0"]) * e)
-    least, largest = float(size.lower()), float(size.upper())
-    least, largest = max(0.0, math.nextafter(least, -math.inf)), math.nextafter(largest, math.inf)
-    return enclosed_gains(problem, largest, 0.0, least)["mean"]
-
-
-def check_start(problem: dict[str, Any], box: dict[str, Any], p: arb_mat, mean: arb | None, where: str) -> None:
+def check_start(problem: dict[str, Any], box: dict[str, Any], p: arb_mat, where: str) -> None:
     """(P3) Every start lies in the set."""
-    starts = start_columns(problem, box, mean)
+    starts = start_columns(problem, box, start_ratio(problem))
     for j in range(starts.ncols()):
         z = arb_mat([[starts[i, j]] for i in range(starts.nrows())])
         require_premise((z.transpose() * p * z)[0, 0] <= 1, f"P3: a start lies outside of {where}")
@@ -98,7 +91,8 @@ def check_sliding(
 ) -> None:
     """(P5) |u_eq| <= rho, where u_eq - d_r - f is a row of z that is affine in its gains.
 
-    In the conservative form u_av = q + phi_1(s): phi_1(s) is within (mean - least) |s| of least s in each piece.
+    In the conservative form u_av = q + phi_1(s): phi_1(s) is within (mean - least) |s| of least s in each piece. By e,
+    phi_1 changes in a sample at most by its slope in e times T_s sup |e'|.
     """
     if problem["rho"] is None:
         return
@@ -108,6 +102,9 @@ def check_sliding(
         least = gains["mean"].lower()
         held = held + rows["s"] * least
         room = room - reduce(larger, [(abs(piece["mean"] - least) * arb(high)).upper() for high, piece in pieces])
+        if (by_e := abs(gains["slide_e"]).upper()) > 0:
+            speed = largest_between_samples(problem, box, inverse, gains, SPEED)
+            room = room - by_e * arb(problem["sample_time"]) * speed
     for a, b in product(both(gains["slide_p"]), both(gains["slide_i"])):
         row = held + rows["change"] * a + rows["sigma"] * b
         holds = bound_in_set(inverse, row) <= room
@@ -138,18 +135,21 @@ def check_invariance(t: arb, stage: dict[str, Any], p: arb_mat, corners: list[Co
         require_premise(positive_definite(symmetrised(block)), f"P6: the set is not invariant in {where}")
 
 
-def error_between_samples(
-    problem: dict[str, Any], box: dict[str, Any], inverse: arb_mat, gains: Balls, integrated: bool
+def largest_between_samples(
+    problem: dict[str, Any], box: dict[str, Any], inverse: arb_mat, gains: Balls, place: int
 ) -> arb:
-    """Upper bound of |e(t)| at all times, while z at the samples is in the set."""
+    """Upper bound of |e(t)| or |e'(t)| at all times, while z at the samples is in the set."""
+    integrated = problem["form"] == "conservative"
     _, _, n = state_places(problem)
     t, k_p = arb(problem["sample_time"]), enclosing(*box["k_p"])
     f = held_generator(problem, enclosing(*box["a_p"]), enclosing(*box.get("rate", (0.0, 0.0))))
-    rest, largest = inside_bounds(problem, box, t)[0], arb(0)
+    rest, largest = inside_bounds(problem, box, t)[place], arb(0)
     for piece in range(SAMPLE_PIECES):
         flow = (f * (t * enclosing(piece / SAMPLE_PIECES, (piece + 1) / SAMPLE_PIECES))).exp()
         for gain in product(*(both(gains[name]) for name in ("mean" if integrated else "k_p", "k_i", "k_n"))):
             _, command = control_rows(problem, gain, integrated=integrated)
-            row = [(flow[0, j] if j < n - 2 else arb(0)) + k_p * flow[0, n - 2] * command[0, j] for j in range(n)]
+            row = [
+                (flow[place, j] if j < n - 2 else arb(0)) + k_p * flow[place, n - 2] * command[0, j] for j in range(n)
+            ]
             largest = larger(largest, (bound_in_set(inverse, arb_mat([row])) + rest).upper())
     return largest

@@ -18,7 +18,7 @@ from dssc_jax.proofs.search import Box, Failure, Proof, halves, prove_box, volum
 from dssc_jax.proofs.verifier import ProofVerdict, verify_certificate, verify_proof
 from dssc_jax.study import Study
 
-VERSION = 4
+VERSION = 5
 REASONS = {
     "origin": "the loop is not stable at sigma = e = 0",
     "decay": "no common quadratic function decreases for all gains of the smallest region",

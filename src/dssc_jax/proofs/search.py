@@ -13,7 +13,7 @@ import numpy as np
 
 from dssc_jax.proofs import fixed_point
 from dssc_jax.proofs.fixed_point import BoundsStage, from_start, responses, towards_residual
-from dssc_jax.proofs.gains import Region, gain_hull, region_of
+from dssc_jax.proofs.gains import Region, gain_hull, region_of, start_ratio
 from dssc_jax.proofs.problem import Interval, ProofProblem
 from dssc_jax.proofs.programs import TIGHT, Bounded, SetPrograms, Solution, invariant_set, largest_in_set, scaling
 from dssc_jax.proofs.sampled_loop import Step, box_middle, box_steps, signal_sizes, start_corners, step_of
@@ -35,6 +35,8 @@ INFLATION = 1.001
 """A set attracts; its trajectories enter this multiple of it in finite time."""
 SPARE, SPARE_OF_BOXES = 0.01, 0.1
 """Share of the decay that is left to the verifier's balls, for one plant and for a box of a_p or mu."""
+SPEED_ROOM = 1.05
+"""Widening of |e'| at the samples for the time between them."""
 E, TRUE_E, SIGMA, CHANGE = range(4)  # rows of a step
 
 
@@ -96,7 +98,8 @@ class Failure(NamedTuple):
 def slide_rows(problem: ProofProblem, box: Box, region: Region, step: Step) -> list[Bounded]:
     """Rows of u_eq - d_r - f at every corner of the gains, with their bound; empty without a bound of the command.
 
-    In the conservative form u_av = q + phi_1(s), of which phi_1(s) - mean s is bounded by itself.
+    In the conservative form u_av = q + phi_1(s), of which phi_1(s) - mean s is bounded by itself, and so is what phi_1
+    changes by with e.
     """
     if problem.rho is None:
         return []
@@ -105,6 +108,7 @@ def slide_rows(problem: ProofProblem, box: Box, region: Region, step: Step) -> l
     if "mean" in hull:
         mean = hull["mean"][0]
         room -= max((piece["mean"][1] - mean) * end for piece, end in zip(region.pieces, region.ends, strict=True))
+        room -= SPEED_ROOM * hull["slide_e"][1] * problem.sample_time * (region.sigma + problem.l0 * region.e)
         held = held + mean * unit[-1]
     corners = product(set(hull["slide_p"]), set(hull["slide_i"]))
     return [Bounded(held + p * change + i * sigma, max(room, 0.0), 1.0) for p, i in corners]
@@ -176,7 +180,7 @@ def setting_of(problem: ProofProblem, box: Box) -> Setting | None:
     """The setting of a box; None if the loop is not stable at sigma = e = 0."""
     integrated, origin = problem.form == "conservative", gain_hull(problem, 1e-9, 1e-9)
     at = step_of(problem, box_middle(box, origin), box, integrated=integrated)
-    starts = start_corners(problem, box, start_means(problem) if integrated else None)
+    starts = start_corners(problem, box, start_ratio(problem))
     speed = decay_rate(at, problem.sample_time)
     if speed <= 0.0 or (scale := scaling(at, starts, speed * problem.sample_time)) is None:
         return None
@@ -203,14 +207,6 @@ def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
             break
         stages.append(smaller)
     return Proof(box, stages)
-
-
-def start_means(problem: ProofProblem) -> Interval:
-    """Interval of phi_1/sigma over the starts."""
-    ends = [e_dot + problem.l0 * e for e, e_dot in product(*problem.initial[:2])]
-    sizes = [abs(end) for end in ends]
-    least = min(sizes) if min(ends) * max(ends) > 0.0 else 0.0
-    return gain_hull(problem, max(*sizes, 1e-9), 1e-9, least)["mean"]
 
 
 def first_set(setting: Setting) -> SetStage | str:

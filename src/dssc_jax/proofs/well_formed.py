@@ -19,6 +19,7 @@ CONSTANTS = {
 }
 """Constants of each row of functions, and whether exactly one of k_o and tau_av belongs to them."""
 
+STARTS = ("zero", "matched", "midpoint")
 MAY_VANISH = {"phi_a", "kappa_a", "kappa_b", "kappa_c", "gamma"}
 SIGNALS, MIDDLE_COUNT = 5, 5
 """Signals besides the states that a bound belongs to, and gains of a middle loop."""
@@ -83,7 +84,7 @@ def require_problem(problem: Any) -> None:
     require_shape(len(problem["initial"]) == 2 + len(problem["zero_a"]), "initial", "has not its length")
     for pair in problem["initial"]:
         require_interval(pair, "initial")
-    require_shape(type(problem["matched"]) is bool, "matched", "is not true or false")
+    require_shape(problem["start"] in STARTS, "start", f"is none of {', '.join(STARTS)}")
     if problem["rho"] is not None:
         require_positive(problem["rho"], "rho")
     if problem["nominal"]:
@@ -122,7 +123,7 @@ def require_functions(functions: Any, form: Any) -> None:
         require_finite(functions[name], name)
         require_shape(functions[name] > 0 or (name in MAY_VANISH and functions[name] == 0), name, "is not positive")
     require_shape(form in ("implicit", "conservative"), "form", "is neither implicit nor conservative")
-    covered = form == "implicit" or functions["kind"] not in ("vgsta", "sta")
+    covered = form == "implicit" or functions["kind"] != "sta"
     require_shape(covered, "functions", "are not covered in the conservative form")
 
 
