@@ -35,6 +35,8 @@ INFLATION = 1.001
 """A set attracts; its trajectories enter this multiple of it in finite time."""
 SPARE, SPARE_OF_BOXES = 0.01, 0.1
 """Share of the decay that is left to the verifier's balls, for one plant and for a box of a_p or mu."""
+LOOSE = 1.3
+"""A bound of |e| on the way, over what the loop at sigma = e = 0 reaches, from which a set is tried, too."""
 SPEED_ROOM = 1.05
 """Widening of |e'| at the samples for the time between them."""
 E, TRUE_E, SIGMA, CHANGE = range(4)  # rows of a step
@@ -127,10 +129,32 @@ def prove_box(problem: ProofProblem, box: Box) -> Proof | Failure:
     if not isinstance(first, str):
         stage, allowed = first
         sigma, e = stage.bounds[fixed_point.SIGMA], stage.bounds[fixed_point.ERROR]
-        return Proof(box, [stage, *towards_residual(problem, box, (sigma, e), e, allowed)])
+        proof = Proof(box, [stage, *towards_residual(problem, box, (sigma, e), e, allowed)])
+        return tighter_start(problem, proof)
     if any(problem.by_state):  # of which the sets know no bound
         return Failure(box, "sliding" if first == "sliding" else "gain")
     return proof_by_sets(problem, box)
+
+
+def tighter_start(problem: ProofProblem, proof: Proof) -> Proof:
+    """A proof that begins with a set instead, where bounds of signals are loose on the way and a set does better."""
+    if any(problem.by_state) or (setting := setting_of(problem, proof.box)) is None:
+        return proof
+    first = reached_error(proof.stages[0], setting)
+    if first <= LOOSE * excursion(setting.at, setting.programs.starts)[1]:
+        return proof
+    other = proof_by_sets(problem, proof.box)
+    if isinstance(other, Failure) or reached_error(other.stages[0], setting) >= first:
+        return proof
+    ends = [min(reached_error(stage, setting) for stage in each.stages) for each in (proof, other)]
+    return other if ends[1] <= ends[0] / ENOUGH else proof
+
+
+def reached_error(stage: SetStage | BoundsStage, setting: "Setting") -> float:
+    """The bound of |e| at the samples."""
+    if isinstance(stage, BoundsStage):
+        return stage.bounds[fixed_point.ERROR]
+    return largest_in_set(np.array(stage.p), setting.at.rows[E])
 
 
 class Setting(NamedTuple):
