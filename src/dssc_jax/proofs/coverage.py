@@ -1,6 +1,7 @@
 """What of a study a proof covers: from its loop to the plain numbers of a problem."""
 
 import math
+from dataclasses import asdict
 from typing import Any
 
 import jax
@@ -22,6 +23,8 @@ from dssc_jax.proofs.problem import Interval, ProofProblem
 from dssc_jax.study import Study
 from dssc_jax.study.laws import Law
 
+LARGEST = 1e100
+"""Largest number that a problem may hold."""
 UNCERTAIN = ("plant.k_p", "plant.a_p", "unmodelled.mu")
 """Numbers of a loop that a proof covers over an interval."""
 BOUNDED_SIGNALS = ("plant.initial", "disturbance.", "reference.")
@@ -59,7 +62,7 @@ def problem_of(study: Study) -> ProofProblem:
     if moves and lag:
         raise NotCovered("the reference moves, and the sensor lags")
     speed, acceleration, jerk = (float(moves.get(name, 0.0)) for name in ("y_m_dot", "y_m_ddot", "y_m_dddot"))
-    return ProofProblem(
+    problem = ProofProblem(
         sample_time=loop.sample_time,
         k_p=(float(low.plant.k_p), float(high.plant.k_p)),
         a_p=(float(low.plant.a_p), float(high.plant.a_p)),
@@ -75,6 +78,21 @@ def problem_of(study: Study) -> ProofProblem:
         **unmodelled_of(study, ends),
         **controller_of(study),
     )
+    for name, value in asdict(problem).items():
+        if not all(abs(number) <= LARGEST for number in numbers_in(value)):
+            raise NotCovered(f"{name} holds a number beyond {LARGEST:g}, whose square is none of float64")
+    return problem
+
+
+def numbers_in(value: Any) -> list[float]:
+    """All numbers of a field, at any depth."""
+    if isinstance(value, int | float):
+        return [value]
+    if isinstance(value, dict):
+        value = tuple(value.values())
+    if not isinstance(value, tuple):
+        return []
+    return [number for part in value for number in numbers_in(part)]
 
 
 def disturbance_of(study: Study, ends: Ends) -> tuple[float, float, tuple[float, ...]]:
