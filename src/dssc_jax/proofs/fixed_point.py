@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 
 from dssc_jax.proofs.gains import start_ratio
-from dssc_jax.proofs.law_spread import Deviation, LawSpread, law_spreads, middle_gains
+from dssc_jax.proofs.law_spread import Deviation, LawSpread, law_spreads, middle_gains, slide_hull
 from dssc_jax.proofs.problem import Interval, ProofProblem
 from dssc_jax.proofs.sampled_loop import (
     INNER_STEPS,
@@ -240,13 +240,20 @@ def motion_sizes(by: Map, bounds: np.ndarray) -> np.ndarray:
     return STATE_ROOM * np.array([by.command[:-1] @ bounds + by.command[-1], *bounds[STATES:]])
 
 
-def slide_slack(problem: ProofProblem, box: dict[str, Interval], by: Map, bounds: np.ndarray) -> float:
+def slide_slack(
+    problem: ProofProblem, box: dict[str, Interval], by: Map, bounds: np.ndarray, region: tuple[float, float]
+) -> float:
     """What the equivalent control deviates by from that of the middle loop."""
     change, sigma, constant = by.spread.slide
     slack = change * bounds[CHANGE] + sigma * bounds[SIGMA] + constant
+    if problem.form == "implicit":
+        return slack
+    moved = 0.0
     if by.spread.slide_e:
-        slack += by.spread.slide_e * problem.sample_time * motion(problem, box, motion_sizes(by, bounds))[1]
-    return slack
+        moved = problem.sample_time * motion(problem, box, motion_sizes(by, bounds))[1]
+    low, high = slide_hull(problem, region, INFLATION * bounds[CHANGE], moved)
+    centre = middle(by.spread.gains["slide_p"])
+    return slack + max(high - centre, centre - low) * bounds[CHANGE] + by.spread.slide_e * moved
 
 
 def motion(problem: ProofProblem, box: dict[str, Interval], bounds: np.ndarray) -> tuple[float, float, float]:
@@ -282,7 +289,7 @@ def from_start(problem: ProofProblem, box: dict[str, Interval]) -> tuple[BoundsS
         within = allowed.level <= own.level and allowed.slope <= own.slope
         if within and INFLATION * bounds[SIGMA] <= sigma and INFLATION * bounds[ERROR] <= e:
             room = np.inf if problem.rho is None else problem.rho - signal_sizes(own, box).offset
-            if INFLATION * (bounds[EQUIVALENT] + slide_slack(own, box, result, bounds)) > room:
+            if INFLATION * (bounds[EQUIVALENT] + slide_slack(own, box, result, bounds, (sigma, e))) > room:
                 return "sliding"
             return bounds_stage(own, (sigma, e), result, bounds), allowed
         sigma, e = max(sigma, GROWTH * bounds[SIGMA]), max(e, GROWTH * bounds[ERROR])

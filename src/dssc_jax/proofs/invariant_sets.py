@@ -33,6 +33,7 @@ from dssc_jax.proofs.enclosed_loop import (
     state_places,
 )
 from dssc_jax.proofs.gain_enclosures import enclosed_gains, start_ratio
+from dssc_jax.proofs.slope_ratios import slide_gain
 
 ERROR, SPEED = 0, 1
 """Places of e and e' among the states."""
@@ -60,7 +61,7 @@ def invariant_bounds(
     inverse, rows = p.inv(), signal_rows(problem)
     if started:
         check_start(problem, box, p, where)
-        check_sliding(problem, box, inverse, gains, pieces, where)
+        check_sliding(problem, box, stage, inverse, gains, pieces, where)
     sigma, e = (bound_in_set(inverse, rows[name]) for name in ("sigma", "e"))
     require_premise(not any(problem["by_state"]), f"P8: the set of {where} does not bound what the state adds to d")
     return StageLimits(sigma, e, largest_between_samples(problem, box, inverse, gains, ERROR), arb(0), arb(0))
@@ -84,6 +85,7 @@ def check_start(problem: dict[str, Any], box: dict[str, Any], p: arb_mat, where:
 def check_sliding(
     problem: dict[str, Any],
     box: dict[str, Any],
+    stage: dict[str, Any],
     inverse: arb_mat,
     gains: Balls,
     pieces: list[tuple[float, Balls]],
@@ -91,21 +93,23 @@ def check_sliding(
 ) -> None:
     """(P5) |u_eq| <= rho, where u_eq - d_r - f is a row of z that is affine in its gains.
 
-    In the conservative form u_av = q + phi_1(s): phi_1(s) is within (mean - least) |s| of least s in each piece. By e,
+    In the conservative form u_av = q + phi_1(s): phi_1(s) is within |mean - middle| |s| of middle s in each piece. By e,
     phi_1 changes in a sample at most by its slope in e times T_s sup |e'|.
     """
     if problem["rho"] is None:
         return
     rows, room = signal_rows(problem), arb(problem["rho"]) - signal_bounds(problem, box).offset
-    held = rows["v"]
+    held, slide_p = rows["v"], gains["slide_p"]
     if problem["form"] == "conservative":
-        least = gains["mean"].lower()
-        held = held + rows["s"] * least
-        room = room - reduce(larger, [(abs(piece["mean"] - least) * arb(high)).upper() for high, piece in pieces])
+        middle, moved = gains["mean"].mid(), arb(0)
+        held = held + rows["s"] * middle
+        room = room - reduce(larger, [(abs(piece["mean"] - middle) * arb(high)).upper() for high, piece in pieces])
         if (by_e := abs(gains["slide_e"]).upper()) > 0:
             speed = largest_between_samples(problem, box, inverse, gains, SPEED)
-            room = room - by_e * arb(problem["sample_time"]) * speed
-    for a, b in product(both(gains["slide_p"]), both(gains["slide_i"])):
+            moved = arb(problem["sample_time"]) * speed
+            room = room - by_e * moved
+        slide_p = slide_gain(problem, stage, gains, bound_in_set(inverse, rows["change"]), moved)
+    for a, b in product(both(slide_p), both(gains["slide_i"])):
         row = held + rows["change"] * a + rows["sigma"] * b
         holds = bound_in_set(inverse, row) <= room
         require_premise(holds, f"P5: the equivalent control may exceed rho in {where}")

@@ -14,9 +14,10 @@ import numpy as np
 from dssc_jax.proofs import fixed_point
 from dssc_jax.proofs.fixed_point import BoundsStage, from_start, responses, towards_residual
 from dssc_jax.proofs.gains import Region, gain_hull, region_of, start_ratio
+from dssc_jax.proofs.law_spread import slide_hull
 from dssc_jax.proofs.problem import Interval, ProofProblem
 from dssc_jax.proofs.programs import TIGHT, Bounded, SetPrograms, Solution, invariant_set, largest_in_set, scaling
-from dssc_jax.proofs.sampled_loop import Step, box_middle, box_steps, signal_sizes, start_corners, step_of
+from dssc_jax.proofs.sampled_loop import Step, box_middle, box_steps, middle, signal_sizes, start_corners, step_of
 
 Box = dict[str, Interval]
 FIRST_REGION, LARGEST_REGION, MOST_REGIONS = 1.02, 30.0, 20
@@ -37,6 +38,8 @@ SPARE, SPARE_OF_BOXES = 0.01, 0.1
 """Share of the decay that is left to the verifier's balls, for one plant and for a box of a_p or mu."""
 LOOSE = 1.3
 """A bound of |e| on the way, over what the loop at sigma = e = 0 reaches, from which a set is tried, too."""
+CHANGE_ROOM = 4.0
+"""Room of a set for the change of sigma in a sample, over what the loop at sigma = e = 0 reaches."""
 SPEED_ROOM = 1.05
 """Widening of |e'| at the samples for the time between them."""
 E, TRUE_E, SIGMA, CHANGE = range(4)  # rows of a step
@@ -97,23 +100,29 @@ class Failure(NamedTuple):
     reason: str
 
 
-def slide_rows(problem: ProofProblem, box: Box, region: Region, step: Step) -> list[Bounded]:
+def slide_rows(setting: "Setting", region: Region) -> list[Bounded]:
     """Rows of u_eq - d_r - f at every corner of the gains, with their bound; empty without a bound of the command.
 
     In the conservative form u_av = q + phi_1(s), of which phi_1(s) - mean s is bounded by itself, and so is what phi_1
-    changes by with e.
+    changes by with e. The change of sigma in a sample stays within a bound of its own.
     """
+    problem, step = setting.problem, setting.at
     if problem.rho is None:
         return []
-    unit, hull, room = np.eye(step.a.shape[0]), region.hull, problem.rho - signal_sizes(problem, box).offset
-    change, sigma, held = step.rows[CHANGE], step.rows[SIGMA], unit[-2]
+    unit, hull, room = np.eye(step.a.shape[0]), region.hull, problem.rho - signal_sizes(problem, setting.box).offset
+    change, sigma, held, slide_p = step.rows[CHANGE], step.rows[SIGMA], unit[-2], hull["slide_p"]
+    rows = []
     if "mean" in hull:
-        mean = hull["mean"][0]
-        room -= max((piece["mean"][1] - mean) * end for piece, end in zip(region.pieces, region.ends, strict=True))
-        room -= SPEED_ROOM * hull["slide_e"][1] * problem.sample_time * (region.sigma + problem.l0 * region.e)
+        mean, moved = middle(hull["mean"]), problem.sample_time * SPEED_ROOM * (region.sigma + problem.l0 * region.e)
+        far = [max(abs(end - mean) for end in piece["mean"]) for piece in region.pieces]
+        room -= max(each * end for each, end in zip(far, region.ends, strict=True))
+        room -= hull["slide_e"][1] * moved
         held = held + mean * unit[-1]
-    corners = product(set(hull["slide_p"]), set(hull["slide_i"]))
-    return [Bounded(held + p * change + i * sigma, max(room, 0.0), 1.0) for p, i in corners]
+        largest = CHANGE_ROOM * excursion(step, setting.programs.starts, CHANGE)
+        slide_p = slide_hull(problem, (region.sigma, region.e), largest, moved)
+        rows = [Bounded(change, largest, 1.0)] if slide_p != hull["slide_p"] else []
+    corners = product(set(slide_p), set(hull["slide_i"]))
+    return rows + [Bounded(held + p * change + i * sigma, max(room, 0.0), 1.0) for p, i in corners]
 
 
 def decay_rate(step: Step, sample_time: float) -> float:
@@ -141,7 +150,7 @@ def tighter_start(problem: ProofProblem, proof: Proof) -> Proof:
     if any(problem.by_state) or (setting := setting_of(problem, proof.box)) is None:
         return proof
     first = reached_error(proof.stages[0], setting)
-    if first <= LOOSE * excursion(setting.at, setting.programs.starts)[1]:
+    if first <= LOOSE * excursion(setting.at, setting.programs.starts, E):
         return proof
     other = proof_by_sets(problem, proof.box)
     if isinstance(other, Failure) or reached_error(other.stages[0], setting) >= first:
@@ -235,7 +244,7 @@ def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
 
 def first_set(setting: Setting) -> SetStage | str:
     """A set that holds the start and keeps sliding; otherwise the reason why there is none."""
-    least = excursion(setting.at, setting.programs.starts)
+    least = [excursion(setting.at, setting.programs.starts, row) for row in (SIGMA, E)]
     if not all(np.isfinite(least)):
         return "region"
     first = [FIRST_REGION * max(each, 1e-9) for each in least]
@@ -264,7 +273,7 @@ def held_start(setting: Setting, first: Sequence[float], *, slides: bool) -> Set
         steps = setting.steps(region)
         inside = [Bounded(at.rows[SIGMA], region.sigma, None)]
         inside += [Bounded(at.rows[E], region.e, None)] if by_e else []
-        sliding = slide_rows(setting.problem, setting.box, region, at) if slides else []
+        sliding = slide_rows(setting, region) if slides else []
         if not all(each.bound > 0.0 for each in sliding):
             return None
         if (solution := started_set(setting, steps, [*inside, *sliding], shares)) is None:
@@ -306,13 +315,10 @@ def smaller_set(setting: Setting, sigma: float, e: float, shares: Sequence[float
     return set_stage(best, region, setting)
 
 
-def excursion(step: Step, starts: Sequence[np.ndarray]) -> tuple[float, float]:
-    """The largest |sigma| and |e| of the loop at one point, from the starts and under inputs of size one."""
-    response = responses(step.a, step.rows[[SIGMA, E]], step.b, np.stack(starts, axis=1))
-    if response is None:
-        return np.inf, np.inf
-    sigma, e = response.peaks + response.sums.sum(axis=1)
-    return float(sigma), float(e)
+def excursion(step: Step, starts: Sequence[np.ndarray], row: int) -> float:
+    """The largest value of a row in the loop at one point, from the starts and under inputs of size one."""
+    response = responses(step.a, step.rows[[row]], step.b, np.stack(starts, axis=1))
+    return np.inf if response is None else float((response.peaks + response.sums.sum(axis=1))[0])
 
 
 def set_stage(result: Solution, region: Region, setting: Setting) -> SetStage:

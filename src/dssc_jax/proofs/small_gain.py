@@ -41,6 +41,7 @@ from dssc_jax.proofs.enclosed_loop import (
 from dssc_jax.proofs.function_distances import function_distances
 from dssc_jax.proofs.gain_enclosures import start_ratio
 from dssc_jax.proofs.impulse_responses import response_bounds
+from dssc_jax.proofs.slope_ratios import slide_gain
 from dssc_jax.proofs.state_dependence import disturbance_by_state, motion_bounds
 
 MIDDLE_GAINS: dict[str, tuple[str, ...]] = {
@@ -78,7 +79,7 @@ class LawDeviations(NamedTuple):
     Args:
         integral: Of omega_v, in the increment of v or q.
         command: Of the command besides, at one k_p.
-        slide: Of the equivalent control, without what e changes it by.
+        slide: Of the equivalent control, without what deviates by the changes of sigma and e in a sample.
     """
 
     integral: arb
@@ -159,10 +160,7 @@ def implied_bounds(
         require_premise(total < bound, f"P7: the bound of signal {i} does not imply itself in {where}")
     if started and problem["rho"] is not None:
         room = arb(problem["rho"]) - signal_bounds(problem, box).offset
-        slack = law.slide
-        if (by_e := abs(gains.get("slide_e", arb(0))).upper()) > 0:
-            _, speed, _ = motion_bounds(problem, box, [command, *bounds[STATES:]])
-            slack = slack + by_e * t * speed
+        slack = law.slide + slide_deviation(problem, box, stage, gains, centre, bounds, command)
         require_premise(bounds[EQUIVALENT] + slack <= room, f"P5: the equivalent control may exceed rho in {where}")
     bend = bend_between_samples(problem, box, bounds, command)
     added = disturbance_by_state(problem, box, [each * arb(ENTERED) for each in (command, *bounds[STATES:])])
@@ -187,7 +185,7 @@ def law_deviations(
     """
     t, change, sigma = arb(problem["sample_time"]), bounds[CHANGE], bounds[SIGMA]
     half = {name: abs(gains[name] - value).upper() for name, value in centre.items()}
-    slide = half["slide_p"] * change + half["slide_i"] * sigma
+    slide = half["slide_i"] * sigma
     if problem["form"] == "implicit":
         by_v = half["k_p"] * change + t * half["k_i"] * sigma
         return LawDeviations(by_v, half["k_n"] * sigma, slide)
@@ -197,6 +195,24 @@ def law_deviations(
         smaller(far["both"], (half["mean"] + half["k_n"]) * sigma),
         slide + smaller(far["phi_1"], half["mean"] * sigma),
     )
+
+
+def slide_deviation(
+    problem: dict[str, Any],
+    box: dict[str, Any],
+    stage: dict[str, Any],
+    gains: Balls,
+    centre: Balls,
+    bounds: list[arb],
+    command: arb,
+) -> arb:
+    """What the equivalent control deviates by, through the changes of sigma and e in a sample."""
+    moved = arb(0)
+    if (by_e := abs(gains.get("slide_e", arb(0))).upper()) > 0:
+        _, speed, _ = motion_bounds(problem, box, [command, *bounds[STATES:]])
+        moved = arb(problem["sample_time"]) * speed
+    slide_p = slide_gain(problem, stage, gains, bounds[CHANGE], moved)
+    return abs(slide_p - centre["slide_p"]).upper() * bounds[CHANGE] + by_e * moved
 
 
 def smaller(a: arb, b: arb) -> arb:
