@@ -145,7 +145,7 @@ def bounds_map(problem: ProofProblem, box: dict[str, Interval], spread: LawSprea
     by_v = np.eye(n)[n - 2] - step.push
     other = t * signal_sizes(problem, box).slope * share * step.jump  # zeta's at other values of k_p
     inputs = np.concatenate([step.b, other[:, None], by_v[:, None], step.push[:, None], np.eye(n)], axis=1)
-    starts = start_corners(problem, box, start_ratio(problem))
+    starts = start_corners(problem, box, start_ratio(problem, integrated=integrated))
     result = responses(step.a, rows, inputs, np.stack(starts, axis=1))
     if result is None:
         return None

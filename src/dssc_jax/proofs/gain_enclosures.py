@@ -91,18 +91,18 @@ def gains_by_sigma(problem: dict[str, Any], sigma: float, least: float) -> Balls
     return result
 
 
-def start_ratio(problem: dict[str, Any]) -> arb:
+def start_ratio(problem: dict[str, Any], *, integrated: bool) -> arb:
     """What the start takes from u_av, over sigma_0, as a ball that holds it for every start.
 
-    Seen from sigma_hat = sigma_0, the start ``midpoint`` halves the first T_s phi_2. In the conservative form the
-    coordinate is q = v - phi_1(sigma_0).
+    Seen from sigma_hat = sigma_0, the start ``midpoint`` halves the first T_s phi_2. ``integrated``: the coordinate is
+    q = v - phi_1(sigma_0).
     """
     if problem["start"] == "zero":
         return arb(0)
     e, speed = (enclosing(*pair) for pair in problem["initial"][:2])
     least, largest = magnitudes(speed + arb(problem["l0"]) * e)
     gains = enclosed_gains(problem, largest, magnitudes(e)[1], least, magnitudes(e)[0])
-    ratio = gains["mean"] if problem["form"] == "conservative" else arb(0)
+    ratio = gains["mean"] if integrated else arb(0)
     if problem["start"] == "midpoint":
         ratio = ratio + arb(problem["sample_time"]) / 2 * gains["k_i"]
     return ratio
@@ -113,6 +113,24 @@ def magnitudes(ball: arb) -> tuple[float, float]:
     size = abs(ball)
     least, largest = float(size.lower()), float(size.upper())
     return max(0.0, math.nextafter(least, -math.inf)), max(math.nextafter(largest, math.inf), SMALLEST_REGION)
+
+
+def with_moving_error(problem: dict[str, Any], gains: Balls, moved: float) -> Balls:
+    """The gains of the increments of u_av, where e changes by at most ``moved`` in a sample.
+
+    In the conservative form phi_1(sigma_k, e_k) - phi_1(sigma_k, e_(k-1)) is sigma_k times a gain, which joins T_s K_I.
+    """
+    if not depends_on_error(problem):
+        return gains
+    joins = enclosing(-1.0, 1.0) * abs(gains["by_e"]).upper() * arb(moved)
+    t = arb(problem["sample_time"])
+    reach = 1 + gains["tau_av"] / t
+    return gains | {"k_i": gains["k_i"] + joins / t, "slide_i": gains["slide_i"] + joins * reach}
+
+
+def depends_on_error(problem: dict[str, Any]) -> bool:
+    """Whether phi_1 of the conservative form changes with e."""
+    return problem["form"] == "conservative" and bool(problem["functions"].get("kappa_b", 0))
 
 
 def middle_of(piece: tuple[float, float]) -> float:

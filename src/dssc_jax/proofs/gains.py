@@ -89,16 +89,17 @@ def conservative_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar, t
         "k_i": jnp.broadcast_to(integral, s.shape),
         "slide_i": jnp.broadcast_to(reach * t * integral, s.shape),
         "slide_p": slide_p,
+        "by_e": jnp.max(jnp.abs(by_e / jnp.where(s == 0.0, 1.0, s)))[None],
         "slide_e": jnp.stack([-largest, largest]),
         "mean": mean,
     }
 
 
-def start_ratio(problem: ProofProblem) -> Interval:
+def start_ratio(problem: ProofProblem, *, integrated: bool) -> Interval:
     """What the start takes from u_av, over sigma_0.
 
-    Seen from sigma_hat = sigma_0, the start ``midpoint`` halves the first T_s phi_2. In the conservative form the
-    coordinate is q = v - phi_1(sigma_0).
+    Seen from sigma_hat = sigma_0, the start ``midpoint`` halves the first T_s phi_2. ``integrated``: the coordinate is
+    q = v - phi_1(sigma_0).
     """
     if problem.start == "zero":
         return 0.0, 0.0
@@ -106,7 +107,7 @@ def start_ratio(problem: ProofProblem) -> Interval:
     least, largest = magnitudes_of((min(ends), max(ends)))
     least_e, largest_e = magnitudes_of(problem.initial[0])
     hull = gain_hull(problem, max(largest, 1e-9), max(largest_e, 1e-9), least, least_e)
-    low, high = hull["mean"] if problem.form == "conservative" else (0.0, 0.0)
+    low, high = hull["mean"] if integrated else (0.0, 0.0)
     if problem.start == "midpoint":
         low += 0.5 * problem.sample_time * hull["k_i"][0]
         high += 0.5 * problem.sample_time * hull["k_i"][1]

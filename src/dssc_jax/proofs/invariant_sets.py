@@ -32,7 +32,7 @@ from dssc_jax.proofs.enclosed_loop import (
     start_columns,
     state_places,
 )
-from dssc_jax.proofs.gain_enclosures import enclosed_gains, start_ratio
+from dssc_jax.proofs.gain_enclosures import depends_on_error, enclosed_gains, start_ratio, with_moving_error
 from dssc_jax.proofs.slope_ratios import slide_gain
 
 ERROR, SPEED = 0, 1
@@ -52,19 +52,26 @@ def invariant_bounds(
         started: Whether the set has to hold every start and keep sliding.
         where: The stage's place, for messages.
     """
-    p, integrated = symmetric_ball(stage["p"]), problem["form"] == "conservative"
+    p, integrated = symmetric_ball(stage["p"]), stage["coordinate"] == "phi_1"
+    if not integrated:
+        gains = with_moving_error(problem, gains, stage["moved"])
     require_premise(positive_definite(p), f"P2: P is not positive definite in {where}")
     pieces, held = piece_gains(problem, stage), held_vertices(problem, box, stage["degree"])
+    if not integrated:  # K_P is a mean over a sample, which may have begun in another piece
+        whole = {"k_p": gains["k_p"]} if problem["form"] == "conservative" else {}
+        pieces = [(high, with_moving_error(problem, piece, stage["moved"]) | whole) for high, piece in pieces]
     for _, piece in pieces:
         corners = sample_corners(problem, box, held, piece, integrated=integrated)
         check_invariance(arb(problem["sample_time"]), stage, p, corners, where)
     inverse, rows = p.inv(), signal_rows(problem)
+    between = [largest_between_samples(problem, box, stage, inverse, gains, at) for at in (ERROR, SPEED)]
+    moved = arb(problem["sample_time"]) * between[SPEED] if depends_on_error(problem) else arb(0)
     if started:
-        check_start(problem, box, p, where)
-        check_sliding(problem, box, stage, inverse, gains, pieces, where)
+        check_start(problem, box, p, integrated, where)
+        check_sliding(problem, box, stage, inverse, gains, pieces, moved, where)
     sigma, e = (bound_in_set(inverse, rows[name]) for name in ("sigma", "e"))
     require_premise(not any(problem["by_state"]), f"P8: the set of {where} does not bound what the state adds to d")
-    return StageLimits(sigma, e, largest_between_samples(problem, box, inverse, gains, ERROR), arb(0), arb(0))
+    return StageLimits(sigma, e, between[ERROR], arb(0), arb(0), moved)
 
 
 def piece_gains(problem: dict[str, Any], stage: dict[str, Any]) -> list[tuple[float, Balls]]:
@@ -74,9 +81,9 @@ def piece_gains(problem: dict[str, Any], stage: dict[str, Any]) -> list[tuple[fl
     return [(high, enclosed_gains(problem, high, stage["e"], low)) for low, high in pairwise(ends)]
 
 
-def check_start(problem: dict[str, Any], box: dict[str, Any], p: arb_mat, where: str) -> None:
+def check_start(problem: dict[str, Any], box: dict[str, Any], p: arb_mat, integrated: bool, where: str) -> None:
     """(P3) Every start lies in the set."""
-    starts = start_columns(problem, box, start_ratio(problem))
+    starts = start_columns(problem, box, start_ratio(problem, integrated=integrated))
     for j in range(starts.ncols()):
         z = arb_mat([[starts[i, j]] for i in range(starts.nrows())])
         require_premise((z.transpose() * p * z)[0, 0] <= 1, f"P3: a start lies outside of {where}")
@@ -89,25 +96,26 @@ def check_sliding(
     inverse: arb_mat,
     gains: Balls,
     pieces: list[tuple[float, Balls]],
+    moved: arb,
     where: str,
 ) -> None:
     """(P5) |u_eq| <= rho, where u_eq - d_r - f is a row of z that is affine in its gains.
 
-    In the conservative form u_av = q + phi_1(s): phi_1(s) is within |mean - middle| |s| of middle s in each piece. By e,
-    phi_1 changes in a sample at most by its slope in e times T_s sup |e'|.
+    In the coordinate q, u_av = q + phi_1(s): phi_1(s) is within |mean - middle| |s| of middle s in each piece. By e,
+    phi_1 changes in a sample at most by its slope in e times ``moved``, the bound of the change of e; in the coordinate
+    u_av, K_I holds this.
     """
     if problem["rho"] is None:
         return
     rows, room = signal_rows(problem), arb(problem["rho"]) - signal_bounds(problem, box).offset
     held, slide_p = rows["v"], gains["slide_p"]
-    if problem["form"] == "conservative":
-        middle, moved = gains["mean"].mid(), arb(0)
+    if stage["coordinate"] == "phi_1":
+        middle = gains["mean"].mid()
         held = held + rows["s"] * middle
         room = room - reduce(larger, [(abs(piece["mean"] - middle) * arb(high)).upper() for high, piece in pieces])
-        if (by_e := abs(gains["slide_e"]).upper()) > 0:
-            speed = largest_between_samples(problem, box, inverse, gains, SPEED)
-            moved = arb(problem["sample_time"]) * speed
-            room = room - by_e * moved
+    if problem["form"] == "conservative":
+        if stage["coordinate"] == "phi_1":
+            room = room - abs(gains["slide_e"]).upper() * moved
         slide_p = slide_gain(problem, stage, gains, bound_in_set(inverse, rows["change"]), moved)
     for a, b in product(both(slide_p), both(gains["slide_i"])):
         row = held + rows["change"] * a + rows["sigma"] * b
@@ -140,10 +148,15 @@ def check_invariance(t: arb, stage: dict[str, Any], p: arb_mat, corners: list[Co
 
 
 def largest_between_samples(
-    problem: dict[str, Any], box: dict[str, Any], inverse: arb_mat, gains: Balls, place: int
+    problem: dict[str, Any],
+    box: dict[str, Any],
+    stage: dict[str, Any],
+    inverse: arb_mat,
+    gains: Balls,
+    place: int,
 ) -> arb:
     """Upper bound of |e(t)| or |e'(t)| at all times, while z at the samples is in the set."""
-    integrated = problem["form"] == "conservative"
+    integrated = stage["coordinate"] == "phi_1"
     _, _, n = state_places(problem)
     t, k_p = arb(problem["sample_time"]), enclosing(*box["k_p"])
     f = held_generator(problem, enclosing(*box["a_p"]), enclosing(*box.get("rate", (0.0, 0.0))))
@@ -152,8 +165,7 @@ def largest_between_samples(
         flow = (f * (t * enclosing(piece / SAMPLE_PIECES, (piece + 1) / SAMPLE_PIECES))).exp()
         for gain in product(*(both(gains[name]) for name in ("mean" if integrated else "k_p", "k_i", "k_n"))):
             _, command = control_rows(problem, gain, integrated=integrated)
-            row = [
-                (flow[place, j] if j < n - 2 else arb(0)) + k_p * flow[place, n - 2] * command[0, j] for j in range(n)
-            ]
+            pushed = k_p * flow[place, n - 2]
+            row = [(flow[place, j] if j < n - 2 else arb(0)) + pushed * command[0, j] for j in range(n)]
             largest = larger(largest, (bound_in_set(inverse, arb_mat([row])) + rest).upper())
     return largest

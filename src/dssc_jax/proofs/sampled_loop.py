@@ -286,7 +286,12 @@ def box_middle(box: dict[str, Interval], gains: dict[str, Interval]) -> LoopPoin
 
 
 def box_steps(
-    problem: ProofProblem, box: dict[str, Interval], gains: dict[str, Interval], degree: int, *, integrated: bool
+    problem: ProofProblem,
+    box: dict[str, Interval],
+    gains: dict[str, Interval],
+    degree: int,
+    *,
+    integrated: bool,
 ) -> Iterable[Step]:
     """One sample at every corner of plant and gains, and at the control points of 1/mu."""
     names = ("mean" if integrated else "k_p", "k_i", "k_n")

@@ -13,7 +13,7 @@ import numpy as np
 
 from dssc_jax.proofs import fixed_point
 from dssc_jax.proofs.fixed_point import BoundsStage, from_start, responses, towards_residual
-from dssc_jax.proofs.gains import Region, gain_hull, region_of, start_ratio
+from dssc_jax.proofs.gains import Hull, Region, gain_hull, region_of, start_ratio
 from dssc_jax.proofs.law_spread import slide_hull
 from dssc_jax.proofs.problem import Interval, ProofProblem
 from dssc_jax.proofs.programs import TIGHT, Bounded, SetPrograms, Solution, invariant_set, largest_in_set, scaling
@@ -38,8 +38,10 @@ SPARE, SPARE_OF_BOXES = 0.01, 0.1
 """Share of the decay that is left to the verifier's balls, for one plant and for a box of a_p or mu."""
 LOOSE = 1.3
 """A bound of |e| on the way, over what the loop at sigma = e = 0 reaches, from which a set is tried, too."""
-CHANGE_ROOM = 4.0
-"""Room of a set for the change of sigma in a sample, over what the loop at sigma = e = 0 reaches."""
+CHANGE_ROOM, CHANGE_WEIGHT = 8.0, 1e-3
+"""Room of a set for the change of sigma in a sample, over what the loop at sigma = e = 0 reaches, and its weight."""
+GAIN_ROOM = 1.03
+"""Widening of what phi_1 changes by with e, for the verifier's enclosures."""
 SPEED_ROOM = 1.05
 """Widening of |e'| at the samples for the time between them."""
 E, TRUE_E, SIGMA, CHANGE = range(4)  # rows of a step
@@ -48,8 +50,6 @@ E, TRUE_E, SIGMA, CHANGE = range(4)  # rows of a step
 @dataclass(frozen=True)
 class SetStage:
     """A set {z'Pz <= 1} that is invariant while |sigma| and |e| stay within a region.
-
-    In the conservative form z holds q = v - phi_1(s) in place of v.
 
     Args:
         sigma: Bound of |sigma| in which the gains are selected [m/s].
@@ -61,6 +61,8 @@ class SetStage:
         rate: lambda [1/s].
         multipliers: mu_j of the inputs, with a sum of at most lambda.
         p: P, row by row.
+        coordinate: What z holds, ``u_av`` or, in the conservative form, ``phi_1`` for q = v - phi_1(s).
+        moved: Bound of the change of e in a sample [m], where phi_1 depends on e.
         method: The verifier's method.
     """
 
@@ -73,6 +75,8 @@ class SetStage:
     rate: float
     multipliers: list[float]
     p: list[list[float]]
+    coordinate: str
+    moved: float
     method: str = "invariant set"
 
 
@@ -112,15 +116,19 @@ def slide_rows(setting: "Setting", region: Region) -> list[Bounded]:
     unit, hull, room = np.eye(step.a.shape[0]), region.hull, problem.rho - signal_sizes(problem, setting.box).offset
     change, sigma, held, slide_p = step.rows[CHANGE], step.rows[SIGMA], unit[-2], hull["slide_p"]
     rows = []
-    if "mean" in hull:
-        mean, moved = middle(hull["mean"]), problem.sample_time * SPEED_ROOM * (region.sigma + problem.l0 * region.e)
+    if setting.integrated:
+        mean = middle(hull["mean"])
         far = [max(abs(end - mean) for end in piece["mean"]) for piece in region.pieces]
         room -= max(each * end for each, end in zip(far, region.ends, strict=True))
-        room -= hull["slide_e"][1] * moved
         held = held + mean * unit[-1]
+        room -= hull["slide_e"][1] * setting.moved(region)
+    else:
+        hull = setting.increments(region, hull)
+    if problem.form == "conservative":
+        moved = setting.moved(region)
         largest = CHANGE_ROOM * excursion(step, setting.programs.starts, CHANGE)
         slide_p = slide_hull(problem, (region.sigma, region.e), largest, moved)
-        rows = [Bounded(change, largest, 1.0)] if slide_p != hull["slide_p"] else []
+        rows = [Bounded(change, largest, CHANGE_WEIGHT)] if slide_p != hull["slide_p"] else []
     corners = product(set(slide_p), set(hull["slide_i"]))
     return rows + [Bounded(held + p * change + i * sigma, max(room, 0.0), 1.0) for p, i in corners]
 
@@ -174,6 +182,7 @@ class Setting(NamedTuple):
         box: The box.
         at: One sample at the box's middle, with the gains at sigma = e = 0.
         speed: Decay of the slowest mode [1/s].
+        integrated: Whether z holds q = v - phi_1(s) in place of v.
         programs: Starts, coordinates and precision of the programs.
     """
 
@@ -181,16 +190,34 @@ class Setting(NamedTuple):
     box: Box
     at: Step
     speed: float
+    integrated: bool
     programs: SetPrograms
 
     def steps(self, region: Region) -> list[Step]:
         """One sample at every corner of the box and of the gains in each piece of a region."""
-        integrated = self.problem.form == "conservative"
-        return [
-            step
-            for hull in region.pieces
-            for step in box_steps(self.problem, self.box, hull, self.degree, integrated=integrated)
-        ]
+        steps: list[Step] = []
+        for hull in region.pieces:
+            gains = hull if self.integrated else self.increments(region, hull)
+            steps += box_steps(self.problem, self.box, gains, self.degree, integrated=self.integrated)
+        return steps
+
+    def increments(self, region: Region, hull: Hull) -> Hull:
+        """The gains of the increments of u_av.
+
+        In the conservative form K_P is a mean over a sample, which may have begun in another piece, and K_I holds what
+        phi_1 changes by with e.
+        """
+        if self.problem.form == "implicit":
+            return hull
+        reach, t = hull["slide_p"][1] / hull["k_p"][1], self.problem.sample_time
+        joins = GAIN_ROOM * hull["by_e"][1] * self.moved(region)
+        k_i = hull["k_i"][0] - joins / t, hull["k_i"][1] + joins / t
+        slide_i = hull["slide_i"][0] - joins * reach, hull["slide_i"][1] + joins * reach
+        return hull | {"k_p": region.hull["k_p"], "k_i": k_i, "slide_i": slide_i}
+
+    def moved(self, region: Region) -> float:
+        """Bound of the change of e in a sample, with room for the time between the samples."""
+        return self.problem.sample_time * SPEED_ROOM * (region.sigma + self.problem.l0 * region.e)
 
     @property
     def degree(self) -> int:
@@ -209,22 +236,41 @@ class Setting(NamedTuple):
         return self.solve(steps, [], min(RATES), started=False) is not None
 
 
-def setting_of(problem: ProofProblem, box: Box) -> Setting | None:
+def setting_of(problem: ProofProblem, box: Box, *, integrated: bool = False) -> Setting | None:
     """The setting of a box; None if the loop is not stable at sigma = e = 0."""
-    integrated, origin = problem.form == "conservative", gain_hull(problem, 1e-9, 1e-9)
+    origin = gain_hull(problem, 1e-9, 1e-9)
     at = step_of(problem, box_middle(box, origin), box, integrated=integrated)
-    starts = start_corners(problem, box, start_ratio(problem))
+    starts = start_corners(problem, box, start_ratio(problem, integrated=integrated))
     speed = decay_rate(at, problem.sample_time)
     if speed <= 0.0 or (scale := scaling(at, starts, speed * problem.sample_time)) is None:
         return None
     point = all(low == high for name, (low, high) in box.items() if name != "k_p")
     programs = SetPrograms(problem.sample_time, starts, scale, SPARE if point else SPARE_OF_BOXES, [])
-    return Setting(problem, box, at, speed, programs)
+    return Setting(problem, box, at, speed, integrated, programs)
 
 
 def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
+    """Sets from the start on.
+
+    In the conservative form the coordinate is phi_1 where K_P varies much over the first region, else u_av; and the
+    other one where that does not lead to a proof.
+    """
+    if problem.form == "implicit":
+        return proof_in_coordinate(problem, box, integrated=False)
+    wide = False
+    if (setting := setting_of(problem, box)) is not None:
+        first = [excursion(setting.at, setting.programs.starts, row) for row in (SIGMA, E)]
+        wide = bool(np.all(np.isfinite(first))) and len(region_of(problem, first[0], first[1]).pieces) > 1
+    result = proof_in_coordinate(problem, box, integrated=wide)
+    if isinstance(result, Failure) and result.reason != "origin":
+        other = proof_in_coordinate(problem, box, integrated=not wide)
+        return result if isinstance(other, Failure) else other
+    return result
+
+
+def proof_in_coordinate(problem: ProofProblem, box: Box, *, integrated: bool) -> Proof | Failure:
     """Sets from the start to a region in which bounds imply themselves."""
-    if (setting := setting_of(problem, box)) is None:
+    if (setting := setting_of(problem, box, integrated=integrated)) is None:
         return Failure(box, "origin")
     at = setting.at
     first = first_set(setting)
@@ -326,7 +372,9 @@ def set_stage(result: Solution, region: Region, setting: Setting) -> SetStage:
     e, pieces = max(region.e, INFLATION * largest_in_set(result.p, setting.at.rows[E])), len(region.pieces)
     multipliers, p = result.multipliers.tolist(), result.p.tolist()
     sizes = region.sigma, e, setting.problem.level, setting.problem.slope
-    return SetStage(*sizes, pieces, setting.degree, result.rate, multipliers, p)
+    coordinate = "phi_1" if setting.integrated else "u_av"
+    shape = pieces, setting.degree, result.rate, multipliers, p, coordinate, setting.moved(region)
+    return SetStage(*sizes, *shape)
 
 
 def halves(box: Box, problem: ProofProblem) -> list[Box]:

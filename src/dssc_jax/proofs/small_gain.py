@@ -39,7 +39,7 @@ from dssc_jax.proofs.enclosed_loop import (
     zeta_jump,
 )
 from dssc_jax.proofs.function_distances import function_distances
-from dssc_jax.proofs.gain_enclosures import start_ratio
+from dssc_jax.proofs.gain_enclosures import depends_on_error, start_ratio
 from dssc_jax.proofs.impulse_responses import response_bounds
 from dssc_jax.proofs.slope_ratios import slide_gain
 from dssc_jax.proofs.state_dependence import disturbance_by_state, motion_bounds
@@ -147,12 +147,18 @@ def implied_bounds(
     falls = p * (1 - t * rate) - loop.a.transpose() * p * loop.a
     require_premise(positive_definite(falls), f"P7: V does not fall in {where}")
     inputs = adjoined(loop.w, loop.deviations)
-    starts = start_columns(problem, box, start_ratio(problem)) if started else arb_mat(p.nrows(), 0)
+    starts = (
+        start_columns(problem, box, start_ratio(problem, integrated=problem["form"] == "conservative"))
+        if started
+        else arb_mat(p.nrows(), 0)
+    )
     responses = response_bounds(loop.a, loop.rows, inputs, starts, p, t * rate)
     require_premise(responses is not None, f"P7: the responses decay too slowly in {where}")
     assert responses is not None
     law = law_deviations(problem, stage, gains, centre, bounds)
-    command = bounds[COMMAND] + law.integral + law.command
+    command, moved = bounds[COMMAND] + law.integral + law.command, arb(0)
+    if depends_on_error(problem):
+        moved = t * motion_bounds(problem, box, [command, *bounds[STATES:]])[1]
     sizes = [arb(1)] * loop.w.ncols() + deviation_sizes(loop, law, command, bounds[STATES:])
     for i, bound in enumerate(bounds):
         forced = sum((arb(float(responses.sums[i, j])) * size for j, size in enumerate(sizes)), arb(0))
@@ -160,11 +166,11 @@ def implied_bounds(
         require_premise(total < bound, f"P7: the bound of signal {i} does not imply itself in {where}")
     if started and problem["rho"] is not None:
         room = arb(problem["rho"]) - signal_bounds(problem, box).offset
-        slack = law.slide + slide_deviation(problem, box, stage, gains, centre, bounds, command)
+        slack = law.slide + slide_deviation(problem, stage, gains, centre, bounds, moved)
         require_premise(bounds[EQUIVALENT] + slack <= room, f"P5: the equivalent control may exceed rho in {where}")
     bend = bend_between_samples(problem, box, bounds, command)
     added = disturbance_by_state(problem, box, [each * arb(ENTERED) for each in (command, *bounds[STATES:])])
-    return StageLimits(bounds[SIGMA], bounds[ERROR], (bounds[STATES] + bend).upper(), *added)
+    return StageLimits(bounds[SIGMA], bounds[ERROR], (bounds[STATES] + bend).upper(), *added, moved)
 
 
 def law_deviations(
@@ -198,19 +204,10 @@ def law_deviations(
 
 
 def slide_deviation(
-    problem: dict[str, Any],
-    box: dict[str, Any],
-    stage: dict[str, Any],
-    gains: Balls,
-    centre: Balls,
-    bounds: list[arb],
-    command: arb,
+    problem: dict[str, Any], stage: dict[str, Any], gains: Balls, centre: Balls, bounds: list[arb], moved: arb
 ) -> arb:
-    """What the equivalent control deviates by, through the changes of sigma and e in a sample."""
-    moved = arb(0)
-    if (by_e := abs(gains.get("slide_e", arb(0))).upper()) > 0:
-        _, speed, _ = motion_bounds(problem, box, [command, *bounds[STATES:]])
-        moved = arb(problem["sample_time"]) * speed
+    """What the equivalent control deviates by, through the changes of sigma and, by ``moved``, of e in a sample."""
+    by_e = abs(gains.get("slide_e", arb(0))).upper()
     slide_p = slide_gain(problem, stage, gains, bounds[CHANGE], moved)
     return abs(slide_p - centre["slide_p"]).upper() * bounds[CHANGE] + by_e * moved
 

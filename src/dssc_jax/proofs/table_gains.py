@@ -89,7 +89,8 @@ def gains_of(problem: dict[str, Any], r: Intervals, sign: np.ndarray, e: Interva
     """The gains with r = |sigma|^(1/2), the sign of sigma e, and e = |e|.
 
     Terms are written so that each r in them acts in the same direction, where they can be. In the conservative form
-    K_I is phi_2/sigma; ``mean`` is phi_1/sigma, ``k_e`` the size of d phi_1/d e, and ``tau_av`` is needed by itself.
+    K_I is phi_2/sigma; ``mean`` is phi_1/sigma, ``k_e`` the size of d phi_1/d e, ``by_e`` that over |sigma|,
+    and ``tau_av`` is needed by itself.
     """
     own = {name: exactly(value) for name, value in problem["functions"].items() if name != "kind"}
     two, t, sides = exactly(2.0), exactly(problem["sample_time"]), Intervals(sign, sign)
@@ -117,6 +118,8 @@ def gains_of(problem: dict[str, Any], r: Intervals, sign: np.ndarray, e: Interva
     gains = {"k_p": proportional, "k_i": integral, "k_n": term, "slide_i": t * integral + by_pole}
     if not conservative:
         return gains | {"slide_p": proportional + filtered / t}
-    changes = two * kappa * own["kappa_b"] * first if problem["functions"]["kappa_b"] else Intervals(nothing, nothing)
-    whole = {"mean": kappa1 * ratio, "tau_av": averages, "k_e": changes}
+    whole = {"mean": kappa1 * ratio, "tau_av": averages}
+    if problem["functions"]["kappa_b"]:
+        bends = two * kappa * own["kappa_b"]  # the size of d kappa_1/d e
+        whole |= {"k_e": bends * first, "by_e": bends * ratio}
     return gains | {name: Intervals(each.low + nothing, each.high + nothing) for name, each in whole.items()}

@@ -145,3 +145,5 @@ def require_region(limits: StageLimits, factor: arb, stage: dict[str, Any], who:
     """(P4) What was shown lies in the region of a stage."""
     for name, limit in (("sigma", limits.sigma), ("e", limits.e)):
         require_premise(limit * factor <= arb(stage[name]), f"{who} leaves |{name}| <= {stage[name]}")
+    if stage.get("coordinate") == "u_av":
+        require_premise(limits.moved * factor <= arb(stage["moved"]), f"{who} lets e change by more in a sample")

@@ -47,10 +47,11 @@ PROBLEM = {
 STAGE = {"sigma", "e", "level", "slope", "rate", "p", "method"}
 STAGES = {
     "small gain": STAGE | {"gains", "bounds"},
-    "invariant set": STAGE | {"pieces", "degree", "multipliers"},
+    "invariant set": STAGE | {"pieces", "degree", "multipliers", "coordinate", "moved"},
 }
 """Entries of a certificate, of its problem, and of a stage by its method. All of them are needed, and no other."""
 FORMS = ("implicit", "conservative")
+COORDINATES = ("u_av", "phi_1")
 STARTS = ("zero", "matched", "midpoint")
 MAY_VANISH = {"phi_a", "kappa_a", "kappa_b", "kappa_c", "gamma"}
 SIGNALS, MIDDLE_COUNT = 5, 5
@@ -232,6 +233,10 @@ def require_stage(problem: dict[str, Any], stage: Any) -> None:
         require_shape(all(bound > 0 for bound in stage["bounds"]), "bounds", "are not positive")
         return
     require_numbers(stage["multipliers"], 4 + eta, "multipliers")
+    require_not_negative(stage["moved"], "moved")
+    require_shape(stage["coordinate"] in COORDINATES, "coordinate", f"is none of {', '.join(COORDINATES)}")
+    fits = stage["coordinate"] == "u_av" or problem["form"] == "conservative"
+    require_shape(fits, "coordinate", "does not belong to the form")
     pieces, degree = stage["pieces"], stage["degree"]
     require_shape(type(pieces) is int and 1 <= pieces <= MOST_PIECES, "pieces", "is no number of pieces")
     require_shape(type(degree) is int and 1 <= degree <= MOST_DEGREE, "degree", "is no degree of a polynomial")
