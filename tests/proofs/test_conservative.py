@@ -177,7 +177,7 @@ def test_the_first_command_follows_from_the_start(form, kind, start):
         by_e = 2.0 * kappa * own["kappa_b"] * ratio * (sigma - 0.5 * e) * sigma if kind == "vgsta" else 0.0
         first, second = sigma / product, second + by_e
     with ball_precision():
-        ratio = start_ratio(problem.to_dict())
+        ratio = start_ratio(problem.to_dict(), integrated=form == "conservative")
         before = -float(ratio.mid()) * (0.0 if start == "zero" else sigma)
         radius = float(ratio.rad()) * sigma
     predictor = 0.0 if start == "zero" or form == "conservative" else first
@@ -329,14 +329,15 @@ def test_a_forged_certificate_of_the_conservative_form_is_refused():
 @pytest.mark.parametrize(
     ("name", "changes", "largest", "error"),
     [
-        ("certified_margin", {"unmodelled.mu": 0.01}, 0.26, 3.4e-4),
-        ("channel_x", {}, 1.8, 1.39),
-        ("tune_proved", {}, 0.21, 3.1e-4),
-        ("design_map", {}, 0.27, 3.3e-4),
+        ("certified_margin", {"unmodelled.mu": 0.01}, 0.2270, 3.27e-4),
+        ("channel_x", {}, 1.74, 1.388),
+        ("tune_proved", {}, 0.2172, 2.99e-4),
+        ("design_map_kappa_d", {}, 0.2147, 2.99e-4),
     ],
 )
 def test_packaged_studies_close_with_form_and_start(name, changes, largest, error):
-    """In one box, with bounds about as small as those of the implicit form."""
+    """In one box, with bounds that are no larger than the implicit form's,
+    but for 0.1 % of the first."""
     study = dj.Study.load(f"studies/{name}.toml").without_sweep().override({**DEFAULT, **changes})
     outcome = prove(study, boxes=1)
     assert outcome.complete, outcome.failures

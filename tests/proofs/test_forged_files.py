@@ -210,7 +210,7 @@ def test_a_sweep_of_other_things_is_refused(tmp_path, capsys):
 
 def test_infinite_bounds_prove_nothing(certificate, monkeypatch):
     """Even where every inequality holds, as it may among numbers near the end of float64's range."""
-    limits = [StageLimits(arb(1), arb(1), arb("1e400"), arb(0), arb(0))]
+    limits = [StageLimits(arb(1), arb(1), arb("1e400"), arb(0), arb(0), arb(0))]
     monkeypatch.setattr(verifier, "verified_stages", lambda problem, proof: limits)
     verdict = verify_certificate(certificate)
     assert not verdict.proved

@@ -12,14 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dssc_jax.proofs import fixed_point
+from dssc_jax.proofs.boxes import Box
 from dssc_jax.proofs.fixed_point import BoundsStage, from_start, responses, towards_residual
 from dssc_jax.proofs.gains import Hull, Region, gain_hull, region_of, start_ratio
 from dssc_jax.proofs.law_spread import slide_hull
-from dssc_jax.proofs.problem import Interval, ProofProblem
+from dssc_jax.proofs.problem import ProofProblem
 from dssc_jax.proofs.programs import TIGHT, Bounded, SetPrograms, Solution, invariant_set, largest_in_set, scaling
 from dssc_jax.proofs.sampled_loop import Step, box_middle, box_steps, middle, signal_sizes, start_corners, step_of
 
-Box = dict[str, Interval]
 FIRST_REGION, LARGEST_REGION, MOST_REGIONS = 1.02, 30.0, 20
 """Smallest and largest region that are tried, in sizes of the start, and the largest number of regions."""
 CURVE_SHARE, MOST_DEGREE = 1e-3, 6
@@ -375,30 +375,3 @@ def set_stage(result: Solution, region: Region, setting: Setting) -> SetStage:
     coordinate = "phi_1" if setting.integrated else "u_av"
     shape = pieces, setting.degree, result.rate, multipliers, p, coordinate, setting.moved(region)
     return SetStage(*sizes, *shape)
-
-
-def halves(box: Box, problem: ProofProblem) -> list[Box]:
-    """Both halves of a box along the side whose ends differ most in the loop's eigenvalues at sigma = e = 0."""
-    gains = gain_hull(problem, 1e-9, 1e-9)
-
-    def eigenvalues(box: Box) -> np.ndarray:
-        return np.sort_complex(np.linalg.eigvals(step_of(problem, box_middle(box, gains), box).a))
-
-    def effect(name: str) -> float:
-        low, high = (eigenvalues(box | {name: (end, end)}) for end in box[name])
-        return float(np.abs(high - low).sum())
-
-    name = max(box, key=effect)
-    low, high = box[name]
-    cut = float(np.sqrt(low * high)) if low > 0.0 else 0.5 * (low + high)
-    return [box | {name: (low, cut)}, box | {name: (cut, high)}]
-
-
-def volume(box: Box, problem: ProofProblem) -> float:
-    """Share of the problem's box, with 1/mu on a logarithmic scale."""
-    share = 1.0
-    for name, (low, high) in problem.box.items():
-        if low < high:
-            measure = np.log if name == "rate" else float
-            share *= (measure(box[name][1]) - measure(box[name][0])) / (measure(high) - measure(low))
-    return float(share)

@@ -1,7 +1,7 @@
 """How much the slope of phi_1 changes within a sample, enclosed: the sliding condition of a constant k_o needs it.
 
-There tau_av = 1/(k_o g) with g = d phi_1/d sigma belongs to the end of a sample, and K_P is the mean of g over it. Their
-product is 1/k_o, times a ratio of slopes at points that are close to one another.
+There tau_av = 1/(k_o g) with g = d phi_1/d sigma belongs to the end of a sample, and K_P is the mean of g over it.
+Their product is 1/k_o, times a ratio of slopes at points that are close to one another.
 """
 
 from typing import Any
