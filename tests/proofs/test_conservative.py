@@ -133,7 +133,9 @@ def test_functions_are_as_far_from_their_lines_as_the_verifier_says(kind, region
     slopes = dict(zip(MIDDLE_GAINS["conservative"], middle_gains(spread), strict=True))
     with ball_precision():
         centre = {name: arb(value) for name, value in slopes.items()}
-        far = {name: float(x) for name, x in function_distances(problem.to_dict(), *region, centre).items()}
+        far = {
+            name: float(x) for name, x in function_distances(problem.to_dict(), region[0], region[1], centre).items()
+        }
     s, e = points(rng, *region)
     s = np.concatenate([s, region[0] * np.geomspace(1e-3, 1.0, 2000), region[0] * np.linspace(0.001, 1.0, 2000)])
     e = np.concatenate([e, np.zeros(2000), np.full(2000, region[1])])
@@ -149,8 +151,8 @@ def test_functions_are_as_far_from_their_lines_as_the_verifier_says(kind, region
         "phi_2": np.abs(second - slopes["k_i"] * s).max(),
         "both": np.abs(first + pole - (slopes["mean"] + slopes["k_n"]) * s).max(),
     }
+    size = region[0] * max(abs(slopes["mean"]), abs(slopes["k_i"]))
     for name, value in found.items():
-        size = region[0] * max(abs(slopes["mean"]), abs(slopes["k_i"]))
         assert value <= far[name] + 1e-12 * size
         assert far[name] <= 1.06 * value + 1e-9 * size
     t = problem.sample_time
@@ -179,11 +181,11 @@ def test_the_first_command_follows_from_the_start(form, kind, start):
     with ball_precision():
         ratio = start_ratio(problem.to_dict(), integrated=form == "conservative")
         before = -float(ratio.mid()) * (0.0 if start == "zero" else sigma)
-        radius = float(ratio.rad()) * sigma
+        radius = float(ratio.rad()) * float(sigma)
     predictor = 0.0 if start == "zero" or form == "conservative" else first
     after = before + first - predictor + t * second
     run = dj.simulate(study.override({"loop.duration": 0.4}))
-    assert run["u_av"].values[0] == pytest.approx(float(after), abs=radius + 1e-9 * abs(first))
+    assert run["u_av"].values[0] == pytest.approx(float(after), abs=radius + 1e-9 * abs(float(first)))
     assert radius < 2e-4 * abs(first)  # the ball holds the gains of both signs of e
     expected = {"zero": first + t * second, "matched": t * second, "midpoint": 0.5 * t * second}[start]
     assert float(after) == pytest.approx(float(expected), rel=1e-9, abs=radius)

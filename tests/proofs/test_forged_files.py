@@ -2,6 +2,7 @@
 
 import copy
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -85,7 +86,7 @@ def at(content, path):
     return content
 
 
-def changed(certificate, path, value):
+def changed(certificate, path, value) -> Any:
     """The certificate with another value at a path."""
     if not path:
         return value
