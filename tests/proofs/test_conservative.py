@@ -10,7 +10,7 @@ from scipy.linalg import expm
 import dssc_jax as dj
 from dssc_jax.proofs.coverage import problem_of
 from dssc_jax.proofs.function_distances import function_distances
-from dssc_jax.proofs.gain_enclosures import enclosed_gains, start_ratio
+from dssc_jax.proofs.gain_enclosures import enclosed_gains, enclosed_start_ratio
 from dssc_jax.proofs.law_spread import law_spreads, middle_gains
 from dssc_jax.proofs.prove import check_certificate, prove
 from dssc_jax.proofs.small_gain import MIDDLE_GAINS
@@ -179,7 +179,7 @@ def test_the_first_command_follows_from_the_start(form, kind, start):
         by_e = 2.0 * kappa * own["kappa_b"] * ratio * (sigma - 0.5 * e) * sigma if kind == "vgsta" else 0.0
         first, second = sigma / product, second + by_e
     with ball_precision():
-        ratio = start_ratio(problem.to_dict(), integrated=form == "conservative")
+        ratio = enclosed_start_ratio(problem.to_dict(), integrated=form == "conservative")
         before = -float(ratio.mid()) * (0.0 if start == "zero" else sigma)
         radius = float(ratio.rad()) * float(sigma)
     predictor = 0.0 if start == "zero" or form == "conservative" else first

@@ -174,9 +174,9 @@ def read_json(path: Path) -> Any:
     Raises:
         ConfigError: it cannot be read, or it is no plain JSON.
     """
-    from dssc_jax.proofs.certificate_text import parsed
+    from dssc_jax.proofs.certificate_text import certificate_content
 
     try:
-        return parsed(path.read_text(encoding="utf-8"))
+        return certificate_content(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise ConfigError(str(path), f"cannot be read: {error}") from None

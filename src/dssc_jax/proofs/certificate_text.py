@@ -8,7 +8,7 @@ MOST_DIGITS = 400
 """Longest integer that is read; the largest number of float64 has 309 digits."""
 
 
-def parsed(text: str) -> Any:
+def certificate_content(text: str) -> Any:
     """The content of a text.
 
     Raises:
@@ -20,7 +20,7 @@ def parsed(text: str) -> Any:
             text,
             object_pairs_hook=entries_of,
             parse_constant=refuse_constant,
-            parse_float=finite_number,
+            parse_float=finite_value,
             parse_int=whole_number,
         )
     except RecursionError:
@@ -50,7 +50,7 @@ def refuse_constant(text: str) -> float:
     raise ValueError(f"{text} is not a finite number")
 
 
-def finite_number(text: str) -> float:
+def finite_value(text: str) -> float:
     """A number of float64.
 
     Raises:

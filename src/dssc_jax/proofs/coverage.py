@@ -23,7 +23,7 @@ from dssc_jax.proofs.problem import Interval, ProofProblem
 from dssc_jax.study import Study
 from dssc_jax.study.laws import Law
 
-LARGEST = 1e100
+LARGEST_NUMBER = 1e100
 """Largest number that a problem may hold."""
 UNCERTAIN = ("plant.k_p", "plant.a_p", "unmodelled.mu")
 """Numbers of a loop that a proof covers over an interval."""
@@ -79,8 +79,8 @@ def problem_of(study: Study) -> ProofProblem:
         **controller_of(study),
     )
     for name, value in asdict(problem).items():
-        if not all(abs(number) <= LARGEST for number in numbers_in(value)):
-            raise NotCovered(f"{name} holds a number beyond {LARGEST:g}, whose square is none of float64")
+        if not all(abs(number) <= LARGEST_NUMBER for number in numbers_in(value)):
+            raise NotCovered(f"{name} holds a number beyond {LARGEST_NUMBER:g}, whose square is none of float64")
     return problem
 
 

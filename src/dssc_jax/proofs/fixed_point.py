@@ -303,14 +303,14 @@ def implied(
     problem: ProofProblem, box: dict[str, Interval], region: tuple[float, float], signal: int, *, started: bool
 ) -> tuple[Map, np.ndarray] | None:
     """The bounds that imply themselves with the deviations of a region, as small as can be for one signal."""
-    found = []
+    candidates = []
     for spread in law_spreads(problem, *region):
         if (result := bounds_map(problem, box, spread)) is None:
             continue
         origin = result.forced + result.peaks if started else result.forced
         if (bounds := fixed_point(origin, result.matrix)) is not None:
-            found.append((result, bounds))
-    return min(found, key=lambda pair: float(pair[1][signal]), default=None)
+            candidates.append((result, bounds))
+    return min(candidates, key=lambda pair: float(pair[1][signal]), default=None)
 
 
 def towards_residual(

@@ -2,7 +2,7 @@
 
 With |sigma| and |e| within a region, bounds of |phi_1 - k_1 sigma|, |phi_2 - k_2 sigma| and |phi_1 + n - (k_1 + k_n)
 sigma|, where n is what the nominal control takes through its term 1/tau_m. The region is cut where the enclosure of a
-piece exceeds what is found at points by more than a small share.
+piece exceeds what is reached at points by more than a small share.
 """
 
 from typing import Any
@@ -15,9 +15,9 @@ from dssc_jax.proofs.gain_enclosures import gains_at, middle_of
 from dssc_jax.proofs.intervals import Intervals, exactly, square_root
 from dssc_jax.proofs.table_gains import first_cells, gains_of, quartered
 
-ROOM = 0.02
+DISTANCE_ROOM = 0.02
 """Largest excess over the distances at points, as a share of them."""
-ROUNDING = 2.0**-42
+DISTANCE_ROUNDING = 2.0**-42
 """The same, in sizes of the function."""
 MOST_PIECES, MOST_CELLS = 6000, 200_000
 DISTANCES = {"phi_1": ("mean",), "phi_2": ("k_i",), "both": ("mean", "k_n")}
@@ -35,7 +35,7 @@ def function_distances(problem: dict[str, Any], sigma: float, e: float, centre: 
     """
     if problem["functions"]["kind"] == "vgsta":
         return distances_in_cells(problem, sigma, e, centre)
-    found = dict.fromkeys(DISTANCES, arb(0))
+    at_points = dict.fromkeys(DISTANCES, arb(0))
     result = dict.fromkeys(DISTANCES, arb(0))
     least_rooms = {name: rounding_of(names, centre) * sigma for name, names in DISTANCES.items()}
     pieces, left = [(0.0, sigma)], MOST_PIECES
@@ -43,7 +43,7 @@ def function_distances(problem: dict[str, Any], sigma: float, e: float, centre: 
         for low, high in pieces:
             for point in (middle_of((low, high)), high):
                 for name, reached in distances_at(problem, (point, point), centre).items():
-                    found[name] = larger(found[name], reached.lower())
+                    at_points[name] = larger(at_points[name], reached.lower())
         left -= len(pieces)
         again = []
         for low, high in pieces:
@@ -52,7 +52,9 @@ def function_distances(problem: dict[str, Any], sigma: float, e: float, centre: 
             except Rejected:  # too wide a ball, since every point was fine
                 require_premise(left > 0, "P2: the functions cannot be enclosed in the region")
                 reached = {}
-            close = all(reached[name].upper() <= found[name] * (1 + ROOM) + least_rooms[name] for name in reached)
+            close = all(
+                reached[name].upper() <= at_points[name] * (1 + DISTANCE_ROOM) + least_rooms[name] for name in reached
+            )
             if not reached or (left > 0 and not close):
                 middle = middle_of((low, high))
                 again += [(low, middle), (middle, high)]
@@ -77,17 +79,17 @@ def distances_in_cells(problem: dict[str, Any], sigma: float, e: float, centre: 
     """The same of Table 1's functions, which depend on e, too; in float64, rounded outwards."""
     slopes = {name: exactly(float(centre[name])) for name in ("mean", "k_i", "k_n")}
     least_rooms = {name: rounding_of(names, centre) * sigma for name, names in DISTANCES.items()}
-    found, result = dict.fromkeys(DISTANCES, 0.0), dict.fromkeys(DISTANCES, 0.0)
+    at_points, result = dict.fromkeys(DISTANCES, 0.0), dict.fromkeys(DISTANCES, 0.0)
     r, sign, x = first_cells(square_root(0.0, sigma), (0.0, e))
     left = MOST_CELLS
     while sign.size:
         left -= sign.size
         for name, reached in cell_distances(problem, r.middle(), sign, x.middle(), slopes).items():
-            found[name] = max(found[name], float(np.max(reached.low)))
+            at_points[name] = max(at_points[name], float(np.max(reached.low)))
         again = np.zeros(sign.shape, bool)
         whole = cell_distances(problem, r, sign, x, slopes)
         for name, reached in whole.items():
-            again |= ~(reached.high <= found[name] * (1.0 + ROOM) + least_rooms[name])
+            again |= ~(reached.high <= at_points[name] * (1.0 + DISTANCE_ROOM) + least_rooms[name])
         if left <= 0:
             again[:] = False
         for name, reached in whole.items():
@@ -122,4 +124,4 @@ def magnitude(values: Intervals) -> Intervals:
 
 def rounding_of(names: tuple[str, ...], centre: Balls) -> float:
     """The room that rounding needs, over |sigma|."""
-    return ROUNDING * sum(abs(float(centre[name])) for name in names) + 1e-280
+    return DISTANCE_ROUNDING * sum(abs(float(centre[name])) for name in names) + 1e-280

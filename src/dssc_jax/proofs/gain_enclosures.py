@@ -91,7 +91,7 @@ def gains_by_sigma(problem: dict[str, Any], sigma: float, least: float) -> Balls
     return result
 
 
-def start_ratio(problem: dict[str, Any], *, integrated: bool) -> arb:
+def enclosed_start_ratio(problem: dict[str, Any], *, integrated: bool) -> arb:
     """What the start takes from u_av, over sigma_0, as a ball that holds it for every start.
 
     Seen from sigma_hat = sigma_0, the start ``midpoint`` halves the first T_s phi_2. ``integrated``: the coordinate is
@@ -100,15 +100,15 @@ def start_ratio(problem: dict[str, Any], *, integrated: bool) -> arb:
     if problem["start"] == "zero":
         return arb(0)
     e, speed = (enclosing(*pair) for pair in problem["initial"][:2])
-    least, largest = magnitudes(speed + arb(problem["l0"]) * e)
-    gains = enclosed_gains(problem, largest, magnitudes(e)[1], least, magnitudes(e)[0])
+    least, largest = size_ends(speed + arb(problem["l0"]) * e)
+    gains = enclosed_gains(problem, largest, size_ends(e)[1], least, size_ends(e)[0])
     ratio = gains["mean"] if integrated else arb(0)
     if problem["start"] == "midpoint":
         ratio = ratio + arb(problem["sample_time"]) / 2 * gains["k_i"]
     return ratio
 
 
-def magnitudes(ball: arb) -> tuple[float, float]:
+def size_ends(ball: arb) -> tuple[float, float]:
     """Bounds of |x| over a ball, rounded outwards; the larger is positive."""
     size = abs(ball)
     least, largest = float(size.lower()), float(size.upper())

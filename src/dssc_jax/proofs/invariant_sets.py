@@ -32,7 +32,7 @@ from dssc_jax.proofs.enclosed_loop import (
     start_columns,
     state_places,
 )
-from dssc_jax.proofs.gain_enclosures import depends_on_error, enclosed_gains, start_ratio, with_moving_error
+from dssc_jax.proofs.gain_enclosures import depends_on_error, enclosed_gains, enclosed_start_ratio, with_moving_error
 from dssc_jax.proofs.slope_ratios import slide_gain
 
 ERROR, SPEED = 0, 1
@@ -83,7 +83,7 @@ def piece_gains(problem: dict[str, Any], stage: dict[str, Any]) -> list[tuple[fl
 
 def check_start(problem: dict[str, Any], box: dict[str, Any], p: arb_mat, integrated: bool, where: str) -> None:
     """(P3) Every start lies in the set."""
-    starts = start_columns(problem, box, start_ratio(problem, integrated=integrated))
+    starts = start_columns(problem, box, enclosed_start_ratio(problem, integrated=integrated))
     for j in range(starts.ncols()):
         z = arb_mat([[starts[i, j]] for i in range(starts.nrows())])
         require_premise((z.transpose() * p * z)[0, 0] <= 1, f"P3: a start lies outside of {where}")

@@ -19,7 +19,7 @@ SLOPE_STEPS = 40
 """Steps of the search for a slope; each cuts the interval by a third."""
 ROOT_CELLS, ERROR_CELLS, RATIO_ROOM = 40, 10, 1.05
 """Cells of |sigma|^(1/2) and of |e| for ratios of slopes, fewer than the verifier's, and what is added to them."""
-ROUNDING = 1e-12
+SLOPE_ROUNDING = 1e-12
 """Widening of a largest distance, in sizes of the function."""
 
 
@@ -99,7 +99,9 @@ SLOPES = {"k_p": "mean", "k_i": "k_i", "k_n": "k_n"}
 
 def largest_distance(size: np.ndarray, ratio: np.ndarray, slope: float) -> float:
     """The largest |ratio - slope| |sigma|, a little widened."""
-    return (1.0 + MARGIN) * float(np.max(np.abs(ratio - slope) * size)) + ROUNDING * abs(slope) * float(size.max())
+    return (1.0 + MARGIN) * float(np.max(np.abs(ratio - slope) * size)) + SLOPE_ROUNDING * abs(slope) * float(
+        size.max()
+    )
 
 
 def nearest_slope(size: np.ndarray, ratio: np.ndarray) -> float:

@@ -39,7 +39,7 @@ from dssc_jax.proofs.enclosed_loop import (
     zeta_jump,
 )
 from dssc_jax.proofs.function_distances import function_distances
-from dssc_jax.proofs.gain_enclosures import depends_on_error, start_ratio
+from dssc_jax.proofs.gain_enclosures import depends_on_error, enclosed_start_ratio
 from dssc_jax.proofs.impulse_responses import response_bounds
 from dssc_jax.proofs.slope_ratios import slide_gain
 from dssc_jax.proofs.state_dependence import disturbance_by_state, motion_bounds
@@ -148,7 +148,7 @@ def implied_bounds(
     require_premise(positive_definite(falls), f"P7: V does not fall in {where}")
     inputs = adjoined(loop.w, loop.deviations)
     starts = (
-        start_columns(problem, box, start_ratio(problem, integrated=problem["form"] == "conservative"))
+        start_columns(problem, box, enclosed_start_ratio(problem, integrated=problem["form"] == "conservative"))
         if started
         else arb_mat(p.nrows(), 0)
     )

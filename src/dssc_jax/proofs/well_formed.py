@@ -19,8 +19,8 @@ CONSTANTS = {
     ),
 }
 """Constants of each row of functions, and whether exactly one of k_o and tau_av belongs to them."""
-CERTIFICATE = {"version", "complete", "problem", "proofs"}
-PROBLEM = {
+CERTIFICATE_ENTRIES = {"version", "complete", "problem", "proofs"}
+PROBLEM_ENTRIES = {
     "sample_time",
     "l0",
     "form",
@@ -44,10 +44,10 @@ PROBLEM = {
     "by_state",
     "reference_size",
 }
-STAGE = {"sigma", "e", "level", "slope", "rate", "p", "method"}
-STAGES = {
-    "small gain": STAGE | {"gains", "bounds"},
-    "invariant set": STAGE | {"pieces", "degree", "multipliers", "coordinate", "moved"},
+EVERY_STAGE = {"sigma", "e", "level", "slope", "rate", "p", "method"}
+STAGE_ENTRIES = {
+    "small gain": EVERY_STAGE | {"gains", "bounds"},
+    "invariant set": EVERY_STAGE | {"pieces", "degree", "multipliers", "coordinate", "moved"},
 }
 """Entries of a certificate, of its problem, and of a stage by its method. All of them are needed, and no other."""
 FORMS = ("implicit", "conservative")
@@ -119,7 +119,7 @@ def require_interval(pair: Any, place: str) -> None:
 
 def require_certificate(certificate: Any) -> None:
     """Reject a certificate with other parts than a problem, its proofs, and what they claim."""
-    require_entries(certificate, CERTIFICATE, "the certificate")
+    require_entries(certificate, CERTIFICATE_ENTRIES, "the certificate")
     require_shape(type(certificate["complete"]) is bool, "complete", "is not true or false")
     require_problem(certificate["problem"])
     require_list(certificate["proofs"], None, "proofs")
@@ -129,7 +129,7 @@ def require_certificate(certificate: Any) -> None:
 
 def require_problem(problem: Any) -> None:
     """Reject a problem that is no loop of the class."""
-    require_entries(problem, PROBLEM, "problem")
+    require_entries(problem, PROBLEM_ENTRIES, "problem")
     for name in ("sample_time", "l0"):
         require_positive(problem[name], name)
     for name in ("level", "slope", "sensor_lag", "reference_size"):
@@ -220,8 +220,8 @@ def require_stage(problem: dict[str, Any], stage: Any) -> None:
     n = 4 + eta + order
     require_shape(isinstance(stage, dict), "a stage", "is no table")
     method = stage.get("method")
-    require_shape(isinstance(method, str) and method in STAGES, "method", "is unknown")
-    require_entries(stage, STAGES[method], "a stage")
+    require_shape(isinstance(method, str) and method in STAGE_ENTRIES, "method", "is unknown")
+    require_entries(stage, STAGE_ENTRIES[method], "a stage")
     for name in ("sigma", "e", "rate"):
         require_positive(stage[name], name)
     for name in ("level", "slope"):
