@@ -44,7 +44,7 @@ def random_designs(count: int, seed: int) -> Iterator[tuple[ProofProblem, Guaran
             sample_time=period, l0=float(p.l0), form="implicit", functions=functions, rho=1e6, nominal=None,
             k_p=(k_p, k_p), a_p=(a_p, a_p), zero_a=(), zero_c=(), numerator=(1.0,), denominator=(1.0, 2.0, 1.0),
             mu=(1.0, 1.0), delay=0.0, sensor_lag=0.0, level=0.0, slope=float(b.alpha_d2), reference=(0.0, 0.0, 0.0),
-            initial=((0.0, 0.0), (0.0, 0.0)), matched=True,
+            initial=((0.0, 0.0), (0.0, 0.0)), start="matched",
         )  # fmt: skip
         yield problem, guarantee(p, b), b
 

@@ -58,6 +58,9 @@ def test_case_2_is_proved_from_40_m(form):
     flown = dj.run(study).dataset
     assert 40.0 <= float(flown["error_max"].max()) <= outcome.largest_error < 200.0
     assert float(flown["outside_sliding"].max()) == 0.0
+    if form == "conservative":  # bounds of signals reach that far, since functions deviate less than gains
+        assert outcome.proofs[0].stages[0].method == "small gain"
+        return
     first = json.loads(json.dumps(outcome.certificate()))
     assert first["proofs"][0]["stages"][0]["pieces"] > 1
     for pieces, premise in ((1, "P6"), (0, "P0"), (2.0, "P0")):

@@ -101,10 +101,10 @@ def falsified(certificate):
     yield "P0", with_problem(mu=[0.01, 0.005])
     yield "P0", with_problem(a_p=["0.3", "3"])  # as text, below "3e-1"
     yield "P0", with_problem(form="explicit")
-    yield "P0", with_problem(form="conservative")
+    yield "P7", with_problem(form="conservative")  # of which the stage bounds v in place of q
     yield "P0", with_problem(initial=[[0.0, 0.0]] * 6)  # whose surplus would push d(0) out of the start
     yield "P0", with_problem(zero_c=[1.0])
-    yield "P0", with_problem(matched="false")
+    yield "P0", with_problem(start="elsewhere")
     yield "P0", with_problem(sample_time=True)
     yield "P0", with_problem(rho=float("inf"))
     yield "P0", with_problem(delay=1.0)  # beside a transfer function
@@ -219,7 +219,7 @@ def test_an_indefinite_p_does_not_prove_an_unstable_loop():
     inverse = np.linalg.inv(vectors)
     p = (inverse.conj().T @ np.diag(np.where(np.abs(values) < 1.0, 1.0, -1e6)) @ inverse).real
     content["problem"]["functions"]["tau_m"] = 0.02
-    stage.update(p=p.tolist(), rate=0.02, gains=[gains[name] for name in GAIN_NAMES])
+    stage.update(p=(0.5 * (p + p.T)).tolist(), rate=0.02, gains=[gains[name] for name in GAIN_NAMES])
     verdict = verify_certificate(content)
     assert not verdict.proved
     assert verdict.reason.startswith("P2: P is not positive definite")
@@ -235,11 +235,17 @@ def test_an_indefinite_p_does_not_prove_an_unstable_loop():
         ({"reference": SINE, "sensor": {"kind": "lag", "mu": 0.01}}, "the reference moves, and the sensor lags"),
         ({"disturbance": {"kind": "step", "value": 0.1, "at": 1.0}}, "no known bound"),
         ({"controller.discretisation": "explicit"}, "in implicit or conservative form"),
-        ({"controller.discretisation": "conservative"}, "depend on e between samples"),
+        (
+            {
+                "controller.discretisation": "conservative",
+                "controller.functions": {"kind": "sta", "kappa1": 4.0, "kappa2": 4.0, "k_o": 20.0},
+            },
+            "jumps at its floor; set controller.discretisation = 'implicit'",
+        ),
         ({"controller.sign_width": 0.1}, "the sign is smoothed"),
-        ({"controller.predictor_start": "midpoint"}, "starts at 'midpoint'"),
         ({"plant.a_p": {"normal": [1.0, 0.1]}}, "has no bounds"),
         ({"controller.rho": {"uniform": [9.0, 10.0]}}, "controller.rho is uncertain"),
+        ({"plant.initial": [1e308, 0.0]}, "initial holds a number beyond 1e\\+100"),
         ({"disturbance": {"kind": "filtered_noise", "std": 0.1, "correlation_time": 1.0}}, "no known bound"),
     ],
 )

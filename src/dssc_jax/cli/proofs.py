@@ -55,6 +55,7 @@ def prove(
     from dssc_jax.proofs.prove import check_certificate
     from dssc_jax.proofs.prove import prove as search
     from dssc_jax.proofs.verifier import ProofVerdict
+    from dssc_jax.proofs.words import loop_in_words
 
     if study.endswith(".json"):
         content = read_json(Path(study))
@@ -63,10 +64,12 @@ def prove(
         verdict = check_certificate(content)
         if verdict.proved and is_foreign(content, Path(study)):
             verdict = ProofVerdict(False, FOREIGN, math.inf, math.inf)
+        words = {} if verdict.reason.startswith("P0") else loop_in_words(content["problem"])
         if as_json:
-            print(json.dumps(verdict._asdict() if verdict.proved else {"proved": False, "reason": verdict.reason}))
+            answer = verdict._asdict() if verdict.proved else {"proved": False, "reason": verdict.reason}
+            print(json.dumps(answer | {"loop": words}, allow_nan=False))
         else:
-            show_verdict(verdict)
+            show_verdict(verdict, words)
         return DONE if verdict.proved else FAILS
     loaded = load_study(study, settings, None, None, allow_local).without_sweep()
     if over is not None:
@@ -138,16 +141,16 @@ def check_sweep(content: dict[str, Any], folder: Path, as_json: bool) -> int:
     try:
         pairs = zip(content["points"], content["certificates"], strict=True)
         said = [certificate for point, certificate in pairs if point["proved"]]
+        study = study_of_folder(folder)
+        foreign = [] if study is None else foreign_points(study, content["certificates"])
     except (KeyError, TypeError, ValueError) as error:
         raise ConfigError("proofs", f"are damaged: {error!r}") from None
     verdicts = [check_certificate(each) for each in said]
     reasons = [each.reason for each in verdicts if not each.proved]
-    if (study := study_of_folder(folder)) is not None:
-        foreign = foreign_points(study, content["certificates"])
-        reasons += [f"P0: the certificate of point {i} is that of another loop than the folder's" for i in foreign]
+    reasons += [f"P0: the certificate of point {i} is that of another loop than the folder's" for i in foreign]
     if as_json:
         counts = {"points": len(content["points"]), "certificates": len(said)}
-        print(json.dumps({"proved": not reasons, **counts, "reasons": reasons}))
+        print(json.dumps({"proved": not reasons, **counts, "reasons": reasons}, allow_nan=False))
     else:
         show_sweep_verdicts(len(content["points"]), len(said), reasons)
     return FAILS if reasons else DONE
@@ -169,9 +172,11 @@ def read_json(path: Path) -> Any:
     """The content of a file.
 
     Raises:
-        ConfigError: it cannot be read.
+        ConfigError: it cannot be read, or it is no plain JSON.
     """
+    from dssc_jax.proofs.certificate_text import certificate_content
+
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return certificate_content(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise ConfigError(str(path), f"cannot be read: {error}") from None

@@ -26,11 +26,14 @@ def show_proof(summary: dict[str, Any], path: Path | None) -> None:
         console.print(f"wrote {path}", soft_wrap=True, markup=False)
 
 
-def show_verdict(verdict: "ProofVerdict") -> None:
-    """Print whether a certificate is valid."""
+def show_verdict(verdict: "ProofVerdict", loop: dict[str, str]) -> None:
+    """Print whether a certificate is valid, and of which loop it is one."""
     bounds = f"{verdict.largest_error:.4g} and ends within {verdict.error:.4g}"
     text = f"valid: |e| never exceeds {bounds}, in the output's unit"
-    output().print(text if verdict.proved else f"not valid: {verdict.reason}", soft_wrap=True, markup=False)
+    console = output()
+    console.print(text if verdict.proved else f"not valid: {verdict.reason}", soft_wrap=True, markup=False)
+    for label, words in loop.items():
+        console.print(f"  {label:<13}{words}", soft_wrap=True, markup=False)
 
 
 def show_sweep_verdicts(points: int, said: int, reasons: list[str]) -> None:

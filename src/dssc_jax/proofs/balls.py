@@ -16,6 +16,7 @@ class StageLimits(NamedTuple):
     """Bounds of |sigma| and |e| at the samples, and of |e(t)| at all times.
 
     ``level`` and ``slope`` bound what the state adds to |d| and |d'|, with :data:`ENTERED` times these bounds.
+    ``moved`` bounds the change of e in a sample, where phi_1 depends on e.
     """
 
     sigma: arb
@@ -23,6 +24,7 @@ class StageLimits(NamedTuple):
     between: arb
     level: arb
     slope: arb
+    moved: arb
 
 
 ENTERED = "1.0001"

@@ -1,6 +1,7 @@
 """What of a study a proof covers: from its loop to the plain numbers of a problem."""
 
 import math
+from dataclasses import asdict
 from typing import Any
 
 import jax
@@ -8,7 +9,7 @@ import jax
 from dssc_jax.core.registry import Discretisation
 from dssc_jax.design.certification import Ends, NotCovered, disturbance_bounds, ends_of, reference_bounds
 from dssc_jax.models.controllers.differentiators import NO_DIFFERENTIATOR
-from dssc_jax.models.controllers.dssc import DSSC, SSC, DsscGains, PredictorStart
+from dssc_jax.models.controllers.dssc import DSSC, SSC, DsscGains
 from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS
 from dssc_jax.models.controllers.modulation import ConstantModulation
 from dssc_jax.models.controllers.pi import PI, PiGains
@@ -22,6 +23,8 @@ from dssc_jax.proofs.problem import Interval, ProofProblem
 from dssc_jax.study import Study
 from dssc_jax.study.laws import Law
 
+LARGEST_NUMBER = 1e100
+"""Largest number that a problem may hold."""
 UNCERTAIN = ("plant.k_p", "plant.a_p", "unmodelled.mu")
 """Numbers of a loop that a proof covers over an interval."""
 BOUNDED_SIGNALS = ("plant.initial", "disturbance.", "reference.")
@@ -59,7 +62,7 @@ def problem_of(study: Study) -> ProofProblem:
     if moves and lag:
         raise NotCovered("the reference moves, and the sensor lags")
     speed, acceleration, jerk = (float(moves.get(name, 0.0)) for name in ("y_m_dot", "y_m_ddot", "y_m_dddot"))
-    return ProofProblem(
+    problem = ProofProblem(
         sample_time=loop.sample_time,
         k_p=(float(low.plant.k_p), float(high.plant.k_p)),
         a_p=(float(low.plant.a_p), float(high.plant.a_p)),
@@ -75,6 +78,21 @@ def problem_of(study: Study) -> ProofProblem:
         **unmodelled_of(study, ends),
         **controller_of(study),
     )
+    for name, value in asdict(problem).items():
+        if not all(abs(number) <= LARGEST_NUMBER for number in numbers_in(value)):
+            raise NotCovered(f"{name} holds a number beyond {LARGEST_NUMBER:g}, whose square is none of float64")
+    return problem
+
+
+def numbers_in(value: Any) -> list[float]:
+    """All numbers of a field, at any depth."""
+    if isinstance(value, int | float):
+        return [value]
+    if isinstance(value, dict):
+        value = tuple(value.values())
+    if not isinstance(value, tuple):
+        return []
+    return [number for part in value for number in numbers_in(part)]
 
 
 def disturbance_of(study: Study, ends: Ends) -> tuple[float, float, tuple[float, ...]]:
@@ -173,7 +191,7 @@ def controller_of(study: Study) -> dict[str, Any]:
         constants = {"k_o": 1.0, "tau_av": 1.0 / gains.k_p, "tau_m": gains.k_p / gains.k_i}
         functions = {"kind": "constant", **constants}
         own = (*common["nominal"][:2], False) if common["nominal"] else None
-        return common | {"nominal": own, "form": "implicit", "functions": functions, "rho": None, "matched": False}
+        return common | {"nominal": own, "form": "implicit", "functions": functions, "rho": None, "start": "zero"}
     forms = {Discretisation.IMPLICIT, Discretisation.CONSERVATIVE}
     form = next((f for f in forms if member in (DSSC.members[f], SSC.members[f])), None)
     if form is None or not isinstance(gains, DsscGains):
@@ -182,17 +200,14 @@ def controller_of(study: Study) -> dict[str, Any]:
         raise NotCovered("rho is not constant")
     if gains.sign_width is not None:
         raise NotCovered("the sign is smoothed")
-    if gains.predictor_start == PredictorStart.MIDPOINT:
-        raise NotCovered("the predictor starts at 'midpoint'; 'matched' and 'zero' are covered")
     kind = next(kind for kind, entry in GAIN_FUNCTIONS.items() if isinstance(gains.functions, entry.members[None]))
-    if kind == "vgsta" and form == Discretisation.CONSERVATIVE:
-        raise NotCovered("in the conservative form, functions of Table 1 depend on e between samples")
     if kind == "sta" and form == Discretisation.CONSERVATIVE:
-        raise NotCovered("in the conservative form, the slope of the standard STA's phi_1 jumps at its floor")
+        reason = "in the conservative form, the slope of the standard STA's phi_1 jumps at its floor"
+        raise NotCovered(f"{reason}; set controller.discretisation = 'implicit'")
     constants = {name: float(value) for name, value in gains.functions._asdict().items() if value is not None}
     return common | {
         "form": form.value,
         "functions": {"kind": kind, **constants},
         "rho": float(gains.rho.rho),
-        "matched": gains.predictor_start == PredictorStart.MATCHED,
+        "start": gains.predictor_start.value,
     }

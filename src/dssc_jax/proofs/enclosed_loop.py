@@ -261,27 +261,26 @@ def inside_bounds(problem: dict[str, Any], box: dict[str, Any], time: arb) -> li
     return [(factor * each).upper() for each in largest]
 
 
-def start_columns(problem: dict[str, Any], box: dict[str, Any], mean: arb | None = None) -> arb_mat:
-    """Every corner of the starts: z is affine in the initial state, in d_r(0), f(0), k_p d_r(0) and phi_1(s).
+def start_columns(problem: dict[str, Any], box: dict[str, Any], ratio: arb) -> arb_mat:
+    """Every corner of the starts: z is affine in the initial state, in d_r(0), f(0), k_p d_r(0) and the ratio.
 
     Args:
         problem: The certificate's problem.
         box: Its box.
-        mean: phi_1/sigma at the starts, where the coordinate is q = v - phi_1(s); else None.
+        ratio: Ball of what the start takes from v or q, over sigma.
     """
     layout, sizes, jump = state_places(problem), signal_bounds(problem, box), zeta_jump(problem)
     kappa = memory_weights(problem)[0] if layout.memory else arb(0)
     pairs = [(d, offset) for d in (-sizes.level, sizes.level) for offset in (-sizes.offset, sizes.offset)]
     if not any(problem["reference"]):  # d_r and d_r + f are the same
         pairs = [(-sizes.level, -sizes.level), (sizes.level, sizes.level)]
-    means = both(mean) if mean is not None else (arb(0),)
     columns = []
     for plant in product(*(exact_ends(pair) for pair in problem["initial"])):
-        s = plant[1] + arb(problem["l0"]) * plant[0] if problem["matched"] else arb(0)
+        s = plant[1] + arb(problem["l0"]) * plant[0] if problem["start"] != "zero" else arb(0)
         shown = [kappa * plant[i] for i, _ in enumerate(layout.memory)]
-        for (d, offset), k_p, ratio in product(pairs, exact_ends(box["k_p"]), means):
+        for (d, offset), k_p, share in product(pairs, exact_ends(box["k_p"]), both(ratio)):
             zeta = [k_p * d * each for each in jump]
-            columns.append([*plant, *zeta, *shown, -offset - ratio * s, s])
+            columns.append([*plant, *zeta, *shown, -offset - share * s, s])
     return arb_mat([list(row) for row in zip(*columns, strict=True)])
 
 

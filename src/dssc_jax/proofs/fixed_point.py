@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 
-from dssc_jax.proofs.gains import GAIN_NAMES, Hull, gain_hull
+from dssc_jax.proofs.gains import start_ratio
+from dssc_jax.proofs.law_spread import Deviation, LawSpread, law_spreads, middle_gains, slide_hull
 from dssc_jax.proofs.problem import Interval, ProofProblem
 from dssc_jax.proofs.sampled_loop import (
     INNER_STEPS,
@@ -57,7 +58,8 @@ class BoundsStage:
         level: Bound of |d| [m/s] under the bounds of the signals.
         slope: Bound of |d'| [m/s^2] likewise.
         rate: lambda [1/s], with which V = z'Pz of the middle loop falls.
-        gains: K_P, K_I, K_N, and K_P and T_s K_I times 1 + tau_av/T_s, of the middle loop.
+        gains: K_P, K_I, K_N, and K_P and T_s K_I times 1 + tau_av/T_s, of the middle loop; in the conservative form
+            the first is the slope that stands for phi_1.
         bounds: Bounds of sigma - s, sigma, e, the command, u_eq - d, and of all states.
         p: P, row by row.
         method: The verifier's method.
@@ -82,14 +84,22 @@ class Responses(NamedTuple):
 
 
 class Map(NamedTuple):
-    """The map of bounds to bounds of one region: origin + matrix times bounds."""
+    """The map of bounds to bounds of one region: origin + matrix times bounds.
+
+    Args:
+        step: One sample of the middle loop.
+        spread: Its gains, and what deviates from it.
+        forced: Bounds of the responses to disturbance, reference and deviations of a constant bound, (signals,).
+        peaks: Of those to the starts, (signals,).
+        matrix: (signals, signals).
+        command: The bound of the true command: a row for the bounds, and a constant, (signals + 1,).
+    """
 
     step: Step
-    gains: list[float]
+    spread: LawSpread
     forced: np.ndarray
     peaks: np.ndarray
     matrix: np.ndarray
-    slide: tuple[float, float]
     command: np.ndarray
 
 
@@ -117,58 +127,57 @@ def responses(a: np.ndarray, rows: np.ndarray, inputs: np.ndarray, starts: np.nd
     return None
 
 
-def bounds_map(problem: ProofProblem, box: dict[str, Interval], hull: Hull) -> Map | None:
-    """The map of bounds to bounds for gains within a hull; None if the middle loop is not stable."""
-    point = box_middle(box, hull)
-    step, t = step_of(problem, point, box), problem.sample_time
-    n = step.a.shape[0]
+def bounds_map(problem: ProofProblem, box: dict[str, Interval], spread: LawSpread) -> Map | None:
+    """The map of bounds to bounds for a law with such deviations; None if the middle loop is not stable."""
+    integrated = problem.form == "conservative"
+    point = box_middle(box, spread.gains)
+    step = step_of(problem, point, box, integrated=integrated)
+    n, t = step.a.shape[0], problem.sample_time
     if np.max(np.abs(np.linalg.eigvals(step.a))) >= 1.0:
         return None
-    half = {name: 0.5 * (high - low) for name, (low, high) in hull.items()}
     e, _, sigma, change = step.rows
-    equivalent = np.eye(n)[n - 2] + sum(
-        middle(hull[name]) * row for name, row in (("slide_p", change), ("slide_i", sigma))
-    )
+    slide_p, slide_i = (middle(spread.gains[name]) for name in ("slide_p", "slide_i"))
+    equivalent = np.eye(n)[n - 2] + slide_p * change + slide_i * sigma
+    if integrated:
+        equivalent = equivalent + point.gains.k_p * np.eye(n)[n - 1]
     rows = np.concatenate([[change, sigma, e, step.command, equivalent], np.eye(n)])
     share = (box["k_p"][1] - point.k_p) / point.k_p
     by_v = np.eye(n)[n - 2] - step.push
     other = t * signal_sizes(problem, box).slope * share * step.jump  # zeta's at other values of k_p
     inputs = np.concatenate([step.b, other[:, None], by_v[:, None], step.push[:, None], np.eye(n)], axis=1)
-    result = responses(step.a, rows, inputs, np.stack(start_corners(problem, box), axis=1))
+    starts = start_corners(problem, box, start_ratio(problem, integrated=integrated))
+    result = responses(step.a, rows, inputs, np.stack(starts, axis=1))
     if result is None:
         return None
     m, w = rows.shape[0], step.b.shape[1] + 1
-    command = np.eye(m)[COMMAND]
-    command[CHANGE] += half["k_p"]
-    command[SIGMA] += t * half["k_i"] + half["k_n"]
-    sizes = np.zeros((2 + n, m))
-    sizes[0, CHANGE], sizes[0, SIGMA] = half["k_p"], t * half["k_i"]
-    sizes[1] = share * command
-    sizes[1, SIGMA] += half["k_n"]
-    sizes[2:] = held_deviations(problem, box, point.k_p, command, m)
-    return Map(
-        step,
-        [middle(hull[name]) for name in GAIN_NAMES],
-        result.sums[:, :w].sum(axis=1),
-        result.peaks,
-        result.sums[:, w:] @ sizes,
-        (half["slide_p"], half["slide_i"]),
-        command,
-    )
+    integral, at_once = (deviation_row(each, m) for each in (spread.integral, spread.command))
+    command = np.eye(m + 1)[COMMAND] + integral + at_once
+    sizes = np.zeros((2 + n, m + 1))
+    sizes[0] = integral
+    sizes[1] = at_once + share * command
+    sizes[2:] = held_deviations(problem, box, point.k_p, command)
+    reached = result.sums[:, w:] @ sizes
+    forced = result.sums[:, :w].sum(axis=1) + reached[:, m]
+    return Map(step, spread, forced, result.peaks, reached[:, :m], command)
 
 
-def held_deviations(
-    problem: ProofProblem, box: dict[str, Interval], k_p: float, command: np.ndarray, count: int
-) -> np.ndarray:
-    """How the bounds act through the deviations of Phi and Gamma from the middle, (n, signals)."""
-    n = count - STATES
-    result = np.zeros((n, count))
+def deviation_row(deviation: Deviation, signals: int) -> np.ndarray:
+    """A deviation as a row for the signals' bounds, and a constant, (signals + 1,)."""
+    row = np.zeros(signals + 1)
+    row[CHANGE], row[SIGMA], row[signals] = deviation
+    return row
+
+
+def held_deviations(problem: ProofProblem, box: dict[str, Interval], k_p: float, command: np.ndarray) -> np.ndarray:
+    """How the bounds act through the deviations of Phi and Gamma from the middle, (n, signals + 1)."""
+    n = command.size - 1 - STATES
+    result = np.zeros((n, command.size))
     phi, gamma = held_matrices(problem, middle(box["a_p"]), middle(box.get("rate", (0.0, 0.0))))
     chi = phi.shape[0]
     for a_p in set(box["a_p"]):
         for rate in set(box.get("rate", (0.0, 0.0))):
             other, moved = held_matrices(problem, a_p, rate)
-            own = np.zeros((n, count))
+            own = np.zeros((n, command.size))
             own[:chi, STATES : STATES + chi] = np.abs(other - phi)
             own[:chi] += box["k_p"][1] * np.abs(moved - gamma)[:, None] * command
             result = np.maximum(result, own)
@@ -187,7 +196,7 @@ def bounds_stage(problem: ProofProblem, region: tuple[float, float], by: Map, bo
     falls, p = decay_of(by.step)
     rate = falls / problem.sample_time
     sizes = float(region[0]), float(region[1]), problem.level, problem.slope
-    return BoundsStage(*sizes, rate, by.gains, (INFLATION * bounds).tolist(), p.tolist())
+    return BoundsStage(*sizes, rate, middle_gains(by.spread), (INFLATION * bounds).tolist(), p.tolist())
 
 
 def decay_of(step: Step) -> tuple[float, np.ndarray]:
@@ -218,12 +227,33 @@ def allowed_disturbance(
     k_1, k_2, k_3, k_4, k_5 = problem.by_state
     if not any(problem.by_state):
         return problem
-    e, speed, bend = motion(own, box, STATE_ROOM * np.array([by.command @ bounds, *bounds[STATES:]]))
+    e, speed, bend = motion(own, box, motion_sizes(by, bounds))
     v, a, _ = problem.reference
     y, y_dot, y_ddot = e + problem.reference_size, speed + v, bend + a
     s, s_dot, growth = speed + problem.l0 * e, bend + problem.l0 * speed, k_1 * y + k_2 * y_dot + k_3
     slope = k_5 * y + k_4 * y_dot + (k_1 * y_dot + k_2 * y_ddot) * s + growth * s_dot
     return replace(problem, level=float(problem.level + k_4 * y + growth * s), slope=float(problem.slope + slope))
+
+
+def motion_sizes(by: Map, bounds: np.ndarray) -> np.ndarray:
+    """Bounds of the true command and of each state, with room for enclosures."""
+    return STATE_ROOM * np.array([by.command[:-1] @ bounds + by.command[-1], *bounds[STATES:]])
+
+
+def slide_slack(
+    problem: ProofProblem, box: dict[str, Interval], by: Map, bounds: np.ndarray, region: tuple[float, float]
+) -> float:
+    """What the equivalent control deviates by from that of the middle loop."""
+    change, sigma, constant = by.spread.slide
+    slack = change * bounds[CHANGE] + sigma * bounds[SIGMA] + constant
+    if problem.form == "implicit":
+        return slack
+    moved = 0.0
+    if by.spread.slide_e:
+        moved = problem.sample_time * motion(problem, box, motion_sizes(by, bounds))[1]
+    low, high = slide_hull(problem, region, INFLATION * bounds[CHANGE], moved)
+    centre = middle(by.spread.gains["slide_p"])
+    return slack + max(high - centre, centre - low) * bounds[CHANGE] + by.spread.slide_e * moved
 
 
 def motion(problem: ProofProblem, box: dict[str, Interval], bounds: np.ndarray) -> tuple[float, float, float]:
@@ -251,16 +281,15 @@ def from_start(problem: ProofProblem, box: dict[str, Interval]) -> tuple[BoundsS
     sigma = e = 0.0
     own = problem
     for _ in range(ROUNDS):
-        if (result := bounds_map(own, box, gain_hull(problem, max(sigma, 1e-12), max(e, 1e-12)))) is None:
+        started = implied(own, box, (max(sigma, 1e-12), max(e, 1e-12)), SIGMA, started=True)
+        if started is None:
             return "gain"
-        if (bounds := fixed_point(result.forced + result.peaks, result.matrix)) is None:
-            return "gain"
+        result, bounds = started
         allowed = allowed_disturbance(problem, own, box, result, bounds)
         within = allowed.level <= own.level and allowed.slope <= own.slope
         if within and INFLATION * bounds[SIGMA] <= sigma and INFLATION * bounds[ERROR] <= e:
-            slack = result.slide[0] * bounds[CHANGE] + result.slide[1] * bounds[SIGMA]
             room = np.inf if problem.rho is None else problem.rho - signal_sizes(own, box).offset
-            if INFLATION * (bounds[EQUIVALENT] + slack) > room:
+            if INFLATION * (bounds[EQUIVALENT] + slide_slack(own, box, result, bounds, (sigma, e))) > room:
                 return "sliding"
             return bounds_stage(own, (sigma, e), result, bounds), allowed
         sigma, e = max(sigma, GROWTH * bounds[SIGMA]), max(e, GROWTH * bounds[ERROR])
@@ -268,6 +297,20 @@ def from_start(problem: ProofProblem, box: dict[str, Interval]) -> tuple[BoundsS
             level, slope = max(own.level, GROWTH * allowed.level), max(own.slope, GROWTH * allowed.slope)
             own = replace(own, level=level, slope=slope)
     return "region"
+
+
+def implied(
+    problem: ProofProblem, box: dict[str, Interval], region: tuple[float, float], signal: int, *, started: bool
+) -> tuple[Map, np.ndarray] | None:
+    """The bounds that imply themselves with the deviations of a region, as small as can be for one signal."""
+    candidates = []
+    for spread in law_spreads(problem, *region):
+        if (result := bounds_map(problem, box, spread)) is None:
+            continue
+        origin = result.forced + result.peaks if started else result.forced
+        if (bounds := fixed_point(origin, result.matrix)) is not None:
+            candidates.append((result, bounds))
+    return min(candidates, key=lambda pair: float(pair[1][signal]), default=None)
 
 
 def towards_residual(
@@ -286,10 +329,11 @@ def towards_residual(
     sigma, e = limits
     for _ in range(SHRINKINGS):
         sigma, e = (max(ENTERED * INFLATION * each, 1e-12) for each in (sigma, e))
-        if (result := bounds_map(allowed, box, gain_hull(problem, sigma, e))) is None:
+        settled = implied(allowed, box, (sigma, e), ERROR, started=False)
+        if settled is None:
             break
-        bounds = fixed_point(result.forced, result.matrix)
-        if bounds is None or not bounds[ERROR] < WORTH * error:
+        result, bounds = settled
+        if not bounds[ERROR] < WORTH * error:
             break
         stages.append(bounds_stage(allowed, (sigma, e), result, bounds))
         allowed = allowed_disturbance(problem, allowed, box, result, bounds)

@@ -5,13 +5,14 @@ from typing import Any
 
 from flint import arb
 
-from dssc_jax.proofs.balls import Balls, Rejected, larger, require_premise
+from dssc_jax.proofs.balls import Balls, Rejected, enclosing, larger, require_premise
 from dssc_jax.proofs.table_gains import table_gains
 
 PRECISE = 0.03  # largest excess of a hull over the gains themselves, in widths of the hull
 ROUNDING = 2.0**-40  # and in sizes of the gain
 MOST_PIECES = 6000
 SMALLEST_ROOM = 1e-300
+SMALLEST_REGION = 1e-12  # of the starts
 
 
 class PointHull:
@@ -43,15 +44,29 @@ class PointHull:
         )
 
 
-def enclosed_gains(problem: dict[str, Any], sigma: float, e: float, least: float = 0.0) -> Balls:
-    """Balls of the gains for |sigma| from ``least`` to a bound, and |e| up to one.
+def enclosed_gains(problem: dict[str, Any], sigma: float, e: float, least: float = 0.0, least_e: float = 0.0) -> Balls:
+    """Balls of the gains for |sigma| and |e| from their least values to a bound.
 
-    Of K_P, K_I, K_N, of the sliding condition's gains, and in the conservative form of phi_1/sigma. The interval of
-    |sigma| is halved in |sigma|^(1/2) where a piece's ball exceeds the hull of the gains at points by more than a small
-    share of its width. Table 1's functions depend on e, too: :func:`dssc_jax.proofs.table_gains.table_gains`.
+    Of K_P, K_I, K_N, of the sliding condition's gains, and in the conservative form of phi_1/sigma and of what phi_1
+    changes by with e. Table 1's functions depend on e: :func:`dssc_jax.proofs.table_gains.table_gains`.
     """
     if problem["functions"]["kind"] == "vgsta":
-        return table_gains(problem, sigma, e, least)
+        result = table_gains(problem, sigma, e, least, least_e)
+    else:
+        result = gains_by_sigma(problem, sigma, least)
+    if problem["form"] == "conservative":  # K_P is a mean over a sample, tau_av belongs to its end
+        reach = 1 + result["tau_av"] / arb(problem["sample_time"])
+        result["slide_p"] = result["k_p"] * reach
+        result["slide_e"] = result.get("k_e", arb(0)) * reach
+    return result
+
+
+def gains_by_sigma(problem: dict[str, Any], sigma: float, least: float) -> Balls:
+    """Balls of the gains that depend on sigma alone.
+
+    The interval of |sigma| is halved in |sigma|^(1/2) where a piece's ball exceeds the hull of the gains at points by
+    more than a small share of its width.
+    """
     pieces, points, result, left = [(least, sigma)], PointHull(problem), Balls(), MOST_PIECES
     for end in (least, sigma):
         points.add(end)
@@ -73,9 +88,49 @@ def enclosed_gains(problem: dict[str, Any], sigma: float, e: float, least: float
             for name, ball in balls.items():
                 result[name] = result[name].union(ball) if name in result else ball
         pieces = after
-    if problem["form"] == "conservative":  # K_P is a mean over sigma, tau_av belongs to its last value
-        result["slide_p"] = result["k_p"] * (1 + result["tau_av"] / arb(problem["sample_time"]))
     return result
+
+
+def enclosed_start_ratio(problem: dict[str, Any], *, integrated: bool) -> arb:
+    """What the start takes from u_av, over sigma_0, as a ball that holds it for every start.
+
+    Seen from sigma_hat = sigma_0, the start ``midpoint`` halves the first T_s phi_2. ``integrated``: the coordinate is
+    q = v - phi_1(sigma_0).
+    """
+    if problem["start"] == "zero":
+        return arb(0)
+    e, speed = (enclosing(*pair) for pair in problem["initial"][:2])
+    least, largest = size_ends(speed + arb(problem["l0"]) * e)
+    gains = enclosed_gains(problem, largest, size_ends(e)[1], least, size_ends(e)[0])
+    ratio = gains["mean"] if integrated else arb(0)
+    if problem["start"] == "midpoint":
+        ratio = ratio + arb(problem["sample_time"]) / 2 * gains["k_i"]
+    return ratio
+
+
+def size_ends(ball: arb) -> tuple[float, float]:
+    """Bounds of |x| over a ball, rounded outwards; the larger is positive."""
+    size = abs(ball)
+    least, largest = float(size.lower()), float(size.upper())
+    return max(0.0, math.nextafter(least, -math.inf)), max(math.nextafter(largest, math.inf), SMALLEST_REGION)
+
+
+def with_moving_error(problem: dict[str, Any], gains: Balls, moved: float) -> Balls:
+    """The gains of the increments of u_av, where e changes by at most ``moved`` in a sample.
+
+    In the conservative form phi_1(sigma_k, e_k) - phi_1(sigma_k, e_(k-1)) is sigma_k times a gain, which joins T_s K_I.
+    """
+    if not depends_on_error(problem):
+        return gains
+    joins = enclosing(-1.0, 1.0) * abs(gains["by_e"]).upper() * arb(moved)
+    t = arb(problem["sample_time"])
+    reach = 1 + gains["tau_av"] / t
+    return gains | {"k_i": gains["k_i"] + joins / t, "slide_i": gains["slide_i"] + joins * reach}
+
+
+def depends_on_error(problem: dict[str, Any]) -> bool:
+    """Whether phi_1 of the conservative form changes with e."""
+    return problem["form"] == "conservative" and bool(problem["functions"].get("kappa_b", 0))
 
 
 def middle_of(piece: tuple[float, float]) -> float:

@@ -1,6 +1,6 @@
 """The gains that the loop can have in a region of sigma and e, in floating point."""
 
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any, NamedTuple
 
 import jax
@@ -21,17 +21,38 @@ Hull = dict[str, Interval]
 GainArrays = dict[str, jax.Array]
 
 
-def gain_hull(problem: ProofProblem, sigma: float, e: float, least: float = 0.0) -> Hull:
-    """Intervals of the gains for |sigma| from ``least`` to a bound, and |e| up to one.
+def gain_hull(problem: ProofProblem, sigma: float, e: float, least: float = 0.0, least_e: float = 0.0) -> Hull:
+    """Intervals of the gains for |sigma| and |e| from their least values to a bound.
 
-    Of K_P, K_I, K_N, of K_P and T_s K_I times 1 + tau_av/T_s, and in the conservative form of phi_1/sigma (``mean``).
+    Of K_P, K_I, K_N, and of K_P and T_s K_I times 1 + tau_av/T_s. In the conservative form also of phi_1/sigma
+    (``mean``), and of d phi_1/d e times 1 + tau_av/T_s (``slide_e``).
     """
+    return {name: with_room(column) for name, column in gain_points(problem, sigma, e, least, least_e).columns.items()}
+
+
+class GainPoints(NamedTuple):
+    """Points of a region, and the gains there.
+
+    Args:
+        sigma: sigma [m/s] at each point.
+        columns: Each gain at the points; of ``slide_p`` and ``slide_e`` in the conservative form only the ends.
+    """
+
+    sigma: np.ndarray
+    columns: dict[str, np.ndarray]
+
+
+def gain_points(problem: ProofProblem, sigma: float, e: float, least: float = 0.0, least_e: float = 0.0) -> GainPoints:
+    """The gains at points of a region."""
     sizes = np.linspace(np.sqrt(least), np.sqrt(sigma), GRID) ** 2
     if not least:
         sizes[1:] = sigma * np.geomspace(1e-9, 1.0, GRID - 1)
     values = np.concatenate([-sizes[::-1], sizes])
-    own = problem.functions["kind"] == "vgsta"
-    errors = e * np.linspace(-1.0, 1.0, GRID if own else 1)
+    if problem.functions["kind"] == "vgsta":
+        positive = np.linspace(least_e, e, GRID // 2 + 1)
+        errors = np.concatenate([-positive[::-1], positive])
+    else:
+        errors = np.array([e])
     s, x = (each.ravel() for each in np.meshgrid(values, errors))
     _, k_n, term = problem.nominal or (0.0, np.inf, False)
     pole = 1.0 / k_n if term else 0.0
@@ -39,7 +60,7 @@ def gain_hull(problem: ProofProblem, sigma: float, e: float, least: float = 0.0)
         numbers = jnp.float64(problem.l0), jnp.float64(problem.sample_time), jnp.float64(pole)
         of = conservative_gains if problem.form == "conservative" else implicit_gains
         columns = of(functions_of(problem), jnp.asarray(s), jnp.asarray(x), *numbers)
-    return {name: with_room(np.asarray(column)) for name, column in columns.items()}
+    return GainPoints(s, {name: np.asarray(column) for name, column in columns.items()})
 
 
 @jax.jit
@@ -54,7 +75,7 @@ def implicit_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar, t: Sc
 
 @jax.jit
 def conservative_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar, t: Scalar, pole: Scalar) -> GainArrays:
-    """The same of the conservative form, in which K_P is a mean over sigma, and tau_av belongs to its last value."""
+    """The same of the conservative form: K_P and d phi_1/d e are means over a sample, tau_av belongs to its end."""
     at = functions.at(s, e, l0)
     law = functions.law(s, e, at)
     own = implicit_gains(functions, s, e, l0, t, pole)
@@ -62,7 +83,41 @@ def conservative_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar, t
     low, high = jnp.min(own["k_p"]), jnp.max(own["k_p"])
     slide_p = jnp.stack([low * jnp.min(reach), high * jnp.max(reach)])
     mean = jnp.broadcast_to(law.gain, s.shape)
-    return own | {"k_i": integral, "slide_i": reach * t * integral, "slide_p": slide_p, "mean": mean}
+    _, by_e = jax.jvp(lambda x: functions.law(s, x, functions.at(s, x, l0)).gain * s, (e,), (jnp.ones_like(e),))
+    largest = jnp.max(jnp.abs(by_e)) * jnp.max(reach)
+    return own | {
+        "k_i": jnp.broadcast_to(integral, s.shape),
+        "slide_i": jnp.broadcast_to(reach * t * integral, s.shape),
+        "slide_p": slide_p,
+        "by_e": jnp.max(jnp.abs(by_e / jnp.where(s == 0.0, 1.0, s)))[None],
+        "slide_e": jnp.stack([-largest, largest]),
+        "mean": mean,
+    }
+
+
+def start_ratio(problem: ProofProblem, *, integrated: bool) -> Interval:
+    """What the start takes from u_av, over sigma_0.
+
+    Seen from sigma_hat = sigma_0, the start ``midpoint`` halves the first T_s phi_2. ``integrated``: the coordinate is
+    q = v - phi_1(sigma_0).
+    """
+    if problem.start == "zero":
+        return 0.0, 0.0
+    ends = [e_dot + problem.l0 * e for e, e_dot in product(*problem.initial[:2])]
+    least, largest = magnitudes_of((min(ends), max(ends)))
+    least_e, largest_e = magnitudes_of(problem.initial[0])
+    hull = gain_hull(problem, max(largest, 1e-9), max(largest_e, 1e-9), least, least_e)
+    low, high = hull["mean"] if integrated else (0.0, 0.0)
+    if problem.start == "midpoint":
+        low += 0.5 * problem.sample_time * hull["k_i"][0]
+        high += 0.5 * problem.sample_time * hull["k_i"][1]
+    return low, high
+
+
+def magnitudes_of(pair: Interval) -> Interval:
+    """The interval of |x| for x in an interval."""
+    sizes = abs(pair[0]), abs(pair[1])
+    return (min(sizes) if pair[0] * pair[1] > 0.0 else 0.0), max(sizes)
 
 
 class Region(NamedTuple):

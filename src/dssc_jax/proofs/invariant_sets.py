@@ -1,6 +1,5 @@
 """(P3), (P5), (P6): a set {z'Pz <= 1} that is invariant and attracts, for all plants of a box and gains of a region."""
 
-import math
 from functools import reduce
 from itertools import pairwise, product
 from typing import Any
@@ -33,7 +32,11 @@ from dssc_jax.proofs.enclosed_loop import (
     start_columns,
     state_places,
 )
-from dssc_jax.proofs.gain_enclosures import enclosed_gains
+from dssc_jax.proofs.gain_enclosures import depends_on_error, enclosed_gains, enclosed_start_ratio, with_moving_error
+from dssc_jax.proofs.slope_ratios import slide_gain
+
+ERROR, SPEED = 0, 1
+"""Places of e and e' among the states."""
 
 
 def invariant_bounds(
@@ -49,19 +52,26 @@ def invariant_bounds(
         started: Whether the set has to hold every start and keep sliding.
         where: The stage's place, for messages.
     """
-    p, integrated = symmetric_ball(stage["p"]), problem["form"] == "conservative"
+    p, integrated = symmetric_ball(stage["p"]), stage["coordinate"] == "phi_1"
+    if not integrated:
+        gains = with_moving_error(problem, gains, stage["moved"])
     require_premise(positive_definite(p), f"P2: P is not positive definite in {where}")
     pieces, held = piece_gains(problem, stage), held_vertices(problem, box, stage["degree"])
+    if not integrated:  # K_P is a mean over a sample, which may have begun in another piece
+        whole = {"k_p": gains["k_p"]} if problem["form"] == "conservative" else {}
+        pieces = [(high, with_moving_error(problem, piece, stage["moved"]) | whole) for high, piece in pieces]
     for _, piece in pieces:
         corners = sample_corners(problem, box, held, piece, integrated=integrated)
         check_invariance(arb(problem["sample_time"]), stage, p, corners, where)
     inverse, rows = p.inv(), signal_rows(problem)
+    between = [largest_between_samples(problem, box, stage, inverse, gains, at) for at in (ERROR, SPEED)]
+    moved = arb(problem["sample_time"]) * between[SPEED] if depends_on_error(problem) else arb(0)
     if started:
-        check_start(problem, box, p, start_mean(problem) if integrated else None, where)
-        check_sliding(problem, box, inverse, gains, pieces, where)
+        check_start(problem, box, p, integrated, where)
+        check_sliding(problem, box, stage, inverse, gains, pieces, moved, where)
     sigma, e = (bound_in_set(inverse, rows[name]) for name in ("sigma", "e"))
     require_premise(not any(problem["by_state"]), f"P8: the set of {where} does not bound what the state adds to d")
-    return StageLimits(sigma, e, error_between_samples(problem, box, inverse, gains, integrated), arb(0), arb(0))
+    return StageLimits(sigma, e, between[ERROR], arb(0), arb(0), moved)
 
 
 def piece_gains(problem: dict[str, Any], stage: dict[str, Any]) -> list[tuple[float, Balls]]:
@@ -71,18 +81,9 @@ def piece_gains(problem: dict[str, Any], stage: dict[str, Any]) -> list[tuple[fl
     return [(high, enclosed_gains(problem, high, stage["e"], low)) for low, high in pairwise(ends)]
 
 
-def start_mean(problem: dict[str, Any]) -> arb:
-    """phi_1/sigma over the starts."""
-    e, speed = (enclosing(*pair) for pair in problem["initial"][:2])
-    size = abs(speed + arb(problem["l0"]) * e)
-    least, largest = float(size.lower()), float(size.upper())
-    least, largest = max(0.0, math.nextafter(least, -math.inf)), math.nextafter(largest, math.inf)
-    return enclosed_gains(problem, largest, 0.0, least)["mean"]
-
-
-def check_start(problem: dict[str, Any], box: dict[str, Any], p: arb_mat, mean: arb | None, where: str) -> None:
+def check_start(problem: dict[str, Any], box: dict[str, Any], p: arb_mat, integrated: bool, where: str) -> None:
     """(P3) Every start lies in the set."""
-    starts = start_columns(problem, box, mean)
+    starts = start_columns(problem, box, enclosed_start_ratio(problem, integrated=integrated))
     for j in range(starts.ncols()):
         z = arb_mat([[starts[i, j]] for i in range(starts.nrows())])
         require_premise((z.transpose() * p * z)[0, 0] <= 1, f"P3: a start lies outside of {where}")
@@ -91,24 +92,32 @@ def check_start(problem: dict[str, Any], box: dict[str, Any], p: arb_mat, mean: 
 def check_sliding(
     problem: dict[str, Any],
     box: dict[str, Any],
+    stage: dict[str, Any],
     inverse: arb_mat,
     gains: Balls,
     pieces: list[tuple[float, Balls]],
+    moved: arb,
     where: str,
 ) -> None:
     """(P5) |u_eq| <= rho, where u_eq - d_r - f is a row of z that is affine in its gains.
 
-    In the conservative form u_av = q + phi_1(s): phi_1(s) is within (mean - least) |s| of least s in each piece.
+    In the coordinate q, u_av = q + phi_1(s): phi_1(s) is within |mean - middle| |s| of middle s in each piece. By e,
+    phi_1 changes in a sample at most by its slope in e times ``moved``, the bound of the change of e; in the coordinate
+    u_av, K_I holds this.
     """
     if problem["rho"] is None:
         return
     rows, room = signal_rows(problem), arb(problem["rho"]) - signal_bounds(problem, box).offset
-    held = rows["v"]
+    held, slide_p = rows["v"], gains["slide_p"]
+    if stage["coordinate"] == "phi_1":
+        middle = gains["mean"].mid()
+        held = held + rows["s"] * middle
+        room = room - reduce(larger, [(abs(piece["mean"] - middle) * arb(high)).upper() for high, piece in pieces])
     if problem["form"] == "conservative":
-        least = gains["mean"].lower()
-        held = held + rows["s"] * least
-        room = room - reduce(larger, [(abs(piece["mean"] - least) * arb(high)).upper() for high, piece in pieces])
-    for a, b in product(both(gains["slide_p"]), both(gains["slide_i"])):
+        if stage["coordinate"] == "phi_1":
+            room = room - abs(gains["slide_e"]).upper() * moved
+        slide_p = slide_gain(problem, stage, gains, bound_in_set(inverse, rows["change"]), moved)
+    for a, b in product(both(slide_p), both(gains["slide_i"])):
         row = held + rows["change"] * a + rows["sigma"] * b
         holds = bound_in_set(inverse, row) <= room
         require_premise(holds, f"P5: the equivalent control may exceed rho in {where}")
@@ -138,18 +147,25 @@ def check_invariance(t: arb, stage: dict[str, Any], p: arb_mat, corners: list[Co
         require_premise(positive_definite(symmetrised(block)), f"P6: the set is not invariant in {where}")
 
 
-def error_between_samples(
-    problem: dict[str, Any], box: dict[str, Any], inverse: arb_mat, gains: Balls, integrated: bool
+def largest_between_samples(
+    problem: dict[str, Any],
+    box: dict[str, Any],
+    stage: dict[str, Any],
+    inverse: arb_mat,
+    gains: Balls,
+    place: int,
 ) -> arb:
-    """Upper bound of |e(t)| at all times, while z at the samples is in the set."""
+    """Upper bound of |e(t)| or |e'(t)| at all times, while z at the samples is in the set."""
+    integrated = stage["coordinate"] == "phi_1"
     _, _, n = state_places(problem)
     t, k_p = arb(problem["sample_time"]), enclosing(*box["k_p"])
     f = held_generator(problem, enclosing(*box["a_p"]), enclosing(*box.get("rate", (0.0, 0.0))))
-    rest, largest = inside_bounds(problem, box, t)[0], arb(0)
+    rest, largest = inside_bounds(problem, box, t)[place], arb(0)
     for piece in range(SAMPLE_PIECES):
         flow = (f * (t * enclosing(piece / SAMPLE_PIECES, (piece + 1) / SAMPLE_PIECES))).exp()
         for gain in product(*(both(gains[name]) for name in ("mean" if integrated else "k_p", "k_i", "k_n"))):
             _, command = control_rows(problem, gain, integrated=integrated)
-            row = [(flow[0, j] if j < n - 2 else arb(0)) + k_p * flow[0, n - 2] * command[0, j] for j in range(n)]
+            pushed = k_p * flow[place, n - 2]
+            row = [(flow[place, j] if j < n - 2 else arb(0)) + pushed * command[0, j] for j in range(n)]
             largest = larger(largest, (bound_in_set(inverse, arb_mat([row])) + rest).upper())
     return largest

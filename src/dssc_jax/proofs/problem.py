@@ -32,7 +32,7 @@ class ProofProblem:
         slope: Bound of |d'| [m/s^2], likewise.
         reference: Bounds of the reference's first three derivatives [m/s, m/s^2, m/s^3].
         initial: Interval of each component of the initial state (e, e', eta).
-        matched: Whether the predictor starts at sigma.
+        start: Where the predictor starts: ``zero``, ``matched`` (at sigma) or ``midpoint`` (half a sample earlier).
         by_state: k_d1 to k_d5 as in (30), with which the disturbance depends on the state.
         reference_size: Bound of the reference itself [m]; 0 unless the disturbance depends on the state.
     """
@@ -56,7 +56,7 @@ class ProofProblem:
     slope: float
     reference: tuple[float, float, float]
     initial: tuple[Interval, ...]
-    matched: bool
+    start: str
     by_state: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
     reference_size: float = 0.0
 

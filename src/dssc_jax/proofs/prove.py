@@ -12,13 +12,14 @@ import numpy as np
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.proofs import BOXES
+from dssc_jax.proofs.boxes import Box, halves, volume
 from dssc_jax.proofs.coverage import problem_of
 from dssc_jax.proofs.problem import Interval, ProofProblem
-from dssc_jax.proofs.search import Box, Failure, Proof, halves, prove_box, volume
+from dssc_jax.proofs.search import Failure, Proof, prove_box
 from dssc_jax.proofs.verifier import ProofVerdict, verify_certificate, verify_proof
 from dssc_jax.study import Study
 
-VERSION = 4
+VERSION = 5
 REASONS = {
     "origin": "the loop is not stable at sigma = e = 0",
     "decay": "no common quadratic function decreases for all gains of the smallest region",
@@ -185,11 +186,9 @@ def check_certificate(content: Any) -> ProofVerdict:
     """Verify the content of a certificate's file, from it alone.
 
     Raises:
-        ConfigError: it is no certificate, or a part of it is missing.
+        ConfigError: it is no certificate of this version.
     """
-    if not isinstance(content, dict) or content.get("version") != VERSION:
-        raise ConfigError("version", f"is not {VERSION}: no certificate of this program")
-    try:
-        return verify_certificate(content)
-    except (KeyError, TypeError, IndexError, ValueError) as error:
-        raise ConfigError("certificate", f"is damaged: {error!r}") from None
+    version = content.get("version") if isinstance(content, dict) else None
+    if type(version) is not int or version != VERSION:
+        raise ConfigError("version", f"is not {VERSION}: no certificate of this program; prove the study again")
+    return verify_certificate(content)

@@ -286,7 +286,12 @@ def box_middle(box: dict[str, Interval], gains: dict[str, Interval]) -> LoopPoin
 
 
 def box_steps(
-    problem: ProofProblem, box: dict[str, Interval], gains: dict[str, Interval], degree: int, *, integrated: bool
+    problem: ProofProblem,
+    box: dict[str, Interval],
+    gains: dict[str, Interval],
+    degree: int,
+    *,
+    integrated: bool,
 ) -> Iterable[Step]:
     """One sample at every corner of plant and gains, and at the control points of 1/mu."""
     names = ("mean" if integrated else "k_p", "k_i", "k_n")
@@ -299,15 +304,13 @@ def box_steps(
                     yield step_of(problem, point, box, integrated=integrated, held=held)
 
 
-def start_corners(
-    problem: ProofProblem, box: dict[str, Interval], integrated: Interval | None = None
-) -> list[np.ndarray]:
+def start_corners(problem: ProofProblem, box: dict[str, Interval], ratio: Interval = (0.0, 0.0)) -> list[np.ndarray]:
     """Every corner of the states in which the loop may start: z is affine in the initial state and in each signal.
 
     Args:
         problem: What is to be proved.
         box: Intervals of the uncertain numbers.
-        integrated: Interval of phi_1/sigma at the start, where the coordinate is q = v - phi_1(s); else None.
+        ratio: Interval of what the start takes from v or q, over sigma (:func:`dssc_jax.proofs.gains.start_ratio`).
     """
     zeta, memory, n = state_layout(problem)
     sizes = signal_sizes(problem, box)
@@ -318,9 +321,9 @@ def start_corners(
     result = []
     for plant in product(*(interval_ends(interval) for interval in problem.initial)):
         sigma = plant[1] + problem.l0 * plant[0]
-        s = sigma if problem.matched else 0.0
+        s = 0.0 if problem.start == "zero" else sigma
         for (level, offset), k_p in product(pairs, interval_ends(box["k_p"])):
-            for mean in interval_ends(integrated) if integrated and problem.matched else (0.0,):
+            for share in interval_ends(ratio):
                 z = np.zeros(n)
                 z[: len(plant)] = plant
                 if problem.denominator:
@@ -328,7 +331,7 @@ def start_corners(
                 else:
                     z[zeta] = k_p * level
                 z[memory] = kappa * np.array(plant[:2])[: memory.stop - memory.start]
-                z[n - 2], z[n - 1] = -offset - mean * s, s
+                z[n - 2], z[n - 1] = -offset - share * s, s
                 result.append(z)
     return result
 

@@ -12,13 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dssc_jax.proofs import fixed_point
+from dssc_jax.proofs.boxes import Box
 from dssc_jax.proofs.fixed_point import BoundsStage, from_start, responses, towards_residual
-from dssc_jax.proofs.gains import Region, gain_hull, region_of
-from dssc_jax.proofs.problem import Interval, ProofProblem
+from dssc_jax.proofs.gains import Hull, Region, gain_hull, region_of, start_ratio
+from dssc_jax.proofs.law_spread import slide_hull
+from dssc_jax.proofs.problem import ProofProblem
 from dssc_jax.proofs.programs import TIGHT, Bounded, SetPrograms, Solution, invariant_set, largest_in_set, scaling
-from dssc_jax.proofs.sampled_loop import Step, box_middle, box_steps, signal_sizes, start_corners, step_of
+from dssc_jax.proofs.sampled_loop import Step, box_middle, box_steps, middle, signal_sizes, start_corners, step_of
 
-Box = dict[str, Interval]
 FIRST_REGION, LARGEST_REGION, MOST_REGIONS = 1.02, 30.0, 20
 """Smallest and largest region that are tried, in sizes of the start, and the largest number of regions."""
 CURVE_SHARE, MOST_DEGREE = 1e-3, 6
@@ -35,14 +36,20 @@ INFLATION = 1.001
 """A set attracts; its trajectories enter this multiple of it in finite time."""
 SPARE, SPARE_OF_BOXES = 0.01, 0.1
 """Share of the decay that is left to the verifier's balls, for one plant and for a box of a_p or mu."""
+LOOSE = 1.3
+"""A bound of |e| on the way, over what the loop at sigma = e = 0 reaches, from which a set is tried, too."""
+CHANGE_ROOM, CHANGE_WEIGHT = 8.0, 1e-3
+"""Room of a set for the change of sigma in a sample, over what the loop at sigma = e = 0 reaches, and its weight."""
+GAIN_ROOM = 1.03
+"""Widening of what phi_1 changes by with e, for the verifier's enclosures."""
+SPEED_ROOM = 1.05
+"""Widening of |e'| at the samples for the time between them."""
 E, TRUE_E, SIGMA, CHANGE = range(4)  # rows of a step
 
 
 @dataclass(frozen=True)
 class SetStage:
     """A set {z'Pz <= 1} that is invariant while |sigma| and |e| stay within a region.
-
-    In the conservative form z holds q = v - phi_1(s) in place of v.
 
     Args:
         sigma: Bound of |sigma| in which the gains are selected [m/s].
@@ -54,6 +61,8 @@ class SetStage:
         rate: lambda [1/s].
         multipliers: mu_j of the inputs, with a sum of at most lambda.
         p: P, row by row.
+        coordinate: What z holds, ``u_av`` or, in the conservative form, ``phi_1`` for q = v - phi_1(s).
+        moved: Bound of the change of e in a sample [m], where phi_1 depends on e.
         method: The verifier's method.
     """
 
@@ -66,6 +75,8 @@ class SetStage:
     rate: float
     multipliers: list[float]
     p: list[list[float]]
+    coordinate: str
+    moved: float
     method: str = "invariant set"
 
 
@@ -93,21 +104,33 @@ class Failure(NamedTuple):
     reason: str
 
 
-def slide_rows(problem: ProofProblem, box: Box, region: Region, step: Step) -> list[Bounded]:
+def slide_rows(setting: "Setting", region: Region) -> list[Bounded]:
     """Rows of u_eq - d_r - f at every corner of the gains, with their bound; empty without a bound of the command.
 
-    In the conservative form u_av = q + phi_1(s), of which phi_1(s) - mean s is bounded by itself.
+    In the conservative form u_av = q + phi_1(s), of which phi_1(s) - mean s is bounded by itself, and so is what phi_1
+    changes by with e. The change of sigma in a sample stays within a bound of its own.
     """
+    problem, step = setting.problem, setting.at
     if problem.rho is None:
         return []
-    unit, hull, room = np.eye(step.a.shape[0]), region.hull, problem.rho - signal_sizes(problem, box).offset
-    change, sigma, held = step.rows[CHANGE], step.rows[SIGMA], unit[-2]
-    if "mean" in hull:
-        mean = hull["mean"][0]
-        room -= max((piece["mean"][1] - mean) * end for piece, end in zip(region.pieces, region.ends, strict=True))
+    unit, hull, room = np.eye(step.a.shape[0]), region.hull, problem.rho - signal_sizes(problem, setting.box).offset
+    change, sigma, held, slide_p = step.rows[CHANGE], step.rows[SIGMA], unit[-2], hull["slide_p"]
+    rows = []
+    if setting.integrated:
+        mean = middle(hull["mean"])
+        far = [max(abs(end - mean) for end in piece["mean"]) for piece in region.pieces]
+        room -= max(each * end for each, end in zip(far, region.ends, strict=True))
         held = held + mean * unit[-1]
-    corners = product(set(hull["slide_p"]), set(hull["slide_i"]))
-    return [Bounded(held + p * change + i * sigma, max(room, 0.0), 1.0) for p, i in corners]
+        room -= hull["slide_e"][1] * setting.moved(region)
+    else:
+        hull = setting.increments(region, hull)
+    if problem.form == "conservative":
+        moved = setting.moved(region)
+        largest = CHANGE_ROOM * excursion(step, setting.programs.starts, CHANGE)
+        slide_p = slide_hull(problem, (region.sigma, region.e), largest, moved)
+        rows = [Bounded(change, largest, CHANGE_WEIGHT)] if slide_p != hull["slide_p"] else []
+    corners = product(set(slide_p), set(hull["slide_i"]))
+    return rows + [Bounded(held + p * change + i * sigma, max(room, 0.0), 1.0) for p, i in corners]
 
 
 def decay_rate(step: Step, sample_time: float) -> float:
@@ -123,10 +146,32 @@ def prove_box(problem: ProofProblem, box: Box) -> Proof | Failure:
     if not isinstance(first, str):
         stage, allowed = first
         sigma, e = stage.bounds[fixed_point.SIGMA], stage.bounds[fixed_point.ERROR]
-        return Proof(box, [stage, *towards_residual(problem, box, (sigma, e), e, allowed)])
+        proof = Proof(box, [stage, *towards_residual(problem, box, (sigma, e), e, allowed)])
+        return tighter_start(problem, proof)
     if any(problem.by_state):  # of which the sets know no bound
         return Failure(box, "sliding" if first == "sliding" else "gain")
     return proof_by_sets(problem, box)
+
+
+def tighter_start(problem: ProofProblem, proof: Proof) -> Proof:
+    """A proof that begins with a set instead, where bounds of signals are loose on the way and a set does better."""
+    if any(problem.by_state) or (setting := setting_of(problem, proof.box)) is None:
+        return proof
+    first = reached_error(proof.stages[0], setting)
+    if first <= LOOSE * excursion(setting.at, setting.programs.starts, E):
+        return proof
+    other = proof_by_sets(problem, proof.box)
+    if isinstance(other, Failure) or reached_error(other.stages[0], setting) >= first:
+        return proof
+    ends = [min(reached_error(stage, setting) for stage in each.stages) for each in (proof, other)]
+    return other if ends[1] <= ends[0] / ENOUGH else proof
+
+
+def reached_error(stage: SetStage | BoundsStage, setting: "Setting") -> float:
+    """The bound of |e| at the samples."""
+    if isinstance(stage, BoundsStage):
+        return stage.bounds[fixed_point.ERROR]
+    return largest_in_set(np.array(stage.p), setting.at.rows[E])
 
 
 class Setting(NamedTuple):
@@ -137,6 +182,7 @@ class Setting(NamedTuple):
         box: The box.
         at: One sample at the box's middle, with the gains at sigma = e = 0.
         speed: Decay of the slowest mode [1/s].
+        integrated: Whether z holds q = v - phi_1(s) in place of v.
         programs: Starts, coordinates and precision of the programs.
     """
 
@@ -144,16 +190,34 @@ class Setting(NamedTuple):
     box: Box
     at: Step
     speed: float
+    integrated: bool
     programs: SetPrograms
 
     def steps(self, region: Region) -> list[Step]:
         """One sample at every corner of the box and of the gains in each piece of a region."""
-        integrated = self.problem.form == "conservative"
-        return [
-            step
-            for hull in region.pieces
-            for step in box_steps(self.problem, self.box, hull, self.degree, integrated=integrated)
-        ]
+        steps: list[Step] = []
+        for hull in region.pieces:
+            gains = hull if self.integrated else self.increments(region, hull)
+            steps += box_steps(self.problem, self.box, gains, self.degree, integrated=self.integrated)
+        return steps
+
+    def increments(self, region: Region, hull: Hull) -> Hull:
+        """The gains of the increments of u_av.
+
+        In the conservative form K_P is a mean over a sample, which may have begun in another piece, and K_I holds what
+        phi_1 changes by with e.
+        """
+        if self.problem.form == "implicit":
+            return hull
+        reach, t = hull["slide_p"][1] / hull["k_p"][1], self.problem.sample_time
+        joins = GAIN_ROOM * hull["by_e"][1] * self.moved(region)
+        k_i = hull["k_i"][0] - joins / t, hull["k_i"][1] + joins / t
+        slide_i = hull["slide_i"][0] - joins * reach, hull["slide_i"][1] + joins * reach
+        return hull | {"k_p": region.hull["k_p"], "k_i": k_i, "slide_i": slide_i}
+
+    def moved(self, region: Region) -> float:
+        """Bound of the change of e in a sample, with room for the time between the samples."""
+        return self.problem.sample_time * SPEED_ROOM * (region.sigma + self.problem.l0 * region.e)
 
     @property
     def degree(self) -> int:
@@ -172,22 +236,41 @@ class Setting(NamedTuple):
         return self.solve(steps, [], min(RATES), started=False) is not None
 
 
-def setting_of(problem: ProofProblem, box: Box) -> Setting | None:
+def setting_of(problem: ProofProblem, box: Box, *, integrated: bool = False) -> Setting | None:
     """The setting of a box; None if the loop is not stable at sigma = e = 0."""
-    integrated, origin = problem.form == "conservative", gain_hull(problem, 1e-9, 1e-9)
+    origin = gain_hull(problem, 1e-9, 1e-9)
     at = step_of(problem, box_middle(box, origin), box, integrated=integrated)
-    starts = start_corners(problem, box, start_means(problem) if integrated else None)
+    starts = start_corners(problem, box, start_ratio(problem, integrated=integrated))
     speed = decay_rate(at, problem.sample_time)
     if speed <= 0.0 or (scale := scaling(at, starts, speed * problem.sample_time)) is None:
         return None
     point = all(low == high for name, (low, high) in box.items() if name != "k_p")
     programs = SetPrograms(problem.sample_time, starts, scale, SPARE if point else SPARE_OF_BOXES, [])
-    return Setting(problem, box, at, speed, programs)
+    return Setting(problem, box, at, speed, integrated, programs)
 
 
 def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
+    """Sets from the start on.
+
+    In the conservative form the coordinate is phi_1 where K_P varies much over the first region, else u_av; and the
+    other one where that does not lead to a proof.
+    """
+    if problem.form == "implicit":
+        return proof_in_coordinate(problem, box, integrated=False)
+    wide = False
+    if (setting := setting_of(problem, box)) is not None:
+        first = [excursion(setting.at, setting.programs.starts, row) for row in (SIGMA, E)]
+        wide = bool(np.all(np.isfinite(first))) and len(region_of(problem, first[0], first[1]).pieces) > 1
+    result = proof_in_coordinate(problem, box, integrated=wide)
+    if isinstance(result, Failure) and result.reason != "origin":
+        other = proof_in_coordinate(problem, box, integrated=not wide)
+        return result if isinstance(other, Failure) else other
+    return result
+
+
+def proof_in_coordinate(problem: ProofProblem, box: Box, *, integrated: bool) -> Proof | Failure:
     """Sets from the start to a region in which bounds imply themselves."""
-    if (setting := setting_of(problem, box)) is None:
+    if (setting := setting_of(problem, box, integrated=integrated)) is None:
         return Failure(box, "origin")
     at = setting.at
     first = first_set(setting)
@@ -205,17 +288,9 @@ def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
     return Proof(box, stages)
 
 
-def start_means(problem: ProofProblem) -> Interval:
-    """Interval of phi_1/sigma over the starts."""
-    ends = [e_dot + problem.l0 * e for e, e_dot in product(*problem.initial[:2])]
-    sizes = [abs(end) for end in ends]
-    least = min(sizes) if min(ends) * max(ends) > 0.0 else 0.0
-    return gain_hull(problem, max(*sizes, 1e-9), 1e-9, least)["mean"]
-
-
 def first_set(setting: Setting) -> SetStage | str:
     """A set that holds the start and keeps sliding; otherwise the reason why there is none."""
-    least = excursion(setting.at, setting.programs.starts)
+    least = [excursion(setting.at, setting.programs.starts, row) for row in (SIGMA, E)]
     if not all(np.isfinite(least)):
         return "region"
     first = [FIRST_REGION * max(each, 1e-9) for each in least]
@@ -244,7 +319,7 @@ def held_start(setting: Setting, first: Sequence[float], *, slides: bool) -> Set
         steps = setting.steps(region)
         inside = [Bounded(at.rows[SIGMA], region.sigma, None)]
         inside += [Bounded(at.rows[E], region.e, None)] if by_e else []
-        sliding = slide_rows(setting.problem, setting.box, region, at) if slides else []
+        sliding = slide_rows(setting, region) if slides else []
         if not all(each.bound > 0.0 for each in sliding):
             return None
         if (solution := started_set(setting, steps, [*inside, *sliding], shares)) is None:
@@ -286,13 +361,10 @@ def smaller_set(setting: Setting, sigma: float, e: float, shares: Sequence[float
     return set_stage(best, region, setting)
 
 
-def excursion(step: Step, starts: Sequence[np.ndarray]) -> tuple[float, float]:
-    """The largest |sigma| and |e| of the loop at one point, from the starts and under inputs of size one."""
-    response = responses(step.a, step.rows[[SIGMA, E]], step.b, np.stack(starts, axis=1))
-    if response is None:
-        return np.inf, np.inf
-    sigma, e = response.peaks + response.sums.sum(axis=1)
-    return float(sigma), float(e)
+def excursion(step: Step, starts: Sequence[np.ndarray], row: int) -> float:
+    """The largest value of a row in the loop at one point, from the starts and under inputs of size one."""
+    response = responses(step.a, step.rows[[row]], step.b, np.stack(starts, axis=1))
+    return np.inf if response is None else float((response.peaks + response.sums.sum(axis=1))[0])
 
 
 def set_stage(result: Solution, region: Region, setting: Setting) -> SetStage:
@@ -300,31 +372,6 @@ def set_stage(result: Solution, region: Region, setting: Setting) -> SetStage:
     e, pieces = max(region.e, INFLATION * largest_in_set(result.p, setting.at.rows[E])), len(region.pieces)
     multipliers, p = result.multipliers.tolist(), result.p.tolist()
     sizes = region.sigma, e, setting.problem.level, setting.problem.slope
-    return SetStage(*sizes, pieces, setting.degree, result.rate, multipliers, p)
-
-
-def halves(box: Box, problem: ProofProblem) -> list[Box]:
-    """Both halves of a box along the side whose ends differ most in the loop's eigenvalues at sigma = e = 0."""
-    gains = gain_hull(problem, 1e-9, 1e-9)
-
-    def eigenvalues(box: Box) -> np.ndarray:
-        return np.sort_complex(np.linalg.eigvals(step_of(problem, box_middle(box, gains), box).a))
-
-    def effect(name: str) -> float:
-        low, high = (eigenvalues(box | {name: (end, end)}) for end in box[name])
-        return float(np.abs(high - low).sum())
-
-    name = max(box, key=effect)
-    low, high = box[name]
-    cut = float(np.sqrt(low * high)) if low > 0.0 else 0.5 * (low + high)
-    return [box | {name: (low, cut)}, box | {name: (cut, high)}]
-
-
-def volume(box: Box, problem: ProofProblem) -> float:
-    """Share of the problem's box, with 1/mu on a logarithmic scale."""
-    share = 1.0
-    for name, (low, high) in problem.box.items():
-        if low < high:
-            measure = np.log if name == "rate" else float
-            share *= (measure(box[name][1]) - measure(box[name][0])) / (measure(high) - measure(low))
-    return float(share)
+    coordinate = "phi_1" if setting.integrated else "u_av"
+    shape = pieces, setting.degree, result.rate, multipliers, p, coordinate, setting.moved(region)
+    return SetStage(*sizes, *shape)

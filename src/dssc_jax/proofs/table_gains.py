@@ -17,8 +17,8 @@ FIRST_CUTS = 6  # of r and of |e|
 MOST_CELLS = 100_000
 
 
-def table_gains(problem: dict[str, Any], sigma: float, e: float, least: float) -> Balls:
-    """Balls of the gains for |sigma| from ``least`` to a bound, and |e| up to one.
+def table_gains(problem: dict[str, Any], sigma: float, e: float, least: float, least_e: float) -> Balls:
+    """Balls of the gains for |sigma| from ``least`` to a bound, and |e| from ``least_e`` to one.
 
     They are the same at (-sigma, -e). Both signs are taken at e = 0, where sgn e jumps; with sgn 0 = 0 the gains lie
     between.
@@ -28,14 +28,9 @@ def table_gains(problem: dict[str, Any], sigma: float, e: float, least: float) -
         sigma: Bound of |sigma| [m/s].
         e: Bound of |e| [m].
         least: Least |sigma| [m/s].
+        least_e: Least |e| [m].
     """
-    first, last = square_root(least, sigma)
-    roots, errors = np.linspace(first, last, FIRST_CUTS + 1), np.linspace(0.0, e, FIRST_CUTS + 1)
-    signs = np.array([-1.0, 1.0])
-    low = np.meshgrid(roots[:-1], errors[:-1], signs, indexing="ij")
-    high = np.meshgrid(roots[1:], errors[1:], signs, indexing="ij")
-    r, x = (Intervals(low[i].ravel(), high[i].ravel()) for i in (0, 1))
-    sign = low[2].ravel()
+    r, sign, x = first_cells(square_root(least, sigma), (least_e, e))
     spans: dict[str, tuple[float, float]] = {}
     result: dict[str, tuple[float, float]] = {}
     left = MOST_CELLS
@@ -54,14 +49,30 @@ def table_gains(problem: dict[str, Any], sigma: float, e: float, least: float) -
             for name, at in pieces.items():
                 kept = at.selected(~again)
                 result[name] = spanned(result.get(name), float(np.min(kept.low)), float(np.max(kept.high)))
-        halves = [(half, other) for half in r.selected(again).halves() for other in x.selected(again).halves()]
-        r, x = (concatenated([pair[i] for pair in halves]) for i in (0, 1))
-        sign = np.tile(sign[again], len(halves))
+        r, sign, x = quartered(r, sign, x, again)
     positive = all(result[name][0] > 0.0 for name in ("k_p", "k_i"))
     require_premise(positive, "P2: the functions are not positive in the region")
     finite = bool(np.all(np.isfinite(list(result.values()))))
     require_premise(finite, "P2: the functions cannot be enclosed in the region")
     return {name: enclosing(*ends) for name, ends in result.items()}
+
+
+def first_cells(roots: tuple[float, float], errors: tuple[float, float]) -> tuple[Intervals, np.ndarray, Intervals]:
+    """Cells of a region: r = |sigma|^(1/2), the sign of sigma e, and |e|."""
+    r, x = (np.linspace(*ends, FIRST_CUTS + 1) for ends in (roots, errors))
+    signs = np.array([-1.0, 1.0])
+    low = np.meshgrid(r[:-1], x[:-1], signs, indexing="ij")
+    high = np.meshgrid(r[1:], x[1:], signs, indexing="ij")
+    return Intervals(low[0].ravel(), high[0].ravel()), low[2].ravel(), Intervals(low[1].ravel(), high[1].ravel())
+
+
+def quartered(
+    r: Intervals, sign: np.ndarray, x: Intervals, where: np.ndarray
+) -> tuple[Intervals, np.ndarray, Intervals]:
+    """The four quarters of each selected cell."""
+    halves = [(half, other) for half in r.selected(where).halves() for other in x.selected(where).halves()]
+    r, x = (concatenated([pair[i] for pair in halves]) for i in (0, 1))
+    return r, np.tile(sign[where], len(halves)), x
 
 
 def spanned(ends: tuple[float, float] | None, low: float, high: float) -> tuple[float, float]:
@@ -77,7 +88,9 @@ def concatenated(parts: list[Intervals]) -> Intervals:
 def gains_of(problem: dict[str, Any], r: Intervals, sign: np.ndarray, e: Intervals) -> dict[str, Intervals]:
     """The gains with r = |sigma|^(1/2), the sign of sigma e, and e = |e|.
 
-    Terms are written so that each r in them acts in the same direction, where they can be.
+    Terms are written so that each r in them acts in the same direction, where they can be. In the conservative form
+    K_I is phi_2/sigma; ``mean`` is phi_1/sigma, ``k_e`` the size of d phi_1/d e, ``by_e`` that over |sigma|,
+    and ``tau_av`` is needed by itself.
     """
     own = {name: exactly(value) for name, value in problem["functions"].items() if name != "kind"}
     two, t, sides = exactly(2.0), exactly(problem["sample_time"]), Intervals(sign, sign)
@@ -91,19 +104,22 @@ def gains_of(problem: dict[str, Any], r: Intervals, sign: np.ndarray, e: Interva
     kappa2 = two * own["epsilon"] * kappa1 + own["gamma"]
     proportional = two * kappa * own["kappa_a"] * first + kappa1 * slope
     by_e = two * kappa * own["kappa_b"] * (sides * size - exactly(problem["l0"]) * e)
-    integral = ratio * (by_e + kappa2 * slope)
-    pole = integral / proportional  # 1/tau_m
+    pole = ratio * (by_e + kappa2 * slope) / proportional  # 1/tau_m
+    conservative = problem["form"] == "conservative"  # where by_e belongs to phi_1, not to phi_2
+    integral = ratio * kappa2 * slope if conservative else ratio * (by_e + kappa2 * slope)
     if "k_o" in own:
-        filtered, by_pole = exactly(1.0) / own["k_o"], pole / own["k_o"]
+        averages, filtered = exactly(1.0) / (own["k_o"] * proportional), exactly(1.0) / own["k_o"]
+        by_pole = integral / (own["k_o"] * proportional)
     else:
-        filtered, by_pole = own["tau_av"] * proportional, own["tau_av"] * integral
+        averages, filtered, by_pole = own["tau_av"], own["tau_av"] * proportional, own["tau_av"] * integral
     nominal = problem["nominal"]
     nothing = np.zeros(sign.shape)
     term = pole / exactly(nominal[1]) if nominal and nominal[2] else Intervals(nothing, nothing)
-    return {
-        "k_p": proportional,
-        "k_i": integral,
-        "k_n": term,
-        "slide_p": proportional + filtered / t,
-        "slide_i": t * integral + by_pole,
-    }
+    gains = {"k_p": proportional, "k_i": integral, "k_n": term, "slide_i": t * integral + by_pole}
+    if not conservative:
+        return gains | {"slide_p": proportional + filtered / t}
+    whole = {"mean": kappa1 * ratio, "tau_av": averages}
+    if problem["functions"]["kappa_b"]:
+        bends = two * kappa * own["kappa_b"]  # the size of d kappa_1/d e
+        whole |= {"k_e": bends * first, "by_e": bends * ratio}
+    return gains | {name: Intervals(each.low + nothing, each.high + nothing) for name, each in whole.items()}

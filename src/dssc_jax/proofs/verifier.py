@@ -18,7 +18,7 @@ from dssc_jax.proofs.enclosed_loop import signal_bounds
 from dssc_jax.proofs.gain_enclosures import enclosed_gains
 from dssc_jax.proofs.invariant_sets import invariant_bounds
 from dssc_jax.proofs.small_gain import implied_bounds
-from dssc_jax.proofs.well_formed import require_problem, require_proof
+from dssc_jax.proofs.well_formed import require_certificate, require_problem, require_proof
 
 PRECISION = 160  # bits
 STAGE_METHODS = {"invariant set": invariant_bounds, "small gain": implied_bounds}
@@ -54,13 +54,12 @@ def verify_certificate(certificate: dict[str, Any]) -> ProofVerdict:
     """Verify a certificate: its problem, and the proof of every box. The boxes have to cover the problem's intervals.
 
     Args:
-        certificate: ``problem`` and ``proofs``, as in a certificate's file.
+        certificate: The content of a certificate's file.
     """
-    problem, proofs = certificate["problem"], certificate["proofs"]
     try:
-        require_problem(problem)
-        for proof in proofs:
-            require_proof(problem, proof)
+        require_certificate(certificate)
+        problem, proofs = certificate["problem"], certificate["proofs"]
+        require_premise(certificate["complete"], "P1: the certificate itself says that it is not complete")
         require_cover(problem, [proof["box"] for proof in proofs])
     except Rejected as rejected:
         return refused(rejected)
@@ -77,9 +76,11 @@ def verify_proof(problem: dict[str, Any], proof: dict[str, Any]) -> ProofVerdict
             require_problem(problem)
             require_proof(problem, proof)
             limits = verified_stages(problem, proof)
+            errors = [above(each) for each in limits]
+            require_premise(all(map(math.isfinite, errors)), "P0: a bound of |e| is not finite, and proves nothing")
         except Rejected as rejected:
             return refused(rejected)
-    return ProofVerdict(True, "", min(map(above, limits)), above(limits[0]))
+    return ProofVerdict(True, "", min(errors), errors[0])
 
 
 def above(limits: StageLimits) -> float:
@@ -144,3 +145,5 @@ def require_region(limits: StageLimits, factor: arb, stage: dict[str, Any], who:
     """(P4) What was shown lies in the region of a stage."""
     for name, limit in (("sigma", limits.sigma), ("e", limits.e)):
         require_premise(limit * factor <= arb(stage[name]), f"{who} leaves |{name}| <= {stage[name]}")
+    if stage.get("coordinate") == "u_av":
+        require_premise(limits.moved * factor <= arb(stage["moved"]), f"{who} lets e change by more in a sample")

@@ -71,7 +71,12 @@ def foreign_points(study: Study, certificates: Sequence[dict[str, Any]]) -> list
     """Points of a sweep whose certificate is one of another loop, by their number."""
     problems = (json.loads(json.dumps(problem_of(point).to_dict())) for point in sweep_points(study))
     pairs = enumerate(zip(problems, certificates, strict=True))
-    return [i for i, (problem, certificate) in pairs if certificate["problem"] != problem]
+    return [i for i, (problem, certificate) in pairs if problem_in(certificate) != problem]
+
+
+def problem_in(certificate: Any) -> Any:
+    """The problem of what should be a certificate; None if it holds none."""
+    return certificate.get("problem") if isinstance(certificate, dict) else None
 
 
 def prove_point(problem: ProofProblem, boxes: int) -> PointOutcome:

@@ -1,0 +1,153 @@
+"""How far the control law deviates from a linear one in a region of sigma and e, in floating point.
+
+In the implicit form the gains deviate from those of the middle loop. In the conservative form the functions phi_1,
+phi_2 and the nominal control's n do: either by the spread of their ratios to sigma, or by the largest distance from
+straight lines. The first is smaller near sigma = 0, where it vanishes with sigma; the second over a wide region.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.proofs.gains import GAIN_NAMES, MARGIN, GainPoints, Hull, gain_hull, gain_points, with_room
+from dssc_jax.proofs.problem import Interval, ProofProblem
+from dssc_jax.proofs.sampled_loop import functions_of, middle
+
+SLOPE_STEPS = 40
+"""Steps of the search for a slope; each cuts the interval by a third."""
+ROOT_CELLS, ERROR_CELLS, RATIO_ROOM = 40, 10, 1.05
+"""Cells of |sigma|^(1/2) and of |e| for ratios of slopes, fewer than the verifier's, and what is added to them."""
+SLOPE_ROUNDING = 1e-12
+"""Widening of a largest distance, in sizes of the function."""
+
+
+class Deviation(NamedTuple):
+    """A bound: ``change`` |sigma - s| + ``sigma`` |sigma| + ``constant``."""
+
+    change: float
+    sigma: float
+    constant: float
+
+
+class LawSpread(NamedTuple):
+    """The gains of a middle loop, and what deviates from it.
+
+    Args:
+        gains: By name: K_P, in the conservative form phi_1/sigma; K_I, K_N; K_P and T_s K_I times 1 + tau_av/T_s.
+        integral: Of the increment of v or q.
+        command: Of the command besides.
+        slide: Of the equivalent control; in the conservative form without what :func:`slide_half` bounds.
+        slide_e: What e adds to the equivalent control, over the change of e in a sample.
+    """
+
+    gains: Hull
+    integral: Deviation
+    command: Deviation
+    slide: Deviation
+    slide_e: float
+
+
+def law_spreads(problem: ProofProblem, sigma: float, e: float) -> list[LawSpread]:
+    """The deviations of a region, in each way in which they can be bounded."""
+    points = gain_points(problem, sigma, e)
+    hull = {name: with_room(column) for name, column in points.columns.items()}
+    half = {name: 0.5 * (high - low) for name, (low, high) in hull.items()}
+    t = problem.sample_time
+    if problem.form == "implicit":
+        return [
+            LawSpread(
+                {name: hull[name] for name in GAIN_NAMES},
+                Deviation(half["k_p"], t * half["k_i"], 0.0),
+                Deviation(0.0, half["k_n"], 0.0),
+                Deviation(half["slide_p"], half["slide_i"], 0.0),
+                0.0,
+            )
+        ]
+    by_ratio = LawSpread(
+        {name: hull["mean" if name == "k_p" else name] for name in GAIN_NAMES},
+        Deviation(0.0, t * half["k_i"], 0.0),
+        Deviation(0.0, half["mean"] + half["k_n"], 0.0),
+        Deviation(0.0, half["mean"] + half["slide_i"], 0.0),
+        hull["slide_e"][1],
+    )
+    return [by_ratio, function_spread(points, by_ratio, half, t)]
+
+
+def function_spread(points: GainPoints, by_ratio: LawSpread, half: dict[str, float], t: float) -> LawSpread:
+    """The distances of the functions from the straight lines that are nearest to them."""
+    size, columns = np.abs(points.sigma), points.columns
+    slopes = {name: nearest_slope(size, columns[name]) for name in ("mean", "k_i", "k_n")}
+    together = columns["mean"] + columns["k_n"]
+    first = largest_distance(size, columns["mean"], slopes["mean"])
+    second = largest_distance(size, columns["k_i"], slopes["k_i"])
+    both = largest_distance(size, together, slopes["mean"] + slopes["k_n"])
+    gains = by_ratio.gains | {name: (slopes[of], slopes[of]) for name, of in SLOPES.items()}
+    return LawSpread(
+        gains,
+        Deviation(0.0, 0.0, t * second),
+        Deviation(0.0, 0.0, both),
+        Deviation(0.0, half["slide_i"], first),
+        by_ratio.slide_e,
+    )
+
+
+SLOPES = {"k_p": "mean", "k_i": "k_i", "k_n": "k_n"}
+"""The gain of the middle loop that each slope becomes."""
+
+
+def largest_distance(size: np.ndarray, ratio: np.ndarray, slope: float) -> float:
+    """The largest |ratio - slope| |sigma|, a little widened."""
+    return (1.0 + MARGIN) * float(np.max(np.abs(ratio - slope) * size)) + SLOPE_ROUNDING * abs(slope) * float(
+        size.max()
+    )
+
+
+def nearest_slope(size: np.ndarray, ratio: np.ndarray) -> float:
+    """The slope of the straight line through 0 that is nearest to ratio sigma: a convex search over one number."""
+    low, high = float(ratio.min()), float(ratio.max())
+    for _ in range(SLOPE_STEPS):
+        left, right = low + (high - low) / 3.0, high - (high - low) / 3.0
+        if np.max(np.abs(ratio - left) * size) <= np.max(np.abs(ratio - right) * size):
+            high = right
+        else:
+            low = left
+    return 0.5 * (low + high)
+
+
+def middle_gains(spread: LawSpread) -> list[float]:
+    """The gains of the middle loop, as a certificate holds them."""
+    return [middle(spread.gains[name]) for name in GAIN_NAMES]
+
+
+def slide_hull(problem: ProofProblem, region: tuple[float, float], change: float, moved: float) -> Interval:
+    """The gain of sigma - s in the equivalent control, where sigma and e change by so much in a sample.
+
+    With a constant k_o, tau_av K_P is 1/k_o, times a ratio of slopes of phi_1 at points within a sample.
+    """
+    hull, own = gain_hull(problem, *region), problem.functions
+    if problem.form == "implicit" or "k_o" not in own or own["kind"] == "constant":
+        return hull["slide_p"]
+    ratio, reach = slope_ratio(problem, region, change, moved), 1.0 / (own["k_o"] * problem.sample_time)
+    low, high = hull["k_p"][0] + reach / ratio, hull["k_p"][1] + reach * ratio
+    return (low, high) if high - low < hull["slide_p"][1] - hull["slide_p"][0] else hull["slide_p"]
+
+
+def slope_ratio(problem: ProofProblem, region: tuple[float, float], change: float, moved: float) -> float:
+    """The largest ratio of slopes of phi_1 within a sample, on a grid of cells."""
+    sigma, e = region
+    size, errors = sigma * np.linspace(0.0, 1.0, ROOT_CELLS + 1) ** 2, e * np.linspace(0.0, 1.0, ERROR_CELLS + 1)
+    with jax.enable_x64(True):
+        s, x = jnp.meshgrid(jnp.asarray(size), jnp.asarray(errors), indexing="ij")
+        k_o, tau_av, _ = functions_of(problem).at(s, x, jnp.float64(problem.l0))
+        slope = np.broadcast_to(np.asarray(1.0 / (k_o * tau_av)), s.shape)
+    cells = int(np.ceil(moved * ERROR_CELLS / e)) if e > 0.0 else 0
+    largest = 1.0
+    for i in range(ROOT_CELLS):
+        first = max(int(np.searchsorted(size, size[i] - change, side="right")) - 1, 0)
+        last = min(int(np.searchsorted(size, size[i + 1] + change)), ROOT_CELLS)
+        for j in range(ERROR_CELLS):
+            near = slope[first : last + 1, max(j - cells, 0) : j + 2 + cells]
+            largest = max(largest, float(near.max() / near.min()))
+    return 1.0 + RATIO_ROOM * (largest - 1.0)

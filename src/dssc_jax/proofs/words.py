@@ -1,0 +1,93 @@
+"""The loop of a certificate in words, with its numbers as they are."""
+
+from typing import Any
+
+SIGNAL_NAMES = ("|y_m'|", "|y_m''|", "|y_m'''|")
+
+
+def loop_in_words(problem: dict[str, Any]) -> dict[str, str]:
+    """What a certificate's problem says, by label.
+
+    Args:
+        problem: A problem that is well formed, with the units of the certificate: y and u, seconds.
+    """
+    return {
+        "controller": controller_words(problem),
+        "functions": functions_words(problem["functions"]),
+        "nominal": nominal_words(problem["nominal"]),
+        "plant": plant_words(problem),
+        "start": start_words(problem),
+        "unmodelled": unmodelled_words(problem),
+        "sensor": f"lag of {problem['sensor_lag']} s" if problem["sensor_lag"] else "exact",
+        "disturbance": disturbance_words(problem),
+        "reference": reference_words(problem),
+    }
+
+
+def interval_words(pair: Any) -> str:
+    """A number, or an interval."""
+    low, high = pair
+    return f"= {low}" if low == high else f"in [{low}, {high}]"
+
+
+def controller_words(problem: dict[str, Any]) -> str:
+    """Form, T_s and the bound of the switched control."""
+    rho = "without a bound of the command" if problem["rho"] is None else f"rho = {problem['rho']}"
+    period = f"T_s = {problem['sample_time']} s"
+    return f"{problem['form']} form, {period}, l_0 = {problem['l0']} 1/s, {rho}, predictor's start {problem['start']}"
+
+
+def functions_words(functions: dict[str, Any]) -> str:
+    """Kind and constants."""
+    constants = [f"{name} = {value}" for name, value in functions.items() if name != "kind"]
+    return f"{functions['kind']} with {', '.join(constants)}"
+
+
+def nominal_words(nominal: Any) -> str:
+    """The nominal control."""
+    if nominal is None:
+        return "none"
+    a, k, term = nominal
+    return f"a_n = {a} 1/s, k_n = {k}, {'with' if term else 'without'} its term 1/tau_m"
+
+
+def plant_words(problem: dict[str, Any]) -> str:
+    """Intervals of the plant, and its zero dynamics."""
+    intervals = f"k_p {interval_words(problem['k_p'])}, a_p {interval_words(problem['a_p'])} 1/s"
+    if not problem["zero_a"]:
+        return f"{intervals}, order 2"
+    order = 2 + len(problem["zero_a"])
+    zeros = f"zero dynamics a = {list(problem['zero_a'])}, c = {list(problem['zero_c'])}"
+    return f"{intervals}, order {order}, {zeros}"
+
+
+def start_words(problem: dict[str, Any]) -> str:
+    """The intervals of the initial state."""
+    names = ["e", "e'", *(f"eta_{i + 1}" for i in range(len(problem["zero_a"])))]
+    parts = [f"{name} {interval_words(pair)}" for name, pair in zip(names, problem["initial"], strict=True)]
+    return ", ".join(parts)
+
+
+def unmodelled_words(problem: dict[str, Any]) -> str:
+    """The lag, the transfer function or the delay."""
+    if problem["denominator"]:
+        above, below = list(problem["numerator"]), list(problem["denominator"])
+        return f"G(mu s) = {above}/{below} in rising powers of mu s, mu {interval_words(problem['mu'])} s"
+    return f"delay of {problem['delay']} samples" if problem["delay"] else "none"
+
+
+def disturbance_words(problem: dict[str, Any]) -> str:
+    """Bounds of the disturbance (wind, load), and how it depends on the state."""
+    bounds = f"any (wind, load) with |d| <= {problem['level']} and slope |d'| <= {problem['slope']} 1/s"
+    gains = [f"k_d{i} = {k}" for i, k in enumerate(problem["by_state"], 1) if k]
+    if not gains:
+        return bounds
+    return f"{bounds}, besides what depends on the state with {', '.join(gains)}, |y_m| <= {problem['reference_size']}"
+
+
+def reference_words(problem: dict[str, Any]) -> str:
+    """Bounds of the reference's derivatives."""
+    if not any(problem["reference"]):
+        return "at rest"
+    pairs = zip(SIGNAL_NAMES, problem["reference"], strict=True)
+    return f"any with {', '.join(f'{name} <= {bound}' for name, bound in pairs)}"
