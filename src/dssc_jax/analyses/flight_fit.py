@@ -20,7 +20,6 @@ from dssc_jax.analyses.flight_explained import FitRefused, explained, require_ex
 from dssc_jax.analyses.flight_log import forward_filled, replayed_channel, signal_name
 from dssc_jax.analyses.flight_residual import (
     LEAST_SAMPLES,
-    STARTS,
     FitProblem,
     SampledLog,
     Search,
@@ -262,6 +261,6 @@ def fitted_at(problem: FitProblem, search: Search, kept: dict[str, float]) -> Fi
         kept,
         sum(len(own.values) for own in problem.readings),
         problem.log.replayed,
-        (STARTS, search.starts),
+        (search.starts, search.starts_here),
         others,
     )

@@ -151,8 +151,8 @@ class LogComparison(Analysis):
             facts |= {
                 "largest_difference": float(abs(difference[worst])),
                 "largest_difference_at": float(time[worst]),
-                "rms_difference": float(np.sqrt(np.mean(difference[both] ** 2))),
-                "rms_logged": float(np.sqrt(np.mean(logged[both] ** 2))),
+                "rms_difference": root_mean_square(difference[both]),
+                "rms_logged": root_mean_square(logged[both]),
             }
         return facts
 
@@ -173,6 +173,12 @@ class LogComparison(Analysis):
     def restored(cls, stored: Stored) -> Self:
         """See :class:`Analysis`."""
         return cls(stored.study, stored.dataset, **stored.settings)
+
+
+def root_mean_square(values: np.ndarray) -> float:
+    """The root mean square of finite values, however large they are."""
+    size = float(np.abs(values).max())
+    return size * float(np.sqrt(np.mean((values / size) ** 2))) if size > 0.0 else 0.0
 
 
 def signal_name(channel: str, name: str) -> str:

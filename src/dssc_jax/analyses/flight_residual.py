@@ -1,6 +1,8 @@
 """The least-squares problem of a logged flight: the residual, its noise, and the minima by Gauss-Newton.
 
 References:
+    C. G. E. Boender, A. H. G. Rinnooy Kan, "Bayesian stopping rules for multistart global optimization methods",
+        Mathematical Programming 37 (1987) 59-80.
     J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), section 10.3.
 """
 
@@ -23,7 +25,8 @@ LARGEST_STEP = 2.0  # prior standard deviations in one iteration
 NORMAL_90 = float(special.ndtri(0.95))
 LEAST_NOISE = 1e-9  # of the output's size: below, the residual is rounding
 LEAST_SAMPLES = 20  # of a channel: fewer do not tell its noise
-STARTS = 8  # of the search for the minimum; the first are the medians of the laws
+STARTS, MOST_STARTS = 8, 64  # of the search for the minimum; the first are the medians of the laws
+UNSEEN = 0.5  # expected number of minima that the search has not found, below which it ends
 NEAR = 0.1  # prior standard deviations between two ends of the search in the same minimum
 ROUNDS = 3  # of looking for the best minimum with the noise of the last one
 DRAWS = 512  # of the channels' noises together
@@ -218,24 +221,40 @@ def minimised(problem: FitProblem, at: np.ndarray) -> Minimum:
 
 
 def starting_points(problem: FitProblem) -> np.ndarray:
-    """Coordinates from which minima are looked for: the laws' medians, then quantiles of all laws; shape (m, n)."""
-    levels = stats.qmc.Sobol(len(problem.names), seed=0).random(STARTS)
+    """Coordinates from which minima are looked for: the laws' medians, then Sobol's points at quantiles of all laws.
+
+    Returns:
+        Shape (m, n).
+    """
+    levels = stats.qmc.Sobol(len(problem.names), seed=0).random(MOST_STARTS)
     levels[0] = 0.5
     scaled = [fit_scale(law, law.quantile(column)) for law, column in zip(problem.laws, levels.T, strict=True)]
-    return ((np.array(scaled).T - problem.middles) / problem.widths).reshape(STARTS, -1)
+    return (np.array(scaled).T - problem.middles) / problem.widths
 
 
-def distinct_minima(found: Sequence[Minimum]) -> list[tuple[Minimum, int]]:
-    """Minima that differ, the best first, with the number of searches that end in each; without infinite ones."""
-    groups: list[tuple[Minimum, int]] = []
-    for minimum in sorted((each for each in found if math.isfinite(each.step.cost)), key=lambda own: own.step.cost):
+Group = tuple[Minimum, int]
+"""A minimum, and the number of starts that lead there."""
+
+
+def distinct_minima(found: Sequence[Group]) -> list[Group]:
+    """Minima that differ, the best first; without infinite ones."""
+    groups: list[Group] = []
+    finite = [group for group in found if math.isfinite(group[0].step.cost)]
+    for minimum, starts in sorted(finite, key=lambda group: group[0].step.cost):
         for place, (known, count) in enumerate(groups):
             if np.abs(minimum.at - known.at).max() < NEAR:
-                groups[place] = (known, count + 1)
+                groups[place] = (known, count + starts)
                 break
         else:
-            groups.append((minimum, 1))
+            groups.append((minimum, starts))
     return groups
+
+
+def unseen_minima(starts: int, minima: int) -> float:
+    """Expected number of minima that no start has led to, by Boender and Rinnooy Kan's rule."""
+    if starts <= minima + 2:
+        return math.inf
+    return minima * (starts - 1) / (starts - minima - 2) - minima
 
 
 class Search(NamedTuple):
@@ -244,12 +263,14 @@ class Search(NamedTuple):
     Args:
         best: The best minimum, with the noise of the problem.
         others: Other ends of the search with the number of starts that lead there, by the same noise.
-        starts: Starts that end in the best minimum.
+        starts: Starts of the search.
+        starts_here: Starts that end in the best minimum.
     """
 
     best: Minimum
-    others: tuple[tuple[Minimum, int], ...]
+    others: tuple[Group, ...]
     starts: int
+    starts_here: int
 
 
 def reweighted_fit(problem: FitProblem, at: np.ndarray) -> Minimum:
@@ -266,19 +287,23 @@ def reweighted_fit(problem: FitProblem, at: np.ndarray) -> Minimum:
 
 def best_fit(problem: FitProblem) -> Search | None:
     """The best minimum of several starts, with the noise of its residual; None if no start has a finite output."""
-    groups = distinct_minima([minimised(problem, at) for at in starting_points(problem)])
+    found: list[Group] = []
+    groups: list[Group] = []
+    points = starting_points(problem)
+    while len(found) < MOST_STARTS:
+        found += [(minimised(problem, at), 1) for at in points[len(found) : len(found) + STARTS]]
+        groups = distinct_minima(found)
+        if unseen_minima(len(found), len(groups)) < UNSEEN:
+            break
+    for _ in range(ROUNDS if groups else 0):
+        (first, count), *others = groups
+        best = reweighted_fit(problem, first.at)
+        groups = distinct_minima([(best, count), *((minimised(problem, other.at), same) for other, same in others)])
+        if groups[0][0].step.cost >= best.step.cost:
+            break
     if not groups:
         return None
-    for _ in range(ROUNDS):
-        best = reweighted_fit(problem, groups[0][0].at)
-        again = [(minimised(problem, other.at), count) for other, count in groups[1:]]
-        others = [(other, count) for other, count in again if np.abs(other.at - best.at).max() >= NEAR]
-        same = sum(count for _, count in groups) - sum(count for _, count in others)
-        if all(other.step.cost >= best.step.cost for other, _ in others):
-            break
-        groups = sorted([(best, same), *others], key=lambda group: group[0].step.cost)
-    others.sort(key=lambda group: group[0].step.cost)
-    return Search(best, tuple(others), same)
+    return Search(groups[0][0], tuple(groups[1:]), len(found), groups[0][1])
 
 
 def averaged_covariance(problem: FitProblem, posteriors: Sequence[Posterior]) -> np.ndarray:

@@ -20,10 +20,10 @@ from scipy import optimize, special, stats
 
 from dssc_jax.statistics.correlated_noise import WHITE, FirstOrder, Misfit, Noise, SecondOrder, misfit
 
-WHITE_PRIOR = 0.5  # probability of white noise; the two kinds of correlated noise share the rest
-SHARE_WIDTH = 3.0  # standard deviation of logit c: one deviation either side is 5 to 95 %
+WHITE_PRIOR = 0.2  # probability of white noise; the two kinds of correlated noise share the rest
+SHARE_WIDTH = 2.0  # standard deviation of logit c: one deviation either side is 12 to 88 %
 DAMPING_MIDDLE, DAMPING_WIDTH = 1.0, 1.5  # of logit zeta: 14 to 92 %
-TIME_WIDTHS = 6.0  # standard deviations of log T from the shortest gap to the whole span
+TIME_WIDTHS = 6.0  # standard deviations of log T from the median gap to the whole span
 SAMPLES = 64  # of the posterior law of each kind
 FREEDOM = 4.0  # of Student's t, from which they are drawn
 WIDER = 1.2  # than the posterior law at its mode

@@ -32,7 +32,8 @@ class ColumnMap(NamedTuple):
     Args:
         signals: For each signal its column, a scale and an offset: value = scale * column + offset.
         time: The column with the time [s], of a CSV or Parquet file.
-        start: Time of the log at which the study begins [s]; None: the first sample of all signals.
+        start: Time of the log at which the study begins [s]; None: the first sample of all signals. Times of a ULog
+            count from its beginning.
     """
 
     signals: dict[str, tuple[str, float, float]]
@@ -158,7 +159,10 @@ def table_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> 
 
 
 def ulog_columns(path: Path, columns: ColumnMap) -> dict[str, Column]:
-    """The fields of a ULog's topics by the signals' names."""
+    """The fields of a ULog's topics by the signals' names; times count from the beginning of the log.
+
+    PX4 stamps every value with the time since its start, and so the beginning of the log.
+    """
     try:
         from pyulog import ULog  # few have it, and few need it
     except ImportError as error:
@@ -168,7 +172,9 @@ def ulog_columns(path: Path, columns: ColumnMap) -> dict[str, Column]:
     try:
         if path.stat().st_size > LARGEST_RECORD:
             raise ConfigError("file", f"is larger than a record can be ({LARGEST_RECORD} bytes)")
-        topics = {f"{one.name}:{one.multi_id}": one.data for one in ULog(str(path)).data_list}
+        whole = ULog(str(path))
+        topics = {f"{one.name}:{one.multi_id}": one.data for one in whole.data_list}
+        begin = float(whole.start_timestamp)
     except ConfigError:
         raise
     except Exception as error:  # pyulog raises errors of many kinds
@@ -183,7 +189,8 @@ def ulog_columns(path: Path, columns: ColumnMap) -> dict[str, Column]:
             raise ConfigError(
                 f"signals.{name}", f"topic '{topic}' has no field '{field}'; {nearest(field, topics[label])}"
             )
-        read[name] = Column(MICROSECOND * topics[label]["timestamp"].astype(float), topics[label][field].astype(float))
+        stamps = topics[label]["timestamp"].astype(float) - begin
+        read[name] = Column(MICROSECOND * stamps, topics[label][field].astype(float))
     return read
 
 
