@@ -93,9 +93,9 @@ def test_coloured_noise_widens_the_intervals(noisy):
 
 
 def test_intervals_cover_the_truth():
-    """24 dense flights; fewer hits than 17 of 24 have a probability below 1e-4 at 95 %."""
-    scores, fits = covered(flight_study(), 24, CASES[0])
-    assert fits == 24
+    """12 dense flights, at a level at which too few hits have a probability below 1e-4."""
+    scores, fits = covered(flight_study(), 12, CASES[0])
+    assert fits == 12
     assert set(scores) == {"plant.k_p", "plant.a_p", "unmodelled.mu", "disturbance.value"}
     for errors in scores.values():
         assert stats.binom.cdf(inside(errors).sum(), len(errors), LEVEL) > 1e-4
@@ -110,15 +110,15 @@ def test_intervals_of_sparse_logs_cover_the_truth(case):
     The mean square of n independent errors of unit variance has a standard deviation of sqrt(2/n). The four errors of a
     flight are dependent, so that n is the number of flights.
     """
-    scores, fits = covered(flight_study(), 24, CASES[case])
-    assert fits >= 20
+    scores, fits = covered(flight_study(), 12, CASES[case])
+    assert fits >= 10
     together = np.concatenate(list(scores.values()))
     assert np.mean(np.square(together)) < 1.0 + 4.0 * np.sqrt(2.0 / fits)
     assert inside(together).mean() > 0.85
 
 
 def oscillator(**changes):
-    """y'' + 0.2 y' + k y = u + 1 with an unknown k: its frequency has a least-squares minimum for each cycle skipped."""
+    """y'' + 0.2 y' + k y = u + 1 with an unknown k: there is a least-squares minimum for each cycle skipped."""
     return linear(
         plant={
             "kind": "transfer_function",
@@ -139,9 +139,9 @@ def ringing(k, noise=0.003):
     return log_of(y + noise * np.random.default_rng(0).normal(size=400), np.zeros(400))
 
 
-@pytest.mark.parametrize("k", [200.0, 700.0])
-def test_the_best_of_many_minima_is_found(k):
-    """From the median of the law, a search ends at 153 and at 110."""
+def test_the_best_of_many_minima_is_found():
+    """From the median of the law, a search ends at 153."""
+    k = 200.0
     fitted = fit_log(oscillator(), ringing(k))
     assert fitted.estimates[0] == pytest.approx(k, rel=5e-3)
     assert len(fitted.others) >= 3
@@ -157,8 +157,7 @@ def test_number_of_unseen_minima():
     assert unseen_minima(8, 6) == np.inf
 
 
-@pytest.mark.parametrize("every", [1, 8])
-@pytest.mark.parametrize("wrong", ["unit", "sign", "start"])
+@pytest.mark.parametrize(("wrong", "every"), [("unit", 1), ("sign", 8), ("start", 8)])
 def test_a_residual_that_is_no_noise_is_refused(noisy, wrong, every):
     u, y = noisy
     logged = {"unit": 100.0 * y, "sign": -y, "start": np.roll(y, 50)}[wrong]
@@ -171,11 +170,13 @@ def test_a_residual_that_is_no_noise_is_refused(noisy, wrong, every):
 def test_what_the_study_calls_noise_is_no_contradiction(noisy):
     """A residual as large as the study's own sensor noise, which its readings hold for 20 samples, is accepted."""
     u, y = noisy
-    held = np.repeat(0.2 * np.random.default_rng(9).normal(size=20), 20)
-    sensor = {"kind": "noisy", "position_std": 0.2, "velocity_std": 0.0}
+    held = np.repeat(0.15 * np.random.default_rng(9).normal(size=20), 20)
+    sensor = {"kind": "noisy", "position_std": 0.15, "velocity_std": 0.0}
     log = log_of(y + held, u)
-    fitted = fit_log(linear(sensor=sensor), log)
-    assert fitted.noise[""].explained.noise == pytest.approx(0.2, rel=0.1)
+    with pytest.raises(Unexplained):
+        fit_log(linear(), log, ["plant.k_p"])
+    fitted = fit_log(linear(sensor=sensor), log, ["plant.k_p"])
+    assert fitted.noise[""].explained.noise == pytest.approx(0.15, rel=0.1)
     assert fitted.noise[""].explained.unexplained < 0.1
 
 
