@@ -18,7 +18,7 @@ from dssc_jax.study.tables import enclosing_list, has_dotted, set_dotted, toml_e
 
 INSIDE = 1e-6  # of the distance from an exclusive bound, that a law stays inside
 LAW_WIDTH = 5.0  # standard deviations within which a bounded number's law is kept
-OUTSIDE = 3.0  # standard deviations of an estimate beyond the middle 99.8 % of its law, from which this is told
+OUTSIDE_LAW = 3.0  # standard deviations of an estimate beyond the middle 99.8 % of its law, from which this is told
 
 
 class ResidualNoise(NamedTuple):
@@ -37,20 +37,20 @@ class ResidualNoise(NamedTuple):
     explained: Explained
 
     @classmethod
-    def of(cls, posterior: Posterior, found: Explained) -> "ResidualNoise":
+    def of(cls, posterior: Posterior, explained: Explained) -> "ResidualNoise":
         """What is told of a posterior law."""
         likely = posterior.likely
-        return cls(posterior.white, likely.share, correlation_time(likely), found)
+        return cls(posterior.white, likely.share, correlation_time(likely), explained)
 
     def summary(self) -> dict[str, float]:
         """For JSON."""
-        found = self.explained
+        sizes = self.explained
         return {
-            "rms": found.residual,
-            "noise": found.noise,
-            "output_std": found.output,
-            "unexplained_share": found.unexplained,
-            "independent_samples": found.independent,
+            "rms": sizes.residual,
+            "noise": sizes.noise,
+            "output_std": sizes.output,
+            "unexplained_share": sizes.unexplained,
+            "independent_samples": sizes.independent,
             "white_probability": self.white,
             "correlated_share": self.share,
             "correlation_time": self.time,
@@ -148,7 +148,7 @@ class Fitted:
         for name, scaled, deviation in zip(self.names, self.scaled, self.deviations, strict=True):
             law = self.study.laws[name]
             low, high = fit_scale(law, law.quantile(np.array([0.001, 0.999])))
-            if scaled < low - OUTSIDE * deviation or scaled > high + OUTSIDE * deviation:
+            if scaled < low - OUTSIDE_LAW * deviation or scaled > high + OUTSIDE_LAW * deviation:
                 outside.append(name)
         return outside
 

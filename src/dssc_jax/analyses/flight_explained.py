@@ -17,8 +17,8 @@ from dssc_jax.flight.prediction import noise_of_study
 from dssc_jax.statistics.correlated_noise import Noise, independent_samples
 
 MOST_UNEXPLAINED = 0.1  # of the output's variance
-CONFIDENCE = 0.95  # that a refused fit leaves more than that
-REPLICATES = 16  # of the study's noise
+EXPLAINED_CONFIDENCE = 0.95  # that a refused fit leaves more than that
+NOISE_REPLICATES = 16  # of the study's noise
 
 
 class FitRefused(ValueError):
@@ -52,7 +52,7 @@ class Explained(NamedTuple):
     @property
     def least_unexplained(self) -> float:
         """Lower confidence limit of that share."""
-        largest = stats.chi2.ppf(CONFIDENCE, self.independent) / self.independent
+        largest = float(stats.chi2.ppf(EXPLAINED_CONFIDENCE, self.independent)) / self.independent
         return max(self.residual**2 / largest - self.noise**2, 0.0) / max(self.output**2, 1e-300)
 
 
@@ -75,45 +75,47 @@ def noise_between_neighbours(times: np.ndarray, values: np.ndarray) -> float:
 
 def explained(problem: FitProblem, at: np.ndarray) -> list[Explained]:
     """How well each channel with readings is described; what the study has of noise counts where it is needed."""
-    columns = problem.columns(at)
-    found = [
-        explained_channel(own, noise, part[:, 0])
-        for own, noise, part in zip(problem.readings, problem.noises, columns, strict=True)
-    ]
-    if all(own.least_unexplained <= MOST_UNEXPLAINED for own in found):
-        return found
-    added = noise_of_study(problem.study, problem.names, problem.values(at), problem.log.commands, REPLICATES)
-    implied = [float(np.sqrt(np.mean(own.at_times(added[:, own.channel]) ** 2))) for own in problem.readings]
-    return [own._replace(noise=max(own.noise, noise)) for own, noise in zip(found, implied, strict=True)]
+    results = []
+    for readings, noise, columns in zip(problem.readings, problem.noises, problem.columns(at), strict=True):
+        results.append(explained_channel(readings, noise, columns[:, 0]))
+    if all(result.least_unexplained <= MOST_UNEXPLAINED for result in results):
+        return results
+    added = noise_of_study(problem.study, problem.names, problem.values(at), problem.log.commands, NOISE_REPLICATES)
+    for place, readings in enumerate(problem.readings):
+        implied = float(np.sqrt(np.mean(readings.at_times(added[:, readings.channel]) ** 2)))
+        results[place] = results[place]._replace(noise=max(results[place].noise, implied))
+    return results
 
 
-def explained_channel(own: Readings, noise: Noise, residual: np.ndarray) -> Explained:
+def explained_channel(readings: Readings, noise: Noise, residual: np.ndarray) -> Explained:
     """How well a channel is described, by the log's own noise: the least that its output or its residual shows."""
-    beyond = min(noise_between_neighbours(own.times, series) for series in (own.values, residual))
+    beyond = min(noise_between_neighbours(readings.times, series) for series in (readings.values, residual))
     size = float(np.sqrt(np.mean(residual**2)))
-    return Explained(size, min(beyond, size), float(np.std(own.values)), independent_samples(noise, own.times))
+    independent = independent_samples(noise, readings.times)
+    return Explained(size, min(beyond, size), float(np.std(readings.values)), independent)
 
 
-def require_explained(channels: Sequence[str], units: Sequence[str], found: Sequence[Explained]) -> None:
+def require_explained(channels: Sequence[str], units: Sequence[str], results: Sequence[Explained]) -> None:
     """Require that every channel's residual can be noise.
 
     Args:
         channels: Their names.
         units: Units of their outputs.
-        found: How well they are described.
+        results: How well they are described.
 
     Raises:
         Unexplained: one cannot.
     """
-    for channel, unit, own in zip(channels, units, found, strict=True):
-        if own.least_unexplained <= MOST_UNEXPLAINED:
+    for channel, unit, result in zip(channels, units, results, strict=True):
+        if result.least_unexplained <= MOST_UNEXPLAINED:
             continue
         name = f"y of {channel}" if channel else "y"
+        unexplained, least = 100 * result.unexplained, 100 * result.least_unexplained
         raise Unexplained(
-            f"the study does not describe this flight: the residual of {name} is {own.residual:.3g} {unit} rms, noise "
-            f"explains {own.noise:.3g} {unit} of it, and {100 * own.unexplained:.3g} % of the output's variance "
-            f"({own.output:.3g} {unit})^2 is left unexplained, with {100 * CONFIDENCE:g} % confidence at least "
-            f"{100 * own.least_unexplained:.3g} %; at most {100 * MOST_UNEXPLAINED:g} % is accepted. Compare the log's "
-            "columns, units and start with the study, and its initial state; give the study what acts on the flight "
+            f"the study does not describe this flight: the residual of {name} is {result.residual:.3g} {unit} rms, "
+            f"noise explains {result.noise:.3g} {unit} of it, and {unexplained:.3g} % of the output's variance "
+            f"({result.output:.3g} {unit})^2 is left unexplained, with {100 * EXPLAINED_CONFIDENCE:g} % confidence at "
+            f"least {least:.3g} %; at most {100 * MOST_UNEXPLAINED:g} % is accepted. Compare the log's columns, units "
+            "and start with the study, and its initial state; give the study what acts on the flight "
             "(wind, disturbance, sensor noise), or wider laws"
         )

@@ -21,8 +21,8 @@ from dssc_jax.analyses.flight_log import forward_filled, replayed_channel, signa
 from dssc_jax.analyses.flight_residual import (
     LEAST_SAMPLES,
     FitProblem,
+    MinimumSearch,
     SampledLog,
-    Search,
     averaged_covariance,
     best_fit,
 )
@@ -146,7 +146,7 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
     return SampledLog(outputs, offsets, commands, tuple(replayed))
 
 
-def require_one_minimum(problem: FitProblem, search: Search) -> tuple[OtherMinimum, ...]:
+def require_one_minimum(problem: FitProblem, search: MinimumSearch) -> tuple[OtherMinimum, ...]:
     """Require that no other minimum describes the log as well as the best one does.
 
     Returns:
@@ -216,7 +216,7 @@ def fit_log(
         if search is None:
             raise NotIdentifiable("the simulated output is not finite for these commands, whatever the numbers")
         alone = np.sqrt(np.diag(search.best.step.information))
-        widths = {name: math.inf if told == 0.0 else float(1.0 / told) for name, told in zip(key, alone, strict=True)}
+        widths = {name: math.inf if root == 0.0 else float(1.0 / root) for name, root in zip(key, alone, strict=True)}
         unidentified = [] if names else [name for name, width in widths.items() if not width < 1.0]
         if not unidentified:
             break
@@ -229,7 +229,7 @@ def fit_log(
     return fitted_at(problem, search, kept)
 
 
-def fitted_at(problem: FitProblem, search: Search, kept: dict[str, float]) -> Fitted:
+def fitted_at(problem: FitProblem, search: MinimumSearch, kept: dict[str, float]) -> Fitted:
     """The estimate at the best minimum, with its covariance.
 
     Args:
@@ -242,15 +242,15 @@ def fitted_at(problem: FitProblem, search: Search, kept: dict[str, float]) -> Fi
         Unexplained: the residual is more than noise.
     """
     study, at = problem.study, search.best.at
-    channels = [study.loop.channels[own.channel] for own in problem.readings]
-    found = explained(problem, at)
-    require_explained(channels, [study.units[own.channel].output for own in problem.readings], found)
+    channels = [study.loop.channels[part.channel] for part in problem.readings]
+    results = explained(problem, at)
+    require_explained(channels, [study.units[part.channel].output for part in problem.readings], results)
     require_identifiable(problem.names, search.best.step.information)
     others = require_one_minimum(problem, search)
     posteriors = [noise.posterior() for noise in problem.searches(at)]
     covariance = averaged_covariance(problem, posteriors)
     require_identifiable(problem.names, np.linalg.inv(covariance))
-    residuals = (ResidualNoise.of(*pair) for pair in zip(posteriors, found, strict=True))
+    residuals = (ResidualNoise.of(*pair) for pair in zip(posteriors, results, strict=True))
     return Fitted(
         study,
         tuple(problem.names),
@@ -259,7 +259,7 @@ def fitted_at(problem: FitProblem, search: Search, kept: dict[str, float]) -> Fi
         covariance * np.outer(problem.widths, problem.widths),
         dict(zip(channels, residuals, strict=True)),
         kept,
-        sum(len(own.values) for own in problem.readings),
+        sum(len(part.values) for part in problem.readings),
         problem.log.replayed,
         (search.starts, search.starts_here),
         others,

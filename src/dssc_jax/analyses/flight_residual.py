@@ -28,7 +28,7 @@ LEAST_SAMPLES = 20  # of a channel: fewer do not tell its noise
 STARTS, MOST_STARTS = 8, 64  # of the search for the minimum; the first are the medians of the laws
 UNSEEN = 0.5  # expected number of minima that the search has not found, below which it ends
 NEAR = 0.1  # prior standard deviations between two ends of the search in the same minimum
-ROUNDS = 3  # of looking for the best minimum with the noise of the last one
+MINIMUM_ROUNDS = 3  # of looking for the best minimum with the noise of the last one
 DRAWS = 512  # of the channels' noises together
 
 
@@ -104,7 +104,7 @@ class Readings(NamedTuple):
         return np.sum(self.weights * sampled[..., self.nodes], axis=-1)
 
 
-class Step(NamedTuple):
+class NormalEquations(NamedTuple):
     """The normal equations of one iteration: weighted sum of squares, gradient and information matrix."""
 
     cost: float
@@ -136,7 +136,7 @@ class FitProblem:
         sample_time = self.study.loop.sample_time
         self.readings = [Readings.of(self.log, int(i), sample_time) for i in np.flatnonzero(counts >= LEAST_SAMPLES)]
         self.noises: list[Noise] = [WHITE] * len(self.readings)
-        self.variances = [max(float(np.var(own.values)), own.floor) for own in self.readings]
+        self.variances = [max(float(np.var(part.values)), part.floor) for part in self.readings]
 
     def values(self, at: np.ndarray) -> np.ndarray:
         """The numbers at coordinates."""
@@ -154,34 +154,34 @@ class FitProblem:
         predicted, slopes = self.predict(values, self.log.commands)
         chain = self.widths * [x if law.kind in LOGARITHMIC else 1.0 for law, x in zip(self.laws, values, strict=True)]
         columns = []
-        for own in self.readings:
-            residual = own.values - own.at_times(predicted[own.channel])
-            slope = own.at_times(slopes[:, own.channel]) * chain[:, None]
+        for part in self.readings:
+            residual = part.values - part.at_times(predicted[part.channel])
+            slope = part.at_times(slopes[:, part.channel]) * chain[:, None]
             columns.append(np.vstack([residual, slope]).T)
         return columns
 
-    def step(self, at: np.ndarray) -> Step:
+    def step(self, at: np.ndarray) -> NormalEquations:
         """The normal equations at coordinates; infinite cost where the simulated output is not finite."""
         size = len(self.names)
         whole = np.zeros((1 + size, 1 + size))
-        for own, noise, variance, columns in zip(
+        for part, noise, variance, columns in zip(
             self.readings, self.noises, self.variances, self.columns(at), strict=True
         ):
             if not np.isfinite(columns).all():
-                return Step(math.inf, np.zeros(size), np.eye(size))
-            whole += weighted_products(noise, own.times, columns)[0] / variance
-        return Step(float(whole[0, 0]), whole[1:, 0], whole[1:, 1:])
+                return NormalEquations(math.inf, np.zeros(size), np.eye(size))
+            whole += weighted_products(noise, part.times, columns)[0] / variance
+        return NormalEquations(float(whole[0, 0]), whole[1:, 0], whole[1:, 1:])
 
     def searches(self, at: np.ndarray) -> list[NoiseSearch]:
         """The search for the noise of each channel's residual."""
-        columns = self.columns(at)
-        return [NoiseSearch(own.times, part, own.floor) for own, part in zip(self.readings, columns, strict=True)]
+        pairs = zip(self.readings, self.columns(at), strict=True)
+        return [NoiseSearch(part.times, columns, part.floor) for part, columns in pairs]
 
     def reweighted(self, at: np.ndarray) -> None:
         """Take for the noise what the residual at coordinates tells of it."""
         for place, search in enumerate(self.searches(at)):
-            noise, found = search.likely()
-            self.noises[place], self.variances[place] = noise, found.variance
+            self.noises[place], misfit = search.likely()
+            self.variances[place] = misfit.variance
 
 
 class Minimum(NamedTuple):
@@ -193,7 +193,7 @@ class Minimum(NamedTuple):
     """
 
     at: np.ndarray
-    step: Step
+    step: NormalEquations
 
 
 def minimised(problem: FitProblem, at: np.ndarray) -> Minimum:
@@ -226,7 +226,7 @@ def starting_points(problem: FitProblem) -> np.ndarray:
     Returns:
         Shape (m, n).
     """
-    levels = stats.qmc.Sobol(len(problem.names), seed=0).random(MOST_STARTS)
+    levels = stats.qmc.Sobol(len(problem.names), rng=np.random.default_rng(0)).random(MOST_STARTS)
     levels[0] = 0.5
     scaled = [fit_scale(law, law.quantile(column)) for law, column in zip(problem.laws, levels.T, strict=True)]
     return (np.array(scaled).T - problem.middles) / problem.widths
@@ -236,10 +236,10 @@ Group = tuple[Minimum, int]
 """A minimum, and the number of starts that lead there."""
 
 
-def distinct_minima(found: Sequence[Group]) -> list[Group]:
+def distinct_minima(ends: Sequence[Group]) -> list[Group]:
     """Minima that differ, the best first; without infinite ones."""
     groups: list[Group] = []
-    finite = [group for group in found if math.isfinite(group[0].step.cost)]
+    finite = [group for group in ends if math.isfinite(group[0].step.cost)]
     for minimum, starts in sorted(finite, key=lambda group: group[0].step.cost):
         for place, (known, count) in enumerate(groups):
             if np.abs(minimum.at - known.at).max() < NEAR:
@@ -257,7 +257,7 @@ def unseen_minima(starts: int, minima: int) -> float:
     return minima * (starts - 1) / (starts - minima - 2) - minima
 
 
-class Search(NamedTuple):
+class MinimumSearch(NamedTuple):
     """What the search for the minimum found.
 
     Args:
@@ -275,27 +275,28 @@ class Search(NamedTuple):
 
 def reweighted_fit(problem: FitProblem, at: np.ndarray) -> Minimum:
     """The minimum from coordinates on, with the noise that its own residual tells; the problem then has that noise."""
-    found = minimised(problem, at)
+    minimum = minimised(problem, at)
     for _ in range(FILTERINGS):
-        problem.reweighted(found.at)
-        before, found = found, minimised(problem, found.at)
-        wide = math.sqrt(max(float(np.diag(found.step.information).max()), 1e-300))
-        if np.abs(found.at - before.at).max() <= 1e-2 / wide:
+        problem.reweighted(minimum.at)
+        before = minimum
+        minimum = minimised(problem, minimum.at)
+        wide = math.sqrt(max(float(np.diag(minimum.step.information).max()), 1e-300))
+        if np.abs(minimum.at - before.at).max() <= 1e-2 / wide:
             break
-    return found
+    return minimum
 
 
-def best_fit(problem: FitProblem) -> Search | None:
+def best_fit(problem: FitProblem) -> MinimumSearch | None:
     """The best minimum of several starts, with the noise of its residual; None if no start has a finite output."""
-    found: list[Group] = []
+    ends: list[Group] = []
     groups: list[Group] = []
     points = starting_points(problem)
-    while len(found) < MOST_STARTS:
-        found += [(minimised(problem, at), 1) for at in points[len(found) : len(found) + STARTS]]
-        groups = distinct_minima(found)
-        if unseen_minima(len(found), len(groups)) < UNSEEN:
+    while len(ends) < MOST_STARTS:
+        ends += [(minimised(problem, at), 1) for at in points[len(ends) : len(ends) + STARTS]]
+        groups = distinct_minima(ends)
+        if unseen_minima(len(ends), len(groups)) < UNSEEN:
             break
-    for _ in range(ROUNDS if groups else 0):
+    for _ in range(MINIMUM_ROUNDS if groups else 0):
         (first, count), *others = groups
         best = reweighted_fit(problem, first.at)
         groups = distinct_minima([(best, count), *((minimised(problem, other.at), same) for other, same in others)])
@@ -303,7 +304,7 @@ def best_fit(problem: FitProblem) -> Search | None:
             break
     if not groups:
         return None
-    return Search(groups[0][0], tuple(groups[1:]), len(found), groups[0][1])
+    return MinimumSearch(groups[0][0], tuple(groups[1:]), len(ends), groups[0][1])
 
 
 def averaged_covariance(problem: FitProblem, posteriors: Sequence[Posterior]) -> np.ndarray:
@@ -316,12 +317,12 @@ def averaged_covariance(problem: FitProblem, posteriors: Sequence[Posterior]) ->
     size = len(problem.names)
     information, gradient = np.zeros((DRAWS, size, size)), np.zeros((DRAWS, size))
     random = np.random.default_rng(0)
-    for own in posteriors:
-        levels = np.cumsum([candidate.weight for candidate in own.candidates])
+    for posterior in posteriors:
+        levels = np.cumsum([candidate.weight for candidate in posterior.candidates])
         chosen = np.searchsorted(levels, (np.arange(DRAWS) + 0.5) / DRAWS * levels[-1])
         chosen = random.permutation(np.minimum(chosen, len(levels) - 1))
-        information += np.array([candidate.misfit.information for candidate in own.candidates])[chosen]
-        gradient += np.array([candidate.misfit.gradient for candidate in own.candidates])[chosen]
+        information += np.array([candidate.misfit.information for candidate in posterior.candidates])[chosen]
+        gradient += np.array([candidate.misfit.gradient for candidate in posterior.candidates])[chosen]
     scale = np.sqrt(np.mean([np.diag(each) for each in information], axis=0))
     scaled = information / np.outer(scale, scale) + 1e-12 * np.eye(size)
     covariances = np.linalg.inv(scaled)

@@ -158,8 +158,8 @@ def fitted_laws(study: "Study", flown: "FlightLog", names: list[str], out: Path 
         fitted = fit_log(study, flown, names)
     except FitRefused as refusal:
         if as_json:
-            told = {"identifiable": False} if isinstance(refusal, NotIdentifiable) else {"explained": False}
-            print(json.dumps({"study": study.name, **told, "reason": str(refusal)}))
+            verdict = {"identifiable": False} if isinstance(refusal, NotIdentifiable) else {"explained": False}
+            print(json.dumps({"study": study.name, **verdict, "reason": str(refusal)}))
         else:
             output().print(str(refusal), soft_wrap=True, markup=False)
         return FAILS

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, NamedTuple
 
 
-class Entry(NamedTuple):
+class WindowEntry(NamedTuple):
     """How a study writes a field of a window.
 
     Args:
@@ -29,7 +29,7 @@ class Entry(NamedTuple):
     relative: bool = True
 
 
-def declared(default: float, entry: Entry) -> Any:
+def declared(default: float, entry: WindowEntry) -> Any:
     """A field of a window with its entry in a study."""
     return field(default=default, metadata={"entry": entry})
 
@@ -42,11 +42,12 @@ class Window:
     """
 
     after: float = declared(
-        0.0, Entry("after", "start of the window [s]", "_after_{:.12g}", " after {:g} s", {"ge": 0.0}, relative=False)
+        0.0,
+        WindowEntry("after", "start of the window [s]", "_after_{:.12g}", " after {:g} s", {"ge": 0.0}, relative=False),
     )
     band: float = declared(
         0.05,
-        Entry(
+        WindowEntry(
             "settling_band",
             "|e| below which the loop counts as settled, in the output's unit",
             "_within_{:.12g}",
@@ -56,7 +57,7 @@ class Window:
     )
     percent: float = declared(
         2.0,
-        Entry(
+        WindowEntry(
             "settling_percent",
             "share of a step below which its response counts as settled [%]",
             "_within_{:.12g}_percent",
@@ -106,7 +107,7 @@ WHOLE_RUN = Window()
 """The window of a study that gives none."""
 
 
-def window_entries() -> dict[str, Entry]:
+def window_entries() -> dict[str, WindowEntry]:
     """The entries in a study by the window's fields."""
     return {described.name: described.metadata["entry"] for described in fields(Window)}
 

@@ -24,11 +24,11 @@ WHITE_PRIOR = 0.2  # probability of white noise; the two kinds of correlated noi
 SHARE_WIDTH = 2.0  # standard deviation of logit c: one deviation either side is 12 to 88 %
 DAMPING_MIDDLE, DAMPING_WIDTH = 1.0, 1.5  # of logit zeta: 14 to 92 %
 TIME_WIDTHS = 6.0  # standard deviations of log T from the median gap to the whole span
-SAMPLES = 64  # of the posterior law of each kind
+NOISE_SAMPLES = 64  # of the posterior law of each kind
 FREEDOM = 4.0  # of Student's t, from which they are drawn
 WIDER = 1.2  # than the posterior law at its mode
-STARTS = (-1.2, 0.0, 1.2)  # of the search for the mode, in each coordinate
-LARGEST = 13.8  # of |logit c|: a share and its complement are at least 1e-6
+MODE_STARTS = (-1.2, 0.0, 1.2)  # of the search for the mode, in each coordinate
+LARGEST_LOGIT = 13.8  # of |logit c|: a share and its complement are at least 1e-6
 LEAST_GAP = 0.2  # of the median gap: times that lie closer count as this far apart
 LONGEST = 1000.0  # median gaps; longer time constants of the second order are lost in rounding
 LEAST_DAMPING, MOST_DAMPING = 0.02, 0.98
@@ -86,7 +86,7 @@ class Mode(NamedTuple):
 
 def sigmoid(x: float) -> float:
     """The inverse of the logit, within its limits."""
-    return float(special.expit(np.clip(x, -LARGEST, LARGEST)))
+    return float(special.expit(np.clip(x, -LARGEST_LOGIT, LARGEST_LOGIT)))
 
 
 class TimeScale(NamedTuple):
@@ -106,19 +106,22 @@ class TimeScale(NamedTuple):
         return math.exp(min(max(middle + width * score, math.log(0.1 * self.gap)), math.log(3.0 * self.span)))
 
 
-def first_order(point: np.ndarray, scale: TimeScale) -> Noise:
+def first_order_noise(point: np.ndarray, scale: TimeScale) -> Noise:
     """The noise at coordinates."""
     return FirstOrder(sigmoid(SHARE_WIDTH * point[1]), scale.constant(point[0]))
 
 
-def second_order(point: np.ndarray, scale: TimeScale) -> Noise:
+def second_order_noise(point: np.ndarray, scale: TimeScale) -> Noise:
     """The noise at coordinates."""
     damping = min(max(sigmoid(DAMPING_MIDDLE + DAMPING_WIDTH * point[2]), LEAST_DAMPING), MOST_DAMPING)
     time = min(scale.constant(point[0]), LONGEST * scale.gap)
     return SecondOrder(sigmoid(SHARE_WIDTH * point[1]), time, damping)
 
 
-KINDS: tuple[tuple[Callable[[np.ndarray, TimeScale], Noise], int], ...] = ((first_order, 2), (second_order, 3))
+NOISE_KINDS: tuple[tuple[Callable[[np.ndarray, TimeScale], Noise], int], ...] = (
+    (first_order_noise, 2),
+    (second_order_noise, 3),
+)
 """Kinds of correlated noise: the noise at coordinates, and their number."""
 
 
@@ -130,11 +133,12 @@ def spaced(times: np.ndarray) -> np.ndarray:
 
 def mode_of(density: Callable[[np.ndarray], float], size: int) -> Mode:
     """The largest posterior density and its curvature, by Nelder and Mead's simplex from the best of a grid."""
-    begin = max((np.array(point) for point in product(STARTS, repeat=size)), key=density)
+    begin = max((np.array(point) for point in product(MODE_STARTS, repeat=size)), key=density)
     simplex = np.vstack([begin, begin + 0.6 * np.eye(size)])
     options = {"xatol": 0.02, "fatol": 0.02, "maxfev": 80 * size, "initial_simplex": simplex}
-    found = optimize.minimize(lambda point: -density(point), begin, method="Nelder-Mead", options=options)
-    point, top = found.x, -float(found.fun)
+    result = optimize.minimize(lambda point: -density(point), begin, method="Nelder-Mead", options=options)
+    point = result.x
+    top = -float(result.fun)
     steps = np.full(size, 0.5)
     for axis, move in enumerate(np.eye(size)):
         while steps[axis] > 1e-3:
@@ -159,12 +163,13 @@ def mode_of(density: Callable[[np.ndarray], float], size: int) -> Mode:
 def drawn_points(mode: Mode) -> tuple[np.ndarray, np.ndarray]:
     """Points around a mode, shape (n, k), and the logarithm of the density from which they are drawn, shape (n,)."""
     size = len(mode.point)
-    uniform = stats.qmc.Sobol(size + 1, seed=0).random(SAMPLES)
+    uniform = stats.qmc.Sobol(size + 1, rng=np.random.default_rng(0)).random(NOISE_SAMPLES)
     radii = np.sqrt(FREEDOM / special.chdtri(FREEDOM, uniform[:, -1]))
-    scores = special.ndtri(uniform[:, :-1]) * radii[:, None]
-    law = stats.multivariate_t(np.zeros(size), np.eye(size), df=FREEDOM)
-    determinant = float(np.linalg.slogdet(WIDER * mode.spread)[1])
-    return mode.point + WIDER * scores @ mode.spread.T, law.logpdf(scores) - determinant
+    scores = np.asarray(special.ndtri(uniform[:, :-1])) * radii[:, None]
+    squares = np.sum(scores**2, axis=1)
+    density = math.lgamma(0.5 * (FREEDOM + size)) - math.lgamma(0.5 * FREEDOM)
+    density -= 0.5 * size * math.log(FREEDOM * math.pi) + float(np.linalg.slogdet(WIDER * mode.spread)[1])
+    return mode.point + WIDER * scores @ mode.spread.T, density - 0.5 * (FREEDOM + size) * np.log1p(squares / FREEDOM)
 
 
 class NoiseSearch:
@@ -180,7 +185,7 @@ class NoiseSearch:
         self.times, self.columns, self.floor = spaced(times), columns, floor
         self.white = misfit(WHITE, self.times, columns, floor)
         self.scale = TimeScale(float(np.median(np.diff(self.times))), float(self.times[-1] - self.times[0]))
-        self.modes = [mode_of(partial(self.log_density, kind), size) for kind, size in KINDS]
+        self.modes = [mode_of(partial(self.log_density, kind), size) for kind, size in NOISE_KINDS]
 
     def log_density(self, kind: Callable[..., Noise], point: np.ndarray) -> float:
         """Logarithm of the posterior density, as :meth:`density` has it."""
@@ -189,11 +194,11 @@ class NoiseSearch:
     def density(self, kind: Callable[..., Noise], point: np.ndarray) -> tuple[float, Misfit]:
         """Logarithm of the posterior density, relative to the likelihood of white noise; and the misfit."""
         try:
-            found = misfit(kind(point, self.scale), self.times, self.columns, self.floor)
+            fit = misfit(kind(point, self.scale), self.times, self.columns, self.floor)
         except np.linalg.LinAlgError:
             return -math.inf, self.white
         prior = -0.5 * float(point @ point) - 0.5 * len(point) * math.log(2.0 * math.pi)
-        return found.log_likelihood - self.white.log_likelihood + prior, found
+        return fit.log_likelihood - self.white.log_likelihood + prior, fit
 
     def likely(self) -> tuple[Noise, Misfit]:
         """The noise at the mode of the likeliest kind, by Laplace's method."""
@@ -202,19 +207,20 @@ class NoiseSearch:
         best = int(np.argmax(evidence))
         if evidence[best] <= 0.0:
             return WHITE, self.white
-        kind, _ = KINDS[best]
+        kind, _ = NOISE_KINDS[best]
         return kind(self.modes[best].point, self.scale), self.density(kind, self.modes[best].point)[1]
 
     def posterior(self) -> Posterior:
         """All noises that the residual allows, by importance sampling around the modes."""
-        noises, logs, misfits = [WHITE], [math.log(WHITE_PRIOR)], [self.white]
-        for (kind, _), mode in zip(KINDS, self.modes, strict=True):
+        noises: list[Noise] = [WHITE]
+        logs, misfits = [math.log(WHITE_PRIOR)], [self.white]
+        for (kind, _), mode in zip(NOISE_KINDS, self.modes, strict=True):
             points, proposed = drawn_points(mode)
             for point, log_proposed in zip(points, proposed, strict=True):
-                log_density, found = self.density(kind, point)
+                log_density, fit = self.density(kind, point)
                 noises.append(kind(point, self.scale))
                 logs.append(math.log(0.5 * (1.0 - WHITE_PRIOR) / len(points)) + log_density - log_proposed)
-                misfits.append(found)
+                misfits.append(fit)
         weights = np.exp(np.array(logs) - max(logs))
         weights /= weights.sum()
         rows = zip(noises, weights.tolist(), misfits, strict=True)

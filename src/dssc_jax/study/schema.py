@@ -2,7 +2,7 @@
 
 import math
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Optional
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, create_model, model_validator
@@ -27,6 +27,7 @@ def finite_number(value: Any) -> float:
 LONGEST_UNIT, LONGEST_PHRASE, MOST_POINTS = 40, 60, 64
 Phrase = Annotated[str, StringConstraints(pattern=r"^[^\x00-\x1f]+$", max_length=LONGEST_PHRASE)]
 Finite = Annotated[float, BeforeValidator(finite_number)]
+OptionalFinite: Any = Optional[Finite]  # noqa: UP045  (a type at run time)
 
 
 class SettledTable(BaseModel):
@@ -76,12 +77,13 @@ def window_fields(absent: bool) -> dict[str, Any]:
     defaults = window_defaults()
     described = {}
     for entry in window_entries().values():
+        bounds: dict[str, Any] = dict(entry.bounds)
         if absent:
             meaning = f"{entry.meaning}; absent: that of `[metrics]`"
-            described[entry.key] = (Finite | None, Field(default=None, description=meaning, **entry.bounds))
+            described[entry.key] = (OptionalFinite, Field(default=None, description=meaning, **bounds))
         else:
             default = defaults[entry.key]
-            described[entry.key] = (Finite, Field(default=default, description=entry.meaning, **entry.bounds))
+            described[entry.key] = (Finite, Field(default=default, description=entry.meaning, **bounds))
     return described
 
 
