@@ -146,8 +146,8 @@ def main() -> None:
     options = parser.parse_args()
     study, flights = flight_study(), options.flights
     lines = [
-        "| outputs | " + " | ".join(f"`{name}`" for name in study.laws) + " | fitted |",
-        "|---" * (len(study.laws) + 2) + "|",
+        "| outputs | " + " | ".join(f"`{name}`" for name in study.laws) + " | fitted | by chance alone |",
+        "|---" * (len(study.laws) + 3) + "|",
     ]
     for place in options.case or range(len(CASES)):
         case = CASES[place]
@@ -156,10 +156,10 @@ def main() -> None:
         for name in study.laws:
             own = scores.get(name, [])
             cells.append(f"{100 * np.mean(inside(own)):.1f} %, {np.sqrt(np.mean(np.square(own))):.2f}" if own else "-")
-        lines.append(f"| {case.label} | {' | '.join(cells)} | {fits} of {flights} |")
+        low, high = 100 * stats.binom.ppf([0.025, 0.975], flights, LEVEL) / flights
+        chance = f"{fits} of {flights} | {low:.1f} to {high:.1f} %"
+        lines.append(f"| {case.label} | {' | '.join(cells)} | {chance} |")
         print(lines[-1], flush=True)
-    low, high = 100 * stats.binom.ppf([0.025, 0.975], flights, LEVEL) / flights
-    lines += ["", f"By chance alone, {low:.1f} to {high:.1f} % of {flights} intervals of 95 % cover the truth."]
     if not options.case:
         put("fit", "\n".join(lines), PAGE)
 
