@@ -283,6 +283,14 @@ def test_command(tmp_path, capsys, noisy):
     assert "90 % interval" in printed
     assert " m rms of an output" in printed
     assert "8 of 8 starts of the search end in this minimum" in printed
+    centimetres = "\n".join(
+        ["t,y,u_total", *(f"{DT * k},{100 * a},{b}" for k, (a, b) in enumerate(zip(y, u, strict=True)))]
+    )
+    (tmp_path / "log.csv").write_text(centimetres)
+    assert guarded([*arguments, "--json"]) == 1
+    refused = last_json(capsys)
+    assert refused["explained"] is False
+    assert "Compare the log's columns, units and start" in refused["reason"]
     quiet = "\n".join(["t,y,u_total", *(f"{DT * k},0.5,0.0" for k in range(400))])
     (tmp_path / "log.csv").write_text(quiet)
     assert guarded([*arguments, "--number", "plant.k_p"]) == 1

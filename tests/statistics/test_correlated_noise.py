@@ -120,6 +120,16 @@ def test_the_posterior_covers_the_truth(every):
     assert np.abs(np.mean(np.square(scores), axis=0) - 1.0).max() < 0.87  # three standard deviations of chi^2_24/24
 
 
+def test_a_residual_of_rounding_is_white():
+    times = irregular_times()
+    columns = np.column_stack([1e-12 * np.sin(times), slopes(times)])
+    posterior = NoiseSearch(times, columns, 1e-18).posterior()
+    assert posterior.likely == WHITE
+    assert posterior.white == 1.0
+    assert len(posterior.candidates) == 1
+    assert posterior.misfit.variance == pytest.approx(1e-18, rel=0.1)
+
+
 def test_white_noise_is_told_from_correlated_noise():
     times = 0.02 * np.arange(400)
     random = np.random.default_rng(7)

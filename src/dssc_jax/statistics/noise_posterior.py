@@ -31,6 +31,7 @@ MODE_STARTS = (-1.2, 0.0, 1.2)  # of the search for the mode, in each coordinate
 LARGEST_LOGIT = 13.8  # of |logit c|: a share and its complement are at least 1e-6
 LEAST_GAP = 0.2  # of the median gap: times that lie closer count as this far apart
 LONGEST = 1000.0  # median gaps; longer time constants of the second order are lost in rounding
+ROUNDING_VARIANCE = 10.0  # of the least variance: a residual below it is rounding, and white
 LEAST_DAMPING, MOST_DAMPING = 0.02, 0.98
 
 
@@ -185,7 +186,8 @@ class NoiseSearch:
         self.times, self.columns, self.floor = spaced(times), columns, floor
         self.white = misfit(WHITE, self.times, columns, floor)
         self.scale = TimeScale(float(np.median(np.diff(self.times))), float(self.times[-1] - self.times[0]))
-        self.modes = [mode_of(partial(self.log_density, kind), size) for kind, size in NOISE_KINDS]
+        self.kinds = NOISE_KINDS if self.white.variance > ROUNDING_VARIANCE * floor else ()
+        self.modes = [mode_of(partial(self.log_density, kind), size) for kind, size in self.kinds]
 
     def log_density(self, kind: Callable[..., Noise], point: np.ndarray) -> float:
         """Logarithm of the posterior density, as :meth:`density` has it."""
@@ -203,18 +205,20 @@ class NoiseSearch:
     def likely(self) -> tuple[Noise, Misfit]:
         """The noise at the mode of the likeliest kind, by Laplace's method."""
         share = 0.5 * (1.0 - WHITE_PRIOR)
+        if not self.modes:
+            return WHITE, self.white
         evidence = [mode.evidence + math.log(share / WHITE_PRIOR) for mode in self.modes]
         best = int(np.argmax(evidence))
         if evidence[best] <= 0.0:
             return WHITE, self.white
-        kind, _ = NOISE_KINDS[best]
+        kind, _ = self.kinds[best]
         return kind(self.modes[best].point, self.scale), self.density(kind, self.modes[best].point)[1]
 
     def posterior(self) -> Posterior:
         """All noises that the residual allows, by importance sampling around the modes."""
         noises: list[Noise] = [WHITE]
         logs, misfits = [math.log(WHITE_PRIOR)], [self.white]
-        for (kind, _), mode in zip(NOISE_KINDS, self.modes, strict=True):
+        for (kind, _), mode in zip(self.kinds, self.modes, strict=True):
             points, proposed = drawn_points(mode)
             for point, log_proposed in zip(points, proposed, strict=True):
                 log_density, fit = self.density(kind, point)
