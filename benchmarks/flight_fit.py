@@ -1,33 +1,81 @@
 """``python -m benchmarks.flight_fit``: whether intervals of fitted flights cover the truth, for docs/flight.md.
 
-Simulation-based calibration: the truth of each flight is drawn from the laws of the study, the flight is simulated with
-measurement noise, and the intervals are counted that cover the truth.
+Simulation-based calibration: the truth of each flight is drawn from the laws of the study, the flight is simulated, its
+outputs are logged with noise at regular or irregular times, and the intervals are counted that cover the truth.
 """
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy import interpolate, signal, special, stats
 
 import dssc_jax as dj
 from benchmarks.page import put
-from dssc_jax.analyses.flight_fit import NotIdentifiable, fit_log
+from dssc_jax.analyses.flight_explained import FitRefused
+from dssc_jax.analyses.flight_fit import fit_log
+from dssc_jax.analyses.flight_residual import fit_scale
 from dssc_jax.engine.sampling import draw
 from dssc_jax.flight.replay import curves_of_draws
 from dssc_jax.study.flight_logs import Column, FlightLog
 
 PAGE = Path(__file__).parents[1] / "docs" / "flight.md"
+STD = 0.005  # of white noise, and of correlated noise [m]
+LEVEL = 0.95  # of the intervals
+SAMPLE_TIME, FINE = 0.02, 20  # of the loop [s]; steps of correlated noise in a sample
+
+Times = Callable[[np.random.Generator, float], np.ndarray]
+
+
+class Case(NamedTuple):
+    """How outputs are logged.
+
+    Args:
+        label: In words.
+        times: (random numbers, duration [s]) -> times of the logged outputs [s].
+        correlation: Time constant of correlated noise [s]; 0: there is none.
+        order: Order of its filter: 1 or 2.
+    """
+
+    label: str
+    times: Times
+    correlation: float = 0.0
+    order: int = 1
+
+
+def every(samples: int) -> Times:
+    """Outputs at every so many samples."""
+    return lambda random, duration: SAMPLE_TIME * np.arange(0, round(duration / SAMPLE_TIME), samples)
+
+
+def irregular(random: np.random.Generator, duration: float) -> np.ndarray:
+    """Outputs with gaps of 1 to 20 samples, off the loop's own instants."""
+    gaps = SAMPLE_TIME * random.uniform(1.0, 20.0, size=round(duration / SAMPLE_TIME))
+    times = np.cumsum(gaps)
+    return times[times < duration - SAMPLE_TIME]
+
+
+CASES = (
+    Case("every sample, white noise", every(1)),
+    Case("every sample, noise of 0.2 s added", every(1), 0.2),
+    Case("one in 10, white noise", every(10)),
+    Case("one in 10, noise of 0.2 s added", every(10), 0.2),
+    Case("one in 10, noise of 1 s added", every(10), 1.0),
+    Case("irregular, noise of 1 s added", irregular, 1.0),
+    Case("irregular, smooth noise of 0.5 s added", irregular, 0.5, 2),
+)
 
 
 def flight_study() -> dj.Study:
-    """A PI loop of 10 s with a lag, a step of disturbance and noise on its measurements; four numbers have laws."""
+    """A PI loop of 10 s with a lag and a step of disturbance; four numbers have laws."""
     return dj.Study.from_table(
         {
             "name": "fit",
             "seed": 3,
             "draws": 1,
-            "loop": {"duration": 10.0, "sample_time": 0.02},
+            "loop": {"duration": 10.0, "sample_time": SAMPLE_TIME},
             "plant": {
                 "kind": "normal_form",
                 "k_p": {"uniform": [0.8, 1.2]},
@@ -36,66 +84,84 @@ def flight_study() -> dj.Study:
             },
             "reference": {"kind": "sine", "amplitude": 0.5, "period": 2.0},
             "controller": {"kind": "pi", "k_p": 2.0, "k_i": 0.5, "l0": 1.0},
-            "sensor": {"kind": "noisy", "position_std": 0.005, "velocity_std": 0.005},
             "unmodelled": {"kind": "lag", "mu": {"loguniform": [0.02, 0.2]}},
             "disturbance": {"kind": "step", "value": {"normal": [0.0, 0.3]}, "at": 3.0},
         }
     )
 
 
-def covered(study: dj.Study, flights: int, colour: float = 0.0) -> tuple[dict[str, list[bool]], int]:
-    """Whether the 90 % intervals cover the truth, by number; and how many flights told all.
+def correlated_noise(random: np.random.Generator, case: Case, times: np.ndarray) -> np.ndarray:
+    """White noise through one or two lags, of unit variance, at times; shape (n,)."""
+    step = SAMPLE_TIME / FINE
+    begin = round(10.0 * case.correlation / step)
+    pole = np.exp(-step / case.correlation)
+    shocks = random.normal(size=begin + round(times[-1] / step) + 2)
+    for _ in range(case.order):
+        shocks = signal.lfilter([1.0], [1.0, -pole], shocks)
+    impulse = np.zeros(begin)
+    impulse[0] = 1.0
+    for _ in range(case.order):
+        impulse = signal.lfilter([1.0], [1.0, -pole], impulse)
+    return shocks[begin + np.round(times / step).astype(int)] / np.linalg.norm(impulse)
 
-    Args:
-        study: The study.
-        flights: Flights.
-        colour: Autocorrelation at one sample of noise that is added to the logged outputs, of 0.005 m; 0: none.
-    """
-    truth, cache, told = draw(study, np.arange(flights)), {}, 0
-    time = study.loop.sample_time * np.arange(study.loop.steps)
-    random = np.random.default_rng(1)
-    hits: dict[str, list[bool]] = {}
+
+def logged_flight(study: dj.Study, case: Case, flight: int, y: np.ndarray, u: np.ndarray) -> FlightLog:
+    """The log of a flight: its commands at every sample, and noisy outputs at the case's times."""
+    random = np.random.default_rng([1, flight])
+    samples = SAMPLE_TIME * np.arange(len(y))
+    times = case.times(random, study.loop.sample_time * study.loop.steps)
+    readings = interpolate.CubicSpline(samples, y)(times) + STD * random.normal(size=len(times))
+    if case.correlation > 0.0:
+        readings += STD * correlated_noise(random, case, times)
+    return FlightLog("flight", {"y": Column(times, readings), "u_total": Column(samples, u)}, 0.0)
+
+
+def covered(study: dj.Study, flights: int, case: Case) -> tuple[dict[str, list[float]], int]:
+    """Errors of the estimates by number, in their standard deviations; and how many flights were fitted."""
+    truth, cache, fits = draw(study, np.arange(flights)), {}, 0
+    scores: dict[str, list[float]] = {}
     for index, (curve,) in enumerate(curves_of_draws(study.override({"draws": flights}), study.loop.steps)):
-        y = np.array(curve.y)
-        if colour:
-            shocks = random.normal(size=len(y)) * 0.005 * np.sqrt(1.0 - colour**2)
-            own = np.zeros(len(y))
-            for k in range(1, len(y)):
-                own[k] = colour * own[k - 1] + shocks[k]
-            y += own
-        columns = {"y": Column(time, y), "u_total": Column(time, curve.u_total)}
+        log = logged_flight(study, case, index, np.asarray(curve.y), np.asarray(curve.u_total))
         try:
-            fitted = fit_log(study, FlightLog("flight", columns, 0.0), predictions=cache)
-        except NotIdentifiable:
+            fitted = fit_log(study, log, predictions=cache)
+        except FitRefused:
             continue
-        told += 1
-        for name, (low, high) in zip(fitted.names, fitted.interval(), strict=True):
-            hits.setdefault(name, []).append(bool(low <= truth[name][index] <= high))
-    return hits, told
+        fits += 1
+        for name, scaled, deviation in zip(fitted.names, fitted.scaled, fitted.deviations, strict=True):
+            error = scaled - fit_scale(study.laws[name], truth[name][index])
+            scores.setdefault(name, []).append(float(error / deviation))
+    return scores, fits
+
+
+def inside(scores: list[float]) -> np.ndarray:
+    """Which errors lie within the interval."""
+    return np.abs(scores) <= special.ndtri(0.5 + 0.5 * LEVEL)
 
 
 def main() -> None:
     """Count covering intervals and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "--flights", type=int, default=1000, help="flights with white noise; a fifth with coloured noise"
-    )
-    most = parser.parse_args().flights
-    cases = {"white noise": (most, 0.0), "white and coloured noise": (most // 5, 0.9)}
-    names = list(flight_study().laws)
+    parser.add_argument("--flights", type=int, default=200, help="flights of each case")
+    parser.add_argument("--case", type=int, action="append", help="number of a case; without, the page is written")
+    options = parser.parse_args()
+    study, flights = flight_study(), options.flights
     lines = [
-        "| | " + " | ".join(f"`{name}`" for name in names) + " | by chance alone |",
-        "|---" * (len(names) + 2) + "|",
+        "| outputs | " + " | ".join(f"`{name}`" for name in study.laws) + " | fitted | by chance alone |",
+        "|---" * (len(study.laws) + 3) + "|",
     ]
-    for label, (flights, colour) in cases.items():
-        hits, identified = covered(flight_study(), flights, colour)
-        cells = [f"{100 * np.mean(hits[name]):.1f} %" if name in hits else "-" for name in names]
-        low, high = 100 * stats.binom.ppf([0.025, 0.975], flights, 0.9) / flights
-        lines.append(
-            f"| {label}: {identified} of {flights} flights | {' | '.join(cells)} | {low:.1f} to {high:.1f} % |"
-        )
+    for place in options.case or range(len(CASES)):
+        case = CASES[place]
+        scores, fits = covered(study, flights, case)
+        cells = []
+        for name in study.laws:
+            own = scores.get(name, [])
+            cells.append(f"{100 * np.mean(inside(own)):.1f} %, {np.sqrt(np.mean(np.square(own))):.2f}" if own else "-")
+        low, high = 100 * stats.binom.ppf([0.025, 0.975], flights, LEVEL) / flights
+        chance = f"{fits} of {flights} | {low:.1f} to {high:.1f} %"
+        lines.append(f"| {case.label} | {' | '.join(cells)} | {chance} |")
         print(lines[-1], flush=True)
-    put("fit", "\n".join(lines), PAGE)
+    if not options.case:
+        put("fit", "\n".join(lines), PAGE)
 
 
 if __name__ == "__main__":

@@ -11,9 +11,10 @@ from scipy import stats
 import dssc_jax as dj
 from dssc_jax.analyses.flight_log import replayed_channel
 from dssc_jax.cli import guarded
+from dssc_jax.console.flight import show_log_comparison
 from dssc_jax.flight.replay import commanded, curves_of_draws, study_references
 from dssc_jax.statistics.exchangeable import largest_departures, rank_p_value
-from dssc_jax.study.flight_logs import Column, FlightLog, read_log
+from dssc_jax.study.flight_logs import Column, FlightLog, nearest_values, read_log, samples_within
 from tests.cli.conftest import last_json
 from tests.flight.test_code import table
 
@@ -138,14 +139,18 @@ def test_command_with_a_table_of_columns(study, curves, tmp_path, capsys, monkey
     assert "has no column" in capsys.readouterr().err
 
 
-def ulog(path, time, values):
-    """A ULog with one topic of two fields, as PX4 writes it."""
+def ulog(path, time, values, begin=0.0):
+    """A ULog with one topic of two fields, as PX4 writes it: stamps, and the log's beginning, in microseconds."""
 
     def message(kind, body):
         return struct.pack("<Hc", len(body), kind) + body
 
     form = b"rate:uint64_t timestamp;float[2] xyz;"
-    parts = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0), message(b"B", bytes(40)), message(b"F", form)]
+    parts = [
+        b"ULog\x01\x12\x35\x01" + struct.pack("<Q", round(1e6 * begin)),
+        message(b"B", bytes(40)),
+        message(b"F", form),
+    ]
     parts.append(message(b"A", struct.pack("<BH", 0, 3) + b"rate"))
     for t, value in zip(time, values, strict=True):
         parts.append(message(b"D", struct.pack("<HQff", 3, round(1e6 * t), 0.0, value)))
@@ -167,6 +172,80 @@ def test_a_log_of_px4(tmp_path):
     ):
         with pytest.raises(dj.ConfigError, match=message):
             read_log(tmp_path / "a.ulg", table={"signals": {"y": source}})
+
+
+def test_start_counts_from_the_beginning_of_a_log_of_px4(tmp_path):
+    """The vehicle had run for an hour when the log began: `start` is a time of the log, as with CSV."""
+    pytest.importorskip("pyulog")
+    time, values = DT * np.arange(50), np.linspace(0.0, 1.0, 50)
+    ulog(tmp_path / "a.ulg", 3600.0 + time, values, begin=3600.0)
+    table = {"signals": {"y": "rate.xyz[1]"}, "start": 0.2}
+    log = read_log(tmp_path / "a.ulg", table=table)
+    rows = "\n".join(f"{t},{y}" for t, y in zip(time, values.astype(np.float32), strict=True))
+    (tmp_path / "a.csv").write_text(f"t,y\n{rows}\n")
+    same = read_log(tmp_path / "a.csv", table={"start": 0.2})
+    assert log.start == same.start == 0.2
+    np.testing.assert_allclose(log.columns["y"].time, same.columns["y"].time, atol=1e-6)
+    sampled = (nearest_values(own.columns["y"], own.start, DT, 30) for own in (log, same))
+    np.testing.assert_allclose(*sampled, rtol=1e-6)
+    assert read_log(tmp_path / "a.ulg", table={"signals": {"y": "rate.xyz[1]"}}).start == pytest.approx(0.0)
+
+
+def unspread():
+    """A study without laws and without sensors: every draw is the same."""
+    whole = table({"kind": "pi", "k_p": 1.0, "k_i": 0.5})
+    plain = {"kind": "normal_form", "k_p": 1.0, "a_p": 1.0, "initial": [0.5, 0.0]}
+    quiet = {"sensor": {"kind": "ideal"}, "unmodelled": {"kind": "none"}}
+    return dj.Study.from_table({**whole, **quiet, "plant": plain, "draws": 19})
+
+
+@pytest.mark.parametrize("deviation", [4e-7, 1e-3, 1e300])
+def test_without_spread_there_is_no_rank(deviation, capsys):
+    """Rounding alone would decide the rank among equal draws; a deviation is told in the signal's unit."""
+    study = unspread()
+    ((found,),) = curves_of_draws(study.override({"draws": 1}), study.loop.steps)
+    y = np.asarray(found.y) + deviation * np.linspace(0.0, 1.0, study.loop.steps)
+    answer = dj.compare_log(study, logged(y, found.u_total, found.y_dot))
+    assert answer.p_value is None
+    assert answer.decisive() is None
+    summary = answer.summary()
+    assert summary["p_value"] is None
+    assert set(summary["without_spread"]) == {"y", "u_total", "y_dot"}
+    assert summary["without_spread"]["y"] == pytest.approx(deviation, rel=1e-3)
+    assert "all draws are the same" in answer.headline
+    assert answer.figure() is not None
+    show_log_comparison(summary, [])
+    printed = capsys.readouterr().out
+    assert "y is the same in all draws" in printed
+    assert "no p-value" in printed
+    assert "p = " not in printed
+
+
+def test_signals_without_spread_are_left_out_of_the_rank():
+    """Two draws differ in the second signal only: the first one has no part in the statistic."""
+    curves = np.zeros((9, 2, 4))
+    curves[:, 1] = np.arange(9)[:, None]
+    tested = np.array([np.full(4, 1e-9), np.full(4, 4.0)])
+    statistics, departure = largest_departures(curves, tested)
+    assert np.isnan(departure[0]).all()
+    assert rank_p_value(statistics) > 0.5
+    alone, _ = largest_departures(curves[:, :1], tested[:1])
+    assert np.isnan(alone).all()
+
+
+def test_few_draws_differ_from_a_median_of_zero():
+    """The median absolute deviation is 0 where most draws are 0; departures stay finite."""
+    curves = np.zeros((19, 1, 3))
+    curves[:3] = 1.0
+    statistics, _ = largest_departures(curves, np.full((1, 3), 5.0))
+    assert np.isfinite(statistics).all()
+    assert rank_p_value(statistics) == 1 / 20
+
+
+def test_a_stamp_beyond_all_numbers():
+    log = FlightLog("far", {"y": Column(np.array([0.0, 1.0, 1e308]), np.zeros(3))}, 0.0)
+    assert samples_within(log, 1e-3, 300) == 300
+    assert samples_within(log._replace(start=1e9, columns={"y": Column(np.zeros(1), np.zeros(1))}), 1e-3, 300) == 0
 
 
 def test_without_pyulog(tmp_path, monkeypatch):

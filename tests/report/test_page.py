@@ -127,7 +127,7 @@ def test_it_tells_what_the_summary_tells(run_page, ran):
     for name in (*ran.study.laws, *(measure.name for measure in ran.study.measures)):
         assert name in run_page.text
     assert ran.study.hash in run_page.text
-    assert "largest |e| from 2 s on: at most 1.6 m" in run_page.text
+    assert "largest |e| after 2 s: at most 1.6 m" in run_page.text
 
 
 def test_the_sweep_shows_every_point(sweep_page, swept):

@@ -1,154 +1,48 @@
 """Laws of a study's numbers from a logged flight: estimates, their covariance, and what the flight cannot tell.
 
-The residual is the logged output minus the output that the study predicts for the logged commands. It is taken for an
-autoregressive process of each channel, whose order and coefficients are estimated, too. Weighted least squares then has
-the covariance s^2 (J' J)^-1 of the filtered residual and its Jacobian J.
+The residual is the logged output minus the output that the study predicts for the logged commands. In each channel it
+is noise, part of which may be correlated in time; how, is estimated, too. Weighted least squares then has the
+covariance (J' S^-1 J)^-1 with the noise's covariance S and the Jacobian J. It is averaged over all S that the residual
+allows.
 
 References:
     L. Ljung, System Identification: Theory for the User, 2nd ed. (1999), sections 7.4 and 9.4.
 """
 
-import copy
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from scipy import special
+from scipy import stats
 
+from dssc_jax.analyses.flight_estimates import Fitted, OtherMinimum, ResidualNoise
+from dssc_jax.analyses.flight_explained import FitRefused, explained, require_explained
 from dssc_jax.analyses.flight_log import forward_filled, replayed_channel, signal_name
-from dssc_jax.analyses.flight_residual import FitProblem, reweighted_fit, unscaled, widening
+from dssc_jax.analyses.flight_residual import (
+    LEAST_SAMPLES,
+    FitProblem,
+    MinimumSearch,
+    SampledLog,
+    averaged_covariance,
+    best_fit,
+)
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.numerics import wrap_angle
 from dssc_jax.flight.prediction import RANDOM, Prediction, prediction
 from dssc_jax.flight.replay import study_references
-from dssc_jax.study import Law, Study
-from dssc_jax.study.flight_logs import LOGGED, FlightLog, last_time, nearest_values
-from dssc_jax.study.laws import CASES, LOGARITHMIC
-from dssc_jax.study.tables import enclosing_list, has_dotted, set_dotted, toml_entries
+from dssc_jax.study import Study
+from dssc_jax.study.flight_logs import LOGGED, FlightLog, nearest_offsets, nearest_values, samples_within
+from dssc_jax.study.laws import CASES
 
 PLANT_SLOTS = ("plant", "unmodelled", "disturbance", "wind")
 """Parts of a study whose numbers show in the output for given commands."""
 
-LEAST_SAMPLES = 20
 SINGULAR_INFORMATION = 1e-10  # least eigenvalue of the scaled information matrix
-INSIDE = 1e-6  # of the distance from an exclusive bound, that a law stays inside
-LAW_WIDTH = 5.0  # standard deviations within which a bounded number's law is kept
+TIE = 0.95  # level of chi squared below which two minima describe a log equally well
 
 
-class NotIdentifiable(ValueError):
+class NotIdentifiable(FitRefused):
     """The flight does not tell the numbers; the message says which."""
-
-
-@dataclass(frozen=True)
-class Fitted:
-    """Numbers estimated from a flight.
-
-    Args:
-        study: The study.
-        names: The estimated numbers.
-        estimates: Their values, shape (n,).
-        scaled: Estimates on the scale of the fit: the logarithm where the law is logarithmic.
-        covariance: Covariance on that scale, shape (n, n).
-        noise: Standard deviation of the residual by channel, in the unit of the output.
-        orders: Order of the residual's autoregression by channel; 0: it is white.
-        kept: Numbers that the flight does not tell, with the standard deviation that it leaves, in those of the law.
-        samples: Samples of the log that were used.
-        replayed: Channels whose commands are those of the analysed controller for the logged outputs.
-    """
-
-    study: Study
-    names: tuple[str, ...]
-    estimates: np.ndarray
-    scaled: np.ndarray
-    covariance: np.ndarray
-    noise: dict[str, float]
-    orders: dict[str, int]
-    kept: dict[str, float]
-    samples: int
-    replayed: tuple[str, ...]
-
-    @property
-    def deviations(self) -> np.ndarray:
-        """Standard deviations on the scale of the fit, shape (n,)."""
-        return np.sqrt(np.diag(self.covariance))
-
-    def interval(self, level: float = 0.9) -> np.ndarray:
-        """Two-sided confidence intervals, shape (n, 2)."""
-        reach = special.ndtri(0.5 + 0.5 * level) * self.deviations
-        ends = np.stack([self.scaled - reach, self.scaled + reach], axis=1)
-        return np.array([unscaled(self.study.laws[name], pair) for name, pair in zip(self.names, ends, strict=True)])
-
-    def law(self, name: str) -> Law:
-        """The proposed law of a number: normal, within its admissible range, or log-normal."""
-        place = self.names.index(name)
-        middle, std = float(self.scaled[place]), float(self.deviations[place])
-        if self.study.laws[name].kind in LOGARITHMIC:
-            return Law("lognormal", (middle, std))
-        quantity = self.study.numbers[name].quantity
-        low, high = middle - LAW_WIDTH * std, middle + LAW_WIDTH * std
-        if quantity.above is not None:
-            low = max(low, quantity.above + INSIDE * (middle - quantity.above))
-        if quantity.at_least is not None:
-            low = max(low, quantity.at_least)
-        if quantity.below is not None:
-            high = min(high, quantity.below - INSIDE * (quantity.below - middle))
-        if quantity.at_most is not None:
-            high = min(high, quantity.at_most)
-        bounds = (quantity.above, quantity.at_least, quantity.below, quantity.at_most)
-        if all(bound is None for bound in bounds):
-            return Law("normal", (middle, std))
-        return Law("truncated_normal", (middle, std, low, high))
-
-    def correlations(self) -> dict[str, float]:
-        """Rank correlations of the estimates by pair, as ``[correlation]`` has them."""
-        linear = self.covariance / np.outer(self.deviations, self.deviations)
-        return {
-            f"{one}, {other}": float(6.0 / math.pi * math.asin(0.5 * linear[i, j]))
-            for i, one in enumerate(self.names)
-            for j, other in enumerate(self.names[:i])
-        }
-
-    def table(self) -> dict[str, Any]:
-        """The proposal as entries of a study file; a number in a list comes with the whole list."""
-        table: dict[str, Any] = {}
-        for name in self.names:
-            law, above = self.law(name), enclosing_list(self.study.table, name)
-            if above and not has_dotted(table, above[0]):
-                set_dotted(table, above[0], copy.deepcopy(above[1]))
-            set_dotted(table, name, {law.kind: list(law.arguments)})
-        pairs = self.correlations()
-        return table | ({"correlation": pairs} if pairs else {})
-
-    def toml(self) -> str:
-        """The proposal as TOML, one line for each entry."""
-        return toml_entries(self.table())
-
-    def summary(self) -> dict[str, Any]:
-        """For JSON."""
-        numbers = {}
-        for name, value, ends in zip(self.names, self.estimates, self.interval(), strict=True):
-            law = self.law(name)
-            numbers[name] = {
-                "unit": self.study.numbers[name].quantity.unit,
-                "estimate": float(value),
-                "interval_90": [float(end) for end in ends],
-                "prior": str(self.study.laws[name]),
-                "law": {law.kind: list(law.arguments)},
-            }
-        return {
-            "study": self.study.name,
-            "samples": self.samples,
-            "replayed": list(self.replayed),
-            "numbers": numbers,
-            "correlation": self.correlations(),
-            "noise": self.noise,
-            "noise_unit": {channel: units.output for channel, units in zip(self.noise, self.study.units, strict=True)},
-            "residual_orders": self.orders,
-            "kept": {name: width if math.isfinite(width) else None for name, width in self.kept.items()},
-            "toml": self.toml(),
-        }
 
 
 def combination(names: Sequence[str], direction: np.ndarray) -> str:
@@ -210,46 +104,73 @@ def numbers_to_fit(study: Study, wanted: Sequence[str]) -> list[str]:
     return names
 
 
-def sampled_log(study: Study, log: FlightLog) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Measured outputs and commands of every channel at the samples, shape (channels, samples).
+def sampled_log(study: Study, log: FlightLog) -> SampledLog:
+    """Measured outputs with their times, and commands, of every channel.
 
     A command that was not logged is that of the analysed controller for the logged outputs.
 
-    Returns:
-        Outputs, commands, and the channels whose commands are replayed.
-
     Raises:
-        ConfigError: the log has no measured output within the study's duration, or a command can be neither read nor
-            replayed.
+        ConfigError: the log has not enough measured outputs within the study's duration, or a command can be neither
+            read nor replayed.
     """
     loop = study.loop
-    samples = min(loop.steps, int(np.floor((last_time(log) - log.start) / loop.sample_time + 0.5)) + 1)
-    references = study_references(study, max(samples, 1))
-    outputs, commands, replayed = [], [], []
+    samples = max(samples_within(log, loop.sample_time, loop.steps), 1)
+    references = study_references(study, samples)
+    shape = (len(loop.channels), samples)
+    outputs, offsets, commands, replayed = np.full(shape, np.nan), np.zeros(shape), np.zeros(shape), []
     for row, channel in enumerate(loop.channels):
-        own = {
-            name: nearest_values(log.columns[signal], log.start, loop.sample_time, max(samples, 1))
+        sampled = {
+            name: nearest_values(log.columns[signal], log.start, loop.sample_time, samples)
             for name in LOGGED
             if (signal := signal_name(channel, name)) in log.columns
         }
-        y = own.get("y", np.full(max(samples, 1), np.nan))
-        if channel in loop.plant.angles:
-            desired = references[row, 0]
-            y = desired + np.asarray(wrap_angle(y - desired))
-        outputs.append(y)
-        command = own.get("u_total")
+        if "y" in sampled:
+            if channel in loop.plant.angles:
+                desired = references[row, 0]
+                sampled["y"] = desired + np.asarray(wrap_angle(sampled["y"] - desired))
+            column = log.columns[signal_name(channel, "y")]
+            offsets[row] = nearest_offsets(column, log.start, loop.sample_time, samples)
+            outputs[row] = np.where(np.isfinite(offsets[row]), sampled["y"], np.nan)
+        command = sampled.get("u_total")
         if command is not None and np.isfinite(command).any():
-            commands.append(forward_filled(command))
+            commands[row] = forward_filled(command)
             continue
-        answer = replayed_channel(study, row, own | ({"y": y} if "y" in own else {}), references[row])
+        answer = replayed_channel(study, row, sampled, references[row])
         if isinstance(answer, str):
             raise ConfigError(log.name, f"has no command {signal_name(channel, 'u_total')}, and {answer}")
-        commands.append(answer)
+        commands[row] = answer
         replayed.append(channel)
-    logged = np.stack(outputs)
-    if np.isfinite(logged).sum() < LEAST_SAMPLES:
-        raise ConfigError(log.name, f"has fewer than {LEAST_SAMPLES} values of the output y at the study's samples")
-    return logged, np.stack(commands), tuple(replayed)
+    if samples < 4 or np.isfinite(outputs).sum(axis=1).max() < LEAST_SAMPLES:
+        rule = f"has fewer than {LEAST_SAMPLES} values of the output y at the study's samples"
+        raise ConfigError(log.name, f"{rule} in every channel" if len(loop.channels) > 1 else rule)
+    return SampledLog(outputs, offsets, commands, tuple(replayed))
+
+
+def require_one_minimum(problem: FitProblem, search: MinimumSearch) -> tuple[OtherMinimum, ...]:
+    """Require that no other minimum describes the log as well as the best one does.
+
+    Returns:
+        The other minima.
+
+    Raises:
+        NotIdentifiable: one does.
+    """
+    others = []
+    allowed = float(stats.chi2.ppf(TIE, len(problem.names)))
+    for other, starts in search.others:
+        values = dict(zip(problem.names, problem.values(other.at).tolist(), strict=True))
+        ratio = math.sqrt(other.step.cost / max(search.best.step.cost, 1e-300))
+        others.append(OtherMinimum(starts, values, ratio))
+        if other.step.cost - search.best.step.cost <= allowed:
+            best = dict(zip(problem.names, problem.values(search.best.at).tolist(), strict=True))
+            both = " and at ".join(
+                ", ".join(f"{name} = {value:.4g}" for name, value in one.items()) for one in (best, values)
+            )
+            raise NotIdentifiable(
+                f"the flight does not tell the numbers: two minima describe it equally well, at {both}; "
+                "narrow a law to one of them, or fit fewer numbers with --number"
+            )
+    return tuple(others)
 
 
 def fit_log(
@@ -269,6 +190,7 @@ def fit_log(
     Raises:
         ConfigError: a name or the log is not suitable.
         NotIdentifiable: the flight does not tell the numbers.
+        Unexplained: the residual is more than noise.
 
     Example:
         >>> import dssc_jax as dj
@@ -281,37 +203,64 @@ def fit_log(
         'lognormal'
     """
     study = study.without_sweep()
-    chosen, cache = numbers_to_fit(study, names), {} if predictions is None else predictions
-    logged, commands, replayed = sampled_log(study, log)
+    chosen = numbers_to_fit(study, names)
+    cache = {} if predictions is None else predictions
+    sampled = sampled_log(study, log)
     kept: dict[str, float] = {}
     while True:
         key = tuple(chosen)
         if key not in cache:
-            cache[key] = prediction(study, key, logged.shape[1])
-        problem = FitProblem(study, key, cache[key], logged, commands)
-        at, information = reweighted_fit(problem)
-        alone = np.sqrt(np.diag(information))
-        unidentified = [] if names else [name for name, own in zip(key, alone, strict=True) if not own > 1.0]
+            cache[key] = prediction(study, key, sampled.outputs.shape[1])
+        problem = FitProblem(study, key, cache[key], sampled)
+        search = best_fit(problem)
+        if search is None:
+            raise NotIdentifiable("the simulated output is not finite for these commands, whatever the numbers")
+        alone = np.sqrt(np.diag(search.best.step.information))
+        widths = {name: math.inf if root == 0.0 else float(1.0 / root) for name, root in zip(key, alone, strict=True)}
+        unidentified = [] if names else [name for name, width in widths.items() if not width < 1.0]
         if not unidentified:
             break
-        kept |= {
-            name: math.inf if own == 0.0 else float(1.0 / own)
-            for name, own in zip(key, alone, strict=True)
-            if name in unidentified
-        }
+        kept |= {name: widths[name] for name in unidentified}
         chosen = [name for name in chosen if name not in unidentified]
         if not chosen:
             raise NotIdentifiable(
                 f"the flight tells none of {', '.join(kept)}: their laws are narrower than what it leaves open"
             )
-    require_identifiable(key, information)
-    widths = problem.widths * widening(problem, at)
-    covariance = np.linalg.inv(information) * np.outer(widths, widths)
-    channels = study.loop.channels
-    left = problem.residuals(at)[0]
+    return fitted_at(problem, search, kept)
+
+
+def fitted_at(problem: FitProblem, search: MinimumSearch, kept: dict[str, float]) -> Fitted:
+    """The estimate at the best minimum, with its covariance.
+
+    Args:
+        problem: The problem.
+        search: The search for its minimum.
+        kept: Numbers that keep their laws.
+
+    Raises:
+        NotIdentifiable: the flight does not tell the numbers.
+        Unexplained: the residual is more than noise.
+    """
+    study, at = problem.study, search.best.at
+    channels = [study.loop.channels[part.channel] for part in problem.readings]
+    results = explained(problem, at)
+    require_explained(channels, [study.units[part.channel].output for part in problem.readings], results)
+    require_identifiable(problem.names, search.best.step.information)
+    others = require_one_minimum(problem, search)
+    posteriors = [noise.posterior() for noise in problem.searches(at)]
+    covariance = averaged_covariance(problem, posteriors)
+    require_identifiable(problem.names, np.linalg.inv(covariance))
+    residuals = (ResidualNoise.of(*pair) for pair in zip(posteriors, results, strict=True))
     return Fitted(
-        study, key, problem.values(at), problem.middles + at * problem.widths, covariance,
-        dict(zip(channels, np.sqrt(np.nanmean(left**2, axis=1)).tolist(), strict=True)),
-        dict(zip(channels, (len(own) for own in problem.filters), strict=True)),
-        kept, int(np.isfinite(logged).sum()), replayed,
-    )  # fmt: skip
+        study,
+        tuple(problem.names),
+        problem.values(at),
+        problem.middles + at * problem.widths,
+        covariance * np.outer(problem.widths, problem.widths),
+        dict(zip(channels, residuals, strict=True)),
+        kept,
+        sum(len(part.values) for part in problem.readings),
+        problem.log.replayed,
+        (search.starts, search.starts_here),
+        others,
+    )

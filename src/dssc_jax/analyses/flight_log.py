@@ -22,7 +22,7 @@ from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.analysis_folder import Stored
 from dssc_jax.statistics.exchangeable import largest_departures, rank_p_value
 from dssc_jax.study import Study
-from dssc_jax.study.flight_logs import LOGGED, FlightLog, last_time, log_signals, nearest_values
+from dssc_jax.study.flight_logs import LOGGED, FlightLog, log_signals, nearest_values, samples_within
 
 MOST_NUMBERS = 40_000_000  # of all draws' curves, kept in memory
 ENOUGH = 0.95  # share of the samples that the controller must have for a replay
@@ -58,12 +58,29 @@ class LogComparison(Analysis):
     references: dict[str, float]
 
     @property
-    def p_value(self) -> float:
-        """Probability of a statistic as large as the log's, or larger, if the flight were another draw."""
-        return rank_p_value(self.dataset["statistic"].values)
+    def p_value(self) -> float | None:
+        """Probability of a statistic as large as the log's, or larger, if the flight were another draw.
 
-    def decisive(self) -> tuple[str, float]:
-        """Signal and time [s] of the log's largest departure."""
+        None if no logged signal differs between the draws, so that a rank among them means nothing.
+        """
+        statistics = self.dataset["statistic"].values
+        return None if np.isnan(statistics[-1]) else rank_p_value(statistics)
+
+    def without_spread(self) -> dict[str, float]:
+        """Logged signals that are the same in all draws, with the log's largest distance from them."""
+        largest = {}
+        for name in self.dataset["signal"].values:
+            own = self.dataset.sel(signal=name)
+            known = np.isfinite(own["logged"].values)
+            if known.any() and np.isnan(own["departure"].values[known]).all():
+                distance = np.abs(own["logged"].values - own["median"].values)[known]
+                largest[str(name)] = float(np.max(distance[np.isfinite(distance)], initial=0.0))
+        return largest
+
+    def decisive(self) -> tuple[str, float] | None:
+        """Signal and time [s] of the log's largest departure; None without a p-value."""
+        if self.p_value is None:
+            return None
         departure = np.nan_to_num(self.dataset["departure"].values, nan=-1.0)
         signal, at = np.unravel_index(np.argmax(departure), departure.shape)
         return str(self.dataset["signal"].values[signal]), float(self.dataset["t"].values[at])
@@ -71,7 +88,11 @@ class LogComparison(Analysis):
     @property
     def headline(self) -> str:
         """The answer in one line."""
-        signal, at = self.decisive()
+        decisive = self.decisive()
+        if decisive is None:
+            largest = ", ".join(f"{name} by {x:.3g} {self.unit(name)}" for name, x in self.without_spread().items())
+            return f"all draws are the same, so a rank among them means nothing; the log differs from them, {largest}"
+        signal, at = decisive
         largest = self.dataset["statistic"].values[-1]
         return (
             f"p = {self.p_value:.3g} for the flight as one more draw; "
@@ -84,8 +105,9 @@ class LogComparison(Analysis):
 
     def content(self) -> dict[str, Any]:
         """See :class:`Analysis`."""
-        statistics, (signal, at) = self.dataset["statistic"].values, self.decisive()
+        statistics = self.dataset["statistic"].values
         draws = len(statistics) - 1
+        signal, at = self.decisive() or (None, None)
         return {
             "log": self.log,
             "start": self.start,
@@ -95,10 +117,11 @@ class LogComparison(Analysis):
             "p_value": self.p_value,
             "least_p_value": 1.0 / (draws + 1),
             "draws_at_least_as_extreme": int(np.count_nonzero(statistics[:-1] >= statistics[-1])),
-            "statistic": statistics[-1],
+            "statistic": None if self.p_value is None else statistics[-1],
             "statistic_of_draws": {name: np.quantile(statistics[:-1], q) for name, q in DRAWN_LEVELS.items()}
             if np.isfinite(statistics[:-1]).all()
             else None,
+            "without_spread": self.without_spread(),
             "decisive_signal": signal,
             "decisive_time": at,
             "signals": {str(name): self.of_signal(str(name)) for name in self.dataset["signal"].values},
@@ -116,7 +139,7 @@ class LogComparison(Analysis):
         facts: dict[str, Any] = {
             "unit": self.unit(name),
             "samples": int(known.sum()),
-            "largest_departure": np.max(departure[known], initial=0.0),
+            "largest_departure": None if np.isnan(departure[known]).all() else np.nanmax(departure[known]),
             "outside_share": float(outside.sum() / max(known.sum(), 1)),
             "first_outside": float(time[outside][0]) if outside.any() else None,
             "outside_to_the_end_since": since_last(time[known], outside[known]),
@@ -128,8 +151,8 @@ class LogComparison(Analysis):
             facts |= {
                 "largest_difference": float(abs(difference[worst])),
                 "largest_difference_at": float(time[worst]),
-                "rms_difference": float(np.sqrt(np.mean(difference[both] ** 2))),
-                "rms_logged": float(np.sqrt(np.mean(logged[both] ** 2))),
+                "rms_difference": root_mean_square(difference[both]),
+                "rms_logged": root_mean_square(logged[both]),
             }
         return facts
 
@@ -150,6 +173,12 @@ class LogComparison(Analysis):
     def restored(cls, stored: Stored) -> Self:
         """See :class:`Analysis`."""
         return cls(stored.study, stored.dataset, **stored.settings)
+
+
+def root_mean_square(values: np.ndarray) -> float:
+    """The root mean square of finite values, however large they are."""
+    size = float(np.abs(values).max())
+    return size * float(np.sqrt(np.mean((values / size) ** 2))) if size > 0.0 else 0.0
 
 
 def signal_name(channel: str, name: str) -> str:
@@ -199,7 +228,7 @@ def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | No
     require_independent(study, "an exact p-value")
     study = study.without_sweep()
     loop = study.loop
-    samples = min(loop.steps, int(np.floor((last_time(log) - log.start) / loop.sample_time + 0.5)) + 1)
+    samples = samples_within(log, loop.sample_time, loop.steps)
     names = [name for name in log_signals(loop.channels) if name in log.columns]
     logged = {name: nearest_values(log.columns[name], log.start, loop.sample_time, max(samples, 1)) for name in names}
     compared = [values for name, values in logged.items() if name.endswith(ChannelCurves._fields)]

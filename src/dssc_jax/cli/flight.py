@@ -116,7 +116,7 @@ def compare_log(
     log's columns must have these names, and t. The study's [sweep] is ignored.
 
     With --fit the plant's numbers are estimated instead, and their laws are proposed as TOML. The exit code is 1, with
-    the reason, if the flight does not tell them.
+    the reason, if the flight does not tell them, or if the study does not describe the flight.
     """
     from dssc_jax.analyses.flight_log import compare_log as compare
     from dssc_jax.console.flight import show_log_comparison
@@ -151,20 +151,22 @@ def compare_log(
 
 
 def fitted_laws(study: "Study", flown: "FlightLog", names: list[str], out: Path | None, as_json: bool) -> int:
-    """Estimate the numbers, print or write their laws, and say if the flight does not tell them."""
+    """Estimate the numbers, print or write their laws, and say if the flight does not support that."""
+    from dssc_jax.analyses.flight_explained import FitRefused
     from dssc_jax.analyses.flight_fit import NotIdentifiable, fit_log
     from dssc_jax.console.flight import show_fit
     from dssc_jax.console.terminal import output
 
     try:
         fitted = fit_log(study, flown, names)
-    except NotIdentifiable as refusal:
+    except FitRefused as refusal:
         if as_json:
-            print(json.dumps({"study": study.name, "identifiable": False, "reason": str(refusal)}))
+            verdict = {"identifiable": False} if isinstance(refusal, NotIdentifiable) else {"explained": False}
+            print(json.dumps({"study": study.name, **verdict, "reason": str(refusal)}))
         else:
             output().print(str(refusal), soft_wrap=True, markup=False)
         return FAILS
-    summary = fitted.summary() | {"identifiable": True, "file": str(out) if out else None}
+    summary = fitted.summary() | {"identifiable": True, "explained": True, "file": str(out) if out else None}
     if out is not None:
         attempt(out, lambda: out.write_text(fitted.toml(), encoding="utf-8"))
     if as_json:

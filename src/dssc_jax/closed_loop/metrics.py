@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from dssc_jax.closed_loop.window import WHOLE_RUN, Window
 from dssc_jax.core.numerics import root_abs
 from dssc_jax.core.signals import Info, ReferencePoint, Scalar
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
@@ -54,18 +55,6 @@ class Scope(StrEnum):
 
     CHANNEL = "channel"
     VEHICLE = "vehicle"
-
-
-@dataclass(frozen=True)
-class Window:
-    """Samples at t >= ``after`` [s].
-
-    The error that counts as settled is ``band``, in the output's unit; for a step response, ``percent`` of the step.
-    """
-
-    after: float = 0.0
-    band: float = 0.05
-    percent: float = 2.0
 
 
 class Span(NamedTuple):
@@ -269,6 +258,7 @@ class Measure:
         own: The streaming form, for a kind that is not in :data:`METRICS`.
         units: Units and meanings of the channel's output and command.
         channel_name: The channel's name; empty for the vehicle and for the single channel of a SISO plant.
+        usual: The window of the study's ``[metrics]``.
     """
 
     name: str
@@ -278,6 +268,12 @@ class Measure:
     own: Metric | None = None
     units: ChannelUnits = UNNAMED_UNITS
     channel_name: str = ""
+    usual: Window = WHOLE_RUN
+
+    @property
+    def when(self) -> str:
+        """The window in words, empty if it is the usual one from the start on."""
+        return self.window.words(self.usual)
 
     @property
     def metric(self) -> Metric:

@@ -46,10 +46,8 @@ class Requirement:
     @property
     def text(self) -> str:
         """The requirement in words."""
-        window, unit = self.measure.window, self.measure.unit
         side = f"<= {self.maximum:g}" if self.maximum is not None else f">= {self.minimum:g}"
-        after = f" after {window.after:g} s" if window.after > 0 else ""
-        return f"{self.measure.label}{after} {side} {unit}".removesuffix(" 1")
+        return f"{self.measure.label}{self.measure.when} {side} {self.measure.unit}".removesuffix(" 1")
 
     def slack(self, value: Scalar) -> Scalar:
         """Signed distance to the bound, in the metric's unit: negative if the requirement is violated."""

@@ -57,16 +57,12 @@ def show_log_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
         )
     head = ("signal", "largest departure", "outside the draws", "first at [s]", "to the end since [s]")
     show_table(head, rows)
-    say(
-        f"p = {summary['p_value']:.4g}: {summary['draws_at_least_as_extreme']} of {summary['draws']} draws depart "
-        f"as much; most in {summary['decisive_signal']} at {summary['decisive_time']:.4g} s"
-    )
-    if summary["p_value"] > SIGNIFICANCE:
-        say(f"at the {100 * SIGNIFICANCE:g} % level, nothing in the log contradicts the study")
-    else:
-        say(f"at the {100 * SIGNIFICANCE:g} % level, the log is not a flight of the study")
-    if summary["least_p_value"] > SIGNIFICANCE:
-        say(f"p cannot be below {summary['least_p_value']:.3g}: take more draws")
+    for name, largest in summary["without_spread"].items():
+        say(
+            f"{name} is the same in all draws: its rank among them means nothing; the log differs from them by at "
+            f"most {largest:.4g} {summary['signals'][name]['unit']}"
+        )
+    show_rank(summary)
     for name, own in summary["signals"].items():
         if "rms_difference" in own:
             say(
@@ -82,6 +78,25 @@ def show_log_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
     show_files(files)
 
 
+def show_rank(summary: Mapping[str, Any]) -> None:
+    """Print the p-value and what it says; without one, why."""
+    say = partial(output().print, soft_wrap=True, markup=False)
+    p_value = summary["p_value"]
+    if p_value is None:
+        say("no p-value: no law of the study spreads a logged signal; give uncertain numbers or sensors their laws")
+        return
+    say(
+        f"p = {p_value:.4g}: {summary['draws_at_least_as_extreme']} of {summary['draws']} draws depart "
+        f"as much; most in {summary['decisive_signal']} at {summary['decisive_time']:.4g} s"
+    )
+    if p_value > SIGNIFICANCE:
+        say(f"at the {100 * SIGNIFICANCE:g} % level, nothing in the log contradicts the study")
+    else:
+        say(f"at the {100 * SIGNIFICANCE:g} % level, the log is not a flight of the study")
+    if summary["least_p_value"] > SIGNIFICANCE:
+        say(f"p cannot be below {summary['least_p_value']:.3g}: take more draws")
+
+
 def show_fit(summary: Mapping[str, Any]) -> None:
     """Print the estimates with their intervals, what was assumed of the residual, and the laws as TOML."""
     say = partial(output().print, soft_wrap=True, markup=False)
@@ -93,10 +108,13 @@ def show_fit(summary: Mapping[str, Any]) -> None:
         rows.append((f"{name} [{own['unit']}]", f"{own['estimate']:.6g}", f"{low:.6g} to {high:.6g}", own["prior"]))
     show_table(("number", "estimate", "90 % interval", "law in the study"), rows)
     for channel, noise in summary["noise"].items():
-        order = summary["residual_orders"][channel]
-        colour = f"autoregressive of order {order}" if order else "white"
-        unit = summary["noise_unit"][channel]
-        say(f"residual{f' of {channel}' if channel else ''}: {noise:.4g} {unit} rms, {colour}")
+        say(residual_text(f"residual{f' of {channel}' if channel else ''}", noise, summary["noise_unit"][channel]))
+    say(f"{summary['starts_here']} of {summary['starts']} starts of the search end in this minimum")
+    for other in summary["other_minima"]:
+        values = ", ".join(f"{name} = {value:.4g}" for name, value in other["values"].items())
+        say(f"{other['starts']} end where the residual is {other['ratio']:.3g} times as large: {values}")
+    for name in summary["outside_laws"]:
+        say(f"the estimate of {name} lies outside its law in the study: compare units, columns and start of the log")
     for name, width in summary["kept"].items():
         left = "the output does not depend on it" if width is None else f"it leaves {width:.3g} standard deviations"
         say(f"not told by this flight, keeps its law: {name}; {left}")
@@ -106,6 +124,15 @@ def show_fit(summary: Mapping[str, Any]) -> None:
         say("in place of the study's lines of the same names, section by section:")
         say("")
         say(summary["toml"].rstrip())
+
+
+def residual_text(label: str, noise: Mapping[str, Any], unit: str) -> str:
+    """The size of a residual, and how it is correlated."""
+    text = f"{label}: {noise['rms']:.4g} {unit} rms of an output with a standard deviation of {noise['output_std']:.4g}"
+    if noise["correlated_share"] == 0.0:
+        return f"{text}, white with a probability of {100 * noise['white_probability']:.3g} %"
+    share, time = 100 * noise["correlated_share"], noise["correlation_time"]
+    return f"{text}, {share:.3g} % of its variance correlated over {time:.3g} s"
 
 
 def plain_number(value: float | None) -> str:

@@ -132,7 +132,7 @@ def noise_drift(study: Study) -> dict[str, Drift]:
 
 def noise_warning(study: Study) -> str | None:
     """One sentence, if :func:`noise_drift` predicts an error in some channel beyond the study's settling band."""
-    band = study.config.metrics.settling_band
+    band = study.config.metrics.window.band
     far = {name: drift for name, drift in noise_drift(study).items() if drift.error > band}
     if not far:
         return None

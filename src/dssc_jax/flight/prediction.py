@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.backend.plain import plain_options
-from dssc_jax.closed_loop.sample import Loop, as_arrays, held_between_samples, initial_state, step
+from dssc_jax.closed_loop.sample import Loop, held_between_samples, initial_state, step
 from dssc_jax.core.contracts import Controller
-from dssc_jax.core.numerics import arithmetic
+from dssc_jax.core.numerics import arithmetic, as_arrays
 from dssc_jax.core.signals import Command
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight.replay import median_values
@@ -46,6 +46,42 @@ def quiet_values(study: Study) -> dict[str, float]:
     return {**median_values(study), **random}
 
 
+def played_outputs(study: Study, names: Sequence[str], samples: int, quiet: bool) -> Callable[[Any, Any, Any], Any]:
+    """The program that simulates the plant with logged commands.
+
+    The plant starts as in the study. Numbers that are not given have the medians of their laws.
+
+    Args:
+        study: The study, without a sweep.
+        names: The numbers that are given.
+        samples: Samples to simulate.
+        quiet: Without sensors, random disturbances and random winds.
+
+    Returns:
+        (values of the numbers, shape (n,); commands, shape (channels, samples); index of the draw) -> readings of each
+        channel's output, shape (channels, samples).
+    """
+    fixed = quiet_values(study) if quiet else median_values(study)
+    sensors = (IDEAL,) * len(study.loop.channels) if quiet else study.loop.sensor
+
+    def outputs(values: Any, commands: Any, index: Any) -> Any:
+        played = tuple(playback(row)(each) for row, each in zip(commands, study.loop.controller, strict=True))
+        loop: Loop = replace(study.loop, settled=None, sensor=sensors, controller=played)
+        params = study.params({**fixed, **dict(zip(names, values, strict=True))})
+        key = draw_key(study.config.seed, index)
+        advance = held_between_samples(loop, params)
+
+        def sample(at: tuple[Any, Any], _: None) -> tuple[tuple[Any, Any], Any]:
+            state, k = at
+            after, recorded = step(loop, params, key, state, k, advance)
+            return (after, k + 1), tuple(each.reading.y for each in recorded.controlled)
+
+        begin = initial_state(loop, params, key), jnp.zeros((), jnp.int32)
+        return jnp.stack(as_arrays(jax.lax.scan(sample, begin, length=samples)[1]))
+
+    return outputs
+
+
 def prediction(study: Study, names: Sequence[str], samples: int) -> Prediction:
     """Compile the prediction.
 
@@ -61,27 +97,11 @@ def prediction(study: Study, names: Sequence[str], samples: int) -> Prediction:
         (values of the numbers, shape (n,); commands, shape (channels, samples)) -> output of each channel, shape
         (channels, samples), and its derivative by each number, shape (n, channels, samples), in forward mode.
     """
-    quiet = quiet_values(study)
-
-    def outputs(values: Any, commands: Any) -> Any:
-        given = dict(zip(names, values, strict=True))
-        played = tuple(playback(row)(each) for row, each in zip(commands, study.loop.controller, strict=True))
-        sensors = (IDEAL,) * len(study.loop.channels)
-        loop: Loop = replace(study.loop, settled=None, sensor=sensors, controller=played)
-        params, key = study.params({**quiet, **given}), draw_key(study.config.seed, 0)
-        advance = held_between_samples(loop, params)
-
-        def sample(at: tuple[Any, Any], _: None) -> tuple[tuple[Any, Any], Any]:
-            state, k = at
-            after, recorded = step(loop, params, key, state, k, advance)
-            return (after, k + 1), tuple(each.y for each in recorded.measurements)
-
-        begin = initial_state(loop, params, key), jnp.zeros((), jnp.int32)
-        return jnp.stack(as_arrays(jax.lax.scan(sample, begin, length=samples)[1]))
+    outputs = played_outputs(study, names, samples, quiet=True)
 
     def with_slopes(values: Any, commands: Any) -> tuple[Any, Any]:
         def along(direction: Any) -> tuple[Any, Any]:
-            return jax.jvp(lambda at: outputs(at, commands), (values,), (direction,))
+            return jax.jvp(lambda at: outputs(at, commands, 0), (values,), (direction,))
 
         predicted, slopes = jax.vmap(along)(jnp.eye(len(names)))
         return predicted[0], slopes
@@ -95,3 +115,32 @@ def prediction(study: Study, names: Sequence[str], samples: int) -> Prediction:
             return np.asarray(predicted, float), np.asarray(slopes, float)
 
     return predict
+
+
+def noise_of_study(
+    study: Study, names: Sequence[str], values: np.ndarray, commands: np.ndarray, replicates: int
+) -> np.ndarray:
+    """What sensors, random disturbances and random winds of a study add to the output for logged commands.
+
+    Args:
+        study: The study, without a sweep.
+        names: The numbers that are given.
+        values: Their values, shape (n,).
+        commands: Logged commands, shape (channels, samples).
+        replicates: Number of independent noises.
+
+    Returns:
+        Readings less the output without all that, shape (replicates, channels, samples).
+    """
+    samples = commands.shape[1]
+    quiet, noisy = (played_outputs(study, names, samples, quiet=each) for each in (True, False))
+
+    def added(values: Any, commands: Any) -> Any:
+        indices = jnp.arange(replicates)
+        readings = jax.vmap(lambda index: noisy(values, commands, index))(indices)
+        return readings - quiet(values, commands, 0)
+
+    with arithmetic(study.config.loop.precision):
+        real = jnp.result_type(float)
+        compiled = jax.jit(added, compiler_options=plain_options())
+        return np.asarray(compiled(jnp.asarray(values, real), jnp.asarray(commands, real)), float)

@@ -63,8 +63,12 @@ def over_draws(ax: Axes, own: xr.Dataset, name: str, facts: dict[str, Any]) -> N
     ax.set_ylabel(f"{name} [{facts['unit']}]")
 
 
-def statistics_of_curves(ax: Axes, statistics: np.ndarray, p_value: float) -> None:
+def statistics_of_curves(ax: Axes, statistics: np.ndarray, p_value: float | None) -> None:
     """Draw the share of draws above each value of the statistic, and the log's own."""
+    if p_value is None:
+        ax.set_axis_off()
+        ax.text(0.5, 0.5, "all draws are the same: a rank among them means nothing", ha="center", va="center")
+        return
     ordered = np.sort(statistics[:-1])
     ordered = ordered[np.isfinite(ordered)]
     share = 1.0 - np.arange(len(ordered)) / (len(statistics) - 1)

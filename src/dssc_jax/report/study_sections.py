@@ -43,12 +43,10 @@ def question(about: Subject) -> Section:
 
 def sentence(requirement: Requirement) -> h.Node:
     """A requirement in words."""
-    after = requirement.measure.window.after
     side = "at most" if requirement.maximum is not None else "at least"
-    window = f" from {after:g} s on" if after > 0 else ""
     channel = f" ({requirement.measure.channel_name})" if requirement.measure.channel_name else ""
     bound = with_unit(requirement.bound, requirement.measure.unit)
-    return [f"{requirement.measure.meaning}{channel}{window}: {side} ", h.strong[bound]]
+    return [f"{requirement.measure.meaning}{channel}{requirement.measure.when}: {side} ", h.strong[bound]]
 
 
 def loop(about: About) -> Section:

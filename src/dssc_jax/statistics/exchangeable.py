@@ -9,22 +9,62 @@ Statistical Society B 79 (2017) 381-404). Nothing is assumed of how the values o
 import numpy as np
 
 FLOOR = 0.05  # of the root mean square over time of a signal's spread: least spread by which departures are measured
-LEAST_SPREAD = 1e-6  # of a signal's size: the same where no curve differs from another
+LEAST_SPREAD = 1e-6  # of a signal's size: curves that differ by less are the same
+
+
+def spread_signals(curves: np.ndarray, tested: np.ndarray) -> np.ndarray:
+    """Signals in which at least two of all n + 1 curves differ from their pointwise median.
+
+    In the other signals the curves are the same but for one. A rank there tells nothing: rounding alone would decide
+    it. Which signals these are does not depend on the order of the curves, so the test remains exact.
+
+    Args:
+        curves: Shape (n, signals, times). NaN: the curve has ended.
+        tested: Shape (signals, times). NaN: missing, and left out of all curves.
+
+    Returns:
+        Shape (signals,).
+    """
+    spread = np.zeros(len(tested), bool)
+    for signal, known in enumerate(np.isfinite(tested)):
+        if known.any():
+            distance, size = distances(curves[:, signal, known], tested[signal, known])
+            spread[signal] = np.count_nonzero(distance.max(axis=1) > LEAST_SPREAD * size) >= 2
+    return spread
+
+
+def distances(curves: np.ndarray, tested: np.ndarray) -> tuple[np.ndarray, float]:
+    """Distances of all n + 1 curves of a signal from their pointwise median, which is taken over the finite values.
+
+    Args:
+        curves: Shape (n, times).
+        tested: Finite, shape (times,).
+
+    Returns:
+        The distances, infinite where a curve has ended, shape (n + 1, times); the largest absolute value of the median.
+    """
+    pooled = np.concatenate([curves, tested[None]])
+    pooled = np.where(np.isfinite(pooled), pooled, np.nan)
+    centre = np.nanmedian(pooled, axis=0)
+    distance = np.abs(pooled - centre)
+    distance[np.isnan(distance)] = np.inf
+    return distance, float(np.abs(centre).max())
 
 
 def largest_departures(curves: np.ndarray, tested: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The largest departure of each curve from the median of all, and the tested curve's departures.
 
     A departure is the distance from the pointwise median in units of the pointwise median absolute deviation, or of
-    a floor where the curves hardly differ. Medians are those of all n + 1 curves, which makes the test exact.
+    a floor where the curves hardly differ. Medians are those of all n + 1 curves, which makes the test exact. Signals
+    without spread (:func:`spread_signals`) are left out.
 
     Args:
         curves: Shape (n, signals, times). NaN: the curve has ended, which counts as infinitely far.
         tested: Shape (signals, times). NaN: missing, and left out of all curves.
 
     Returns:
-        Largest departure of each curve, the tested one last, shape (n + 1,); departures of the tested curve, NaN where
-        missing, shape (signals, times).
+        Largest departure of each curve, the tested one last, shape (n + 1,), NaN without a signal that has spread;
+        departures of the tested curve, NaN where missing or without spread, shape (signals, times).
 
     Raises:
         ValueError: nothing of the tested curve is known.
@@ -32,18 +72,15 @@ def largest_departures(curves: np.ndarray, tested: np.ndarray) -> tuple[np.ndarr
     known = np.isfinite(tested)
     if not known.any():
         raise ValueError("nothing of the tested curve is known")
-    statistics, own = np.zeros(len(curves) + 1), np.full(tested.shape, np.nan)
-    for signal in np.flatnonzero(known.any(axis=1)):
+    statistics, own = np.full(len(curves) + 1, np.nan), np.full(tested.shape, np.nan)
+    for signal in np.flatnonzero(spread_signals(curves, tested)):
         at = known[signal]
-        pooled = np.concatenate([curves[:, signal, at], tested[None, signal, at]])
-        pooled = np.where(np.isfinite(pooled), pooled, np.nan)
-        centre = np.nanmedian(pooled, axis=0)
-        spread = np.nanmedian(np.abs(pooled - centre), axis=0)
-        size = np.abs(centre).max()
-        floor = max(FLOOR * np.sqrt(np.mean(spread**2)), LEAST_SPREAD * size, np.finfo(float).tiny)
-        departures = np.abs(pooled - centre) / np.maximum(spread, floor)
-        departures[np.isnan(departures)] = np.inf
-        statistics = np.maximum(statistics, departures.max(axis=1))
+        distance, size = distances(curves[:, signal, at], tested[signal, at])
+        finite = np.where(np.isinf(distance), np.nan, distance)
+        spread = np.nanmedian(finite, axis=0)
+        scale = np.sqrt(np.mean(spread**2)) or np.sqrt(np.nanmean(finite**2))
+        departures = distance / np.maximum(spread, max(FLOOR * scale, LEAST_SPREAD * size))
+        statistics = np.fmax(statistics, departures.max(axis=1))
         own[signal, at] = departures[-1]
     return statistics, own
 

@@ -32,7 +32,8 @@ class ColumnMap(NamedTuple):
     Args:
         signals: For each signal its column, a scale and an offset: value = scale * column + offset.
         time: The column with the time [s], of a CSV or Parquet file.
-        start: Time of the log at which the study begins [s]; None: the first sample of all signals.
+        start: Time of the log at which the study begins [s]; None: the first sample of all signals. Times of a ULog
+            count from its beginning.
     """
 
     signals: dict[str, tuple[str, float, float]]
@@ -158,7 +159,10 @@ def table_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> 
 
 
 def ulog_columns(path: Path, columns: ColumnMap) -> dict[str, Column]:
-    """The fields of a ULog's topics by the signals' names."""
+    """The fields of a ULog's topics by the signals' names; times count from the beginning of the log.
+
+    PX4 stamps every value with the time since its start, and so the beginning of the log.
+    """
     try:
         from pyulog import ULog  # few have it, and few need it
     except ImportError as error:
@@ -168,7 +172,9 @@ def ulog_columns(path: Path, columns: ColumnMap) -> dict[str, Column]:
     try:
         if path.stat().st_size > LARGEST_RECORD:
             raise ConfigError("file", f"is larger than a record can be ({LARGEST_RECORD} bytes)")
-        topics = {f"{one.name}:{one.multi_id}": one.data for one in ULog(str(path)).data_list}
+        whole = ULog(str(path))
+        topics = {f"{one.name}:{one.multi_id}": one.data for one in whole.data_list}
+        begin = float(whole.start_timestamp)
     except ConfigError:
         raise
     except Exception as error:  # pyulog raises errors of many kinds
@@ -183,8 +189,29 @@ def ulog_columns(path: Path, columns: ColumnMap) -> dict[str, Column]:
             raise ConfigError(
                 f"signals.{name}", f"topic '{topic}' has no field '{field}'; {nearest(field, topics[label])}"
             )
-        read[name] = Column(MICROSECOND * topics[label]["timestamp"].astype(float), topics[label][field].astype(float))
+        stamps = topics[label]["timestamp"].astype(float) - begin
+        read[name] = Column(MICROSECOND * stamps, topics[label][field].astype(float))
     return read
+
+
+def nearest_rows(column: Column, start: float, sample_time: float, samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """The logged value nearest to each sample instant.
+
+    Args:
+        column: The logged signal.
+        start: Time of the first sample [s].
+        sample_time: T_s [s].
+        samples: Their number.
+
+    Returns:
+        Positions in the column, and the values' times less the instants, in samples; NaN where they exceed half a
+        sample. Shape (samples,) each.
+    """
+    instants = start + sample_time * np.arange(samples)
+    middles = 0.5 * (column.time[1:] + column.time[:-1])
+    rows = np.searchsorted(middles, instants)
+    offsets = (column.time[rows] - instants) / sample_time
+    return rows, np.where(np.abs(offsets) <= 0.5 * (1.0 + 1e-6), offsets, np.nan)
 
 
 def nearest_values(column: Column, start: float, sample_time: float, samples: int) -> np.ndarray:
@@ -203,13 +230,34 @@ def nearest_values(column: Column, start: float, sample_time: float, samples: in
         >>> nearest_values(Column(np.array([0.0, 0.11, 0.4]), np.array([1.0, 2.0, 3.0])), 0.0, 0.1, 5)
         array([ 1.,  2., nan, nan,  3.])
     """
-    instants = start + sample_time * np.arange(samples)
-    middles = 0.5 * (column.time[1:] + column.time[:-1])
-    at = np.searchsorted(middles, instants)
-    near = np.abs(column.time[at] - instants) <= 0.5 * sample_time * (1.0 + 1e-6)
-    return np.where(near, column.value[at], np.nan)
+    rows, offsets = nearest_rows(column, start, sample_time, samples)
+    return np.where(np.isnan(offsets), np.nan, column.value[rows])
+
+
+def nearest_offsets(column: Column, start: float, sample_time: float, samples: int) -> np.ndarray:
+    """Times of the values of :func:`nearest_values` less the sample instants, in samples.
+
+    A value that is nearest to two instants counts at the first. Offsets within the rounding of times are 0.
+
+    Args:
+        column: The logged signal.
+        start: Time of the first sample [s].
+        sample_time: T_s [s].
+        samples: Their number.
+
+    Returns:
+        Shape (samples,); NaN where there is no value.
+    """
+    rows, offsets = nearest_rows(column, start, sample_time, samples)
+    repeated = np.concatenate([[False], np.diff(rows) == 0]) & np.concatenate([[False], np.isfinite(offsets[:-1])])
+    return np.where(repeated, np.nan, np.where(np.abs(offsets) < 1e-6, 0.0, offsets))
 
 
 def last_time(log: FlightLog) -> float:
     """The time of the log's last value [s]."""
     return float(max(column.time[-1] for column in log.columns.values()))
+
+
+def samples_within(log: FlightLog, sample_time: float, steps: int) -> int:
+    """Number of the study's samples, of ``steps``, up to the log's last value; 0 if the study begins after it."""
+    return int(np.clip(np.floor((last_time(log) - log.start) / sample_time + 0.5) + 1.0, 0.0, steps))

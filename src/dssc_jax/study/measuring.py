@@ -3,10 +3,11 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-from dssc_jax.closed_loop.metrics import BRIEF, METRICS, Measure, Metric, Scope, Window, first_sample, suffixed
+from dssc_jax.closed_loop.metrics import BRIEF, METRICS, Measure, Metric, Scope, first_sample, suffixed
 from dssc_jax.closed_loop.performance import PERFORMANCE
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.closed_loop.step_response import STEP_RESPONSE, envelope_metric
+from dssc_jax.closed_loop.window import Window
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.study.importing import imported
@@ -72,9 +73,10 @@ def measured(
             own=None if kind in METRICS else known[kind],
             units=UNNAMED_UNITS if channel is None else units[channel],
             channel_name=channel_name,
+            usual=config.metrics.window,
         )
 
-    base = Window(config.metrics.after, config.metrics.settling_band, config.metrics.settling_percent)
+    base = config.metrics.window
     require_samples(config, base, "metrics.after")
     named = config.metrics.names
     kinds = default_kinds(several) if named is None else [short(name) for name in named]
@@ -90,14 +92,9 @@ def measured(
                 needs = ", ".join(known[wanted].needs)
                 raise ConfigError(f"{place}.metric", f"'{wanted}' needs {needs}, which this loop does not have")
             raise ConfigError(f"{place}.metric", f"unknown metric '{wanted}'; {nearest(wanted, names)}")
-        after = base.after if table.after is None else table.after
-        window = Window(after, table.settling_band or base.band, table.settling_percent or base.percent)
+        window = table.window(base)
         require_samples(config, window, f"{place}.after")
-        name = wanted if window == base else f"{wanted}_after_{after:.12g}"
-        if window.band != base.band:
-            name += f"_within_{window.band:.12g}"
-        if window.percent != base.percent:
-            name += f"_within_{window.percent:.12g}_percent"
+        name = wanted + window.suffix(base)
         measures.setdefault(name, measure(name, wanted, window))
         requirement = Requirement(measures[name], table.max, table.min)
         if any(requirement.name == other.name for other in requirements):
@@ -143,8 +140,8 @@ def enveloped(config: StudyTable, channels: tuple[str, ...], units: tuple[Channe
         metric = envelope_metric(signal, unit, units[number].named(meaning), table.lower, table.upper)
         same = sum(r.measure.kind == kind and r.measure.channel == number for r in requirements)
         name = suffixed(kind, channel) + (f"_{same + 1}" if same else "")
-        window = Window(config.metrics.after, config.metrics.settling_band, config.metrics.settling_percent)
-        measure = Measure(name, kind, replace(window, after=0.0), number, metric, units[number], channel)
+        whole = replace(config.metrics.window, after=0.0)
+        measure = Measure(name, kind, whole, number, metric, units[number], channel, config.metrics.window)
         requirements.append(Requirement(measure, minimum=0.0))
     return requirements
 

@@ -2,12 +2,13 @@
 
 import math
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Optional
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, create_model, model_validator
 
 from dssc_jax.closed_loop.step_response import crossing
+from dssc_jax.closed_loop.window import Window, window_defaults, window_entries
 from dssc_jax.core.errors import nearest
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.units import parsed_unit
@@ -26,6 +27,7 @@ def finite_number(value: Any) -> float:
 LONGEST_UNIT, LONGEST_PHRASE, MOST_POINTS = 40, 60, 64
 Phrase = Annotated[str, StringConstraints(pattern=r"^[^\x00-\x1f]+$", max_length=LONGEST_PHRASE)]
 Finite = Annotated[float, BeforeValidator(finite_number)]
+OptionalFinite: Any = Optional[Finite]  # noqa: UP045  (a type at run time)
 
 
 class SettledTable(BaseModel):
@@ -70,34 +72,46 @@ class LoopTable(BaseModel):
         return round(self.duration / self.sample_time)
 
 
-class MetricsTable(BaseModel):
-    """``[metrics]``: the window of the metrics that every run reports."""
+def window_fields(absent: bool) -> dict[str, Any]:
+    """Fields of a table for the entries of a window; with ``absent`` they may be left to ``[metrics]``."""
+    defaults = window_defaults()
+    described = {}
+    for entry in window_entries().values():
+        bounds: dict[str, Any] = dict(entry.bounds)
+        if absent:
+            meaning = f"{entry.meaning}; absent: that of `[metrics]`"
+            described[entry.key] = (OptionalFinite, Field(default=None, description=meaning, **bounds))
+        else:
+            default = defaults[entry.key]
+            described[entry.key] = (Finite, Field(default=default, description=entry.meaning, **bounds))
+    return described
 
-    model_config = STRICT
-    after: Finite = Field(default=0.0, ge=0.0, description="start of the window [s]")
-    settling_band: Finite = Field(
-        default=0.05, gt=0.0, description="|e| below which the loop counts as settled, in the output's unit"
-    )
-    settling_percent: Finite = Field(
-        default=2.0, gt=0.0, lt=100.0, description="share of a step below which its response counts as settled [%]"
-    )
-    names: list[str] | None = Field(default=None, description="metrics to report; absent: the usual ones")
 
-
-class RequirementTable(BaseModel):
-    """``[[requirement]]``: a bound on a metric. Field names are those of the file."""
+class BoundedMetric(BaseModel):
+    """The metric of a requirement."""
 
     model_config = STRICT
     metric: str = Field(description="the bounded metric")
-    after: Finite | None = Field(
-        default=None, ge=0.0, description="start of its window [s]; absent: that of `[metrics]`"
-    )
-    settling_band: Finite | None = Field(
-        default=None, gt=0.0, description="its settling band, in the output's unit; absent: that of `[metrics]`"
-    )
-    settling_percent: Finite | None = Field(
-        default=None, gt=0.0, lt=100.0, description="its share of a step [%]; absent: that of `[metrics]`"
-    )
+
+
+UsualWindow: Any = create_model("UsualWindow", __config__=STRICT, **window_fields(absent=False))
+RequiredWindow: Any = create_model("RequiredWindow", __base__=BoundedMetric, **window_fields(absent=True))
+
+
+class MetricsTable(UsualWindow):
+    """``[metrics]``: the window of the metrics that every run reports."""
+
+    names: list[str] | None = Field(default=None, description="metrics to report; absent: the usual ones")
+
+    @property
+    def window(self) -> Window:
+        """The window of all metrics that are not required with their own."""
+        return Window.of(self.model_dump())
+
+
+class RequirementTable(RequiredWindow):
+    """``[[requirement]]``: a bound on a metric. Field names are those of the file."""
+
     max: Finite | None = Field(default=None, description="upper bound")
     min: Finite | None = Field(default=None, description="lower bound")
 
@@ -106,6 +120,10 @@ class RequirementTable(BaseModel):
         if (self.max is None) == (self.min is None):
             raise ValueError("needs exactly one of max and min")
         return self
+
+    def window(self, usual: Window) -> Window:
+        """The requirement's window; ``usual`` is that of ``[metrics]``."""
+        return Window.of(self.model_dump(), usual)
 
 
 def unit_text(value: Any) -> str:

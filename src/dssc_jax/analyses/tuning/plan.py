@@ -182,7 +182,7 @@ class Plan:
         bare = {measure.name for measure in self.study.measures}
         own = {requirement.measure.name for requirement in self.study.requirements}
         kinds = {self._written(measure) for name, measure in self.measures.items() if name in bare - own}
-        kept = {"after": self.study.config.metrics.after, "settling_band": self.study.config.metrics.settling_band}
+        kept = self.study.config.metrics.window.entries()
         draws = self.table.draws + self.table.validation
         changes: dict[str, Any] = {"seed": self.seed, "draws": draws, "plot": {}}
         return self.study.override(changes | {"metrics": kept | {"names": sorted(kinds)}})
