@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.backend.plain import plain_options
+from dssc_jax.closed_loop.control import near_reference
 from dssc_jax.closed_loop.sample import Loop, held_between_samples, initial_state, step
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.numerics import arithmetic, as_arrays
@@ -59,7 +60,7 @@ def played_outputs(study: Study, names: Sequence[str], samples: int, quiet: bool
 
     Returns:
         (values of the numbers, shape (n,); commands, shape (channels, samples); index of the draw) -> readings of each
-        channel's output, shape (channels, samples).
+        channel's output, shape (channels, samples); an angle lies within pi of its reference.
     """
     fixed = quiet_values(study) if quiet else median_values(study)
     sensors = (IDEAL,) * len(study.loop.channels) if quiet else study.loop.sensor
@@ -74,7 +75,10 @@ def played_outputs(study: Study, names: Sequence[str], samples: int, quiet: bool
         def sample(at: tuple[Any, Any], _: None) -> tuple[tuple[Any, Any], Any]:
             state, k = at
             after, recorded = step(loop, params, key, state, k, advance)
-            return (after, k + 1), tuple(each.reading.y for each in recorded.controlled)
+            readings = []
+            for i, (controlled, reference) in enumerate(zip(recorded.controlled, recorded.references, strict=True)):
+                readings.append(near_reference(loop, i, controlled.reading, reference).y)
+            return (after, k + 1), tuple(readings)
 
         begin = initial_state(loop, params, key), jnp.zeros((), jnp.int32)
         return jnp.stack(as_arrays(jax.lax.scan(sample, begin, length=samples)[1]))
