@@ -12,6 +12,10 @@ from typing import Any
 import numpy as np
 
 from dssc_jax.backend.program import Builder, Value
+from dssc_jax.backend.specification import (
+    KEY, MOVABLE, NUMBERS, REAL, SCALARS, TRUTH, WHOLE, Rule, Specification, absent, anything, element_type, one_of,
+    result_type, rule,
+)  # fmt: skip
 from dssc_jax.backend.unsupported import Unsupported
 
 Tensor = np.ndarray
@@ -50,8 +54,8 @@ def elementwise(function: Callable[..., Any], build: Builder, operands: Sequence
 def element(build: Builder, table: Tensor, position: Value) -> Value:
     """The element of a flat array at a position of the run, which lies within it."""
     if position.operation == "constant":
-        return from_tensor(as_tensor(table[int(position.detail)], build)) if table.dtype != object else table[
-            int(position.detail)]  # fmt: skip
+        found = table[int(position.detail)]
+        return found if table.dtype == object else build.constant(found, table.dtype)
     if table.dtype != object:
         return build.add("lookup", position, dtype=table.dtype, detail=table)
     if table.size > MOST_SELECTS:
@@ -73,13 +77,18 @@ def row(build: Builder, table: Any, at: Value) -> Any:
     return from_tensor(elements.reshape(inner))
 
 
+def wide_index(build: Builder, start: Value) -> Value:
+    """An index in a signed type that holds every array's size and all of the index's own values that matter."""
+    if start.dtype == np.dtype(np.uint64):  # beyond the largest signed number: the end of every array
+        most = build.constant(np.iinfo(np.int64).max, start.dtype)
+        return build.add("convert", build.add("min", start, most), dtype=np.dtype(np.int64))
+    wide = start.dtype.itemsize == 8 or start.dtype == np.dtype(np.uint32)
+    return build.add("convert", start, dtype=np.dtype(np.int64) if wide else INDEX_TYPE)
+
+
 def clipped(build: Builder, start: Value, most: int) -> Value:
-    """An index within 0 .. most, as a signed number."""
-    kind = INDEX_TYPE if start.dtype.itemsize <= 4 else np.dtype(np.int64)
-    if start.dtype.kind == "u":  # beyond the largest signed number: the end
-        start = build.add("min", start, build.constant(most, start.dtype))
-    start = build.add("convert", start, dtype=kind)
-    return build.add("min", build.add("max", start, build.constant(0, kind)), build.constant(most, kind))
+    """A wide index within 0 .. most."""
+    return build.add("min", build.add("max", start, build.constant(0, start.dtype)), build.constant(most, start.dtype))
 
 
 def window(build: Builder, operand: Any, starts: Sequence[Value], sizes: Sequence[int]) -> Tensor:
@@ -103,19 +112,19 @@ def window(build: Builder, operand: Any, starts: Sequence[Value], sizes: Sequenc
 
 
 def index_rows(build: Builder, indices: Any) -> list[list[Value]]:
-    """The index vectors of a gather or scatter, one for each of its points."""
+    """The index vectors of a gather or scatter, one for each of its points, as wide indices."""
     tensor = as_tensor(indices, build)
-    return [list(vector) for vector in tensor.reshape(-1, tensor.shape[-1])]
+    rows = tensor.reshape(-1, tensor.shape[-1])
+    return [[wide_index(build, index) for index in vector] for vector in rows]
 
 
 def gather(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
     """Windows of an array at indices of the run."""
     operand, indices = operands
     numbers, sizes = params["dimension_numbers"], params["slice_sizes"]
-    if numbers.operand_batching_dims or not isinstance(operand, np.ndarray):
-        raise Unsupported("a batched gather")
-    mode = getattr(params["mode"], "name", str(params["mode"]))
-    fill = mode == "FILL_OR_DROP"
+    fill = params["mode"].name == "FILL_OR_DROP"
+    if not isinstance(operand, np.ndarray):
+        operand = as_tensor(operand, build)
     points, zero = [], build.constant(0, INDEX_TYPE)
     for vector in index_rows(build, indices):
         starts = [zero] * operand.ndim
@@ -148,10 +157,16 @@ def lies_within(build: Builder, shape: Sequence[int], starts: Sequence[Value], s
 
 def filler(build: Builder, fill: Any, dtype: np.dtype) -> Value:
     """What an index beyond an array reads."""
-    if fill is None:
-        fill = {"f": np.nan, "i": np.iinfo(dtype).min, "u": np.iinfo(dtype).max}[dtype.kind] if dtype.kind in (
-            "iu") else (np.nan if dtype.kind == "f" else True)  # fmt: skip
-    return build.constant(fill, dtype)
+    if fill is not None:
+        return build.constant(fill, dtype)
+    match dtype.kind:
+        case "i":
+            return build.constant(np.iinfo(dtype).min, dtype)
+        case "u":
+            return build.constant(np.iinfo(dtype).max, dtype)
+        case "f":
+            return build.constant(np.nan, dtype)
+    return build.constant(True, dtype)
 
 
 def replaced(
@@ -179,7 +194,9 @@ def replaced(
 def dynamic_slice(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
     """A window of an array."""
     operand, *starts = operands
-    return window(build, operand, starts, params["slice_sizes"])
+    wide = [wide_index(build, start) for start in starts]
+    return window(build, as_tensor(operand, build) if not isinstance(operand, np.ndarray) else operand, wide,
+                  params["slice_sizes"])  # fmt: skip
 
 
 def dynamic_update_slice(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
@@ -187,7 +204,7 @@ def dynamic_update_slice(build: Builder, operands: Sequence[Any], params: Mappin
     operand, update, *starts = operands
     target, new = as_tensor(operand, build), as_tensor(update, build)
     limits = [size - part for size, part in zip(target.shape, new.shape, strict=True)]
-    inside = [clipped(build, start, limit) for start, limit in zip(starts, limits, strict=True)]
+    inside = [clipped(build, wide_index(build, start), limit) for start, limit in zip(starts, limits, strict=True)]
     return replaced(build, target, inside, new, lambda old, new: new)
 
 
@@ -197,20 +214,18 @@ def scatter(operation: str) -> Callable[[Builder, Sequence[Any], Mapping[str, An
     def rule(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
         operand, indices, updates = operands
         numbers = params["dimension_numbers"]
-        if numbers.operand_batching_dims:
-            raise Unsupported("a batched scatter")
         target, new = as_tensor(operand, build), as_tensor(updates, build)
         vectors = index_rows(build, indices)
         batch = [axis for axis in range(new.ndim) if axis not in numbers.update_window_dims]
         windows = np.transpose(new, [*batch, *numbers.update_window_dims])
         windows = windows.reshape(len(vectors), *(new.shape[axis] for axis in numbers.update_window_dims))
-        mode = getattr(params["mode"], "name", str(params["mode"]))
+        clip = params["mode"].name == "CLIP"
         for i, vector in enumerate(vectors):
             update = np.expand_dims(windows[i], tuple(numbers.inserted_window_dims))
             starts = [build.constant(0, INDEX_TYPE)] * target.ndim
             for axis, start in zip(numbers.scatter_dims_to_operand_dims, vector, strict=True):
                 limit = target.shape[axis] - update.shape[axis]
-                starts[axis] = clipped(build, start, limit) if mode == "CLIP" else start
+                starts[axis] = clipped(build, start, limit) if clip else start
             target = replaced(build, target, starts, update, lambda old, new: (
                 build.add(operation, old, new) if operation else new))  # fmt: skip
         return target
@@ -253,6 +268,31 @@ def strided(operand: Tensor, params: Mapping[str, Any]) -> Tensor:
     strides = params["strides"] or [1] * operand.ndim
     parts = zip(params["start_indices"], params["limit_indices"], strides, strict=True)
     return operand[tuple(slice(start, stop, step) for start, stop, step in parts)]
+
+
+def reshaped(operand: Tensor, params: Mapping[str, Any]) -> Tensor:
+    """The same elements in another shape."""
+    return operand.reshape(params["new_sizes"])
+
+
+def squeezed(operand: Tensor, params: Mapping[str, Any]) -> Tensor:
+    """Without axes of size 1."""
+    return np.squeeze(operand, tuple(params["dimensions"]))
+
+
+def expanded(operand: Tensor, params: Mapping[str, Any]) -> Tensor:
+    """With new axes of size 1."""
+    return np.expand_dims(operand, tuple(params["dimensions"]))
+
+
+def transposed(operand: Tensor, params: Mapping[str, Any]) -> Tensor:
+    """With its axes in another order."""
+    return np.transpose(operand, params["permutation"])
+
+
+def reversed_along(operand: Tensor, params: Mapping[str, Any]) -> Tensor:
+    """Backwards along some axes."""
+    return np.flip(operand, params["dimensions"])
 
 
 def concatenate(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
@@ -336,7 +376,8 @@ def dot_general(build: Builder, operands: Sequence[Any], params: Mapping[str, An
     result = np.empty((left.shape[0], left.shape[1], right.shape[1]), object)
     for batch, i, j in np.ndindex(*result.shape):
         products = [build.add("mul", x, y) for x, y in zip(left[batch, i], right[batch, j], strict=True)]
-        result[batch, i, j] = reduce(lambda x, y: build.add("add", x, y), products)
+        nothing = build.constant(0, np.dtype(equation.outvars[0].aval.dtype))
+        result[batch, i, j] = reduce(lambda x, y: build.add("add", x, y), products) if products else nothing
     return from_tensor(result.reshape(left_shapes[0] + left_shapes[1] + right_shapes[1]))
 
 
@@ -357,35 +398,80 @@ def cumulative_rule(operation: str) -> Callable[..., Any]:
     return rule
 
 
-ARRAY_RULES: dict[str, Callable[[Builder, Sequence[Any], Mapping[str, Any], Any], Any]] = {
-    "broadcast_in_dim": broadcast,
-    "reshape": moving(lambda operand, params: operand.reshape(params["new_sizes"])),
-    "squeeze": moving(lambda operand, params: np.squeeze(operand, tuple(params["dimensions"]))),
-    "expand_dims": moving(lambda operand, params: np.expand_dims(operand, tuple(params["dimensions"]))),
-    "transpose": moving(lambda operand, params: np.transpose(operand, params["permutation"])),
-    "rev": moving(lambda operand, params: np.flip(operand, params["dimensions"])),
-    "slice": moving(strided),
-    "concatenate": concatenate,
-    "stack": stack,
-    "unstack": unstack,
-    "split": split_array,
-    "pad": pad,
-    "iota": iota,
-    "gather": gather,
-    "dynamic_slice": dynamic_slice,
-    "dynamic_update_slice": dynamic_update_slice,
-    "scatter": scatter(""),
-    "scatter-add": scatter("add"),
-    "reduce_sum": reduction("add"),
-    "reduce_prod": reduction("mul"),
-    "reduce_max": reduction("max"),
-    "reduce_min": reduction("min"),
-    "reduce_and": reduction("and"),
-    "reduce_or": reduction("or"),
-    "cumsum": cumulative_rule("add"),
-    "cumprod": cumulative_rule("mul"),
-    "cummax": cumulative_rule("max"),
-    "cummin": cumulative_rule("min"),
-    "dot_general": dot_general,
-}
+def unbatched(numbers: Any, equation: Any) -> bool:
+    """Dimension numbers of a gather or scatter without batches."""
+    return not numbers.operand_batching_dims
+
+
+def same_precision(precision: Any, equation: Any) -> bool:
+    """Any precision of JAX's enumeration: a processor computes all in the type itself. An algorithm is none."""
+    parts = precision if isinstance(precision, tuple) else (precision,)
+    return all(part is None or getattr(part, "name", "") in ("DEFAULT", "HIGH", "HIGHEST") for part in parts)
+
+
+def of_one_type(equation: Any) -> str | None:
+    """Refuse a sum of products whose operands and result differ in type."""
+    types = {element_type(variable.aval) for variable in (*equation.invars, *equation.outvars)}
+    return None if len(types) == 1 else "operands and results of several types"
+
+
+def mode_of(*names: str) -> Any:
+    """The condition of a gather's or scatter's mode."""
+    return one_of("CLIP", "FILL_OR_DROP", "PROMISE_IN_BOUNDS", *names)
+
+
+def scatter_rule(operation: str) -> Rule:
+    """The rule of a scatter."""
+    return rule(
+        scatter(operation), NUMBERS if operation else SCALARS, dimension_numbers=unbatched, mode=mode_of(),
+        update_jaxpr=anything, update_consts=absent, indices_are_sorted=anything, unique_indices=anything,
+    )  # fmt: skip
+
+
+def reduction_rule(operation: str, types: Any) -> Rule:
+    """The rule of a reduction."""
+    return rule(reduction(operation), types, axes=anything, out_sharding=absent)
+
+
+def partial_rule(operation: str) -> Rule:
+    """The rule of partial sums and their like."""
+    return rule(cumulative_rule(operation), NUMBERS, axis=anything, reverse=anything)
+
+
+ARRAY_RULES: dict[str, Rule] = {
+    "broadcast_in_dim": rule(broadcast, MOVABLE, shape=anything, broadcast_dimensions=anything, sharding=absent),
+    "reshape": rule(moving(reshaped), MOVABLE, new_sizes=anything, dimensions=absent, sharding=absent),
+    "squeeze": rule(moving(squeezed), MOVABLE, dimensions=anything),
+    "expand_dims": rule(moving(expanded), MOVABLE, dimensions=anything),
+    "transpose": rule(moving(transposed), MOVABLE, permutation=anything),
+    "rev": rule(moving(reversed_along), MOVABLE, dimensions=anything),
+    "slice": rule(moving(strided), MOVABLE, start_indices=anything, limit_indices=anything, strides=anything),
+    "concatenate": rule(concatenate, MOVABLE, dimension=anything),
+    "stack": rule(stack, MOVABLE, axis=anything),
+    "unstack": rule(unstack, MOVABLE, axis=anything),
+    "split": rule(split_array, MOVABLE, sizes=anything, axis=anything),
+    "pad": rule(pad, SCALARS, padding_config=anything),
+    "iota": rule(iota, NUMBERS, dtype=anything, shape=anything, dimension=anything, sharding=absent),
+    "gather": rule(
+        gather, SCALARS, dimension_numbers=unbatched, slice_sizes=anything, mode=mode_of(), fill_value=anything,
+        indices_are_sorted=anything, unique_indices=anything,
+    ),
+    "dynamic_slice": rule(dynamic_slice, SCALARS, slice_sizes=anything),
+    "dynamic_update_slice": rule(dynamic_update_slice, SCALARS),
+    "scatter": scatter_rule(""),
+    "scatter-add": scatter_rule("add"),
+    "reduce_sum": reduction_rule("add", NUMBERS),
+    "reduce_prod": reduction_rule("mul", NUMBERS),
+    "reduce_max": reduction_rule("max", NUMBERS),
+    "reduce_min": reduction_rule("min", NUMBERS),
+    "reduce_and": reduction_rule("and", WHOLE | TRUTH),
+    "reduce_or": reduction_rule("or", WHOLE | TRUTH),
+    "cumsum": partial_rule("add"),
+    "cumprod": partial_rule("mul"),
+    "cummax": partial_rule("max"),
+    "cummin": partial_rule("min"),
+    "dot_general": Rule(dot_general, Specification(NUMBERS, {
+        "dimension_numbers": anything, "precision": same_precision, "preferred_element_type": result_type,
+        "out_sharding": absent}, of_one_type)),
+}  # fmt: skip
 """Rule of each primitive by its name."""
