@@ -52,19 +52,24 @@ def exponential_of_two(exponent: jax.Array, like: jax.Array) -> jax.Array:
 
 
 def less_one(r: jax.Array, lost: jax.Array | float = 0.0) -> jax.Array:
-    """e^(r + lost) - 1 for |r| at most about ln 2 / 2, and a small correction."""
+    """e^(r + lost) - 1 for |r| at most about ln 2 / 2, and a correction of about a rounding error."""
     return r + (0.5 * r * r + (r * r * r * polynomial(EXPONENTIAL, r) + lost * (1.0 + r)))
 
 
-def exponential(x: jax.Array, tail: jax.Array | float = 0.0) -> tuple[jax.Array, jax.Array]:
-    """A whole number n and e^r - 1 with x + tail = n ln 2 + r; n is limited to what does not give 0 or infinity."""
+def reduced(x: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """A whole number n, r and a small correction to r with x = n ln 2 + r, for x that gives neither 0 nor infinity."""
     high, low = LN_2[width(x)]
     x = jnp.clip(x, *EXPONENTS[width(x)])
     n = jnp.round(x * (1.0 / math.log(2.0)))
     first = x - n * high
     r = first - n * low
-    lost = (first - r) - n * low
-    return jnp.where(jnp.isnan(n), 0.0, n), less_one(r, lost + tail)
+    return jnp.where(jnp.isnan(n), 0.0, n), r, (first - r) - n * low
+
+
+def exponential(x: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """A whole number n and e^r - 1 with x = n ln 2 + r."""
+    n, r, lost = reduced(x)
+    return n, less_one(r, lost)
 
 
 def scaled(x: jax.Array, n: jax.Array) -> jax.Array:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dssc_jax.backend.exponentials import LN_2, exponential, is_negative, normalised, scaled
+from dssc_jax.backend.exponentials import EXPONENTS, LN_2, is_negative, less_one, normalised, reduced, scaled
 from dssc_jax.core.numerics import polynomial
 
 SPLITTER = 2.0**27 + 1.0
@@ -87,8 +87,11 @@ def magnitude(x: jax.Array, y: jax.Array) -> jax.Array:
     limited = jnp.clip(y, -LARGEST_EXPONENT, LARGEST_EXPONENT)
     log = logarithm_pair(x)
     exponent = exact_product(limited, log.high)
-    n, rest = exponential(exponent.high, exponent.low + limited * log.low)
-    return scaled(1.0 + rest, n)
+    n, r, lost = reduced(exponent.high)
+    outside = jnp.abs(exponent.high) > -EXPONENTS[64][0]  # where the result is 0 or infinite
+    lost = jnp.where(outside, 0.0, lost + (exponent.low + limited * log.low))
+    rest = less_one(r)
+    return scaled(1.0 + (rest + lost * (1.0 + rest)), n)
 
 
 def power(x: jax.Array, y: jax.Array) -> jax.Array:
