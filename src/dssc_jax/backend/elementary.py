@@ -71,6 +71,7 @@ SIDES = {
 }
 """Largest side of a triangle that is not scaled, and the scale of larger ones; the smallest, and that of smaller."""
 
+
 def erf_inv(x: jax.Array) -> jax.Array:
     """The inverse of the error function; its tails are computed only if a lane is in them.
 

@@ -14,7 +14,6 @@ from dssc_jax.backend.needed import reachable
 from dssc_jax.backend.order import ordered
 from dssc_jax.backend.program import BOOL, Branch, CodeBlock, CodeLoop, Program, Record, Value
 
-
 WIDE = '"prefer-vector-width"="512" "min-legal-vector-width"="512"'
 ATTRIBUTES = (
     f'attributes #0 = {{ nounwind {WIDE} "stackrealign" }}',  # spilled vectors within lines of the cache

@@ -11,7 +11,18 @@ import numpy as np
 
 from dssc_jax.backend.program import BOOL, Builder, Value
 from dssc_jax.backend.specification import (
-    NUMBERS, REAL, SCALARS, SIGNED, TRUTH, WHOLE, Rule, Specification, absent, anything, one_of, rule,
+    NUMBERS,
+    REAL,
+    SCALARS,
+    SIGNED,
+    TRUTH,
+    WHOLE,
+    Rule,
+    Specification,
+    absent,
+    anything,
+    one_of,
+    rule,
 )  # fmt: skip
 
 ElementRule = Callable[[Builder, Sequence[Value], Mapping[str, Any], np.dtype], Value]

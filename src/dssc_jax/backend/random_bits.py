@@ -14,7 +14,16 @@ import numpy as np
 from dssc_jax.backend.arrays import as_tensor
 from dssc_jax.backend.program import Builder, Value
 from dssc_jax.backend.specification import (
-    KEY, UNSIGNED, WHOLE, Condition, Rule, Specification, Types, anything, one_of, rule,
+    KEY,
+    UNSIGNED,
+    WHOLE,
+    Condition,
+    Rule,
+    Specification,
+    Types,
+    anything,
+    one_of,
+    rule,
 )  # fmt: skip
 from dssc_jax.backend.unsupported import Unsupported
 

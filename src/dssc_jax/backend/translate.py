@@ -11,8 +11,8 @@ import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal, Var
 
-from dssc_jax.backend import arrays, random_bits
-from dssc_jax.backend.arrays import as_tensor, elementwise
+from dssc_jax.backend import indexing, random_bits
+from dssc_jax.backend.arrays import ARRAY_RULES, as_tensor, elementwise
 from dssc_jax.backend.elementary import ELEMENTARY, RareRule
 from dssc_jax.backend.interface import AXIS
 from dssc_jax.backend.primitives import ELEMENT_RULES
@@ -21,7 +21,6 @@ from dssc_jax.backend.random_bits import Key
 from dssc_jax.backend.specification import SCALARS, WHOLE, Rule, absent, anything, require_type, rule
 from dssc_jax.backend.unsupported import Unsupported
 from dssc_jax.backend.varying import VaryingResults, is_key, parts_of_scan
-
 
 
 def translate(lane: Callable[..., Any], *arguments: Any, fast: bool = False) -> tuple[Program, Any]:
@@ -116,20 +115,19 @@ class Translator:
     def families(self) -> Sequence[tuple[Mapping[str, Rule], Callable[[Any, JaxprEqn, list[Any]], Sequence[Any]]]]:
         """All rules, by the name of their primitive, and how each kind of rule is applied."""
         return (
-            (INLINED, self.inlined),
-            (LOOPS, lambda rule, equation, operands: rule.translate(self, equation, operands)),
-            (OVER_LANES, lambda rule, equation, operands: [self.over_lanes(operand) for operand in operands]),
+            (INLINED, self.program),
+            (LOOPS, self.program),
+            (OVER_LANES, self.program),
             (random_bits.RANDOM_RULES, self.array),
             (ELEMENT_RULES, self.element),
             (ELEMENTARY, self.elementary),
-            (arrays.ARRAY_RULES, self.array),
+            (ARRAY_RULES, self.array),
+            (indexing.INDEXING_RULES, self.array),
         )
 
-    def inlined(self, rule: Rule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
-        """The results of a call."""
-        params = equation.params
-        inner: Any = params.get("jaxpr", params.get("call_jaxpr"))
-        return self.run(inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ()), operands)
+    def program(self, rule: Rule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+        """The results of an equation with inner programs, or over several lanes."""
+        return rule.translate(self, equation, operands)
 
     def element(self, rule: Rule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
         """The result of an operation on each element."""
@@ -181,14 +179,6 @@ class Translator:
             name = "_".join((function.__name__, *(str(8 * dtype.itemsize) for dtype in types)))
             self._subroutines[key] = Subroutine(name, Program(list(types), inside.build.here, outputs))
         return self._subroutines[key]
-
-    def over_lanes(self, operand: Any) -> Value:
-        """The maximum over all lanes of a truth value, 0 or 1."""
-        if not isinstance(operand, Value) or operand.dtype.kind not in "iu":
-            raise Unsupported("a maximum over the lanes of anything but 0 and 1")
-        zero = self.build.constant(0, operand.dtype)
-        some = self.build.add("any", self.build.add("ne", operand, zero))
-        return self.build.add("convert", some, dtype=operand.dtype)
 
 
 def components(value: Any, build: Builder) -> list[Value]:
@@ -245,6 +235,23 @@ def is_varying(value: Any) -> bool:
     return isinstance(value, np.ndarray) and value.dtype == object and any(map(is_varying, value.ravel()))
 
 
+def inlined(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
+    """The results of a call."""
+    inner: Any = equation.params.get("jaxpr", equation.params.get("call_jaxpr"))
+    return own.run(inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ()), operands)
+
+
+def largest_over_lanes(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
+    """The maximum over all lanes of truth values, 0 or 1."""
+    build, results = own.build, []
+    for operand in operands:
+        if not isinstance(operand, Value):
+            raise Unsupported("a maximum over the lanes of arrays")
+        some = build.add("any", build.add("ne", operand, build.constant(0, operand.dtype)))
+        results.append(build.add("convert", some, dtype=operand.dtype))
+    return results
+
+
 def while_rule(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
     """A loop that ends when no lane goes on; a lane that ended before keeps its state."""
     params, build = equation.params, own.build
@@ -294,7 +301,7 @@ def scan_rule(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list[
     loop = build.loop([build.constant(0, index), *scalars], [False, *differs], None)
     turn, *states = loop.states
     at = build.add("sub", build.constant(length - 1, index), turn) if params["reverse"] else turn
-    slices = [arrays.row(build, table, at) for table in rows]
+    slices = [indexing.row(build, table, at) for table in rows]
     results = own.run(body, [*constants, *assembled(begin, states), *slices])
     for recording, value in zip(recordings, results[carried:], strict=True):
         build.record(recording, turn, *components(value, build))
@@ -350,27 +357,27 @@ LOOPS = {
 }  # fmt: skip
 """Rules of loops and branches; their translation is a function of the translator."""
 
-OVER_LANES = {"pmax": rule(Translator.over_lanes, WHOLE, axes=this_axis, axis_index_groups=absent)}
+OVER_LANES = {"pmax": rule(largest_over_lanes, WHOLE, axes=this_axis, axis_index_groups=absent)}
 """Reductions over the lanes that run together."""
 
-REMATERIALISED = rule(Translator.run, None, jaxpr=anything, prevent_cse=anything, differentiated=anything,
+REMATERIALISED = rule(inlined, None, jaxpr=anything, prevent_cse=anything, differentiated=anything,
                       policy=anything)  # fmt: skip
 INLINED = {
     "jit": rule(
-        Translator.run, None, jaxpr=anything, name=anything, in_shardings=anything, out_shardings=anything,
+        inlined, None, jaxpr=anything, name=anything, in_shardings=anything, out_shardings=anything,
         in_layouts=anything, out_layouts=anything, donated_invars=anything, ctx_mesh=anything, keep_unused=anything,
         inline=anything, compiler_options_kvs=absent,
     ),
-    "closed_call": rule(Translator.run, None, call_jaxpr=anything),
-    "core_call": rule(Translator.run, None, call_jaxpr=anything),
+    "closed_call": rule(inlined, None, call_jaxpr=anything),
+    "core_call": rule(inlined, None, call_jaxpr=anything),
     "remat": REMATERIALISED,
     "remat2": REMATERIALISED,
     "checkpoint": REMATERIALISED,
     "custom_jvp_call": rule(
-        Translator.run, None, call_jaxpr=anything, jvp_jaxpr_fun=anything, num_consts=anything, symbolic_zeros=anything
+        inlined, None, call_jaxpr=anything, jvp_jaxpr_fun=anything, num_consts=anything, symbolic_zeros=anything
     ),
     "custom_vjp_call": rule(
-        Translator.run, None, call_jaxpr=anything, fwd_jaxpr_thunk=anything, bwd=anything, num_consts=anything,
+        inlined, None, call_jaxpr=anything, fwd_jaxpr_thunk=anything, bwd=anything, num_consts=anything,
         out_trees=anything, symbolic_zeros=anything,
     ),
 }  # fmt: skip
