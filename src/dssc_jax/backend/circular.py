@@ -89,6 +89,11 @@ def high_product(x: jax.Array, y: jax.Array) -> jax.Array:
     return x_high * y_high + (across >> word(32)) + (along >> word(32)) + (middle >> word(32))
 
 
+def following_bits(before: jax.Array, after: jax.Array, shift: jax.Array) -> jax.Array:
+    """The 64 bits that begin ``shift`` bits after the beginning of two words."""
+    return before << shift | (after >> word(1)) >> (word(63) - shift)
+
+
 def real(x: jax.Array, scale: float) -> jax.Array:
     """A word below 2^32 as a number, times a power of two."""
     return x.astype(jnp.int64).astype(jnp.float64) * scale
@@ -105,11 +110,10 @@ def far(x: jax.Array) -> Reduced:
     place = (bits >> word(52)).astype(jnp.int32) - (1075 - 62)  # of the first bit, from that of 2^63
     shift = (place & 63).astype(jnp.uint64)
     table = jnp.asarray(np.array(TWO_BY_PI, np.uint64))
-    words = [table[(place >> 6) + i] for i in range(4)]
-    first, second, third = (
-        before << shift | (after >> word(1)) >> (word(63) - shift)
-        for before, after in zip(words[:-1], words[1:], strict=True)
-    )  # fmt: skip
+    start = place >> 6
+    first = following_bits(table[start], table[start + 1], shift)
+    second = following_bits(table[start + 1], table[start + 2], shift)
+    third = following_bits(table[start + 2], table[start + 3], shift)
     low = mantissa * second
     middle = low + high_product(mantissa, third)
     carry = (middle < low).astype(jnp.uint64)
