@@ -47,7 +47,7 @@ def traced_program(own: "Translator", lane: Callable[..., Any], *arguments: Any)
     for aval in (*traced.in_avals, *traced.out_avals):
         require_type(aval, SCALARS)
     build = own.build
-    types = [np.dtype(leaf.dtype) for leaf in jax.tree.leaves(arguments)]
+    types = [np.dtype(aval.dtype) for aval in traced.in_avals]  # those of the arguments, in JAX's present precision
     inputs = [build.input(position, dtype) for position, dtype in enumerate(types)]
     outputs = own.run(traced, inputs)
     return Program(types, build.here, [output(value) for value in outputs]), shape
