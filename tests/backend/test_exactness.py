@@ -13,7 +13,7 @@ from dssc_jax.backend.indexing import INDEXING_RULES
 from dssc_jax.backend.lanes import CompiledLanes
 from dssc_jax.backend.primitives import ELEMENT_RULES
 from dssc_jax.backend.random_bits import RANDOM_RULES
-from dssc_jax.backend.specification import Rule, Specification, absent
+from dssc_jax.backend.specification import Specification, TranslationRule, absent
 from dssc_jax.backend.translate import INLINED, LOOPS, OVER_LANES
 from dssc_jax.backend.unsupported import Unsupported
 from tests.backend.against_plain import both
@@ -244,7 +244,10 @@ ALL_RULES = {
 
 
 def test_every_rule_says_what_it_is_exact_for():
-    assert all(isinstance(rule, Rule) and isinstance(rule.specification, Specification) for rule in ALL_RULES.values())
+    assert all(
+        isinstance(rule, TranslationRule) and isinstance(rule.specification, Specification)
+        for rule in ALL_RULES.values()
+    )
     inside = {**INLINED, **LOOPS}
     assert {name for name, rule in ALL_RULES.items() if rule.specification.types is None} == set(inside)
 
@@ -252,7 +255,7 @@ def test_every_rule_says_what_it_is_exact_for():
 def test_a_parameter_of_a_newer_jax_is_refused(monkeypatch):
     """As if the rule of multiplication had been written before its ``out_dtype``."""
     known = ELEMENT_RULES["mul"]
-    older = Rule(known.translate, Specification(known.specification.types, {}))
+    older = TranslationRule(known.translate, Specification(known.specification.types, {}))
     monkeypatch.setitem(ELEMENT_RULES, "mul", older)
     with pytest.raises(Unsupported, match=r"'mul' in .*: an unknown parameter out_dtype = None"):
         CompiledLanes(lambda x: x * x, jax.ShapeDtypeStruct((), np.float64), width=4)

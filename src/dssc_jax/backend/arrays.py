@@ -17,8 +17,8 @@ from dssc_jax.backend.specification import (
     SCALARS,
     TRUTH,
     WHOLE,
-    Rule,
     Specification,
+    TranslationRule,
     absent,
     anything,
     element_type,
@@ -235,17 +235,17 @@ def of_one_type(equation: Any) -> str | None:
     return None if len(types) == 1 else "operands and results of several types"
 
 
-def reduction_rule(operation: str, types: Any) -> Rule:
+def reduction_rule(operation: str, types: Any) -> TranslationRule:
     """The rule of a reduction."""
     return rule(reduction(operation), types, axes=anything, out_sharding=absent)
 
 
-def partial_rule(operation: str) -> Rule:
+def partial_rule(operation: str) -> TranslationRule:
     """The rule of partial sums and their like."""
     return rule(cumulative_rule(operation), NUMBER_TYPES, axis=anything, reverse=anything)
 
 
-ARRAY_RULES: dict[str, Rule] = {
+ARRAY_RULES: dict[str, TranslationRule] = {
     "broadcast_in_dim": rule(broadcast, MOVED_TYPES, shape=anything, broadcast_dimensions=anything, sharding=absent),
     "reshape": rule(moving(reshaped), MOVED_TYPES, new_sizes=anything, dimensions=absent, sharding=absent),
     "squeeze": rule(moving(squeezed), MOVED_TYPES, dimensions=anything),
@@ -269,8 +269,8 @@ ARRAY_RULES: dict[str, Rule] = {
     "cumprod": partial_rule("mul"),
     "cummax": partial_rule("max"),
     "cummin": partial_rule("min"),
-    "dot_general": Rule(dot_general, Specification(NUMBER_TYPES, {
+    "dot_general": TranslationRule(dot_general, Specification(NUMBER_TYPES, {
         "dimension_numbers": anything, "precision": same_precision, "preferred_element_type": result_type,
         "out_sharding": absent}, of_one_type)),
 }  # fmt: skip
-"""Rule of each primitive by its name."""
+"""TranslationRule of each primitive by its name."""

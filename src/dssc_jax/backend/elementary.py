@@ -17,7 +17,7 @@ import numpy as np
 from dssc_jax.backend import circular, exponentials
 from dssc_jax.backend.exponentials import is_negative, logarithm, mantissa, width
 from dssc_jax.backend.powers import power
-from dssc_jax.backend.specification import REAL, WHOLE, Rule, Specification, absent, rule
+from dssc_jax.backend.specification import REAL, WHOLE, Specification, TranslationRule, absent, rule
 from dssc_jax.core import numerics
 from dssc_jax.core.numerics import polynomial
 
@@ -132,7 +132,7 @@ def one_minus_square(x: jax.Array) -> jax.Array:
 
 
 @dataclass(frozen=True)
-class RareRule(Rule):
+class RareRule(TranslationRule):
     """A rule with another function for arguments that few lanes have.
 
     Args:
@@ -144,7 +144,7 @@ class RareRule(Rule):
     rarely: Callable[..., Any]
 
 
-def accurate(function: Callable[..., Any]) -> Rule:
+def accurate(function: Callable[..., Any]) -> TranslationRule:
     """The rule of a function whose accuracy may be asked for; any but the default is refused."""
     return rule(function, REAL, accuracy=absent)
 
@@ -159,7 +159,7 @@ def circular_rule(usually: Callable[..., Any], rarely: Callable[..., Any]) -> Ra
     return RareRule(usually, Specification(REAL, {"accuracy": absent}), circular.is_far, rarely)
 
 
-ELEMENTARY: dict[str, Rule] = {
+ELEMENTARY: dict[str, TranslationRule] = {
     "sin": circular_rule(circular.sin, circular.far_sin),
     "cos": circular_rule(circular.cos, circular.far_cos),
     "tan": circular_rule(circular.tan, circular.far_tan),
@@ -179,6 +179,6 @@ ELEMENTARY: dict[str, Rule] = {
     "atan2": rule(angle, REAL),
     "erf_inv": rule(erf_inv, REAL),
     "one_minus_square": rule(one_minus_square, REAL),
-    "pow": Rule(power, Specification(REAL | WHOLE, exact=real_base)),
+    "pow": TranslationRule(power, Specification(REAL | WHOLE, exact=real_base)),
 }
-"""Rule of each function by its primitive's name. A new one takes its definition above and a row here."""
+"""TranslationRule of each function by its primitive's name. A new one takes its definition above and a row here."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from dssc_jax.backend.arrays import Tensor, as_tensor, elementwise, from_tensor
 from dssc_jax.backend.program import Builder, Value
-from dssc_jax.backend.specification import NUMBER_TYPES, SCALARS, Rule, absent, anything, one_of, rule
+from dssc_jax.backend.specification import NUMBER_TYPES, SCALARS, TranslationRule, absent, anything, one_of, rule
 from dssc_jax.backend.unsupported import Unsupported
 
 MOST_SELECTS = 1024  # elements of an array that are chosen from one by one
@@ -211,7 +211,7 @@ def mode_of(*names: str) -> Any:
     return one_of("CLIP", "FILL_OR_DROP", "PROMISE_IN_BOUNDS", *names)
 
 
-def scatter_rule(operation: str) -> Rule:
+def scatter_rule(operation: str) -> TranslationRule:
     """The rule of a scatter."""
     return rule(
         scatter(operation), NUMBER_TYPES if operation else SCALARS, dimension_numbers=unbatched, mode=mode_of(),
@@ -219,7 +219,7 @@ def scatter_rule(operation: str) -> Rule:
     )  # fmt: skip
 
 
-INDEXING_RULES: dict[str, Rule] = {
+INDEXING_RULES: dict[str, TranslationRule] = {
     "gather": rule(
         gather, SCALARS, dimension_numbers=unbatched, slice_sizes=anything, mode=mode_of(), fill_value=anything,
         indices_are_sorted=anything, unique_indices=anything,
@@ -229,4 +229,4 @@ INDEXING_RULES: dict[str, Rule] = {
     "scatter": scatter_rule(""),
     "scatter-add": scatter_rule("add"),
 }  # fmt: skip
-"""Rule of each primitive by its name."""
+"""TranslationRule of each primitive by its name."""

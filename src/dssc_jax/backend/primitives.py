@@ -17,8 +17,8 @@ from dssc_jax.backend.specification import (
     SIGNED_INTEGERS,
     TRUTH,
     WHOLE,
-    Rule,
     Specification,
+    TranslationRule,
     absent,
     anything,
     one_of,
@@ -216,7 +216,7 @@ def rounding(build: Builder, operands: Sequence[Value], params: Mapping[str, Any
     return rounded_by(build, operands[0], params["rounding_method"].name)
 
 
-ELEMENT_RULES: dict[str, Rule] = {
+ELEMENT_RULES: dict[str, TranslationRule] = {
     **{name: rule(same_operation(name), NUMBER_TYPES) for name in ("add", "sub", "neg")},
     **{name: rule(same_operation(name), SCALARS) for name in ("eq", "ne", "lt", "le", "gt", "ge")},
     **{name: rule(larger_or_smaller(name), SCALARS) for name in ("max", "min")},
@@ -238,7 +238,7 @@ ELEMENT_RULES: dict[str, Rule] = {
     "clamp": rule(clamp, NUMBER_TYPES),
     "select_n": rule(select_n, SCALARS),
     "convert_element_type": rule(convert, SCALARS, new_dtype=anything, weak_type=anything, sharding=absent),
-    "bitcast_convert_type": Rule(same_bits, Specification(NUMBER_TYPES, {"new_dtype": anything}, same_width)),
+    "bitcast_convert_type": TranslationRule(same_bits, Specification(NUMBER_TYPES, {"new_dtype": anything}, same_width)),
     "integer_pow": rule(real_power, NUMBER_TYPES, y=anything),
     "square": rule(square, NUMBER_TYPES),
     "rsqrt": rule(reciprocal_root, REAL, accuracy=absent),
@@ -247,7 +247,7 @@ ELEMENT_RULES: dict[str, Rule] = {
     "stop_gradient": rule(same_value, SCALARS),
     "copy": rule(same_value, SCALARS),
     "copy_p": rule(same_value, SCALARS),
-    "reduce_precision": Rule(same_value, Specification(
+    "reduce_precision": TranslationRule(same_value, Specification(
         REAL, {"exponent_bits": anything, "mantissa_bits": anything}, keeps_precision)),
 }  # fmt: skip
-"""Rule of each primitive by its name; its translation is an :data:`ElementRule`."""
+"""TranslationRule of each primitive by its name; its translation is an :data:`ElementRule`."""

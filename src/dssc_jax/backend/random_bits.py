@@ -18,8 +18,8 @@ from dssc_jax.backend.specification import (
     UNSIGNED_INTEGERS,
     WHOLE,
     Condition,
-    Rule,
     Specification,
+    TranslationRule,
     Types,
     anything,
     one_of,
@@ -151,12 +151,12 @@ def of_scalars(equation: Any) -> str | None:
     return "an array of random keys" if any(variable.aval.shape for variable in equation.invars) else None
 
 
-def of_single_key(translate: Callable[..., Any], types: Types, **parameters: Condition) -> Rule:
+def of_single_key(translate: Callable[..., Any], types: Types, **parameters: Condition) -> TranslationRule:
     """A rule for a single key or seed."""
-    return Rule(translate, Specification(types, parameters, of_scalars))
+    return TranslationRule(translate, Specification(types, parameters, of_scalars))
 
 
-RANDOM_RULES: dict[str, Rule] = {
+RANDOM_RULES: dict[str, TranslationRule] = {
     "random_fold_in": of_single_key(fold_in, WHOLE | {KEY}),
     "random_seed": of_single_key(seed, WHOLE | {KEY}, impl=anything),
     "random_bits": of_single_key(bits, UNSIGNED_INTEGERS | {KEY}, bit_width=one_of(8, 16, 32, 64), shape=anything),
@@ -164,4 +164,4 @@ RANDOM_RULES: dict[str, Rule] = {
     "random_unwrap": of_single_key(unwrap, UNSIGNED_INTEGERS | {KEY}),
     "random_wrap": rule(wrap, UNSIGNED_INTEGERS | {KEY}, impl=anything),
 }
-"""Rule of each primitive by its name; a generator is refused by the type of its keys."""
+"""TranslationRule of each primitive by its name; a generator is refused by the type of its keys."""

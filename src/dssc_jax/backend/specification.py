@@ -86,7 +86,7 @@ class Specification:
 
 
 @dataclass(frozen=True)
-class Rule:
+class TranslationRule:
     """A translation beside what it is exact for.
 
     Args:
@@ -98,9 +98,9 @@ class Rule:
     specification: Specification
 
 
-def rule(translate: Callable[..., Any], types: Types | None, **parameters: Condition) -> Rule:
+def rule(translate: Callable[..., Any], types: Types | None, **parameters: Condition) -> TranslationRule:
     """A rule for some types, with the conditions of its parameters."""
-    return Rule(translate, Specification(types, parameters))
+    return TranslationRule(translate, Specification(types, parameters))
 
 
 def element_type(aval: Any) -> Any:

@@ -18,7 +18,7 @@ from dssc_jax.backend.interface import AXIS
 from dssc_jax.backend.primitives import ELEMENT_RULES
 from dssc_jax.backend.program import BOOL, Builder, Program, Recording, Subroutine, Value
 from dssc_jax.backend.random_bits import Key
-from dssc_jax.backend.specification import SCALARS, WHOLE, Rule, absent, anything, require_type, rule
+from dssc_jax.backend.specification import SCALARS, WHOLE, TranslationRule, absent, anything, require_type, rule
 from dssc_jax.backend.unsupported import Unsupported
 from dssc_jax.backend.varying import VaryingResults, is_key, parts_of_scan
 
@@ -112,7 +112,9 @@ class Translator:
         raise Unsupported("no rule for it")
 
     @property
-    def families(self) -> Sequence[tuple[Mapping[str, Rule], Callable[[Any, JaxprEqn, list[Any]], Sequence[Any]]]]:
+    def families(
+        self,
+    ) -> Sequence[tuple[Mapping[str, TranslationRule], Callable[[Any, JaxprEqn, list[Any]], Sequence[Any]]]]:
         """All rules, by the name of their primitive, and how each kind of rule is applied."""
         return (
             (INLINED, self.program),
@@ -125,11 +127,11 @@ class Translator:
             (indexing.INDEXING_RULES, self.array),
         )
 
-    def program(self, chosen: Rule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+    def program(self, chosen: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
         """The results of an equation with inner programs, or over several lanes."""
         return chosen.translate(self, equation, operands)
 
-    def element(self, chosen: Rule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+    def element(self, chosen: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
         """The result of an operation on each element."""
         refuse_recordings(operands)
         dtype = np.dtype(type_of(equation.outvars[0]).dtype)
@@ -139,7 +141,7 @@ class Translator:
 
         return [elementwise(scalar, self.build, operands)]
 
-    def elementary(self, chosen: Rule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+    def elementary(self, chosen: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
         """The result of an elementary function of each element."""
         refuse_recordings(operands)
         types = [np.dtype(type_of(atom).dtype) for atom in equation.invars]
@@ -154,7 +156,7 @@ class Translator:
 
         return [elementwise(usual_or_rare, self.build, operands)]
 
-    def array(self, chosen: Rule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+    def array(self, chosen: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
         """The results of an operation that moves or combines elements."""
         refuse_recordings(operands)
         results = chosen.translate(self.build, operands, equation.params, equation)
