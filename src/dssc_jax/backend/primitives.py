@@ -238,7 +238,8 @@ ELEMENT_RULES: dict[str, TranslationRule] = {
     "clamp": rule(clamp, NUMBER_TYPES),
     "select_n": rule(select_n, SCALARS),
     "convert_element_type": rule(convert, SCALARS, new_dtype=anything, weak_type=anything, sharding=absent),
-    "bitcast_convert_type": TranslationRule(same_bits, Specification(NUMBER_TYPES, {"new_dtype": anything}, same_width)),
+    "bitcast_convert_type": TranslationRule(same_bits, Specification(
+        NUMBER_TYPES, {"new_dtype": anything}, same_width)),
     "integer_pow": rule(real_power, NUMBER_TYPES, y=anything),
     "square": rule(square, NUMBER_TYPES),
     "rsqrt": rule(reciprocal_root, REAL, accuracy=absent),
