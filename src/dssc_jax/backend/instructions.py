@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from dssc_jax.backend.program import BOOL, COMPARISONS, Value
+from dssc_jax.backend.interface import stored_type
+from dssc_jax.backend.program import BOOL, COMPARISONS, Subroutine, Value
 from dssc_jax.backend.signs import is_unsigned
 
 FAST, STRICT = "contract nsz ", ""
@@ -50,7 +51,9 @@ class Instructions:
     tables: list[str] = field(default_factory=list)
     names: dict[tuple[int, bool], str] = field(default_factory=dict)
     declared: set[str] = field(default_factory=set)
+    subroutines: dict[str, tuple[Subroutine, int]] = field(default_factory=dict)
     count: int = 0
+    label: str = "entry"
 
     # Names and types
 
@@ -111,6 +114,17 @@ class Instructions:
         place = self.emit(f"getelementptr ptr, ptr %{array}, i64 {position}", "p")
         return self.emit(f"load ptr, ptr {place}", "p")
 
+    # Basic blocks
+
+    def begin(self, label: str) -> None:
+        """Start a basic block."""
+        self.lines.append(f"{label}:")
+        self.label = label
+
+    def current(self) -> str:
+        """The label of the basic block that is being written."""
+        return self.label
+
     # Operations
 
     def any(self, mask: str) -> str:
@@ -124,15 +138,14 @@ class Instructions:
         wide = self.is_vector(value)
         kind = self.kind(dtype, wide)
         if operation == "input":
-            place = self.emit(
-                f"getelementptr {scalar_type(dtype)}, ptr {self.column('inputs', value.detail)}, i64 %lane"
-            )
-            return self.emit(f"load {kind}, ptr {place}, align {dtype.itemsize}")
+            return self.input(value, wide)
         if operation == "any":
             (mask,) = value.operands
             return self.any(self.read(mask, True)) if self.is_vector(mask) else self.read(mask, False)
         if operation == "lookup":
             return self.lookup(value, wide)
+        if operation == "rarely":
+            return self.rarely(value, wide)
         if operation == "select":
             condition, *cases = value.operands
             chosen = self.is_vector(condition)
@@ -149,6 +162,37 @@ class Instructions:
         if operation in ("max", "min"):
             return self.extreme(operation, value, wide, names)
         return self.arithmetic(operation, dtype, wide, names)
+
+    def input(self, value: Value, wide: bool) -> str:
+        """A number that the lanes are given."""
+        column, dtype = self.column("inputs", value.detail), stored_type(value.dtype)
+        place = self.emit(f"getelementptr {scalar_type(dtype)}, ptr {column}, i64 %lane")
+        stored = self.emit(f"load {self.kind(dtype, wide)}, ptr {place}, align {dtype.itemsize}")
+        return self.from_memory(value.dtype, wide, stored)
+
+    def from_memory(self, dtype: np.dtype, wide: bool, stored: str) -> str:
+        """A value that was loaded; a truth value from its byte."""
+        if dtype != BOOL:
+            return stored
+        return self.compare("ne", stored_type(BOOL), wide, [stored, self.zero(BOOL, wide) if wide else "0"])
+
+    def rarely(self, value: Value, wide: bool) -> str:
+        """A value, or where a condition holds the result of a subroutine, which is called if a lane needs it."""
+        condition, usual, *arguments = value.operands
+        kind, mask = self.kind(value.dtype, wide), self.read(condition, wide)
+        function = f"{value.detail.name}_{self.width if wide else 1}"
+        self.subroutines[function] = value.detail, self.width if wide else 1
+        given = ", ".join(f"{self.kind(x.dtype, wide)} {self.read(x, wide)}" for x in arguments)
+        value_now = self.read(usual, wide)
+        taken = self.any(mask) if wide else mask
+        inside, end, before = self.fresh("rare"), self.fresh("end"), self.current()
+        self.lines.append(f"  br i1 {taken}, label %{inside}, label %{end}, !prof !0")
+        self.begin(inside)
+        rare = self.emit(f"call {kind} @{function}({given})")
+        chosen = self.emit(f"select {self.kind(BOOL, wide)} {mask}, {kind} {rare}, {kind} {value_now}")
+        self.lines.append(f"  br label %{end}")
+        self.begin(end)
+        return self.emit(f"phi {kind} [ {value_now}, %{before} ], [ {chosen}, %{inside} ]")
 
     def arithmetic(self, operation: str, dtype: np.dtype, wide: bool, names: Sequence[str]) -> str:
         """An operation with the type of its operands."""
@@ -194,6 +238,9 @@ class Instructions:
             bits = [(self.kind(integer, wide), self.convert("bitcast", value.dtype, integer, wide, n)) for n in names]
             largest = self.call(f"llvm.smax.{self.suffix(integer, wide)}", bits[0][0], *bits)
             return self.convert("bitcast", integer, value.dtype, wide, largest)
+        if value.dtype.kind == "f" and self.flags == STRICT:  # the larger of zeros is +0
+            function = f"llvm.{operation}imum.{self.suffix(value.dtype, wide)}"
+            return self.call(function, kind, *((kind, name) for name in names))
         first, second = names
         if value.operands[1].operation == "constant":
             first, second = second, first
@@ -228,9 +275,10 @@ class Instructions:
     def lookup(self, value: Value, wide: bool) -> str:
         """An element of a constant table."""
         table, (index,) = value.detail, value.operands
-        scalar, count = scalar_type(value.dtype), table.size
+        dtype = stored_type(value.dtype)
+        scalar, count = scalar_type(dtype), table.size
         name = f"@t{len(self.tables)}"
-        numbers = ", ".join(f"{scalar} {literal(number, value.dtype)}" for number in table)
+        numbers = ", ".join(f"{scalar} {literal(number, dtype)}" for number in table)
         self.tables.append(f"{name} = private constant [{count} x {scalar}] [{numbers}]")
         most = f"{scalar_type(index.dtype)} {count - 1}"  # a loop computes ahead beyond its end
         limit = (self.kind(index.dtype, wide), f"splat ({most})" if wide else str(count - 1))
@@ -238,11 +286,11 @@ class Instructions:
         register = self.call(f"llvm.umin.{self.suffix(index.dtype, wide)}", limit[0], given, limit)
         if not wide:
             place = self.emit(f"getelementptr {scalar}, ptr {name}, {scalar_type(index.dtype)} {register}", "p")
-            return self.emit(f"load {scalar}, ptr {place}")
-        kind, mask = self.kind(value.dtype, True), self.kind(BOOL, True)
+            return self.from_memory(value.dtype, False, self.emit(f"load {scalar}, ptr {place}"))
+        kind, mask = self.kind(dtype, True), self.kind(BOOL, True)
         pointers = f"<{self.width} x ptr>"
         places = self.emit(f"getelementptr {scalar}, ptr {name}, {self.kind(index.dtype, True)} {register}", "p")
-        function = f"llvm.masked.gather.{self.suffix(value.dtype, True)}.v{self.width}p0"
+        function = f"llvm.masked.gather.{self.suffix(dtype, True)}.v{self.width}p0"
         self.declared.add(f"declare {kind} @{function}({pointers}, {mask}, {kind})")
-        arguments = f"{pointers} align {value.dtype.itemsize} {places}, {mask} splat (i1 true), {kind} poison"
-        return self.emit(f"call {kind} @{function}({arguments})")
+        arguments = f"{pointers} align {dtype.itemsize} {places}, {mask} splat (i1 true), {kind} poison"
+        return self.from_memory(value.dtype, True, self.emit(f"call {kind} @{function}({arguments})"))

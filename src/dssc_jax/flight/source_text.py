@@ -25,7 +25,7 @@ from dssc_jax.study import Study
 def source_text(study: Study, controllers: Sequence[SampledController], certificate: str) -> str:
     """The source: the functions of every channel."""
     real = controllers[0].real
-    functions, helpers, tables = [], {}, []
+    functions, helpers, tables, subroutines = [], {}, {}, {}
     for controller in controllers:
         written = [start_function(study, controller)] if controller.states else []
         written.append(step_function(study, controller))
@@ -33,7 +33,8 @@ def source_text(study: Study, controllers: Sequence[SampledController], certific
             written.append(bumpless_function(study, controller, controller.transfer))
         for _, text in written:
             helpers |= dict.fromkeys(text.notation.helpers())
-            tables += text.tables
+            tables |= dict.fromkeys(text.tables)
+            subroutines |= text.functions
         functions += [init_functions(study, controller), check_function(study, controller)]
         functions += [function for function, _ in written]
     kind, suffix = c_type(real), "F" if real.itemsize == 4 else ""
@@ -53,6 +54,7 @@ def source_text(study: Study, controllers: Sequence[SampledController], certific
         sample_time,
         *tables,
         *(helper for helper in helpers),
+        *subroutines.values(),
         finite,
         *functions,
     ]
