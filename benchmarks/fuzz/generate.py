@@ -1,0 +1,71 @@
+"""Programs from seeds: each operation alone in every type, then random ones of 1 to 12 operations."""
+
+import numpy as np
+
+from benchmarks.fuzz.draft import Draft, Misfit
+from benchmarks.fuzz.program import Program
+from benchmarks.fuzz.recipes import RECIPES, SELDOM, UNUSUAL
+from benchmarks.fuzz.values import TYPES
+
+VARIANTS = 12
+"""Programs of each operation and type."""
+
+NAMES = tuple(RECIPES)
+SINGLES = len(NAMES) * len(TYPES) * VARIANTS
+"""Seeds of programs of one operation; those beyond make random programs."""
+
+MOST_OPERATIONS = 12
+MOST_OUTPUTS = 4
+
+
+def generate(seed: int) -> Program | None:
+    """The program of a seed; None if JAX has no such operation for its type."""
+    rng = np.random.default_rng([seed, 38])
+    return single(seed, rng) if seed < SINGLES else several(rng)
+
+
+def single(seed: int, rng: np.random.Generator) -> Program | None:
+    """One operation in one type."""
+    rest, _ = divmod(seed, VARIANTS)
+    name, dtype = NAMES[rest // len(TYPES)], TYPES[rest % len(TYPES)]
+    draft = Draft(rng)
+    for _ in range(3):
+        try:
+            number = RECIPES[name](draft, dtype)
+        except Misfit:
+            continue
+        program = draft.program([number])
+        return program if program.inputs else None
+    return None
+
+
+def several(rng: np.random.Generator) -> Program:
+    """A random program; what nobody reads of it is returned."""
+    common = [dtype for dtype in TYPES if dtype not in SELDOM]
+    weights = np.array([8.0 if dtype == "float64" else 3.0 if dtype == "float32" else 1.0 for dtype in common])
+    usual = [name for name in NAMES if name not in UNUSUAL]
+    while True:
+        draft, wanted = Draft(rng), int(rng.integers(1, MOST_OPERATIONS + 1))
+        main, made = rng.choice(common, 3, p=weights / weights.sum()), 0
+        for _ in range(10 * wanted):
+            if made == wanted:
+                break
+            name = str(rng.choice(usual if rng.random() < 0.995 else NAMES))
+            dtype = str(rng.choice(main) if rng.random() < 0.99 else rng.choice(TYPES))
+            try:
+                RECIPES[name](draft, dtype)
+                made += 1
+            except Misfit:
+                continue
+        outputs = unread(draft)
+        if outputs and draft.wanted:
+            program = draft.program(outputs[-MOST_OUTPUTS:])
+            if program.inputs:
+                return program
+
+
+def unread(draft: Draft) -> list[int]:
+    """Results that no operation reads, but constants."""
+    read = {operand for node in draft.nodes for operand in node.operands}
+    numbers = range(1000, draft.fresh)
+    return [i for i, node in zip(numbers, draft.nodes, strict=True) if i not in read and node.operation != "constant"]
