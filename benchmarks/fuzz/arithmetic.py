@@ -82,12 +82,12 @@ FUNCTIONS: dict[str, Callable[..., Column]] = {
     "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan, "sinh": np.sinh, "cosh": np.cosh,
     "tanh": np.tanh, "asinh": np.arcsinh, "acosh": np.arccosh, "atanh": np.arctanh, "cbrt": np.cbrt,
     "logistic": lambda x: 1 / (1 + np.exp(-x)), "pow": np.power, "atan2": np.arctan2,
-    "erf_inv": lambda x: special.erfinv(x.astype(np.float64)).astype(EXTENDED),
+    "erf_inv": lambda x: np.copysign(special.erfinv(x.astype(np.float64)), x).astype(EXTENDED),
 }  # fmt: skip
 """Elementary functions, for operands in extended precision."""
 
 UNITS = {"tan": 4, "expm1": 3, "tanh": 4, "atan": 3, "asin": 3, "acos": 4, "erf_inv": 6, "sinh": 4, "cosh": 4,
-         "logistic": 4, "atan2": 4, "pow": 4, "exp2": 3, "log2": 4}  # fmt: skip
+         "logistic": 4, "atan2": 4, "pow": 4, "exp2": 4}  # fmt: skip
 """Units in the last place within which a function is right; 2 for every other."""
 
 
@@ -102,10 +102,10 @@ def function_value(name: str, operands: list[Column], dtype: np.dtype) -> tuple[
 
 def function_units(name: str, operands: list[Column]) -> Column | int:
     """The units in the last place within which a function is right; those of a power grow with its exponent."""
-    if name in ("pow", "exp2"):
-        x, y = operands if name == "pow" else (np.full_like(operands[0], 2.0), operands[0])
-        size = np.abs(y.astype(np.float64) * np.log(np.abs(x.astype(np.float64))))
-        return np.minimum(np.where(np.isfinite(size), UNITS[name] + np.ceil(size), UNITS[name]), 2000).astype(np.int64)
+    if name == "pow":
+        x, y = (operand.astype(np.float64) for operand in operands)
+        size = np.where(np.isfinite(x) & np.isfinite(y) & (x != 0), 2.0 * np.abs(y * np.log(np.abs(x))), 0.0)
+        return UNITS[name] + np.minimum(np.ceil(size), 2000).astype(np.int64)
     return UNITS.get(name, 2)
 
 
