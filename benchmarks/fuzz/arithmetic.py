@@ -53,11 +53,6 @@ def rounded(params: dict[str, Any], x: Column) -> Column:
     return np.rint(x) if params["method"] == "TO_NEAREST_EVEN" else away_from_zero(x)
 
 
-def converted(params: dict[str, Any], x: Column) -> Column:
-    """Another floating-point type, or whether a number is not zero."""
-    return x != 0 if params["dtype"] == "bool" else x.astype(params["dtype"])
-
-
 def simple(function: Callable[..., Column]) -> Callable[..., Column]:
     """A function without parameters."""
     return lambda params, *operands: function(*operands)
@@ -72,7 +67,7 @@ EXACT: dict[str, Callable[..., Column]] = {
     "clamp": simple(lambda low, x, high: smallest(largest(x, low), high)),
     "eq": simple(np.equal), "ne": simple(np.not_equal), "lt": simple(np.less), "le": simple(np.less_equal),
     "gt": simple(np.greater), "ge": simple(np.greater_equal), "stop_gradient": simple(lambda x: x),
-    "round": rounded, "convert": converted, "integer_pow": lambda params, x: whole_power(x, params["y"]),
+    "round": rounded, "integer_pow": lambda params, x: whole_power(x, params["y"]),
     "rsqrt": simple(lambda x: np.ones_like(x) / np.sqrt(x)),
 }  # fmt: skip
 """Operations in the precision of their operands."""

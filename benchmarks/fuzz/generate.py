@@ -14,7 +14,8 @@ NAMES = tuple(RECIPES)
 SINGLES = len(NAMES) * len(TYPES) * VARIANTS
 """Seeds of programs of one operation; those beyond make random programs."""
 
-MOST_OPERATIONS = 12
+SIZES = np.arange(1, 13)
+"""Numbers of operations of a random program, small ones more often."""
 MOST_OUTPUTS = 4
 
 
@@ -45,7 +46,7 @@ def several(rng: np.random.Generator) -> Program:
     weights = np.array([8.0 if dtype == "float64" else 3.0 if dtype == "float32" else 1.0 for dtype in common])
     usual = [name for name in NAMES if name not in UNUSUAL]
     while True:
-        draft, wanted = Draft(rng), int(rng.integers(1, MOST_OPERATIONS + 1))
+        draft, wanted = Draft(rng), int(rng.choice(SIZES, p=1.0 / SIZES / (1.0 / SIZES).sum()))
         main, made = rng.choice(common, 3, p=weights / weights.sum()), 0
         for _ in range(10 * wanted):
             if made == wanted:

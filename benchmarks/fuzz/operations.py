@@ -101,7 +101,8 @@ def switch(params: Parameters, which: Any, *operands: Any) -> Any:
 def fori(params: Parameters, begin: Any, *constants: Any) -> Any:
     """A loop of a fixed number of turns; its body reads the turn, the state and what is constant."""
     body = traceable(params["body"])
-    return lax.fori_loop(0, params["turns"], lambda k, state: body(jnp.int32(k), state, *constants)[0], begin)
+    turns = np.int32(params["turns"])
+    return lax.fori_loop(np.int32(0), turns, lambda k, state: body(k, state, *constants)[0], begin)
 
 
 def while_loop(params: Parameters, limit: Any, begin: Any, *constants: Any) -> Any:
@@ -141,7 +142,7 @@ def random_number(params: Parameters, seed: Any) -> Any:
 
 
 OPERATIONS: dict[str, Callable[..., Any]] = {
-    "constant": lambda params: params["value"],
+    "constant": lambda params: jnp.asarray(params["value"]),  # what is NumPy's, JAX computes by NumPy
     **{name: plain(getattr(lax, name)) for name in (*UNARY, *BINARY) if hasattr(lax, name)},
     "clamp": plain(lax.clamp),
     "select_n": plain(lax.select_n),

@@ -46,12 +46,14 @@ class Program:
         slots: Which column of its type each input reads; empty for an inner program.
         nodes: The operations.
         outputs: Numbers of the values that are returned.
+        lane: See :func:`scalars`; None until it is asked for.
     """
 
     inputs: list[Kind] = field(default_factory=list)
     slots: list[int] = field(default_factory=list)
     nodes: list[Node] = field(default_factory=list)
     outputs: list[int] = field(default_factory=list)
+    lane: Any = None
 
     def kinds(self) -> list[Kind]:
         """Type and shape of each value."""
@@ -72,7 +74,9 @@ def traceable(program: Program) -> Any:
 
 
 def scalars(program: Program) -> Any:
-    """The program as a lane: an array that it returns becomes its elements."""
+    """The program as a lane, which JAX traces once: an array that it returns becomes its elements."""
+    if program.lane is not None:
+        return program.lane
     inner = traceable(program)
 
     def lane(*arguments: Any) -> list[Any]:
@@ -81,10 +85,13 @@ def scalars(program: Program) -> Any:
             if np.ndim(value) == 0:
                 results.append(value)
             else:
-                results += [value[position] for position in np.ndindex(*np.shape(value))]
+                flat = jax.lax.reshape(value, (np.size(value),))
+                parts = (jax.lax.slice(flat, (i,), (i + 1,)) for i in range(np.size(value)))
+                results += [jax.lax.squeeze(part, (0,)) for part in parts]
         return results
 
-    return lane
+    program.lane = jax.jit(lane)
+    return program.lane
 
 
 def all_nodes(program: Program) -> Sequence[Node]:

@@ -253,7 +253,9 @@ def random_number(draft: Draft, dtype: str) -> int:
     way = draft.pick(("bits", "folded", "split", "uniform", "several", "normal"))
     if way in ("uniform", "normal") and not is_float(dtype):
         raise Misfit(way)
-    return draft.add("random", [draft.scalar(draft.pick(("uint32", "int32", "int64", "uint8")))], way=way, dtype=dtype)
+    params = {"dtype": dtype} if way in ("bits", "uniform", "normal") else {}
+    seed = draft.scalar("uint32" if draft.chance(0.7) else draft.pick(("int32", "int64", "uint8")))
+    return draft.add("random", [seed], way=way, **params)
 
 
 RECIPES: dict[str, Recipe] = {

@@ -14,15 +14,13 @@ import numpy as np
 from benchmarks.fuzz import sums
 from benchmarks.fuzz.arithmetic import EXACT, FUNCTIONS, function_units, function_value, stepped
 from benchmarks.fuzz.draft import signature
-from benchmarks.fuzz.moving import MOVING
+from benchmarks.fuzz.moving import MOVING, scatter
 from benchmarks.fuzz.operations import OPERATIONS
 from benchmarks.fuzz.program import Kind, Node, Program
 from benchmarks.fuzz.values import MAIN
+from benchmarks.fuzz.whole import NUMPY, WHOLE, bitcast, converted
 
 REPLICAS = 8
-COPYING = {"gather", "dynamic_slice", "dynamic_update_slice", "bitcast"}
-"""Operations that move numbers without arithmetic."""
-
 FAST_UNITS = {"add": 1, "sub": 1, "mul": 2, "div": 2, "square": 2, "reciprocal": 2, "sqrt": 1}
 """Units in the last place by which contraction and regrouping change an operation, in fast arithmetic."""
 
@@ -63,15 +61,23 @@ class Referee:
         """The result of an operation on a batch."""
         name, params = node.operation, node.params
         if name in ("constant", "iota"):
-            number = np.asarray(OPERATIONS[name](params))
+            number = params["value"] if name == "constant" else np.arange(params["size"]).astype(params["dtype"])
             return np.broadcast_to(number, (count, *number.shape))
         if name in CONTROL:
             return CONTROL[name](self, params, operands)
         if name in MOVING:
             return MOVING[name](params, *operands)
         kinds = {operand.dtype.name for operand in operands}
-        real = bool(kinds & set(MAIN))
         plain = kinds <= set(MAIN) and node.kind.dtype in (*MAIN, "bool")
+        if name == "scatter" and kinds <= {*MAIN, *NUMPY}:
+            value = scatter(params, *operands)
+            if not self.fast or params["name"] == "scatter":
+                return value
+            return self.signless(self.within(value, sums.scattered_error(operands)))
+        if name == "convert" and {*kinds, node.kind.dtype} <= {*MAIN, *NUMPY}:
+            return converted(params, operands[0])
+        if name in WHOLE and kinds <= set(NUMPY) and node.kind.dtype in NUMPY:
+            return WHOLE[name](params, *operands)
         if plain and name in EXACT:
             return self.exact(name, params, operands)
         if name in FUNCTIONS and operands[0].dtype.name in MAIN:
@@ -79,12 +85,11 @@ class Referee:
         if plain and name in sums.RULES and not params.get("preferred"):
             value, error, unclear = sums.RULES[name](params, *operands)
             return self.unclear(self.signless(self.within(value, error)), unclear)
+        if name == "bitcast":
+            value = bitcast(params, operands[0])
+            return self.bits_of_nan(operands[0], kernel(node, operands) if value is None else value)
         value = kernel(node, operands)
-        if name == "bitcast" and real:
-            return self.bits_of_nan(operands[0], value)
-        if name in COPYING or not (real or node.kind.dtype in MAIN):
-            return value
-        return self.by_kernel(node, operands, value)
+        return self.by_kernel(node, operands, value) if {*kinds, node.kind.dtype} & set(MAIN) else value
 
     def exact(self, name: str, params: dict[str, Any], operands: list[np.ndarray]) -> np.ndarray:
         """An operation in the arithmetic of the machine; fast arithmetic may change its last bits."""
@@ -121,11 +126,7 @@ class Referee:
             if node.params["way"] == "normal":
                 return self.disturbed(value, 64, np.zeros(value.shape, bool), np.zeros(value.shape, bool))
             return value
-        if node.operation == "scatter" and node.params["name"] in ("scatter_add", "scatter_mul", "scatter_sub"):
-            value = self.within(value, sums.scattered_error(operands))
-        if node.operation == "convert" or value.dtype.name not in MAIN:
-            return self.unclear(value, touched) if node.operation != "convert" else value
-        if node.operation not in ("scatter", "convert"):
+        if value.dtype.name in MAIN and node.operation != "convert":
             never = np.zeros(value.shape, bool)
             value = self.signless(self.disturbed(value, 4, never, never))
         return self.unclear(value, touched)
@@ -185,7 +186,9 @@ class Referee:
 
     def bits_of_nan(self, operand: np.ndarray, value: np.ndarray) -> np.ndarray:
         """NaN has no bits that anybody promises."""
-        missing = np.isnan(operand.astype(np.float64)) if operand.dtype.kind != "c" else np.isnan(operand)
+        if operand.dtype.name in NUMPY:
+            return value
+        missing = np.isnan(operand if operand.dtype.kind == "c" else operand.astype(np.float64))
         missing = missing.reshape(len(value), -1).any(1)
         if self.replicas == 1 or not missing.any() or value.dtype.kind not in "iu":
             return value
@@ -213,12 +216,6 @@ def chosen(mask: np.ndarray, one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return np.where(mask.reshape(mask.shape + (1,) * (one.ndim - mask.ndim)), one, other)
 
 
-def as_int32(column: np.ndarray) -> np.ndarray:
-    """An integer column as JAX converts it."""
-    node = Node("convert", (0,), {"dtype": "int32"}, Kind("int32"))
-    return kernel(node, [column]) if column.dtype != np.int32 else column
-
-
 def call(referee: Referee, params: dict[str, Any], operands: list[np.ndarray]) -> np.ndarray:
     return referee.evaluated(params["body"], operands)[0]
 
@@ -232,7 +229,7 @@ def cond(referee: Referee, params: dict[str, Any], operands: list[np.ndarray]) -
 def switch(referee: Referee, params: dict[str, Any], operands: list[np.ndarray]) -> np.ndarray:
     which, *rest = operands
     sides = [referee.evaluated(side, rest)[0] for side in params["sides"]]
-    number = np.clip(as_int32(which), 0, len(sides) - 1)
+    number = np.clip(which.astype(np.int32), 0, len(sides) - 1)
     value = sides[-1]
     for i, side in enumerate(sides[:-1]):
         value = chosen(number == i, side, value)
@@ -249,7 +246,7 @@ def fori(referee: Referee, params: dict[str, Any], operands: list[np.ndarray]) -
 
 def while_loop(referee: Referee, params: dict[str, Any], operands: list[np.ndarray]) -> np.ndarray:
     limit, state, *constants = operands
-    most = as_int32(limit) & 7
+    most = limit.astype(np.int32) & 7
     for k in range(7):
         turn = np.full(len(state), k, np.int32)
         after = referee.evaluated(params["body"], [turn, state, *constants])[0]

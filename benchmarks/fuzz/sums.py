@@ -19,7 +19,7 @@ def axes_of(params: dict[str, Any]) -> tuple[int, ...]:
 def judged_sum(total: np.ndarray, size: np.ndarray, terms: int, dtype: np.dtype) -> Judged:
     """A sum in extended precision, and the sum of its terms' magnitudes."""
     limits = np.finfo(dtype)
-    error = size.astype(np.float64) * terms * float(limits.eps) + terms * float(limits.smallest_subnormal)
+    error = (size * (terms * EXTENDED(limits.eps)) + terms * EXTENDED(limits.smallest_subnormal)).astype(np.float64)
     unclear = np.isfinite(size) & (size > 0.5 * EXTENDED(limits.max))
     exact = np.isnan(total) | np.isinf(total) | (size == 0)
     return total.astype(dtype), np.where(exact, 0.0, error), unclear & ~np.isnan(total)
@@ -38,7 +38,7 @@ def judged_product(product: np.ndarray, exponents: np.ndarray, terms: int, axis:
     down = np.minimum(exponents, 0.0).sum(axis) < limits.minexp + 2
     value = product.astype(dtype)
     with np.errstate(all="ignore"):
-        error = np.abs(value.astype(np.float64)) * terms * float(limits.eps)
+        error = np.abs(value.astype(np.float64)) * (terms * float(limits.eps))
     return value, np.where(np.isfinite(error), error, 0.0), (up | down) & ~np.isnan(product)
 
 
