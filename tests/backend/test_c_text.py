@@ -32,6 +32,31 @@ def elementary(x, y):
     return jnp.exp(x) + jnp.log(jnp.abs(y)) * jnp.sin(x) + jnp.tanh(y) + jnp.log1p(jnp.abs(x)) * jnp.expm1(y)
 
 
+def angles(x, y):
+    """Also of numbers with many turns."""
+    return jnp.sin(x * 1e7) + jnp.cos(y) * jnp.tan(x) + jnp.arctan2(x, y)
+
+
+def powers(x, y):
+    return jnp.power(jnp.abs(x), y) + jnp.exp2(x) - jnp.sinh(y)
+
+
+def zeros(x, y):
+    """The signs of the larger and the smaller of two zeros."""
+    a, b = jnp.where(x < 0.0, -0.0, 0.0), jnp.where(y < 0.0, -0.0, 0.0)
+    return sum(2.0**i * jnp.clip(1.0 / zero, -1.0, 1.0) for i, zero in enumerate((
+        jnp.maximum(a, b), jnp.minimum(a, b), jnp.maximum(a, 0.0), jnp.minimum(b, -0.0))))  # fmt: skip
+
+
+def words(x, y):
+    """Conversions, quotients and shifts, where C leaves much to the compiler."""
+    n, m = x.astype(jnp.int32), y.astype(jnp.int32)
+    wide = jax.lax.bitcast_convert_type(n, jnp.uint32)
+    quotients = jax.lax.div(n, m) + jax.lax.rem(n, m) * 3 + jax.lax.div(jnp.int32(-(2**31)), m)
+    shifts = jax.lax.shift_left(n, m) ^ jax.lax.shift_right_arithmetic(n, m) ^ jax.lax.shift_right_logical(n, m)
+    return (quotients ^ shifts).astype(x.dtype) + (wide >> 3).astype(jnp.int32).astype(x.dtype)
+
+
 def associated(x, y):
     return x - (y - (x - y)) * (x / (y / x)) + (x + (y + 1.5)) - -x * -(y - x)
 
@@ -77,7 +102,7 @@ def swapped(x, y):
 
 
 FUNCTIONS = [
-    rounding, signs_of_zero, elementary, associated, extremes, logic, integers, table, newton, sided, swapped,
+    rounding, signs_of_zero, elementary, angles, powers, zeros, words, associated, extremes, logic, integers, table, newton, sided, swapped,
 ]  # fmt: skip
 
 
@@ -104,6 +129,7 @@ def compiled_in_c(function, real, folder):
     source = "\n".join(
         [
             "#include <math.h>", "#include <stdbool.h>", "#include <stdint.h>", *text.tables, *text.notation.helpers(),
+            *text.functions.values(),
             f"static {kind} one({kind} x, {kind} y)", "{", "    (void)x;", "    (void)y;", body, "}",
             f"void all(const {kind} *x, const {kind} *y, {kind} *z, int count);",
             f"void all(const {kind} *x, const {kind} *y, {kind} *z, int count)", "{",

@@ -79,12 +79,20 @@ class Ahead(Instructions):
     """
 
     def __init__(self, lanes: Instructions, chosen: AheadPlan, window: int) -> None:
-        super().__init__(TURNS, lanes.flags, lanes.lines, lanes.tables, {}, lanes.declared)
+        super().__init__(TURNS, lanes.flags, lanes.lines, lanes.tables, {}, lanes.declared, lanes.subroutines)
         self.lanes, self.chosen, self.window, self.buffers = lanes, chosen, window, dict[int, str]()
 
     def fresh(self, prefix: str = "v") -> str:
         """A new name."""
         return self.lanes.fresh(prefix)
+
+    def begin(self, label: str) -> None:
+        """Start a basic block of the lanes."""
+        self.lanes.begin(label)
+
+    def current(self) -> str:
+        """The label of the basic block of the lanes."""
+        return self.lanes.current()
 
     def is_vector(self, value: Value) -> bool:
         """Every value is computed as a vector."""

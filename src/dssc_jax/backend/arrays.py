@@ -1,22 +1,33 @@
 """Small arrays within a lane: moved element by element at translation, so that only arithmetic is left to run.
 
-An array of values is a NumPy array of objects. An array that is known before the run keeps its numbers; if it is read
-at an index that is only known in the run, it becomes a table in memory. Any other array read so is a chain of selects.
+An array of values is a NumPy array of objects. An array that is known before the run keeps its numbers.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import reduce
-from itertools import pairwise, product
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from dssc_jax.backend.program import Builder, Value
+from dssc_jax.backend.specification import (
+    MOVABLE,
+    NUMBERS,
+    SCALARS,
+    TRUTH,
+    WHOLE,
+    Rule,
+    Specification,
+    absent,
+    anything,
+    element_type,
+    result_type,
+    rule,
+)  # fmt: skip
 from dssc_jax.backend.unsupported import Unsupported
 
 Tensor = np.ndarray
-MOST_SELECTS = 1024  # elements of an array that are chosen from one by one
-INDEX_TYPE = np.dtype(np.int32)
 
 
 def as_tensor(value: Any, build: Builder) -> Tensor:
@@ -45,177 +56,6 @@ def elementwise(function: Callable[..., Any], build: Builder, operands: Sequence
     for position in np.ndindex(results.shape):
         results[position] = function(*(tensor[position] for tensor in tensors))
     return results
-
-
-def element(build: Builder, table: Tensor, position: Value) -> Value:
-    """The element of a flat array at a position of the run, which lies within it."""
-    if position.operation == "constant":
-        return from_tensor(as_tensor(table[int(position.detail)], build)) if table.dtype != object else table[
-            int(position.detail)]  # fmt: skip
-    if table.dtype != object:
-        return build.add("lookup", position, dtype=table.dtype, detail=table)
-    if table.size > MOST_SELECTS:
-        raise Unsupported(f"an array of {table.size} numbers that change, read at an index")
-    chosen = table[-1]
-    for number in range(table.size - 2, -1, -1):
-        chosen = build.add("select", build.add("le", position, build.constant(number, position.dtype)), table[number],
-                           chosen)  # fmt: skip
-    return chosen
-
-
-def row(build: Builder, table: Any, at: Value) -> Any:
-    """A row of an array at an index of the run."""
-    inner, count = table.shape[1:], int(np.prod(table.shape[1:]))
-    columns = table.reshape(table.shape[0], count)
-    elements = np.empty(count, object)
-    for column in range(count):
-        elements[column] = element(build, np.ascontiguousarray(columns[:, column]), at)
-    return from_tensor(elements.reshape(inner))
-
-
-def clipped(build: Builder, start: Value, most: int) -> Value:
-    """An index within 0 .. most, as a signed number."""
-    kind = INDEX_TYPE if start.dtype.itemsize <= 4 else np.dtype(np.int64)
-    if start.dtype.kind == "u":  # beyond the largest signed number: the end
-        start = build.add("min", start, build.constant(most, start.dtype))
-    start = build.add("convert", start, dtype=kind)
-    return build.add("min", build.add("max", start, build.constant(0, kind)), build.constant(most, kind))
-
-
-def window(build: Builder, operand: Any, starts: Sequence[Value], sizes: Sequence[int]) -> Tensor:
-    """A part of an array of fixed size that begins at indices of the run; moved inside if it would reach beyond."""
-    varied = [axis for axis, start in enumerate(starts) if operand.shape[axis] > sizes[axis]]
-    limits = [size - part for size, part in zip(operand.shape, sizes, strict=True)]
-    flat_start: Value | None = None
-    for axis in varied:
-        start = clipped(build, starts[axis], limits[axis])
-        start = build.add("convert", start, dtype=INDEX_TYPE)
-        stride = int(np.prod([limits[later] + 1 for later in varied if later > axis]))
-        part = build.add("mul", start, build.constant(stride, INDEX_TYPE))
-        flat_start = part if flat_start is None else build.add("add", flat_start, part)
-    result = np.empty(tuple(sizes), object)
-    for position in np.ndindex(*sizes):
-        candidates = operand[tuple(
-            slice(at, at + limit + 1) for at, limit in zip(position, limits, strict=True))]  # fmt: skip
-        flat = np.ascontiguousarray(candidates).reshape(-1)
-        result[position] = element(build, flat, build.constant(0, INDEX_TYPE) if flat_start is None else flat_start)
-    return result
-
-
-def index_rows(build: Builder, indices: Any) -> list[list[Value]]:
-    """The index vectors of a gather or scatter, one for each of its points."""
-    tensor = as_tensor(indices, build)
-    return [list(vector) for vector in tensor.reshape(-1, tensor.shape[-1])]
-
-
-def gather(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
-    """Windows of an array at indices of the run."""
-    operand, indices = operands
-    numbers, sizes = params["dimension_numbers"], params["slice_sizes"]
-    if numbers.operand_batching_dims or not isinstance(operand, np.ndarray):
-        raise Unsupported("a batched gather")
-    mode = getattr(params["mode"], "name", str(params["mode"]))
-    fill = mode == "FILL_OR_DROP"
-    points, zero = [], build.constant(0, INDEX_TYPE)
-    for vector in index_rows(build, indices):
-        starts = [zero] * operand.ndim
-        for axis, start in zip(numbers.start_index_map, vector, strict=True):
-            starts[axis] = start
-        part = window(build, operand, starts, sizes)
-        if fill:
-            inside = lies_within(build, operand.shape, starts, sizes)
-            missing = filler(build, params["fill_value"], np.dtype(equation.outvars[0].aval.dtype))
-            part = elementwise(lambda x, inside=inside, missing=missing: build.add("select", inside, x, missing),
-                               build, [part])  # fmt: skip
-        points.append(np.squeeze(part, tuple(numbers.collapsed_slice_dims)))
-    stacked = np.empty((len(points), *points[0].shape), object)
-    for i, part in enumerate(points):
-        stacked[i] = from_tensor(part)
-    shape = equation.outvars[0].aval.shape
-    batch = [axis for axis in range(len(shape)) if axis not in numbers.offset_dims]
-    grid = stacked.reshape((*(shape[axis] for axis in batch), *points[0].shape))
-    return from_tensor(np.transpose(grid, np.argsort([*batch, *numbers.offset_dims])) if shape else grid)
-
-
-def lies_within(build: Builder, shape: Sequence[int], starts: Sequence[Value], sizes: Sequence[int]) -> Value:
-    """Whether a window lies within an array."""
-    inside = build.constant(True, np.dtype(bool))
-    for size, start, part in zip(shape, starts, sizes, strict=True):
-        for operation, bound in (("ge", 0), ("le", size - part)):
-            inside = build.add("and", build.add(operation, start, build.constant(bound, start.dtype)), inside)
-    return inside
-
-
-def filler(build: Builder, fill: Any, dtype: np.dtype) -> Value:
-    """What an index beyond an array reads."""
-    if fill is None:
-        fill = {"f": np.nan, "i": np.iinfo(dtype).min, "u": np.iinfo(dtype).max}[dtype.kind] if dtype.kind in (
-            "iu") else (np.nan if dtype.kind == "f" else True)  # fmt: skip
-    return build.constant(fill, dtype)
-
-
-def replaced(
-    build: Builder, operand: Tensor, starts: Sequence[Value], update: Tensor, combine: Callable[[Value, Value], Value]
-) -> Tensor:
-    """An array with a window combined with other values, at indices of the run that lie within it."""
-    if operand.size * update.size > MOST_SELECTS * 16:
-        raise Unsupported(f"{update.size} of {operand.size} numbers written at an index")
-    result = operand.copy()
-    for offset in np.ndindex(update.shape):
-        choices = [
-            range(at, at + size - part + 1) for at, size, part in zip(offset, operand.shape, update.shape, strict=True)
-        ]
-        for position in product(*choices):
-            here = build.constant(True, np.dtype(bool))
-            for axis, at in enumerate(position):
-                start = build.constant(at - offset[axis], starts[axis].dtype)
-                here = build.add("and", build.add("eq", starts[axis], start), here)
-            old: Any = result[position]
-            new: Any = update[offset]
-            result[position] = build.add("select", here, combine(old, new), old)
-    return result
-
-
-def dynamic_slice(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
-    """A window of an array."""
-    operand, *starts = operands
-    return window(build, operand, starts, params["slice_sizes"])
-
-
-def dynamic_update_slice(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
-    """An array with a window replaced."""
-    operand, update, *starts = operands
-    target, new = as_tensor(operand, build), as_tensor(update, build)
-    limits = [size - part for size, part in zip(target.shape, new.shape, strict=True)]
-    inside = [clipped(build, start, limit) for start, limit in zip(starts, limits, strict=True)]
-    return replaced(build, target, inside, new, lambda old, new: new)
-
-
-def scatter(operation: str) -> Callable[[Builder, Sequence[Any], Mapping[str, Any], Any], Any]:
-    """An array with windows combined with others, at indices of the run."""
-
-    def rule(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
-        operand, indices, updates = operands
-        numbers = params["dimension_numbers"]
-        if numbers.operand_batching_dims:
-            raise Unsupported("a batched scatter")
-        target, new = as_tensor(operand, build), as_tensor(updates, build)
-        vectors = index_rows(build, indices)
-        batch = [axis for axis in range(new.ndim) if axis not in numbers.update_window_dims]
-        windows = np.transpose(new, [*batch, *numbers.update_window_dims])
-        windows = windows.reshape(len(vectors), *(new.shape[axis] for axis in numbers.update_window_dims))
-        mode = getattr(params["mode"], "name", str(params["mode"]))
-        for i, vector in enumerate(vectors):
-            update = np.expand_dims(windows[i], tuple(numbers.inserted_window_dims))
-            starts = [build.constant(0, INDEX_TYPE)] * target.ndim
-            for axis, start in zip(numbers.scatter_dims_to_operand_dims, vector, strict=True):
-                limit = target.shape[axis] - update.shape[axis]
-                starts[axis] = clipped(build, start, limit) if mode == "CLIP" else start
-            target = replaced(build, target, starts, update, lambda old, new: (
-                build.add(operation, old, new) if operation else new))  # fmt: skip
-        return target
-
-    return rule
 
 
 def broadcast(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
@@ -253,6 +93,31 @@ def strided(operand: Tensor, params: Mapping[str, Any]) -> Tensor:
     strides = params["strides"] or [1] * operand.ndim
     parts = zip(params["start_indices"], params["limit_indices"], strides, strict=True)
     return operand[tuple(slice(start, stop, step) for start, stop, step in parts)]
+
+
+def reshaped(operand: Tensor, params: Mapping[str, Any]) -> Tensor:
+    """The same elements in another shape."""
+    return operand.reshape(params["new_sizes"])
+
+
+def squeezed(operand: Tensor, params: Mapping[str, Any]) -> Tensor:
+    """Without axes of size 1."""
+    return np.squeeze(operand, tuple(params["dimensions"]))
+
+
+def expanded(operand: Tensor, params: Mapping[str, Any]) -> Tensor:
+    """With new axes of size 1."""
+    return np.expand_dims(operand, tuple(params["dimensions"]))
+
+
+def transposed(operand: Tensor, params: Mapping[str, Any]) -> Tensor:
+    """With its axes in another order."""
+    return np.transpose(operand, params["permutation"])
+
+
+def reversed_along(operand: Tensor, params: Mapping[str, Any]) -> Tensor:
+    """Backwards along some axes."""
+    return np.flip(operand, params["dimensions"])
 
 
 def concatenate(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
@@ -336,7 +201,8 @@ def dot_general(build: Builder, operands: Sequence[Any], params: Mapping[str, An
     result = np.empty((left.shape[0], left.shape[1], right.shape[1]), object)
     for batch, i, j in np.ndindex(*result.shape):
         products = [build.add("mul", x, y) for x, y in zip(left[batch, i], right[batch, j], strict=True)]
-        result[batch, i, j] = reduce(lambda x, y: build.add("add", x, y), products)
+        nothing = build.constant(0, np.dtype(equation.outvars[0].aval.dtype))
+        result[batch, i, j] = reduce(lambda x, y: build.add("add", x, y), products) if products else nothing
     return from_tensor(result.reshape(left_shapes[0] + left_shapes[1] + right_shapes[1]))
 
 
@@ -357,35 +223,54 @@ def cumulative_rule(operation: str) -> Callable[..., Any]:
     return rule
 
 
-ARRAY_RULES: dict[str, Callable[[Builder, Sequence[Any], Mapping[str, Any], Any], Any]] = {
-    "broadcast_in_dim": broadcast,
-    "reshape": moving(lambda operand, params: operand.reshape(params["new_sizes"])),
-    "squeeze": moving(lambda operand, params: np.squeeze(operand, tuple(params["dimensions"]))),
-    "expand_dims": moving(lambda operand, params: np.expand_dims(operand, tuple(params["dimensions"]))),
-    "transpose": moving(lambda operand, params: np.transpose(operand, params["permutation"])),
-    "rev": moving(lambda operand, params: np.flip(operand, params["dimensions"])),
-    "slice": moving(strided),
-    "concatenate": concatenate,
-    "stack": stack,
-    "unstack": unstack,
-    "split": split_array,
-    "pad": pad,
-    "iota": iota,
-    "gather": gather,
-    "dynamic_slice": dynamic_slice,
-    "dynamic_update_slice": dynamic_update_slice,
-    "scatter": scatter(""),
-    "scatter-add": scatter("add"),
-    "reduce_sum": reduction("add"),
-    "reduce_prod": reduction("mul"),
-    "reduce_max": reduction("max"),
-    "reduce_min": reduction("min"),
-    "reduce_and": reduction("and"),
-    "reduce_or": reduction("or"),
-    "cumsum": cumulative_rule("add"),
-    "cumprod": cumulative_rule("mul"),
-    "cummax": cumulative_rule("max"),
-    "cummin": cumulative_rule("min"),
-    "dot_general": dot_general,
-}
+def same_precision(precision: Any, equation: Any) -> bool:
+    """Any precision of JAX's enumeration: a processor computes all in the type itself. An algorithm is none."""
+    parts = precision if isinstance(precision, tuple) else (precision,)
+    return all(part is None or getattr(part, "name", "") in ("DEFAULT", "HIGH", "HIGHEST") for part in parts)
+
+
+def of_one_type(equation: Any) -> str | None:
+    """Refuse a sum of products whose operands and result differ in type."""
+    types = {element_type(variable.aval) for variable in (*equation.invars, *equation.outvars)}
+    return None if len(types) == 1 else "operands and results of several types"
+
+
+def reduction_rule(operation: str, types: Any) -> Rule:
+    """The rule of a reduction."""
+    return rule(reduction(operation), types, axes=anything, out_sharding=absent)
+
+
+def partial_rule(operation: str) -> Rule:
+    """The rule of partial sums and their like."""
+    return rule(cumulative_rule(operation), NUMBERS, axis=anything, reverse=anything)
+
+
+ARRAY_RULES: dict[str, Rule] = {
+    "broadcast_in_dim": rule(broadcast, MOVABLE, shape=anything, broadcast_dimensions=anything, sharding=absent),
+    "reshape": rule(moving(reshaped), MOVABLE, new_sizes=anything, dimensions=absent, sharding=absent),
+    "squeeze": rule(moving(squeezed), MOVABLE, dimensions=anything),
+    "expand_dims": rule(moving(expanded), MOVABLE, dimensions=anything),
+    "transpose": rule(moving(transposed), MOVABLE, permutation=anything),
+    "rev": rule(moving(reversed_along), MOVABLE, dimensions=anything),
+    "slice": rule(moving(strided), MOVABLE, start_indices=anything, limit_indices=anything, strides=anything),
+    "concatenate": rule(concatenate, MOVABLE, dimension=anything),
+    "stack": rule(stack, MOVABLE, axis=anything),
+    "unstack": rule(unstack, MOVABLE, axis=anything),
+    "split": rule(split_array, MOVABLE, sizes=anything, axis=anything),
+    "pad": rule(pad, SCALARS, padding_config=anything),
+    "iota": rule(iota, NUMBERS, dtype=anything, shape=anything, dimension=anything, sharding=absent),
+    "reduce_sum": reduction_rule("add", NUMBERS),
+    "reduce_prod": reduction_rule("mul", NUMBERS),
+    "reduce_max": reduction_rule("max", NUMBERS),
+    "reduce_min": reduction_rule("min", NUMBERS),
+    "reduce_and": reduction_rule("and", WHOLE | TRUTH),
+    "reduce_or": reduction_rule("or", WHOLE | TRUTH),
+    "cumsum": partial_rule("add"),
+    "cumprod": partial_rule("mul"),
+    "cummax": partial_rule("max"),
+    "cummin": partial_rule("min"),
+    "dot_general": Rule(dot_general, Specification(NUMBERS, {
+        "dimension_numbers": anything, "precision": same_precision, "preferred_element_type": result_type,
+        "out_sharding": absent}, of_one_type)),
+}  # fmt: skip
 """Rule of each primitive by its name."""

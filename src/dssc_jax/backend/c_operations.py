@@ -24,44 +24,50 @@ SIGNS = {
 LOGIC = {"and": ("&&", AND), "or": ("||", OR), "xor": ("!=", EQUAL), "eq": ("==", EQUAL), "ne": ("!=", EQUAL)}
 
 HELPERS = {
-    "maximum": """static {T} maximum({T} a, {T} b)
+    "maximum": """static {T} maximum{x}({T} a, {T} b)  /* not a number if either is; of zeros +0 */
 {{
-    return a != a ? a : (a > b ? a : b);  /* not a number if either is */
+    if (a == 0 && b == 0) {{
+        return a + b;
+    }}
+    return a != a ? a : (a > b ? a : b);
 }}""",
-    "minimum": """static {T} minimum({T} a, {T} b)
+    "minimum": """static {T} minimum{x}({T} a, {T} b)  /* not a number if either is; of zeros -0 */
 {{
-    return a != a ? a : (a < b ? a : b);  /* not a number if either is */
+    if (a == 0 && b == 0) {{
+        return -(-a - b);
+    }}
+    return a != a ? a : (a < b ? a : b);
 }}""",
-    "nearest": """static {T} nearest({T} x)  /* the nearest whole number, halves to even */
+    "nearest": """static {T} nearest{x}({T} x)  /* the nearest whole number, halves to even */
 {{
     const {T} whole = {digits};  /* from here on every number is whole */
     const {T} size = {fabs}(x);
     const {T} rounded = size < whole ? (size + whole) - whole : size;
     return x < 0 ? -rounded : (x > 0 ? rounded : x);
 }}""",
-    "round_down": """static {T} round_down({T} x)
+    "round_down": """static {T} round_down{x}({T} x)
 {{
-    const {T} near = nearest(x);
+    const {T} near = nearest{x}(x);
     return near > x ? near - 1 : near;
 }}""",
-    "round_up": """static {T} round_up({T} x)
+    "round_up": """static {T} round_up{x}({T} x)
 {{
-    const {T} near = nearest(x);
+    const {T} near = nearest{x}(x);
     return near < x ? -(-near - 1) : near;
 }}""",
-    "toward_zero": """static {T} toward_zero({T} x)
+    "toward_zero": """static {T} toward_zero{x}({T} x)
 {{
-    const {T} near = nearest({fabs}(x));
+    const {T} near = nearest{x}({fabs}(x));
     const {T} below = near > {fabs}(x) ? near - 1 : near;
     return x < 0 ? -below : (x > 0 ? below : x);
 }}""",
-    "bits_of": """static {I} bits_of({T} x)
+    "bits_of": """static {I} bits_of{x}({T} x)
 {{
     union {{ {T} number; {I} bits; }} same;
     same.number = x;
     return same.bits;
 }}""",
-    "number_of": """static {T} number_of({I} bits)
+    "number_of": """static {T} number_of{x}({I} bits)
 {{
     union {{ {T} number; {I} bits; }} same;
     same.bits = bits;
@@ -91,7 +97,7 @@ INTEGER_HELPERS = {
 {{
     return b == -1 ? 0 : a % b;
 }}""",
-    "truncated": """static {I} truncated_{w}({T} x)  /* 0 for what is not a number, the extremes beyond the range */
+    "truncated": """static {I} truncated_{w}{x}({T} x)  /* 0 for what is not a number, the extremes beyond the range */
 {{
     if (x != x) {{
         return 0;
@@ -151,7 +157,7 @@ class Notation:
 
     def __init__(self, real: np.dtype) -> None:
         self.real = real
-        self._needed: dict[tuple[str, np.dtype | None], str] = {}
+        self._needed: dict[tuple[str, np.dtype | None, str], str] = {}
 
     def helpers(self) -> list[str]:
         """Definitions of the functions that were needed, in an order that C accepts."""
@@ -160,21 +166,29 @@ class Notation:
             for key in sorted(self._needed, key=lambda key: (key[0] not in HELPERS_NEEDED.values(), str(key)))
         ]
 
-    def need(self, name: str, integer: np.dtype | None = None) -> str:
-        """The name of a function, whose definition is needed from now on."""
+    def need(self, name: str, integer: np.dtype | None = None, real: np.dtype | None = None) -> str:
+        """The name of a function, whose definition is needed from now on.
+
+        Args:
+            name: Of :data:`HELPERS`, or with an integer of :data:`INTEGER_HELPERS`.
+            integer: The type of the integers.
+            real: The type of the floating-point numbers; None: that of the program.
+        """
+        real = self.real if real is None else real
         if name in HELPERS_NEEDED:
-            self.need(HELPERS_NEEDED[name], integer)
-        single = self.real.itemsize == 4
-        width = 8 * (integer.itemsize if integer is not None else self.real.itemsize)
+            self.need(HELPERS_NEEDED[name], integer, real)
+        single = real.itemsize == 4
+        width = 8 * (integer.itemsize if integer is not None else real.itemsize)
         words = {
-            "T": c_type(self.real), "fabs": "fabsf" if single else "fabs", "w": width, "I": f"int{width}_t",
+            "T": c_type(real), "fabs": "fabsf" if single else "fabs", "w": width, "I": f"int{width}_t",
             "digits": "8388608.0f" if single else "4503599627370496.0", "U": f"uint{width}_t",
             "I_max": f"INT{width}_MAX", "I_min": f"INT{width}_MIN",
-            "top": c_literal(self.real.type(2.0 ** (width - 1)), self.real),
+            "top": c_literal(real.type(2.0 ** (width - 1)), real), "x": "" if real == self.real else f"_{c_type(real)}",
         }  # fmt: skip
         templates = HELPERS if integer is None else INTEGER_HELPERS
-        self._needed[name, integer] = templates[name].format(**words)
-        return name if integer is None else f"{name}_{width}"
+        ending = words["x"] if integer is None or name == "truncated" else ""
+        self._needed[name, integer, ending] = templates[name].format(**words)
+        return f"{name}{ending}" if integer is None else f"{name}_{width}{ending}"
 
     def expression(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
         """An operation on operands, each with its precedence.
@@ -189,6 +203,10 @@ class Notation:
         if operation == "select":
             condition, first, second = (bracketed(*operand, least=OR) for operand in operands)
             return f"{condition} ? {first} : {second}", TERNARY
+        if operation == "rarely":
+            condition, usual = (bracketed(*operand, least=OR) for operand in operands[:2])
+            arguments = ", ".join(text for text, _ in operands[2:])
+            return f"{condition} ? {value.detail.name}({arguments}) : {usual}", TERNARY
         if operation == "convert":
             return self.converted(value, source, operands[0])
         if operation == "bitcast":
@@ -200,6 +218,8 @@ class Notation:
             first, second = (bracketed(*operand, least=UNARY) for operand in operands)
             return f"{first} {sign} {second}", precedence
         if dtype == BOOL:
+            if operation not in SIGNS:
+                raise Unsupported(f"'{operation}' of truth values in C")
             sign, precedence = SIGNS[operation]
             first, second = (bracketed(*operand, least=SHIFT) for operand in operands)
             return f"{first} {sign} {second}", precedence
@@ -207,7 +227,7 @@ class Notation:
 
     def floating(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
         """An operation of floating-point numbers."""
-        operation, single = value.operation, value.dtype.itemsize == 4
+        operation, single, real = value.operation, value.dtype.itemsize == 4, value.dtype
         if operation in SIGNS:
             sign, precedence = SIGNS[operation]
             left = bracketed(*operands[0], least=precedence)
@@ -216,12 +236,10 @@ class Notation:
             return f"-{bracketed(*operands[0], least=ATOM)}", UNARY
         if operation in ("max", "min"):
             first, second = operands
-            if value.operands[1].operation == "constant":  # as the machine code does
-                first, second = second, first
-            return f"{self.need(operation + 'imum')}({first[0]}, {second[0]})", ATOM
+            return f"{self.need(operation + 'imum', real=real)}({first[0]}, {second[0]})", ATOM
         names = {"floor": "round_down", "ceil": "round_up", "round": "nearest", "trunc": "toward_zero"}
         if operation in names:
-            return f"{self.need(names[operation])}({operands[0][0]})", ATOM
+            return f"{self.need(names[operation], real=real)}({operands[0][0]})", ATOM
         library = {"sqrt": "sqrt", "abs": "fabs", "rem": "fmod"}
         if operation in library:
             arguments = ", ".join(text for text, _ in operands)
@@ -253,18 +271,31 @@ class Notation:
         """A number in another type."""
         text, dtype = operand[0], value.dtype
         if source.kind == "f" and dtype.kind in "iu":
-            if dtype.kind == "u" or source != self.real:
+            if dtype.kind == "u":
                 raise Unsupported(f"conversion of {source} to {dtype} in C")
-            return f"{self.need('truncated', dtype)}({text})", ATOM
+            return f"{self.need('truncated', dtype, source)}({text})", ATOM
         if source == BOOL:
             one, zero = (c_literal(dtype.type(number), dtype) for number in (1, 0))
             return f"{bracketed(*operand, least=OR)} ? {one} : {zero}", TERNARY
+        wraps = source.kind in "iu" and (dtype.itemsize < source.itemsize or (dtype.itemsize == source.itemsize
+                                                                              and source.kind == "u"))  # fmt: skip
+        if dtype.kind == "i" and wraps:  # C leaves it to the compiler
+            unsigned = f"(uint{8 * dtype.itemsize}_t)"
+            return f"{self.need('signed', dtype)}({unsigned}{bracketed(*operand, least=UNARY)})", ATOM
         return f"({c_type(dtype)}){bracketed(*operand, least=UNARY)}", UNARY
 
     def same_bits(self, source: np.dtype, dtype: np.dtype, operand: tuple[str, int]) -> tuple[str, int]:
         """The same bits as another type."""
-        if {source.kind, dtype.kind} == {"i", "f"} and self.real in (source, dtype):
-            return f"{self.need('bits_of' if source.kind == 'f' else 'number_of')}({operand[0]})", ATOM
+        if dtype.kind == "f" and source.kind in "iu":
+            bits = (
+                operand[0]
+                if source.kind == "i"
+                else f"{self.need('signed', np.dtype(f'i{dtype.itemsize}'))}({operand[0]})"
+            )
+            return f"{self.need('number_of', real=dtype)}({bits})", ATOM
+        if source.kind == "f" and dtype.kind in "iu":
+            bits = f"{self.need('bits_of', real=source)}({operand[0]})"
+            return (bits, ATOM) if dtype.kind == "i" else (f"({c_type(dtype)}){bits}", UNARY)
         if source.kind == "u" and dtype.kind == "i":
             return f"{self.need('signed', dtype)}({operand[0]})", ATOM
         if source.kind == "i" and dtype.kind == "u":

@@ -14,7 +14,7 @@ import numpy as np
 from dssc_jax.backend.c_operations import ATOM, UNARY, Notation, c_literal, c_type
 from dssc_jax.backend.needed import reachable
 from dssc_jax.backend.origins import Origin
-from dssc_jax.backend.program import Branch, CodeBlock, CodeLoop, Program, Value, all_blocks, read_by
+from dssc_jax.backend.program import Branch, CodeBlock, CodeLoop, Program, Subroutine, Value, all_blocks, read_by
 from dssc_jax.backend.unsupported import Unsupported
 
 LONGEST_EXPRESSION = 88
@@ -44,6 +44,8 @@ class CText:
         real: The type of the floating-point numbers.
         taken: Names that no variable may have.
         constants: Names of constants of the file, by value.
+        notation: Where to remember the functions that operations need; None: a new one.
+        prefix: What the names of tables begin with.
     """
 
     def __init__(
@@ -54,11 +56,15 @@ class CText:
         real: np.dtype,
         taken: Iterable[str] = (),
         constants: Mapping[float, str] | None = None,
+        notation: Notation | None = None,
+        prefix: str = "",
     ) -> None:
         self.program, self.origins, self.inputs = program, origins, inputs
         self.constants = constants or {}
-        self.notation = Notation(real)
+        self.notation = notation or Notation(real)
         self.tables: list[str] = []
+        self.functions: dict[str, str] = {}
+        self._real, self._prefix = real, prefix
         self.lines: list[str] = []
         self._taken = {*KEYWORDS, *FUNCTIONS, *taken}
         self._written: dict[int, tuple[str, int]] = {}
@@ -192,14 +198,32 @@ class CText:
         operands = [self._expression(operand) for operand in value.operands]
         if value.operation == "lookup":
             return self._lookup(value, operands[0][0]), ATOM
+        if value.operation == "rarely":
+            self._subroutine(value.detail)
         return self.notation.expression(value, operands)
+
+    def _subroutine(self, subroutine: Subroutine) -> None:
+        """Write the function of a subroutine, once."""
+        name, program = subroutine.name, subroutine.program
+        if name in self.functions:
+            return
+        self._taken.add(name)
+        inputs = [f"x{i + 1}" for i in range(len(program.inputs))]
+        text = CText(program, {}, inputs, self._real, inputs, notation=self.notation, prefix=f"{name}_")
+        (result,) = program.outputs
+        assert isinstance(result, Value)
+        text.compute([result])
+        arguments = [f"{c_type(dtype)} {each}" for dtype, each in zip(program.inputs, inputs, strict=True)]
+        head = f"static {c_type(result.dtype)} {name}({', '.join(arguments)})  /* of an argument that is rare */"
+        self.functions[name] = "\n".join([head, "{", *text.lines, f"    return {text.read(result)};", "}"])
+        self.tables += text.tables
 
     def _lookup(self, value: Value, index: str) -> str:
         """An element of a constant table; an index beyond its end gives the last."""
         table, (position,) = value.detail, value.operands
         if position.dtype.itemsize != 4:
             raise Unsupported(f"a table with an index of type {position.dtype} in C")
-        name = f"table_{len(self.tables) + 1}"
+        name = f"{self._prefix}table_{len(self.tables) + 1}"
         numbers = ", ".join(c_literal(number, value.dtype) for number in table)
         self.tables.append(f"static const {c_type(value.dtype)} {name}[{table.size}] = {{{numbers}}};")
         last = table.size - 1

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dssc_jax.backend.program import BOOL, COMPARISONS, Value
+from dssc_jax.backend.program import BOOL, COMPARISONS, Subroutine, Value
 from dssc_jax.backend.signs import is_unsigned
 
 FAST, STRICT = "contract nsz ", ""
@@ -50,7 +50,9 @@ class Instructions:
     tables: list[str] = field(default_factory=list)
     names: dict[tuple[int, bool], str] = field(default_factory=dict)
     declared: set[str] = field(default_factory=set)
+    subroutines: dict[str, tuple[Subroutine, int]] = field(default_factory=dict)
     count: int = 0
+    label: str = "entry"
 
     # Names and types
 
@@ -111,6 +113,17 @@ class Instructions:
         place = self.emit(f"getelementptr ptr, ptr %{array}, i64 {position}", "p")
         return self.emit(f"load ptr, ptr {place}", "p")
 
+    # Basic blocks
+
+    def begin(self, label: str) -> None:
+        """Start a basic block."""
+        self.lines.append(f"{label}:")
+        self.label = label
+
+    def current(self) -> str:
+        """The label of the basic block that is being written."""
+        return self.label
+
     # Operations
 
     def any(self, mask: str) -> str:
@@ -124,15 +137,14 @@ class Instructions:
         wide = self.is_vector(value)
         kind = self.kind(dtype, wide)
         if operation == "input":
-            place = self.emit(
-                f"getelementptr {scalar_type(dtype)}, ptr {self.column('inputs', value.detail)}, i64 %lane"
-            )
-            return self.emit(f"load {kind}, ptr {place}, align {dtype.itemsize}")
+            return self.input(value, kind)
         if operation == "any":
             (mask,) = value.operands
             return self.any(self.read(mask, True)) if self.is_vector(mask) else self.read(mask, False)
         if operation == "lookup":
             return self.lookup(value, wide)
+        if operation == "rarely":
+            return self.rarely(value, wide)
         if operation == "select":
             condition, *cases = value.operands
             chosen = self.is_vector(condition)
@@ -149,6 +161,30 @@ class Instructions:
         if operation in ("max", "min"):
             return self.extreme(operation, value, wide, names)
         return self.arithmetic(operation, dtype, wide, names)
+
+    def input(self, value: Value, kind: str) -> str:
+        """A number that the lanes are given."""
+        column = self.column("inputs", value.detail)
+        place = self.emit(f"getelementptr {scalar_type(value.dtype)}, ptr {column}, i64 %lane")
+        return self.emit(f"load {kind}, ptr {place}, align {value.dtype.itemsize}")
+
+    def rarely(self, value: Value, wide: bool) -> str:
+        """A value, or where a condition holds the result of a subroutine, which is called if a lane needs it."""
+        condition, usual, *arguments = value.operands
+        kind, mask = self.kind(value.dtype, wide), self.read(condition, wide)
+        function = f"{value.detail.name}_{self.width if wide else 1}"
+        self.subroutines[function] = value.detail, self.width if wide else 1
+        given = ", ".join(f"{self.kind(x.dtype, wide)} {self.read(x, wide)}" for x in arguments)
+        value_now = self.read(usual, wide)
+        taken = self.any(mask) if wide else mask
+        inside, end, before = self.fresh("rare"), self.fresh("end"), self.current()
+        self.lines.append(f"  br i1 {taken}, label %{inside}, label %{end}, !prof !0")
+        self.begin(inside)
+        found = self.emit(f"call {kind} @{function}({given})")
+        chosen = self.emit(f"select {self.kind(BOOL, wide)} {mask}, {kind} {found}, {kind} {value_now}")
+        self.lines.append(f"  br label %{end}")
+        self.begin(end)
+        return self.emit(f"phi {kind} [ {value_now}, %{before} ], [ {chosen}, %{inside} ]")
 
     def arithmetic(self, operation: str, dtype: np.dtype, wide: bool, names: Sequence[str]) -> str:
         """An operation with the type of its operands."""
@@ -194,6 +230,9 @@ class Instructions:
             bits = [(self.kind(integer, wide), self.convert("bitcast", value.dtype, integer, wide, n)) for n in names]
             largest = self.call(f"llvm.smax.{self.suffix(integer, wide)}", bits[0][0], *bits)
             return self.convert("bitcast", integer, value.dtype, wide, largest)
+        if value.dtype.kind == "f" and self.flags == STRICT:  # the larger of zeros is +0
+            function = f"llvm.{operation}imum.{self.suffix(value.dtype, wide)}"
+            return self.call(function, kind, *((kind, name) for name in names))
         first, second = names
         if value.operands[1].operation == "constant":
             first, second = second, first

@@ -14,6 +14,13 @@ from dssc_jax.backend.needed import reachable
 from dssc_jax.backend.order import ordered
 from dssc_jax.backend.program import BOOL, Branch, CodeBlock, CodeLoop, Program, Record, Value
 
+WIDE = '"prefer-vector-width"="512" "min-legal-vector-width"="512"'
+ATTRIBUTES = (
+    f'attributes #0 = {{ nounwind {WIDE} "stackrealign" }}',  # spilled vectors within lines of the cache
+    f'attributes #1 = {{ nounwind noinline cold {WIDE} "stackrealign" }}',
+    '!0 = !{!"branch_weights", i32 1, i32 1000000}',  # of what happens rarely
+)
+
 
 class Emitter(Instructions):
     """Writes the function of a program.
@@ -27,7 +34,7 @@ class Emitter(Instructions):
 
     def __init__(self, program: Program, width: int, strict: bool, window: int) -> None:
         super().__init__(width, STRICT if strict else FAST)
-        self.program, self.window, self.label = program, window, "entry"
+        self.program, self.window, self.strict = program, window, strict
         self.alive = reachable(program)
         self.allocated: list[str] = []
         self.computed: set[int] = set()
@@ -54,12 +61,18 @@ class Emitter(Instructions):
             "  ret void",
         ]
         head = f"define void @{ENTRY_POINT}(ptr noalias %inputs, ptr noalias %outputs, i64 %first, i64 %last) #0 {{"
-        wide = '"prefer-vector-width"="512" "min-legal-vector-width"="512"'
-        attributes = (
-            f'attributes #0 = {{ nounwind {wide} "stackrealign" }}'  # spilled vectors within lines of the cache
-        )
+        functions = self.functions()
         start = [*self.tables, *sorted(self.declared), head, "entry:", *self.allocated]
-        return "\n".join([*start, *self.lines, "}", attributes, ""])
+        return "\n".join([*start, *self.lines, "}", *functions, *ATTRIBUTES, ""])
+
+    def functions(self) -> list[str]:
+        """The subroutines that were called."""
+        lines: list[str] = []
+        for name, (subroutine, width) in self.subroutines.items():
+            inside = SubroutineEmitter(subroutine.program, width, self.strict, 0)
+            inside.tables, inside.declared = self.tables, self.declared
+            lines += inside.definition(name)
+        return lines
 
     # Blocks
 
@@ -78,11 +91,6 @@ class Emitter(Instructions):
     def is_needed(self, node: Any) -> bool:
         """Whether a result depends on a node, and it is not yet computed."""
         return id(node) in self.alive and id(node) not in self.computed
-
-    def begin(self, label: str) -> None:
-        """Start a basic block."""
-        self.lines.append(f"{label}:")
-        self.label = label
 
     def loop(self, loop: CodeLoop) -> None:
         """A loop that tests at its end; what is common to all lanes is computed ahead where that is worthwhile."""
@@ -123,9 +131,10 @@ class Emitter(Instructions):
 
     def turns(self, loop: CodeLoop, chosen: AheadPlan, alive: Sequence[int]) -> str:
         """Several turns of a loop, with their uniform values computed ahead; whether it goes on after the last."""
-        inner, out, before = self.fresh("turn"), self.fresh("out"), self.label
+        inner, out = self.fresh("turn"), self.fresh("out")
         ahead = Ahead(self, chosen, self.window)
         ahead.write(loop)
+        before = self.label
         self.allocated += ahead.allocations()
         self.computed |= {id(value) for value in chosen.values}
         varying = [i for i in alive if i not in chosen.counters]
@@ -227,6 +236,24 @@ class Emitter(Instructions):
         for position, output in enumerate(self.program.outputs):
             if output is record.recording:
                 self.write(self.column("outputs", position), element, record.value, True)
+
+
+class SubroutineEmitter(Emitter):
+    """Writes a subroutine, whose inputs are its arguments."""
+
+    def input(self, value: Value, kind: str) -> str:
+        """An argument."""
+        return f"%a{value.detail}"
+
+    def definition(self, name: str) -> list[str]:
+        """The lines of the function."""
+        (result,) = self.program.outputs
+        assert isinstance(result, Value)
+        self.block(self.program.body)
+        kind = self.kind(result.dtype, True)
+        given = [f"{self.kind(dtype, True)} %a{i}" for i, dtype in enumerate(self.program.inputs)]
+        head = f"define internal {kind} @{name}({', '.join(given)}) #1 {{"
+        return [head, "entry:", *self.lines, f"  ret {kind} {self.read(result, True)}", "}"]
 
 
 def module_text(program: Program, width: int, strict: bool = False, window: int = 0) -> str:

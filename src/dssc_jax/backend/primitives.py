@@ -10,6 +10,20 @@ from typing import Any
 import numpy as np
 
 from dssc_jax.backend.program import BOOL, Builder, Value
+from dssc_jax.backend.specification import (
+    NUMBERS,
+    REAL,
+    SCALARS,
+    SIGNED,
+    TRUTH,
+    WHOLE,
+    Rule,
+    Specification,
+    absent,
+    anything,
+    one_of,
+    rule,
+)  # fmt: skip
 
 ElementRule = Callable[[Builder, Sequence[Value], Mapping[str, Any], np.dtype], Value]
 
@@ -19,40 +33,63 @@ def same_operation(operation: str) -> ElementRule:
     return lambda build, operands, params, dtype: build.add(operation, *operands)
 
 
-def integer_division(operation: str) -> ElementRule:
-    """Division, or its remainder; the machine must not divide an integer by zero."""
+def extreme(operation: str) -> ElementRule:
+    """The larger or smaller number; of truth values, whether one or both hold."""
 
-    def rule(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+    def translate(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+        logic = {"max": "or", "min": "and"}
+        return build.add(logic[operation] if dtype == BOOL else operation, *operands)
+
+    return translate
+
+
+def division(operation: str) -> ElementRule:
+    """Division, or its remainder.
+
+    The machine must not divide an integer by zero, nor the least one by -1. By zero the quotient has all bits set and
+    the remainder is x; the quotient by -1 is -x, which wraps.
+    """
+
+    def translate(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
         x, y = operands
         if dtype.kind == "f":
             return build.add(operation, x, y)
         zero, one = build.constant(0, dtype), build.constant(1, dtype)
         by_zero = build.add("eq", y, zero)
-        quotient = build.add(operation, x, build.add("select", by_zero, one, y))
-        return build.add("select", by_zero, build.constant(-1, dtype) if operation == "div" else x, quotient)
+        unusual = by_zero
+        if dtype.kind == "i":
+            minus = build.add("eq", y, build.constant(-1, dtype))
+            unusual = build.add("or", by_zero, minus)
+        quotient = build.add(operation, x, build.add("select", unusual, one, y))
+        if operation == "rem":  # by 1 it is 0, and so it is by -1
+            return build.add("select", by_zero, x, quotient)
+        if dtype.kind == "i":
+            quotient = build.add("select", minus, build.add("neg", x), quotient)
+        all_bits = build.constant(np.array(-1).astype(dtype), dtype)
+        return build.add("select", by_zero, all_bits, quotient)
 
-    return rule
+    return translate
 
 
-def shift(operation: str, unsigned: bool = False) -> ElementRule:
-    """A shift; by the width of the type or more it leaves nothing, or the sign."""
+def shift(operation: str, taken_as: str = "") -> ElementRule:
+    """A shift; by the width of the type or more it leaves nothing, or the sign.
 
-    def rule(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
-        x, count = operands
-        width = 8 * dtype.itemsize
-        kind = np.dtype(f"u{dtype.itemsize}") if unsigned else dtype
-        x, count = (build.add("bitcast", value, dtype=kind) for value in (x, count))
-        known = count.operation == "constant" and 0 <= count.detail < width
-        if known:
-            return build.add("bitcast", build.add(operation, x, count), dtype=dtype)
-        inside = build.add("lt", build.add("bitcast", count, dtype=np.dtype(f"u{dtype.itemsize}")),
-                           build.constant(width, np.dtype(f"u{dtype.itemsize}")))  # fmt: skip
-        some = build.add(operation, x, build.add("select", inside, count, build.constant(width - 1, kind)))
-        signed = operation == "shr" and kind.kind == "i"
-        all_out = some if signed else build.constant(0, kind)
-        return build.add("bitcast", build.add("select", inside, some, all_out), dtype=dtype)
+    Args:
+        operation: ``shl`` or ``shr``.
+        taken_as: The kind of integer whose shift it is, whatever the type: "i" copies the sign bit, "u" moves zeros in.
+    """
 
-    return rule
+    def translate(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+        width, plain = 8 * dtype.itemsize, np.dtype(f"u{dtype.itemsize}")
+        kind = np.dtype(f"{taken_as or dtype.kind}{dtype.itemsize}")
+        x, count = (build.add("bitcast", value, dtype=kind) for value in operands)
+        most = build.constant(width - 1, kind)
+        inside = build.add("lt", build.add("bitcast", count, dtype=plain), build.constant(width, plain))
+        some = build.add(operation, x, build.add("select", inside, count, most))
+        beyond = some if taken_as == "i" else build.constant(0, kind)
+        return build.add("bitcast", build.add("select", inside, some, beyond), dtype=dtype)
+
+    return translate
 
 
 def sign_of(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
@@ -112,14 +149,14 @@ def finite(build: Builder, operands: Sequence[Value], params: Mapping[str, Any],
 def in_total_order(operation: str) -> ElementRule:
     """A comparison with NaN above all numbers; JAX itself makes the signs of 0 and of NaN alike before."""
 
-    def rule(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+    def translate(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
         a, b = operands
         last = build.add("ne", b, b)
         if operation == "lt":
             last = build.add("and", last, build.add("eq", a, a))
         return build.add("or", build.add(operation, a, b), last)
 
-    return rule
+    return translate
 
 
 def complement(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
@@ -133,39 +170,6 @@ def same_value(build: Builder, operands: Sequence[Value], params: Mapping[str, A
     return operands[0]
 
 
-ELEMENT_RULES: dict[str, ElementRule] = {
-    **{name: same_operation(name) for name in (
-        "add", "sub", "mul", "neg", "abs", "max", "min", "floor", "ceil", "sqrt", "and", "or", "xor", "eq", "ne", "lt",
-        "le", "gt", "ge")},
-    "add_any": same_operation("add"),
-    "div": integer_division("div"),
-    "rem": integer_division("rem"),
-    "shift_left": shift("shl"),
-    "shift_right_arithmetic": shift("shr"),
-    "shift_right_logical": shift("shr", unsigned=True),
-    "not": complement,
-    "lt_to": in_total_order("lt"),
-    "le_to": in_total_order("le"),
-    "sign": sign_of,
-    "clamp": clamp,
-    "select_n": select_n,
-    "convert_element_type": convert,
-    "bitcast_convert_type": lambda build, operands, params, dtype: build.add("bitcast", *operands, dtype=dtype),
-    "integer_pow": lambda build, operands, params, dtype: whole_power(build, operands[0], params["y"]),
-    "square": lambda build, operands, params, dtype: build.add("mul", operands[0], operands[0]),
-    "rsqrt": lambda build, operands, params, dtype: build.add(
-        "div", build.constant(1, dtype), build.add("sqrt", operands[0])),
-    "round": lambda build, operands, params, dtype: rounded_by(build, operands[0], params["rounding_method"].name),
-    "is_finite": finite,
-    "stop_gradient": same_value,
-    "copy": same_value,
-    "copy_p": same_value,
-    "reduce_precision": same_value,
-    "pvary": same_value,
-}  # fmt: skip
-"""ElementRule of each primitive by its name."""
-
-
 def rounded_by(build: Builder, x: Value, method: str) -> Value:
     """The nearest whole number; halves to even, or away from zero."""
     if method == "TO_NEAREST_EVEN":
@@ -174,3 +178,78 @@ def rounded_by(build: Builder, x: Value, method: str) -> Value:
     rest = build.add("abs", build.add("sub", x, half))
     one = sign_of(build, [x], {}, x.dtype)
     return build.add("select", build.add("ge", rest, build.constant(0.5, x.dtype)), build.add("add", half, one), half)
+
+
+def same_width(equation: Any) -> str | None:
+    """Refuse bits that become more or fewer numbers, and truth values, which have no bits."""
+    sizes = {np.dtype(variable.aval.dtype).itemsize for variable in (*equation.invars, *equation.outvars)}
+    return None if len(sizes) == 1 else "bits of another width"
+
+
+def keeps_precision(equation: Any) -> str | None:
+    """Refuse a reduction to fewer bits than the type has."""
+    digits = np.finfo(equation.outvars[0].aval.dtype)
+    wanted = equation.params["exponent_bits"], equation.params["mantissa_bits"]
+    return None if wanted == (digits.nexp, digits.nmant) else "fewer bits than the type has"
+
+
+def real_power(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+    """A whole power."""
+    return whole_power(build, operands[0], params["y"])
+
+
+def square(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+    """The product with itself."""
+    return build.add("mul", operands[0], operands[0])
+
+
+def reciprocal_root(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+    """1/x^(1/2)."""
+    return build.add("div", build.constant(1, dtype), build.add("sqrt", operands[0]))
+
+
+def same_bits(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+    """The bits of a number as those of another type."""
+    return build.add("bitcast", *operands, dtype=dtype)
+
+
+def rounding(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+    """The nearest whole number."""
+    return rounded_by(build, operands[0], params["rounding_method"].name)
+
+
+ELEMENT_RULES: dict[str, Rule] = {
+    **{name: rule(same_operation(name), NUMBERS) for name in ("add", "sub", "neg")},
+    **{name: rule(same_operation(name), SCALARS) for name in ("eq", "ne", "lt", "le", "gt", "ge")},
+    **{name: rule(extreme(name), SCALARS) for name in ("max", "min")},
+    **{name: rule(same_operation(name), REAL) for name in ("floor", "ceil")},
+    **{name: rule(same_operation(name), WHOLE | TRUTH) for name in ("and", "or", "xor")},
+    "abs": rule(same_operation("abs"), REAL | SIGNED),
+    "add_any": rule(same_operation("add"), NUMBERS),
+    "mul": rule(same_operation("mul"), NUMBERS, out_dtype=absent),
+    "sqrt": rule(same_operation("sqrt"), REAL, accuracy=absent),
+    "div": rule(division("div"), NUMBERS),
+    "rem": rule(division("rem"), NUMBERS),
+    "shift_left": rule(shift("shl"), WHOLE),
+    "shift_right_arithmetic": rule(shift("shr", "i"), WHOLE),
+    "shift_right_logical": rule(shift("shr", "u"), WHOLE),
+    "not": rule(complement, WHOLE | TRUTH),
+    "lt_to": rule(in_total_order("lt"), SCALARS),
+    "le_to": rule(in_total_order("le"), SCALARS),
+    "sign": rule(sign_of, NUMBERS),
+    "clamp": rule(clamp, NUMBERS),
+    "select_n": rule(select_n, SCALARS),
+    "convert_element_type": rule(convert, SCALARS, new_dtype=anything, weak_type=anything, sharding=absent),
+    "bitcast_convert_type": Rule(same_bits, Specification(NUMBERS, {"new_dtype": anything}, same_width)),
+    "integer_pow": rule(real_power, NUMBERS, y=anything),
+    "square": rule(square, NUMBERS),
+    "rsqrt": rule(reciprocal_root, REAL, accuracy=absent),
+    "round": rule(rounding, REAL, rounding_method=one_of("TO_NEAREST_EVEN", "AWAY_FROM_ZERO")),
+    "is_finite": rule(finite, REAL | TRUTH),
+    "stop_gradient": rule(same_value, SCALARS),
+    "copy": rule(same_value, SCALARS),
+    "copy_p": rule(same_value, SCALARS),
+    "reduce_precision": Rule(same_value, Specification(
+        REAL, {"exponent_bits": anything, "mantissa_bits": anything}, keeps_precision)),
+}  # fmt: skip
+"""Rule of each primitive by its name; its translation is an :data:`ElementRule`."""

@@ -37,10 +37,13 @@ class Value:
     Args:
         operation: A name of :data:`ARITHMETIC` or :data:`COMPARISONS`; ``div`` and ``rem``, which truncate integers
             towards zero; ``select``, ``convert``, ``bitcast``; ``any`` over the lanes that run together; ``lookup`` in
-            a table; ``constant``, ``input``; ``state`` and ``result`` of a loop; ``joined``, the result of a branch.
+            a table; ``constant``, ``input``; ``state`` and ``result`` of a loop; ``joined``, the result of a branch;
+            ``rarely``, with a condition, a value and arguments: where the condition holds, the result of a subroutine
+            for the arguments, else the value.
         dtype: Its type.
         operands: The values that it is computed from.
-        detail: The constant, the table, the number of the input, or the loop or branch with the position in it.
+        detail: The constant, the table, the number of the input, the subroutine, or the loop or branch with the
+            position in it.
         varying: Whether it may differ between lanes.
         block: Where it is computed; None for a constant.
     """
@@ -152,6 +155,19 @@ class Program:
     outputs: list[Value | Recording]
 
 
+@dataclass(eq=False, repr=False, slots=True)
+class Subroutine:
+    """A function of scalars that stands beside the program and that few lanes need.
+
+    Args:
+        name: Its name, unique in the program.
+        program: Its body, with one output.
+    """
+
+    name: str
+    program: Program
+
+
 def inner_blocks(node: Any) -> tuple[CodeBlock, ...]:
     """The blocks of a loop or branch; other nodes have none."""
     if isinstance(node, CodeLoop):
@@ -212,7 +228,7 @@ class Builder:
             operation: See :class:`Value`.
             operands: Its operands.
             dtype: Type of the result; None: that of the last operand, or a truth value for a comparison.
-            detail: The table of a ``lookup``.
+            detail: The table of a ``lookup``, the subroutine of a ``rarely``.
         """
         dtype = dtype or (BOOL if operation in COMPARISONS else operands[-1].dtype)
         if operation in ("mul", "abs") and dtype.kind == "f" and all(value.operation == "neg" for value in operands):
@@ -280,14 +296,17 @@ class Builder:
         multiplied before it. Sums keep their order, on which cancellation depends.
         """
         if operation == "div" and self._known(operands[1]) < self._known(operands[0]):
-            one = self.constant(1.0, operands[1].dtype)
-            return self.add("mul", operands[0], self.add("div", one, operands[1]))
+            inverse = self.add("div", self.constant(1.0, operands[1].dtype), operands[1])
+            if is_usable(inverse):
+                return self.add("mul", operands[0], inverse)
         if operation == "mul":
             for product, factor in (operands, operands[::-1]):
                 if product.operation == "mul":
                     for late, early in (product.operands, product.operands[::-1]):
                         if max(self._known(early), self._known(factor)) < self._known(late):
-                            return self.add("mul", late, self.add("mul", early, factor))
+                            both = self.add("mul", early, factor)
+                            if is_usable(both):
+                                return self.add("mul", late, both)
         return None
 
     def _known(self, value: Value) -> int:
@@ -318,6 +337,13 @@ class Builder:
         return value
 
 
+def is_usable(factor: Value) -> bool:
+    """Whether a factor keeps its digits; one that is not a constant is not known."""
+    if factor.operation != "constant":
+        return True
+    return bool(np.finfo(factor.dtype).tiny <= abs(factor.detail) < np.inf)
+
+
 def simplified(operation: str, operands: Sequence[Value], dtype: np.dtype) -> Value | None:
     """An operand that equals the result for every value, rounding included; None if there is none."""
     first = operands[0]
@@ -325,6 +351,8 @@ def simplified(operation: str, operands: Sequence[Value], dtype: np.dtype) -> Va
         return first
     if operation == "any" and first.operation == "constant":
         return first
+    if operation == "rarely" and first.operation == "constant" and not first.detail:
+        return operands[1]
     if operation == "select":
         if operands[1] is operands[2]:
             return operands[1]

@@ -13,6 +13,18 @@ import numpy as np
 
 from dssc_jax.backend.arrays import as_tensor
 from dssc_jax.backend.program import Builder, Value
+from dssc_jax.backend.specification import (
+    KEY,
+    UNSIGNED,
+    WHOLE,
+    Condition,
+    Rule,
+    Specification,
+    Types,
+    anything,
+    one_of,
+    rule,
+)  # fmt: skip
 from dssc_jax.backend.unsupported import Unsupported
 
 WORD = np.dtype(np.uint32)
@@ -66,7 +78,6 @@ def fold_in(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], 
 
 def seed(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Key:
     """The key of a seed: its upper and its lower word."""
-    require_threefry(equation.outvars[0].aval.dtype)
     (number,) = operands
     if number.dtype.itemsize < 8:
         return Key(build.constant(0, WORD), build.add("convert", number, dtype=WORD))
@@ -129,18 +140,28 @@ def unwrap(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], e
 
 def wrap(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Key:
     """A key from an array of two words."""
-    require_threefry(equation.outvars[0].aval.dtype)
     words = as_tensor(operands[0], build)
     if words.shape != (2,):
         raise Unsupported(f"an array of keys of shape {words.shape[:-1]}")
     return Key(*words)
 
 
-RANDOM_RULES: dict[str, Callable[[Builder, Sequence[Any], Mapping[str, Any], Any], Any]] = {
-    "random_fold_in": fold_in,
-    "random_seed": seed,
-    "random_bits": bits,
-    "random_split": split_key,
-    "random_unwrap": unwrap,
-    "random_wrap": wrap,
+def of_scalars(equation: Any) -> str | None:
+    """Refuse arrays of keys or seeds."""
+    return "an array of random keys" if any(variable.aval.shape for variable in equation.invars) else None
+
+
+def single(translate: Callable[..., Any], types: Types, **parameters: Condition) -> Rule:
+    """A rule for a single key or seed."""
+    return Rule(translate, Specification(types, parameters, of_scalars))
+
+
+RANDOM_RULES: dict[str, Rule] = {
+    "random_fold_in": single(fold_in, WHOLE | {KEY}),
+    "random_seed": single(seed, WHOLE | {KEY}, impl=anything),
+    "random_bits": single(bits, UNSIGNED | {KEY}, bit_width=one_of(8, 16, 32, 64), shape=anything),
+    "random_split": single(split_key, frozenset({KEY}), shape=anything),
+    "random_unwrap": single(unwrap, UNSIGNED | {KEY}),
+    "random_wrap": rule(wrap, UNSIGNED | {KEY}, impl=anything),
 }
+"""Rule of each primitive by its name; a generator is refused by the type of its keys."""

@@ -4,26 +4,23 @@ This module and those it lists its rules in are the only ones that know JAX's pr
 array within a lane becomes that many scalars; a constant array stays a table. A random key is a pair of words.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal, Var
 
-from dssc_jax.backend import arrays, random_bits
-from dssc_jax.backend.arrays import as_tensor, elementwise
-from dssc_jax.backend.elementary import ELEMENTARY
+from dssc_jax.backend import indexing, random_bits
+from dssc_jax.backend.arrays import ARRAY_RULES, as_tensor, elementwise
+from dssc_jax.backend.elementary import ELEMENTARY, RareRule
 from dssc_jax.backend.interface import AXIS
 from dssc_jax.backend.primitives import ELEMENT_RULES
-from dssc_jax.backend.program import BOOL, Builder, Program, Recording, Value
+from dssc_jax.backend.program import BOOL, Builder, Program, Recording, Subroutine, Value
 from dssc_jax.backend.random_bits import Key
+from dssc_jax.backend.specification import SCALARS, WHOLE, Rule, absent, anything, require_type, rule
 from dssc_jax.backend.unsupported import Unsupported
 from dssc_jax.backend.varying import VaryingResults, is_key, parts_of_scan
-
-INLINED = {"jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint", "custom_jvp_call",
-         "custom_vjp_call", "custom_vjp_call_jaxpr", "custom_lin"}  # fmt: skip
-REDUCTIONS_OVER_LANES = ("pmax", "pmax_p")
 
 
 def translate(lane: Callable[..., Any], *arguments: Any, fast: bool = False) -> tuple[Program, Any]:
@@ -47,6 +44,8 @@ def translate(lane: Callable[..., Any], *arguments: Any, fast: bool = False) -> 
 def traced_program(own: "Translator", lane: Callable[..., Any], *arguments: Any) -> tuple[Program, Any]:
     """As :func:`translate`, by a given translator."""
     traced, shape = jax.make_jaxpr(lane, axis_env=[(AXIS, 1)], return_shape=True)(*arguments)
+    for aval in (*traced.in_avals, *traced.out_avals):
+        require_type(aval, SCALARS)
     build = own.build
     types = [np.dtype(leaf.dtype) for leaf in jax.tree.leaves(arguments)]
     inputs = [build.input(position, dtype) for position, dtype in enumerate(types)]
@@ -73,6 +72,7 @@ class Translator:
         self.build = build
         self.varying_results = VaryingResults()
         self._functions: dict[Any, ClosedJaxpr] = {}
+        self._subroutines: dict[Any, Subroutine] = {}
 
     def run(self, program: ClosedJaxpr, operands: Sequence[Any]) -> list[Any]:
         """The results of a traced program for the given operands."""
@@ -104,45 +104,81 @@ class Translator:
 
     def equation(self, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
         """The results of one equation."""
-        name, params = equation.primitive.name, equation.params
-        if name in INLINED:
-            inner: Any = params.get("jaxpr", params.get("call_jaxpr", params.get("fun_jaxpr")))
-            return self.run(inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ()), operands)
-        if name in LOOPS:
-            return LOOPS[name](self, equation, operands)
-        if name in REDUCTIONS_OVER_LANES:
-            return [self.over_lanes(operand) for operand in operands]
-        if name in random_bits.RANDOM_RULES:
-            return [random_bits.RANDOM_RULES[name](self.build, operands, params, equation)]
-        if any(isinstance(operand, Recording) for operand in operands):
-            raise Unsupported(f"'{name}' of a recorded array")
-        dtype = np.dtype(type_of(equation.outvars[0]).dtype) if not is_key(type_of(equation.outvars[0])) else BOOL
-        if name in ELEMENT_RULES:
-            rule = ELEMENT_RULES[name]
-            return [elementwise(lambda *scalars: rule(self.build, scalars, params, dtype), self.build, operands)]
-        if name in ELEMENTARY:
-            function = self.function(name, [np.dtype(type_of(atom).dtype) for atom in equation.invars])
-            return [elementwise(lambda *scalars: self.run(function, scalars)[0], self.build, operands)]
-        if name in arrays.ARRAY_RULES:
-            results = arrays.ARRAY_RULES[name](self.build, operands, params, equation)
-            return results if equation.primitive.multiple_results else [results]
+        name = equation.primitive.name
+        for rules, translated in self.families:
+            if name in rules:
+                rules[name].specification.require(equation)
+                return translated(rules[name], equation, operands)
         raise Unsupported("no rule for it")
 
-    def function(self, name: str, types: Sequence[np.dtype]) -> ClosedJaxpr:
-        """The trace of an elementary function."""
-        key = name, *types
+    @property
+    def families(self) -> Sequence[tuple[Mapping[str, Rule], Callable[[Any, JaxprEqn, list[Any]], Sequence[Any]]]]:
+        """All rules, by the name of their primitive, and how each kind of rule is applied."""
+        return (
+            (INLINED, self.program),
+            (LOOPS, self.program),
+            (OVER_LANES, self.program),
+            (random_bits.RANDOM_RULES, self.array),
+            (ELEMENT_RULES, self.element),
+            (ELEMENTARY, self.elementary),
+            (ARRAY_RULES, self.array),
+            (indexing.INDEXING_RULES, self.array),
+        )
+
+    def program(self, rule: Rule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+        """The results of an equation with inner programs, or over several lanes."""
+        return rule.translate(self, equation, operands)
+
+    def element(self, rule: Rule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+        """The result of an operation on each element."""
+        refuse_recordings(operands)
+        dtype = np.dtype(type_of(equation.outvars[0]).dtype)
+
+        def scalar(*scalars: Value) -> Value:
+            return rule.translate(self.build, scalars, equation.params, dtype)
+
+        return [elementwise(scalar, self.build, operands)]
+
+    def elementary(self, rule: Rule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+        """The result of an elementary function of each element."""
+        refuse_recordings(operands)
+        types = [np.dtype(type_of(atom).dtype) for atom in equation.invars]
+        function = self.function(rule.translate, types)
+        if not isinstance(rule, RareRule):
+            return [elementwise(lambda *scalars: self.run(function, scalars)[0], self.build, operands)]
+        condition, subroutine = self.function(rule.is_rare, types), self.subroutine(rule.rarely, types)
+
+        def either(*scalars: Value) -> Value:
+            usual, rare = self.run(function, scalars)[0], self.run(condition, scalars)[0]
+            return self.build.add("rarely", rare, usual, *scalars, dtype=usual.dtype, detail=subroutine)
+
+        return [elementwise(either, self.build, operands)]
+
+    def array(self, rule: Rule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+        """The results of an operation that moves or combines elements."""
+        refuse_recordings(operands)
+        results = rule.translate(self.build, operands, equation.params, equation)
+        return results if equation.primitive.multiple_results else [results]
+
+    def function(self, function: Callable[..., Any], types: Sequence[np.dtype]) -> ClosedJaxpr:
+        """The trace of an elementary function, whatever the precision of the program."""
+        key = function, *types
         if key not in self._functions:
             scalars = [jax.ShapeDtypeStruct((), dtype) for dtype in types]
-            self._functions[key] = jax.make_jaxpr(ELEMENTARY[name])(*scalars)
+            with jax.enable_x64(True):
+                self._functions[key] = jax.make_jaxpr(function)(*scalars)
         return self._functions[key]
 
-    def over_lanes(self, operand: Any) -> Value:
-        """The maximum over all lanes of a truth value, 0 or 1."""
-        if not isinstance(operand, Value) or operand.dtype.kind not in "iu":
-            raise Unsupported("a maximum over the lanes of anything but 0 and 1")
-        zero = self.build.constant(0, operand.dtype)
-        some = self.build.add("any", self.build.add("ne", operand, zero))
-        return self.build.add("convert", some, dtype=operand.dtype)
+    def subroutine(self, function: Callable[..., Any], types: Sequence[np.dtype]) -> Subroutine:
+        """A function of scalars as a subroutine of the program."""
+        key = function, *types
+        if key not in self._subroutines:
+            inside = Translator(Builder(self.build.fast))
+            inputs = [inside.build.input(position, dtype) for position, dtype in enumerate(types)]
+            outputs = inside.run(self.function(function, types), inputs)
+            name = "_".join((function.__name__, *(str(8 * dtype.itemsize) for dtype in types)))
+            self._subroutines[key] = Subroutine(name, Program(list(types), inside.build.here, outputs))
+        return self._subroutines[key]
 
 
 def components(value: Any, build: Builder) -> list[Value]:
@@ -153,7 +189,20 @@ def components(value: Any, build: Builder) -> list[Value]:
         return [value.high, value.low]
     if isinstance(value, Recording):
         raise Unsupported("a recorded array within a loop")
-    return list(as_tensor(value, build).ravel())
+    scalars = list(as_tensor(value, build).ravel())
+    if any(isinstance(scalar, Key) for scalar in scalars):
+        raise Unsupported("an array of random keys as the state of a loop")
+    return scalars
+
+
+def refuse_recordings(operands: Sequence[Any]) -> None:
+    """Require operands that a lane can read.
+
+    Raises:
+        Unsupported: One is an array that a loop has recorded.
+    """
+    if any(isinstance(operand, Recording) for operand in operands):
+        raise Unsupported("of a recorded array")
 
 
 def assembled(likes: Sequence[Any], scalars: Sequence[Value]) -> list[Any]:
@@ -184,6 +233,23 @@ def is_varying(value: Any) -> bool:
     if isinstance(value, Key):
         return value.high.varying or value.low.varying
     return isinstance(value, np.ndarray) and value.dtype == object and any(map(is_varying, value.ravel()))
+
+
+def inlined(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
+    """The results of a call."""
+    inner: Any = equation.params.get("jaxpr", equation.params.get("call_jaxpr"))
+    return own.run(inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ()), operands)
+
+
+def largest_over_lanes(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
+    """The maximum over all lanes of truth values, 0 or 1."""
+    build, results = own.build, []
+    for operand in operands:
+        if not isinstance(operand, Value):
+            raise Unsupported("a maximum over the lanes of arrays")
+        some = build.add("any", build.add("ne", operand, build.constant(0, operand.dtype)))
+        results.append(build.add("convert", some, dtype=operand.dtype))
+    return results
 
 
 def while_rule(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
@@ -235,7 +301,7 @@ def scan_rule(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list[
     loop = build.loop([build.constant(0, index), *scalars], [False, *differs], None)
     turn, *states = loop.states
     at = build.add("sub", build.constant(length - 1, index), turn) if params["reverse"] else turn
-    slices = [arrays.row(build, table, at) for table in rows]
+    slices = [indexing.row(build, table, at) for table in rows]
     results = own.run(body, [*constants, *assembled(begin, states), *slices])
     for recording, value in zip(recordings, results[carried:], strict=True):
         build.record(recording, turn, *components(value, build))
@@ -274,8 +340,45 @@ def cond(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
     return chosen(0)
 
 
-LOOPS: dict[str, Callable[[Translator, JaxprEqn, list[Any]], list[Any]]] = {
-    "while": while_rule,
-    "scan": scan_rule,
-    "cond": cond,
-}
+def this_axis(axes: Any, equation: JaxprEqn) -> bool:
+    """The axis over the lanes."""
+    return tuple(axes) == (AXIS,)
+
+
+LOOPS = {
+    "while": rule(
+        while_rule, None, cond_jaxpr=anything, body_jaxpr=anything, cond_nconsts=anything, body_nconsts=anything
+    ),
+    "scan": rule(
+        scan_rule, None, jaxpr=anything, length=anything, reverse=anything, unroll=anything, num_consts=anything,
+        num_carry=anything, ft_in=anything, ft_out=anything,
+    ),
+    "cond": rule(cond, None, branches=anything),
+}  # fmt: skip
+"""Rules of loops and branches; their translation is a function of the translator."""
+
+OVER_LANES = {"pmax": rule(largest_over_lanes, WHOLE, axes=this_axis, axis_index_groups=absent)}
+"""Reductions over the lanes that run together."""
+
+REMATERIALISED = rule(inlined, None, jaxpr=anything, prevent_cse=anything, differentiated=anything,
+                      policy=anything)  # fmt: skip
+INLINED = {
+    "jit": rule(
+        inlined, None, jaxpr=anything, name=anything, in_shardings=anything, out_shardings=anything,
+        in_layouts=anything, out_layouts=anything, donated_invars=anything, ctx_mesh=anything, keep_unused=anything,
+        inline=anything, compiler_options_kvs=absent,
+    ),
+    "closed_call": rule(inlined, None, call_jaxpr=anything),
+    "core_call": rule(inlined, None, call_jaxpr=anything),
+    "remat": REMATERIALISED,
+    "remat2": REMATERIALISED,
+    "checkpoint": REMATERIALISED,
+    "custom_jvp_call": rule(
+        inlined, None, call_jaxpr=anything, jvp_jaxpr_fun=anything, num_consts=anything, symbolic_zeros=anything
+    ),
+    "custom_vjp_call": rule(
+        inlined, None, call_jaxpr=anything, fwd_jaxpr_thunk=anything, bwd=anything, num_consts=anything,
+        out_trees=anything, symbolic_zeros=anything,
+    ),
+}  # fmt: skip
+"""Calls, whose program takes their place."""

@@ -102,12 +102,13 @@ def declarations(study: Study, controller: SampledController) -> str:
 def source_text(study: Study, controllers: Sequence[SampledController], certificate: str) -> str:
     """The source: the functions of every channel."""
     real = controllers[0].real
-    functions, helpers, tables = [], {}, []
+    functions, helpers, tables, subroutines = [], {}, {}, {}
     for controller in controllers:
         start, step = start_function(study, controller), step_function(study, controller)
         for text in (start[1], step[1]):
             helpers |= dict.fromkeys(text.notation.helpers())
-            tables += text.tables
+            tables |= dict.fromkeys(text.tables)
+            subroutines |= text.functions
         functions += [init_functions(study, controller), start[0], step[0]]
     kind, suffix = c_type(real), "F" if real.itemsize == 4 else ""
     largest = "FLT_MAX" if suffix else "DBL_MAX"
@@ -126,6 +127,7 @@ def source_text(study: Study, controllers: Sequence[SampledController], certific
         sample_time,
         *tables,
         *(helper for helper in helpers),
+        *subroutines.values(),
         finite,
         *functions,
     ]
