@@ -17,7 +17,7 @@ from benchmarks.page import put
 
 PAGE = Path(__file__).parents[2] / "docs" / "lanes.md"
 UNIT_OF_SINGLES, UNIT = 24, 40
-XLA_EVERY = 20
+XLA_EVERY = 60
 
 
 def units(programs: int, first: int, with_singles: bool) -> list[tuple[list[int], bool]]:

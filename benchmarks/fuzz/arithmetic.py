@@ -82,7 +82,7 @@ FUNCTIONS: dict[str, Callable[..., Column]] = {
 """Elementary functions, for operands in extended precision."""
 
 UNITS = {"tan": 4, "expm1": 3, "tanh": 4, "atan": 3, "asin": 3, "acos": 4, "erf_inv": 6, "sinh": 4, "cosh": 4,
-         "logistic": 4, "atan2": 4, "pow": 4, "exp2": 4}  # fmt: skip
+         "logistic": 4, "atan2": 4}  # fmt: skip
 """Units in the last place within which a function is right; 2 for every other."""
 
 
@@ -93,15 +93,6 @@ def function_value(name: str, operands: list[Column], dtype: np.dtype) -> tuple[
     value = exact.astype(dtype)
     beyond = ((value == 0) & (exact != 0)) | (np.isinf(value) & np.isfinite(exact))
     return value, beyond
-
-
-def function_units(name: str, operands: list[Column]) -> Column | int:
-    """The units in the last place within which a function is right; those of a power grow with its exponent."""
-    if name == "pow":
-        x, y = (operand.astype(np.float64) for operand in operands)
-        size = np.where(np.isfinite(x) & np.isfinite(y) & (x != 0), 2.0 * np.abs(y * np.log(np.abs(x))), 0.0)
-        return UNITS[name] + np.minimum(np.ceil(size), 2000).astype(np.int64)
-    return UNITS.get(name, 2)
 
 
 def stepped(x: Column, steps: Column | int) -> Column:

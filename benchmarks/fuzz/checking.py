@@ -103,6 +103,7 @@ def judged(program: Program, results: Sequence[np.ndarray], fast: bool, count: i
     """Compare a program's results with the referee's."""
     referee, columns = Referee(fast, replicas), inputs_of(program, count)
     expected = flattened(referee.results(program, columns))
+    results = single_columns(results)
     factor = 1.0 if referee.noisy <= 1 else 3.0
     compared, skipped = 0, 0
     for position, (result, reference) in enumerate(zip(results, expected, strict=True)):
@@ -121,6 +122,11 @@ def flattened(expected: Sequence[np.ndarray]) -> list[np.ndarray]:
     for value in expected:
         columns += [value[(..., *position)] for position in np.ndindex(*value.shape[2:])]
     return columns
+
+
+def single_columns(results: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Recordings sample by sample."""
+    return [column for result in results for column in (result.T if result.ndim == 2 else [result])]
 
 
 def differences(result: np.ndarray, reference: np.ndarray, fast: bool, factor: float) -> tuple[np.ndarray, np.ndarray]:

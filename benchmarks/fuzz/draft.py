@@ -34,6 +34,7 @@ class Draft:
         self.nodes: list[Node] = []
         self.kinds: dict[int, Kind] = dict(enumerate(self.given))
         self.fresh = 1000  # numbers of operations, until all inputs are known
+        self.fixed = set[int]()
 
     def chance(self, share: float) -> bool:
         """True in a share of the cases."""
@@ -49,10 +50,15 @@ class Draft:
         Raises:
             Misfit: JAX refuses the operands.
         """
+        known = self.fixed.issuperset(operands)
+        if operation == "convert" and known:
+            raise Misfit("JAX itself converts a constant, as NumPy does")
         kind = result_kind(operation, params, [self.kinds[i] for i in operands])
         number, self.fresh = self.fresh, self.fresh + 1
         self.nodes.append(Node(operation, tuple(operands), params, kind))
         self.kinds[number] = kind
+        if operation == "constant" or (operation == "stop_gradient" and known):
+            self.fixed.add(number)
         return number
 
     def constant(self, dtype: str, shape: tuple[int, ...] = ()) -> int:
@@ -77,7 +83,7 @@ class Draft:
         fitting = [i for i, kind in self.kinds.items() if kind == Kind(dtype)]
         if fitting and self.chance(0.6):
             return fitting[-1] if self.chance(0.5) else self.pick(fitting)
-        others = [i for i, kind in self.kinds.items() if not kind.shape and i >= 1000]
+        others = [i for i, kind in self.kinds.items() if not kind.shape and i >= 1000 and i not in self.fixed]
         if others and self.chance(0.15):
             return self.add("convert", [self.pick(others)], dtype=dtype)
         return self.constant(dtype) if self.chance(0.2) else self.input(dtype)

@@ -98,11 +98,11 @@ def switch(params: Parameters, which: Any, *operands: Any) -> Any:
     return lax.switch(which, sides, *operands)
 
 
-def fori(params: Parameters, begin: Any, *constants: Any) -> Any:
-    """A loop of a fixed number of turns; its body reads the turn, the state and what is constant."""
-    body = traceable(params["body"])
-    turns = np.int32(params["turns"])
-    return lax.fori_loop(np.int32(0), turns, lambda k, state: body(k, state, *constants)[0], begin)
+def fori(params: Parameters, *operands: Any) -> Any:
+    """A loop of a fixed number of turns; its body reads the turn, one or two states and what is constant."""
+    *begin, constant = operands
+    body, turns = traceable(params["body"]), np.int32(params["turns"])
+    return lax.fori_loop(np.int32(0), turns, lambda k, states: body(k, *states, constant), begin)[0]
 
 
 def while_loop(params: Parameters, limit: Any, begin: Any, *constants: Any) -> Any:
@@ -117,10 +117,13 @@ def while_loop(params: Parameters, limit: Any, begin: Any, *constants: Any) -> A
 
 def scan(params: Parameters, begin: Any, rows: Any, *constants: Any) -> Any:
     """A loop over the rows of an array; its body reads the row, the state and what is constant."""
-    body = traceable(params["body"])
-    return lax.scan(
-        lambda state, row: (body(row, state, *constants)[0], None), begin, rows, reverse=params["reverse"]
-    )[0]
+    body, record = traceable(params["body"]), params["record"]
+
+    def turn(state: Any, row: Any) -> Any:
+        (after,) = body(row, state, *constants)
+        return after, after if record else None
+
+    return lax.scan(turn, begin, rows, reverse=params["reverse"])[1 if record else 0]
 
 
 def random_number(params: Parameters, seed: Any) -> Any:

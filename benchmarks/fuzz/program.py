@@ -74,15 +74,15 @@ def traceable(program: Program) -> Any:
 
 
 def scalars(program: Program) -> Any:
-    """The program as a lane, which JAX traces once: an array that it returns becomes its elements."""
+    """The program as a lane, which JAX traces once: an array that it returns becomes its elements, but a recording."""
     if program.lane is not None:
         return program.lane
     inner = traceable(program)
 
     def lane(*arguments: Any) -> list[Any]:
         results = []
-        for value in inner(*arguments):
-            if np.ndim(value) == 0:
+        for number, value in zip(program.outputs, inner(*arguments), strict=True):
+            if np.ndim(value) == 0 or records(program, number):
                 results.append(value)
             else:
                 flat = jax.lax.reshape(value, (np.size(value),))
@@ -92,6 +92,12 @@ def scalars(program: Program) -> Any:
 
     program.lane = jax.jit(lane)
     return program.lane
+
+
+def records(program: Program, number: int) -> bool:
+    """Whether a value is an array that a loop records."""
+    node = program.nodes[number - len(program.inputs)] if number >= len(program.inputs) else None
+    return node is not None and bool(node.params.get("record"))
 
 
 def all_nodes(program: Program) -> Sequence[Node]:

@@ -7,13 +7,14 @@ import numpy as np
 
 from benchmarks.fuzz.draft import Draft, Misfit, is_float
 from benchmarks.fuzz.operations import BINARY, CUMULATIVE, OPERATIONS, REDUCTIONS, SCATTERS, UNARY
-from benchmarks.fuzz.program import Kind, Program
+from benchmarks.fuzz.program import Kind, Node, Program
 from benchmarks.fuzz.values import COMPLEX, TYPES
 
 Recipe = Callable[[Draft, str], int]
 SHAPES = ((2,), (3,), (5,), (2, 3), (3, 2))
 INNER = ("add", "sub", "mul", "max", "min", "neg", "abs", "div", "sin", "exp", "sqrt", "bitwise_xor", "select_n", "lt",
-         "convert", "floor", "shift_left", "clamp", "rem", "log", "tanh")  # fmt: skip
+         "convert", "floor", "shift_left", "clamp", "rem", "log", "tanh", "cond", "fori", "gather", "mul", "add",
+         "mul", "add")  # fmt: skip
 """Operations of the bodies of loops and branches."""
 
 
@@ -198,6 +199,8 @@ def body(draft: Draft, kinds: list[Kind], result: Kind) -> Program:
     """An inner program of a few operations whose result is of a kind."""
     inside = Draft(draft.rng, kinds)
     value = draft.pick([i for i, kind in enumerate(kinds) if kind == result])
+    if kinds[0] != result and draft.chance(0.5):  # what follows from the turn of a loop alone
+        inside.add("convert", [0], dtype=result.dtype)
     for _ in range(int(draft.rng.integers(1, 4))):
         try:
             number = RECIPES[inside.pick(INNER)](inside, result.dtype)
@@ -206,8 +209,15 @@ def body(draft: Draft, kinds: list[Kind], result: Kind) -> Program:
         if inside.kinds[number].shape == result.shape:
             value = number
     if inside.kinds[value] != result:
-        value = inside.add("convert", [value], dtype=result.dtype)
+        value = inside.add("convert", [value], dtype=result.dtype)  # a misfit, if it is a constant
     return inside.program([value])
+
+
+def opposite(draft: Draft, inner: Program) -> Program:
+    """An inner program of a loop with two states, whose second result is the negative of the first."""
+    (first,), kind = inner.outputs, inner.kinds()[inner.outputs[0]]
+    negative = Node("neg", (first,), {}, kind)
+    return Program(inner.inputs, [], [*inner.nodes, negative], [first, len(inner.inputs) + len(inner.nodes)])
 
 
 def call(draft: Draft, dtype: str) -> int:
@@ -239,11 +249,18 @@ def loop(name: str) -> Recipe:
         if name == "scan":
             rows = draft.array(dtype, draft.pick(((3,), (5,)))) if draft.chance(0.5) else draft.constant(dtype, (19,))
             inner = body(draft, [kind, kind, kind], kind)
-            return draft.add("scan", [begin, rows, constant], body=inner, reverse=draft.chance(0.3))
-        inner = body(draft, [Kind("int32"), kind, kind], kind)
-        if name == "fori":
-            return draft.add("fori", [begin, constant], body=inner, turns=draft.pick((0, 1, 3, 9, 19)))
-        return draft.add("while", [draft.scalar("int32"), begin, constant], body=inner)
+            ways = {"reverse": draft.chance(0.3), "record": draft.chance(0.3)}
+            return draft.add("scan", [begin, rows, constant], body=inner, **ways)
+        if name == "while":
+            inner = body(draft, [Kind("int32"), kind, kind], kind)
+            return draft.add("while", [draft.scalar("int32"), begin, constant], body=inner)
+        turns = draft.pick((0, 1, 3, 9, 19))
+        if draft.chance(0.7):
+            inner = body(draft, [Kind("int32"), kind, kind], kind)
+            return draft.add("fori", [begin, constant], body=inner, turns=turns)
+        inner = opposite(draft, body(draft, [Kind("int32"), kind, kind, kind], kind))
+        other = draft.add("neg", [begin]) if draft.chance(0.7) else draft.scalar(dtype)
+        return draft.add("fori", [begin, other, constant], body=inner, turns=turns)
 
     return recipe
 

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from benchmarks.fuzz import sums
-from benchmarks.fuzz.arithmetic import EXACT, FUNCTIONS, function_units, function_value, stepped
+from benchmarks.fuzz.arithmetic import EXACT, FUNCTIONS, UNITS, function_value, stepped
 from benchmarks.fuzz.draft import signature
 from benchmarks.fuzz.moving import MOVING, scatter
 from benchmarks.fuzz.operations import OPERATIONS
@@ -110,8 +110,7 @@ class Referee:
         """An elementary function."""
         operands = list(np.broadcast_arrays(*operands))
         value, beyond = function_value(name, operands, operands[0].dtype)
-        units = function_units(name, operands)
-        value = self.disturbed(value, units, beyond & np.isinf(value), beyond & (value == 0))
+        value = self.disturbed(value, UNITS.get(name, 2), beyond & np.isinf(value), beyond & (value == 0))
         return self.signless(value) if self.fast else value
 
     def by_kernel(self, node: Node, operands: list[np.ndarray], value: np.ndarray) -> np.ndarray:
@@ -237,11 +236,11 @@ def switch(referee: Referee, params: dict[str, Any], operands: list[np.ndarray])
 
 
 def fori(referee: Referee, params: dict[str, Any], operands: list[np.ndarray]) -> np.ndarray:
-    state, *constants = operands
+    states, constant = operands[:-1], operands[-1]
     for k in range(params["turns"]):
-        turn = np.full(len(state), k, np.int32)
-        state = referee.evaluated(params["body"], [turn, state, *constants])[0]
-    return state
+        turn = np.full(len(constant), k, np.int32)
+        states = referee.evaluated(params["body"], [turn, *states, constant])
+    return states[0]
 
 
 def while_loop(referee: Referee, params: dict[str, Any], operands: list[np.ndarray]) -> np.ndarray:
@@ -256,10 +255,11 @@ def while_loop(referee: Referee, params: dict[str, Any], operands: list[np.ndarr
 
 def scan(referee: Referee, params: dict[str, Any], operands: list[np.ndarray]) -> np.ndarray:
     state, rows, *constants = operands
-    order = range(rows.shape[1])
+    order, samples = range(rows.shape[1]), []
     for k in reversed(order) if params["reverse"] else order:
         state = referee.evaluated(params["body"], [rows[:, k], state, *constants])[0]
-    return state
+        samples.append(state)
+    return np.stack(samples, 1) if params["record"] else state
 
 
 CONTROL = {"call": call, "cond": cond, "switch": switch, "fori": fori, "while": while_loop, "scan": scan}

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks.fuzz.checking import differences, flattened, inputs_of
+from benchmarks.fuzz.checking import differences, flattened, inputs_of, single_columns
 from benchmarks.fuzz.program import Program, all_nodes
 from benchmarks.fuzz.referee import Referee
 from benchmarks.fuzz.values import MAIN, TYPES
@@ -45,7 +45,7 @@ def doubts(program: Program, results: Sequence[np.ndarray], count: int) -> str:
     referee, columns = Watching(True, REPLICAS), inputs_of(program, count)
     expected = flattened(referee.results(program, columns))
     clean = ~referee.subnormal.reshape(REPLICAS, count).any(0)
-    for position, (result, reference) in enumerate(zip(results, expected, strict=True)):
+    for result, reference in zip(single_columns(results), expected, strict=True):
         wrong, _ = differences(result, reference, True, 4.0)
         if result.dtype.name in FUNCTION_ERROR:
             near = np.isclose(result, reference[0], rtol=FUNCTION_ERROR[result.dtype.name], atol=0.0, equal_nan=True)
