@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from dssc_jax.backend.interface import stored_type
 from dssc_jax.backend.program import BOOL, COMPARISONS, Subroutine, Value
 from dssc_jax.backend.signs import is_unsigned
 
@@ -137,7 +138,7 @@ class Instructions:
         wide = self.is_vector(value)
         kind = self.kind(dtype, wide)
         if operation == "input":
-            return self.input(value, kind)
+            return self.input(value, wide)
         if operation == "any":
             (mask,) = value.operands
             return self.any(self.read(mask, True)) if self.is_vector(mask) else self.read(mask, False)
@@ -162,11 +163,18 @@ class Instructions:
             return self.extreme(operation, value, wide, names)
         return self.arithmetic(operation, dtype, wide, names)
 
-    def input(self, value: Value, kind: str) -> str:
+    def input(self, value: Value, wide: bool) -> str:
         """A number that the lanes are given."""
-        column = self.column("inputs", value.detail)
-        place = self.emit(f"getelementptr {scalar_type(value.dtype)}, ptr {column}, i64 %lane")
-        return self.emit(f"load {kind}, ptr {place}, align {value.dtype.itemsize}")
+        column, dtype = self.column("inputs", value.detail), stored_type(value.dtype)
+        place = self.emit(f"getelementptr {scalar_type(dtype)}, ptr {column}, i64 %lane")
+        stored = self.emit(f"load {self.kind(dtype, wide)}, ptr {place}, align {dtype.itemsize}")
+        return self.from_memory(value.dtype, wide, stored)
+
+    def from_memory(self, dtype: np.dtype, wide: bool, stored: str) -> str:
+        """A value that was loaded; a truth value from its byte."""
+        if dtype != BOOL:
+            return stored
+        return self.compare("ne", stored_type(BOOL), wide, [stored, self.zero(BOOL, wide) if wide else "0"])
 
     def rarely(self, value: Value, wide: bool) -> str:
         """A value, or where a condition holds the result of a subroutine, which is called if a lane needs it."""
@@ -267,9 +275,10 @@ class Instructions:
     def lookup(self, value: Value, wide: bool) -> str:
         """An element of a constant table."""
         table, (index,) = value.detail, value.operands
-        scalar, count = scalar_type(value.dtype), table.size
+        dtype = stored_type(value.dtype)
+        scalar, count = scalar_type(dtype), table.size
         name = f"@t{len(self.tables)}"
-        numbers = ", ".join(f"{scalar} {literal(number, value.dtype)}" for number in table)
+        numbers = ", ".join(f"{scalar} {literal(number, dtype)}" for number in table)
         self.tables.append(f"{name} = private constant [{count} x {scalar}] [{numbers}]")
         most = f"{scalar_type(index.dtype)} {count - 1}"  # a loop computes ahead beyond its end
         limit = (self.kind(index.dtype, wide), f"splat ({most})" if wide else str(count - 1))
@@ -277,11 +286,11 @@ class Instructions:
         register = self.call(f"llvm.umin.{self.suffix(index.dtype, wide)}", limit[0], given, limit)
         if not wide:
             place = self.emit(f"getelementptr {scalar}, ptr {name}, {scalar_type(index.dtype)} {register}", "p")
-            return self.emit(f"load {scalar}, ptr {place}")
-        kind, mask = self.kind(value.dtype, True), self.kind(BOOL, True)
+            return self.from_memory(value.dtype, False, self.emit(f"load {scalar}, ptr {place}"))
+        kind, mask = self.kind(dtype, True), self.kind(BOOL, True)
         pointers = f"<{self.width} x ptr>"
         places = self.emit(f"getelementptr {scalar}, ptr {name}, {self.kind(index.dtype, True)} {register}", "p")
-        function = f"llvm.masked.gather.{self.suffix(value.dtype, True)}.v{self.width}p0"
+        function = f"llvm.masked.gather.{self.suffix(dtype, True)}.v{self.width}p0"
         self.declared.add(f"declare {kind} @{function}({pointers}, {mask}, {kind})")
-        arguments = f"{pointers} align {value.dtype.itemsize} {places}, {mask} splat (i1 true), {kind} poison"
-        return self.emit(f"call {kind} @{function}({arguments})")
+        arguments = f"{pointers} align {dtype.itemsize} {places}, {mask} splat (i1 true), {kind} poison"
+        return self.from_memory(value.dtype, True, self.emit(f"call {kind} @{function}({arguments})"))

@@ -241,7 +241,7 @@ class Emitter(Instructions):
 class SubroutineEmitter(Emitter):
     """Writes a subroutine, whose inputs are its arguments."""
 
-    def input(self, value: Value, kind: str) -> str:
+    def input(self, value: Value, wide: bool) -> str:
         """An argument."""
         return f"%a{value.detail}"
 
