@@ -5,6 +5,7 @@ Workers that a program ends are started anew, and the program is found by halvin
 
 import argparse
 import json
+import random
 import sys
 import time
 from collections import Counter
@@ -26,7 +27,9 @@ def units(programs: int, first: int, with_singles: bool) -> list[tuple[list[int]
     many = range(SINGLES + first, SINGLES + first + programs)
     parts = [list(singles[i : i + UNIT_OF_SINGLES]) for i in range(0, len(singles), UNIT_OF_SINGLES)]
     parts += [list(many[i : i + UNIT]) for i in range(0, len(many), UNIT)]
-    return [(part, number % XLA_EVERY == 0) for number, part in enumerate(parts)]
+    work = [(part, number % XLA_EVERY == 0) for number, part in enumerate(parts)]
+    random.Random(first).shuffle(work)
+    return work
 
 
 def page(counts: Counter[str], operations: Counter[str], minutes: float) -> str:
@@ -54,13 +57,13 @@ def main() -> int:
     options.add_argument("--first", type=int, default=0, help="number of the first random program")
     options.add_argument("--no-singles", action="store_true", help="leave out the programs of one operation")
     options.add_argument("--workers", type=int, default=2)
-    options.add_argument("--every", type=int, default=1, help="only every so manieth unit")
+    options.add_argument("--minutes", type=float, default=None, help="begin no further unit after this time")
     options.add_argument("--findings", type=Path, default=None, help="a file for what is found, one JSON a line")
     options.add_argument("--page", action="store_true", help="write the part of docs/lanes.md")
     chosen = options.parse_args()
-    work = units(chosen.programs, chosen.first, not chosen.no_singles)[:: chosen.every]
+    work = units(chosen.programs, chosen.first, not chosen.no_singles)
     began = time.perf_counter()
-    crew = Crew(work, chosen.workers)
+    crew = Crew(work, chosen.workers, chosen.minutes)
     crew.run()
     minutes = (time.perf_counter() - began) / 60.0
     for name, count in crew.refused.most_common(400):

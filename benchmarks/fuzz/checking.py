@@ -16,7 +16,8 @@ from benchmarks.fuzz.values import column
 from dssc_jax.backend import forms
 from dssc_jax.backend.interface import AXIS
 from dssc_jax.backend.lanes import CompiledLanes
-from dssc_jax.backend.translate import translate
+from dssc_jax.backend.program import Builder
+from dssc_jax.backend.translate import Translator, traced_program
 from dssc_jax.backend.unsupported import Unsupported
 
 LANES_OF_SINGLES, LANES = 965, 193  # no whole numbers of vectors
@@ -67,17 +68,27 @@ def inputs_of(program: Program, count: int) -> list[np.ndarray]:
     return [column(kind.dtype, slot, count, 1) for kind, slot in pairs]
 
 
-def refusal(program: Program) -> str:
-    """Why the compiler refuses a program; empty if it takes it.
+class Gate:
+    """Tells what the compiler refuses; it traces each elementary function once for many programs."""
 
-    Raises:
-        Exception: Whatever else the compiler does with it.
-    """
-    try:
-        translate(scalars(program), *abstract(program.inputs), fast=True)
-    except Unsupported as problem:
-        return str(problem)
-    return ""
+    def __init__(self) -> None:
+        self.translator = Translator(Builder(fast=True))
+
+    def refusal(self, program: Program) -> str:
+        """Why the compiler refuses a program; empty if it takes it.
+
+        Raises:
+            Exception: Whatever else the compiler does with it.
+        """
+        try:
+            traced_program(self.translator, scalars(program), *abstract(program.inputs))
+        except Unsupported as problem:
+            self.translator = Translator(Builder(fast=True))
+            return str(problem)
+        except Exception:
+            self.translator = Translator(Builder(fast=True))
+            raise
+        return ""
 
 
 def computed(programs: Sequence[Program], count: int, strict: bool, width: int | None) -> list[list[np.ndarray]]:

@@ -1,10 +1,12 @@
 """Workers in processes of their own, restarted when a program ends one."""
 
 import json
+import math
 import os
 import subprocess
 import sys
 import threading
+import time
 from collections import Counter, deque
 from typing import Any
 
@@ -22,10 +24,12 @@ class Crew:
     Args:
         work: Seeds of each unit, and whether plain XLA runs them, too.
         workers: Processes.
+        minutes: No further unit begins after this time; None: all do.
     """
 
-    def __init__(self, work: list[Work], workers: int) -> None:
+    def __init__(self, work: list[Work], workers: int, minutes: float | None = None) -> None:
         self.waiting, self.workers = deque(work), workers
+        self.end = math.inf if minutes is None else time.monotonic() + 60.0 * minutes
         self.counts: Counter[str] = Counter()
         self.operations: Counter[str] = Counter()
         self.refused: Counter[str] = Counter()
@@ -43,7 +47,7 @@ class Crew:
     def taken(self) -> Work | None:
         """The next unit."""
         with self.lock:
-            return self.waiting.popleft() if self.waiting else None
+            return self.waiting.popleft() if self.waiting and time.monotonic() < self.end else None
 
     def serve(self) -> None:
         """Give units to a worker until none is left."""

@@ -139,10 +139,23 @@ def needed_part(program: Program) -> Program:
     return Program([program.inputs[i] for i in inputs], slots, nodes, [place[i] for i in program.outputs])
 
 
+def of_body(params: dict[str, Any], kinds: Sequence[Kind]) -> Kind:
+    """The kind of an inner program's result."""
+    body = params["body"] if "body" in params else params["sides"][0]
+    return body.kinds()[body.outputs[0]]
+
+
+def of_scan(params: dict[str, Any], kinds: Sequence[Kind]) -> Kind:
+    """The kind of a state, or of what is recorded of it."""
+    return Kind(kinds[0].dtype, (kinds[1].shape[0],)) if params["record"] else kinds[0]
+
+
+INNER_RESULT = {**dict.fromkeys(("call", "cond", "switch", "fori", "while"), of_body), "scan": of_scan}
+"""Kinds of results of what has inner programs."""
+
+
 def signature(operation: str, params: dict[str, Any], kinds: Sequence[Kind]) -> Any:
-    """A key of what decides the kind of a result, and the code of one operation; None for what is not kept."""
-    if operation in ("constant", "call", "cond", "switch", "fori", "while", "scan"):
-        return None
+    """A key of what decides the kind of a result, and the code of one operation."""
     fixed = tuple((name, value.tobytes() if isinstance(value, np.ndarray) else value) for name, value in params.items())
     return operation, fixed, tuple(kinds)
 
@@ -155,17 +168,15 @@ def result_kind(operation: str, params: dict[str, Any], kinds: Sequence[Kind]) -
     """
     if operation == "constant":
         return Kind(params["value"].dtype.name, params["value"].shape)
+    if operation in INNER_RESULT:
+        return INNER_RESULT[operation](params, kinds)
     key = signature(operation, params, kinds)
-    if key is None or key not in KNOWN_KINDS:
+    if key not in KNOWN_KINDS:
         try:
             shape = jax.eval_shape(lambda *operands: OPERATIONS[operation](params, *operands), *abstract(kinds))
             found = Kind(jnp.dtype(shape.dtype).name, tuple(shape.shape))
         except (TypeError, ValueError, NotImplementedError, KeyError, AttributeError, OverflowError, IndexError):
             found = None
-        if key is None:
-            if found is None:
-                raise Misfit(operation)
-            return found
         KNOWN_KINDS[key] = found
     known = KNOWN_KINDS[key]
     if known is None:

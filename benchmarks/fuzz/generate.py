@@ -4,7 +4,7 @@ import numpy as np
 
 from benchmarks.fuzz.draft import Draft, Misfit
 from benchmarks.fuzz.program import Program
-from benchmarks.fuzz.recipes import RECIPES, SELDOM, UNUSUAL
+from benchmarks.fuzz.recipes import LONG, RECIPES, SELDOM, UNUSUAL
 from benchmarks.fuzz.values import TYPES
 
 VARIANTS = 12
@@ -48,10 +48,12 @@ def several(rng: np.random.Generator) -> Program:
     while True:
         draft, wanted = Draft(rng), int(rng.choice(SIZES, p=1.0 / SIZES / (1.0 / SIZES).sum()))
         main, made = rng.choice(common, 3, p=weights / weights.sum()), 0
-        for _ in range(10 * wanted):
+        for _ in range(20 * wanted):
             if made == wanted:
                 break
-            name = str(rng.choice(usual if rng.random() < 0.995 else NAMES))
+            name = usual[int(rng.integers(len(usual)))] if rng.random() < 0.995 else NAMES[int(rng.integers(len(NAMES)))]
+            if name in LONG and rng.random() < 0.6:
+                continue
             dtype = str(rng.choice(main) if rng.random() < 0.99 else rng.choice(TYPES))
             try:
                 RECIPES[name](draft, dtype)

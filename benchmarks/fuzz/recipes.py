@@ -295,3 +295,7 @@ UNUSUAL = {"cbrt", "asinh", "acosh", "atanh", "erf", "erfc", "lgamma", "digamma"
            "cumlogsumexp", "population_count", "clz", "nextafter", "reduce_xor", "scatter_mul", "scatter_min",
            "scatter_max", "scatter_sub"}  # fmt: skip
 """What a lane is not expected to have: covered one by one, and seldom among others."""
+
+LONG = {"sin", "cos", "tan", "exp", "exp2", "expm1", "log", "log1p", "asin", "acos", "atan", "sinh", "cosh", "tanh",
+        "logistic", "erf_inv", "pow", "atan2", "random"}  # fmt: skip
+"""What is hundreds of instructions: covered one by one, and less often among others."""

@@ -15,13 +15,13 @@ import jax
 import numpy as np
 
 from benchmarks.fuzz.checking import (
-    MODES, WIDTHS, Entry, by_xla, checked, computed, culprit, falls_back, lanes_of, refusal,
+    MODES, WIDTHS, Entry, Gate, by_xla, checked, computed, culprit, falls_back, lanes_of,
 )  # fmt: skip
 from benchmarks.fuzz.generate import generate
 from benchmarks.fuzz.program import all_nodes, text
 from benchmarks.fuzz.xla import doubts
 
-MOST_FALL_BACKS = 300
+MOST_FALL_BACKS = 100
 """Refusals whose warnings a process looks at; one of each kind."""
 
 REFUSALS: set[str] = set()
@@ -46,6 +46,7 @@ class Unit:
         self.operations: Counter[str] = Counter()
         self.refused: Counter[str] = Counter()
         self.findings: list[dict[str, Any]] = []
+        self.gate = Gate()
 
     def run(self) -> None:
         """All programs in both kinds of arithmetic."""
@@ -79,7 +80,7 @@ class Unit:
     def accepted(self, entry: Entry) -> bool:
         """Whether the compiler takes a program; if it refuses, whether it does so with a warning."""
         try:
-            reason = refusal(entry.program)
+            reason = self.gate.refusal(entry.program)
         except Exception as problem:
             self.counts["crashed"] += 1
             self.find("exception", entry, "translation", f"{type(problem).__name__}: {problem}", text(entry.program))
@@ -129,6 +130,7 @@ class Unit:
 
 def main() -> int:
     jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_traceback_filtering", "off")
     np.seterr(all="ignore")
     tell(stage="ready")
     for line in sys.stdin:
