@@ -16,6 +16,7 @@ from dssc_jax.cache.user_cache import CACHE_VARIABLE
 
 Work = tuple[list[int], bool]
 REPORT_EVERY = 50
+COMMAND = [sys.executable, "-m", "benchmarks.fuzz.worker"]
 
 
 class Crew:
@@ -106,6 +107,5 @@ class Crew:
 def started() -> Any:
     """A worker."""
     environment = {**os.environ, CACHE_VARIABLE: "off", "JAX_PLATFORMS": "cpu"}
-    command = [sys.executable, "-m", "benchmarks.fuzz.worker"]
-    return subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+    return subprocess.Popen(COMMAND, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
                             stderr=subprocess.DEVNULL, text=True)  # fmt: skip

@@ -101,8 +101,12 @@ def switch(params: Parameters, which: Any, *operands: Any) -> Any:
 def fori(params: Parameters, *operands: Any) -> Any:
     """A loop of a fixed number of turns; its body reads the turn, one or two states and what is constant."""
     *begin, constant = operands
-    body, turns = traceable(params["body"]), np.int32(params["turns"])
-    return lax.fori_loop(np.int32(0), turns, lambda k, states: body(k, *states, constant), begin)[0]
+    body = traceable(params["body"])
+
+    def turn(k: Any, states: Any) -> Any:
+        return body(lax.convert_element_type(k, jnp.int32), *states, constant)
+
+    return lax.fori_loop(0, params["turns"], turn, begin)[0]
 
 
 def while_loop(params: Parameters, limit: Any, begin: Any, *constants: Any) -> Any:
