@@ -44,8 +44,8 @@ def powers(x, y):
 def zeros(x, y):
     """The signs of the larger and the smaller of two zeros."""
     a, b = jnp.where(x < 0.0, -0.0, 0.0), jnp.where(y < 0.0, -0.0, 0.0)
-    return sum(2.0**i * jnp.clip(1.0 / zero, -1.0, 1.0) for i, zero in enumerate((
-        jnp.maximum(a, b), jnp.minimum(a, b), jnp.maximum(a, 0.0), jnp.minimum(b, -0.0))))  # fmt: skip
+    extremes = jnp.maximum(a, b), jnp.minimum(a, b), jnp.maximum(a, 0.0), jnp.minimum(b, -0.0)
+    return sum(2.0**i * jnp.clip(1.0 / zero, -1.0, 1.0) for i, zero in enumerate(extremes))
 
 
 def words(x, y):
@@ -102,7 +102,8 @@ def swapped(x, y):
 
 
 FUNCTIONS = [
-    rounding, signs_of_zero, elementary, angles, powers, zeros, words, associated, extremes, logic, integers, table, newton, sided, swapped,
+    rounding, signs_of_zero, elementary, angles, powers, zeros, words, associated, extremes, logic, integers, table,
+    newton, sided, swapped,
 ]  # fmt: skip
 
 

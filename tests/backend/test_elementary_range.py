@@ -1,4 +1,4 @@
-"""Elementary functions on hostile numbers: around powers of two up to the largest float, subnormal, at special values."""
+"""Elementary functions on hostile numbers: around all powers of two, subnormal ones among them, and at infinity."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""What the compiler translates has the values of plain XLA, hostile ones among them; anything else it refuses by name."""
+"""What the compiler translates has the values of plain XLA, of hostile operands, too; the rest it refuses by name."""
 
 import jax
 import jax.numpy as jnp
@@ -64,7 +64,7 @@ def test_conversions_are_those_of_xla(dtype, real):
     lanes, plain = both(lambda x: x.astype(dtype), x)
     assert lanes.dtype == plain.dtype
     np.testing.assert_array_equal(lanes, plain)
-    whole = hostile_integers(dtype) if dtype != bool else np.array([False, True, True])
+    whole = hostile_integers(dtype) if dtype.kind != "b" else np.array([False, True, True])
     for other in (np.int8, np.uint16, np.int32, np.uint32, np.int64, np.uint64, np.float32, np.float64, np.bool_):
         np.testing.assert_array_equal(*both(lambda x, other=other: x.astype(other), whole))
 
@@ -254,7 +254,7 @@ def test_a_parameter_of_a_newer_jax_is_refused(monkeypatch):
     known = ELEMENT_RULES["mul"]
     older = Rule(known.translate, Specification(known.specification.types, {}))
     monkeypatch.setitem(ELEMENT_RULES, "mul", older)
-    with pytest.raises(Unsupported, match="'mul' in .*: an unknown parameter out_dtype = None"):
+    with pytest.raises(Unsupported, match=r"'mul' in .*: an unknown parameter out_dtype = None"):
         CompiledLanes(lambda x: x * x, jax.ShapeDtypeStruct((), np.float64), width=4)
     assert known.specification.parameters["out_dtype"] is absent
 

@@ -110,10 +110,10 @@ def far(x: jax.Array) -> Reduced:
     place = (bits >> word(52)).astype(jnp.int32) - (1075 - 62)  # of the first bit, from that of 2^63
     shift = (place & 63).astype(jnp.uint64)
     table = jnp.asarray(np.array(TWO_BY_PI, np.uint64))
-    start = place >> 6
-    first = following_bits(table[start], table[start + 1], shift)
-    second = following_bits(table[start + 1], table[start + 2], shift)
-    third = following_bits(table[start + 2], table[start + 3], shift)
+    words = jnp.unstack(jax.lax.dynamic_slice(table, (place >> 6,), (4,)))
+    first = following_bits(words[0], words[1], shift)
+    second = following_bits(words[1], words[2], shift)
+    third = following_bits(words[2], words[3], shift)
     low = mantissa * second
     middle = low + high_product(mantissa, third)
     carry = (middle < low).astype(jnp.uint64)

@@ -12,6 +12,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from dssc_jax.backend import circular, exponentials
 from dssc_jax.backend.exponentials import is_negative, logarithm, mantissa, width
@@ -148,6 +149,11 @@ def accurate(function: Callable[..., Any]) -> Rule:
     return rule(function, REAL, accuracy=absent)
 
 
+def real_base(equation: Any) -> str | None:
+    """Refuse a power of an integer; an exponent may be one."""
+    return None if np.dtype(equation.invars[0].aval.dtype) in REAL else "a power of an integer"
+
+
 def circular_rule(usually: Callable[..., Any], rarely: Callable[..., Any]) -> RareRule:
     """The rule of a function of an angle."""
     return RareRule(usually, Specification(REAL, {"accuracy": absent}), circular.is_far, rarely)
@@ -173,6 +179,6 @@ ELEMENTARY: dict[str, Rule] = {
     "atan2": rule(atan2, REAL),
     "erf_inv": rule(erf_inv, REAL),
     "one_minus_square": rule(one_minus_square, REAL),
-    "pow": rule(power, REAL | WHOLE),
+    "pow": Rule(power, Specification(REAL | WHOLE, exact=real_base)),
 }
 """Rule of each function by its primitive's name. A new one takes its definition above and a row here."""

@@ -56,15 +56,13 @@ def division(operation: str) -> ElementRule:
             return build.add(operation, x, y)
         zero, one = build.constant(0, dtype), build.constant(1, dtype)
         by_zero = build.add("eq", y, zero)
-        unusual = by_zero
-        if dtype.kind == "i":
-            minus = build.add("eq", y, build.constant(-1, dtype))
-            unusual = build.add("or", by_zero, minus)
+        signed = dtype.kind == "i"
+        unusual = build.add("or", by_zero, build.add("eq", y, build.constant(-1, dtype))) if signed else by_zero
         quotient = build.add(operation, x, build.add("select", unusual, one, y))
         if operation == "rem":  # by 1 it is 0, and so it is by -1
             return build.add("select", by_zero, x, quotient)
-        if dtype.kind == "i":
-            quotient = build.add("select", minus, build.add("neg", x), quotient)
+        if signed:
+            quotient = build.add("select", unusual, build.add("neg", x), quotient)
         all_bits = build.constant(np.array(-1).astype(dtype), dtype)
         return build.add("select", by_zero, all_bits, quotient)
 

@@ -304,9 +304,9 @@ class Builder:
                 if product.operation == "mul":
                     for late, early in (product.operands, product.operands[::-1]):
                         if max(self._known(early), self._known(factor)) < self._known(late):
-                            both = self.add("mul", early, factor)
-                            if is_usable(both):
-                                return self.add("mul", late, both)
+                            factors = self.add("mul", early, factor)
+                            if is_usable(factors):
+                                return self.add("mul", late, factors)
         return None
 
     def _known(self, value: Value) -> int:

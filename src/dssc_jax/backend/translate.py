@@ -47,7 +47,7 @@ def traced_program(own: "Translator", lane: Callable[..., Any], *arguments: Any)
     for aval in (*traced.in_avals, *traced.out_avals):
         require_type(aval, SCALARS)
     build = own.build
-    types = [np.dtype(leaf.dtype) for leaf in jax.tree.leaves(arguments)]
+    types = [np.dtype(aval.dtype) for aval in traced.in_avals]  # those of the arguments, in JAX's present precision
     inputs = [build.input(position, dtype) for position, dtype in enumerate(types)]
     outputs = own.run(traced, inputs)
     return Program(types, build.here, [output(value) for value in outputs]), shape
@@ -125,39 +125,39 @@ class Translator:
             (indexing.INDEXING_RULES, self.array),
         )
 
-    def program(self, rule: Rule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+    def program(self, chosen: Rule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
         """The results of an equation with inner programs, or over several lanes."""
-        return rule.translate(self, equation, operands)
+        return chosen.translate(self, equation, operands)
 
-    def element(self, rule: Rule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+    def element(self, chosen: Rule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
         """The result of an operation on each element."""
         refuse_recordings(operands)
         dtype = np.dtype(type_of(equation.outvars[0]).dtype)
 
         def scalar(*scalars: Value) -> Value:
-            return rule.translate(self.build, scalars, equation.params, dtype)
+            return chosen.translate(self.build, scalars, equation.params, dtype)
 
         return [elementwise(scalar, self.build, operands)]
 
-    def elementary(self, rule: Rule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+    def elementary(self, chosen: Rule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
         """The result of an elementary function of each element."""
         refuse_recordings(operands)
         types = [np.dtype(type_of(atom).dtype) for atom in equation.invars]
-        function = self.function(rule.translate, types)
-        if not isinstance(rule, RareRule):
+        function = self.function(chosen.translate, types)
+        if not isinstance(chosen, RareRule):
             return [elementwise(lambda *scalars: self.run(function, scalars)[0], self.build, operands)]
-        condition, subroutine = self.function(rule.is_rare, types), self.subroutine(rule.rarely, types)
+        condition, subroutine = self.function(chosen.is_rare, types), self.subroutine(chosen.rarely, types)
 
-        def either(*scalars: Value) -> Value:
+        def usual_or_rare(*scalars: Value) -> Value:
             usual, rare = self.run(function, scalars)[0], self.run(condition, scalars)[0]
             return self.build.add("rarely", rare, usual, *scalars, dtype=usual.dtype, detail=subroutine)
 
-        return [elementwise(either, self.build, operands)]
+        return [elementwise(usual_or_rare, self.build, operands)]
 
-    def array(self, rule: Rule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+    def array(self, chosen: Rule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
         """The results of an operation that moves or combines elements."""
         refuse_recordings(operands)
-        results = rule.translate(self.build, operands, equation.params, equation)
+        results = chosen.translate(self.build, operands, equation.params, equation)
         return results if equation.primitive.multiple_results else [results]
 
     def function(self, function: Callable[..., Any], types: Sequence[np.dtype]) -> ClosedJaxpr:
@@ -202,7 +202,7 @@ def refuse_recordings(operands: Sequence[Any]) -> None:
         Unsupported: One is an array that a loop has recorded.
     """
     if any(isinstance(operand, Recording) for operand in operands):
-        raise Unsupported("of a recorded array")
+        raise Unsupported("an array that a loop records, as an operand")
 
 
 def assembled(likes: Sequence[Any], scalars: Sequence[Value]) -> list[Any]:
@@ -235,15 +235,15 @@ def is_varying(value: Any) -> bool:
     return isinstance(value, np.ndarray) and value.dtype == object and any(map(is_varying, value.ravel()))
 
 
-def inlined(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
+def inlined(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
     """The results of a call."""
     inner: Any = equation.params.get("jaxpr", equation.params.get("call_jaxpr"))
-    return own.run(inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ()), operands)
+    return translator.run(inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ()), operands)
 
 
-def largest_over_lanes(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
+def largest_over_lanes(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
     """The maximum over all lanes of truth values, 0 or 1."""
-    build, results = own.build, []
+    build, results = translator.build, []
     for operand in operands:
         if not isinstance(operand, Value):
             raise Unsupported("a maximum over the lanes of arrays")
