@@ -88,8 +88,8 @@ UNITS = {"tan": 4, "expm1": 3, "tanh": 4, "atan": 3, "asin": 3, "acos": 4, "erf_
 
 def function_value(name: str, operands: list[Column], dtype: np.dtype) -> tuple[Column, Column]:
     """A function's value rounded to a type, and where a result of 0 or infinity is due to the range of the type."""
-    given = [operand.astype(EXTENDED) for operand in operands]
-    exact = FUNCTIONS[name](*given)
+    wide = [operand.astype(EXTENDED) for operand in operands]
+    exact = FUNCTIONS[name](*wide)
     value = exact.astype(dtype)
     beyond = ((value == 0) & (exact != 0)) | (np.isinf(value) & np.isfinite(exact))
     return value, beyond

@@ -175,10 +175,10 @@ def example(program: Program, columns: Sequence[np.ndarray], position: int, resu
             wrong: np.ndarray) -> str:  # fmt: skip
     """A wrong result in words."""
     lane = int(np.flatnonzero(wrong)[0])
-    given = ", ".join(f"v{i}={column[lane]!r}" for i, column in enumerate(columns))
+    shown = ", ".join(f"v{i}={column[lane]!r}" for i, column in enumerate(columns))
     spread = "" if (reference[:, lane] == reference[0, lane]).all() else f" (.. {reference[1, lane]!r})"
     return (
-        f"{int(wrong.sum())} of {len(wrong)} lanes, result {position}: {given}: "
+        f"{int(wrong.sum())} of {len(wrong)} lanes, result {position}: {shown}: "
         f"{result[lane]!r} instead of {reference[0, lane]!r}{spread}"
     )
 
@@ -221,7 +221,7 @@ def falls_back(program: Program) -> str:
             start({"a": np.arange(16.0)}, np.arange(16))()
         except Exception as problem:
             return "" if xla_fails(program) else f"no result: {type(problem).__name__}: {problem}"
-    told = [str(one.message) for one in raised if issubclass(one.category, forms.KernelWarning)]
+    told = [str(warning.message) for warning in raised if issubclass(warning.category, forms.KernelWarning)]
     return "" if told and "no machine code for " in told[0] else "no warning"
 
 

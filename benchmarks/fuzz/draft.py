@@ -30,9 +30,9 @@ class Draft:
     def __init__(self, rng: np.random.Generator, inputs: Sequence[Kind] | None = None) -> None:
         self.rng, self.inner = rng, inputs is not None
         self.wanted: list[tuple[str, int]] = []
-        self.given = list(inputs or ())
+        self.inner_inputs = list(inputs or ())
         self.nodes: list[Node] = []
-        self.kinds: dict[int, Kind] = dict(enumerate(self.given))
+        self.kinds: dict[int, Kind] = dict(enumerate(self.inner_inputs))
         self.fresh = 1000  # numbers of operations, until all inputs are known
         self.fixed = set[int]()
 
@@ -70,7 +70,7 @@ class Draft:
     def input(self, dtype: str) -> int:
         """An input of a type."""
         if self.inner:
-            fitting = [i for i in range(len(self.given)) if self.kinds[i] == Kind(dtype)]
+            fitting = [i for i in range(len(self.inner_inputs)) if self.kinds[i] == Kind(dtype)]
             return self.pick(fitting) if fitting else self.constant(dtype)
         wanted = dtype, int(self.rng.integers(SLOTS))
         if wanted not in self.wanted:
@@ -83,9 +83,9 @@ class Draft:
         fitting = [i for i, kind in self.kinds.items() if kind == Kind(dtype)]
         if fitting and self.chance(0.6):
             return fitting[-1] if self.chance(0.5) else self.pick(fitting)
-        others = [i for i, kind in self.kinds.items() if not kind.shape and i >= 1000 and i not in self.fixed]
-        if others and self.chance(0.15):
-            return self.add("convert", [self.pick(others)], dtype=dtype)
+        sources = [i for i, kind in self.kinds.items() if not kind.shape and i >= 1000 and i not in self.fixed]
+        if sources and self.chance(0.15):
+            return self.add("convert", [self.pick(sources)], dtype=dtype)
         return self.constant(dtype) if self.chance(0.2) else self.input(dtype)
 
     def array(self, dtype: str, shape: tuple[int, ...]) -> int:
@@ -108,7 +108,7 @@ class Draft:
 
     def program(self, outputs: Sequence[int]) -> Program:
         """The finished program; its values are numbered anew."""
-        inputs = self.given if self.inner else [Kind(dtype) for dtype, _ in self.wanted]
+        inputs = self.inner_inputs if self.inner else [Kind(dtype) for dtype, _ in self.wanted]
         count = len(inputs)
 
         def renamed(number: int) -> int:

@@ -27,15 +27,15 @@ def generate(seed: int) -> Program | None:
 
 def single(seed: int, rng: np.random.Generator) -> Program | None:
     """One operation in one type."""
-    rest, _ = divmod(seed, VARIANTS)
-    name, dtype = NAMES[rest // len(TYPES)], TYPES[rest % len(TYPES)]
+    number = seed // VARIANTS
+    name, dtype = NAMES[number // len(TYPES)], TYPES[number % len(TYPES)]
     draft = Draft(rng)
     for _ in range(3):
         try:
-            number = RECIPES[name](draft, dtype)
+            result = RECIPES[name](draft, dtype)
         except Misfit:
             continue
-        program = draft.program([number])
+        program = draft.program([result])
         return program if program.inputs else None
     return None
 
@@ -51,7 +51,9 @@ def several(rng: np.random.Generator) -> Program:
         for _ in range(20 * wanted):
             if made == wanted:
                 break
-            name = usual[int(rng.integers(len(usual)))] if rng.random() < 0.995 else NAMES[int(rng.integers(len(NAMES)))]
+            name = (
+                usual[int(rng.integers(len(usual)))] if rng.random() < 0.995 else NAMES[int(rng.integers(len(NAMES)))]
+            )
             if name in LONG and rng.random() < 0.6:
                 continue
             dtype = str(rng.choice(main) if rng.random() < 0.99 else rng.choice(TYPES))

@@ -62,9 +62,9 @@ def gather(params: dict[str, Any], x: np.ndarray, index: np.ndarray) -> np.ndarr
         fill = limits.min if x.dtype.kind == "i" else limits.max
     missing = np.array({"f": np.nan, "b": True}.get(x.dtype.kind, 0) if fill is None else fill).astype(x.dtype)
     parts = []
-    for one in indices.T:
-        inside = (one >= 0) & (one <= last)
-        part = x[rows, whole(one, 0, last)]
+    for row in indices.T:
+        inside = (row >= 0) & (row <= last)
+        part = x[rows, whole(row, 0, last)]
         filled = np.where(inside.reshape((-1,) + (1,) * (part.ndim - 1)), part, missing)
         parts.append(filled if params["mode"] == "fill" else part)
     return np.stack(parts, 1)
@@ -103,10 +103,10 @@ def scatter(params: dict[str, Any], x: np.ndarray, index: np.ndarray, update: np
     """Rows combined with others, in order."""
     result, indices, last = x.copy(), index.reshape(len(x), -1), x.shape[1] - 1
     new = update.reshape((-1,) + (1,) * (x.ndim - 2))
-    for one in indices.T:
-        inside = np.full(len(x), True) if params["mode"] == "clip" else (one >= 0) & (one <= last)
+    for row in indices.T:
+        inside = np.full(len(x), True) if params["mode"] == "clip" else (row >= 0) & (row <= last)
         lanes = np.flatnonzero(inside)
-        place = lanes, whole(one, 0, last)[lanes]
+        place = lanes, whole(row, 0, last)[lanes]
         result[place] = COMBINED[params["name"]](result[place], new[lanes])
     return result
 

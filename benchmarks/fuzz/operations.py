@@ -94,8 +94,8 @@ def cond(params: Parameters, which: Any, *operands: Any) -> Any:
 
 def switch(params: Parameters, which: Any, *operands: Any) -> Any:
     """One of several inner programs."""
-    sides = [lambda *inside, side=traceable(side): side(*inside)[0] for side in params["sides"]]
-    return lax.switch(which, sides, *operands)
+    sides = [traceable(side) for side in params["sides"]]
+    return lax.switch(which, [lambda *inside, side=side: side(*inside)[0] for side in sides], *operands)
 
 
 def fori(params: Parameters, *operands: Any) -> Any:

@@ -101,8 +101,8 @@ def moved(draft: Draft, dtype: str) -> int:
             config = ((low, high, gap), (0, 1, 0))
             return draft.add("pad", [matrix, draft.scalar(dtype)], config=config)
         case 4:
-            other = draft.array(dtype, (rows, columns))
-            return draft.add("concatenate", [matrix, other], axis=int(draft.rng.integers(2)))
+            second = draft.array(dtype, (rows, columns))
+            return draft.add("concatenate", [matrix, second], axis=int(draft.rng.integers(2)))
         case 5:
             return draft.add("reshape", [matrix], shape=(6,))
         case 6:
@@ -127,8 +127,8 @@ def gather(draft: Draft, dtype: str) -> int:
         ends = [draft.add("constant", value=np.array(end).astype(kind)) for end in (0, 2)]
         index = draft.add("clamp", [ends[0], index, ends[1]])
     elif draft.chance(0.2):
-        other = draft.scalar(draft.kinds[index].dtype)
-        index = draft.add("stack", [index, other])
+        second = draft.scalar(draft.kinds[index].dtype)
+        index = draft.add("stack", [index, second])
     fill = draft.pick((None, None, 1)) if mode == "fill" else None
     return draft.add("gather", [operand, index], mode=mode, fill=fill)
 
@@ -259,8 +259,8 @@ def loop(name: str) -> Recipe:
             inner = body(draft, [Kind("int32"), kind, kind], kind)
             return draft.add("fori", [begin, constant], body=inner, turns=turns)
         inner = opposite(draft, body(draft, [Kind("int32"), kind, kind, kind], kind))
-        other = draft.add("neg", [begin]) if draft.chance(0.7) else draft.scalar(dtype)
-        return draft.add("fori", [begin, other, constant], body=inner, turns=turns)
+        second = draft.add("neg", [begin]) if draft.chance(0.7) else draft.scalar(dtype)
+        return draft.add("fori", [begin, second, constant], body=inner, turns=turns)
 
     return recipe
 

@@ -141,10 +141,8 @@ class Referee:
             parts[1], parts[2] = 1.0, -1.0
         return parts.reshape(shape)
 
-    def disturbed(
-        self, value: np.ndarray, units: Any, overflown: np.ndarray, vanished: np.ndarray
-    ) -> np.ndarray:
-        """Changed by up to so many units in the last place; what left the type's range may not have in another order."""
+    def disturbed(self, value: np.ndarray, units: Any, overflown: np.ndarray, vanished: np.ndarray) -> np.ndarray:
+        """Changed by up to so many units in the last place; what left the type's range may also stay in it."""
         if self.replicas == 1:
             return value
         self.noisy += 1
@@ -180,8 +178,8 @@ class Referee:
             return value
         odd = (np.arange(len(value)) * self.replicas // len(value) % 2 == 1).reshape((-1,) + (1,) * (value.ndim - 1))
         junk = np.array(np.nan if value.dtype.kind == "f" else 77).astype(value.dtype)
-        other = ~value if value.dtype == bool else junk
-        return np.where(places & odd, other, value)
+        nonsense = ~value if value.dtype == bool else junk
+        return np.where(places & odd, nonsense, value)
 
     def bits_of_nan(self, operand: np.ndarray, value: np.ndarray) -> np.ndarray:
         """NaN has no bits that anybody promises."""
@@ -210,9 +208,9 @@ def kernel(node: Node, operands: list[np.ndarray]) -> np.ndarray:
     return np.concatenate(results)
 
 
-def chosen(mask: np.ndarray, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """One where a mask holds, the other elsewhere."""
-    return np.where(mask.reshape(mask.shape + (1,) * (one.ndim - mask.ndim)), one, other)
+def chosen(mask: np.ndarray, inside: np.ndarray, outside: np.ndarray) -> np.ndarray:
+    """The first values where a mask holds, the second elsewhere."""
+    return np.where(mask.reshape(mask.shape + (1,) * (inside.ndim - mask.ndim)), inside, outside)
 
 
 def call(referee: Referee, params: dict[str, Any], operands: list[np.ndarray]) -> np.ndarray:
@@ -220,14 +218,14 @@ def call(referee: Referee, params: dict[str, Any], operands: list[np.ndarray]) -
 
 
 def cond(referee: Referee, params: dict[str, Any], operands: list[np.ndarray]) -> np.ndarray:
-    which, *rest = operands
-    first, second = (referee.evaluated(side, rest)[0] for side in params["sides"])
+    which, *arguments = operands
+    first, second = (referee.evaluated(side, arguments)[0] for side in params["sides"])
     return chosen(which, first, second)
 
 
 def switch(referee: Referee, params: dict[str, Any], operands: list[np.ndarray]) -> np.ndarray:
-    which, *rest = operands
-    sides = [referee.evaluated(side, rest)[0] for side in params["sides"]]
+    which, *arguments = operands
+    sides = [referee.evaluated(side, arguments)[0] for side in params["sides"]]
     number = np.clip(which.astype(np.int32), 0, len(sides) - 1)
     value = sides[-1]
     for i, side in enumerate(sides[:-1]):
@@ -264,4 +262,3 @@ def scan(referee: Referee, params: dict[str, Any], operands: list[np.ndarray]) -
 
 CONTROL = {"call": call, "cond": cond, "switch": switch, "fori": fori, "while": while_loop, "scan": scan}
 """Calls, branches and loops, turn by turn."""
-

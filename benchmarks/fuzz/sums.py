@@ -97,8 +97,9 @@ def cumulative(name: str) -> Callable[[dict[str, Any], np.ndarray], Judged]:
 
 
 def dot_general(params: dict[str, Any], left: np.ndarray, right: np.ndarray) -> Judged:
-    one, other = left.astype(EXTENDED), right.astype(EXTENDED)
-    products = one * (other[:, None, :] if left.ndim == 3 else other)
+    rows = left.astype(EXTENDED)
+    column = right.astype(EXTENDED)
+    products = rows * (column[:, None, :] if left.ndim == 3 else column)
     value, error, unclear = judged_sum(products.sum(-1), np.abs(products).sum(-1), left.shape[-1] + 1, left.dtype)
     beyond = np.isfinite(products) & (np.abs(products) > 0.5 * EXTENDED(np.finfo(left.dtype).max))
     return value, error, unclear | beyond.any(-1)

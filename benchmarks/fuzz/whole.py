@@ -21,7 +21,9 @@ def bits(x: Column) -> int:
 def divided(x: Column, y: Column) -> Column:
     """A quotient rounded towards zero; -1 beyond division by zero."""
     if x.dtype.kind == "u":
-        return np.where(y == 0, x.dtype.type(-1 & int(np.iinfo(x.dtype).max)), x // np.where(y == 0, 1, y).astype(y.dtype))
+        return np.where(
+            y == 0, x.dtype.type(-1 & int(np.iinfo(x.dtype).max)), x // np.where(y == 0, 1, y).astype(y.dtype)
+        )
     least = np.iinfo(x.dtype).min
     safe = np.where((y == 0) | ((x == least) & (y == -1)), 1, y).astype(y.dtype)
     floor = x // safe
@@ -63,7 +65,7 @@ def power(x: Column, exponent: int) -> Column:
 def converted(params: dict[str, Any], x: Column) -> Column:
     """The number in another type; a floating-point number saturates, and NaN is 0."""
     wanted = np.dtype(params["dtype"])
-    if wanted == bool:
+    if wanted.kind == "b":
         return x != 0
     if x.dtype.kind != "f" or wanted.kind == "f":
         return x.astype(wanted)

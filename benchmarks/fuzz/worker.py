@@ -15,9 +15,18 @@ import jax
 import numpy as np
 
 from benchmarks.fuzz.checking import (
-    MODES, WIDTHS, Entry, Gate, by_xla, checked, computed, culprit, falls_back, lanes_of,
+    MODES,
+    WIDTHS,
+    Entry,
+    Gate,
+    by_xla,
+    checked,
+    computed,
+    culprit,
+    falls_back,
+    lanes_of,
 )  # fmt: skip
-from benchmarks.fuzz.generate import generate
+from benchmarks.fuzz.generate import SINGLES, generate
 from benchmarks.fuzz.program import all_nodes, text
 from benchmarks.fuzz.xla import doubts
 
@@ -56,6 +65,7 @@ class Unit:
             if program is None:
                 continue
             self.counts["programs"] += 1
+            self.counts["alone"] += seed < SINGLES
             self.operations.update({node.operation for node in all_nodes(program)} - {"constant"})
             entry = Entry(seed, program)
             if self.accepted(entry):

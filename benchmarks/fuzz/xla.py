@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks.fuzz.checking import differences, flattened, inputs_of, single_columns
-from benchmarks.fuzz.program import Program, all_nodes
+from benchmarks.fuzz.program import Node, Program, all_nodes
 from benchmarks.fuzz.referee import Referee
 from benchmarks.fuzz.values import MAIN, TYPES
 
@@ -24,7 +24,7 @@ class Watching(Referee):
         self.note(operands)
         return super().evaluated(program, operands)
 
-    def value(self, node, operands, count):
+    def value(self, node: Node, operands: list[np.ndarray], count: int) -> np.ndarray:
         result = super().value(node, operands, count)
         self.note([*operands, result])
         return result
@@ -39,8 +39,8 @@ class Watching(Referee):
 
 def doubts(program: Program, results: Sequence[np.ndarray], count: int) -> str:
     """Where plain XLA contradicts the referee; empty if nowhere."""
-    other = {name for name in TYPES if name.startswith(("float16", "bfloat", "float8", "complex"))}
-    if any(kind.dtype in other for kind in (*program.inputs, *(node.kind for node in all_nodes(program)))):
+    foreign = {name for name in TYPES if name.startswith(("float16", "bfloat", "float8", "complex"))}
+    if any(kind.dtype in foreign for kind in (*program.inputs, *(node.kind for node in all_nodes(program)))):
         return ""  # the referee asks XLA itself
     referee, columns = Watching(True, REPLICAS), inputs_of(program, count)
     expected = flattened(referee.results(program, columns))
@@ -53,6 +53,6 @@ def doubts(program: Program, results: Sequence[np.ndarray], count: int) -> str:
         wrong &= clean
         if wrong.any():
             lane = int(np.flatnonzero(wrong)[0])
-            given = ", ".join(f"v{i}={column[lane]!r}" for i, column in enumerate(columns))
-            return f"{int(wrong.sum())} lanes: {given}: XLA {result[lane]!r}, the referee {reference[0, lane]!r}"
+            shown = ", ".join(f"v{i}={column[lane]!r}" for i, column in enumerate(columns))
+            return f"{int(wrong.sum())} lanes: {shown}: XLA {result[lane]!r}, the referee {reference[0, lane]!r}"
     return ""

@@ -1,4 +1,4 @@
-"""Random programs of jax.lax on hostile numbers: machine code agrees with an independent referee, and no fault is missed."""
+"""Random programs of jax.lax: machine code agrees with an independent referee, and a planted fault is found."""
 
 import sys
 from dataclasses import replace
@@ -47,7 +47,7 @@ def test_no_program_is_wrong_or_ends_unexpectedly(name, monkeypatch):
     monkeypatch.setattr(worker, "REFUSALS", set())
     alone_ones = [seed for name, dtype, variant in SETS[name] for seed in alone(name, dtype, [variant])]
     unit = ran(alone_ones or list(range(SINGLES, SINGLES + 24)))
-    assert [(each["kind"], each["seed"], each["said"]) for each in unit.findings] == []
+    assert [(found["kind"], found["seed"], found["said"]) for found in unit.findings] == []
     assert unit.counts["programs"] == unit.counts["compiled"] + unit.counts["fell back"]
     assert unit.counts["compiled"] > 20
     assert unit.counts["unclear results"] < 0.1 * unit.counts["results"]
@@ -68,8 +68,8 @@ def test_a_wrong_rule_is_found(monkeypatch):
     rules = primitives.ELEMENT_RULES
     monkeypatch.setitem(rules, "min", replace(rules["min"], translate=rules["max"].translate))
     unit = ran(alone("min", "int16"))
-    assert {each["kind"] for each in unit.findings} == {"wrong"}
-    assert {each["mode"] for each in unit.findings} == {"fast", "strict"}
+    assert {found["kind"] for found in unit.findings} == {"wrong"}
+    assert {found["mode"] for found in unit.findings} == {"fast", "strict"}
     assert "min(" in unit.findings[0]["program"]
 
 
@@ -77,7 +77,7 @@ def test_a_function_that_is_off_by_a_few_units_is_found(monkeypatch):
     rule = elementary.ELEMENTARY["exp"]
     off = replace(rule, translate=lambda x: rule.translate(x) * (1.0 + 6.0 * jnp.finfo(x.dtype).eps))
     monkeypatch.setitem(elementary.ELEMENTARY, "exp", off)
-    assert {each["kind"] for each in ran(alone("exp", "float64")).findings} == {"wrong"}
+    assert {found["kind"] for found in ran(alone("exp", "float64")).findings} == {"wrong"}
 
 
 def test_a_rule_that_raises_is_found(monkeypatch):
@@ -87,7 +87,7 @@ def test_a_rule_that_raises_is_found(monkeypatch):
     rules = primitives.ELEMENT_RULES
     monkeypatch.setitem(rules, "min", replace(rules["min"], translate=broken))
     unit = ran(alone("min", "int16"))
-    assert {each["kind"] for each in unit.findings} == {"exception"}
+    assert {found["kind"] for found in unit.findings} == {"exception"}
     assert unit.counts["crashed"] == len(unit.findings)
 
 
@@ -96,7 +96,7 @@ def test_a_fall_back_without_a_warning_is_found(monkeypatch):
     assert ran(alone("sort", "float64")).findings == []
     monkeypatch.setattr(worker, "REFUSALS", set())
     monkeypatch.setattr(forms, "slower", lambda reason: None)
-    assert {each["said"] for each in ran(alone("sort", "float64")).findings} == {"no warning"}
+    assert {found["said"] for found in ran(alone("sort", "float64")).findings} == {"no warning"}
 
 
 FRAGILE = """
