@@ -36,8 +36,8 @@ def page(counts: Counter[str], operations: Counter[str], minutes: float) -> str:
     """The part of the page."""
     share = counts["unclear results"] / max(1, counts["results"] + counts["unclear results"])
     return (
-        f"{counts['programs']:,} programs of 1 to 12 operations of `jax.lax`, {counts['alone']:,} of them of a single one\n"
-        f"of {len(NAMES)} in one of {len(TYPES)} types, in fast and in strict arithmetic:\n\n"
+        f"{counts['programs']:,} programs of 1 to 12 operations of `jax.lax`, {counts['alone']:,} of them of a single\n"
+        f"one of {len(NAMES)} in one of {len(TYPES)} types, in fast and in strict arithmetic:\n\n"
         "| programs | compiled | fell back | of these without a warning | wrong | crashed |\n"
         "| --- | --- | --- | --- | --- | --- |\n"
         f"| {counts['programs']:,} | {counts['compiled']:,} | {counts['fell back']:,} | {counts['without warning']} | "
@@ -46,7 +46,8 @@ def page(counts: Counter[str], operations: Counter[str], minutes: float) -> str:
         "all depend on the rounding that fast arithmetic leaves open, or on NaN's bits, and say nothing.\n"
         "Integers, truth values and strict arithmetic must agree in every bit, elementary functions within the\n"
         f"units in the last place that `benchmarks/fuzz/arithmetic.py` lists. Of {counts['with xla']:,}\n"
-        f"programs that plain XLA ran, too, {counts['xla differs']} contradicted the referee. It took {minutes:.0f} minutes."
+        f"programs that plain XLA ran, too, {counts['xla differs']} contradicted the referee.\n"
+        f"It took {minutes:.0f} minutes."
     )
 
 
