@@ -12,8 +12,8 @@ import numpy as np
 
 from dssc_jax.backend.program import Builder, Value
 from dssc_jax.backend.specification import (
-    MOVABLE,
-    NUMBERS,
+    MOVED_TYPES,
+    NUMBER_TYPES,
     SCALARS,
     TRUTH,
     WHOLE,
@@ -242,34 +242,34 @@ def reduction_rule(operation: str, types: Any) -> Rule:
 
 def partial_rule(operation: str) -> Rule:
     """The rule of partial sums and their like."""
-    return rule(cumulative_rule(operation), NUMBERS, axis=anything, reverse=anything)
+    return rule(cumulative_rule(operation), NUMBER_TYPES, axis=anything, reverse=anything)
 
 
 ARRAY_RULES: dict[str, Rule] = {
-    "broadcast_in_dim": rule(broadcast, MOVABLE, shape=anything, broadcast_dimensions=anything, sharding=absent),
-    "reshape": rule(moving(reshaped), MOVABLE, new_sizes=anything, dimensions=absent, sharding=absent),
-    "squeeze": rule(moving(squeezed), MOVABLE, dimensions=anything),
-    "expand_dims": rule(moving(expanded), MOVABLE, dimensions=anything),
-    "transpose": rule(moving(transposed), MOVABLE, permutation=anything),
-    "rev": rule(moving(reversed_along), MOVABLE, dimensions=anything),
-    "slice": rule(moving(strided), MOVABLE, start_indices=anything, limit_indices=anything, strides=anything),
-    "concatenate": rule(concatenate, MOVABLE, dimension=anything),
-    "stack": rule(stack, MOVABLE, axis=anything),
-    "unstack": rule(unstack, MOVABLE, axis=anything),
-    "split": rule(split_array, MOVABLE, sizes=anything, axis=anything),
+    "broadcast_in_dim": rule(broadcast, MOVED_TYPES, shape=anything, broadcast_dimensions=anything, sharding=absent),
+    "reshape": rule(moving(reshaped), MOVED_TYPES, new_sizes=anything, dimensions=absent, sharding=absent),
+    "squeeze": rule(moving(squeezed), MOVED_TYPES, dimensions=anything),
+    "expand_dims": rule(moving(expanded), MOVED_TYPES, dimensions=anything),
+    "transpose": rule(moving(transposed), MOVED_TYPES, permutation=anything),
+    "rev": rule(moving(reversed_along), MOVED_TYPES, dimensions=anything),
+    "slice": rule(moving(strided), MOVED_TYPES, start_indices=anything, limit_indices=anything, strides=anything),
+    "concatenate": rule(concatenate, MOVED_TYPES, dimension=anything),
+    "stack": rule(stack, MOVED_TYPES, axis=anything),
+    "unstack": rule(unstack, MOVED_TYPES, axis=anything),
+    "split": rule(split_array, MOVED_TYPES, sizes=anything, axis=anything),
     "pad": rule(pad, SCALARS, padding_config=anything),
-    "iota": rule(iota, NUMBERS, dtype=anything, shape=anything, dimension=anything, sharding=absent),
-    "reduce_sum": reduction_rule("add", NUMBERS),
-    "reduce_prod": reduction_rule("mul", NUMBERS),
-    "reduce_max": reduction_rule("max", NUMBERS),
-    "reduce_min": reduction_rule("min", NUMBERS),
+    "iota": rule(iota, NUMBER_TYPES, dtype=anything, shape=anything, dimension=anything, sharding=absent),
+    "reduce_sum": reduction_rule("add", NUMBER_TYPES),
+    "reduce_prod": reduction_rule("mul", NUMBER_TYPES),
+    "reduce_max": reduction_rule("max", NUMBER_TYPES),
+    "reduce_min": reduction_rule("min", NUMBER_TYPES),
     "reduce_and": reduction_rule("and", WHOLE | TRUTH),
     "reduce_or": reduction_rule("or", WHOLE | TRUTH),
     "cumsum": partial_rule("add"),
     "cumprod": partial_rule("mul"),
     "cummax": partial_rule("max"),
     "cummin": partial_rule("min"),
-    "dot_general": Rule(dot_general, Specification(NUMBERS, {
+    "dot_general": Rule(dot_general, Specification(NUMBER_TYPES, {
         "dimension_numbers": anything, "precision": same_precision, "preferred_element_type": result_type,
         "out_sharding": absent}, of_one_type)),
 }  # fmt: skip

@@ -108,13 +108,13 @@ def acos(x: jax.Array) -> jax.Array:
     return jnp.asarray(numerics.atan2(jnp.sqrt((1.0 - x) * (1.0 + x)), x))
 
 
-def atan(x: jax.Array) -> jax.Array:
+def arc_tangent(x: jax.Array) -> jax.Array:
     """The arctangent."""
     value = jnp.asarray(numerics.atan(jnp.abs(x)))
     return jnp.where(is_negative(x), -value, value)
 
 
-def atan2(y: jax.Array, x: jax.Array) -> jax.Array:
+def angle(y: jax.Array, x: jax.Array) -> jax.Array:
     """The angle of (x, y) in [-pi, pi]; sides whose sum overflows, or whose digits are few, are scaled."""
     longer = jnp.maximum(jnp.abs(x), jnp.abs(y))
     (most, smaller), (least, larger) = SIDES[width(x)]
@@ -175,8 +175,8 @@ ELEMENTARY: dict[str, Rule] = {
     "cosh": rule(exponentials.cosh, REAL),
     "asin": rule(asin, REAL),
     "acos": rule(acos, REAL),
-    "atan": rule(atan, REAL),
-    "atan2": rule(atan2, REAL),
+    "atan": rule(arc_tangent, REAL),
+    "atan2": rule(angle, REAL),
     "erf_inv": rule(erf_inv, REAL),
     "one_minus_square": rule(one_minus_square, REAL),
     "pow": Rule(power, Specification(REAL | WHOLE, exact=real_base)),

@@ -12,7 +12,7 @@ import numpy as np
 
 from dssc_jax.backend.arrays import Tensor, as_tensor, elementwise, from_tensor
 from dssc_jax.backend.program import Builder, Value
-from dssc_jax.backend.specification import NUMBERS, SCALARS, Rule, absent, anything, one_of, rule
+from dssc_jax.backend.specification import NUMBER_TYPES, SCALARS, Rule, absent, anything, one_of, rule
 from dssc_jax.backend.unsupported import Unsupported
 
 MOST_SELECTS = 1024  # elements of an array that are chosen from one by one
@@ -22,8 +22,8 @@ INDEX_TYPE = np.dtype(np.int32)
 def element(build: Builder, table: Tensor, position: Value) -> Value:
     """The element of a flat array at a position of the run, which lies within it."""
     if position.operation == "constant":
-        found = table[int(position.detail)]
-        return found if table.dtype == object else build.constant(found, table.dtype)
+        entry = table[int(position.detail)]
+        return entry if table.dtype == object else build.constant(entry, table.dtype)
     if table.dtype != object:
         return build.add("lookup", position, dtype=table.dtype, detail=table)
     if table.size > MOST_SELECTS:
@@ -214,7 +214,7 @@ def mode_of(*names: str) -> Any:
 def scatter_rule(operation: str) -> Rule:
     """The rule of a scatter."""
     return rule(
-        scatter(operation), NUMBERS if operation else SCALARS, dimension_numbers=unbatched, mode=mode_of(),
+        scatter(operation), NUMBER_TYPES if operation else SCALARS, dimension_numbers=unbatched, mode=mode_of(),
         update_jaxpr=anything, update_consts=absent, indices_are_sorted=anything, unique_indices=anything,
     )  # fmt: skip
 

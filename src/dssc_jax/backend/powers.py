@@ -27,40 +27,40 @@ SERIES = tuple(1.0 / n for n in range(27, 4, -2))
 """Of (atanh(s)/s - 1 - s^2/3)/s^4 in powers of s^2, by Taylor; s^2 is below 0.0295."""
 
 
-class Pair(NamedTuple):
+class TwoPartNumber(NamedTuple):
     """A number as a sum of two, the second within the rounding error of the first."""
 
     high: jax.Array
     low: jax.Array
 
 
-def exact_sum(larger: jax.Array, smaller: jax.Array) -> Pair:
+def exact_sum(larger: jax.Array, smaller: jax.Array) -> TwoPartNumber:
     """The sum of two numbers, the first of larger magnitude, or 0."""
     total = larger + smaller
-    return Pair(total, smaller - (total - larger))
+    return TwoPartNumber(total, smaller - (total - larger))
 
 
-def halves(x: jax.Array) -> Pair:
+def split_digits(x: jax.Array) -> TwoPartNumber:
     """A number as a sum of two of 26 bits each."""
     moved = x * SPLITTER
     high = moved - (moved - x)
-    return Pair(high, x - high)
+    return TwoPartNumber(high, x - high)
 
 
-def exact_product(x: jax.Array, y: jax.Array) -> Pair:
+def exact_product(x: jax.Array, y: jax.Array) -> TwoPartNumber:
     """The product of two numbers that are neither huge nor tiny."""
-    product, a, b = x * y, halves(x), halves(y)
+    product, a, b = x * y, split_digits(x), split_digits(y)
     error = ((a.high * b.high - product) + a.high * b.low + a.low * b.high) + a.low * b.low
-    return Pair(product, error)
+    return TwoPartNumber(product, error)
 
 
-def product(x: Pair, y: Pair) -> Pair:
+def pair_product(x: TwoPartNumber, y: TwoPartNumber) -> TwoPartNumber:
     """The product of two pairs."""
     high, low = exact_product(x.high, y.high)
-    return Pair(high, low + (x.high * y.low + x.low * y.high))
+    return TwoPartNumber(high, low + (x.high * y.low + x.low * y.high))
 
 
-def logarithm_pair(x: jax.Array) -> Pair:
+def logarithm_pair(x: jax.Array) -> TwoPartNumber:
     """ln x of a positive number in float64, to 64 bits.
 
     With x = 2^k (1 + f) and s = f/(2 + f), it is k ln 2 + 2 atanh s.
@@ -70,11 +70,11 @@ def logarithm_pair(x: jax.Array) -> Pair:
     below = exact_sum(jnp.full_like(f, 2.0), f)
     s_high = f / below.high
     covered = exact_product(s_high, below.high)
-    s = Pair(s_high, (((f - covered.high) - covered.low) - s_high * below.low) / below.high)
-    z = product(s, s)
+    s = TwoPartNumber(s_high, (((f - covered.high) - covered.low) - s_high * below.low) / below.high)
+    z = pair_product(s, s)
     correction = z.high * polynomial(SERIES, z.high)
     start = exact_sum(jnp.full_like(f, THIRD[0]), correction)
-    term = product(s, product(z, Pair(start.high, start.low + THIRD[1])))
+    term = pair_product(s, pair_product(z, TwoPartNumber(start.high, start.low + THIRD[1])))
     high, low = LN_2[64]
     first = exact_sum(k * high, 2.0 * s.high)
     second = exact_sum(first.high, 2.0 * term.high)

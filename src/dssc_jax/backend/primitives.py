@@ -11,10 +11,10 @@ import numpy as np
 
 from dssc_jax.backend.program import BOOL, Builder, Value
 from dssc_jax.backend.specification import (
-    NUMBERS,
+    NUMBER_TYPES,
     REAL,
     SCALARS,
-    SIGNED,
+    SIGNED_INTEGERS,
     TRUTH,
     WHOLE,
     Rule,
@@ -33,7 +33,7 @@ def same_operation(operation: str) -> ElementRule:
     return lambda build, operands, params, dtype: build.add(operation, *operands)
 
 
-def extreme(operation: str) -> ElementRule:
+def larger_or_smaller(operation: str) -> ElementRule:
     """The larger or smaller number; of truth values, whether one or both hold."""
 
     def translate(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
@@ -217,30 +217,30 @@ def rounding(build: Builder, operands: Sequence[Value], params: Mapping[str, Any
 
 
 ELEMENT_RULES: dict[str, Rule] = {
-    **{name: rule(same_operation(name), NUMBERS) for name in ("add", "sub", "neg")},
+    **{name: rule(same_operation(name), NUMBER_TYPES) for name in ("add", "sub", "neg")},
     **{name: rule(same_operation(name), SCALARS) for name in ("eq", "ne", "lt", "le", "gt", "ge")},
-    **{name: rule(extreme(name), SCALARS) for name in ("max", "min")},
+    **{name: rule(larger_or_smaller(name), SCALARS) for name in ("max", "min")},
     **{name: rule(same_operation(name), REAL) for name in ("floor", "ceil")},
     **{name: rule(same_operation(name), WHOLE | TRUTH) for name in ("and", "or", "xor")},
-    "abs": rule(same_operation("abs"), REAL | SIGNED),
-    "add_any": rule(same_operation("add"), NUMBERS),
-    "mul": rule(same_operation("mul"), NUMBERS, out_dtype=absent),
+    "abs": rule(same_operation("abs"), REAL | SIGNED_INTEGERS),
+    "add_any": rule(same_operation("add"), NUMBER_TYPES),
+    "mul": rule(same_operation("mul"), NUMBER_TYPES, out_dtype=absent),
     "sqrt": rule(same_operation("sqrt"), REAL, accuracy=absent),
-    "div": rule(division("div"), NUMBERS),
-    "rem": rule(division("rem"), NUMBERS),
+    "div": rule(division("div"), NUMBER_TYPES),
+    "rem": rule(division("rem"), NUMBER_TYPES),
     "shift_left": rule(shift("shl"), WHOLE),
     "shift_right_arithmetic": rule(shift("shr", "i"), WHOLE),
     "shift_right_logical": rule(shift("shr", "u"), WHOLE),
     "not": rule(complement, WHOLE | TRUTH),
     "lt_to": rule(in_total_order("lt"), SCALARS),
     "le_to": rule(in_total_order("le"), SCALARS),
-    "sign": rule(sign_of, NUMBERS),
-    "clamp": rule(clamp, NUMBERS),
+    "sign": rule(sign_of, NUMBER_TYPES),
+    "clamp": rule(clamp, NUMBER_TYPES),
     "select_n": rule(select_n, SCALARS),
     "convert_element_type": rule(convert, SCALARS, new_dtype=anything, weak_type=anything, sharding=absent),
-    "bitcast_convert_type": Rule(same_bits, Specification(NUMBERS, {"new_dtype": anything}, same_width)),
-    "integer_pow": rule(real_power, NUMBERS, y=anything),
-    "square": rule(square, NUMBERS),
+    "bitcast_convert_type": Rule(same_bits, Specification(NUMBER_TYPES, {"new_dtype": anything}, same_width)),
+    "integer_pow": rule(real_power, NUMBER_TYPES, y=anything),
+    "square": rule(square, NUMBER_TYPES),
     "rsqrt": rule(reciprocal_root, REAL, accuracy=absent),
     "round": rule(rounding, REAL, rounding_method=one_of("TO_NEAREST_EVEN", "AWAY_FROM_ZERO")),
     "is_finite": rule(finite, REAL | TRUTH),

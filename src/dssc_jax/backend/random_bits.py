@@ -15,7 +15,7 @@ from dssc_jax.backend.arrays import as_tensor
 from dssc_jax.backend.program import Builder, Value
 from dssc_jax.backend.specification import (
     KEY,
-    UNSIGNED,
+    UNSIGNED_INTEGERS,
     WHOLE,
     Condition,
     Rule,
@@ -151,17 +151,17 @@ def of_scalars(equation: Any) -> str | None:
     return "an array of random keys" if any(variable.aval.shape for variable in equation.invars) else None
 
 
-def single(translate: Callable[..., Any], types: Types, **parameters: Condition) -> Rule:
+def of_single_key(translate: Callable[..., Any], types: Types, **parameters: Condition) -> Rule:
     """A rule for a single key or seed."""
     return Rule(translate, Specification(types, parameters, of_scalars))
 
 
 RANDOM_RULES: dict[str, Rule] = {
-    "random_fold_in": single(fold_in, WHOLE | {KEY}),
-    "random_seed": single(seed, WHOLE | {KEY}, impl=anything),
-    "random_bits": single(bits, UNSIGNED | {KEY}, bit_width=one_of(8, 16, 32, 64), shape=anything),
-    "random_split": single(split_key, frozenset({KEY}), shape=anything),
-    "random_unwrap": single(unwrap, UNSIGNED | {KEY}),
-    "random_wrap": rule(wrap, UNSIGNED | {KEY}, impl=anything),
+    "random_fold_in": of_single_key(fold_in, WHOLE | {KEY}),
+    "random_seed": of_single_key(seed, WHOLE | {KEY}, impl=anything),
+    "random_bits": of_single_key(bits, UNSIGNED_INTEGERS | {KEY}, bit_width=one_of(8, 16, 32, 64), shape=anything),
+    "random_split": of_single_key(split_key, frozenset({KEY}), shape=anything),
+    "random_unwrap": of_single_key(unwrap, UNSIGNED_INTEGERS | {KEY}),
+    "random_wrap": rule(wrap, UNSIGNED_INTEGERS | {KEY}, impl=anything),
 }
 """Rule of each primitive by its name; a generator is refused by the type of its keys."""

@@ -18,12 +18,12 @@ from dssc_jax.backend.unsupported import Unsupported
 KEY = "random key"
 TRUTH = frozenset({np.dtype(bool)})
 REAL = frozenset({np.dtype(np.float32), np.dtype(np.float64)})
-SIGNED = frozenset(np.dtype(f"i{size}") for size in (1, 2, 4, 8))
-UNSIGNED = frozenset(np.dtype(f"u{size}") for size in (1, 2, 4, 8))
-WHOLE = SIGNED | UNSIGNED
-NUMBERS = REAL | WHOLE
-SCALARS = NUMBERS | TRUTH
-MOVABLE = SCALARS | {KEY}
+SIGNED_INTEGERS = frozenset(np.dtype(f"i{size}") for size in (1, 2, 4, 8))
+UNSIGNED_INTEGERS = frozenset(np.dtype(f"u{size}") for size in (1, 2, 4, 8))
+WHOLE = SIGNED_INTEGERS | UNSIGNED_INTEGERS
+NUMBER_TYPES = REAL | WHOLE
+SCALARS = NUMBER_TYPES | TRUTH
+MOVED_TYPES = SCALARS | {KEY}
 """Types whose elements a rule only moves."""
 
 Types = frozenset[Any]
@@ -77,9 +77,9 @@ class Specification:
                 require_type(variable.aval, self.types)
         for name, value in equation.params.items():
             if name not in self.parameters:
-                raise Unsupported(f"an unknown parameter {name} = {shortened(value)}")
+                raise Unsupported(f"an unknown parameter {name} = {abbreviated(value)}")
             if not self.parameters[name](value, equation):
-                raise Unsupported(f"the parameter {name} = {shortened(value)}")
+                raise Unsupported(f"the parameter {name} = {abbreviated(value)}")
         reason = self.exact(equation)
         if reason is not None:
             raise Unsupported(reason)
@@ -119,14 +119,14 @@ def require_type(aval: Any, types: Types) -> None:
     Raises:
         Unsupported: They have another type.
     """
-    found = element_type(aval)
-    if found not in types:
-        foreign = isinstance(found, str) and found.startswith("key")
-        generator = f"random numbers of another generator, {found}"
-        raise Unsupported(generator if foreign else f"elements of type {found}")
+    actual = element_type(aval)
+    if actual not in types:
+        foreign = isinstance(actual, str) and actual.startswith("key")
+        generator = f"random numbers of another generator, {actual}"
+        raise Unsupported(generator if foreign else f"elements of type {actual}")
 
 
-def shortened(value: Any) -> str:
+def abbreviated(value: Any) -> str:
     """A parameter's value for a message."""
     text = " ".join(str(getattr(value, "name", value)).split())
     return text if len(text) <= 60 else f"{text[:57]}..."

@@ -235,7 +235,7 @@ def is_varying(value: Any) -> bool:
     return isinstance(value, np.ndarray) and value.dtype == object and any(map(is_varying, value.ravel()))
 
 
-def inlined(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
+def called_program(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
     """The results of a call."""
     inner: Any = equation.params.get("jaxpr", equation.params.get("call_jaxpr"))
     return translator.run(inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ()), operands)
@@ -360,24 +360,24 @@ LOOPS = {
 OVER_LANES = {"pmax": rule(largest_over_lanes, WHOLE, axes=this_axis, axis_index_groups=absent)}
 """Reductions over the lanes that run together."""
 
-REMATERIALISED = rule(inlined, None, jaxpr=anything, prevent_cse=anything, differentiated=anything,
+REMATERIALISED = rule(called_program, None, jaxpr=anything, prevent_cse=anything, differentiated=anything,
                       policy=anything)  # fmt: skip
 INLINED = {
     "jit": rule(
-        inlined, None, jaxpr=anything, name=anything, in_shardings=anything, out_shardings=anything,
+        called_program, None, jaxpr=anything, name=anything, in_shardings=anything, out_shardings=anything,
         in_layouts=anything, out_layouts=anything, donated_invars=anything, ctx_mesh=anything, keep_unused=anything,
         inline=anything, compiler_options_kvs=absent,
     ),
-    "closed_call": rule(inlined, None, call_jaxpr=anything),
-    "core_call": rule(inlined, None, call_jaxpr=anything),
+    "closed_call": rule(called_program, None, call_jaxpr=anything),
+    "core_call": rule(called_program, None, call_jaxpr=anything),
     "remat": REMATERIALISED,
     "remat2": REMATERIALISED,
     "checkpoint": REMATERIALISED,
     "custom_jvp_call": rule(
-        inlined, None, call_jaxpr=anything, jvp_jaxpr_fun=anything, num_consts=anything, symbolic_zeros=anything
+        called_program, None, call_jaxpr=anything, jvp_jaxpr_fun=anything, num_consts=anything, symbolic_zeros=anything
     ),
     "custom_vjp_call": rule(
-        inlined, None, call_jaxpr=anything, fwd_jaxpr_thunk=anything, bwd=anything, num_consts=anything,
+        called_program, None, call_jaxpr=anything, fwd_jaxpr_thunk=anything, bwd=anything, num_consts=anything,
         out_trees=anything, symbolic_zeros=anything,
     ),
 }  # fmt: skip
