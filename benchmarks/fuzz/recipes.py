@@ -258,6 +258,8 @@ def loop(name: str) -> Recipe:
         if draft.chance(0.7):
             inner = body(draft, [Kind("int32"), kind, kind], kind)
             return draft.add("fori", [begin, constant], body=inner, turns=turns)
+        if dtype == "bool":
+            raise Misfit("a truth value has no negative")
         inner = opposite(draft, body(draft, [Kind("int32"), kind, kind, kind], kind))
         second = draft.add("neg", [begin]) if draft.chance(0.7) else draft.scalar(dtype)
         return draft.add("fori", [begin, second, constant], body=inner, turns=turns)

@@ -16,11 +16,16 @@ def axes_of(params: dict[str, Any]) -> tuple[int, ...]:
     return tuple(axis + 1 for axis in params["axes"])
 
 
+def finite_size(x: np.ndarray) -> np.ndarray:
+    """Magnitudes; 0 of what is not finite."""
+    return np.where(np.isfinite(x), np.abs(x), 0)
+
+
 def judged_sum(total: np.ndarray, size: np.ndarray, terms: int, dtype: np.dtype) -> Judged:
-    """A sum in extended precision, and the sum of its terms' magnitudes."""
+    """A sum in extended precision, and the sum of the magnitudes of its finite terms."""
     limits = np.finfo(dtype)
     error = (size * (terms * EXTENDED(limits.eps)) + terms * EXTENDED(limits.smallest_subnormal)).astype(np.float64)
-    unclear = np.isfinite(size) & (size > 0.5 * EXTENDED(limits.max))
+    unclear = size > 0.5 * EXTENDED(limits.max)
     exact = np.isnan(total) | np.isinf(total) | (size == 0)
     return total.astype(dtype), np.where(exact, 0.0, error), unclear & ~np.isnan(total)
 
@@ -28,7 +33,7 @@ def judged_sum(total: np.ndarray, size: np.ndarray, terms: int, dtype: np.dtype)
 def reduce_sum(params: dict[str, Any], x: np.ndarray) -> Judged:
     wide, axes = x.astype(EXTENDED), axes_of(params)
     terms = int(np.prod([x.shape[axis] for axis in axes]))
-    return judged_sum(wide.sum(axes), np.abs(wide).sum(axes), terms, x.dtype)
+    return judged_sum(wide.sum(axes), finite_size(wide).sum(axes), terms, x.dtype)
 
 
 def judged_product(product: np.ndarray, exponents: np.ndarray, terms: int, axis: Any, dtype: np.dtype) -> Judged:
@@ -79,7 +84,7 @@ def cumulative(name: str) -> Callable[[dict[str, Any], np.ndarray], Judged]:
         wide, terms = line.astype(EXTENDED), x.shape[1]
         no_error, never = np.zeros(x.shape), np.zeros(x.shape, bool)
         if name == "cumsum":
-            parts = judged_sum(np.cumsum(wide, 1), np.cumsum(np.abs(wide), 1), terms, x.dtype)
+            parts = judged_sum(np.cumsum(wide, 1), np.cumsum(finite_size(wide), 1), terms, x.dtype)
         elif name == "cumprod":
             exponents = exponents_of(line)
             up = np.cumsum(np.maximum(exponents, 0.0), 1)
@@ -100,7 +105,7 @@ def dot_general(params: dict[str, Any], left: np.ndarray, right: np.ndarray) -> 
     rows = left.astype(EXTENDED)
     column = right.astype(EXTENDED)
     products = rows * (column[:, None, :] if left.ndim == 3 else column)
-    value, error, unclear = judged_sum(products.sum(-1), np.abs(products).sum(-1), left.shape[-1] + 1, left.dtype)
+    value, error, unclear = judged_sum(products.sum(-1), finite_size(products).sum(-1), left.shape[-1] + 1, left.dtype)
     beyond = np.isfinite(products) & (np.abs(products) > 0.5 * EXTENDED(np.finfo(left.dtype).max))
     return value, error, unclear | beyond.any(-1)
 
