@@ -59,7 +59,7 @@ def sources_digest() -> str | None:
         about = file.stat()
         if max(about.st_mtime, about.st_ctime) >= dssc_jax.IMPORTED:
             return None
-        digest.update(f"{file.relative_to(root)}:{about.st_size}:".encode() + file.read_bytes())
+        digest.update(f"{file.relative_to(root)}:{about.st_size}:".encode() + files.read_bytes(file))
     return digest.hexdigest() if files else None
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -233,7 +234,7 @@ def default_out(study: "Study", command: str, *options: Any) -> Path:
 
 def of_another(folder: Path, study: "Study") -> bool:
     """Whether a folder holds results, and none of this study."""
-    contents = [file.read_text(encoding="utf-8", errors="replace") for file in folder.glob("*.json")]
+    contents = [files.read_text(file, errors="replace") for file in folder.glob("*.json")]
     return bool(contents) and not any(f'"{study.hash}"' in content for content in contents)
 
 
