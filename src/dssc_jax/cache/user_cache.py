@@ -82,8 +82,8 @@ class ProgramCache:
     def _make_room(self) -> None:
         """Delete the files that have not been read for the longest time."""
         with os.scandir(self._path) as entries:
-            files = [(entry.stat(), entry.path) for entry in entries if entry.is_file()]
-        known = [(about.st_mtime_ns, max(about.st_size, DISK_BLOCK), path) for about, path in files]
+            present = [(entry.stat(), entry.path) for entry in entries if entry.is_file(follow_symlinks=False)]
+        known = [(about.st_mtime_ns, max(about.st_size, DISK_BLOCK), path) for about, path in present]
         excess = sum(size for _, size, _ in known) - self.most
         for _, size, path in sorted(known):
             if excess <= 0:

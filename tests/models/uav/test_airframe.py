@@ -97,7 +97,7 @@ def test_what_the_file_lacks_is_named():
     ("text", "where", "rule"),
     [
         ("param set MC_ROLL_P 6.5", "", "sets no parameter CA_"),
-        (QUAD.replace("COUNT 4", "COUNT 3"), "CA_ROTOR_COUNT", "at least 4, got 3"),
+        (QUAD.replace("COUNT 4", "COUNT 3"), "CA_ROTOR_COUNT", "from 4 to 12, got 3"),
         (QUAD + "\nparam set CA_AIRFRAME 2", "CA_AIRFRAME", "got 2"),
         (QUAD + "\nparam set CA_ROTOR2_AX 0.2", "CA_ROTOR2_AX", "tilted"),
         (QUAD + "\nparam set CA_ROTOR1_PX -0.15", "CA_ROTORi_PX", "on a circle; got"),

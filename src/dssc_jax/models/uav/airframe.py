@@ -24,7 +24,7 @@ SIMILAR = 0.01  # relative difference of rotors that count as equal
 MULTIROTOR = 0  # of CA_AIRFRAME
 MOST_ROTORS = 12  # that PX4's control allocation takes
 READ = ("CA_", "SIH_")
-LARGEST_VALUE = 1e6
+LARGEST_PARAMETER = 1e6
 """Of a parameter in PX4's units; no length, mass, thrust or inertia of a multirotor is larger."""
 MOMENT_COEFFICIENT, THRUST_COEFFICIENT, AXIS = 0.05, 6.5, (0.0, 0.0, -1.0)
 """PX4's defaults of CA_ROTORi_KM, CA_ROTORi_CT and CA_ROTORi_AX, _AY, _AZ."""
@@ -65,8 +65,8 @@ def parameters_in(text: str) -> dict[str, float]:
         except ValueError:  # a variable of the shell
             values.pop(name, None)
     for name, value in values.items():
-        if name.startswith(READ) and not abs(value) <= LARGEST_VALUE:
-            raise ConfigError(name, f"must be a finite number of at most {LARGEST_VALUE:g}, got {value:g}")
+        if name.startswith(READ) and not abs(value) <= LARGEST_PARAMETER:
+            raise ConfigError(name, f"must be a finite number of at most {LARGEST_PARAMETER:g}, got {value:g}")
     return values
 
 
