@@ -43,9 +43,8 @@ HIDING = {"os", "shutil", "io", "pathlib", "tempfile", "codecs", "builtins"}
 ALLOWED = {
     "cli/__init__.py": {"open"},  # the null device
     "cli/compiling.py": {"TemporaryDirectory"},  # private to the process
-    "cli/exploring.py": {"webbrowser.open"},  # no file
     "cli/simulation.py": {"trajectory.to_dataframe().to_csv"},  # into the writer's file
-    "exploration/serving.py": {"TemporaryDirectory"},  # private to the process
+    "exploration/serving.py": {"TemporaryDirectory", "webbrowser.open"},  # private to the process
     "flight/bench_text.py": {"(files('dssc_jax.flight') / 'bench.c').read_text"},  # of the package
     "flight/fmu.py": {"(files('dssc_jax.flight') / WRAPPER).read_text", "zipfile.ZipFile"},  # in memory
     "plotting/style.py": {"figure.savefig"},  # into the writer's file
