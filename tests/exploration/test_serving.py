@@ -82,6 +82,7 @@ def hosts(server):
 def other_paths(server):
     """Paths that are not the page's: without, beside, around and behind its token."""
     token = server.token
+    yield from (f"/components/{WITNESS}/a/b", f"/components/{WITNESS}/{token}/b")
     wrong = ("", "wrong", token[:-1], f"{token}a", token.swapcase(), f"{token}%00", f"%2f{token}", token[::-1])
     encoded = "".join(f"%{ord(letter):02x}" for letter in token)
     places = ("explore", "explore/ws", "static/js/bokeh.min.js", f"components/{WITNESS}/a/b", "")
@@ -100,7 +101,7 @@ def other_paths(server):
     behind += ("/static/", "/static//etc/passwd", "/static/.hidden", "/static/js/", "/static/js/bokeh.min.js?v=1&a=b")
     behind += ("/static/js/bokeh.min.js?v=../..", "/static/js/bokeh.min.js%00.png", "/static/js/~root", "/static")
     yield from (f"/{token}{place}" for place in behind)
-    yield from (f"/components/{WITNESS}/a/b", f"/components/{WITNESS}/{token}/b", "*", "http://evil.example/", "//")
+    yield from ("*", "http://evil.example/", "//")
     yield from (f"http://evil.example/{token}/explore", f"http://127.0.0.1:{port_of(server)}/{token}/explore")
     yield from ("/favicon.ico", "/static/js/bokeh.min.js", "/explore", "/explore/ws", f"/?{token}", f"/#{token}")
 

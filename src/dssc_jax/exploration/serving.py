@@ -24,14 +24,14 @@ from tornado.web import RequestHandler, StaticFileHandler
 from dssc_jax.core import files
 
 LOCAL = "127.0.0.1"
-NAMES = (LOCAL, "localhost")
+HOST_NAMES = (LOCAL, "localhost")
 """Names of this machine in a browser's address; the second one is that of a forwarded port."""
-PAGE = "explore"
+PAGE_PATH = "explore"
 ICON = r"favicon\.ico"
-NAME = r"[A-Za-z0-9@_-](?:[A-Za-z0-9@_.^-]|%5E)*"
-SCRIPT_OR_STYLE = re.compile(rf"{ICON}|static/(?:{NAME}/)*{NAME}")
+PLAIN_NAME = r"[A-Za-z0-9@_-](?:[A-Za-z0-9@_.^-]|%5E)*"
+SCRIPT_OR_STYLE = re.compile(rf"{ICON}|static/(?:{PLAIN_NAME}/)*{PLAIN_NAME}")
 """Path of a file that the page loads: plain names, none of which begins with a dot; a browser may encode ``^``."""
-VERSION = re.compile(r"(?:v=[0-9a-z.]+)?")
+FILE_VERSION = re.compile(r"(?:v=[0-9a-z.]+)?")
 """Query of such a file."""
 REDIRECT = """<!doctype html>
 <meta charset="utf-8">
@@ -58,7 +58,7 @@ class Refused(Matcher):
 
     def __init__(self, token: str, port: int) -> None:
         self._token = token.encode()
-        self._hosts = [f"{name}:{port}" for name in NAMES]
+        self._hosts = [f"{name}:{port}" for name in HOST_NAMES]
         self._origins = [f"http://{host}" for host in self._hosts]
 
     def match(self, request: HTTPServerRequest) -> dict[str, Any] | None:
@@ -76,11 +76,11 @@ class Refused(Matcher):
         origins = request.headers.get_list("Origin")
         if origins not in [[], *([origin] for origin in self._origins)]:
             return False
-        if place == f"{PAGE}/ws":
+        if place == f"{PAGE_PATH}/ws":
             return request.method == "GET" and len(origins) == 1 and not query
-        if place == PAGE:
+        if place == PAGE_PATH:
             return not query
-        return bool(SCRIPT_OR_STYLE.fullmatch(place) and VERSION.fullmatch(query))
+        return bool(SCRIPT_OR_STYLE.fullmatch(place) and FILE_VERSION.fullmatch(query))
 
 
 class NotFound(RequestHandler):
@@ -109,7 +109,7 @@ class PageServer:
         self._make = make
         pn.extension()
         self._server: Server = pn.io.server.get_server(
-            {f"/{PAGE}": self._session},
+            {f"/{PAGE_PATH}": self._session},
             prefix=self.token,
             address=LOCAL,
             port=port,
@@ -128,7 +128,7 @@ class PageServer:
     @property
     def url(self) -> str:
         """The page's address, with its token."""
-        return f"http://{LOCAL}:{self.port}/{self.token}/{PAGE}"
+        return f"http://{LOCAL}:{self.port}/{self.token}/{PAGE_PATH}"
 
     @property
     def port(self) -> int:
