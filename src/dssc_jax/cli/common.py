@@ -276,4 +276,5 @@ def attempt(path: Path, write: Callable[[], Any]) -> None:
     try:
         write()
     except (OSError, ValueError) as error:
-        raise ConfigError(str(path), f"cannot be written: {' '.join(str(error).split())}") from error
+        reason = getattr(error, "strerror", None) or " ".join(str(error).split())
+        raise ConfigError(str(path), f"cannot be written: {reason}") from error

@@ -348,7 +348,7 @@ def update_all(
     """Every accumulator after sample k."""
     updated = []
     for measure, acc in zip(measures, accumulators, strict=True):
-        with errors_in_code(f"metric '{measure.kind}'"):
+        with errors_in_code(f"metric '{measure.kind}'", measure.metric.update):
             new = measure.metric.update(acc, measure.of(instant), measure.window)
             require_like(new, acc)
         start = first_sample(measure.window, t_s)
@@ -363,7 +363,7 @@ def values(
     computed = {}
     for measure, acc in zip(measures, accumulators, strict=True):
         span = Span(steps, steps - first_sample(measure.window, t_s), t_s)
-        with errors_in_code(f"metric '{measure.kind}'"):
+        with errors_in_code(f"metric '{measure.kind}'", measure.metric.value):
             value = measure.metric.value(acc, measure.window, span)
             require_like(value, 0.0)
         computed[measure.name] = value
