@@ -18,7 +18,7 @@ from tests.forging import resealed
 def results(ran, tmp_path):
     """A folder of one good result, with a report already."""
     ran.save(tmp_path / "good")
-    write(ran, tmp_path / "good" / REPORT, worst=0)
+    write(dj.load(tmp_path / "good"), tmp_path / "good" / REPORT, worst=0)
     ran.path = None
     return tmp_path
 

@@ -114,7 +114,7 @@ def test_two_exports_to_one_file(ground):
 
 def test_an_analysis_is_not_written_through_a_link(ground, tmp_path):
     out = tmp_path / "rare"
-    arguments = ["sensitivity", str(ground.study_file), "--draws", "16", "--out", str(out), "--json"]
+    arguments = ["sensitivity", str(ground.study_file), "--draws", "256", "--out", str(out), "--json"]
     code, said = ended(arguments)
     assert code == 0, said
     for place in ("sensitivity.json", "data.zarr", "figures", "figures/sensitivity.png"):

@@ -98,6 +98,13 @@ def test_what_the_file_lacks_is_named():
     [
         ("param set MC_ROLL_P 6.5", "", "sets no parameter CA_"),
         (QUAD.replace("COUNT 4", "COUNT 3"), "CA_ROTOR_COUNT", "from 4 to 12, got 3"),
+        (QUAD.replace("COUNT 4", "COUNT 1e9"), "CA_ROTOR_COUNT", "at most 1e+06, got 1e+09"),
+        (QUAD.replace("COUNT 4", "COUNT 1e6"), "CA_ROTOR_COUNT", "from 4 to 12, got 1e+06"),
+        (QUAD.replace("COUNT 4", "COUNT 4.5"), "CA_ROTOR_COUNT", "from 4 to 12, got 4.5"),
+        (QUAD.replace("COUNT 4", "COUNT nan"), "CA_ROTOR_COUNT", "must be a finite number"),
+        (QUAD.replace("COUNT 4", "COUNT inf"), "CA_ROTOR_COUNT", "must be a finite number"),
+        (QUAD + "\nparam set CA_ROTOR1_PX 1e308", "CA_ROTOR1_PX", "must be a finite number of at most"),
+        (QUAD + "\nparam set SIH_MASS nan", "SIH_MASS", "must be a finite number"),
         (QUAD + "\nparam set CA_AIRFRAME 2", "CA_AIRFRAME", "got 2"),
         (QUAD + "\nparam set CA_ROTOR2_AX 0.2", "CA_ROTOR2_AX", "tilted"),
         (QUAD + "\nparam set CA_ROTOR1_PX -0.15", "CA_ROTORi_PX", "on a circle; got"),
