@@ -202,7 +202,7 @@ def section_of_attacks(attacked: Tally) -> list[str]:
         f"## {attacked.ends.total()} attacks on the files of a folder",
         "",
         "A place of a folder is a symbolic link to a file or folder outside of it, or to nothing, or a "
-        "named pipe, for every command that writes. A folder is moved, deleted, emptied or replaced while a run fills "
+        "named pipe, for a command that writes. A folder is moved, deleted, emptied or replaced while a run fills "
         "it. No file may grow beyond some bytes, as on a full disk. Nothing outside may change, nothing may hang, no "
         "part of a file may remain, and no folder may say that it is complete when it is not.",
         "",

@@ -376,9 +376,10 @@ def require_like(value: Any, pattern: Any) -> None:
     Raises:
         TypeError: It returns another structure, or an array.
     """
-    found, wanted = jax.tree.structure(value), jax.tree.structure(pattern)
-    if found != wanted:
-        raise TypeError(f"it must return {wanted}, got {found}")
+    structure = jax.tree.structure(value)
+    wanted = jax.tree.structure(pattern)
+    if structure != wanted:
+        raise TypeError(f"it must return {wanted}, got {structure}")
     shapes = [jnp.shape(leaf) for leaf in jax.tree.leaves(value)]
     if any(shapes):
         raise TypeError(f"it must return numbers, got arrays of shapes {shapes}")

@@ -13,7 +13,7 @@ import stat
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO
+from typing import BinaryIO
 from uuid import uuid4
 
 from dssc_jax.core.errors import ConfigError
@@ -144,7 +144,7 @@ def create_text(path: Path, text: str) -> None:
 
 
 @contextmanager
-def replacing(path: Path, within: Path | None = None, durable: bool = True) -> Iterator[IO[bytes]]:
+def replacing(path: Path, within: Path | None = None, durable: bool = True) -> Iterator[BinaryIO]:
     """A binary file to write, which replaces ``path`` if the block ends without an exception.
 
     The permissions of a file that is replaced are kept.
@@ -179,7 +179,7 @@ def replacing(path: Path, within: Path | None = None, durable: bool = True) -> I
         flush_folder(path.parent)
 
 
-def opened(partial: Path) -> IO[bytes]:
+def opened(partial: Path) -> BinaryIO:
     """A new file to write."""
     return os.fdopen(os.open(partial, CREATION, 0o666), "wb")
 
@@ -189,7 +189,7 @@ def partial_of(path: Path) -> Path:
     return path.with_name(f".{path.name[:REPEATED_NAME]}.{uuid4().hex}{PARTIAL}")
 
 
-def flush(file: IO[bytes]) -> None:
+def flush(file: BinaryIO) -> None:
     """Flush a file to disk."""
     file.flush()
     os.fsync(file.fileno())

@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from zarr.abc.store import ByteRequest, OffsetByteRequest, RangeByteRequest, Store, SuffixByteRequest
 from zarr.core.buffer import Buffer, BufferPrototype, default_buffer_prototype
@@ -30,7 +31,7 @@ class ArrayFiles(LocalStore):
             self._require_root()
             self._is_open = True
 
-    async def _open(self) -> None:
+    async def _open(self, *, mode: Any = None) -> None:
         self._require_root()
         await Store._open(self)
 
@@ -69,7 +70,7 @@ class ArrayFiles(LocalStore):
         self._ensure_open_sync()
         path, folder = self.root / key, self.root.parent
         files.make_folder(path.parent, folder)
-        files.write_bytes(path, memoryview(value.as_numpy_array()), folder, durable=False)
+        files.write_bytes(path, value.as_numpy_array().data, folder, durable=False)
 
     async def set(self, key: str, value: Buffer) -> None:
         """See :meth:`set_sync`."""
