@@ -2,7 +2,8 @@
 
 Every bad study file must end in exit 2 with one line, in under 2 s of processor time, and nothing written. A file that
 is still valid is not simulated. A damaged folder is replayed, verified, exported and resumed: exit 2 with one line and
-nothing changed, or, where the harm does not matter or was mended, the very same result.
+nothing changed, or, where the harm does not matter or was mended, the very same result. Links, pipes, moves and full
+disks: nothing outside of the folder is touched, nothing hangs, and no folder, page or file is falsely complete.
 """
 
 import argparse
@@ -27,6 +28,7 @@ from dssc_jax.console.environment import machine
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
+from tests.attacks import COMMANDS, LIMITS, PLACES, Ground  # noqa: E402
 from tests.mutations import STUDY_KINDS, damage  # noqa: E402
 from tests.results.test_durability import SMALL  # noqa: E402
 
@@ -144,6 +146,38 @@ def resume(study: dj.Study, whole: dj.Result, folder: Path, what: str, before: d
         tally.wrong.append(f"--resume, {what}: {type(error).__name__}: {error}")
 
 
+def attacks(every: int) -> Tally:
+    """Links and pipes at places of a folder for commands that write, moves, and full disks.
+
+    Args:
+        every: Of all pairs of a place and a command, every so many-th is tried; 1: all, some 800 attacks.
+    """
+    tally = Tally()
+    with tempfile.TemporaryDirectory() as place:
+        ground = Ground(Path(place), SMALL)
+
+        def count(kind: str, about: str, wrong: str, code: int | str) -> None:
+            tally.ends[kind, "wrong" if wrong else "refused" if code == 2 else "done, and nothing else touched"] += 1
+            if wrong:
+                tally.wrong.append(f"{kind}, {about}: {wrong}")
+
+        pairs = [(name, command) for name in PLACES for command in COMMANDS]
+        for name, command in pairs[::every]:
+            for kind in ("full", "dangling", "pipe"):
+                ending = ground.link(name, command, kind)
+                label = {"full": "a link", "dangling": "a link to nothing", "pipe": "a named pipe"}[kind]
+                count(label, f"{name}, {command}", ending.wrong, ending.code)
+        for how in ("moved", "deleted", "emptied", "replaced"):
+            for block in (0, 3, 6):
+                ending = ground.lost(how, block)
+                count(f"a folder {how} during a run", f"block {block}", ending.wrong, ending.code)
+        for command in COMMANDS:
+            for limit in LIMITS:
+                ending = ground.full_disk(command, limit, fresh=limit % 2 == 0)
+                count("a full disk", f"{command}, {limit} bytes", ending.wrong, ending.code)
+    return tally
+
+
 def rows(tally: Tally) -> list[str]:
     """A Markdown table."""
     ends = sorted({end for _, end in tally.ends})
@@ -153,7 +187,26 @@ def rows(tally: Tally) -> list[str]:
     return [
         *lines,
         "",
-        f"Slowest refusal or validation: {tally.slowest:.2f} s of processor time. Wrong: {len(tally.wrong)}.",
+        f"Wrong: {len(tally.wrong)}.",
+    ]
+
+
+def slowest(tally: Tally) -> str:
+    """The longest time of a refusal or a validation."""
+    return f"Slowest refusal or validation: {tally.slowest:.2f} s of processor time."
+
+
+def section_of_attacks(attacked: Tally) -> list[str]:
+    """The page's part on attacks."""
+    return [
+        f"## {attacked.ends.total()} attacks on the files of a folder",
+        "",
+        "A place of a folder is a symbolic link to a file or folder outside of it, or to nothing, or a "
+        "named pipe, for a command that writes. A folder is moved, deleted, emptied or replaced while a run fills "
+        "it. No file may grow beyond some bytes, as on a full disk. Nothing outside may change, nothing may hang, no "
+        "part of a file may remain, and no folder may say that it is complete when it is not.",
+        "",
+        *rows(attacked),
     ]
 
 
@@ -161,12 +214,14 @@ def main() -> int:
     options = argparse.ArgumentParser()
     options.add_argument("--studies", type=int, default=500)
     options.add_argument("--folders", type=int, default=100)
+    options.add_argument("--every", type=int, default=7)
     options.add_argument("--seed", type=int, default=1)
     options.add_argument("--page", type=Path, default=ROOT / "docs" / "hostile.md")
     chosen = options.parse_args()
     harmed = folders(chosen.folders, chosen.seed)
     mutated = study_files(chosen.studies, chosen.seed)
-    for wrong in (*mutated.wrong, *harmed.wrong):
+    attacked = attacks(chosen.every)
+    for wrong in (*mutated.wrong, *harmed.wrong, *attacked.wrong):
         print(wrong)
     lines = [
         "# Hostile input",
@@ -179,6 +234,7 @@ def main() -> int:
         f"one line, in under {SLOW:g} s of processor time, and must write nothing.",
         "",
         *rows(mutated),
+        slowest(mutated),
         "",
         f"## {chosen.folders} damaged results folders",
         "",
@@ -188,9 +244,12 @@ def main() -> int:
         "because the damage is harmless or `--resume` has repaired it.",
         "",
         *rows(harmed),
+        slowest(harmed),
+        "",
+        *section_of_attacks(attacked),
     ]
     chosen.page.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return 1 if mutated.wrong or harmed.wrong else 0
+    return 1 if mutated.wrong or harmed.wrong or attacked.wrong else 0
 
 
 if __name__ == "__main__":

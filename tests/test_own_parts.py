@@ -141,3 +141,40 @@ def test_files_beside_a_study_never_replace_installed_modules(beside, capsys):
     import colorsys
 
     assert str(beside) not in colorsys.__file__
+
+
+METRIC = """
+import jax.numpy as jnp
+from dssc_jax.closed_loop.metrics import Metric
+def update(total, sample, window):
+    worst = total
+    {update}
+    return worst
+EFFORT = Metric("u", "effort", update, lambda worst, window, span: {value})
+"""
+
+
+@pytest.mark.parametrize(
+    ("update", "value", "said", "line"),
+    [
+        ("worst = sample.nothing", "worst", "AttributeError: 'Sample' object has no attribute 'nothing'", 6),
+        ("worst = worst + (1 if sample.e > 0 else 0)", "worst", "TracerBoolConversionError: ", 6),
+        ("worst = worst + 1 / 0", "worst", "ZeroDivisionError: division by zero", 6),
+        ("worst = worst + sample.u * jnp.ones(3)", "worst", "TypeError: it must return numbers, got arrays", 4),
+        ("worst = (worst, worst)", "worst", "TypeError: it must return PyTreeDef(*)", 4),
+        ("pass", "worst[0]", "IndexError: ", 8),
+    ],
+)
+def test_an_error_in_a_metric_names_the_metric_and_the_line(beside, update, value, said, line):
+    (beside / "own_metrics.py").write_text(METRIC.format(update=update, value=value))
+    allow_imports(beside)
+    table = {**STUDY, "metrics": {"names": ["own_metrics:EFFORT"]}, "requirement": []}
+    try:
+        with pytest.raises(ConfigError) as caught:
+            dj.run(dj.Study.from_table(table))
+    finally:
+        del sys.modules["own_metrics"]
+    assert caught.value.where == "metric 'EFFORT'"
+    assert said in caught.value.rule
+    assert "\n" not in str(caught.value)
+    assert caught.value.rule.endswith(f", in line {line} of {beside / 'own_metrics.py'}")

@@ -153,6 +153,77 @@ def test_a_disk_that_is_full_leaves_no_half(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+def unusable(home, kind):
+    """Make the cache in a home unusable in some way."""
+    folder = home / "dssc_jax"
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    if kind == "a file in its place":
+        folder.write_text("precious")
+    elif kind == "a link that leads nowhere":
+        folder.symlink_to(home / "absent" / "deeper")
+    elif kind == "a link to itself":
+        folder.symlink_to(folder)
+    elif kind == "a file above it":
+        home.rmdir()
+        home.write_text("precious")
+
+
+KINDS = ["a file in its place", "a link that leads nowhere", "a link to itself", "a file above it"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_cache_that_cannot_be_used_costs_one_warning(tmp_path, monkeypatch, capsys, kind):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    unusable(tmp_path / "home", kind)
+    for name in "abc":
+        assert user_cache.kept(name, lambda: b"program") == b"program"
+        assert user_cache.remembered(name, lambda: [1, 2], name) == [1, 2]
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1
+    assert said.startswith(f"warning: nothing is kept in {tmp_path / 'home' / 'dssc_jax'} (")
+
+
+@pytest.mark.parametrize("error", [PermissionError(13, "Permission denied"), OSError(30, "Read-only file system")])
+def test_a_cache_that_is_only_read(tmp_path, monkeypatch, capsys, error):
+    """What is whole in it is used; what is damaged stays and is passed over."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    user_cache.kept("good", lambda: b"program")
+    user_cache.kept("bad", lambda: b"program")
+    (tmp_path / "dssc_jax" / "bad.program").write_bytes(b"damaged")
+
+    def refuse(*arguments, **options):
+        raise error
+
+    monkeypatch.setattr(os, "utime", refuse)
+    monkeypatch.setattr(user_cache.files, "delete", refuse)
+    monkeypatch.setattr(user_cache.files, "write_bytes", refuse)
+    assert user_cache.kept("good", lambda: b"other") == b"program"
+    assert user_cache.kept("bad", lambda: b"program") == b"program"
+    assert user_cache.kept("new", lambda: b"program") == b"program"
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 2, said
+    assert said[0].startswith(f"could not delete ({error.strerror})")
+    assert said[1].startswith("warning: nothing is kept in")
+
+
+def test_a_pipe_among_the_programs_is_not_waited_for(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    (tmp_path / "dssc_jax").mkdir()
+    os.mkfifo(tmp_path / "dssc_jax" / "a.program")
+    assert user_cache.kept("a", lambda: b"program") == b"program"
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_a_run_goes_on_without_its_cache(tmp_path):
+    """In a process of its own: the result is there, and one line."""
+    unusable(tmp_path / "home", "a file in its place")
+    code, result, said = run(tmp_path / "home")
+    assert code == 0
+    assert len(result) > 100
+    assert len(said.splitlines()) == 1
+    assert "nothing is kept in" in said
+
+
 def test_none_is_kept_on_request(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", STUDY, json.dumps(SMALL)],

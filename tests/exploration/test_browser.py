@@ -1,12 +1,6 @@
 """The served page in Chromium, where there is one: sliders by keyboard, two tabs, a wrong token, nothing outside."""
 
-import asyncio
 import re
-import threading
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from urllib.error import HTTPError
-from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -16,34 +10,14 @@ from dssc_jax.exploration.brushing import SCRIPT
 from dssc_jax.exploration.draw_table import DrawTable
 from dssc_jax.exploration.interactive_report import interactive_html
 from dssc_jax.exploration.live import LiveStudy
-from dssc_jax.exploration.serving import PageServer
 from dssc_jax.exploration.study_page import StudyPage
 from dssc_jax.statistics import clopper_pearson, rounded_probability
 from tests.browser import BROWSER, needs_browser
+from tests.exploration.serving import serving
 
 pytestmark = needs_browser
 PATIENCE = 120_000  # ms; the machine may be busy
 HEADLINE = "failure probability"
-
-
-@contextmanager
-def serving(make):
-    """A server in a thread, as the command has it in the process."""
-    started, servers = threading.Event(), []
-
-    def serve():
-        servers.append(PageServer(make, "explore"))
-        started.set()
-        servers[0].serve()
-
-    thread = threading.Thread(target=serve, daemon=True)
-    thread.start()
-    assert started.wait(60)
-    try:
-        yield servers[0]
-    finally:
-        servers[0].stop()
-        thread.join(60)
 
 
 @pytest.fixture(scope="module")
@@ -151,34 +125,6 @@ def test_a_tab_closed_during_a_run(served, tab, chromium):
     assert left.wait(60)
     tab.goto(served.url)
     headline(tab).wait_for()
-
-
-@pytest.mark.parametrize("path", ["", "wrong", "wrong/ws", "index.html"])
-def test_a_wrong_token_finds_nothing(served, path):
-    root = served.url.removesuffix(served.token)
-    with pytest.raises(HTTPError) as error:
-        urlopen(root + path, timeout=60)
-    assert error.value.code == 404
-    assert served.token not in error.value.read().decode()
-
-
-def test_only_this_machine(served):
-    assert served.url.startswith("http://127.0.0.1:")
-    assert len(served.token) >= 32
-
-
-def test_a_page_of_another_origin_cannot_connect(served):
-    """A script elsewhere that knew the token could still not open the channel."""
-    from tornado.httpclient import HTTPClientError, HTTPRequest
-    from tornado.websocket import websocket_connect
-
-    address = served.url.replace("http", "ws", 1) + "/ws"
-
-    async def connect():
-        await websocket_connect(HTTPRequest(address, headers={"Origin": "http://evil.example"}))
-
-    with ThreadPoolExecutor(1) as thread, pytest.raises(HTTPClientError, match="403"):  # this one has a loop already
-        thread.submit(asyncio.run, connect()).result()
 
 
 def test_markup_in_names_is_text(explored, tab):

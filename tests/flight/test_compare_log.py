@@ -273,6 +273,9 @@ def test_without_pyulog(tmp_path, monkeypatch):
         ("t,y\n0,nan\n", {}, "no finite value"),
         ("t,y\n0,x\n", {}, "must hold numbers"),
         ("s,y\n0,1\n", {}, "has no column 't'"),
+        ("t,y\n0,1e308\n1,-1e308\n", {}, "y: its largest value in the log is 1e\\+308; at most 1e\\+100 is taken"),
+        ("t,y\n0,1\n1e308,1\n", {}, "y: its largest time in the log is 1e\\+308"),
+        ("t,y\n0,1e200\n", {"signals": {"y": {"column": "y", "scale": 1e200}}}, "its largest value in the log is inf"),
     ],
 )
 def test_bad_logs(tmp_path, content, given, message):

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import pytest
 
+import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.report import write_index
+from dssc_jax.report import write, write_index
 from dssc_jax.report.index import REPORT
+from dssc_jax.report.page import is_current
 from tests.forging import resealed
 
 
@@ -16,7 +18,7 @@ from tests.forging import resealed
 def results(ran, tmp_path):
     """A folder of one good result, with a report already."""
     ran.save(tmp_path / "good")
-    (tmp_path / "good" / REPORT).write_text("made before")
+    write(dj.load(tmp_path / "good"), tmp_path / "good" / REPORT, worst=0)
     ran.path = None
     return tmp_path
 
@@ -26,12 +28,13 @@ def trouble(results):
 
 
 def test_a_good_result_is_linked(results, ran):
-    page, (row,) = write_index(results)
+    made = []
+    page, (row,) = write_index(results, made.append)
     text = page.read_text()
     assert 'href="good/report.html"' in text
     assert row.trouble == ""
     assert f"{ran.failed.values.mean():.4g}" in text
-    assert (results / "good" / REPORT).read_text() == "made before"
+    assert made == []
 
 
 def test_reports_that_are_missing_or_out_of_date_are_made(results):
@@ -39,9 +42,41 @@ def test_reports_that_are_missing_or_out_of_date_are_made(results):
     page.unlink()
     write_index(results, made.append)
     assert "What was measured" in page.read_text()
-    os.utime(page, (1.0, 1.0))
+    resealed(results / "good", started="2020-01-01T00:00:00+00:00")
     write_index(results, made.append)
     assert made == [page, page]
+    write_index(results, made.append)
+    assert made == [page, page]
+
+
+def test_a_page_that_is_not_whole_or_of_another_result_is_made_again(results, swept):
+    """However new it is."""
+    page = results / "good" / REPORT
+    whole = page.read_bytes()
+    other = write(swept, results / "other.html", worst=0).read_bytes()
+    for content in (
+        whole[: len(whole) // 2],
+        whole[:-1],
+        b"",
+        other,
+        b"A stranger's page",
+        whole.replace(b"e", b"a", 1),
+    ):
+        made = []
+        page.write_bytes(content)
+        write_index(results, made.append)
+        assert made == [page]
+        assert is_current(page, dj.load(results / "good"))
+        page.write_bytes(whole)
+
+
+def test_a_linked_folder_is_not_followed(results, tmp_path_factory):
+    elsewhere = tmp_path_factory.mktemp("elsewhere") / "result"
+    shutil.copytree(results / "good", elsewhere)
+    (elsewhere / REPORT).write_text("precious")
+    (results / "linked").symlink_to(elsewhere)
+    assert trouble(results) == {"good": "", "linked": "is a symbolic link, which the index does not follow"}
+    assert (elsewhere / REPORT).read_text() == "precious"
 
 
 def test_damage_is_listed_and_nothing_else_changes(results):

@@ -1,5 +1,7 @@
 """Recorded references from CSV and Parquet files, and references of a vehicle's own channels."""
 
+import os
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -7,6 +9,7 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.cli import guarded
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.study.recorded import recorded_columns
 from dssc_jax.study.tables import to_toml
 
 TIMES = np.arange(0.0, 5.0, 0.25)
@@ -124,3 +127,21 @@ def test_only_channels():
     assert study.quantities["reference.psi.slope"].unit == "rad/s"
     with pytest.raises(ConfigError, match=r"reference.psi: must be a table|reference.psi"):
         study.override({"reference": {"psi": {"kind": "rampe"}}})
+
+
+def test_a_table_of_too_many_columns_is_refused_at_once(tmp_path):
+    """Before pandas reads it, which would take minutes."""
+    for count, said in ((500_000, "has 500000 columns, more than a record can have"), (10_000, "has no column 't'")):
+        names = ",".join(f"c{index}" for index in range(count))
+        (tmp_path / "wide.csv").write_text(f"# a comment, with commas\n\n{names}\n")
+        with pytest.raises(ConfigError, match=said):
+            recorded_columns(tmp_path / "wide.csv", ["t"])
+    pd.DataFrame(np.zeros((1, 10_001)), columns=[f"c{i}" for i in range(10_001)]).to_parquet(tmp_path / "wide.parquet")
+    with pytest.raises(ConfigError, match="has 10001 columns"):
+        recorded_columns(tmp_path / "wide.parquet", ["t"])
+
+
+def test_a_pipe_is_no_record(tmp_path):
+    os.mkfifo(tmp_path / "log.csv")
+    with pytest.raises(ConfigError, match="it is no file"):
+        recorded_columns(tmp_path / "log.csv", ["t"])

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 from dssc_jax.backend.program import Builder, Program, Value
 from dssc_jax.backend.translate import INLINED, Translator, traced_program
+from dssc_jax.core import files
 
 LIBRARY = ("/jax/", "\\jax\\", "<frozen", "dssc_jax/backend", "dssc_jax\\backend")
 """Parts of the paths of files that are no model's."""
@@ -122,8 +123,7 @@ def model_places(equation: Any) -> Iterator[Place]:
 def source(file: str) -> Source:
     """The syntax tree of a file; empty if it cannot be read."""
     try:
-        with open(file, encoding="utf-8") as opened:
-            tree = ast.parse(opened.read())
+        tree = ast.parse(files.read_text(file))
     except (OSError, SyntaxError, ValueError):
         return Source({}, {})
     parents = {child: node for node in ast.walk(tree) for child in ast.iter_child_nodes(node)}

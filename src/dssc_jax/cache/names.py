@@ -23,6 +23,7 @@ import jax
 import numpy as np
 
 import dssc_jax
+from dssc_jax.core import files
 
 DESCRIBED = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy", "builtins", "collections", "functools")
 """Packages whose functions and types a name describes, by sources or version."""
@@ -54,13 +55,15 @@ def name_of(*things: Any) -> str | None:
 @cache
 def sources_digest() -> str | None:
     """A digest of the package's sources; None if they have changed since this process imported the package."""
-    root, digest, files = package_root(), hashlib.sha256(), package_sources()
-    for file in files:
+    root = package_root()
+    digest = hashlib.sha256()
+    sources = package_sources()
+    for file in sources:
         about = file.stat()
         if max(about.st_mtime, about.st_ctime) >= dssc_jax.IMPORTED:
             return None
-        digest.update(f"{file.relative_to(root)}:{about.st_size}:".encode() + file.read_bytes())
-    return digest.hexdigest() if files else None
+        digest.update(f"{file.relative_to(root)}:{about.st_size}:".encode() + files.read_bytes(file))
+    return digest.hexdigest() if sources else None
 
 
 def package_root() -> Path:

@@ -2,7 +2,8 @@
 
 A truncated program, or a different one under the same name, would end the process that runs it. Every file therefore
 begins with the digest of its name and content. A file that does not match is deleted with a one-line message, and the
-program is compiled again. Files are moved into place atomically, so processes need not wait for each other.
+program is compiled again. Files are moved into place atomically, so processes need not wait for each other. Where the
+cache cannot be written, the process says so once and goes on without it.
 
 The environment variable ``DSSC_JAX_CACHE=off`` disables the cache.
 """
@@ -14,10 +15,10 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
-from uuid import uuid4
 
 from dssc_jax.cache.facts import decoded, encoded
 from dssc_jax.cache.names import name_of
+from dssc_jax.core import files
 
 T = TypeVar("T")
 
@@ -26,6 +27,8 @@ OFF = ("off", "0", "false")
 CACHE_SIZE = 2**28  # bytes; what has not been read for the longest time goes first
 SEARCHES = 16  # of the whole folder, while as much is stored as it may hold: one visits every file
 DISK_BLOCK = 4096  # bytes of a disk that a file takes at least
+UNUSABLE: set[Path] = set()
+"""Caches that this process has warned of."""
 DIGEST = hashlib.sha256().digest_size
 
 
@@ -44,28 +47,31 @@ class ProgramCache:
         """The program of a name; None if there is none, or if the file does not match."""
         file = self._file(key)
         try:
-            content = file.read_bytes()
-            os.utime(file)  # it is in use
+            content = files.read_bytes(file)
         except OSError:
             return None
         program = content[DIGEST:]
         if content[:DIGEST] == digest(key, program):
+            with suppress(OSError):
+                os.utime(file)  # it is in use
             return program
-        file.unlink(missing_ok=True)
-        print(f"deleted {file}: it does not hold what was kept there; the program is compiled again", file=sys.stderr)
+        try:
+            files.delete(file)
+            done = "deleted"
+        except OSError as error:
+            done = f"could not delete ({error.strerror})"
+        print(f"{done} {file}: it does not hold what was kept there; the program is compiled again", file=sys.stderr)
         return None
 
     def put(self, key: str, value: bytes) -> None:
-        """Store a program under its name."""
-        self._path.mkdir(parents=True, exist_ok=True)
-        partial = self._path / f"{uuid4().hex}.partial"
+        """Store a program under its name.
+
+        Raises:
+            OSError: It cannot be written.
+        """
+        files.make_folder(self._path)
         content = digest(key, value) + value
-        try:
-            partial.write_bytes(content)
-            os.replace(partial, self._file(key))
-        except OSError:
-            partial.unlink(missing_ok=True)
-            raise
+        files.write_bytes(self._file(key), content, durable=False)
         chance = int.from_bytes(content[:8]) / 2**64  # the digest is as good as a random number
         if chance * self.most < SEARCHES * max(len(content), DISK_BLOCK):
             self._make_room()
@@ -76,13 +82,13 @@ class ProgramCache:
     def _make_room(self) -> None:
         """Delete the files that have not been read for the longest time."""
         with os.scandir(self._path) as entries:
-            files = [(entry.stat(), entry.path) for entry in entries if entry.is_file()]
-        known = [(about.st_mtime_ns, max(about.st_size, DISK_BLOCK), path) for about, path in files]
+            present = [(entry.stat(), entry.path) for entry in entries if entry.is_file(follow_symlinks=False)]
+        known = [(about.st_mtime_ns, max(about.st_size, DISK_BLOCK), path) for about, path in present]
         excess = sum(size for _, size, _ in known) - self.most
         for _, size, path in sorted(known):
             if excess <= 0:
                 return
-            Path(path).unlink(missing_ok=True)
+            files.delete(Path(path))
             excess -= size
 
 
@@ -106,9 +112,20 @@ def kept(name: str, make: Callable[[], bytes]) -> bytes:
     if known is not None:
         return known
     made = make()
-    with suppress(OSError):  # a full disk: it is made again next time
+    try:
         cache.put(name, made)
+    except OSError as error:  # it is made again next time
+        warn_of_cache(folder, error.strerror or str(error))
     return made
+
+
+def warn_of_cache(folder: Path, reason: str) -> None:
+    """Say once in this process that nothing can be kept."""
+    if folder in UNUSABLE:
+        return
+    UNUSABLE.add(folder)
+    line = f"warning: nothing is kept in {folder} ({reason}), so each command compiles again"
+    print(f"{line}; {CACHE_VARIABLE}=off silences this", file=sys.stderr)
 
 
 def remembered(what: str, compute: Callable[[], T], *things: Any) -> T:
@@ -124,12 +141,10 @@ def remembered(what: str, compute: Callable[[], T], *things: Any) -> T:
 
 
 def cache_directory() -> Path | None:
-    """The cache's folder; None if the user has disabled the cache, or has no directory that can be written."""
+    """The cache's folder; None if the user has disabled the cache, or has no home directory."""
     if os.environ.get(CACHE_VARIABLE, "").lower() in OFF:
         return None
     try:
-        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dssc_jax"
     except RuntimeError:  # no home
         return None
-    existing = next(folder for folder in (home, *home.parents, Path.cwd()) if folder.exists())
-    return home / "dssc_jax" if os.access(existing, os.W_OK) else None

@@ -22,12 +22,13 @@ def airframe(
     Takes the rotors' places and spins from CA_ROTOR.., and mass, inertia, thrust and lag from SIH_... Comments name
     what the file does not give.
     """
+    from dssc_jax.core import files
     from dssc_jax.core.errors import errors_under
     from dssc_jax.models.uav.airframe import read_airframe
     from dssc_jax.study.tables import to_toml
 
     with errors_under(str(file)):
-        vehicle, notes = read_airframe(file.read_text(errors="replace"))
+        vehicle, notes = read_airframe(files.read_text(file, errors="replace"))
     if as_json:
         print(json.dumps({"vehicle": vehicle, "notes": notes}))
     else:

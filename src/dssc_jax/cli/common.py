@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -247,7 +248,7 @@ def default_out(study: "Study", command: str, *options: Any) -> Path:
 
 def of_another(folder: Path, study: "Study") -> bool:
     """Whether a folder holds results, and none of this study."""
-    contents = [file.read_text(encoding="utf-8", errors="replace") for file in folder.glob("*.json")]
+    contents = [files.read_text(file, errors="replace") for file in folder.glob("*.json")]
     return bool(contents) and not any(f'"{study.hash}"' in content for content in contents)
 
 
@@ -298,4 +299,5 @@ def attempt(path: Path, write: Callable[[], Any]) -> None:
     try:
         write()
     except (OSError, ValueError) as error:
-        raise ConfigError(str(path), f"cannot be written: {' '.join(str(error).split())}") from error
+        reason = getattr(error, "strerror", None) or " ".join(str(error).split())
+        raise ConfigError(str(path), f"cannot be written: {reason}") from error

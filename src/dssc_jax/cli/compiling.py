@@ -4,6 +4,7 @@ import subprocess
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from dssc_jax.core import files
 from dssc_jax.flight.fmu import LIBRARY_FLAGS, ControllerFmu, compiler, no_library_reason
 
 
@@ -15,10 +16,10 @@ def built_library(fmu: ControllerFmu) -> tuple[bytes | None, str | None]:
     with TemporaryDirectory(prefix="dssc-jax-fmu-") as folder:
         place = Path(folder)
         for name, text in fmu.sources.items():
-            (place / name).write_text(text, encoding="utf-8")
+            files.write_text(place / name, text, durable=False)
         command = [program, *LIBRARY_FLAGS, *fmu.compiled, "-o", "library.so", "-lm"]
         done = subprocess.run(command, cwd=place, capture_output=True, text=True, check=False)
         if done.returncode != 0:
             said = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
             return None, f"{program} fails: {said.strip()}"
-        return (place / "library.so").read_bytes(), None
+        return files.read_bytes(place / "library.so"), None

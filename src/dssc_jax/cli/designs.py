@@ -8,6 +8,7 @@ import typer
 
 from dssc_jax.cli import options as opt
 from dssc_jax.cli.common import DONE, FAILS, app, attempt
+from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ def design(
     require_one_form(as_json, as_latex)
     bounded = load_design(bounds, complete=False)
     if out is not None:
-        attempt(out, lambda: out.write_text(design_toml(bounded), encoding="utf-8"))
+        attempt(out, lambda: files.write_text(out, design_toml(bounded)))
     return output_design(bounded, as_json, as_latex)
 
 

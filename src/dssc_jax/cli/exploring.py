@@ -1,6 +1,7 @@
 """Command that shows a page to explore: explore."""
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -55,11 +56,8 @@ def explore(
         raise ConfigError("--port", rule) from None
     print(server.url, flush=True)
     say("the page is served to this machine only; Ctrl-C ends it")
-    if browser:
-        import webbrowser
-
-        webbrowser.open(server.url)
-    server.serve()
+    with server.opened_in_browser() if browser else nullcontext():
+        server.serve()
     return DONE
 
 

@@ -18,6 +18,7 @@ from dssc_jax.cli.common import (
     output_analysis,
     save_analysis,
 )
+from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -51,22 +52,20 @@ def code(
     from dssc_jax.flight.folder import FlightFolder
 
     folder = FlightFolder(load_study(study, settings, None, None, allow_local))
-    attempt(out, lambda: out.mkdir(parents=True, exist_ok=True))
+    attempt(out, lambda: files.make_folder(out))
     for name, text in folder.texts().items():
         path = out / name
-        attempt(path, lambda path=path, text=text: path.write_text(text, encoding="utf-8"))
+        attempt(path, lambda path=path, text=text: files.write_text(path, text))
     path = out / "recorded.bin"
     parts = folder.recording(draws, samples)
-    with path.open("wb") as file:
-        for part in parts:
-            file.write(part)
+    attempt(path, lambda: files.write_parts(path, parts))
     written = [*folder.texts(), path.name]
     summary = folder.summary() | {"folder": str(out)}
     if fmu:
         unit = folder.fmu()
         library, reason = built_library(unit)
         packed = out / f"{unit.name}.fmu"
-        attempt(packed, lambda: packed.write_bytes(unit.archive(library)))
+        attempt(packed, lambda: files.write_bytes(packed, unit.archive(library)))
         written.append(packed.name)
         summary["fmu"] = {"file": packed.name, "library": library is not None, "reason": reason}
     summary["files"] = written
@@ -168,7 +167,7 @@ def fitted_laws(study: "Study", flown: "FlightLog", names: list[str], out: Path 
         return FAILS
     summary = fitted.summary() | {"identifiable": True, "explained": True, "file": str(out) if out else None}
     if out is not None:
-        attempt(out, lambda: out.write_text(fitted.toml(), encoding="utf-8"))
+        attempt(out, lambda: files.write_text(out, fitted.toml()))
     if as_json:
         print(json.dumps(summary, allow_nan=False))
     else:

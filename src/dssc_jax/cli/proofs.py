@@ -9,6 +9,7 @@ import typer
 
 from dssc_jax.cli import options as opt
 from dssc_jax.cli.common import DONE, FAILS, app, attempt, load_study, parse_bounds, require_proofs
+from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.proofs import BOXES, SWEEP_BOXES
 
@@ -105,7 +106,7 @@ def write_certificate(proved: "Proved", out: Path | None) -> None:
     """Write the certificate, if a file is given."""
     if out is not None:
         content = json.dumps(proved.certificate(), indent=1) + "\n"
-        attempt(out, lambda: out.write_text(content, encoding="utf-8"))
+        attempt(out, lambda: files.write_text(out, content))
 
 
 def prove_over(study: "Study", over: str, log: bool, boxes: int, out: Path | None, as_json: bool) -> int:
@@ -177,6 +178,6 @@ def read_json(path: Path) -> Any:
     from dssc_jax.proofs.certificate_text import certificate_content
 
     try:
-        return certificate_content(path.read_text(encoding="utf-8"))
+        return certificate_content(files.read_text(path))
     except (OSError, ValueError) as error:
         raise ConfigError(str(path), f"cannot be read: {error}") from None

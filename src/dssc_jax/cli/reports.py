@@ -56,7 +56,7 @@ def report(
         from dssc_jax.report.page import write_page
 
         page, text = out or result / INTERACTIVE, interactive_html(loaded)
-        attempt(page, lambda: write_page(text, page))
+        attempt(page, lambda: write_page(text, page, loaded))
     else:
         from dssc_jax.report import write
 

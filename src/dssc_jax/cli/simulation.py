@@ -25,6 +25,7 @@ from dssc_jax.cli.common import (
     warn_of_integration,
     warn_of_noise,
 )
+from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.proofs import SWEEP_BOXES
 
@@ -368,12 +369,18 @@ def require_writable(csv: Path | None, figure: Path | None) -> None:
             raise ConfigError(str(file), "cannot be written: there is no such folder")
 
 
+def write_table(trajectory: Any, path: Path) -> None:
+    """Write a trajectory as CSV."""
+    with files.replacing(path) as file:
+        trajectory.to_dataframe().to_csv(file, index_label="t")
+
+
 def output_trajectory(trajectory: Any, csv: Path | None, figure: Path | None, as_json: bool) -> int:
     """Write the requested files of a trajectory, and show how the draw ended."""
     from dssc_jax.console.draws import show_draw
 
     if csv is not None:
-        attempt(csv, lambda: trajectory.to_dataframe().to_csv(csv, index_label="t"))
+        attempt(csv, lambda: write_table(trajectory, csv))
     if figure is not None:
         from dssc_jax import plotting
 

@@ -1,6 +1,5 @@
 """Commands that search: tune, falsify."""
 
-import shutil
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +8,7 @@ import typer
 from dssc_jax.analyses.defaults import BUDGET, ROUNDS
 from dssc_jax.cli import options as opt
 from dssc_jax.cli.common import DONE, FAILS, app, attempt, default_out, load_study, output_analysis, save_analysis
+from dssc_jax.core import files
 
 BudgetOption = Annotated[
     int, typer.Option("--budget", metavar="N", help="Simulations of a hunt; one with derivatives counts for several.")
@@ -56,11 +56,11 @@ def tune(
         tuned = search(loaded, robust=robust, rounds=rounds, budget=budget, progress=advance)
     figures = save_analysis(tuned, folder, check=not no_check)
     file = out or folder / "tuned.toml"
-    attempt(file, lambda: file.write_text(to_toml(tuned.tuned_study.table), encoding="utf-8"))
-    files = {"tuned_study": file, "result": folder}
+    attempt(file, lambda: files.write_text(file, to_toml(tuned.tuned_study.table)))
+    written = {"tuned_study": file, "result": folder}
     if tuned.certificate is not None:
-        files["certificate"] = folder / PROOF_FILE
-    output_analysis(tuned, files, figures, as_json, show_tuning)
+        written["certificate"] = folder / PROOF_FILE
+    output_analysis(tuned, written, figures, as_json, show_tuning)
     return DONE if tuned.met else FAILS
 
 
@@ -114,9 +114,9 @@ def falsify(
         )
     figures = save_analysis(falsified, folder, check=not no_check)
     file, witness = folder / "witness.toml", folder / "witness"
-    file.write_text(to_toml(falsified.witness_study.table), encoding="utf-8")
-    shutil.rmtree(witness, ignore_errors=True)
+    attempt(file, lambda: files.write_text(file, to_toml(falsified.witness_study.table)))
+    attempt(witness, lambda: files.delete_tree(witness, folder))
     run(falsified.witness_study, witness)
-    files = {"result": folder, "witness_study": file, "replay": witness}
-    output_analysis(falsified, files, figures, as_json, show_falsification)
+    written = {"result": folder, "witness_study": file, "replay": witness}
+    output_analysis(falsified, written, figures, as_json, show_falsification)
     return FAILS if falsified.slack < 0.0 else DONE

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.closed_loop.window import WHOLE_RUN, Window
+from dssc_jax.core.errors import errors_in_code
 from dssc_jax.core.numerics import root_abs
 from dssc_jax.core.signals import Info, ReferencePoint, Scalar
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
@@ -343,7 +344,9 @@ def update_all(
     """Every accumulator after sample k."""
     updated = []
     for measure, acc in zip(measures, accumulators, strict=True):
-        new = measure.metric.update(acc, measure.of(instant), measure.window)
+        with errors_in_code(f"metric '{measure.kind}'", measure.metric.update):
+            new = measure.metric.update(acc, measure.of(instant), measure.window)
+            require_like(new, acc)
         start = first_sample(measure.window, t_s)
         updated.append(new if start == 0 else jax.tree.map(partial(jnp.where, k >= start), new, acc))
     return tuple(updated)
@@ -353,7 +356,26 @@ def values(
     measures: tuple[Measure, ...], accumulators: tuple[Any, ...], steps: Scalar, t_s: float
 ) -> dict[str, Scalar]:
     """Every metric at the end of a run of ``steps`` samples."""
-    return {
-        m.name: m.metric.value(acc, m.window, Span(steps, steps - first_sample(m.window, t_s), t_s))
-        for m, acc in zip(measures, accumulators, strict=True)
-    }
+    computed = {}
+    for measure, acc in zip(measures, accumulators, strict=True):
+        span = Span(steps, steps - first_sample(measure.window, t_s), t_s)
+        with errors_in_code(f"metric '{measure.kind}'", measure.metric.value):
+            value = measure.metric.value(acc, measure.window, span)
+            require_like(value, 0.0)
+        computed[measure.name] = value
+    return computed
+
+
+def require_like(value: Any, pattern: Any) -> None:
+    """Require that a metric's code returns numbers in the structure that it began with.
+
+    Raises:
+        TypeError: It returns another structure, or an array.
+    """
+    structure = jax.tree.structure(value)
+    wanted = jax.tree.structure(pattern)
+    if structure != wanted:
+        raise TypeError(f"it must return {wanted}, got {structure}")
+    shapes = [jnp.shape(leaf) for leaf in jax.tree.leaves(value)]
+    if any(shapes):
+        raise TypeError(f"it must return numbers, got arrays of shapes {shapes}")

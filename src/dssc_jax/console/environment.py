@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dssc_jax.console.terminal import output, show_table
+from dssc_jax.core import files
 
 
 def machine() -> str:
@@ -16,7 +17,9 @@ def machine() -> str:
     model = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
-        names = [line.partition(":")[2].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
+        names = [
+            line.partition(":")[2].strip() for line in files.read_text(cpuinfo).splitlines() if "model name" in line
+        ]
         model = f"{len(names)} cores of {names[0]}" if names else model
     return f"{model}, Python {platform.python_version()}, JAX {jax.__version__}, {datetime.now(UTC):%Y-%m-%d}"
 

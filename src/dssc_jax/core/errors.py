@@ -1,8 +1,13 @@
 """``ConfigError``, the error for bad input: a one-line message raised before tracing."""
 
 import difflib
-from collections.abc import Iterable, Iterator
+import traceback
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from typing import Any
+
+LIBRARIES = ("site-packages", "dist-packages", "dssc_jax/", "dssc_jax\\", "<frozen", "<string>")
+"""Parts of the names of files whose lines are not a user's own."""
 
 
 class ConfigError(ValueError):
@@ -40,6 +45,31 @@ def errors_under(path: str) -> Iterator[None]:
         yield
     except ConfigError as error:
         raise error.within_path(path) from None
+
+
+@contextmanager
+def errors_in_code(where: str, function: Callable[..., Any]) -> Iterator[None]:
+    """Report an exception of a user's own code in one line, with the line of the user's file.
+
+    Args:
+        where: What was computed, such as a metric.
+        function: The user's function, whose first line is named where the exception was raised outside of it.
+
+    Raises:
+        ConfigError: The code raised an exception.
+    """
+    try:
+        yield
+    except ConfigError:
+        raise
+    except Exception as error:
+        text = str(error).strip().partition("\n")[0]
+        frames = traceback.extract_tb(error.__traceback__)
+        lines = [frame for frame in frames if not any(part in frame.filename for part in LIBRARIES)]
+        code = getattr(function, "__code__", None)
+        place = f", in line {code.co_firstlineno} of {code.co_filename}" if code is not None else ""
+        place = f", in line {lines[-1].lineno} of {lines[-1].filename}" if lines else place
+        raise ConfigError(where, f"{type(error).__name__}: {text}{place}") from error
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:

@@ -17,13 +17,14 @@ from bokeh.models import (
 )
 from bokeh.plotting import figure
 
+from dssc_jax.core import files
 from dssc_jax.exploration.cell_map import CellMap
 from dssc_jax.exploration.draw_table import DrawTable
 from dssc_jax.exploration.parallel import ParallelAxes
 from dssc_jax.plotting.style import BLUE, GREY, ORANGE
 from dssc_jax.statistics import CONFIDENCE, FixedCount, rounded_probability
 
-SCRIPT = Path(__file__).with_name("brush.js").read_text(encoding="utf-8")
+SCRIPT = files.read_text(Path(__file__).with_name("brush.js"))
 BINS = 40
 TABLE_WIDTH = 1240  # px
 PICTURE = 500, 640  # rows and columns of the painted scatter

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.exploration.live import LiveRun
 from dssc_jax.runs.run import run
@@ -30,8 +31,7 @@ def save_study(shown: LiveRun, folder: Path, name: str) -> Path:
         )
     path = folder / name
     try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(shown.toml())
+        files.create_text(path, shown.toml())
     except FileExistsError:
         raise ConfigError("save", f"{path} exists; choose another name") from None
     except OSError as error:

@@ -1,22 +1,102 @@
-"""Serve a page to this machine's browser: 127.0.0.1 only, under a path that nobody can guess."""
+"""Serve a page to this machine's browser: 127.0.0.1 only, under a path that nobody can guess.
 
+Panel's server has more addresses than the page needs. One of them imports any module of Python that a request names.
+A gate in front of it therefore lets the page's requests pass and answers all others with "not found".
+"""
+
+import html
+import re
 import secrets
-from collections.abc import Callable
+import webbrowser
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import panel as pn
 from bokeh.server.server import Server
+from panel.io.resources import DIST_DIR
+from tornado.httputil import HTTPServerRequest
+from tornado.routing import Matcher, PathMatches, Rule
+from tornado.web import RequestHandler, StaticFileHandler
+
+from dssc_jax.core import files
 
 LOCAL = "127.0.0.1"
+HOST_NAMES = (LOCAL, "localhost")
+"""Names of this machine in a browser's address; the second one is that of a forwarded port."""
+PAGE_PATH = "explore"
+ICON = r"favicon\.ico"
+PLAIN_NAME = r"[A-Za-z0-9@_-](?:[A-Za-z0-9@_.^-]|%5E)*"
+SCRIPT_OR_STYLE = re.compile(rf"{ICON}|static/(?:{PLAIN_NAME}/)*{PLAIN_NAME}")
+"""Path of a file that the page loads: plain names, none of which begins with a dot; a browser may encode ``^``."""
+FILE_VERSION = re.compile(r"(?:v=[0-9a-z.]+)?")
+"""Query of such a file."""
+REDIRECT = """<!doctype html>
+<meta charset="utf-8">
+<meta name="referrer" content="no-referrer">
+<meta http-equiv="refresh" content="0; url={address}">
+<title>explore</title>
+<a href="{address}">Explore</a>
+"""
+"""A file that leads a browser to the page."""
 LIFE = 15_000  # ms that a session outlives its closed page
 LARGEST_MESSAGE = 64 * 2**20  # bytes
+
+
+class Refused(Matcher):
+    """Matches every request but those of the page.
+
+    A request of the page reads. It names this machine as its host. Its path begins with the token and leads to the
+    page, its websocket, a script or a style. If it names an origin, as a websocket must, that is this server.
+
+    Args:
+        token: The secret first part of the path.
+        port: Port of the server.
+    """
+
+    def __init__(self, token: str, port: int) -> None:
+        self._token = token.encode()
+        self._hosts = [f"{name}:{port}" for name in HOST_NAMES]
+        self._origins = [f"http://{host}" for host in self._hosts]
+
+    def match(self, request: HTTPServerRequest) -> dict[str, Any] | None:
+        """An empty dictionary where the request is refused, as Tornado expects; None where it passes."""
+        return None if self._passes(request) else {}
+
+    def _passes(self, request: HTTPServerRequest) -> bool:
+        path, _, query = request.uri.partition("?") if request.uri else ("", "", "")
+        _, _, path = path.partition("/")
+        token, _, place = path.partition("/")
+        if not secrets.compare_digest(token.encode(), self._token):
+            return False
+        if request.method not in ("GET", "HEAD") or request.headers.get_list("Host") not in [[h] for h in self._hosts]:
+            return False
+        origins = request.headers.get_list("Origin")
+        if origins not in [[], *([origin] for origin in self._origins)]:
+            return False
+        if place == f"{PAGE_PATH}/ws":
+            return request.method == "GET" and len(origins) == 1 and not query
+        if place == PAGE_PATH:
+            return not query
+        return bool(SCRIPT_OR_STYLE.fullmatch(place) and FILE_VERSION.fullmatch(query))
+
+
+class NotFound(RequestHandler):
+    """Answers every request with "not found"."""
+
+    def prepare(self) -> None:
+        """End the request."""
+        self.set_status(404)
+        self.finish()
 
 
 class PageServer:
     """A server of one page. Every tab has a session of its own, which ends when the tab is closed.
 
-    The page's address contains a random token; any other address is not found, and a page of another origin cannot
-    connect. Scripts and styles come from this server, and nothing from the network.
+    Page, websocket, scripts and styles have addresses that begin with a random token; see :class:`Refused`. Nothing
+    comes from the network.
 
     Args:
         make: Makes the page of a session: an object with ``view`` and ``close()``.
@@ -29,7 +109,8 @@ class PageServer:
         self._make = make
         pn.extension()
         self._server: Server = pn.io.server.get_server(
-            {f"/{self.token}": self._session},
+            {f"/{PAGE_PATH}": self._session},
+            prefix=self.token,
             address=LOCAL,
             port=port,
             title=title,
@@ -39,11 +120,36 @@ class PageServer:
             unused_session_lifetime_milliseconds=LIFE,
             websocket_max_message_size=LARGEST_MESSAGE,
         )
+        gate = Rule(Refused(self.token, self.port), NotFound)
+        icon = Rule(PathMatches(f"/{self.token}/({ICON})"), StaticFileHandler, {"path": DIST_DIR / "images"})
+        self._server._tornado.add_handlers(r"(?s).*", [gate, icon])  # before all others
+        self._server._tornado.settings["log_function"] = lambda handler: None  # requests of others fill no terminal
 
     @property
     def url(self) -> str:
         """The page's address, with its token."""
-        return f"http://{LOCAL}:{self._server.port}/{self.token}"
+        return f"http://{LOCAL}:{self.port}/{self.token}/{PAGE_PATH}"
+
+    @property
+    def port(self) -> int:
+        """The server's port."""
+        port = self._server.port
+        assert port is not None
+        return port
+
+    @contextmanager
+    def opened_in_browser(self) -> Iterator[None]:
+        """Open the page in the user's browser.
+
+        The browser is started with the name of a private file that leads to the page, since all users of the machine
+        see the arguments of its programs. The file is deleted when the context ends.
+        """
+        with TemporaryDirectory(prefix="dssc-jax-explore-") as folder:
+            redirect = Path(folder) / "explore.html"
+            address = html.escape(self.url)
+            files.write_text(redirect, REDIRECT.format(address=address), durable=False)
+            webbrowser.open(redirect.as_uri())
+            yield
 
     def serve(self) -> None:
         """Serve until the process is told to end, or :meth:`stop` is called."""

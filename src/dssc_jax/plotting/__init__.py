@@ -8,6 +8,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from dssc_jax.core import files
 from dssc_jax.plotting.comparisons import comparison
 from dssc_jax.plotting.draws import distribution, factor, failures
 from dssc_jax.plotting.flight_logs import log_comparison
@@ -70,10 +71,15 @@ def save_all(result: Result, folder: Path) -> list[Path]:
 def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
     """Write a figure as PNG and SVG.
 
+    Args:
+        figure: The figure.
+        folder: A folder in an existing results folder; created if absent.
+        name: Name of the files.
+
     Returns:
         The files written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    files.make_folder(folder, folder.parent)
     png, svg = folder / f"{name}.png", folder / f"{name}.svg"
-    write_png_and_svg(figure, png, svg)
+    write_png_and_svg(figure, png, svg, folder.parent)
     return [png, svg]

@@ -3,6 +3,7 @@
 import textwrap
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from functools import wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
@@ -15,6 +16,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, PercentFormatter
+
+from dssc_jax.core import files
 
 # Okabe and Ito's palette, distinguishable with any colour vision
 BLUE, ORANGE, GREEN, RED, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#6b6b6b"
@@ -124,23 +127,37 @@ def fit_probability(ax: Axes, largest: float, margin: float = 0.06) -> None:
 
 
 def write(figure: Figure, path: Path) -> Path:
-    """Save a figure."""
-    with rc_context(STYLE):
+    """Save a figure in the format that its name ends in."""
+    form = path.suffix.lower().removeprefix(".")
+    with rc_context(STYLE), files.replacing(path) as file:
         arrange(figure)
-        figure.savefig(path, **FAST_PNG if path.suffix == ".png" else {})
+        figure.savefig(file, format=form, **FAST_PNG if form == "png" else {})
     return path
 
 
-def write_png_and_svg(figure: Figure, png: Path, svg: Path) -> None:
-    """Save a figure as PNG and SVG; a thread compresses the one while the other is drawn."""
-    with rc_context(STYLE), ThreadPoolExecutor(1) as compressing:
+def write_png_and_svg(figure: Figure, png: Path, svg: Path, within: Path | None = None) -> None:
+    """Save a figure as PNG and SVG; a thread compresses the one while the other is drawn.
+
+    Args:
+        figure: The figure.
+        png: One file.
+        svg: The other one.
+        within: As for :func:`dssc_jax.core.files.replacing`.
+    """
+    with ExitStack() as stack:
+        stack.enter_context(rc_context(STYLE))
+        image_file = stack.enter_context(files.replacing(png, within))
+        drawing_file = stack.enter_context(files.replacing(svg, within))
+        compressing = stack.enter_context(ThreadPoolExecutor(1))
         arrange(figure)
         figure.set_dpi(STYLE["savefig.dpi"])
         canvas = FigureCanvasAgg(figure)
         canvas.draw()
         image = canvas.buffer_rgba()
-        compressed = compressing.submit(imsave, png, image, dpi=figure.dpi, origin="upper", **FAST_PNG)
-        figure.savefig(svg)
+        compressed = compressing.submit(
+            imsave, image_file, image, format="png", dpi=figure.dpi, origin="upper", **FAST_PNG
+        )
+        figure.savefig(drawing_file, format="svg")
         compressed.result()
 
 

@@ -8,10 +8,10 @@ from urllib.parse import quote
 
 import htpy as h
 
-from dssc_jax.analyses.loading import KINDS, description, kind_in, load
+from dssc_jax.analyses.loading import KINDS, description, load
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.report.elements import counted, interval, probability_text, table
-from dssc_jax.report.page import REPORT, page, write, write_page
+from dssc_jax.report.page import REPORT, is_current, page, write, write_page
 from dssc_jax.report.study_sections import moment
 from dssc_jax.results import store
 from dssc_jax.results.analysis import Analysis
@@ -40,6 +40,9 @@ def folders(root: Path) -> Iterator[Path]:
     """Every folder of a result or an analysis below ``root``, and the folders directly in it that contain none."""
     for child in sorted(path for path in root.iterdir() if path.is_dir()):
         places = []
+        if child.is_symlink():
+            yield child
+            continue
         for place, inner, files in os.walk(child):
             whole = not MARKS.isdisjoint(files)
             if whole:
@@ -49,14 +52,15 @@ def folders(root: Path) -> Iterator[Path]:
 
 
 def index_row(folder: Path, made: Callable[[Path], None]) -> IndexRow:
-    """The index row of a folder; its report is written first if it is missing or out of date."""
+    """The index row of a folder; its report is written first unless it is whole and shows what the folder holds."""
     row = IndexRow(folder)
+    if folder.is_symlink():
+        return row._replace(trouble="is a symbolic link, which the index does not follow")
     try:
-        kind, about = kind_in(folder), description(folder)
+        about = description(folder)
         row = row._replace(study=str(about["study"].get("name", "")), started=str(about.get("started", "")))
         result, page = load(folder), folder / REPORT
-        mark = store.MANIFEST if kind is None else f"{kind}.json"
-        if not page.exists() or page.stat().st_mtime < (folder / mark).stat().st_mtime:
+        if not is_current(page, result):
             made(write(result, page))
         if isinstance(result, Analysis):
             return row._replace(kind=result.title, answer=result.headline)

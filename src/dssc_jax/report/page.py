@@ -1,5 +1,6 @@
 """The page: its sections in order, and the file it is written to."""
 
+import hashlib
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -9,12 +10,13 @@ import htpy as h
 from markupsafe import Markup
 
 from dssc_jax.analyses.defaults import WORST_DRAWS
+from dssc_jax.core import files
 from dssc_jax.report import analysis_sections, proof_section, result_sections, study_sections
 from dssc_jax.report.elements import Section, facts
 from dssc_jax.report.subject import AnalysisSubject, Subject
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.result import Result
-from dssc_jax.study import Study
+from dssc_jax.study import Study, hash_of
 
 REPORT = "report.html"
 STYLE_SHEET = Path(__file__).with_name("style.css")
@@ -96,7 +98,7 @@ def page(title: str, head: h.Node, body: h.Node, contents: list[tuple[str, str]]
                 h.meta(name="viewport", content="width=device-width, initial-scale=1"),
                 h.meta(name="color-scheme", content="light dark"),
                 h.title[title],
-                h.style[Markup(STYLE_SHEET.read_text(encoding="utf-8"))],
+                h.style[Markup(files.read_text(STYLE_SHEET))],
             ],
             h.body[
                 h.a(".skip", href="#main")["Skip to the content"],
@@ -118,10 +120,40 @@ def write(result: Result | Analysis, path: str | Path, worst: int = WORST_DRAWS)
         worst: See :func:`html`.
     """
     target = Path(path)
-    write_page(html(result, worst), target)
+    write_page(html(result, worst), target, result)
     return target
 
 
-def write_page(text: str, path: Path) -> None:
-    """Write a page; invalid characters (lone surrogates of damaged names) are replaced."""
-    path.write_text(text, encoding="utf-8", errors="replace")
+def write_page(text: str, path: Path, result: Result | Analysis | None = None) -> None:
+    """Write a page; invalid characters (lone surrogates of damaged names) are replaced.
+
+    Args:
+        text: The page.
+        path: The file.
+        result: What the page shows, which its last line names with a digest of the page; None: it has no such line.
+    """
+    whole = text.encode("utf-8", "replace")
+    files.write_bytes(path, whole if result is None else whole + mark_of(whole, result))
+
+
+def mark_of(content: bytes, result: Result | Analysis) -> bytes:
+    """The last line of a page, which tells a whole page of this result from a part of one and from another's."""
+    digest = hashlib.sha256(content).hexdigest()
+    return f"\n<!-- dssc_jax: page {digest} of result {identity_of(result)} -->\n".encode()
+
+
+def identity_of(result: Result | Analysis) -> str:
+    """A digest of what a report shows."""
+    if isinstance(result, Analysis):
+        return hash_of({"kind": result.kind, "study": result.study.hash, "summary": result.summary()})
+    return hash_of({"manifest": hash_of(result.manifest), "certificate": result.certificate})
+
+
+def is_current(path: Path, result: Result | Analysis) -> bool:
+    """Whether a file is a whole report of this result."""
+    try:
+        content = files.read_bytes(path)
+    except OSError:
+        return False
+    text, _, _ = content.rpartition(b"\n<!-- dssc_jax: page ")
+    return content == text + mark_of(text, result)

@@ -9,7 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.results.array_files import ArrayFiles
 from dssc_jax.results.digests import sum_of
 from dssc_jax.results.manifest import DATA, SCHEMA, SEAL, SUMMARY, about_code, unsealed, write_json, write_sealed
 from dssc_jax.study import Study, hash_of, received
@@ -42,15 +44,17 @@ def require_free(folder: Path, kind: str, study: Study) -> None:
     """Require that a folder is absent, empty, or contains an analysis of this kind and study.
 
     Raises:
-        ConfigError: it contains something else.
+        ConfigError: it contains something else, such as a symbolic link.
     """
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return
+    if folder.is_dir():
+        files.require_plain_tree(folder)
     path = folder / f"{kind}.json"
     if not path.exists():
         raise ConfigError(str(folder), f"holds something other than a {kind} analysis; nothing was written")
     try:
-        same = json.loads(path.read_text(encoding="utf-8"))["hash"] == study.hash
+        same = json.loads(files.read_text(path))["hash"] == study.hash
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         same = False
     if not same:
@@ -72,17 +76,25 @@ def save(
         settings: Other data needed for reading.
 
     Raises:
-        ConfigError: the folder contains something else.
+        ConfigError: the folder contains something else, or what is read back is not what was written.
     """
     require_free(folder, kind, study)
-    folder.mkdir(parents=True, exist_ok=True)
+    files.make_folder(folder)
     plain, labels = with_codes(dataset)
     about = {"study": study.table, "hash": study.hash, "source": study.source, "settings": settings, "labels": labels}
     about |= {"sums": sums_of(plain), "schema": SCHEMA, **about_code(study)}
     write_sealed(folder / f"{kind}.json", about)
-    plain.to_zarr(folder / DATA, mode="w", consolidated=False, zarr_format=3)
+    plain.to_zarr(ArrayFiles(folder / DATA), mode="w", consolidated=False, zarr_format=3)
     write_json(folder / SUMMARY, summary)
+    if read_about(folder, kind)["sums"] != about["sums"] or sums_of(stored_dataset(folder)) != about["sums"]:
+        raise ConfigError(str(folder), "does not hold what was written; run the analysis again")
     return folder
+
+
+def stored_dataset(folder: Path) -> xr.Dataset:
+    """The dataset in the folder of an analysis, with codes in place of text."""
+    stored = ArrayFiles(folder / DATA, read_only=True)
+    return xr.open_zarr(stored, consolidated=False, zarr_format=3, chunks=None).load()
 
 
 def with_codes(dataset: xr.Dataset) -> tuple[xr.Dataset, dict[str, list[str]]]:
@@ -131,7 +143,7 @@ def read_about(folder: Path, kind: str) -> dict[str, Any]:
     """
     path = folder / f"{kind}.json"
     try:
-        about = json.loads(path.read_text(encoding="utf-8"))
+        about = json.loads(files.read_text(path))
     except OSError as error:
         rule = f"holds no {kind} analysis: {path.name} cannot be read ({error.strerror})"
         raise ConfigError(str(folder), rule) from error
@@ -167,7 +179,7 @@ def read_analysis(folder: Path, kind: str, trust_code: bool = False) -> Stored:
     about = read_about(folder, kind)
     summed = sums_of if "schema" in about else plain_sums_of
     try:
-        dataset = xr.open_zarr(folder / DATA, consolidated=False, zarr_format=3, chunks=None).load()
+        dataset = stored_dataset(folder)
         whole = summed(dataset) == about["sums"]
         dataset = with_labels(dataset, about.get("labels", {}))
     except Exception as error:  # zarr, its codecs and xarray raise errors of many kinds

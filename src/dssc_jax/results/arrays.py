@@ -13,6 +13,7 @@ from zarr.storage import MemoryStore
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Layout
+from dssc_jax.results.array_files import ArrayFiles
 from dssc_jax.results.manifest import DATA, IN_METRES, read_manifest
 from dssc_jax.results.schema import (
     NOT_COMPUTED,
@@ -32,7 +33,8 @@ Extent = tuple[tuple[int, ...], tuple[int, ...]]
 
 def lay_out(folder: Path, study: Study, layout: Layout) -> dict[str, Any]:
     """Create every array of the store, and return those of the variables, which are empty."""
-    group = zarr.open_group(folder / DATA, mode="w", zarr_format=3, attributes={**dataset_attributes(study)})
+    stored = ArrayFiles(folder / DATA)
+    group = zarr.open_group(stored, mode="w", zarr_format=3, attributes={**dataset_attributes(study)})
     values = coordinate_values(study)
     nodes = {name: metadata(coordinates(study)[name], (values[name].shape, values[name].shape)) for name in values}
     nodes |= {name: metadata(variable, array_extent(variable, layout)) for name, variable in variables(study).items()}
@@ -74,7 +76,8 @@ def open_group(folder: Path, mode: str) -> zarr.Group:
         ConfigError: it is absent or damaged.
     """
     try:
-        return zarr.open_group(folder / DATA, mode=mode, zarr_format=3)  # type: ignore[arg-type]
+        stored = ArrayFiles(folder / DATA, read_only=mode == "r")
+        return zarr.open_group(stored, mode=mode, zarr_format=3)  # type: ignore[arg-type]
     except Exception as error:  # zarr has no common base class of its errors
         raise ConfigError(str(folder / DATA), f"cannot be opened: {one_line(error)}") from error
 

@@ -13,6 +13,7 @@ import numpy as np
 import xarray as xr
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.files import HeldFolder
 from dssc_jax.engine.batching import Arrays, Block, Layout, lanes_in
 from dssc_jax.results.arrays import MEND, checked_arrays, one_line
 from dssc_jax.results.digests import DIGESTS, Piece, add_piece, over_all, pieces_of, sum_of
@@ -21,15 +22,23 @@ from dssc_jax.study import Study
 
 
 @contextmanager
-def writing(folder: Path) -> Iterator[None]:
+def writing(folder: Path, held: HeldFolder | None = None) -> Iterator[None]:
     """Report a full disk, or any other error that prevents writing, in one line.
 
+    Args:
+        folder: The results folder, for messages.
+        held: The folder as it was when the writer began; None: it is not compared.
+
     Raises:
-        ConfigError: the folder cannot be written.
+        ConfigError: the folder cannot be written, or it is no longer the one in which the writer began.
     """
+    if held is not None:
+        held.require_in_place()
     try:
         yield
     except OSError as error:
+        if held is not None:
+            held.require_in_place()
         reason = error.strerror or one_line(error)
         raise ConfigError(
             str(folder), f"cannot be written: {reason}; finished blocks are kept, --resume continues from them"
@@ -46,6 +55,7 @@ class Chunks:
         mode: ``r`` to read, ``r+`` to write.
         growing: Whether arrays may have a different number of draws.
         arrays: The arrays, if they have just been created; None: they are opened.
+        held: The folder as it was when its writer began; None: it is not compared when a block is written.
 
     Raises:
         ConfigError: An array is absent or differs from its creation.
@@ -59,15 +69,17 @@ class Chunks:
         mode: str = "r",
         growing: bool = False,
         arrays: dict[str, Any] | None = None,
+        held: HeldFolder | None = None,
     ) -> None:
         self.folder, self.layout = folder, layout
         self.arrays = checked_arrays(folder, study, layout, mode, growing) if arrays is None else arrays
         self.drawn = list(study.laws)
+        self.held = held
 
     def write(self, block: Block, results: Arrays, drawn: Arrays) -> None:
         """Write a block, or the new end of an extended one, and then its digests."""
         values, sums = results | drawn, {}
-        with writing(self.folder):
+        with writing(self.folder, self.held):
             for name in self._held(block):
                 array = self.arrays[name]
                 written = np.asarray(values[name], dtype=array.dtype)

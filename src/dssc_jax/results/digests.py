@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Layout
 from dssc_jax.results.manifest import write_json
@@ -60,7 +61,7 @@ def file_of(folder: Path, index: Index) -> Path:
 def content_of(folder: Path, index: Index) -> Any:
     """The content of that file; None if it is absent or not JSON."""
     try:
-        return json.loads(file_of(folder, index).read_text(encoding="utf-8"))
+        return json.loads(files.read_text(file_of(folder, index)))
     except (OSError, ValueError, RecursionError):
         return None
 
@@ -80,8 +81,8 @@ def pieces_of(folder: Path, index: Index) -> list[Piece]:
 def add_piece(folder: Path, index: Index, piece: Piece) -> None:
     """Write a block's digests: the previous ones, and those of the piece."""
     before = [other for other in pieces_of(folder, index) if other.draws[1] <= piece.draws[0]]
-    (folder / DIGESTS).mkdir(exist_ok=True)
-    write_json(file_of(folder, index), {"block": index, "pieces": [*before, piece]}, durable=False)
+    files.make_folder(folder / DIGESTS, folder)
+    write_json(file_of(folder, index), {"block": index, "pieces": [*before, piece]}, folder, durable=False)
 
 
 def over_all(folder: Path, layout: Layout) -> str:

@@ -1,17 +1,18 @@
 """Export of a result: a table as CSV or Parquet, or the dataset as netCDF or for MATLAB, with units and meanings."""
 
 import importlib
+import io
 import json
-import os
 import re
 from collections.abc import Callable, Iterable
 from enum import StrEnum
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Layout, lanes_of
 from dssc_jax.results.analysis import Analysis
@@ -85,11 +86,11 @@ def export(result: Result | Analysis, to: Format | str, out: str | Path | None =
     names = ANALYSIS_FILES if isinstance(result, Analysis) else FILE_NAMES
     path = Path(out) if out is not None else Path(result.path or "") / names[form]
     writers = {Format.CSV: write_csv, Format.PARQUET: write_parquet, Format.NETCDF: write_netcdf, Format.MAT: write_mat}
-    written = [into_place(path, lambda partial: writers[form](result, partial))]
+    written = [into_place(path, lambda file: writers[form](result, file))]
     if form is Format.CSV:
         about = path.with_name(f"{path.name}-metadata.json")
         content = json.dumps(csv_metadata(result, path.name), indent=2) + "\n"
-        written.append(into_place(about, lambda partial: partial.write_text(content, encoding="utf-8")))
+        written.append(into_place(about, lambda file: file.write(content.encode())))
     return written
 
 
@@ -105,20 +106,17 @@ def require(package: str, form: Format) -> None:
         raise ConfigError(f"--to {form}", f"needs {package}: pip install 'dssc_jax[export]'") from None
 
 
-def into_place(path: Path, write: Callable[[Path], Any]) -> Path:
-    """Write to a temporary file and move it to its final name, so that no partial file remains.
+def into_place(path: Path, write: Callable[[IO[bytes]], Any]) -> Path:
+    """Write a file whole, or not at all.
 
     Raises:
         ConfigError: it cannot be written.
     """
-    partial = path.with_name(f".{path.name}.partial")
     try:
-        write(partial)
-        os.replace(partial, path)
+        with files.replacing(path) as file:
+            write(file)
     except OSError as error:
         raise ConfigError(str(path), f"cannot be written: {error.strerror or error}") from error
-    finally:
-        partial.unlink(missing_ok=True)
     return path
 
 
@@ -167,11 +165,10 @@ def pieces(result: Result, names: list[str]) -> Iterable["pd.DataFrame"]:
         yield pd.DataFrame(table | {MEANING: meaning}, columns=names)
 
 
-def write_csv(result: Result | Analysis, path: Path) -> None:
+def write_csv(result: Result | Analysis, file: IO[bytes]) -> None:
     """Write each number with enough digits to restore it exactly; leave a missing value empty."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        for number, piece in enumerate(table_of(result).pieces):
-            piece.to_csv(file, index=False, header=number == 0, lineterminator="\n")
+    for number, piece in enumerate(table_of(result).pieces):
+        piece.to_csv(file, index=False, header=number == 0, lineterminator="\n")
 
 
 def csv_metadata(result: Result | Analysis, name: str) -> dict[str, Any]:
@@ -192,7 +189,7 @@ def csv_metadata(result: Result | Analysis, name: str) -> dict[str, Any]:
     }
 
 
-def write_parquet(result: Result | Analysis, path: Path) -> None:
+def write_parquet(result: Result | Analysis, file: IO[bytes]) -> None:
     """Write one row group for each piece; attributes become column metadata, the study file metadata."""
     import pyarrow as pa
     from pyarrow import parquet
@@ -205,23 +202,26 @@ def write_parquet(result: Result | Analysis, path: Path) -> None:
             fields = [f.with_metadata({k: str(v) for k, v in rows.columns[f.name].items()}) for f in table.schema]
             whole = {**(table.schema.metadata or {}), **file_provenance(result)}
             table = table.cast(pa.schema(fields, metadata=whole))
-            writer = writer or parquet.ParquetWriter(path, table.schema)
+            writer = writer or parquet.ParquetWriter(file, table.schema)
             writer.write_table(table)
     finally:
         if writer is not None:
             writer.close()
 
 
-def write_netcdf(result: Result | Analysis, path: Path) -> None:
-    """The dataset, compressed."""
+def write_netcdf(result: Result | Analysis, file: IO[bytes]) -> None:
+    """The dataset, compressed. It is made in memory: HDF5 ends the process where a disk is full."""
     data = result.dataset.copy().assign_attrs(file_provenance(result))
     for one in data.variables.values():
         if "flag_values" in one.attrs and one.dtype.kind in "iu":
             one.attrs["flag_values"] = np.asarray(one.attrs["flag_values"], dtype=one.dtype)  # CF: of its own type
-    data.to_netcdf(path, engine="h5netcdf", encoding={name: {"zlib": True, "complevel": 4} for name in data.data_vars})
+    memory = io.BytesIO()
+    packed = {name: {"zlib": True, "complevel": 4} for name in data.data_vars}
+    data.to_netcdf(memory, engine="h5netcdf", encoding=packed)
+    file.write(memory.getbuffer())
 
 
-def write_mat(result: Result | Analysis, path: Path) -> None:
+def write_mat(result: Result | Analysis, file: IO[bytes]) -> None:
     """A MATLAB file of version 5: a struct for each variable, with ``values``, ``dimensions``, ``units`` and meaning.
 
     Names are those of the dataset with an underscore for each character that MATLAB does not allow, at most 63 long.
@@ -233,7 +233,7 @@ def write_mat(result: Result | Analysis, path: Path) -> None:
         values = one.values if one.dtype.kind in "fiub" else one.values.astype(object)
         about = {key: str(one.attrs[key]) for key in ("units", "long_name") if key in one.attrs}
         content[matlab_name(str(name), content)] = {"values": values, "dimensions": list(map(str, one.dims)), **about}
-    savemat(path, content, long_field_names=True, do_compression=True, oned_as="column", appendmat=False)
+    savemat(file, content, long_field_names=True, do_compression=True, oned_as="column", appendmat=False)
 
 
 def matlab_name(name: str, taken: Iterable[str]) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
+from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 
 LOCK, HOLDER = ".lock", ".writer.json"
@@ -21,7 +22,9 @@ def take(folder: Path) -> FileLock:
 
     Raises:
         ConfigError: Another process holds it; the message says which.
+        OSError: It cannot be taken, or there is something other than a file in its place.
     """
+    files.require_replaceable(folder / LOCK)
     lock = FileLock(folder / LOCK)
     try:
         lock.acquire(timeout=0)
@@ -35,7 +38,7 @@ def take(folder: Path) -> FileLock:
         "since": datetime.now(UTC).isoformat(timespec="seconds"),
     }
     try:
-        (folder / HOLDER).write_text(json.dumps(about) + "\n", encoding="utf-8")
+        files.write_text(folder / HOLDER, json.dumps(about) + "\n", durable=False)
     except OSError:
         lock.release()
         raise
@@ -45,7 +48,7 @@ def take(folder: Path) -> FileLock:
 def holder(folder: Path) -> str:
     """Describe the process that last took the lock."""
     try:
-        about = json.loads((folder / HOLDER).read_text(encoding="utf-8"))
+        about = json.loads(files.read_text(folder / HOLDER))
         return f"process {about['process']} on {about['host']} since {about['since']}"
     except (OSError, ValueError, KeyError, TypeError):
         return "another process"

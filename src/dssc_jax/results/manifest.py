@@ -1,13 +1,12 @@
 """The manifest of a run: writing, validation when read, and comparison with a resumed run."""
 
 import json
-import os
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
-from uuid import uuid4
 
+from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.files import PARTIAL
 from dssc_jax.design.certification import mark
 from dssc_jax.engine.batching import Layout
 from dssc_jax.results import lock
@@ -21,7 +20,7 @@ SCHEMA, IN_METRES, WITHOUT_DIGESTS = 3, 2, 1
 """Versions of the folder: the present one; with the units of a plant in metres, whatever the plant; without digests."""
 
 SEAL = "digest"
-DATA, MANIFEST, SUMMARY, PARTIAL = "data.zarr", "manifest.json", "summary.json", ".partial"
+DATA, MANIFEST, SUMMARY = "data.zarr", "manifest.json", "summary.json"
 MANIFEST_TABLES = ("study", "layout", "versions", "device", "times")
 TIMES = ("seconds", "compile_seconds", "rate")
 """Timing fields of every finished run."""
@@ -35,30 +34,9 @@ EXTENSIBLE = ("random", "sobol")
 """Kinds of sampling in which draw i does not depend on the number of draws."""
 
 
-def write_json(path: Path, content: Any, durable: bool = True) -> None:
-    """Replace a JSON file atomically, as :func:`write_text` does."""
-    write_text(path, [json.dumps(content, indent=2), "\n"], durable)
-
-
-def write_text(path: Path, parts: Iterable[str], durable: bool = True) -> None:
-    """Replace a file atomically, so that no reader sees a partial file.
-
-    Args:
-        path: The file. Several processes may write it at once; the last one wins.
-        parts: The new content.
-        durable: Flush it to disk before the move, so that not even a power cut leaves a partial file.
-    """
-    partial = path.with_name(f"{path.name}.{uuid4().hex}{PARTIAL}")
-    try:
-        with partial.open("w", encoding="utf-8") as file:
-            file.writelines(parts)
-            if durable:
-                file.flush()
-                os.fsync(file.fileno())
-        os.replace(partial, path)
-    except BaseException:
-        partial.unlink(missing_ok=True)
-        raise
+def write_json(path: Path, content: Any, within: Path | None = None, durable: bool = True) -> None:
+    """Write a JSON file; arguments and errors as for :func:`dssc_jax.core.files.replacing`."""
+    files.write_text(path, [json.dumps(content, indent=2), "\n"], within, durable)
 
 
 def write_sealed(path: Path, content: dict[str, Any]) -> None:
@@ -95,7 +73,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     """
     path = folder / MANIFEST
     try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
+        manifest = json.loads(files.read_text(path))
     except OSError as error:
         others = sorted(other.stem for other in folder.glob("*.json") if other.name != SUMMARY)
         analysis = others and (folder / DATA).exists()
@@ -213,8 +191,10 @@ def require_startable(folder: Path, study: Study, resume: bool) -> None:
     """Require that a study may be run into a folder, without touching it.
 
     Raises:
-        ConfigError: It holds another study's results or something else.
+        ConfigError: It holds another study's results or something else, such as a symbolic link.
     """
+    if folder.is_dir():
+        files.require_plain_tree(folder)
     if occupied(folder):
         require_same_study(folder, read_manifest(folder), study, resume)
 

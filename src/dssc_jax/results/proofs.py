@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.study import Study
 
@@ -47,7 +48,7 @@ class SweepProofs:
     def save(self, folder: str | Path) -> Path:
         """Write the proofs with their certificates into a results folder."""
         path = Path(folder) / PROOFS_FILE
-        path.write_text(json.dumps(asdict(self), allow_nan=False) + "\n", encoding="utf-8")
+        files.write_text(path, json.dumps(asdict(self), allow_nan=False) + "\n")
         return path
 
 
@@ -63,10 +64,12 @@ def read_proofs(folder: Path, study: Study) -> SweepProofs | None:
     if not path.exists():
         return None
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(files.read_text(path))
         axes = {name: tuple(values) for name, values in content["axes"].items()}
         proofs = SweepProofs(**{**content, "axes": axes})
         proofs.error  # noqa: B018  (as many points as the axes have, each with its fields)
+    except OSError as error:
+        raise ConfigError(str(path), f"cannot be read: {error.strerror}") from None
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise ConfigError(str(path), f"is damaged: {error!r}; delete it, and run sweep --prove again") from None
     return proofs if proofs.study_hash == study.hash and axes == study.axes else None

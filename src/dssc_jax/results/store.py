@@ -1,14 +1,14 @@
 """A results folder: a Zarr store of all draws, manifest.json and summary.json."""
 
-import shutil
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import xarray as xr
 
+from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.engine.batching import Arrays, Block, Layout
+from dssc_jax.engine.batching import Arrays, Block, Layout, lanes_in
 from dssc_jax.results import lock
 from dssc_jax.results.arrays import laid_out, lay_out, require_coordinates, reshape
 from dssc_jax.results.blocks import Chunks, writing
@@ -17,7 +17,6 @@ from dssc_jax.results.first_schema import read_first_schema
 from dssc_jax.results.manifest import (
     DATA,
     MANIFEST,
-    PARTIAL,
     SCHEMA,
     SUMMARY,
     WITHOUT_DIGESTS,
@@ -28,10 +27,9 @@ from dssc_jax.results.manifest import (
     require_startable,
     stored_layout,
     write_manifest,
-    write_text,
 )
 from dssc_jax.results.schema import in_memory, put
-from dssc_jax.study import Study, received
+from dssc_jax.study import Study, hash_of, received
 
 
 class Store:
@@ -53,8 +51,14 @@ class Store:
         self.values: xr.Dataset | None = None  # all blocks, where this process computes them
         require_startable(folder, study, resume)
         with writing(folder):
-            folder.mkdir(parents=True, exist_ok=True)
-            self._lock = lock.take(folder)
+            files.make_folder(folder)
+            self.held = files.HeldFolder(folder)
+        try:
+            with writing(folder):
+                self._lock = lock.take(folder)
+        except BaseException:
+            self.held.close()
+            raise
         try:
             old = read_manifest(folder) if occupied(folder) else None
             more = old is not None and require_same_study(folder, old, study, resume)
@@ -72,8 +76,9 @@ class Store:
         self.close()
 
     def close(self) -> None:
-        """Release the lock."""
+        """Release the lock, and let the folder go."""
         self._lock.release()
+        self.held.close()
 
     @property
     def finished(self) -> bool:
@@ -87,14 +92,15 @@ class Store:
 
     def _begin(self, manifest: dict[str, Any]) -> None:
         for name in (DATA, DIGESTS):
-            shutil.rmtree(self.folder / name, ignore_errors=True)
-        (self.folder / SUMMARY).unlink(missing_ok=True)
-        self._clear()
+            files.delete_tree(self.folder / name, self.folder)
+        files.delete(self.folder / SUMMARY)
+        files.delete_partials(self.folder)
         manifest = {name: value for name, value in manifest.items() if name != DIGESTS} | {"schema": SCHEMA}
         write_manifest(self.folder, manifest)  # before the data, so that an interrupted run is known as one
         layout = Layout.from_dict(manifest["layout"])
         self.manifest, self.pending = manifest, layout.blocks()
-        self.chunks = Chunks(self.folder, self.study, layout, arrays=lay_out(self.folder, self.study, layout))
+        arrays = lay_out(self.folder, self.study, layout)
+        self.chunks = Chunks(self.folder, self.study, layout, arrays=arrays, held=self.held)
 
     def _go_on(self, old: dict[str, Any], new: dict[str, Any], more: bool) -> bool:
         """Continue an earlier run; False if that run had not created its store."""
@@ -110,32 +116,27 @@ class Store:
         if more:
             require_same_machinery(self.folder, old, new)
             self._require_sealed(old, Layout((*layout.shape[:-1], draws), layout.block))
-        self._clear()
+        files.delete_partials(self.folder)
         self.manifest = old
         if more:
             self.manifest = new | {"layout": layout.to_dict()}
             write_manifest(self.folder, self.manifest)  # before the arrays grow, for the same reason
-            (self.folder / SUMMARY).unlink(missing_ok=True)
+            files.delete(self.folder / SUMMARY)
         reshape(self.folder, self.study, layout)
-        self.chunks = Chunks(self.folder, self.study, layout, "r+")
+        self.chunks = Chunks(self.folder, self.study, layout, "r+", held=self.held)
         self.pending, useless = self.chunks.pending()
         if self.pending:
             require_same_machinery(self.folder, old, new)
         else:
             self._require_sealed(old, layout)
         for file in useless:
-            file.unlink(missing_ok=True)
+            files.delete(file, self.folder)
         return True
 
     def _require_sealed(self, manifest: dict[str, Any], layout: Layout) -> None:
         """Require that a finished run still has its final digests."""
         if manifest.get(DIGESTS, over_all(self.folder, layout)) != over_all(self.folder, layout):
             raise ConfigError(str(self.folder / DIGESTS), "is damaged: these are not the run's digests; start over")
-
-    def _clear(self) -> None:
-        """Remove partial files of killed writers."""
-        for partial in self.folder.rglob(f"*{PARTIAL}"):
-            partial.unlink(missing_ok=True)
 
     def write(self, block: Block, results: Arrays, drawn: Arrays) -> None:
         """Write a pending block; where none was finished before, also keep it, so that the folder need not be read."""
@@ -146,11 +147,30 @@ class Store:
             put(self.values, block, results, drawn)
 
     def complete(self, about: dict[str, Any]) -> None:
-        """Record that every block is complete, with further manifest entries of the finished run."""
+        """Record that every block is complete, with further manifest entries of the finished run.
+
+        Raises:
+            ConfigError: A block that is read back is not the one that was written; the run is not recorded as complete.
+        """
         self._require_sealed(self.manifest, self.layout)  # what was mended is what had been there
+        self.require_kept()
         self.manifest = self.manifest | about | {DIGESTS: over_all(self.folder, self.layout), "complete": True}
-        with writing(self.folder):
+        with writing(self.folder, self.held):
             write_manifest(self.folder, self.manifest)
+
+    def require_kept(self) -> None:
+        """Require that the folder, read again, holds every block as it was written.
+
+        Raises:
+            ConfigError: It does not; the message says what is lost and where.
+        """
+        self.held.require_in_place()
+        pending, _ = Chunks(self.folder, self.study, self.layout).pending()
+        require_coordinates(self.folder, self.study)
+        if pending:
+            lost, total = sum(map(lanes_in, pending)), sum(map(lanes_in, self.layout.blocks()))
+            rule = f"is not complete: {lost} of {total} lanes are no longer as they were written; finish with --resume"
+            raise ConfigError(str(self.folder), rule)
 
     def read(self) -> tuple[xr.Dataset, dict[str, Any]]:
         """Dataset and manifest, once the run is complete.
@@ -162,9 +182,16 @@ class Store:
         return values, self.manifest
 
     def summarise(self, lines: Iterable[str]) -> None:
-        """Write summary.json."""
-        with writing(self.folder):
-            write_text(self.folder / SUMMARY, lines)
+        """Write summary.json, the last file of a run.
+
+        Raises:
+            ConfigError: The folder cannot be written, or it no longer holds the manifest of the finished run.
+        """
+        with writing(self.folder, self.held):
+            files.write_text(self.folder / SUMMARY, lines)
+        self.held.require_in_place()
+        if hash_of(read_manifest(self.folder)) != hash_of(self.manifest):
+            raise ConfigError(str(self.folder / MANIFEST), "does not hold what was written; finish with --resume")
 
 
 def read_run(folder: Path, trust_code: bool = False) -> tuple[Study, xr.Dataset, dict[str, Any]]:

@@ -7,6 +7,8 @@ from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import Any
 
+from dssc_jax.core import files
+
 NAMING = ("kind", "metric", "names")
 """Keys of a study's tables that may refer to a module's object."""
 
@@ -53,7 +55,7 @@ def digested(file: Path | None) -> dict[str, str | None]:
     """A file and the digest of its content."""
     if file is None:
         return {"file": None, "sha256": None}
-    return {"file": str(file), "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
+    return {"file": str(file), "sha256": hashlib.sha256(files.read_bytes(file)).hexdigest()}
 
 
 def folders_of(then: Any) -> tuple[Path, ...]:

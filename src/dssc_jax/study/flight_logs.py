@@ -1,5 +1,6 @@
 """Logged flights: columns of CSV or Parquet files, or topics of PX4's ULog, as the signals of a study's channels."""
 
+import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -7,11 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
-from dssc_jax.study.recorded import LARGEST_RECORD, TIME, recorded_frame
+from dssc_jax.study.recorded import TIME, record_content, recorded_frame
 
 LOGGED = ("y", "y_dot", "y_ref", "y_ref_dot", "y_ref_ddot", "u_total")
 """Signals of a channel that a log may have, by their names in trajectories."""
 MICROSECOND = 1e-6  # s
+LARGEST_VALUE = 1e100
+"""Times and values of a log; squares and sums of larger ones overflow."""
 
 
 class Column(NamedTuple):
@@ -134,7 +137,13 @@ def read_log(path: str | Path, channels: tuple[str, ...] = ("",), table: Mapping
                 raise ConfigError(name, "has no finite value in the log")
             if np.any(np.diff(time[good]) < 0.0):
                 raise ConfigError(name, "the log's times must not fall from row to row")
-            logged[name] = Column(time[good], scale * value[good] + offset)
+            with np.errstate(over="ignore"):
+                scaled = scale * value[good] + offset
+            for what, numbers in (("time", time[good]), ("value", scaled)):
+                if np.abs(numbers).max() > LARGEST_VALUE:
+                    rule = f"its largest {what} in the log is {np.abs(numbers).max():g}; at most {LARGEST_VALUE:g}"
+                    raise ConfigError(name, f"{rule} is taken")
+            logged[name] = Column(time[good], scaled)
     first = min(column.time[0] for column in logged.values())
     return FlightLog(file.name, logged, float(first) if columns.start is None else columns.start)
 
@@ -170,9 +179,7 @@ def ulog_columns(path: Path, columns: ColumnMap) -> dict[str, Column]:
     if not columns.signals:
         raise ConfigError("signals", "a log of PX4 needs a table of columns, such as y = 'topic.field'")
     try:
-        if path.stat().st_size > LARGEST_RECORD:
-            raise ConfigError("file", f"is larger than a record can be ({LARGEST_RECORD} bytes)")
-        whole = ULog(str(path))
+        whole = ULog(io.BytesIO(record_content(path)))
         topics = {f"{one.name}:{one.multi_id}": one.data for one in whole.data_list}
         begin = float(whole.start_timestamp)
     except ConfigError:

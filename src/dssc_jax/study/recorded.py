@@ -3,10 +3,12 @@
 A results folder therefore contains the data that it was computed with, and reading it opens no other file.
 """
 
+import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 
 FIELDS = ("file", "column", "columns", "time_column")
@@ -16,6 +18,8 @@ SEVERAL = {"wind": ("x", "y", "z"), "sensor": ("position", "velocity")}
 """The slots whose record has several columns, and what these become."""
 TIME = "t"
 LARGEST_RECORD = 2**27  # bytes of a file
+MOST_COLUMNS = 10_000
+"""Columns of a file; a table of more takes minutes to read."""
 
 
 def with_records(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
@@ -88,6 +92,39 @@ def recorded_columns(path: Path, names: list[str]) -> list[list[float]]:
         raise ConfigError("column", f"'{path.name}' must hold numbers there: {error}") from error
 
 
+def record_content(path: Path) -> bytes:
+    """The content of a record's file.
+
+    Raises:
+        ConfigError: it is too large.
+        OSError: it cannot be read, or is no regular file.
+    """
+    content = files.read_bytes(path, LARGEST_RECORD + 1)
+    if len(content) > LARGEST_RECORD:
+        raise ConfigError("file", f"'{path}' is larger than a record can be ({LARGEST_RECORD} bytes)")
+    return content
+
+
+def csv_columns(content: bytes) -> int:
+    """The number of columns of a CSV file: the separators of its first line that is no comment, and one more."""
+    start = 0
+    while start < len(content):
+        end = content.find(b"\n", start)
+        end = len(content) if end < 0 else end
+        line = content[start:end].strip()
+        if line and not line.startswith(b"#"):
+            return line.count(b",") + 1
+        start = end + 1
+    return 0
+
+
+def parquet_columns(content: bytes) -> int:
+    """The number of columns of a Parquet file."""
+    from pyarrow import parquet
+
+    return parquet.ParquetFile(io.BytesIO(content)).metadata.num_columns
+
+
 def recorded_frame(path: Path) -> Any:
     """The table of a CSV or Parquet file, as a data frame of pandas.
 
@@ -100,9 +137,12 @@ def recorded_frame(path: Path) -> Any:
     try:
         if not path.is_file():
             raise ConfigError("file", f"'{path}' cannot be read: it is no file")
-        if path.stat().st_size > LARGEST_RECORD:
-            raise ConfigError("file", f"'{path}' is larger than a record can be ({LARGEST_RECORD} bytes)")
-        return pd.read_parquet(path) if parquet else pd.read_csv(path, skipinitialspace=True, comment="#")
+        content = record_content(path)
+        count = parquet_columns(content) if parquet else csv_columns(content)
+        if count > MOST_COLUMNS:
+            raise ConfigError("file", f"'{path}' has {count} columns, more than a record can have ({MOST_COLUMNS})")
+        table = io.BytesIO(content)
+        return pd.read_parquet(table) if parquet else pd.read_csv(table, skipinitialspace=True, comment="#")
     except ImportError as error:
         raise ConfigError("file", "a Parquet file needs pyarrow: pip install 'dssc_jax[export]'") from error
     except ConfigError:

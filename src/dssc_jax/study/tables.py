@@ -9,6 +9,7 @@ from typing import Any
 
 import tomli_w
 
+from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.study.laws import is_law
 from dssc_jax.study.separators import toml_hint
@@ -28,8 +29,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     """
     text = ""
     try:
-        with Path(path).open("rb") as file:
-            content = file.read(LARGEST_FILE + 1)
+        content = files.read_bytes(path, LARGEST_FILE + 1)
         if len(content) > LARGEST_FILE:
             raise ConfigError(str(path), f"is larger than a study can be ({LARGEST_FILE} bytes)")
         text = content.decode("utf-8").replace("\r\n", "\n")

@@ -15,6 +15,7 @@ from dssc_jax.analyses.tuning.certified import PREFIX
 from dssc_jax.analyses.tuning.gradients import GradientAgreement
 from dssc_jax.analyses.tuning.plan import OBJECTIVE, PROVED_ERROR, Plan, seed_of
 from dssc_jax.analyses.tuning.verdict import Verdict
+from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.design import Free
@@ -157,7 +158,7 @@ class Tuned(Analysis):
         path = Path(folder) / PROOF_FILE
         if path.exists():
             try:
-                tuned.certificate = json.loads(path.read_text(encoding="utf-8"))
+                tuned.certificate = json.loads(files.read_text(path))
             except (OSError, ValueError) as error:
                 raise ConfigError(str(path), f"is damaged: {error!r}; run the tuning again") from None
         return tuned

@@ -22,6 +22,10 @@ LINE = re.compile(
 )
 SIMILAR = 0.01  # relative difference of rotors that count as equal
 MULTIROTOR = 0  # of CA_AIRFRAME
+MOST_ROTORS = 12  # that PX4's control allocation takes
+READ = ("CA_", "SIH_")
+LARGEST_PARAMETER = 1e6
+"""Of a parameter in PX4's units; no length, mass, thrust or inertia of a multirotor is larger."""
 MOMENT_COEFFICIENT, THRUST_COEFFICIENT, AXIS = 0.05, 6.5, (0.0, 0.0, -1.0)
 """PX4's defaults of CA_ROTORi_KM, CA_ROTORi_CT and CA_ROTORi_AX, _AY, _AZ."""
 
@@ -48,7 +52,11 @@ class Airframe(NamedTuple):
 
 
 def parameters_in(text: str) -> dict[str, float]:
-    """The numeric parameters that an airframe's script or a ground station's file sets; the last setting counts."""
+    """The numeric parameters that an airframe's script or a ground station's file sets; the last setting counts.
+
+    Raises:
+        ConfigError: one of geometry or mass properties is not finite, or too large.
+    """
     values: dict[str, float] = {}
     for line in LINE.finditer(text):
         name, value = (line["set"], line["to"]) if line["set"] else (line["name"], line["value"])
@@ -56,6 +64,9 @@ def parameters_in(text: str) -> dict[str, float]:
             values[name] = float(value)
         except ValueError:  # a variable of the shell
             values.pop(name, None)
+    for name, value in values.items():
+        if name.startswith(READ) and not abs(value) <= LARGEST_PARAMETER:
+            raise ConfigError(name, f"must be a finite number of at most {LARGEST_PARAMETER:g}, got {value:g}")
     return values
 
 
@@ -81,8 +92,8 @@ def rotors_of(given: Mapping[str, float]) -> dict[str, Any]:
         ConfigError: there are fewer than four rotors, one is tilted, or they differ.
     """
     count = given.get("CA_ROTOR_COUNT", 0.0)
-    if count != int(count) or count < 4:
-        raise ConfigError("CA_ROTOR_COUNT", f"must be a whole number of at least 4, got {count:g}")
+    if count not in range(4, MOST_ROTORS + 1):
+        raise ConfigError("CA_ROTOR_COUNT", f"must be a whole number from 4 to {MOST_ROTORS}, got {count:g}")
     if given.get("CA_AIRFRAME", MULTIROTOR) != MULTIROTOR:
         raise ConfigError("CA_AIRFRAME", f"must be 0, a multirotor, got {given['CA_AIRFRAME']:g}")
     places, coefficients, thrusts = [], [], []

@@ -1,0 +1,362 @@
+"""The one module that writes files, and that opens files which may be somebody else's.
+
+A file is written beside its place under a name that nobody else uses, flushed to disk, and moved into its place. A
+reader therefore sees the old file or the new one, never a part, and two writers do not mix. Nothing is written through
+a symbolic link: a folder that was received from someone could otherwise lead to any file of its reader. What is not a
+regular file (a named pipe, a device) is neither read nor replaced, since it may block for ever.
+"""
+
+import errno
+import os
+import shutil
+import stat
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+from uuid import uuid4
+
+from dssc_jax.core.errors import ConfigError
+
+PARTIAL = ".partial"
+"""Suffix of a file that is being written."""
+
+REPEATED_NAME = 100
+"""Characters of a file's name that the name of its partial file repeats; systems allow 255 bytes."""
+
+CREATION = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+READING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+DIRECTORY = os.O_RDONLY | getattr(os, "O_DIRECTORY", 0)
+POSIX = os.name == "posix"
+
+FILE_TYPES: tuple[tuple[Callable[[int], bool], str], ...] = (
+    (stat.S_ISLNK, "a symbolic link"),
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a named pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+
+
+class UnsafeFileError(OSError):
+    """A path that is no regular file, or that leads through a symbolic link."""
+
+
+def file_type(mode: int) -> str:
+    """What a file that is not regular is, in words."""
+    for matches, words in FILE_TYPES:
+        if matches(mode):
+            return words
+    return "no regular file"
+
+
+def mode_of(path: Path) -> int | None:
+    """Type and permissions of a path, not of what it links to; None if there is nothing."""
+    try:
+        return path.lstat().st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+
+
+def read_bytes(path: str | Path, most: int = -1) -> bytes:
+    """The content of a regular file; a symbolic link is followed.
+
+    Args:
+        path: The file.
+        most: Bytes to read at most; -1: all.
+
+    Raises:
+        UnsafeFileError: It is a named pipe, a device or a socket.
+        OSError: It cannot be read.
+    """
+    require_readable(Path(path), os.stat(path).st_mode)
+    descriptor = os.open(path, READING)
+    with os.fdopen(descriptor, "rb") as file:
+        require_readable(Path(path), os.fstat(descriptor).st_mode)  # of what was opened
+        return file.read(most)
+
+
+def require_readable(path: Path, mode: int) -> None:
+    """Require that a path, whose symbolic links were followed, leads to a regular file.
+
+    Raises:
+        IsADirectoryError: It leads to a folder.
+        UnsafeFileError: It leads to something else.
+    """
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if not stat.S_ISREG(mode):
+        raise unsafe(path, f"is {file_type(mode)}, not a file")
+
+
+def read_text(path: str | Path, errors: str = "strict") -> str:
+    """The content of a regular UTF-8 file, with the same errors as :func:`read_bytes`.
+
+    Raises:
+        UnicodeDecodeError: It is not UTF-8, and ``errors`` is ``strict``.
+    """
+    text = read_bytes(path).decode("utf-8", errors)
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def write_text(path: Path, text: str | Iterable[str], within: Path | None = None, durable: bool = True) -> None:
+    """Write a UTF-8 file whole, or not at all; arguments and errors as for :func:`replacing`.
+
+    Args:
+        path: The file.
+        text: Its content, or the parts of it.
+        within: See :func:`replacing`.
+        durable: See :func:`replacing`.
+    """
+    parts = [text] if isinstance(text, str) else text
+    with replacing(path, within, durable) as file:
+        for part in parts:
+            file.write(part.encode())
+
+
+def write_bytes(path: Path, content: bytes | memoryview, within: Path | None = None, durable: bool = True) -> None:
+    """Write a file whole, or not at all; arguments and errors as for :func:`replacing`."""
+    with replacing(path, within, durable) as file:
+        file.write(content)
+
+
+def write_parts(path: Path, parts: Iterable[bytes]) -> None:
+    """Write a file whole from its parts, or not at all; errors as for :func:`replacing`."""
+    with replacing(path) as file:
+        for part in parts:
+            file.write(part)
+
+
+def create_text(path: Path, text: str) -> None:
+    """Write a new UTF-8 file whole, or not at all.
+
+    Raises:
+        FileExistsError: There is something in its place.
+        OSError: It cannot be written.
+    """
+    opened(path).close()  # takes the name
+    try:
+        write_text(path, text)
+    except BaseException:
+        path.unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def replacing(path: Path, within: Path | None = None, durable: bool = True) -> Iterator[BinaryIO]:
+    """A binary file to write, which replaces ``path`` if the block ends without an exception.
+
+    The permissions of a file that is replaced are kept.
+
+    Args:
+        path: The file.
+        within: The folder below which no part of the path may be a symbolic link; None: the file's own folder.
+        durable: Flush file and folder to disk, so that not even a power cut leaves a part.
+
+    Raises:
+        UnsafeFileError: The path, or a folder of it below ``within``, is a symbolic link or of another wrong kind.
+        OSError: It cannot be written.
+    """
+    require_inside(path, within)
+    before = require_replaceable(path)
+    partial = partial_of(path)
+    try:
+        with opened(partial) as file:
+            yield file
+            if before is not None and POSIX:
+                os.fchmod(file.fileno(), stat.S_IMODE(before))
+            if durable:
+                flush(file)
+        require_inside(path, within)
+        require_replaceable(path)
+        os.replace(partial, path)
+    except BaseException:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise
+    if durable:
+        flush_folder(path.parent)
+
+
+def opened(partial: Path) -> BinaryIO:
+    """A new file to write."""
+    return os.fdopen(os.open(partial, CREATION, 0o666), "wb")
+
+
+def partial_of(path: Path) -> Path:
+    """A name beside a file that no other writer uses."""
+    return path.with_name(f".{path.name[:REPEATED_NAME]}.{uuid4().hex}{PARTIAL}")
+
+
+def flush(file: BinaryIO) -> None:
+    """Flush a file to disk."""
+    file.flush()
+    os.fsync(file.fileno())
+
+
+def flush_folder(folder: Path) -> None:
+    """Flush a folder's list of files to disk, where the system can."""
+    if not POSIX:
+        return
+    descriptor = os.open(folder, DIRECTORY)
+    try:
+        with suppress(OSError):  # some network file systems cannot
+            os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def require_replaceable(path: Path) -> int | None:
+    """Require that a path is absent or a regular file; return its mode.
+
+    Raises:
+        UnsafeFileError: It is something else.
+    """
+    mode = mode_of(path)
+    if mode is not None and not stat.S_ISREG(mode):
+        raise unsafe(path, f"is {file_type(mode)}, which is not overwritten")
+    return mode
+
+
+def require_inside(path: Path, within: Path | None) -> None:
+    """Require that the folders of a path below ``within`` are folders, not symbolic links.
+
+    Raises:
+        UnsafeFileError: One is something else.
+    """
+    if within is None:
+        return
+    folder = within
+    for part in path.relative_to(within).parts[:-1]:
+        folder = folder / part
+        mode = mode_of(folder)
+        if mode is not None and not stat.S_ISDIR(mode):
+            raise unsafe(folder, f"is {file_type(mode)}, not a folder")
+
+
+def require_plain_tree(folder: Path) -> None:
+    """Require that a folder which is to be written contains regular files and folders only.
+
+    Raises:
+        ConfigError: It contains something else, such as a symbolic link; the message names it.
+    """
+    for place, folders, names in os.walk(folder):
+        for name in (*folders, *names):
+            path = Path(place) / name
+            mode = mode_of(path)
+            if mode is not None and not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+                rule = f"is {file_type(mode)}; only plain files and folders are written to, nothing was written"
+                raise ConfigError(str(path), rule)
+
+
+def make_folder(folder: Path, within: Path | None = None) -> None:
+    """Create a folder and those above it, if they are absent.
+
+    Args:
+        folder: The folder.
+        within: An existing folder below which no part of the path may be a symbolic link; None: any may be.
+
+    Raises:
+        UnsafeFileError: A part of the path is a symbolic link or a file.
+        OSError: It cannot be created.
+    """
+    if within is None:
+        folder.mkdir(parents=True, exist_ok=True)
+        return
+    require_inside(folder / PARTIAL, within)
+    here = within
+    for part in folder.relative_to(within).parts:
+        here = here / part
+        here.mkdir(exist_ok=True)
+
+
+def delete(path: Path, within: Path | None = None) -> None:
+    """Delete a file if it exists; of a symbolic link, the link.
+
+    Raises:
+        UnsafeFileError: A folder of the path below ``within`` is a symbolic link.
+    """
+    require_inside(path, within)
+    path.unlink(missing_ok=True)
+
+
+def delete_tree(folder: Path, within: Path | None = None) -> None:
+    """Delete a folder with its content if it exists; symbolic links in it are deleted, not followed.
+
+    Raises:
+        UnsafeFileError: It is a symbolic link or a file, or a folder above it and below ``within`` is.
+        OSError: It cannot be deleted.
+    """
+    require_inside(folder / PARTIAL, within)
+    if mode_of(folder) is not None:
+        shutil.rmtree(folder)
+
+
+def delete_partials(folder: Path) -> None:
+    """Delete what killed writers have left in a folder and below it."""
+    for place, _, names in os.walk(folder):
+        for name in names:
+            if name.endswith(PARTIAL):
+                (Path(place) / name).unlink(missing_ok=True)
+
+
+def unsafe(path: Path, rule: str) -> UnsafeFileError:
+    """The error for a path that is not used; its text names the path."""
+    return UnsafeFileError(errno.ELOOP, f"'{path}' {rule}", str(path))
+
+
+class HeldFolder:
+    """A folder that is known again: another one in its place, or none, is noticed.
+
+    Args:
+        path: An existing folder. It is kept open until :meth:`close`, so that no other can get its identity.
+
+    Raises:
+        OSError: It cannot be opened.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path.absolute()
+        self._shown = path
+        self._descriptor = os.open(path, DIRECTORY) if POSIX else None
+        self._identity = device_and_inode(path)
+
+    def require_in_place(self) -> None:
+        """Require that the path still leads to the folder.
+
+        Raises:
+            ConfigError: The folder was moved or deleted; the message says where it is, as far as the system tells.
+        """
+        try:
+            present = device_and_inode(self.path)
+        except OSError:
+            present = None
+        if present != self._identity:
+            raise ConfigError(str(self._shown), self._loss())
+
+    def _loss(self) -> str:
+        where = ""
+        if self._descriptor is not None:
+            with suppress(OSError):
+                where = os.readlink(f"/proc/self/fd/{self._descriptor}")
+        if where.endswith(" (deleted)"):
+            return "was deleted while it was written; what it held is lost, run again"
+        if where:
+            return (
+                f"was moved to '{where}' while it was written; it is not complete: "
+                "finished blocks are there, continue with --out and --resume"
+            )
+        return "was moved or deleted while it was written; it is not complete: run again"
+
+    def close(self) -> None:
+        """Let the folder go."""
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
+
+
+def device_and_inode(path: Path) -> tuple[int, int]:
+    """Device and number of a file or folder, which no other one has at the same time."""
+    about = path.stat()
+    return about.st_dev, about.st_ino

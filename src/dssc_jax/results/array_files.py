@@ -1,0 +1,117 @@
+"""Zarr's files of a results folder, read and written by ``core.files`` as all other files are."""
+
+import asyncio
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from zarr.abc.store import ByteRequest, OffsetByteRequest, RangeByteRequest, Store, SuffixByteRequest
+from zarr.core.buffer import Buffer, BufferPrototype, default_buffer_prototype
+from zarr.storage import LocalStore
+
+from dssc_jax.core import files
+
+
+class ArrayFiles(LocalStore):
+    """A Zarr store in a folder.
+
+    Each chunk is a regular file, written whole or not at all. Neither the folder nor what is below it may be a symbolic
+    link where it is written, and the folder above it must exist: a results folder that vanishes is not created anew.
+
+    Args:
+        root: The store's folder.
+        read_only: Whether it is only read.
+    """
+
+    def __init__(self, root: Path | str, *, read_only: bool = False) -> None:
+        super().__init__(Path(root), read_only=read_only)
+
+    def _ensure_open_sync(self) -> None:
+        if not self._is_open:
+            self._require_root()
+            self._is_open = True
+
+    async def _open(self, *, mode: Any = None) -> None:
+        self._require_root()
+        await Store._open(self)
+
+    def _require_root(self) -> None:
+        if not self.read_only:
+            files.make_folder(self.root, self.root.parent)
+        if not self.root.is_dir():
+            raise FileNotFoundError(f"{self.root} does not exist")
+
+    def get_sync(
+        self, key: str, *, prototype: BufferPrototype | None = None, byte_range: ByteRequest | None = None
+    ) -> Buffer | None:
+        """The content of a file, or a part of it; None if there is none."""
+        self._ensure_open_sync()
+        try:
+            content = files.read_bytes(self.root / key)
+        except (FileNotFoundError, IsADirectoryError, NotADirectoryError):
+            return None
+        return (prototype or default_buffer_prototype()).buffer.from_bytes(part_of(content, byte_range))
+
+    async def get(
+        self, key: str, prototype: BufferPrototype | None = None, byte_range: ByteRequest | None = None
+    ) -> Buffer | None:
+        """See :meth:`get_sync`."""
+        return await asyncio.to_thread(self.get_sync, key, prototype=prototype, byte_range=byte_range)
+
+    async def get_partial_values(
+        self, prototype: BufferPrototype, key_ranges: Iterable[tuple[str, ByteRequest | None]]
+    ) -> list[Buffer | None]:
+        """Parts of several files."""
+        return [await self.get(key, prototype, byte_range) for key, byte_range in key_ranges]
+
+    def set_sync(self, key: str, value: Buffer) -> None:
+        """Write a file."""
+        self._check_writable()
+        self._ensure_open_sync()
+        path, folder = self.root / key, self.root.parent
+        files.make_folder(path.parent, folder)
+        files.write_bytes(path, value.as_numpy_array().data, folder, durable=False)
+
+    async def set(self, key: str, value: Buffer) -> None:
+        """See :meth:`set_sync`."""
+        await asyncio.to_thread(self.set_sync, key, value)
+
+    async def set_if_not_exists(self, key: str, value: Buffer) -> None:
+        """Write a file unless there is one; two writers of one file are excluded by the folder's lock."""
+        if not await self.exists(key):
+            await self.set(key, value)
+
+    def delete_sync(self, key: str) -> None:
+        """Delete a file, or a folder with its content."""
+        self._check_writable()
+        path, folder = self.root / key, self.root.parent
+        if path.is_dir() and not path.is_symlink():
+            files.delete_tree(path, folder)
+        else:
+            files.delete(path, folder)
+
+    async def delete(self, key: str) -> None:
+        """See :meth:`delete_sync`."""
+        await asyncio.to_thread(self.delete_sync, key)
+
+    async def delete_dir(self, prefix: str) -> None:
+        """Delete a folder with its content."""
+        self._check_writable()
+        await asyncio.to_thread(files.delete_tree, self.root / prefix, self.root.parent)
+
+    async def clear(self) -> None:
+        """Delete every file."""
+        await self.delete_dir("")
+        files.make_folder(self.root, self.root.parent)
+
+
+def part_of(content: bytes, part: ByteRequest | None) -> bytes:
+    """The part of a file that Zarr asks for."""
+    match part:
+        case RangeByteRequest():
+            return content[part.start : part.end]
+        case OffsetByteRequest():
+            return content[part.offset :]
+        case SuffixByteRequest():
+            return content[max(0, len(content) - part.suffix) :]
+    return content
