@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from dssc_jax.analyses.splitting import Splitting
     from dssc_jax.analyses.tuning import Tuned, tune
     from dssc_jax.core.errors import ConfigError
+    from dssc_jax.engine.integration import IntegrationError, integration_error
     from dssc_jax.exploration import explore
     from dssc_jax.proofs.prove import Proved, check_certificate, prove
     from dssc_jax.proofs.reach import ProvedReach, proved_up_to
@@ -51,6 +52,7 @@ __all__ = [
     "ConfigError",
     "Falsified",
     "FlightLog",
+    "IntegrationError",
     "LogComparison",
     "LoopMargins",
     "MarginContest",
@@ -75,6 +77,7 @@ __all__ = [
     "explore",
     "export",
     "falsify",
+    "integration_error",
     "load",
     "loop_margins",
     "margin",
@@ -137,6 +140,8 @@ _HOME = {
     "prove_sweep": "dssc_jax.runs.prove_sweep",
     "proved_up_to": "dssc_jax.proofs.reach",
     "replay": "dssc_jax.runs.trajectory",
+    "IntegrationError": "dssc_jax.engine.integration",
+    "integration_error": "dssc_jax.engine.integration",
     "run": "dssc_jax.runs.run",
     "simulate": "dssc_jax.runs.trajectory",
     "run_until": "dssc_jax.runs.run_until",

@@ -216,13 +216,14 @@ def warn_of_vehicle(study: "Study") -> None:
             say(f"warning: {text}")
 
 
-def warn_of_noise(study: "Study") -> None:
-    """Print a warning if measurement noise is predicted to move the loop off its reference, and of odd vehicles."""
-    from dssc_jax.design import noise_warning
+def warn_of_study(study: "Study") -> None:
+    """Print a warning where noise is predicted to move the loop, where an exact y' flatters it, and of odd vehicles."""
+    from dssc_jax.design import noise_warning, rate_warning
 
     warn_of_vehicle(study)
-    if text := noise_warning(study):
-        say(f"warning: {text}")
+    for warning in (noise_warning, rate_warning):
+        if text := warning(study):
+            say(f"warning: {text}")
 
 
 def checked(study: "Study") -> dict[str, Any] | None:

@@ -23,7 +23,7 @@ from dssc_jax.cli.common import (
     parse_overs,
     require_proofs,
     warn_of_integration,
-    warn_of_noise,
+    warn_of_study,
 )
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
@@ -154,7 +154,7 @@ def simulate(
     from dssc_jax.runs import trajectory as trajectories
 
     loaded = load_study(study, settings, None, seed, allow_local)
-    warn_of_noise(loaded)
+    warn_of_study(loaded)
     require_writable(csv, figure)
     trajectories.lane_values(loaded.without_sweep(), draw, {})  # bad input is reported before anything is compiled
     announce_compiling(loaded, quiet=as_json)
@@ -239,7 +239,7 @@ def finish_sequential(
     from dssc_jax.console.terminal import progress_bar
     from dssc_jax.runs.run_until import MOST_DRAWS, run_until
 
-    warn_of_noise(study)
+    warn_of_study(study)
     most = MOST_DRAWS if most is None else most
     out = out or default_out(study.override({"draws": most}), f"run-{rule.slug}", most)
     with progress_bar(study, quiet=as_json, early="the rule is met") as advance:
@@ -297,7 +297,7 @@ def finish(
             result = proved_sweep(result, out, boxes, as_json)
         output_result(result, out, as_json)
         return DONE
-    warn_of_noise(study)
+    warn_of_study(study)
     import_meanwhile("dssc_jax.plotting", "dssc_jax.console.results")
     folder = str(Path(study.source).resolve().parent) if local else None
     with progress_bar(study, quiet=as_json) as advance:

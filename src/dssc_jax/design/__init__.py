@@ -2,6 +2,7 @@
 
 from dssc_jax.design.bounds import Bounds, Constants, derive
 from dssc_jax.design.certificate import Certificate, certified, check
+from dssc_jax.design.exact_rates import exact_rates, rate_warning
 from dssc_jax.design.noise import Drift, noise_drift, noise_warning
 from dssc_jax.design.practice import Modulation
 from dssc_jax.design.small_gain import Guarantee, guarantee, small_gain
@@ -24,9 +25,11 @@ __all__ = [
     "check",
     "derive",
     "design",
+    "exact_rates",
     "guarantee",
     "noise_drift",
     "noise_warning",
+    "rate_warning",
     "small_gain",
     "synthesise",
 ]

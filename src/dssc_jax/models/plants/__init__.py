@@ -6,6 +6,6 @@ from dssc_jax.models.plants.normal_form import NORMAL_FORM
 
 PLANTS: Registry = {
     "normal_form": single(NORMAL_FORM, "x'' = -a_p x' - C_eta eta + k_p (u_p + d), any order (5)-(8)"),
-    "state_space": single(STATE_SPACE, "x' = A x + b (u_p + d), y = c x"),
+    "state_space": single(STATE_SPACE, "x' = A x + b u_p + e d, y = c x"),
     "transfer_function": single(RATIONAL_PLANT, "y = G(s) (u_p + d), G strictly proper"),
 }

@@ -1,0 +1,51 @@
+"""Whether a controller sees a disturbance at once, in an exact y' that no sensor gives."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.core.quantities import nominal
+from dssc_jax.core.signals import PlantInput
+from dssc_jax.models.environment.disturbances import NO_DISTURBANCE
+from dssc_jax.study import Study
+
+
+def exact_rates(study: Study) -> tuple[str, ...]:
+    """Channels whose y' contains the disturbance itself and reaches the controller without sensor and differentiator.
+
+    Args:
+        study: The study; uncertain numbers have their median values.
+    """
+    loop = study.loop
+    template = jax.tree.map(lambda leaf: leaf if np.ndim(leaf) else nominal(leaf), study.template)
+    channels = len(loop.channels)
+    zeros = (0.0,) * channels
+    plant = loop.mimo_plant
+    found = []
+    with jax.enable_x64(True):
+        state = plant.init(template.plant)
+
+        def rates(disturbances: jax.Array) -> jax.Array:
+            drive = PlantInput(zeros, tuple(disturbances), None)
+            measurements = plant.measure(template.plant, state, drive)
+            return jnp.stack([jnp.asarray(measurement.y_dot, jnp.float64) for measurement in measurements])
+
+        slopes = jax.jacfwd(rates)(jnp.zeros(channels))
+    for i, name in enumerate(loop.channels):
+        exact = not template.sensor[i] and not template.differentiator[i]
+        disturbed = [bool(slopes[i, j]) and loop.disturbance[j] != NO_DISTURBANCE for j in range(channels)]
+        if exact and any(disturbed):
+            found.append(name)
+    return tuple(found)
+
+
+def rate_warning(study: Study) -> str | None:
+    """One sentence, if a controller sees a disturbance at once in an exact y'."""
+    channels = exact_rates(study)
+    if not channels:
+        return None
+    place = f" in {', '.join(channels)}" if any(channels) else ""
+    return (
+        f"y' contains the disturbance itself{place}, and an exact y' shows it at once, which flatters "
+        "the loop; if y' is not measured, add a [differentiator], and if it is, a [sensor]"
+    )
