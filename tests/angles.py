@@ -28,13 +28,13 @@ CONTINUOUS = Plant(
     HeadingParams,
     init=lambda params: HeadingState(params.start, 0.0),
     derivative=derivative,
-    measure=lambda params, state: Measurement(state.psi, state.rate),
+    measure=lambda params, state, drive: Measurement(state.psi, state.rate),
     input_gain=lambda params: 1.0,
     velocities=("rate",),
     units=(ChannelUnits("rad", "rad/s^2", "heading", "command"),),
 )
 WRAPPED = CONTINUOUS._replace(
-    measure=lambda params, state: Measurement(wrap_angle(state.psi), state.rate), angles=("",)
+    measure=lambda params, state, drive: Measurement(wrap_angle(state.psi), state.rate), angles=("",)
 )
 
 

@@ -10,6 +10,7 @@ LAGGED: dict[str, Any] = {
         "l0": 1.0,
         "rho": 6.0,
         "functions": {"kind": "approx_sta_2", "kappa1": 4.0, "kappa2": 4.0, "delta": 0.5, "tau_av": 0.05},
+        "discretisation": "implicit",
         "predictor_start": "zero",
     },
     "unmodelled": {"kind": "lag", "order": 2, "mu": 0.02},

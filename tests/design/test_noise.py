@@ -12,7 +12,13 @@ from dssc_jax.models.controllers.gain_functions import SquareRoot
 
 NOISY = {"kind": "noisy", "velocity_std": 0.06}
 CASE_2 = dj.Study.load("studies/paper_case2.toml").override(
-    {"controller.predictor_start": "matched", "disturbance": {"kind": "none"}, "sensor": NOISY, "requirement": []}
+    {
+        "controller.discretisation": "implicit",
+        "controller.predictor_start": "matched",
+        "disturbance": {"kind": "none"},
+        "sensor": NOISY,
+        "requirement": [],
+    }
 )
 
 
@@ -73,7 +79,15 @@ def test_channels_are_named_with_their_units():
 
 
 def test_a_command_warns(tmp_path, capsys):
-    arguments = ["simulate", "paper_case2", "--json", "--set", "sensor={ kind = 'noisy', velocity_std = 0.06 }"]
+    arguments = [
+        "simulate",
+        "paper_case2",
+        "--json",
+        "--set",
+        "controller.discretisation=implicit",
+        "--set",
+        "sensor={ kind = 'noisy', velocity_std = 0.06 }",
+    ]
     arguments += ["--set", "loop.duration=1.0", "--set", "requirement=[]", "--set", "disturbance={ kind = 'none' }"]
     assert guarded(arguments) == 0
     assert capsys.readouterr().err.startswith(

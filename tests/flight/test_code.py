@@ -116,7 +116,7 @@ def test_same_bits_elsewhere(case2, precision, target, tools):
 def test_hostile_numbers_and_sanitizers(case2, precision):
     require("cc", "make")
     printed = made(case2[precision], "sanitized")
-    assert values_compared(printed) == 4 * 4000 * 16
+    assert values_compared(printed) == 4 * 4000 * 17
     assert "1000000 hostile samples" in printed
     assert "0 with a wrong flag" in printed
 

@@ -69,7 +69,7 @@ def test_the_prediction_of_drift_takes_records(folder, monkeypatch, capsys):
     disturbance = "disturbance={ kind = 'record', file = 'noise.csv', column = 'nv' }"
     assert guarded(["run", "study.toml", "--set", disturbance, "--draws", "2"]) == 0
     functions = {"kind": "square_root", "kappa_o": 20.0, "kappa_m": 4.0, "delta_o": 1.0, "delta_m": 1.0, "tau_av": 0.03}
-    dssc = {"kind": "dssc", "l0": L0, "rho": 2.0, "functions": functions}
+    dssc = {"kind": "dssc", "discretisation": "implicit", "l0": L0, "rho": 2.0, "functions": functions}
     study = dj.Study.load(folder / "study.toml").override({"controller": dssc, "disturbance.kind": "none"})
     (drift,) = noise_drift(study).values()
     assert drift.noise == pytest.approx(SIGMA.std(), rel=0.2)

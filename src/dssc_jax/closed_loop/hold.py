@@ -17,8 +17,8 @@ import jax
 
 from dssc_jax.core.contracts import LinearDynamics, Moments, Plant, Unmodelled, Variation
 from dssc_jax.core.integrators import INTEGRATORS, Integrator
-from dssc_jax.core.numerics import as_arrays
-from dssc_jax.core.sampled_linear import Column, Forcing, HeldSystem, LinearSystem, Rows, hold, is_zero
+from dssc_jax.core.numerics import as_arrays, is_zero
+from dssc_jax.core.sampled_linear import Column, Forcing, HeldSystem, LinearSystem, Rows, hold
 from dssc_jax.core.signals import Measurements, Params, PlantInput, Scalar, Signals, State
 
 UNROLLED = 2  # substeps at most that are traced one by one

@@ -91,6 +91,16 @@ def as_arrays(tree: Any) -> Any:
     return jax.tree.map(lambda x: jnp.asarray(x, dtype=jnp.result_type(float)), tree)
 
 
+def is_zero(value: Scalar) -> bool:
+    """Whether a number is known to be 0 before tracing."""
+    return is_known(value) and float(value) == 0.0
+
+
+def is_known(value: Scalar) -> bool:
+    """Whether a number is known before tracing."""
+    return isinstance(value, int | float | np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0)
+
+
 def at_least(x: Scalar, low: float) -> Scalar:
     """The larger of x and low; a plain number if x is one, so that constants stay constants."""
     return max(x, low) if isinstance(x, float) else jnp.maximum(x, low)

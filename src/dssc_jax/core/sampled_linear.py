@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dssc_jax.core.numerics import is_known, is_zero
 from dssc_jax.core.signals import Scalar
 
 DOUBLINGS = 64
@@ -105,16 +106,6 @@ class HeldSystem(NamedTuple):
 
     whole: Transition
     half: Transition
-
-
-def is_zero(value: Scalar) -> bool:
-    """Whether a number is known to be 0 before tracing."""
-    return is_known(value) and float(value) == 0.0
-
-
-def is_known(value: Scalar) -> bool:
-    """Whether a number is known before tracing."""
-    return isinstance(value, int | float | np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0)
 
 
 def hold(a: Rows, forcings: Sequence[Forcing], h: Scalar) -> HeldSystem:

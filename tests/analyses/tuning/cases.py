@@ -11,6 +11,8 @@ SMALL = {
         "l0": 1.0,
         "rho": 3.0,
         "functions": {"kind": "approx_sta_2", "kappa1": 1.0, "kappa2": 1.0, "delta": 0.5, "tau_av": 0.05},
+        "discretisation": "implicit",
+        "predictor_start": "zero",
     },
     "disturbance": {"kind": "step", "value": {"uniform": [-0.5, 0.5]}, "at": 1.5},
     "metrics": {"names": ["error_rms", "command_tv"]},
@@ -39,6 +41,7 @@ CERTIFIED = {
         "kind": "dssc",
         "l0": 1.0,
         "rho": 50.0,
+        "discretisation": "implicit",
         "predictor_start": "matched",
         "nominal": {"a": 1.0, "k": 1.0, "predictor_term": False},
         "functions": {

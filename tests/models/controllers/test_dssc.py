@@ -8,7 +8,7 @@ from scipy.linalg import expm
 import dssc_jax as dj
 from dssc_jax.core.registry import Discretisation
 from dssc_jax.core.signals import Measurement, ReferencePoint, tracking_error
-from dssc_jax.models.controllers.dssc import DSSC, DsscGains, DsscState, smoothed_rest, smoothed_sign
+from dssc_jax.models.controllers.dssc import DSSC, DsscGains, DsscState, PredictorStart, smoothed_rest, smoothed_sign
 from dssc_jax.models.controllers.gain_functions import (
     GAIN_FUNCTIONS,
     ApproximateSta1,
@@ -74,7 +74,9 @@ def test_implicit_identities_for_every_row(kind, record_property):
         held = False  # the sample before was not saturated, so that sigma_hat is its sigma
         before = state.predictor
         for _ in range(6):
-            gains = DsscGains(1.0, random_functions(kind, rng), ConstantModulation(1e9))
+            gains = DsscGains(
+                1.0, random_functions(kind, rng), ConstantModulation(1e9), predictor_start=PredictorStart.ZERO
+            )
             sigma, e = (float(s * 10 ** rng.uniform(-6, 1)) for s in rng.choice([-1.0, 1.0], 2))
             after, command, info = jax.tree.map(float, step(gains, state, sigma, e, dt))
             sigma = float(sigma_seen(gains, sigma, e))
@@ -101,7 +103,7 @@ def test_implicit_identities_for_every_row(kind, record_property):
 
 def test_saturated_step():
     """u_0 = +-rho, and sigma_tilde+ = free -+ c rho."""
-    gains = DsscGains(1.0, Constant(10.0, 0.1, 2.0), ConstantModulation(0.5))
+    gains = DsscGains(1.0, Constant(10.0, 0.1, 2.0), ConstantModulation(0.5), predictor_start=PredictorStart.ZERO)
     state = DsscState(0.1, 0.0, 0.0, ())
     dt = 0.01
     after, _, info = scheme_step(gains, state, 5.0, 0.0, dt)
@@ -117,7 +119,13 @@ def test_the_smoothed_sign_is_solved_exactly(width):
     """u_0 = rho x/(|x| + width) at x = sigma_tilde+ of the sample, saturated or not."""
     rng = np.random.default_rng(3)
     for _ in range(200):
-        gains = DsscGains(1.0, Constant(10.0, 0.1, 2.0), ConstantModulation(0.5), sign_width=width)
+        gains = DsscGains(
+            1.0,
+            Constant(10.0, 0.1, 2.0),
+            ConstantModulation(0.5),
+            predictor_start=PredictorStart.ZERO,
+            sign_width=width,
+        )
         state = DsscState(*rng.normal(size=2), 0.0, ())
         _, _, info = scheme_step(gains, state, float(rng.normal() * 10 ** rng.uniform(-3, 1)), 0.0, 0.01)
         x = float(info.sigma_tilde)
@@ -132,7 +140,13 @@ def test_a_vanishing_width_is_the_clip():
         sigma = float(rng.normal() * 10 ** rng.uniform(-3, 1))
         commands = []
         for width in (None, 0.0, 1e-10):
-            gains = DsscGains(1.0, Constant(10.0, 0.1, 2.0), ConstantModulation(0.5), sign_width=width)
+            gains = DsscGains(
+                1.0,
+                Constant(10.0, 0.1, 2.0),
+                ConstantModulation(0.5),
+                predictor_start=PredictorStart.ZERO,
+                sign_width=width,
+            )
             commands.append(float(scheme_step(gains, state, sigma, 0.0, 0.01)[1].robust))
         assert commands[1] == pytest.approx(commands[0], rel=1e-13)
         assert commands[2] == pytest.approx(commands[0], rel=1e-4)

@@ -29,6 +29,8 @@ def square_root(kappa_o, tau_av):
 
 CONTROLLER = {
     "kind": "dssc",
+    "discretisation": "implicit",
+    "predictor_start": "zero",
     "l0": 0.2,
     "rho": 1.5,
     "functions": square_root(110.651, 0.03),

@@ -367,7 +367,8 @@ def dssc(form: SampledForm, smooth: Declaration = sliding_smoothness) -> Control
         earlier = state.earlier
         if gains.predictor_start == PredictorStart.MIDPOINT:
             undecayed = state.predictor * (1.0 + earlier * dt * form.rate(gains, sample))
-            state, earlier = state._replace(predictor=undecayed), 0.0
+            state = state._replace(predictor=undecayed)
+            earlier = 0.0 * earlier  # a time loop of a kernel cannot carry a plain number
         after = form.update(gains, state, sample, dt)
         info = DsscInfo(
             sigma_tilde=error.sigma - after.sigma_hat,

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from dssc_jax.core.contracts import NoParams, Sensor
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import standard_normals, uniforms
+from dssc_jax.core.numerics import is_zero, standard_normals, uniforms
 from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.core.signals import Measurement, Scalar
@@ -162,7 +162,7 @@ def noisy_step(
         chance, share = uniforms(jax.random.fold_in(key, EXTRA), 2)
         if params.jitter is not None:
             true = earlier(measurement, state.before[0], params.jitter * share, dt)
-        if params.loss is not None and extent(params.loss)[1] > 0.0:
+        if params.loss is not None and not is_zero(params.loss):
             arrives = due & (chance >= params.loss)
     fresh = reading(params, true, key)
     held = Measurement(*(jnp.where(arrives, new, old) for new, old in zip(fresh, state.held, strict=True)))
