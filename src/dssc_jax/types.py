@@ -5,18 +5,22 @@ from dssc_jax.core.contracts import (
     Differentiator,
     Disturbance,
     HarmonicBalance,
+    LinearDynamics,
+    Moments,
     NoParams,
     Plant,
     Preset,
     Reference,
     Sensor,
     Unmodelled,
+    Variation,
     Wind,
     stateless,
     unchanged,
 )
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Entry, Registry, Slot, single
+from dssc_jax.core.sampled_linear import LinearSystem
 from dssc_jax.core.signals import (
     Command,
     Measurement,
@@ -41,7 +45,10 @@ __all__ = [
     "Disturbance",
     "Entry",
     "HarmonicBalance",
+    "LinearDynamics",
+    "LinearSystem",
     "Measurement",
+    "Moments",
     "NoParams",
     "Outcome",
     "Plant",
@@ -58,6 +65,7 @@ __all__ = [
     "State",
     "TrackingError",
     "Unmodelled",
+    "Variation",
     "Wind",
     "not_smooth",
     "piecewise",

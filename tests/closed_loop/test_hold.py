@@ -8,7 +8,8 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.closed_loop.hold import HeldParts, straight_lines
-from dssc_jax.core.contracts import LinearDynamics, Moments, Plant, Unmodelled, Variation, as_mimo_plant
+from dssc_jax.core.adapters import as_mimo_plant
+from dssc_jax.core.contracts import LinearDynamics, Moments, Plant, Unmodelled, Variation
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurement

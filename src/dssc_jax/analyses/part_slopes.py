@@ -14,17 +14,8 @@ from jax.flatten_util import ravel_pytree
 
 from dssc_jax.analyses.smooth_parts import Finding, LoopPart, part_of
 from dssc_jax.backend.plain import plain_options
-from dssc_jax.closed_loop.sample import (
-    Loop,
-    LoopParams,
-    LoopState,
-    actuate,
-    as_arrays,
-    initial_state,
-    measure,
-    plant_input,
-    step,
-)
+from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.closed_loop.sample import LoopState, actuate, as_arrays, initial_state, measure, plant_input, step
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import PlantInput, Scalar, tracking_error
 from dssc_jax.core.smoothness import SmoothExtent

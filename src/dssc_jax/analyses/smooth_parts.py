@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.closed_loop.sample import Loop, LoopParams
+from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.core.contracts import Controller, Differentiator, Sensor, Unmodelled
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Scalar

@@ -12,10 +12,8 @@ import time
 import weakref
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
-from queue import Empty, SimpleQueue
 from typing import Any
 
 import llvmlite
@@ -26,8 +24,6 @@ from dssc_jax.backend.interface import ENTRY_POINT
 
 CORES_VARIABLE = "DSSC_JAX_CORES"
 CODE_LEVEL = 2  # of LLVM's code generation
-MEANWHILE = SimpleQueue[Callable[[], object]]()
-"""What else this process has to do: it does so while LLVM compiles or machine code runs, which leave Python idle."""
 PARTS = 32  # parts of a batch per thread: some are quicker than others, and so are cores
 
 
@@ -95,8 +91,6 @@ def translator() -> tuple[str, ...]:
 
 def object_code(text: str) -> bytes:
     """Compile a module to an object file."""
-    if not MEANWHILE.empty():
-        threading.Thread(target=catch_up).start()
     return target_machine().emit_object(module_here(text))
 
 
@@ -170,13 +164,6 @@ class LoadedCode:
 
         weakref.finalize(finish, stopped.set)  # nobody waits any more
         return finish
-
-
-def catch_up() -> None:
-    """Do what waits in :data:`MEANWHILE`."""
-    with suppress(Empty):
-        while True:
-            MEANWHILE.get_nowait()()
 
 
 def addresses(columns: Sequence[np.ndarray]) -> np.ndarray:

@@ -3,9 +3,6 @@
 import os
 import sys
 from collections.abc import Callable
-from contextlib import suppress
-from functools import partial
-from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -101,18 +98,6 @@ def require_proofs() -> None:
     for name in ("clarabel", "flint"):
         if find_spec(name) is None:
             raise ConfigError("prove", f"needs {name}: pip install 'dssc_jax[proofs]'")
-
-
-def import_meanwhile(*modules: str) -> None:
-    """Import what a command needs at its end while LLVM compiles or machine code runs, which leave Python idle."""
-    from dssc_jax.backend.machine import MEANWHILE
-
-    def imported(module: str) -> None:
-        with suppress(Exception):  # whoever uses it will tell
-            import_module(module)
-
-    for module in modules:
-        MEANWHILE.put(partial(imported, module))
 
 
 def load_study(

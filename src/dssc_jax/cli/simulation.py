@@ -17,7 +17,6 @@ from dssc_jax.cli.common import (
     attempt,
     checked,
     default_out,
-    import_meanwhile,
     load_result,
     load_study,
     parse_overs,
@@ -298,7 +297,6 @@ def finish(
         output_result(result, out, as_json)
         return DONE
     warn_of_study(study)
-    import_meanwhile("dssc_jax.plotting", "dssc_jax.console.results")
     folder = str(Path(study.source).resolve().parent) if local else None
     with progress_bar(study, quiet=as_json) as advance:
         result = running.run(

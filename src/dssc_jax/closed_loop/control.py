@@ -10,8 +10,9 @@ An angle passes from the plant to the controller in four forms:
 Steps 3 and 4 are part of :func:`control`, hence of the generated C. Metrics count the wrapped error.
 """
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.core.numerics import turned_near, wrap_angle
 from dssc_jax.core.signals import (
     Command,
@@ -25,9 +26,6 @@ from dssc_jax.core.signals import (
     Signals,
     State,
 )
-
-if TYPE_CHECKING:
-    from dssc_jax.closed_loop.sample import Loop, LoopParams
 
 
 class ControlState(NamedTuple):
@@ -63,8 +61,8 @@ class Controlled(NamedTuple):
 
 
 def measure(
-    loop: "Loop",
-    params: "LoopParams",
+    loop: Loop,
+    params: LoopParams,
     plant: State,
     references: ReferencePoints,
     drive: PlantInput[Signals] | None = None,
@@ -84,17 +82,17 @@ def measure(
     return tuple(near_reference(loop, i, measurement, references[i]) for i, measurement in enumerate(measurements))
 
 
-def is_angle(loop: "Loop", i: int) -> bool:
+def is_angle(loop: Loop, i: int) -> bool:
     """Whether the output of channel i is an angle."""
     return loop.channels[i] in loop.plant.angles
 
 
-def near_reference(loop: "Loop", i: int, measurement: Measurement, reference: ReferencePoint) -> Measurement:
+def near_reference(loop: Loop, i: int, measurement: Measurement, reference: ReferencePoint) -> Measurement:
     """The measurement of channel i; an angle is shifted by whole turns to lie within pi of its reference."""
     return measurement._replace(y=turned_near(measurement.y, reference.y)) if is_angle(loop, i) else measurement
 
 
-def unwrapped(loop: "Loop", i: int, measurement: Measurement, before: State) -> Measurement:
+def unwrapped(loop: Loop, i: int, measurement: Measurement, before: State) -> Measurement:
     """The measurement of channel i; an angle is shifted by whole turns to lie within pi of the one before.
 
     So the angle is continuous in time, unless it turns by more than pi within a sample. What has a memory, a sensor
@@ -106,13 +104,13 @@ def unwrapped(loop: "Loop", i: int, measurement: Measurement, before: State) -> 
     return measurement._replace(y=continuous)
 
 
-def principal_value(loop: "Loop", i: int, measurement: Measurement) -> Measurement:
+def principal_value(loop: Loop, i: int, measurement: Measurement) -> Measurement:
     """What the sensor of channel i sends to the flight computer: an angle by its principal value in (-pi, pi]."""
     return measurement._replace(y=wrap_angle(measurement.y)) if is_angle(loop, i) else measurement
 
 
 def initial_control(
-    loop: "Loop", params: "LoopParams", i: int, reading: Measurement, reference: ReferencePoint
+    loop: Loop, params: LoopParams, i: int, reading: Measurement, reference: ReferencePoint
 ) -> ControlState:
     """Differentiator and controller of channel i at the first sample, before their first step."""
     differentiator, sensed, desired = first_signals(loop, params, i, reading, reference)
@@ -121,7 +119,7 @@ def initial_control(
 
 
 def first_signals(
-    loop: "Loop", params: "LoopParams", i: int, reading: Measurement, reference: ReferencePoint
+    loop: Loop, params: LoopParams, i: int, reading: Measurement, reference: ReferencePoint
 ) -> tuple[State, Measurement, ReferencePoint]:
     """State of channel i's differentiator before its first step; what the controller will see in that step."""
     differentiator = loop.differentiator[i].init(params.differentiator[i], reading)
@@ -129,7 +127,7 @@ def first_signals(
     return differentiator, sensed, nearest_reference(loop, i, reference, sensed)
 
 
-def nearest_reference(loop: "Loop", i: int, reference: ReferencePoint, sensed: Measurement) -> ReferencePoint:
+def nearest_reference(loop: Loop, i: int, reference: ReferencePoint, sensed: Measurement) -> ReferencePoint:
     """The controller's reference; that of an angle is shifted by whole turns to lie within pi of the measurement.
 
     The reference is shifted, not the measurement: a controller that differentiates its measurement sees no jump where
@@ -142,7 +140,7 @@ def nearest_reference(loop: "Loop", i: int, reference: ReferencePoint, sensed: M
 
 
 def control(
-    loop: "Loop", params: "LoopParams", i: int, state: ControlState, reading: Measurement, reference: ReferencePoint
+    loop: Loop, params: LoopParams, i: int, state: ControlState, reading: Measurement, reference: ReferencePoint
 ) -> tuple[ControlState, Controlled]:
     """Run differentiator and controller of channel i at one sample: all that a flight computer runs.
 
@@ -170,7 +168,7 @@ def control(
 
 
 def transferred_control(
-    loop: "Loop", params: "LoopParams", i: int, reading: Measurement, reference: ReferencePoint, command: Scalar
+    loop: Loop, params: LoopParams, i: int, reading: Measurement, reference: ReferencePoint, command: Scalar
 ) -> ControlState | None:
     """The state of channel i whose first step at this sample gives a command, for a bumpless start.
 

@@ -4,7 +4,8 @@ from typing import Any
 
 import jax
 
-from dssc_jax.closed_loop.sample import Loop, LoopParams, as_arrays, control, initial_control, measure
+from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.closed_loop.sample import as_arrays, control, initial_control, measure
 from dssc_jax.core.signals import Info, PlantInput
 
 

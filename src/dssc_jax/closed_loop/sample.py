@@ -1,9 +1,7 @@
 """One sample of the closed loop for one draw: measure, control, integrate plant and unmodelled dynamics."""
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,21 +17,9 @@ from dssc_jax.closed_loop.control import (
     unwrapped,
 )
 from dssc_jax.closed_loop.hold import Advance, HeldParts, between_samples
+from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.metrics import Instant, Sample
-from dssc_jax.core.contracts import (
-    Controller,
-    Differentiator,
-    Disturbance,
-    Plant,
-    Reference,
-    Sensor,
-    Unmodelled,
-    Wind,
-    as_mimo_plant,
-    as_mimo_reference,
-)
-from dssc_jax.core.integrators import Integrator
-from dssc_jax.core.numerics import as_arrays, stream
+from dssc_jax.core.numerics import as_arrays
 from dssc_jax.core.signals import (
     Measurement,
     Measurements,
@@ -47,79 +33,6 @@ from dssc_jax.core.signals import (
 )
 
 FAR_BELOW = 1e-4  # the root of the largest number: large numbers may cancel in the sum of a state
-
-
-class LoopParams(NamedTuple):
-    """Parameters of every part of the loop; any number may be traced.
-
-    Those of controller, sensor, differentiator, unmodelled dynamics and disturbance are tuples with one element per
-    channel.
-    """
-
-    plant: Any
-    reference: Any
-    wind: Any
-    controller: tuple[Any, ...]
-    sensor: tuple[Any, ...]
-    differentiator: tuple[Any, ...]
-    unmodelled: tuple[Any, ...]
-    disturbance: tuple[Any, ...]
-
-
-class Settled(NamedTuple):
-    """When a draw counts as settled and ends: after ``after``, |e| <= ``error`` in every channel for ``hold``.
-
-    Args:
-        error: Bound on |e| [m; rad for psi].
-        hold: Time for which the bound must hold [s].
-        after: Time before which no error counts [s].
-    """
-
-    error: float
-    hold: float
-    after: float
-
-
-@dataclass(frozen=True)
-class Loop:
-    """The static part of the loop, chosen before tracing: a model in each named slot, and the clock.
-
-    Args:
-        channels: Names of the channels; one empty name for a plant with one channel.
-        sample_time: T_s [s].
-        steps: Number of samples.
-        substeps: Integrator steps between two samples.
-        settled: Rule for ending a settled draw; None: never.
-    """
-
-    plant: Plant
-    reference: Reference
-    wind: Wind
-    controller: tuple[Controller, ...]
-    sensor: tuple[Sensor, ...]
-    differentiator: tuple[Differentiator, ...]
-    unmodelled: tuple[Unmodelled, ...]
-    disturbance: tuple[Disturbance, ...]
-    channels: tuple[str, ...]
-    sample_time: float
-    steps: int
-    substeps: int = 1
-    integrator: Integrator = Integrator.RK4
-    settled: Settled | None = None
-
-    @cached_property
-    def mimo_plant(self) -> Plant[Measurements, Signals]:
-        """The plant with tuples as signals, one value per channel, for any number of channels."""
-        return self.plant if len(self.channels) > 1 else as_mimo_plant(self.plant)
-
-    @cached_property
-    def mimo_reference(self) -> Reference[ReferencePoints]:
-        """The reference with a tuple of points, one per channel, for any number of channels."""
-        return self.reference if len(self.channels) > 1 else as_mimo_reference(self.reference)
-
-    def key(self, draw: jax.Array, slot: str, channel: str = "") -> jax.Array:
-        """The random key of a slot in a channel, from the draw's key."""
-        return jax.random.fold_in(draw, stream(f"{slot}.{channel}" if channel else slot))
 
 
 class ChannelState(NamedTuple):

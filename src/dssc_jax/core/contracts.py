@@ -11,8 +11,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 import jax
 
-from dssc_jax.core.numerics import dot
-from dssc_jax.core.sampled_linear import Column, Forcing, LinearSystem, Rows, hold
+from dssc_jax.core.sampled_linear import Column, LinearSystem, Rows
 from dssc_jax.core.signals import (
     Command,
     Info,
@@ -24,10 +23,9 @@ from dssc_jax.core.signals import (
     ReferencePoints,
     Scalar,
     Signal,
-    Signals,
     State,
 )
-from dssc_jax.core.smoothness import SMOOTH, Declaration
+from dssc_jax.core.smoothness import Declaration
 from dssc_jax.core.units import ChannelUnits
 from dssc_jax.core.vectors import Vec3
 
@@ -139,53 +137,6 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     smooth: Declaration = None
 
 
-def linear_derivative(
-    linear: Callable[[Params], LinearDynamics],
-) -> Callable[[Params, State, PlantInput[Scalar], Scalar], State]:
-    """The ``derivative`` of a plant with one channel that is linear: A x + b u_p + e d."""
-
-    def derivative(params: Params, state: State, drive: PlantInput[Scalar], t: Scalar) -> State:
-        del t
-        dynamics = linear(params)
-        (command,) = dynamics.command
-        (disturbance,) = dynamics.disturbance
-        x, structure = jax.tree.flatten(state)
-        signals = (*x, drive.command, drive.disturbance)
-        rows = zip(dynamics.a, command, disturbance, strict=True)
-        return structure.unflatten([dot((*row, b, e), signals) for row, b, e in rows])
-
-    return derivative
-
-
-def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Signals]:
-    """Adapt a plant with one channel to the interface of several: its signals become tuples of one value."""
-
-    def plain(drive: PlantInput[Signals]) -> PlantInput[Scalar]:
-        (command,), (disturbance,) = drive.command, drive.disturbance
-        return PlantInput(command, disturbance, drive.wind)
-
-    remainder = plant.remainder
-    return Plant(
-        plant.params,
-        plant.init,
-        derivative=lambda params, state, drive, t: plant.derivative(params, state, plain(drive), t),
-        measure=lambda params, state, drive: (plant.measure(params, state, plain(drive)),),
-        input_gain=lambda params: (plant.input_gain(params),),
-        velocities=plant.velocities,
-        prepare=plant.prepare,
-        channels=plant.channels,
-        angles=plant.angles,
-        units=plant.units,
-        project=plant.project,
-        monitor=lambda params, state, drive: plant.monitor(params, state, plain(drive)),
-        broken=plant.broken,
-        linear=plant.linear,
-        remainder=remainder and (lambda params, state, drive, t: remainder(params, state, plain(drive), t)),
-        onboard=plant.onboard,
-        smooth=plant.smooth,
-    )
-
-
 class Preset(NamedTuple):
     """A parameter type with an instance that a table overrides field by field."""
 
@@ -250,30 +201,6 @@ class Reference(NamedTuple, Generic[Desired]):
     defaults: Any = None
 
 
-def as_mimo_reference(reference: Reference[ReferencePoint]) -> Reference[ReferencePoints]:
-    """Adapt a reference with one channel to the interface of several: its point becomes a tuple of one point."""
-    return Reference(reference.params, lambda params, t: (reference.at(params, t),), reference.prepare)
-
-
-class JoinedParams(NamedTuple):
-    """Parameters of a reference of several channels, and those of the channels that have a reference of their own."""
-
-    whole: Any
-    own: tuple[Any, ...]
-
-
-def joined_reference(whole: Reference[ReferencePoints], own: dict[int, Reference[ReferencePoint]]) -> Reference:
-    """The reference of several channels in which some, by index, follow references of their own."""
-
-    def at(params: JoinedParams, t: Scalar) -> ReferencePoints:
-        points = list(whole.at(params.whole, t))
-        for (index, reference), theirs in zip(own.items(), params.own, strict=True):
-            points[index] = reference.at(theirs, t)
-        return tuple(points)
-
-    return Reference(JoinedParams, at)
-
-
 class Variation(StrEnum):
     """What a disturbance varies with within a sample, from which the loop chooses how it integrates it."""
 
@@ -320,28 +247,6 @@ class Wind(NamedTuple):
     step: Callable[[Params, State, jax.Array, Scalar, Scalar], State]
     value: Callable[[Params, State, Scalar], Vec3]
     prepare: Callable[[Params], Params] = as_given
-
-
-def joined_wind(parts: tuple[Wind, ...]) -> Wind:
-    """The sum of several winds; the parameters are a tuple, and each wind has random numbers of its own."""
-
-    def keys(key: jax.Array) -> list[jax.Array]:
-        return [jax.random.fold_in(key, index) for index in range(len(parts))]
-
-    def init(params: tuple[Any, ...], key: jax.Array) -> tuple[State, ...]:
-        return tuple(wind.init(p, k) for wind, p, k in zip(parts, params, keys(key), strict=True))
-
-    def step(params: tuple[Any, ...], state: Any, key: jax.Array, t: Scalar, dt: Scalar) -> tuple[State, ...]:
-        each = zip(parts, params, state, keys(key), strict=True)
-        return tuple(wind.step(p, s, k, t, dt) for wind, p, s, k in each)
-
-    def value(params: tuple[Any, ...], state: Any, t: Scalar) -> Vec3:
-        total = Vec3(0.0, 0.0, 0.0)
-        for wind, p, s in zip(parts, params, state, strict=True):
-            total = total + wind.value(p, s, t)
-        return total
-
-    return Wind(NoParams, init, step, value)
 
 
 class Sensor(NamedTuple):
@@ -425,24 +330,3 @@ class Unmodelled(NamedTuple):
     moments: Callable[[Params, State, Scalar, Scalar], Moments] | None = None
     smooth: Declaration = None
     continuous: bool = False
-
-
-def linear_unmodelled(
-    params: type,
-    init: Callable[[Params], State],
-    linear: Callable[[Params], LinearSystem],
-    prepare: Callable[[Params], Params] = as_given,
-) -> Unmodelled:
-    """Linear unmodelled dynamics: their step and output follow from the system."""
-
-    def step(values: Params, state: State, command: Scalar, dt: Scalar) -> State:
-        system = linear(values)
-        x, structure = jax.tree.flatten(state)
-        held = hold(system.a, (Forcing(system.b, terms=1),), dt)
-        return structure.unflatten(held.whole.apply(x, ((command,),)))
-
-    def output(values: Params, state: State, command: Scalar) -> Scalar:
-        system = linear(values)
-        return dot((*system.c, system.d), (*jax.tree.leaves(state), command))
-
-    return Unmodelled(params, init, step, output, prepare, linear=linear, smooth=SMOOTH, continuous=True)

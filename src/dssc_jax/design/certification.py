@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from dssc_jax.closed_loop.sample import Loop
+from dssc_jax.closed_loop.loop import Loop
 from dssc_jax.core.contracts import Disturbance, Plant, Reference
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.normal_form import NormalForm, RealisedSystem, normal_form, transfer_function

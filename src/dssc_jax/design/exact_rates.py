@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.core.quantities import nominal
-from dssc_jax.core.signals import PlantInput
+from dssc_jax.core.signals import PlantInput, Signals
 from dssc_jax.models.environment.disturbances import NO_DISTURBANCE
 from dssc_jax.study import Study
 
@@ -19,14 +19,14 @@ def exact_rates(study: Study) -> tuple[str, ...]:
     loop = study.loop
     template = jax.tree.map(lambda leaf: leaf if np.ndim(leaf) else nominal(leaf), study.template)
     channels = len(loop.channels)
-    zeros = (0.0,) * channels
+    zeros: Signals = (0.0,) * channels
     plant = loop.mimo_plant
     found = []
     with jax.enable_x64(True):
         state = plant.init(template.plant)
 
         def rates(disturbances: jax.Array) -> jax.Array:
-            drive = PlantInput(zeros, tuple(disturbances), None)
+            drive: PlantInput[Signals] = PlantInput(zeros, tuple(disturbances), None)
             measurements = plant.measure(template.plant, state, drive)
             return jnp.stack([jnp.asarray(measurement.y_dot, jnp.float64) for measurement in measurements])
 

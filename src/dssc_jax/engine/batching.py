@@ -19,7 +19,6 @@ import numpy as np
 
 from dssc_jax.backend import forms
 from dssc_jax.backend.interface import AXIS
-from dssc_jax.backend.machine import catch_up
 from dssc_jax.closed_loop.draw import Run, simulate_draw
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Scalar
@@ -191,7 +190,6 @@ class Engine:
             results = start(columns, np.asarray(indices))
 
         def finish() -> Arrays:
-            catch_up()
             arrays, ended = results()
             ended = max(ended, self._ended)
             self.clock.run_seconds += ended - max(began, self._ended)

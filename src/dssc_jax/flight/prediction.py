@@ -10,7 +10,8 @@ import numpy as np
 
 from dssc_jax.backend.plain import plain_options
 from dssc_jax.closed_loop.control import near_reference
-from dssc_jax.closed_loop.sample import Loop, held_between_samples, initial_state, step
+from dssc_jax.closed_loop.loop import Loop
+from dssc_jax.closed_loop.sample import held_between_samples, initial_state, step
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.numerics import arithmetic, as_arrays
 from dssc_jax.core.signals import Command

@@ -9,7 +9,8 @@ import jax
 from dssc_jax.core.registry import Discretisation
 from dssc_jax.design.certification import Ends, NotCovered, disturbance_bounds, ends_of, reference_bounds
 from dssc_jax.models.controllers.differentiators import NO_DIFFERENTIATOR
-from dssc_jax.models.controllers.dssc import DSSC, SSC, DsscGains
+from dssc_jax.models.controllers.dssc import DSSC, SSC
+from dssc_jax.models.controllers.dssc_forms import DsscGains
 from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS
 from dssc_jax.models.controllers.modulation import ConstantModulation
 from dssc_jax.models.controllers.pi import PI, PiGains

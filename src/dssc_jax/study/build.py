@@ -12,10 +12,11 @@ from pydantic import BaseModel, ValidationError
 
 from dssc_jax.cache.user_cache import remembered
 from dssc_jax.closed_loop.infos import first_infos
+from dssc_jax.closed_loop.loop import Loop, LoopParams, Settled
 from dssc_jax.closed_loop.metrics import Measure, available_metrics
 from dssc_jax.closed_loop.requirements import Requirement
-from dssc_jax.closed_loop.sample import Loop, LoopParams, Settled
-from dssc_jax.core.contracts import JoinedParams, Plant, joined_reference, joined_wind
+from dssc_jax.core.adapters import JoinedParams, joined_reference, joined_wind
+from dssc_jax.core.contracts import Plant
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.numerics import arithmetic

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
+from dssc_jax.closed_loop.loop import Loop
 from dssc_jax.closed_loop.metrics import Metric, Scope, available_metrics
-from dssc_jax.closed_loop.sample import Loop
 from dssc_jax.core.contracts import NoParams, Plant
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
@@ -80,6 +80,9 @@ class Unloaded:
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
+        raise self.error
+
+    def __iter__(self) -> Any:
         raise self.error
 
     def __call__(self, *_: Any) -> Any:

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from jax.tree_util import keystr, tree_flatten_with_path
 
+from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.closed_loop.requirements import Requirement
-from dssc_jax.closed_loop.sample import Loop, LoopParams
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar

@@ -11,7 +11,6 @@ SMALL = {
         "l0": 1.0,
         "rho": 3.0,
         "functions": {"kind": "approx_sta_2", "kappa1": 1.0, "kappa2": 1.0, "delta": 0.5, "tau_av": 0.05},
-        "discretisation": "implicit",
         "predictor_start": "zero",
     },
     "disturbance": {"kind": "step", "value": {"uniform": [-0.5, 0.5]}, "at": 1.5},

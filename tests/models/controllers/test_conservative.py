@@ -10,7 +10,8 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.core.registry import Discretisation
 from dssc_jax.core.signals import Measurement, ReferencePoint
-from dssc_jax.models.controllers.dssc import DSSC, DsscGains, PredictorStart
+from dssc_jax.models.controllers.dssc import DSSC
+from dssc_jax.models.controllers.dssc_forms import DsscGains, PredictorStart
 from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS, Constant
 from dssc_jax.models.controllers.modulation import ConstantModulation
 from tests.models.controllers.test_dssc import random_functions

@@ -8,7 +8,8 @@ from scipy.linalg import expm
 import dssc_jax as dj
 from dssc_jax.core.registry import Discretisation
 from dssc_jax.core.signals import Measurement, ReferencePoint, tracking_error
-from dssc_jax.models.controllers.dssc import DSSC, DsscGains, DsscState, PredictorStart, smoothed_rest, smoothed_sign
+from dssc_jax.models.controllers.dssc import DSSC
+from dssc_jax.models.controllers.dssc_forms import DsscGains, DsscState, PredictorStart, smoothed_rest, smoothed_sign
 from dssc_jax.models.controllers.gain_functions import (
     GAIN_FUNCTIONS,
     ApproximateSta1,

@@ -14,7 +14,8 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from dssc_jax.closed_loop.sample import Loop, LoopParams, initial_state, measure, step
+from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.closed_loop.sample import initial_state, measure, step
 from dssc_jax.core.contracts import NoParams, Reference, Sensor
 from dssc_jax.core.signals import Measurement, ReferencePoint, Scalar
 from dssc_jax.models.environment.disturbances import NO_DISTURBANCE

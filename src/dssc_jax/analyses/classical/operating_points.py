@@ -20,7 +20,7 @@ from dssc_jax.analyses.smooth_parts import (
     with_inner_sides,
 )
 from dssc_jax.backend.plain import plain_options
-from dssc_jax.closed_loop.sample import Loop, LoopParams
+from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.engine.batching import Arrays, drawn

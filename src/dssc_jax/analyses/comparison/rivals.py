@@ -16,7 +16,8 @@ from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.quantities import nominal
 from dssc_jax.core.signals import Scalar
 from dssc_jax.models.controllers import CONTROLLERS
-from dssc_jax.models.controllers.dssc import DsscGains, synthesised_gains
+from dssc_jax.models.controllers.dssc import synthesised_gains
+from dssc_jax.models.controllers.dssc_forms import DsscGains
 from dssc_jax.models.controllers.gain_functions import (
     ApproximateSta1,
     ApproximateSta2,

@@ -23,7 +23,7 @@ from dssc_jax.analyses.theory.linearised import (
     start_at_rest,
 )
 from dssc_jax.backend.plain import plain_options
-from dssc_jax.closed_loop.sample import Loop, LoopParams
+from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Arrays, drawn
 from dssc_jax.study import Study

@@ -12,7 +12,7 @@ from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.design.certification import NotCovered
 from dssc_jax.engine.evaluation import require_independent
-from dssc_jax.models.controllers.dssc import DsscGains
+from dssc_jax.models.controllers.dssc_forms import DsscGains
 from dssc_jax.study import Law, Study
 from dssc_jax.study.schema import TuneTable
 

@@ -1,27 +1,14 @@
 """Dynamic Smooth Sliding Control (14)-(18), and SSC as its special case with constant functions.
 
-The conservative form is backward Euler in the coordinate phi_1(sigma_hat) of the predictor. Its sums telescope, so that
-measurement noise causes no drift; it is the default wherever phi_1 has a finite slope. The implicit form is backward
-Euler in sigma_hat. Both have closed-form solutions.
-
-With a = T_s/tau_av, b = T_s/tau_m and c = T_s k_o/((1+a)(1+b)) the set-valued u_0 in rho Sgn(sigma_tilde+) is solved
-exactly by a clip. While the clip is inactive sigma_hat+ = sigma to rounding and the command obeys the synthesised law
-(22) in backward-Euler form; explicit Euler chatters at every step size and is unstable for T_s > 2 tau_m or
-T_s > 2 tau_av.
+The sampled forms of filter and predictor are in :mod:`dssc_jax.models.controllers.dssc_forms`.
 """
 
-from collections.abc import Callable
-from enum import StrEnum
-from typing import Annotated, Any, NamedTuple
-
-import jax
-import jax.numpy as jnp
+from typing import Any, NamedTuple
 
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import clip, newton, sign
-from dssc_jax.core.quantities import Quantity, extent
-from dssc_jax.core.registry import Discretisation, Entry, Slot
+from dssc_jax.core.quantities import extent
+from dssc_jax.core.registry import Discretisation, Entry
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, State, TrackingError, tracking_error
 from dssc_jax.core.smoothness import (
     SWITCHES,
@@ -32,52 +19,27 @@ from dssc_jax.core.smoothness import (
     not_smooth,
     piecewise,
 )
+from dssc_jax.models.controllers.dssc_forms import (
+    ControlSample,
+    DsscGains,
+    DsscState,
+    PredictorStart,
+    SampledForm,
+    conservative_resting,
+    conservative_update,
+    explicit_resting,
+    explicit_update,
+    implicit_resting,
+    implicit_update,
+    integrated,
+    integrated_rate,
+    own_coordinate,
+    own_rate,
+    sample_ratios,
+)
 from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS, Constant, StateFunctions
-from dssc_jax.models.controllers.modulation import MODULATIONS, ModulationSignals
-from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
-
-NEWTON_STEPS = 12
-
-
-@jax.tree_util.register_static
-class PredictorStart(StrEnum):
-    """sigma_hat at the first sample: 0; sigma (sliding from the start, as in Appendix D); sigma half a sample earlier.
-
-    With ``matched`` the sum of T_s phi_2 in the command is the integral of phi_2 from half a sample before the first
-    one, by the midpoint rule. With ``midpoint`` it begins at the first sample.
-    """
-
-    ZERO = "zero"
-    MATCHED = "matched"
-    MIDPOINT = "midpoint"
-
-
-class DsscGains(NamedTuple):
-    """Gains of DSSC: the state-dependent functions, the modulation and the nominal control.
-
-    ``sign_width`` w replaces sgn(x) by x/(|x| + w), for smooth derivatives; if absent or 0, the sign is used.
-    """
-
-    l0: Annotated[Scalar, L0]
-    functions: Annotated[State, Slot(GAIN_FUNCTIONS)]
-    rho: Annotated[State, Slot(MODULATIONS, number="constant")]
-    nominal: NominalGains | None = None
-    predictor_start: PredictorStart = PredictorStart.MIDPOINT
-    sign_width: Annotated[Scalar | None, Quantity("y/s", "width of the smoothed sign", at_least=0.0)] = None
-
-
-class DsscState(NamedTuple):
-    """Averaged control u_av [m/s], predictor [m/s], previous sigma [m/s], state of the modulation.
-
-    The predictor's state is sigma_hat; in the conservative form it is phi_1(sigma_hat). With the start ``midpoint``,
-    ``earlier`` is how many samples it is older than the first measurement; then it is 0.
-    """
-
-    u_av: Scalar
-    predictor: Scalar
-    sigma: Scalar
-    modulation: State
-    earlier: State = ()
+from dssc_jax.models.controllers.modulation import ModulationSignals
+from dssc_jax.models.controllers.nominal import nominal_control
 
 
 class DsscInfo(NamedTuple):
@@ -99,206 +61,6 @@ class DsscInfo(NamedTuple):
     tau_m: Scalar
     tau_av: Scalar
     integral_gain: Scalar
-
-
-class Sampled(NamedTuple):
-    """Filter and predictor after one sample: u_0, u_av+, predictor+, sigma_hat+, the equivalent control u_eq [m/s]."""
-
-    u_0: Scalar
-    u_av: Scalar
-    predictor: Scalar
-    sigma_hat: Scalar
-    u_eq: Scalar
-
-
-class SampleRatios(NamedTuple):
-    """Quotients of the functions and T_s: 1/tau_m [1/s], 1/(1+b), c [1/s] and its inverse [s], K_I of (22)."""
-
-    pole: Scalar
-    decay: Scalar
-    c: Scalar
-    inverse_c: Scalar
-    integral_gain: Scalar
-
-
-class ControlSample(NamedTuple):
-    """What filter and predictor see at one sample: the error, the functions and their ratios there, the bound rho."""
-
-    error: TrackingError
-    at: StateFunctions
-    ratios: SampleRatios
-    rho: Scalar
-
-
-class SampledForm(NamedTuple):
-    """A sampled form of filter and predictor.
-
-    Args:
-        predictor: (gains, error) -> the predictor's state where sigma_hat = sigma.
-        rate: (gains, sample) -> the rate [1/s] at which that state decays.
-        update: (gains, state, sample, T_s) -> filter and predictor after the sample.
-        resting: (gains, u_av+, sample, T_s) -> u_av and the predictor's state before the sample, with which it ends at
-            u_av+ and slides.
-    """
-
-    predictor: Callable[[DsscGains, TrackingError], Scalar]
-    rate: Callable[[DsscGains, ControlSample], Scalar]
-    update: Callable[[DsscGains, DsscState, ControlSample, Scalar], Sampled]
-    resting: Callable[[DsscGains, Scalar, ControlSample, Scalar], tuple[Scalar, Scalar]]
-
-
-def smoothed_rest(free: Scalar, c: Scalar, rho: Scalar, width: Scalar) -> Scalar:
-    """The rest of ``free`` after u_0: the solution x of x + c rho x/(|x| + width) = free, in closed form.
-
-    Smooth for width > 0; for width 0 it equals free - clip(free, -c rho, c rho).
-    """
-    size = jnp.abs(free)
-    b = width + c * rho - size
-    square = b * b + 4.0 * width * size
-    root = jnp.sqrt(jnp.where(square > 0.0, square, 1.0)) * (square > 0.0)  # its slope at 0 is infinite
-    inside = b > 0.0
-    within = free * 2.0 * width / jnp.where(inside, b + root, 1.0)  # the larger root of a quadratic, without difference
-    return jnp.where(inside, within, jnp.sign(free) * 0.5 * (root - b))
-
-
-def limited(wanted: Scalar, u_av: Scalar, rho: Scalar, c: Scalar, width: Scalar | None) -> Scalar:
-    """The change u_0 - u_av: the wanted one with u_0 in rho Sgn(sigma_tilde+), sigma_tilde+ = c (wanted - change).
-
-    The change is clipped instead of u_0, to avoid subtracting numbers of the size of u_av in sliding.
-    """
-    if width is None:
-        return clip(wanted, -rho - u_av, rho - u_av)
-    return wanted - smoothed_rest(c * (wanted + u_av), c, rho, width) / c
-
-
-def sample_ratios(at: StateFunctions, dt: Scalar) -> SampleRatios:
-    """The ratios from one common division, since a division costs far more than a product; for tau_m > 0."""
-    share = dt / (at.tau_av + dt)  # a/(1+a)
-    gain = share * at.k_o * at.tau_av  # T_s k_o/(1+a)
-    product, longer = gain * at.tau_m, at.tau_m + dt
-    inverse = 1.0 / (product * longer)
-    decay, inverse_product = product * inverse * at.tau_m, longer * inverse
-    return SampleRatios(
-        pole=gain * inverse_product,
-        decay=decay,
-        c=gain * decay,
-        inverse_c=inverse_product * longer,
-        integral_gain=share * inverse_product,
-    )
-
-
-def implicit_update(gains: DsscGains, state: DsscState, sample: ControlSample, dt: Scalar) -> Sampled:
-    """Backward Euler for (15)-(18), solved exactly."""
-    u_av, sigma_hat, at = state.u_av, state.predictor, sample.at
-    _, decay, c, inverse_c, _ = sample.ratios
-    wanted = (sample.error.sigma - decay * sigma_hat) * inverse_c  # u_eq - u_av
-    change = limited(wanted, u_av, sample.rho, c, gains.sign_width)
-    after = decay * sigma_hat + c * change
-    return Sampled(u_av + change, u_av + dt / (at.tau_av + dt) * change, after, after, u_av + wanted)
-
-
-def conservative_update(gains: DsscGains, state: DsscState, sample: ControlSample, dt: Scalar) -> Sampled:
-    """Backward Euler for (15)-(18) in the predictor's coordinate w = phi_1(sigma_hat), solved exactly.
-
-    (15) to (17) give w' = u_av' - phi_2(sigma_hat) with phi_2 = rate w. In sliding w = phi_1(sigma), and u_av changes
-    over any number of samples by the change of phi_1 plus T_s times the sum of phi_2, also if sigma is noisy. The
-    implicit form sums g(sigma_k)(sigma_k - sigma_(k-1)) instead, whose mean under noise is not zero.
-    """
-    u_av, w, at = state.u_av, state.predictor, sample.at
-    e, sigma = sample.error
-    law = gains.functions.law(sigma, e, at)
-    share = dt / (at.tau_av + dt)
-    decay = 1.0 / (1.0 + dt * law.rate)
-    wanted = (law.gain * sigma * (1.0 + dt * law.rate) - w) / share
-    change = limited(wanted, u_av, sample.rho, share * decay * at.k_o * at.tau_av, gains.sign_width)
-    after = decay * (w + share * change)
-    sigma_hat = jnp.where(change == wanted, sigma, predicted(gains, after, e))
-    return Sampled(u_av + change, u_av + share * change, after, sigma_hat, u_av + wanted)
-
-
-def phi_1_and_slope(signals: tuple[State, Scalar, Scalar], sigma: Scalar) -> tuple[Scalar, Scalar]:
-    """phi_1(sigma, e) and its slope in sigma; ``signals``: the functions of the table, l_0 and e."""
-    functions, l0, e = signals
-    at = functions.at(sigma, e, l0)
-    return functions.law(sigma, e, at).gain * sigma, 1.0 / (at.k_o * at.tau_av)
-
-
-def predicted(gains: DsscGains, w: Scalar, e: Scalar) -> Scalar:
-    """sigma_hat with phi_1(sigma_hat, e) = w; only what is recorded needs it. Newton's method goes up from below."""
-    size, signals = jnp.abs(w), (gains.functions, gains.l0, e)
-    start = size / phi_1_and_slope(signals, 0.0 * size)[1]
-    return sign(w) * newton(phi_1_and_slope, signals, size, start, NEWTON_STEPS)
-
-
-def explicit_update(gains: DsscGains, state: DsscState, sample: ControlSample, dt: Scalar) -> Sampled:
-    """Forward Euler for (15)-(18) with sgn 0 = 0, for comparison."""
-    sigma, sigma_hat, at = sample.error.sigma, state.predictor, sample.at
-    u_0 = sample.rho * smoothed_sign(sigma - sigma_hat, gains.sign_width)
-    change = u_0 - state.u_av
-    u_eq = ((sigma - state.sigma) / dt + sigma * sample.ratios.pole) / at.k_o + state.u_av
-    after = sigma_hat + dt * (at.k_o * change - sigma_hat * sample.ratios.pole)
-    return Sampled(u_0, state.u_av + dt / at.tau_av * change, after, after, u_eq)
-
-
-def smoothed_sign(x: Scalar, width: Scalar | None) -> Scalar:
-    """x/(|x| + width); without a width, or with 0, the sign with sgn 0 = 0."""
-    if width is None:
-        return sign(x)
-    size = jnp.abs(x) + width
-    return x / jnp.where(size > 0.0, size, 1.0)
-
-
-def resting_sigma_tilde(gains: DsscGains, u_av: Scalar, rho: Scalar) -> Scalar:
-    """The sigma_tilde at which u_0 = u_av: 0, or what the smoothed sign needs."""
-    if gains.sign_width is None:
-        return 0.0
-    room = rho - jnp.abs(u_av)
-    return jnp.where(room > 0.0, gains.sign_width * u_av / jnp.where(room > 0.0, room, 1.0), 0.0)
-
-
-def implicit_resting(gains: DsscGains, u_av: Scalar, sample: ControlSample, dt: Scalar) -> tuple[Scalar, Scalar]:
-    """The sigma_hat that decays to sigma - sigma_tilde."""
-    sigma_tilde = resting_sigma_tilde(gains, u_av, sample.rho)
-    return u_av, (sample.error.sigma - sigma_tilde) / sample.ratios.decay
-
-
-def conservative_resting(gains: DsscGains, u_av: Scalar, sample: ControlSample, dt: Scalar) -> tuple[Scalar, Scalar]:
-    """The w that decays to phi_1(sigma), less the part of sigma_tilde."""
-    e, sigma = sample.error
-    at = sample.at
-    law = gains.functions.law(sigma, e, at)
-    longer = 1.0 + dt * law.rate
-    part = resting_sigma_tilde(gains, u_av, sample.rho) * longer / (at.k_o * at.tau_av)
-    return u_av, law.gain * sigma * longer - part
-
-
-def explicit_resting(gains: DsscGains, u_av: Scalar, sample: ControlSample, dt: Scalar) -> tuple[Scalar, Scalar]:
-    """Without a width, u_0 = 0 at sigma_tilde = 0, and u_av decays in this sample."""
-    sigma_tilde = resting_sigma_tilde(gains, u_av, sample.rho)
-    before = u_av / (1.0 - dt / sample.at.tau_av) if gains.sign_width is None else u_av
-    return before, sample.error.sigma - sigma_tilde
-
-
-def own_coordinate(gains: DsscGains, error: TrackingError) -> Scalar:
-    """Sigma itself."""
-    return error.sigma
-
-
-def own_rate(gains: DsscGains, sample: ControlSample) -> Scalar:
-    """1/tau_m."""
-    return sample.ratios.pole
-
-
-def integrated(gains: DsscGains, error: TrackingError) -> Scalar:
-    """phi_1(sigma, e)."""
-    at = gains.functions.at(error.sigma, error.e, gains.l0)
-    return gains.functions.law(error.sigma, error.e, at).gain * error.sigma
-
-
-def integrated_rate(gains: DsscGains, sample: ControlSample) -> Scalar:
-    """phi_2/phi_1."""
-    e, sigma = sample.error
-    return gains.functions.law(sigma, e, sample.at).rate
 
 
 def control_sample(

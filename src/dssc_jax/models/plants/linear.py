@@ -12,7 +12,8 @@ with c A^(r-1) b not zero, or the excess of poles over zeros. It decides what th
 
 from typing import Annotated, Any, NamedTuple
 
-from dssc_jax.core.contracts import LinearDynamics, Plant, linear_derivative
+from dssc_jax.core.adapters import linear_derivative
+from dssc_jax.core.contracts import LinearDynamics, Plant
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.normal_form import RealisedSystem, relative_degree
 from dssc_jax.core.numerics import dot

@@ -2,7 +2,8 @@
 
 from typing import Annotated, NamedTuple
 
-from dssc_jax.core.contracts import LinearDynamics, Plant, linear_derivative
+from dssc_jax.core.adapters import linear_derivative
+from dssc_jax.core.contracts import LinearDynamics, Plant
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurement, PlantInput, Scalar

@@ -6,7 +6,8 @@ The command is held between samples and the lag is advanced by its exact solutio
 from enum import IntEnum
 from typing import Annotated, NamedTuple
 
-from dssc_jax.core.contracts import NoParams, Unmodelled, linear_unmodelled
+from dssc_jax.core.adapters import linear_unmodelled
+from dssc_jax.core.contracts import NoParams, Unmodelled
 from dssc_jax.core.numerics import at_least
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry

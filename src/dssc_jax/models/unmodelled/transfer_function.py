@@ -12,7 +12,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from dssc_jax.core.contracts import linear_unmodelled
+from dssc_jax.core.adapters import linear_unmodelled
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import at_least
 from dssc_jax.core.quantities import Quantity

@@ -1,0 +1,145 @@
+"""Contracts built from others: of several channels, of sums, and of linear systems."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+
+from dssc_jax.core.contracts import (
+    LinearDynamics,
+    NoParams,
+    Plant,
+    Reference,
+    Unmodelled,
+    Wind,
+    as_given,
+)
+from dssc_jax.core.numerics import dot
+from dssc_jax.core.sampled_linear import Forcing, LinearSystem, hold
+from dssc_jax.core.signals import (
+    Measurement,
+    Measurements,
+    Params,
+    PlantInput,
+    ReferencePoint,
+    ReferencePoints,
+    Scalar,
+    Signals,
+    State,
+)
+from dssc_jax.core.smoothness import SMOOTH
+from dssc_jax.core.vectors import Vec3
+
+
+def linear_derivative(
+    linear: Callable[[Params], LinearDynamics],
+) -> Callable[[Params, State, PlantInput[Scalar], Scalar], State]:
+    """The ``derivative`` of a plant with one channel that is linear: A x + b u_p + e d."""
+
+    def derivative(params: Params, state: State, drive: PlantInput[Scalar], t: Scalar) -> State:
+        del t
+        dynamics = linear(params)
+        (command,) = dynamics.command
+        (disturbance,) = dynamics.disturbance
+        x, structure = jax.tree.flatten(state)
+        signals = (*x, drive.command, drive.disturbance)
+        rows = zip(dynamics.a, command, disturbance, strict=True)
+        return structure.unflatten([dot((*row, b, e), signals) for row, b, e in rows])
+
+    return derivative
+
+
+def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Signals]:
+    """Adapt a plant with one channel to the interface of several: its signals become tuples of one value."""
+
+    def plain(drive: PlantInput[Signals]) -> PlantInput[Scalar]:
+        (command,), (disturbance,) = drive.command, drive.disturbance
+        return PlantInput(command, disturbance, drive.wind)
+
+    remainder = plant.remainder
+    return Plant(
+        plant.params,
+        plant.init,
+        derivative=lambda params, state, drive, t: plant.derivative(params, state, plain(drive), t),
+        measure=lambda params, state, drive: (plant.measure(params, state, plain(drive)),),
+        input_gain=lambda params: (plant.input_gain(params),),
+        velocities=plant.velocities,
+        prepare=plant.prepare,
+        channels=plant.channels,
+        angles=plant.angles,
+        units=plant.units,
+        project=plant.project,
+        monitor=lambda params, state, drive: plant.monitor(params, state, plain(drive)),
+        broken=plant.broken,
+        linear=plant.linear,
+        remainder=remainder and (lambda params, state, drive, t: remainder(params, state, plain(drive), t)),
+        onboard=plant.onboard,
+        smooth=plant.smooth,
+    )
+
+
+def as_mimo_reference(reference: Reference[ReferencePoint]) -> Reference[ReferencePoints]:
+    """Adapt a reference with one channel to the interface of several: its point becomes a tuple of one point."""
+    return Reference(reference.params, lambda params, t: (reference.at(params, t),), reference.prepare)
+
+
+class JoinedParams(NamedTuple):
+    """Parameters of a reference of several channels, and those of the channels that have a reference of their own."""
+
+    whole: Any
+    own: tuple[Any, ...]
+
+
+def joined_reference(whole: Reference[ReferencePoints], own: dict[int, Reference[ReferencePoint]]) -> Reference:
+    """The reference of several channels in which some, by index, follow references of their own."""
+
+    def at(params: JoinedParams, t: Scalar) -> ReferencePoints:
+        points = list(whole.at(params.whole, t))
+        for (index, reference), theirs in zip(own.items(), params.own, strict=True):
+            points[index] = reference.at(theirs, t)
+        return tuple(points)
+
+    return Reference(JoinedParams, at)
+
+
+def joined_wind(parts: tuple[Wind, ...]) -> Wind:
+    """The sum of several winds; the parameters are a tuple, and each wind has random numbers of its own."""
+
+    def keys(key: jax.Array) -> list[jax.Array]:
+        return [jax.random.fold_in(key, index) for index in range(len(parts))]
+
+    def init(params: tuple[Any, ...], key: jax.Array) -> tuple[State, ...]:
+        return tuple(wind.init(p, k) for wind, p, k in zip(parts, params, keys(key), strict=True))
+
+    def step(params: tuple[Any, ...], state: Any, key: jax.Array, t: Scalar, dt: Scalar) -> tuple[State, ...]:
+        each = zip(parts, params, state, keys(key), strict=True)
+        return tuple(wind.step(p, s, k, t, dt) for wind, p, s, k in each)
+
+    def value(params: tuple[Any, ...], state: Any, t: Scalar) -> Vec3:
+        total = Vec3(0.0, 0.0, 0.0)
+        for wind, p, s in zip(parts, params, state, strict=True):
+            total = total + wind.value(p, s, t)
+        return total
+
+    return Wind(NoParams, init, step, value)
+
+
+def linear_unmodelled(
+    params: type,
+    init: Callable[[Params], State],
+    linear: Callable[[Params], LinearSystem],
+    prepare: Callable[[Params], Params] = as_given,
+) -> Unmodelled:
+    """Linear unmodelled dynamics: their step and output follow from the system."""
+
+    def step(values: Params, state: State, command: Scalar, dt: Scalar) -> State:
+        system = linear(values)
+        x, structure = jax.tree.flatten(state)
+        held = hold(system.a, (Forcing(system.b, terms=1),), dt)
+        return structure.unflatten(held.whole.apply(x, ((command,),)))
+
+    def output(values: Params, state: State, command: Scalar) -> Scalar:
+        system = linear(values)
+        return dot((*system.c, system.d), (*jax.tree.leaves(state), command))
+
+    return Unmodelled(params, init, step, output, prepare, linear=linear, smooth=SMOOTH, continuous=True)
