@@ -46,7 +46,7 @@ PRECISIONS = (64, 32)
 def axis() -> dj.Study:
     """1-DOF DSSC with lag, 2000 samples."""
     study = dj.Study.load(find("mu_robustness")).without_sweep()
-    return study.override({"loop.duration": 10.0, "requirement": []})
+    return study.override({"loop.duration": 10.0, "requirement": [], "controller.predictor_start": "matched"})
 
 
 def flight() -> dj.Study:
