@@ -278,6 +278,22 @@ PLANT = Plant(
 """
 
 
+def test_a_plant_that_measures_without_its_input_is_refused(tmp_path, monkeypatch):
+    """As plants of an earlier version did: in one line, before anything is traced."""
+    (tmp_path / "old_models.py").write_text(
+        textwrap.dedent(OWN).replace("lambda params, s, drive:", "lambda params, s:")
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    table = {
+        "name": "own",
+        "loop": {"duration": 1.0, "sample_time": 0.01},
+        "plant": {"kind": "old_models:PLANT"},
+        "controller": {"kind": "pi", "l0": 2.0, "k_p": 3.0, "k_i": 0.0},
+    }
+    with pytest.raises(ConfigError, match=r"measure must take three arguments, \(params, state, input\)"):
+        dj.Study.from_table(table)
+
+
 def test_own_plant_and_controller_by_dotted_name(tmp_path, monkeypatch):
     (tmp_path / "my_models.py").write_text(textwrap.dedent(OWN))
     monkeypatch.syspath_prepend(tmp_path)

@@ -5,6 +5,7 @@ default. A validated table becomes the chosen model and an instance of its param
 and laws.
 """
 
+import inspect
 import types
 import typing
 from dataclasses import dataclass, replace
@@ -15,7 +16,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, create_model
 
-from dssc_jax.core.contracts import Preset, as_given
+from dssc_jax.core.contracts import Plant, Preset, as_given
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, Registry, Slot, single
@@ -230,7 +231,22 @@ def lookup(kind: Any, registry: Registry) -> Entry:
     if not isinstance(model, contract) or (contract is type and not hasattr(model, "_fields")):
         wanted = "a NamedTuple type" if contract is type else f"a {contract.__name__}"
         raise ConfigError("kind", f"'{kind}' must be {wanted}, got {type(model).__name__}")
+    if isinstance(model, Plant):
+        require_measure(kind, model)
     return single(model, "a user's own")
+
+
+def require_measure(kind: str, plant: Plant) -> None:
+    """Require that a plant measures with its input.
+
+    Raises:
+        ConfigError: ``measure`` does not take parameters, state and input.
+    """
+    try:
+        inspect.signature(plant.measure).bind(None, None, None)
+    except TypeError:
+        rule = f"'{kind}': measure must take three arguments, (params, state, input); see docs/extending.md"
+        raise ConfigError("kind", rule) from None
 
 
 def member_of(entry: Entry, table: dict[str, Any]) -> Any:
