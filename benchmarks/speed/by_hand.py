@@ -144,9 +144,9 @@ def axis(n: OneAxis, dt: float, real: type, dialect: Dialect) -> Program:
         x1, x2, z1, z2, u_av, sigma_hat = state
         inner, found, u = control(gains, (u_av, sigma_hat), sums[0], x1 - wanted[0][0], x2, wanted[0], first)
         w1, w2, command = z1 - u, z2 - u, u + d * share
-        x1 = x1 + p[0] * x2 + p[1] * w2 + p[2] * w1 + p[3] * command
-        x2 = x2 + v[0] * x2 + v[1] * w2 + v[2] * w1 + v[3] * command
-        z2 = z2 + w[0] * w2 + w[1] * w1
+        x1 = x1 + (p[0] * x2 + p[1] * w2 + p[2] * w1 + p[3] * command)
+        x2 = x2 + (v[0] * x2 + v[1] * w2 + v[2] * w1 + v[3] * command)
+        z2 = z2 + (w[0] * w2 + w[1] * w1)
         z1 = z1 + w[0] * w1
         return (x1, x2, z1, z2, inner[0], inner[1]), (found,)
 
