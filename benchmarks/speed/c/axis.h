@@ -11,26 +11,36 @@ static const struct {
     double position, velocity, disturbed_from, matched; /* matched: the predictor starts at the first sample's sigma */
 } LOOP = NUMBERS;
 
-/* What differs between draws; decay and steps make the lag's exact solution over half a sample. */
+/* What differs between draws: d, and the exact solution over a sample with command u and disturbance d held.
+
+   Held at u, the lag settles at z = u. Its distance w = z - u from there has no input, and the loop moves as
+   x1' = x2, x2' = k_p (w2 + u + d) - a_p x2, w2' = (w1 - w2)/mu, w1' = -w1/mu.
+   The entries are those of exp(A h) - 1 by row, at x2, w2, w1 and the input u + d; w1 repeats the first of w2. */
 typedef struct {
-    vec k_p, a_p, disturbance, decay, steps;
+    vec disturbance, x1[4], x2[4], z2[2];
 } plant;
+
+#define TERMS 12 /* of the series: h/mu is 1/4 at most, and (1/4)^13/13! is below rounding */
 
 /* drawn: k_p, a_p, mu, d. */
 INLINE plant prepare(const real *drawn, results out) {
-    plant p;
-    p.k_p = lanes_of(drawn, 0, out), p.a_p = lanes_of(drawn, 1, out), p.disturbance = lanes_of(drawn, 3, out);
-    p.steps = R(0.5 * SAMPLE_TIME) / lanes_of(drawn, 2, out);
-    p.decay = p.steps;
-    EACH(i) p.decay[i] = R(exp(-(double)p.steps[i]));
+    const real h = R(SAMPLE_TIME);
+    const vec gain = h * lanes_of(drawn, 0, out), damping = h * lanes_of(drawn, 1, out), rate = h / lanes_of(drawn, 2, out);
+    plant p = {0};
+    p.disturbance = lanes_of(drawn, 3, out);
+    for (int n = TERMS; n > 0; n--) { /* X = A h (1 + X)/n: Horner's rule for the series */
+        const real share = R(1.0 / n);
+        const vec slow = R(1) + p.x2[0], lag = R(1) + p.z2[0];
+        p.x1[0] = share * h * slow;
+        for (int i = 1; i < 4; i++) p.x1[i] = share * h * p.x2[i];
+        p.x2[0] = -share * damping * slow;
+        p.x2[1] = share * (gain * lag - damping * p.x2[1]);
+        p.x2[2] = share * (gain * p.z2[1] - damping * p.x2[2]);
+        p.x2[3] = share * (gain - damping * p.x2[3]);
+        p.z2[1] = share * rate * (lag - p.z2[1]);
+        p.z2[0] = -share * rate * lag;
+    }
     return p;
-}
-
-/* mu z1' = u - z1, mu z2' = z1 - z2 over half a sample with u held. */
-INLINE void half_sample(const plant *p, vec *z, vec u) {
-    vec gap = (z[0] - u) * p->decay;
-    z[1] = u + (z[1] - u) * p->decay + p->steps * gap;
-    z[0] = u + gap;
 }
 
 /* One group of LANES draws. */
@@ -48,26 +58,14 @@ INLINE group start(const real *drawn, const point *wanted, results out) {
 }
 
 INLINE void sample(group *g, const point *wanted, real on, int first_sample, long first, results out) {
-    const real h = R(SAMPLE_TIME);
-    const vec k_p = g->p.k_p, a_p = g->p.a_p, push = g->p.disturbance * on, x = g->x2;
+    const plant *p = &g->p;
+    const vec x = g->x2;
     vec command = control(&LOOP.channel, &g->c, g->x1 - wanted->y, x, wanted, first_sample);
-    vec start = k_p * (g->z[1] + push);
-    half_sample(&g->p, g->z, command);
-    vec middle = k_p * (g->z[1] + push);
-    half_sample(&g->p, g->z, command);
-    vec end = k_p * (g->z[1] + push);
-#if EULER
-    (void)middle, (void)end;
-    g->x2 += h * (start - a_p * x);
-    g->x1 += h * g->x2;
-#else
-    vec s1 = start - a_p * x, v2 = x + h / 2 * s1; /* slope of x2, and x2, stage by stage */
-    vec s2 = middle - a_p * v2, v3 = x + h / 2 * s2;
-    vec s3 = middle - a_p * v3, v4 = x + h * s3;
-    vec s4 = end - a_p * v4;
-    g->x1 += h / 6 * (x + R(2) * (v2 + v3) + v4);
-    g->x2 += h / 6 * (s1 + R(2) * (s2 + s3) + s4);
-#endif
+    vec w1 = g->z[0] - command, w2 = g->z[1] - command, input = command + p->disturbance * on;
+    g->x1 += p->x1[0] * x + p->x1[1] * w2 + p->x1[2] * w1 + p->x1[3] * input;
+    g->x2 += p->x2[0] * x + p->x2[1] * w2 + p->x2[2] * w1 + p->x2[3] * input;
+    g->z[1] += p->z2[0] * w2 + p->z2[1] * w1;
+    g->z[0] += p->z2[0] * w1;
     vec sum = g->x1 + g->x2 + g->z[0] + g->z[1] + g->c.u_av + g->c.sigma_hat;
     survive(&g->s, above(fill(LARGEST), size(sum)), ALL, out, first);
 }
