@@ -11,6 +11,7 @@ from tests.conftest import UNCERTAIN
 LOOP = {
     **UNCERTAIN,
     "draws": 60,
+    "controller": UNCERTAIN["controller"] | {"predictor_start": "midpoint"},  # in sliding from the first sample
     "plant": {"kind": "normal_form", "k_p": {"uniform": [0.8, 1.2]}, "a_p": {"uniform": [0.9, 1.1]}},
     "requirement": [{"metric": "error_rms", "after": 2.0, "max": 0.2}],
 }

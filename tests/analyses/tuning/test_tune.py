@@ -133,7 +133,12 @@ def test_evolution_where_derivatives_are_useless(study, monkeypatch):
 
 def test_counterexamples(study):
     """Eight draws do not show the worst corner: the hunt does, and the next round meets the requirement there."""
-    effort = {"tune.objective": {"command_tv": 1.0}, "tune.aggregate": "mean", "tune.limits": {}}
+    effort = {
+        "controller.discretisation": "implicit",
+        "tune.objective": {"command_tv": 1.0},
+        "tune.aggregate": "mean",
+        "tune.limits": {},
+    }
     few = {"tune.draws": 8, "tune.validation": 8, "tune.steps": 20}
     hard = study.override({"requirement": [{"metric": "error_max", "after": 2.5, "max": 0.25}], **effort, **few})
     found = dj.tune(hard, robust=True, rounds=4, budget=64)
