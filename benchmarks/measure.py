@@ -75,7 +75,7 @@ def draw_discretisation(found: dict[tuple[float, str], tuple[float, float]]) -> 
         for form, colour, marker in (("explicit", plotting.RED, "s"), ("implicit", plotting.BLUE, "o")):
             cells = sorted((dt, values) for (dt, other), values in found.items() if other == form)
             times = 1e3 * np.array([dt for dt, _ in cells])
-            text = f"{form} Euler" + (" (default)" if form == "implicit" else "")
+            text = f"{form} Euler"
             left.semilogx(times, [rms for _, (rms, _) in cells], marker=marker, color=colour, label=text)
             right.loglog(times, [tv for _, (_, tv) in cells], marker=marker, color=colour, label=text)
         limit = found[1e-5, "implicit"][0]
