@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
 BIN := $(VENV)/bin
-QUICK := $(addprefix tests/,engine/test_batching.py backend closed_loop/test_settled.py test_protocols.py cli/test_commands.py)
+QUICK := $(addprefix tests/,engine/test_batching.py lanes closed_loop/test_settled.py test_protocols.py cli/test_commands.py)
 
 # Each command and many tests are processes of their own: they read the modules' bytecode instead of compiling them again.
 unexport PYTHONDONTWRITEBYTECODE

@@ -15,9 +15,9 @@ from page import put
 from scipy import special, stats
 
 import dssc_jax as dj
+from dssc_jax.analyses.rare_events.splitting import Margin, split
 from dssc_jax.analyses.sensitivity.outputs import refusal
 from dssc_jax.analyses.sensitivity.sobol import saltelli, sobol_indices
-from dssc_jax.analyses.splitting import Margin, split
 from dssc_jax.engine.sampling import latin_design, sobol_points
 from dssc_jax.statistics import (
     DataDriven,

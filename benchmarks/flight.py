@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 
 import dssc_jax as dj
 from benchmarks.page import put
-from dssc_jax.flight.cost import parameter_bytes, state_bytes, step_cost
-from dssc_jax.flight.folder import FlightFolder
-from tests.flight.test_code import cases, table
+from dssc_jax.flight_code.cost import parameter_bytes, state_bytes, step_cost
+from dssc_jax.flight_code.folder import FlightFolder
+from tests.flight_code.test_code import cases, table
 
 PAGE = Path(__file__).parents[1] / "docs" / "flight.md"
 BENCHES = {

@@ -14,12 +14,12 @@ from scipy import interpolate, signal, special, stats
 
 import dssc_jax as dj
 from benchmarks.page import put
-from dssc_jax.analyses.flight_explained import FitRefused
-from dssc_jax.analyses.flight_fit import fit_log
-from dssc_jax.analyses.flight_residual import fit_scale
 from dssc_jax.engine.sampling import draw
-from dssc_jax.flight.replay import curves_of_draws
-from dssc_jax.study.flight_logs import Column, FlightLog
+from dssc_jax.flight_logs.explanation import FitRefused
+from dssc_jax.flight_logs.fit import fit_log
+from dssc_jax.flight_logs.reader import Column, FlightLog
+from dssc_jax.flight_logs.replay import curves_of_draws
+from dssc_jax.flight_logs.residual import fit_scale
 
 PAGE = Path(__file__).parents[1] / "docs" / "flight.md"
 STD = 0.005  # of white noise, and of correlated noise [m]

@@ -27,12 +27,12 @@ from jax.interpreters import mlir
 from page import put
 
 import dssc_jax as dj
-from dssc_jax.backend.forms import Form
-from dssc_jax.backend.interface import AXIS
-from dssc_jax.backend.kernels import LANES, WARPS, in_registers
 from dssc_jax.closed_loop.metrics import starts
 from dssc_jax.closed_loop.sample import initial_state
 from dssc_jax.engine.batching import Engine, drawn, medians, simulated
+from dssc_jax.lanes.forms import Form
+from dssc_jax.lanes.interface import AXIS
+from dssc_jax.lanes.kernels import LANES, WARPS, in_registers
 from dssc_jax.study.library import find
 
 PAGE = Path(__file__).parents[1] / "docs" / "gpu.md"

@@ -23,15 +23,15 @@ import xarray as xr
 
 import dssc_jax as dj
 from benchmarks.page import put
-from dssc_jax.backend import machine
-from dssc_jax.backend.needed import reachable
-from dssc_jax.backend.opposites import loops_of
-from dssc_jax.backend.program import Value, all_blocks
-from dssc_jax.backend.traced_lanes import TracedLanes
-from dssc_jax.cache.user_cache import CACHE_VARIABLE
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Engine, drawn, evaluate, simulated
 from dssc_jax.engine.reference import agreement, computed_again
+from dssc_jax.lanes import machine
+from dssc_jax.lanes.cache.user_cache import CACHE_VARIABLE
+from dssc_jax.lanes.needed import reachable
+from dssc_jax.lanes.opposites import loops_of
+from dssc_jax.lanes.program import Value, all_blocks
+from dssc_jax.lanes.traced_lanes import TracedLanes
 from dssc_jax.study.library import available_studies
 
 PAGE = Path(__file__).parents[1] / "docs" / "lanes.md"

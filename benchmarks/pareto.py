@@ -17,8 +17,8 @@ import dssc_jax as dj
 from dssc_jax import plotting
 from dssc_jax.analyses.comparison.rivals import controller_table
 from dssc_jax.analyses.comparison.tuning import STATE_DEPENDENT
-from dssc_jax.analyses.falsification import hunt
-from dssc_jax.analyses.hunt import Programs
+from dssc_jax.analyses.falsification.falsify import hunt
+from dssc_jax.analyses.falsification.hunt import Programs
 from dssc_jax.analyses.tuning.gradients import check_gradients
 from dssc_jax.analyses.tuning.plan import Plan
 from dssc_jax.analyses.tuning.problem import Problem

@@ -45,8 +45,8 @@ ALLOWED = {
     "cli/compiling.py": {"TemporaryDirectory"},  # private to the process
     "cli/simulation.py": {"trajectory.to_dataframe().to_csv"},  # into the writer's file
     "exploration/serving.py": {"TemporaryDirectory", "webbrowser.open"},  # private to the process
-    "flight/bench_text.py": {"(files('dssc_jax.flight') / 'bench.c').read_text"},  # of the package
-    "flight/fmu.py": {"(files('dssc_jax.flight') / WRAPPER).read_text", "zipfile.ZipFile"},  # in memory
+    "flight_code/bench_text.py": {"(files('dssc_jax.flight_code') / 'bench.c').read_text"},  # of the package
+    "flight_code/fmu.py": {"(files('dssc_jax.flight_code') / WRAPPER).read_text", "zipfile.ZipFile"},  # in memory
     "plotting/style.py": {"figure.savefig"},  # into the writer's file
     "report/vector.py": {"draw().savefig"},  # in memory
     "results/analysis_folder.py": {"plain.to_zarr", "xr.open_zarr"},  # with ArrayFiles
@@ -54,13 +54,13 @@ ALLOWED = {
     "results/export.py": {"data.to_netcdf", "parquet.ParquetWriter", "piece.to_csv", "savemat"},  # the writer's file
     "results/first_schema.py": {"open_group"},  # with ArrayFiles
     "results/lock.py": {"FileLock"},  # of a file that the writer has checked
-    "study/flight_logs.py": {"ULog"},  # from memory
+    "flight_logs/reader.py": {"ULog"},  # from memory
     "study/recorded.py": {"pd.read_csv", "pd.read_parquet"},  # from memory
     "analyses/margins/result.py": {"dataset.rename"},  # no file
 }
 """Calls with such a name that stay outside of the writer, by module, each with its reason."""
 
-PRINTING = {"cache", "cli"}
+PRINTING = {"cli", "lanes"}
 """Layers that may print; ``console`` has consoles for it."""
 
 FILES = sorted(ROOT.rglob("*.py"))

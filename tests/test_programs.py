@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.backend.plain import plain_options
 from dssc_jax.core.contracts import Disturbance
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.engine.batching import simulated
 from dssc_jax.engine.reference import agreement, computed_again, lane_numbers
+from dssc_jax.lanes.plain import plain_options
 from dssc_jax.models.controllers import CONTROLLERS, DIFFERENTIATORS
 from dssc_jax.models.environment import DISTURBANCES, REFERENCES, SENSORS
 from dssc_jax.models.unmodelled import UNMODELLED

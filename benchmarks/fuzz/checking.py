@@ -13,12 +13,12 @@ from benchmarks.fuzz.generate import SINGLES
 from benchmarks.fuzz.program import Kind, Program, abstract, scalars, text
 from benchmarks.fuzz.referee import Referee
 from benchmarks.fuzz.values import column
-from dssc_jax.backend import forms
-from dssc_jax.backend.interface import AXIS
-from dssc_jax.backend.lanes import CompiledLanes
-from dssc_jax.backend.program import Builder
-from dssc_jax.backend.translate import Translator, traced_program
-from dssc_jax.backend.unsupported import Unsupported
+from dssc_jax.lanes import forms
+from dssc_jax.lanes.interface import AXIS
+from dssc_jax.lanes.lanes import CompiledLanes
+from dssc_jax.lanes.program import Builder
+from dssc_jax.lanes.translate import Translator, traced_program
+from dssc_jax.lanes.unsupported import Unsupported
 
 LANES_OF_SINGLES, LANES = 965, 193  # no whole numbers of vectors
 SECOND_TRIAL = 64

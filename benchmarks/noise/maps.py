@@ -7,7 +7,7 @@ import xarray as xr
 
 import dssc_jax as dj
 from benchmarks.noise.forms import ROOT
-from dssc_jax.analyses.noise_spectrum import noise_spectrum
+from dssc_jax.analyses.noise_spectrum.spectrum import noise_spectrum
 from dssc_jax.statistics import clopper_pearson
 from dssc_jax.statistics.paired import FailureDifference, compare_failures
 

@@ -30,8 +30,8 @@ from benchmarks.speed.others import Other, Start
 from benchmarks.speed.scaling import Run
 from benchmarks.speed.workloads import ALLOWED, Case
 from dssc_jax import plotting
-from dssc_jax.backend.machine import vector_bits
 from dssc_jax.console.environment import machine
+from dssc_jax.lanes.machine import vector_bits
 
 DOCS = ROOT / "docs"
 PURPLE = "#CC79A7"  # of the same palette as the others, for readers who confuse colours

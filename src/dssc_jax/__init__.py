@@ -11,21 +11,22 @@ if TYPE_CHECKING:
     from dssc_jax import design, report
     from dssc_jax import plotting as plot
     from dssc_jax.analyses import theory
-    from dssc_jax.analyses.classical import LoopMargins, loop_margins
     from dssc_jax.analyses.comparison import Comparison, MarginContest, compare, compare_margins
-    from dssc_jax.analyses.falsification import Falsified, falsify
-    from dssc_jax.analyses.flight_log import LogComparison, compare_log
+    from dssc_jax.analyses.falsification.falsify import Falsified, falsify
     from dssc_jax.analyses.loading import load
+    from dssc_jax.analyses.loop_margins import LoopMargins, loop_margins
     from dssc_jax.analyses.margins import Margins, margin
-    from dssc_jax.analyses.noise_spectrum import noise_spectrum
-    from dssc_jax.analyses.rare_events import RareEvent, rare
-    from dssc_jax.analyses.region import RegionAxis, SafeRegion, region
+    from dssc_jax.analyses.noise_spectrum.spectrum import noise_spectrum
+    from dssc_jax.analyses.rare_events.rare import RareEvent, rare
+    from dssc_jax.analyses.rare_events.splitting import Splitting
+    from dssc_jax.analyses.region.safe_region import RegionAxis, SafeRegion, region
     from dssc_jax.analyses.sensitivity import Sensitivity, sensitivity
-    from dssc_jax.analyses.splitting import Splitting
     from dssc_jax.analyses.tuning import Tuned, tune
     from dssc_jax.core.errors import ConfigError
     from dssc_jax.engine.integration import IntegrationError, integration_error
     from dssc_jax.exploration import explore
+    from dssc_jax.flight_logs.comparison import LogComparison, compare_log
+    from dssc_jax.flight_logs.reader import FlightLog, read_log
     from dssc_jax.proofs.prove import Proved, check_certificate, prove
     from dssc_jax.proofs.reach import ProvedReach, proved_up_to
     from dssc_jax.results.analysis import Analysis
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
     from dssc_jax.runs.verify import verify
     from dssc_jax.statistics import AcceptReject, UntilWidth, plan
     from dssc_jax.study import Study
-    from dssc_jax.study.flight_logs import FlightLog, read_log
     from dssc_jax.study.systems import plant_table
 
 __version__ = "0.1.0"
@@ -110,25 +110,25 @@ _HOME = {
     "load": "dssc_jax.analyses.loading",
     "Analysis": "dssc_jax.results.analysis",
     "MarginContest": "dssc_jax.analyses.comparison",
-    "RareEvent": "dssc_jax.analyses.rare_events",
+    "RareEvent": "dssc_jax.analyses.rare_events.rare",
     "Sensitivity": "dssc_jax.analyses.sensitivity",
     "Comparison": "dssc_jax.analyses.comparison",
     "compare": "dssc_jax.analyses.comparison",
     "compare_margins": "dssc_jax.analyses.comparison",
-    "LogComparison": "dssc_jax.analyses.flight_log",
-    "compare_log": "dssc_jax.analyses.flight_log",
-    "FlightLog": "dssc_jax.study.flight_logs",
-    "read_log": "dssc_jax.study.flight_logs",
-    "LoopMargins": "dssc_jax.analyses.classical",
-    "loop_margins": "dssc_jax.analyses.classical",
+    "LogComparison": "dssc_jax.flight_logs.comparison",
+    "compare_log": "dssc_jax.flight_logs.comparison",
+    "FlightLog": "dssc_jax.flight_logs.reader",
+    "read_log": "dssc_jax.flight_logs.reader",
+    "LoopMargins": "dssc_jax.analyses.loop_margins",
+    "loop_margins": "dssc_jax.analyses.loop_margins",
     "Margins": "dssc_jax.analyses.margins",
     "margin": "dssc_jax.analyses.margins",
-    "noise_spectrum": "dssc_jax.analyses.noise_spectrum",
-    "RegionAxis": "dssc_jax.analyses.region",
-    "SafeRegion": "dssc_jax.analyses.region",
-    "region": "dssc_jax.analyses.region",
-    "Falsified": "dssc_jax.analyses.falsification",
-    "falsify": "dssc_jax.analyses.falsification",
+    "noise_spectrum": "dssc_jax.analyses.noise_spectrum.spectrum",
+    "RegionAxis": "dssc_jax.analyses.region.safe_region",
+    "SafeRegion": "dssc_jax.analyses.region.safe_region",
+    "region": "dssc_jax.analyses.region.safe_region",
+    "Falsified": "dssc_jax.analyses.falsification.falsify",
+    "falsify": "dssc_jax.analyses.falsification.falsify",
     "Tuned": "dssc_jax.analyses.tuning",
     "tune": "dssc_jax.analyses.tuning",
     "Proved": "dssc_jax.proofs.prove",
@@ -151,8 +151,8 @@ _HOME = {
     "plan": "dssc_jax.statistics",
     "plant_table": "dssc_jax.study.systems",
     "sensitivity": "dssc_jax.analyses.sensitivity",
-    "rare": "dssc_jax.analyses.rare_events",
-    "Splitting": "dssc_jax.analyses.splitting",
+    "rare": "dssc_jax.analyses.rare_events.rare",
+    "Splitting": "dssc_jax.analyses.rare_events.splitting",
 }
 _MODULES = {
     "design": "dssc_jax.design",

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 import dssc_jax as dj
 from dssc_jax.analyses.loading import KINDS, class_of
 from dssc_jax.cli import guarded
+from dssc_jax.flight_logs.reader import Column
 from dssc_jax.results.analysis_folder import plain_sums_of
 from dssc_jax.results.manifest import write_json, write_sealed
-from dssc_jax.study.flight_logs import Column
 from tests.loops import LAGGED
 
 TABLE = LAGGED | {

@@ -8,10 +8,10 @@ import pytest
 import zarr
 
 import dssc_jax as dj
-from dssc_jax.backend.lanes import LaneBatch
 from dssc_jax.cli import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.reference import TOLERANCE, deviations
+from dssc_jax.lanes.lanes import LaneBatch
 from tests.conftest import UNCERTAIN
 from tests.forging import redigested, without_digests
 from tests.results.test_durability import SMALL

@@ -17,12 +17,12 @@ KINDS = {
     "margins": "dssc_jax.analyses.comparison:MarginContest",
     "compare": "dssc_jax.analyses.comparison:Comparison",
     "sensitivity": "dssc_jax.analyses.sensitivity:Sensitivity",
-    "rare": "dssc_jax.analyses.rare_events:RareEvent",
-    "falsify": "dssc_jax.analyses.falsification:Falsified",
+    "rare": "dssc_jax.analyses.rare_events.rare:RareEvent",
+    "falsify": "dssc_jax.analyses.falsification.falsify:Falsified",
     "tune": "dssc_jax.analyses.tuning:Tuned",
-    "loop": "dssc_jax.analyses.classical:LoopMargins",
-    "region": "dssc_jax.analyses.region:SafeRegion",
-    "compare-log": "dssc_jax.analyses.flight_log:LogComparison",
+    "loop": "dssc_jax.analyses.loop_margins:LoopMargins",
+    "region": "dssc_jax.analyses.region.safe_region:SafeRegion",
+    "compare-log": "dssc_jax.flight_logs.comparison:LogComparison",
     "theory": "dssc_jax.analyses.theory:Assessment",
 }
 """The class of each kind of analysis, imported when needed."""

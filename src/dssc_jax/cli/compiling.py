@@ -5,7 +5,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from dssc_jax.core import files
-from dssc_jax.flight.fmu import LIBRARY_FLAGS, ControllerFmu, compiler, no_library_reason
+from dssc_jax.flight_code.fmu import LIBRARY_FLAGS, ControllerFmu, compiler, no_library_reason
 
 
 def built_library(fmu: ControllerFmu) -> tuple[bytes | None, str | None]:

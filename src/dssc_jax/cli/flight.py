@@ -22,8 +22,8 @@ from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 
 if TYPE_CHECKING:
+    from dssc_jax.flight_logs.reader import FlightLog
     from dssc_jax.study import Study
-    from dssc_jax.study.flight_logs import FlightLog
 
 
 @app.command()
@@ -49,7 +49,7 @@ def code(
     """
     from dssc_jax.cli.compiling import built_library
     from dssc_jax.console.flight import show_code
-    from dssc_jax.flight.folder import FlightFolder
+    from dssc_jax.flight_code.folder import FlightFolder
 
     folder = FlightFolder(load_study(study, settings, None, None, allow_local))
     attempt(out, lambda: files.make_folder(out))
@@ -117,12 +117,12 @@ def compare_log(
     With --fit the plant's numbers are estimated instead, and their laws are proposed as TOML. The exit code is 1, with
     the reason, if the flight does not tell them, or if the study does not describe the flight.
     """
-    from dssc_jax.analyses.flight_log import compare_log as compare
     from dssc_jax.console.flight import show_log_comparison
     from dssc_jax.console.terminal import progress_bar
+    from dssc_jax.flight_logs.comparison import compare_log as compare
+    from dssc_jax.flight_logs.reader import read_log
     from dssc_jax.results.analysis_folder import require_free
     from dssc_jax.study import read_toml
-    from dssc_jax.study.flight_logs import read_log
 
     if number and not fit:
         raise ConfigError("--number", "is a number to estimate, and needs --fit")
@@ -151,10 +151,10 @@ def compare_log(
 
 def fitted_laws(study: "Study", flown: "FlightLog", names: list[str], out: Path | None, as_json: bool) -> int:
     """Estimate the numbers, print or write their laws, and say if the flight does not support that."""
-    from dssc_jax.analyses.flight_explained import FitRefused
-    from dssc_jax.analyses.flight_fit import NotIdentifiable, fit_log
     from dssc_jax.console.flight import show_fit
     from dssc_jax.console.terminal import output
+    from dssc_jax.flight_logs.explanation import FitRefused
+    from dssc_jax.flight_logs.fit import NotIdentifiable, fit_log
 
     try:
         fitted = fit_log(study, flown, names)

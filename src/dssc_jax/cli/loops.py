@@ -39,7 +39,7 @@ def loop(
     of all draws meet with 95 % confidence (Wilks); draws Bode, Nyquist and sensitivity fans. A vehicle hovers, or is
     linearised along its flight with --at. The study's [sweep] is ignored.
     """
-    from dssc_jax.analyses.classical import loop_margins
+    from dssc_jax.analyses.loop_margins import loop_margins
     from dssc_jax.console.loops import show_loop
     from dssc_jax.console.terminal import progress_bar
     from dssc_jax.results.analysis_folder import require_free

@@ -9,12 +9,12 @@ from dssc_jax.cli.common import DONE, app, assignment, default_out, load_study, 
 from dssc_jax.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from dssc_jax.analyses.region import RegionAxis
+    from dssc_jax.analyses.region.safe_region import RegionAxis
 
 
 def parse_axis(text: str) -> "RegionAxis":
     """Parse a number and its range from ``NAME=LO:HI[:log]``."""
-    from dssc_jax.analyses.region import RegionAxis
+    from dssc_jax.analyses.region.safe_region import RegionAxis
 
     name, value = assignment(text, "--over")
     low, colon, rest = value.partition(":")
@@ -48,7 +48,7 @@ def region(
     The confidence holds for all points together. The figure also has the points that Theorem 1 certifies. The
     study's [sweep] is ignored.
     """
-    from dssc_jax.analyses.region import region as search
+    from dssc_jax.analyses.region.safe_region import region as search
     from dssc_jax.console.regions import show_region
     from dssc_jax.console.terminal import progress_bar
     from dssc_jax.results.analysis_folder import require_free

@@ -107,8 +107,8 @@ def rare(
     interval comes from independent repeats; plain draws show where it cannot be right. The study's [sweep]
     and its number of draws are ignored.
     """
-    from dssc_jax.analyses.rare_events import rare as estimate
-    from dssc_jax.analyses.splitting import Splitting
+    from dssc_jax.analyses.rare_events.rare import rare as estimate
+    from dssc_jax.analyses.rare_events.splitting import Splitting
     from dssc_jax.console.analyses import show_rare
     from dssc_jax.console.terminal import progress_bar
     from dssc_jax.results.analysis_folder import require_free

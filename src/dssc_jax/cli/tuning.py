@@ -93,7 +93,7 @@ def falsify(
     Exit 1 where one fails. The witness is written as a study (witness.toml, for `simulate`) and as a result of that one
     draw (the folder witness, for `replay`).
     """
-    from dssc_jax.analyses.falsification import falsify as hunt
+    from dssc_jax.analyses.falsification.falsify import falsify as hunt
     from dssc_jax.console.searches import show_falsification
     from dssc_jax.console.terminal import progress_bar
     from dssc_jax.results.analysis_folder import require_free

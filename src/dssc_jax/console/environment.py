@@ -28,8 +28,8 @@ def environment() -> dict[str, Any]:
     """Versions, devices, compiler and registries."""
     import jax
 
-    from dssc_jax.backend import forms
     from dssc_jax.console.kinds import kinds
+    from dssc_jax.lanes import forms
     from dssc_jax.study.measuring import KNOWN
 
     packages = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy", "xarray", "zarr", "optax")

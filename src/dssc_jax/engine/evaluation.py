@@ -11,10 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.backend.forms import Form
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine.batching import BLOCK, Arrays, Engine, Lane, drawn, evaluate, simulated
+from dssc_jax.lanes.forms import Form
 from dssc_jax.study import Study
 
 NOT_DIFFERENTIATED = ("outcome", "failed_at", "settled_at")

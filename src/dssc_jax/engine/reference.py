@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from dssc_jax.backend.plain import plain_options
 from dssc_jax.engine.batching import Arrays, Lanes, lane_numbers, simulated
+from dssc_jax.lanes.plain import plain_options
 from dssc_jax.statistics.order import typical_size
 from dssc_jax.study import Study
 from dssc_jax.study.laws import Law

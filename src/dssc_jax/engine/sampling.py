@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
-from dssc_jax.backend.lanes import CompiledLanes
 from dssc_jax.core.numerics import stream
+from dssc_jax.lanes.lanes import CompiledLanes
 from dssc_jax.study import Study
 
 OUTERMOST_LEVEL = 2.0**-53  # keeps quantiles of unbounded laws finite

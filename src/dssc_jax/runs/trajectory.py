@@ -8,7 +8,6 @@ import jax
 import numpy as np
 import xarray as xr
 
-from dssc_jax.backend import forms
 from dssc_jax.closed_loop.draw import Run, simulate_recorded
 from dssc_jax.closed_loop.sample import Recorded
 from dssc_jax.core.errors import ConfigError, nearest
@@ -16,6 +15,7 @@ from dssc_jax.core.numerics import arithmetic
 from dssc_jax.engine.batching import drawn
 from dssc_jax.engine.reference import Agreement, agreement
 from dssc_jax.engine.sampling import draw_key
+from dssc_jax.lanes import forms
 from dssc_jax.results.schema import outcome_codes, variables, verdict
 from dssc_jax.study import Study
 

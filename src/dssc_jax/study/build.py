@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import jax
 from pydantic import BaseModel, ValidationError
 
-from dssc_jax.cache.user_cache import remembered
 from dssc_jax.closed_loop.infos import first_infos
 from dssc_jax.closed_loop.loop import Loop, LoopParams, Settled
 from dssc_jax.closed_loop.metrics import Measure, available_metrics
@@ -23,6 +22,7 @@ from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.quantities import extent
 from dssc_jax.core.registry import single
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
+from dssc_jax.lanes.cache.user_cache import remembered
 from dssc_jax.models.controllers import CONTROLLERS, DIFFERENTIATORS
 from dssc_jax.models.environment import DISTURBANCES, REFERENCES, SENSORS, TRAJECTORIES, WINDS
 from dssc_jax.models.plants import PLANTS

@@ -9,11 +9,11 @@ import dssc_jax as dj
 from dssc_jax.analyses.tuning.gradients import check_gradients, compare_derivatives
 from dssc_jax.analyses.tuning.plan import Plan
 from dssc_jax.analyses.tuning.problem import Problem
-from dssc_jax.backend.plain import plain_options
 from dssc_jax.core.signals import Measurement, ReferencePoint
 from dssc_jax.engine import evaluation
 from dssc_jax.engine.batching import simulated
 from dssc_jax.engine.evaluation import Derivative, Evaluator, GradientEvaluator
+from dssc_jax.lanes.plain import plain_options
 from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.study.components import parse_component
 from tests.analyses.tuning.cases import SMALL

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy import linalg, optimize, special
 
-from dssc_jax.backend.lanes import CompiledLanes
 from dssc_jax.core.vectors import Vec3
+from dssc_jax.lanes.lanes import CompiledLanes
 from dssc_jax.models.environment import wind
 from tests.models.environment.test_wind import TABLES, arrays, held_at, parsed
 from tests.tolerances import ROUNDING

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from dssc_jax.analyses.smooth_parts import declared_place, substituted
+from dssc_jax.analyses.linearisation.smooth_parts import declared_place, substituted
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.sample import LoopState, initial_state, step
 from dssc_jax.core.contracts import Unmodelled

@@ -10,10 +10,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
+from dssc_jax.analyses.linearisation.part_slopes import examination
+from dssc_jax.analyses.linearisation.smooth_parts import (
+    declared_places,
+    require_smooth_there,
+    stated,
+    substituted,
+    with_inner_sides,
+)
 from dssc_jax.analyses.margins import Margins, Walk, search_critical
 from dssc_jax.analyses.margins.simulated import checked_walk, placed, require_spread
-from dssc_jax.analyses.part_slopes import examination
-from dssc_jax.analyses.smooth_parts import declared_places, require_smooth_there, stated, substituted, with_inner_sides
 from dssc_jax.analyses.theory.linearised import (
     AtRest,
     at_rest,
@@ -22,10 +28,10 @@ from dssc_jax.analyses.theory.linearised import (
     require_continuous,
     start_at_rest,
 )
-from dssc_jax.backend.plain import plain_options
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Arrays, drawn
+from dssc_jax.lanes.plain import plain_options
 from dssc_jax.study import Study
 from dssc_jax.study.laws import SPREAD
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from dssc_jax.analyses.defaults import BUDGET, ROUNDS
-from dssc_jax.analyses.falsification import falsify, require_hunt
+from dssc_jax.analyses.falsification.falsify import falsify, require_hunt
 from dssc_jax.analyses.tuning.gradients import GradientAgreement, check_gradients
 from dssc_jax.analyses.tuning.plan import EVOLUTION, Plan
 from dssc_jax.analyses.tuning.problem import Problem

@@ -1,0 +1,276 @@
+"""Search for the worst draw: within the laws' support, within k sigma, or within a given probability.
+
+The search uses standardised coordinates (:mod:`dssc_jax.analyses.falsification.search_sets`): the quantile levels of
+the laws, or their standard normal scores. Every draw comes with its likelihood, from the same scores. Knots of a
+disturbance or a wind that is a ``spline`` are treated like other numbers, so signals need no special treatment. In-
+loop noise is that of draw 0, and the likelihood leaves it out.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from dssc_jax import plotting
+from dssc_jax.analyses.defaults import BUDGET, LEAST_BUDGET, MOST_BUDGET
+from dssc_jax.analyses.falsification.hunt import Hunt, Programs, Seen
+from dssc_jax.analyses.falsification.search_sets import ScoreBall, SearchSet, search_set
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.results.analysis import Analysis
+from dssc_jax.results.analysis_folder import Stored
+from dssc_jax.statistics import Likelihood, mass_within
+from dssc_jax.study import Study
+
+DESIGN = ("sampling", "replicates", "correlation")  # settings of a study for all its draws together
+
+
+@dataclass(eq=False)
+class Falsified(Analysis):
+    """The worst draw found.
+
+    The dataset has every simulated point, along ``point``: its numbers; its ``slack``, that of the worst requirement
+    relative to its bound, or for a bound of 0 to its median over the first points, negative if the draw fails;
+    ``binding``, the index of that requirement; ``distance_to_bound``, its slack in the metric's unit;
+    ``simulations``, the number spent so far; and its likelihood, as ``distance``, ``log_density`` and ``mass``
+    (:class:`dssc_jax.statistics.Likelihood`). A simulation with derivatives counts once, and once more for each
+    derivative.
+
+    Args:
+        within: Distance from the median draw within which the search stayed, in sigma; None for the whole support.
+        seconds: Computing time.
+    """
+
+    kind = "falsify"
+    title = "The worst draw"
+    table = ("point",)
+
+    within: float | None
+    seconds: float
+
+    @classmethod
+    def of(cls, region: SearchSet, seen: Sequence[Seen], seconds: float) -> Self:
+        """Collect the simulated points in the order of the search."""
+        points, slacks, binding, signed, spent = (np.concatenate(parts) for parts in zip(*seen, strict=True))
+        study, distances = region.study, region.distances(points)
+        columns = {
+            "slack": (slacks, "1", "signed slack"),
+            "binding": (binding, "1", "index of the worst requirement"),
+            "distance_to_bound": (signed, "", "slack of the worst requirement in its metric's unit"),
+            "simulations": (spent, "1", "simulations spent until then"),
+            "distance": (distances, "1", "distance from the median draw in standard normal scores"),
+            "log_density": (-0.5 * distances**2, "1", "logarithm of the scores' density relative to the mode"),
+            "mass": (mass_within(distances, region.size), "1", "probability of a draw at most this far"),
+        }
+        for name, column in region.values(points).items():
+            columns[name] = (column, study.quantities[name].unit, study.quantities[name].meaning)
+        described = {
+            name: ("point", column, {"units": unit, "long_name": meaning})
+            for name, (column, unit, meaning) in columns.items()
+        }
+        within = region.radius if isinstance(region, ScoreBall) else None
+        return cls(study, xr.Dataset(described, attrs={"title": study.name}), within, seconds)
+
+    @property
+    def worst(self) -> int:
+        """Index of the worst point."""
+        return int(np.argmin(self.dataset["slack"].values))
+
+    @property
+    def witness(self) -> dict[str, float]:
+        """Value of each uncertain number at the worst point."""
+        return self.numbers_at(self.worst)
+
+    @property
+    def likelihood(self) -> Likelihood:
+        """How likely the worst point is."""
+        return self.likelihood_at(self.worst)
+
+    @property
+    def nearest_failure(self) -> int | None:
+        """Index of the likeliest failure among the simulated points; None if there is none.
+
+        Its distance is an upper bound of that of the likeliest failure of all, known as the design point.
+        """
+        failed = self.dataset["slack"].values < 0.0
+        distances = np.where(failed, self.dataset["distance"].values, np.inf)
+        return int(np.argmin(distances)) if failed.any() else None
+
+    def numbers_at(self, point: int) -> dict[str, float]:
+        """Value of each uncertain number at a point."""
+        return {name: float(self.dataset[name][point]) for name in self.study.laws}
+
+    def likelihood_at(self, point: int) -> Likelihood:
+        """How likely a point is."""
+        return Likelihood(float(self.dataset["distance"][point]), len(self.study.laws))
+
+    @property
+    def slack(self) -> float:
+        """Slack of the worst point."""
+        return float(self.dataset["slack"][self.worst])
+
+    def binding_at(self, point: int) -> str | None:
+        """The worst requirement of a point; None if its draw ends early, which violates all."""
+        if self.dataset["slack"].values[point] == -np.inf:
+            return None
+        return self.study.requirements[int(self.dataset["binding"][point])].text
+
+    def value_at(self, point: int) -> str | None:
+        """The metric of the worst requirement of a point, with its unit; None if its draw ends early."""
+        if self.binding_at(point) is None:
+            return None
+        requirement = self.study.requirements[int(self.dataset["binding"][point])]
+        slack = float(self.dataset["distance_to_bound"][point])
+        value = requirement.bound - slack if requirement.maximum is not None else requirement.bound + slack
+        return f"{value:.4g} {requirement.measure.unit}".removesuffix(" 1")
+
+    @property
+    def simulations(self) -> int:
+        """Number of simulations spent."""
+        return int(self.dataset["simulations"][-1])
+
+    @property
+    def first_failure(self) -> int | None:
+        """The number of simulations until the first failure was found; None if there was none."""
+        failed = np.flatnonzero(self.dataset["slack"].values < 0.0)
+        return int(self.dataset["simulations"][failed[0]]) if failed.size else None
+
+    @property
+    def witness_study(self) -> Study:
+        """The study of the witness alone, as draw 0: numbers replace the laws, and no design of draws is left."""
+        table = {name: value for name, value in self.study.table.items() if name not in DESIGN}
+        return Study.from_table({**table, "draws": 1}, self.study.source).override(self.witness)
+
+    @property
+    def headline(self) -> str:
+        """The answer in one line."""
+        value, worst = self.value_at(self.worst), self.binding_at(self.worst)
+        ending = "ends early" if value is None else f"has {value} where {worst} is required"
+        verdict = "fails" if self.slack < 0.0 else "passes"
+        region = "" if self.within is None else f" within {self.within:.4g} sigma"
+        place = f"at {self.likelihood.distance:.3g} sigma"
+        return f"the worst of {self.simulations:,} simulations{region} {verdict} {place}: it {ending}"
+
+    def figure(self) -> Figure:
+        """Plot the answer."""
+        return plotting.falsification(self)
+
+    def content(self) -> dict[str, Any]:
+        """See :class:`Analysis`."""
+        nearest = self.nearest_failure
+        return {
+            "within": None if self.within is None else Likelihood(self.within, len(self.study.laws)).summary(),
+            "requirements": [requirement.text for requirement in self.study.requirements],
+            "failed": self.slack < 0.0,
+            "slack": self.slack,
+            "worst_requirement": self.binding_at(self.worst),
+            "worst_value": self.value_at(self.worst),
+            "witness": self.witness,
+            "units": {name: self.study.quantities[name].unit for name in self.study.laws},
+            "likelihood": self.likelihood.summary(),
+            "nearest_failure": None if nearest is None else self.about(nearest),
+            "simulations": self.simulations,
+            "first_failure": self.first_failure,
+            "seconds": self.seconds,
+        }
+
+    def about(self, point: int) -> dict[str, Any]:
+        """Slack, numbers and likelihood of a point, for JSON."""
+        return {
+            "slack": float(self.dataset["slack"][point]),
+            "worst_requirement": self.binding_at(point),
+            "worst_value": self.value_at(point),
+            "witness": self.numbers_at(point),
+            "likelihood": self.likelihood_at(point).summary(),
+        }
+
+    def settings(self) -> dict[str, Any]:
+        """See :class:`Analysis`."""
+        return {"within": self.within, "seconds": self.seconds}
+
+    @classmethod
+    def restored(cls, stored: Stored) -> Self:
+        """See :class:`Analysis`."""
+        return cls(stored.study, stored.dataset, **stored.settings)
+
+
+def falsify(
+    study: Study,
+    *,
+    budget: int = BUDGET,
+    seed: int = 0,
+    within_sigma: float | None = None,
+    within_mass: float | None = None,
+    progress: ProgressCallback | None = None,
+) -> Falsified:
+    """Find the worst draw of a study, by the worst requirement's signed slack.
+
+    By default the search covers the support of the laws. With ``within_sigma`` = k it stays where |z| <= k, z being the
+    independent standard normal scores of the laws and of their Gaussian copula: the smallest region of the scores with
+    its probability P(chi^2_d <= k^2) for d numbers; with ``within_mass`` that probability is given instead of k.
+
+    A quarter of the budget is spread over the set, and half of it climbs from the worst points along projected
+    gradients. The rest is differential evolution among the worst of all points. A draw that ends early counts as worst.
+
+    Args:
+        study: The study; its own sweep is ignored. Unbounded laws are cut off at their 1e-6 quantiles.
+        budget: Number of simulations.
+        seed: Seed of the search.
+        within_sigma: Distance k from the median draw within which to search, in (0, 8].
+        within_mass: Probability of the draws among which to search, in (0, 1); instead of ``within_sigma``.
+        progress: Called with the simulations spent.
+
+    Raises:
+        ConfigError: nothing is uncertain, nothing is required, the budget or the set is out of range, or both
+            ``within_sigma`` and ``within_mass`` are given.
+
+    Example:
+        >>> import dssc_jax as dj
+        >>> study = dj.Study.load("studies/mu_robustness.toml").override({"sweep": {}, "loop.duration": 45.0})
+        >>> dj.falsify(study, budget=64).slack < 0.0
+        True
+
+    Reference:
+        A. M. Hasofer, N. C. Lind, J. Engineering Mechanics Division 100 (1974) 111-121: distances in
+        standard normal space.
+    """
+    study = study.without_sweep()
+    require_hunt(study, budget)
+    region = search_set(study, within_sigma, within_mass)
+    return hunt(Programs.of(study, budget), budget, seed, progress, region)
+
+
+def require_hunt(study: Study, budget: int) -> None:
+    """Require uncertain numbers, requirements and an admissible budget.
+
+    Raises:
+        ConfigError: one of these is missing.
+    """
+    if not study.without_sweep().laws:
+        raise ConfigError(study.source, "no number is uncertain, so all draws are equal; give laws")
+    if not study.requirements:
+        raise ConfigError(study.source, "nothing is required, so nothing can fail; give a [[requirement]]")
+    if not LEAST_BUDGET <= budget <= MOST_BUDGET:
+        raise ConfigError("budget", f"must be in {LEAST_BUDGET} .. {MOST_BUDGET}, got {budget}")
+
+
+def hunt(
+    programs: Programs,
+    budget: int,
+    seed: int,
+    progress: ProgressCallback | None = None,
+    region: SearchSet | None = None,
+) -> Falsified:
+    """Run one search, by default over the whole support; see :func:`falsify`."""
+    began = time.perf_counter()
+    region = region or search_set(programs.study)
+    search = Hunt(programs, region, budget, np.random.default_rng(seed), progress)
+    search.explore()
+    for stage in (search.climb, search.evolve):
+        if search.worst > -np.inf:
+            stage()
+    return Falsified.of(region, search.seen, time.perf_counter() - began)

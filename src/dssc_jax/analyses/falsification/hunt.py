@@ -1,0 +1,181 @@
+"""The search of ``falsify``: points spread evenly, projected gradients, then differential evolution."""
+
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import differential_evolution
+
+from dssc_jax.analyses.defaults import LEAST_BUDGET
+from dssc_jax.analyses.falsification.search_sets import SearchSet
+from dssc_jax.closed_loop.requirements import Requirement, binding_requirement, sized, worst_slack
+from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.engine.batching import BLOCK, Arrays
+from dssc_jax.engine.evaluation import Derivative, Evaluator, GradientEvaluator
+from dssc_jax.study import Study
+
+EXPLORED, CLIMBED = 0.25, 0.5  # shares of the budget; evolution gets what is left
+STARTS, CLIMB = 8, 12  # largest number of climbs, and least number of steps of each
+STRIDE, LONGER, SHORTER = 0.25, 1.5, 0.3  # first step of a climb, and its factors after success and failure
+MEMBERS_EACH = 4  # of the evolution, for each coordinate
+
+
+class Programs(NamedTuple):
+    """The compiled study with and without derivatives, shared by searches of one budget; each compiles on first use."""
+
+    study: Study
+    plain: Evaluator
+    steep: Evaluator
+
+    @classmethod
+    def of(cls, study: Study, budget: int) -> "Programs":
+        """The programs of a study without a sweep."""
+        lanes = max(spread(budget), members(budget, len(study.laws)))
+        climbs = climbers(budget, len(study.laws))
+        steep = GradientEvaluator(study, {}, climbs, names=list(study.laws))
+        return cls(study, Evaluator(study, {}, min(BLOCK, lanes)), steep)
+
+
+def spread(budget: int) -> int:
+    """Number of points spread over the support: a power of two."""
+    return 1 << int(np.log2(max(EXPLORED * budget, LEAST_BUDGET // 2)))
+
+
+def members(budget: int, size: int) -> int:
+    """Number of members of the evolution, such that several generations fit the budget."""
+    return max(8, min(MEMBERS_EACH * size, budget // 20))
+
+
+def climbers(budget: int, size: int) -> int:
+    """Number of climbs, such that each can make several steps."""
+    return max(1, min(STARTS, int(CLIMBED * budget) // (CLIMB * (1 + size))))
+
+
+class Seen(NamedTuple):
+    """Simulated points.
+
+    Args:
+        points: Coordinates, shape (n, laws).
+        slacks: That of the worst requirement, relative to its scale, shape (n,).
+        binding: Index of that requirement, shape (n,).
+        distances: Its slack in the metric's unit, shape (n,).
+        spent: Simulations spent until then, shape (n,).
+    """
+
+    points: np.ndarray
+    slacks: np.ndarray
+    binding: np.ndarray
+    distances: np.ndarray
+    spent: np.ndarray
+
+
+@dataclass
+class Hunt:
+    """A search in progress.
+
+    Args:
+        programs: The study, compiled.
+        region: Where to search.
+        budget: Number of simulations.
+        rng: Random generator of the search.
+        progress: Called with the simulations spent.
+        requirements: The study's, with the scales that the first points show.
+    """
+
+    programs: Programs
+    region: SearchSet
+    budget: int
+    rng: np.random.Generator
+    progress: ProgressCallback | None
+    spent: int = 0
+    worst: float = np.inf
+    seen: list[Seen] = field(default_factory=list)
+    requirements: tuple[Requirement, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Number of uncertain numbers."""
+        return self.region.size
+
+    def simulate(self, points: np.ndarray, evaluator: Evaluator, each: int = 1) -> tuple[np.ndarray, Arrays]:
+        """Slacks and results of points; ``each`` is the number of simulations that one point costs."""
+        results = evaluator(np.zeros(len(points), dtype=int), self.region.values(points))
+        self.requirements = self.requirements or sized(self.programs.study.requirements, results)
+        slacks, binding = worst_slack(self.requirements, results), binding_requirement(self.requirements, results)
+        each_slack = np.array([results[requirement.name] for requirement in self.requirements])
+        distances = np.take_along_axis(each_slack, binding[None], 0)[0]
+        spent = self.spent + each * np.arange(1, len(points) + 1)
+        self.seen.append(Seen(points, slacks, binding, distances, spent))
+        self.spent += each * len(points)
+        self.worst = min(self.worst, float(slacks.min()))
+        if self.progress:
+            self.progress(min(self.spent, self.budget), self.budget)
+        return slacks, results
+
+    def explore(self) -> None:
+        """Simulate points spread evenly over the set."""
+        self.simulate(self.region.spread(spread(self.budget), self.rng), self.programs.plain)
+
+    def ranked(self) -> tuple[np.ndarray, np.ndarray]:
+        """All points so far with their slacks, worst first."""
+        points, slacks, *_ = (np.concatenate(parts) for parts in zip(*self.seen, strict=True))
+        order = np.argsort(slacks, kind="stable")
+        return points[order], slacks[order]
+
+    def starts(self, count: int) -> np.ndarray:
+        """Starting points: the worst points that are far enough apart, then the worst of the rest."""
+        points, _ = self.ranked()
+        chosen: list[int] = []
+        for index, point in enumerate(points):
+            if len(chosen) == count:
+                break
+            if all(self.region.apart(point, points[other]) for other in chosen):
+                chosen.append(index)
+        rest = [index for index in range(len(points)) if index not in chosen]
+        return points[[*chosen, *rest][:count]]
+
+    def climb(self) -> None:
+        """Run projected gradient descents of the slack simultaneously, each with its own step length."""
+        each, room, evaluator = 1 + self.size, int(CLIMBED * self.budget), self.programs.steep
+        points = self.starts(climbers(self.budget, self.size))
+        if len(points) * each > room:
+            return
+        best, results = self.simulate(points, evaluator, each)
+        slopes, stride = self.slopes(points, results), np.full(len(points), STRIDE)
+        for _ in range(room // (each * len(points)) - 1):
+            trial = self.region.descended(points, slopes, stride)
+            slacks, results = self.simulate(trial, evaluator, each)
+            better = slacks < best
+            points = np.where(better[:, None], trial, points)
+            slopes = np.where(better[:, None], self.slopes(trial, results), slopes)
+            best, stride = np.minimum(best, slacks), stride * np.where(better, LONGER, SHORTER)
+            if self.worst == -np.inf:
+                return
+
+    def slopes(self, points: np.ndarray, results: Arrays) -> np.ndarray:
+        """Derivatives of the worst slack with respect to the coordinates, shape (n, laws); 0 if there is none."""
+        binding = binding_requirement(self.requirements, results)
+        columns = []
+        for name in self.programs.study.laws:
+            rows = [results[Derivative(r.name, name)] / r.scale for r in self.requirements]
+            columns.append(np.take_along_axis(np.array(rows), binding[None], 0)[0])
+        slopes = self.region.slopes(points, np.stack(columns, axis=1))
+        return np.where(np.isfinite(slopes), slopes, 0.0)
+
+    def evolve(self) -> None:
+        """Run differential evolution, starting from the worst points so far."""
+        count = members(self.budget, self.size)
+        first: Any = self.ranked()[0][:count]
+        generations = (self.budget - self.spent) // count - 1
+        if generations < 1:
+            return
+
+        def cost(columns: np.ndarray) -> np.ndarray:
+            slacks, _ = self.simulate(self.region.projected(np.atleast_2d(columns.T)), self.programs.plain)
+            return np.clip(slacks, -1e100, 1e100)
+
+        differential_evolution(
+            cost, [self.region.limits] * self.size, init=first, rng=self.rng, tol=0.0,
+            maxiter=generations, polish=False, vectorized=True, updating="deferred",
+            callback=lambda x, convergence: self.worst == -np.inf,
+        )  # fmt: skip

@@ -1,0 +1,230 @@
+"""Parts of a loop that are about to be linearised: what they declare, and what is taken for them.
+
+Every part declares where it is smooth, and an undeclared one is refused. A part that is smooth nowhere is replaced by
+the substitute that it states, or refused. :mod:`dssc_jax.analyses.linearisation.part_slopes` finds what a part is at an
+operating point. At a corner the substitute for its inner side replaces the part.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.core.contracts import Controller, Differentiator, Sensor, Unmodelled
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.smoothness import SmoothExtent, Smoothness, declared_smoothness
+from dssc_jax.study import Study
+
+CHANNEL_SLOTS = ("sensor", "differentiator", "controller", "unmodelled")
+DISTURBANCE = "disturbance"
+PART_FUNCTIONS = {
+    Controller: ("init", "step"),
+    Sensor: ("init", "step"),
+    Differentiator: ("init", "step"),
+    Unmodelled: ("init", "step", "output", "sample", "linear", "moments"),
+}
+"""The functions of a part that a choice between two parts has to make, where the part has them."""
+
+
+class LoopPart(NamedTuple):
+    """One part of the loop with what it declares.
+
+    Args:
+        slot: Name of the field of :class:`Loop`.
+        channel: Index of its channel; 0 for the plant.
+        label: Slot, channel and kind in words.
+        smoothness: Its declaration.
+    """
+
+    slot: str
+    channel: int
+    label: str
+    smoothness: Smoothness
+
+    @property
+    def replaced(self) -> bool:
+        """Whether its substitute is always taken."""
+        return self.smoothness.extent == SmoothExtent.NOWHERE
+
+    def substitute(self, params: Any) -> tuple[Any, Any]:
+        """The part that is differentiated in its place, and the parameters of that."""
+        assert self.smoothness.substitute is not None  # held where places are declared
+        return self.smoothness.substitute(params)
+
+    @property
+    def inner(self) -> bool:
+        """Whether it has a substitute for operating points on its boundaries."""
+        return self.smoothness.extent == SmoothExtent.PIECEWISE and self.smoothness.substitute is not None
+
+
+class Finding(IntEnum):
+    """What a part is at an operating point."""
+
+    SMOOTH = 0
+    CORNER = 1
+    DEFECT = 2
+    BEYOND = 3
+
+
+class Chosen(NamedTuple):
+    """Parameters of a part and of its substitute, and whether the substitute is taken."""
+
+    part: Any
+    substitute: Any
+    taken: Scalar
+
+    @property
+    def l0(self) -> Scalar:
+        """The error pole of a controller."""
+        return self.part.l0
+
+
+def declared_places(study: Study, moving: bool) -> tuple[LoopPart, ...]:
+    """Every part that a linearisation of the study differentiates.
+
+    Args:
+        study: The study.
+        moving: Whether it is linearised along its flight, where disturbances matter.
+
+    Raises:
+        ConfigError: a part declares nothing, or that it is smooth nowhere without a substitute.
+    """
+    loop, template = study.loop, study.template
+    slots = (*CHANNEL_SLOTS, DISTURBANCE) if moving else CHANNEL_SLOTS
+    places = [declared_place(study, "plant", 0, loop.plant, template.plant)]
+    for slot in slots:
+        for index in range(len(loop.channels)):
+            part, params = getattr(loop, slot)[index], getattr(template, slot)[index]
+            places.append(declared_place(study, slot, index, part, params))
+    return tuple(places)
+
+
+def declared_place(study: Study, slot: str, index: int, part: Any, params: Any) -> LoopPart:
+    """A part with its declaration.
+
+    Raises:
+        ConfigError: as :func:`declared_places` says.
+    """
+    channel = study.loop.channels[index] if slot != "plant" else ""
+    table = getattr(study.config, slot)
+    kind = table.get(channel, {}).get("kind", table["kind"]) if channel else table["kind"]
+    where = f"{study.source}: {slot}{'.' if channel else ''}{channel}.kind"
+    try:
+        smoothness = declared_smoothness(part, params)
+    except ConfigError as error:
+        raise ConfigError(where, f"'{kind}' {error.rule}") from None
+    if smoothness.extent == SmoothExtent.NOWHERE and smoothness.substitute is None:
+        raise ConfigError(where, f"'{kind}' {smoothness.meaning}")
+    label = f"{slot} '{kind}'" if not channel else f"{slot} '{kind}' of {channel}"
+    return LoopPart(slot, index, label, smoothness)
+
+
+def stated(places: Sequence[LoopPart]) -> list[str]:
+    """What is taken for the parts that are smooth nowhere, in words."""
+    return list(dict.fromkeys(f"{place.label} {place.smoothness.meaning}" for place in places if place.replaced))
+
+
+def part_of(loop: Loop, params: LoopParams, place: LoopPart) -> tuple[Any, Any]:
+    """The part in a place, and its parameters."""
+    if place.slot == "plant":
+        return loop.mimo_plant, params.plant
+    return getattr(loop, place.slot)[place.channel], getattr(params, place.slot)[place.channel]
+
+
+def with_part(loop: Loop, params: LoopParams, place: LoopPart, part: Any, own: Any) -> tuple[Loop, LoopParams]:
+    """The loop with another part in a channel's place."""
+    models, values = list(getattr(loop, place.slot)), list(getattr(params, place.slot))
+    models[place.channel] = part
+    values[place.channel] = own
+    return replace(loop, **{place.slot: tuple(models)}), params._replace(**{place.slot: tuple(values)})
+
+
+def substituted(loop: Loop, params: LoopParams, places: Sequence[LoopPart]) -> tuple[Loop, LoopParams]:
+    """The loop in which parts that are smooth nowhere are replaced by their substitutes."""
+    for place in places:
+        if place.replaced:
+            _, own = part_of(loop, params, place)
+            loop, params = with_part(loop, params, place, *place.substitute(own))
+    return loop, params
+
+
+def with_inner_sides(
+    loop: Loop, params: LoopParams, places: Sequence[LoopPart], findings: jax.Array
+) -> tuple[Loop, LoopParams]:
+    """The loop in which parts at one of their corners are replaced by their substitutes.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        places: The parts.
+        findings: A :class:`Finding` for each of them; may be traced.
+    """
+    for place, finding in zip(places, findings, strict=True):
+        if place.inner:
+            part, own = part_of(loop, params, place)
+            substitute, inner = place.substitute(own)
+            both = Chosen(own, inner, finding == Finding.CORNER)
+            loop, params = with_part(loop, params, place, choice(part, substitute), both)
+    return loop, params
+
+
+def choice(part: Any, substitute: Any) -> Any:
+    """A part that is one of two, as its parameters :class:`Chosen` decide."""
+
+    def choosing(name: str) -> Callable[..., Any]:
+        def run(params: Chosen, *arguments: Any) -> Any:
+            inner = getattr(substitute, name)(params.substitute, *arguments)
+            outer = getattr(part, name)(params.part, *arguments)
+            return jax.tree.map(lambda taken, left: jnp.where(params.taken, taken, left), inner, outer)
+
+        return run
+
+    functions = [name for name in PART_FUNCTIONS[type(part)] if getattr(part, name) is not None]
+    return part._replace(**{name: choosing(name) for name in functions})
+
+
+def require_smooth_there(study: Study, places: Sequence[LoopPart], findings: np.ndarray) -> dict[str, int]:
+    """Require that no part has a defect at any operating point.
+
+    Args:
+        study: The study.
+        places: The parts.
+        findings: A :class:`Finding` for each of them, shape (n, places).
+
+    Returns:
+        What is taken for the parts that lie at a corner or beyond it, in words, with the number of operating points.
+
+    Raises:
+        ConfigError: a part has no derivative there; either it lies on one of its boundaries, or it declares falsely.
+    """
+    notes, draws = {}, len(findings)
+    for place, own in zip(places, findings.T, strict=True):
+        defects, corners, beyond = (
+            int(np.count_nonzero(own == finding)) for finding in (Finding.DEFECT, Finding.CORNER, Finding.BEYOND)
+        )
+        meaning = place.smoothness.meaning
+        boundary = meaning.partition(";")[0]
+        if defects and place.smoothness.extent == SmoothExtent.PIECEWISE:
+            raise ConfigError(
+                study.source,
+                f"{place.label} has no derivative at {defects} of {draws} operating points, which lie on {boundary}; "
+                "move the operating point or the boundary",
+            )
+        if defects:
+            raise ConfigError(
+                study.source,
+                f"{place.label} declares that it is smooth, but at {defects} of {draws} operating points its "
+                "derivative is not the effect of small deviations, as with a switch, a clip or rounding; declare "
+                "piecewise(...) or not_smooth(...) in its field smooth (docs/extending.md)",
+            )
+        if corners:
+            notes[f"{place.label} lies on {meaning}"] = corners
+        if beyond:
+            notes[f"{place.label} lies beyond {boundary}, where deviations do not pass"] = beyond
+    return notes

@@ -1,0 +1,22 @@
+"""Classical margins of the linearised loop: gain, phase, delay, disk, peak sensitivities, bandwidth."""
+
+from dssc_jax.analyses.loop_margins.loop_margins import loop_margins
+from dssc_jax.analyses.loop_margins.response import (
+    ClassicalMargins,
+    classical_margins,
+    common_grid,
+    own_grid,
+    response_of,
+)
+from dssc_jax.analyses.loop_margins.result import LoopMargins, Status
+
+__all__ = [
+    "ClassicalMargins",
+    "LoopMargins",
+    "Status",
+    "classical_margins",
+    "common_grid",
+    "loop_margins",
+    "own_grid",
+    "response_of",
+]

@@ -1,0 +1,138 @@
+"""Compute classical margins of every draw's linearised loop, at its equilibrium or along its flight."""
+
+import time
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.analyses.loop_margins.break_points import break_points
+from dssc_jax.analyses.loop_margins.operating_points import Operating, StateMatrices, closure, operation
+from dssc_jax.analyses.loop_margins.response import (
+    ClassicalMargins,
+    classical_margins,
+    common_grid,
+    own_grid,
+    response_of,
+)
+from dssc_jax.analyses.loop_margins.result import LoopAnswer, LoopMargins, Status, margins_dataset
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.engine.evaluation import require_independent
+from dssc_jax.study import Study
+
+NO_EFFECT = 1e-12  # response of a break point without effect
+
+
+def loop_margins(study: Study, *, times: Sequence[float] = (), progress: ProgressCallback | None = None) -> LoopMargins:
+    """Compute gain, phase, delay and disk margins, peak sensitivities, crossover and bandwidth of every draw.
+
+    The loop is linearised as it is sampled and simulated: one step of the simulation is differentiated. It is broken at
+    the command of each channel (``input``), and at each measurement alone (``output``, ``rate``), while all other loops
+    stay closed. DSSC is linearised in sliding, with the values of its functions at the operating point; at an
+    equilibrium these are the values at sigma = 0.
+
+    Args:
+        study: The study; its own sweep is ignored. Draws have to be independent.
+        times: Times of the flight at which the loop is linearised about the state of the draw, with the draw's own
+            reference, wind and disturbance [s]. Empty: at the equilibrium without these; a vehicle hovers.
+        progress: Called with the linearised draws, and their total.
+
+    Raises:
+        ConfigError: a part does not declare where it is smooth, or has no derivative there: the controller switches, or
+            the sensor has its own sampling period; draws are not independent; no draw has an equilibrium; no break
+            point has an effect; or a time is outside the flight.
+
+    Example:
+        >>> import dssc_jax as dj
+        >>> study = dj.Study.load("studies/motor.toml").override({"draws": 100})
+        >>> loop = dj.loop_margins(study)
+        >>> 0.5 < loop.summary()["loops"]["input"]["phase"]["median"] < 1.6
+        True
+    """
+    require_independent(study, "a tolerance limit")
+    study, began = study.without_sweep(), time.perf_counter()
+    study_at, taken = operation(study, tuple(times))
+    taken = (*taken, *(text for operating in study_at.values() for text in operating.taken))
+    sample_time, answers = study.config.loop.sample_time, {}
+    parts = {name: parts_of(study, operating) for name, operating in study_at.items()}
+    if not any(parts.values()):
+        raise ConfigError(
+            study.source,
+            "no break point has an effect: the loop is open at its operating points; see --at, or the limits",
+        )
+    common = common_grid(np.concatenate([part.poles.ravel() for own in parts.values() for part in own.values()]))
+    for count, (name, own) in enumerate(parts.items(), start=1):
+        own_answers = {
+            point: answer_of(part, study_at[name].reached, common, sample_time) for point, part in own.items()
+        }
+        answers[name] = {point: answer for point, answer in own_answers.items() if answer is not None}
+        if progress:
+            progress(count * study.config.draws, len(parts) * study.config.draws)
+    dataset = margins_dataset(study, answers, common / sample_time)
+    return LoopMargins(study, dataset, tuple(map(float, times)), taken, time.perf_counter() - began)
+
+
+def in_loop(matrices: StateMatrices, reached: np.ndarray, point: int) -> np.ndarray:
+    """Indices of the states that a break point's input reaches and its output depends on, in any draw."""
+    influences = np.any(matrices.a[reached] != 0.0, axis=0)
+    forward = closure(np.any(matrices.b[reached, :, point] != 0.0, axis=0), influences.T)
+    backward = closure(np.any(matrices.c[reached, point] != 0.0, axis=0), influences)
+    return np.flatnonzero(forward & backward)
+
+
+class Part(NamedTuple):
+    """The states of a broken loop of the draws that have an operating point; the loop is closed.
+
+    Args:
+        a: Shape (n, states, states).
+        b: Shape (n, states).
+        c: Shape (n, states).
+        poles: Eigenvalues of a, shape (n, states).
+    """
+
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+    poles: np.ndarray
+
+
+def parts_of(study: Study, operating: Operating) -> dict[str, Part]:
+    """The part of the loop that matters at each break point; one without effect is left out."""
+    matrices, reached = operating.matrices, operating.reached
+    parts = {}
+    for point, name in enumerate(break_points(study.loop)):
+        kept = in_loop(matrices, reached, point)
+        if kept.size:
+            a = matrices.a[np.ix_(reached, kept, kept)]
+            b, c = matrices.b[reached][:, kept, point], matrices.c[reached][:, point, kept]
+            parts[name] = Part(a, b, c, np.linalg.eigvals(a))
+    return parts
+
+
+def answer_of(part: Part, reached: np.ndarray, common: np.ndarray, sample_time: float) -> LoopAnswer | None:
+    """Margins and frequency response at one break point; None if the signal there has no effect.
+
+    Args:
+        part: The broken loop of the draws that have an operating point.
+        reached: Which draws these are, shape (draws,).
+        common: Angles of the frequency response, shape (frequencies,).
+        sample_time: T_s [s].
+    """
+    a, b, c, poles = part
+    g = np.full((len(reached), common.size), np.nan, complex)
+    g[reached] = response_of(a, b, c)(np.broadcast_to(common, (len(a), common.size)))
+    if np.nanmax(np.abs(g)) < NO_EFFECT:
+        return None
+    opened = np.full((len(reached), a.shape[-1]), np.nan, complex)
+    opened[reached] = np.linalg.eigvals(a - b[:, :, None] * c[:, None, :])
+    stable = np.max(np.abs(poles), axis=1) < 1.0
+    status = np.full(len(reached), Status.NO_OPERATING_POINT.value)
+    status[reached] = np.where(stable, Status.STABLE.value, Status.UNSTABLE.value)
+    columns = {field: np.full(len(reached), np.nan) for field in ClassicalMargins._fields}
+    if stable.any():
+        own = own_grid(common, np.concatenate([poles, opened[reached]], axis=1)[stable])
+        margins = classical_margins(response_of(a[stable], b[stable], c[stable]), own, sample_time)
+        for field, values in margins._asdict().items():
+            columns[field][status == Status.STABLE] = values
+    return LoopAnswer(columns, status, g, opened)

@@ -1,0 +1,324 @@
+"""Linearise every draw's sampled loop at its operating points: its equilibrium, or places along its flight."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.analyses.linearisation.part_slopes import LaneLoop, examination
+from dssc_jax.analyses.linearisation.smooth_parts import (
+    Finding,
+    LoopPart,
+    declared_places,
+    require_smooth_there,
+    stated,
+    substituted,
+    with_inner_sides,
+)
+from dssc_jax.analyses.loop_margins.break_points import break_points, sample_map, start_state, undisturbed
+from dssc_jax.analyses.loop_margins.result import EQUILIBRIUM
+from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import arithmetic
+from dssc_jax.engine.batching import Arrays, drawn
+from dssc_jax.engine.sampling import draw_key
+from dssc_jax.lanes.plain import plain_options
+from dssc_jax.study import Study
+
+LANES_TOGETHER = 2048  # derivatives that are computed at once
+NEWTON_STEPS_OF_REST, AT_REST = 30, 1e-9  # largest change of the state by a sample, relative to 1 + |state|
+PUSH, SMOOTH_WITHIN = 1e-7, 0.2  # size of a test of smoothness, and the largest relative deviation from the derivative
+
+
+LoopWithParams = tuple[Loop, LoopParams]
+
+
+class StateMatrices(NamedTuple):
+    """x+ = A x + B w, v = C x of n draws; one column of B and one row of C for each break point.
+
+    Args:
+        after: The state after one sample, shape (n, states).
+        a: Shape (n, states, states).
+        b: Shape (n, states, break points).
+        c: Shape (n, break points, states).
+    """
+
+    after: np.ndarray
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+
+
+Linearisation = Callable[[Arrays, np.ndarray, np.ndarray, int, np.ndarray], StateMatrices]
+"""(laws' values, draw indices, states, sample, findings) -> matrices of n draws; states and findings have n rows."""
+
+
+class Operating(NamedTuple):
+    """Matrices of all draws at one operating point.
+
+    Args:
+        matrices: Of all draws.
+        reached: Which draws have an operating point, shape (draws,).
+        taken: What is taken for parts that lie at a corner there, in words.
+    """
+
+    matrices: StateMatrices
+    reached: np.ndarray
+    taken: tuple[str, ...]
+
+
+class Operation(NamedTuple):
+    """Operating points of a study, by name, and what is taken for parts that are smooth nowhere, in words."""
+
+    points: dict[str, Operating]
+    taken: tuple[str, ...]
+
+
+def operation(study: Study, times: tuple[float, ...]) -> Operation:
+    """Linearise all draws of a study at their equilibrium, or at times of their flight.
+
+    Args:
+        study: The study, without a sweep.
+        times: Times of the flight [s]; empty: the equilibrium.
+
+    Raises:
+        ConfigError: a part does not declare where it is smooth or has no derivative there; no draw has an equilibrium;
+            or a time is outside the flight.
+    """
+    places = declared_places(study, moving=bool(times))
+    points = along(study, times, places) if times else {EQUILIBRIUM: equilibrium(study, places)}
+    return Operation(points, tuple(stated(places)))
+
+
+def lane_loop(study: Study, places: tuple[LoopPart, ...], rest: bool) -> LaneLoop:
+    """The loop of a draw as :func:`linearised_loop` gives it, with the draw's random key."""
+    return lambda values, index: (*linearised_loop(study, values, places, rest), draw_key(study.config.seed, index))
+
+
+def linearised_loop(
+    study: Study, values: dict[str, jax.Array], places: tuple[LoopPart, ...], rest: bool
+) -> LoopWithParams:
+    """The loop of one draw as it is linearised: without disturbances at rest, with the substitutes of its parts."""
+    loop, params = study.loop, study.params(values)
+    if rest:
+        loop, params = undisturbed(loop, params)
+    return substituted(loop, params, places)
+
+
+def at_origin(study: Study) -> Study:
+    """The study of one channel with the plant's initial state at zero; a vehicle is unchanged."""
+    initial = study.table["plant"].get("initial")
+    if len(study.loop.channels) > 1 or not isinstance(initial, list):
+        return study
+    return study.override({"plant.initial": [0.0] * len(initial)})
+
+
+def linearisation(study: Study, places: tuple[LoopPart, ...], rest: bool) -> Linearisation:
+    """The compiled linearisation of a study; without disturbances for a loop at rest.
+
+    A lane is one draw and one direction: one derivative a lane compiles and runs far faster than all in one.
+    """
+    points = len(break_points(study.loop))
+
+    def one(
+        values: dict[str, jax.Array],
+        index: jax.Array,
+        state: jax.Array,
+        direction: jax.Array,
+        k: jax.Array,
+        findings: jax.Array,
+    ) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
+        loop, params = with_inner_sides(*linearised_loop(study, values, places, rest), places, findings)
+        sample = sample_map(loop, params, draw_key(study.config.seed, index), k)
+        at = (state, jnp.zeros(points, state.dtype))
+        return jax.jvp(sample, at, (direction[:-points], direction[-points:]))
+
+    program = jax.jit(jax.vmap(one, in_axes=(0, 0, 0, 0, None, 0)), compiler_options=plain_options())
+
+    def of(values: Arrays, indices: np.ndarray, states: np.ndarray, k: int, findings: np.ndarray) -> StateMatrices:
+        (count, order), directions = states.shape, np.eye(states.shape[1] + points)
+        size = len(directions)
+        parts = []
+        for first in range(0, count * size, LANES_TOGETHER):
+            lane = np.minimum(np.arange(first, first + LANES_TOGETHER), count * size - 1)
+            draw, direction = np.divmod(lane, size)
+            own = {name: column[draw] for name, column in values.items()}
+            with arithmetic():
+                lanes = indices[draw], states[draw], directions[direction]
+                (after, _), slopes = program(own, *lanes, k, findings[draw])
+                parts.append([np.asarray(part) for part in (after, *slopes)])
+        after, state_slopes, signal_slopes = (np.concatenate(each)[: count * size] for each in zip(*parts, strict=True))
+        a = state_slopes.reshape(count, size, order).swapaxes(1, 2)
+        c = signal_slopes.reshape(count, size, points).swapaxes(1, 2)
+        return StateMatrices(after.reshape(count, size, order)[:, 0], a[..., :order], a[..., order:], c[..., :order])
+
+    return of
+
+
+def corner_notes(study: Study, places: tuple[LoopPart, ...], findings: np.ndarray, where: str) -> tuple[str, ...]:
+    """What is taken for parts that lie at a corner, in words.
+
+    Args:
+        study: The study.
+        places: The parts.
+        findings: At the operating points, shape (n, parts).
+        where: Name of these operating points.
+
+    Raises:
+        ConfigError: a part has no derivative at one of them.
+    """
+    notes = require_smooth_there(study, places, findings)
+    return tuple(f"{text} ({where}: {count} of {len(findings)} draws)" for text, count in notes.items())
+
+
+def resting_starts(study: Study, values: Arrays, indices: np.ndarray, places: tuple[LoopPart, ...]) -> np.ndarray:
+    """The state at t = 0 of every draw of the undisturbed loop, shape (n, states)."""
+
+    def one(lane: tuple[dict[str, jax.Array], jax.Array]) -> jax.Array:
+        loop, params = linearised_loop(study, lane[0], places, rest=True)
+        return start_state(loop, params, draw_key(study.config.seed, lane[1]))
+
+    with arithmetic():
+        return np.asarray(jax.jit(jax.vmap(one), compiler_options=plain_options())((values, indices)))
+
+
+def equilibrium(study: Study, places: tuple[LoopPart, ...]) -> Operating:
+    """Every draw's matrices at its equilibrium, found by Newton's method from the initial state.
+
+    A state that no signal of the loop depends on, as an integrator whose gain is 0, need not be at rest.
+
+    Raises:
+        ConfigError: no draw has an equilibrium, or the loop is not smooth there.
+    """
+    study = at_origin(study)
+    indices, values = np.arange(study.config.draws), drawn(study, slice(0, study.config.draws))
+    of = linearisation(study, places, rest=True)
+    states = resting_starts(study, values, indices, places)
+    smooth = np.full((study.config.draws, len(places)), Finding.SMOOTH.value)
+    trial = 0
+    while True:
+        matrices = of(values, indices, states, 1, smooth)
+        move = matrices.after - states
+        finite = np.all(np.isfinite(matrices.a), axis=(1, 2)) & np.all(np.isfinite(move), axis=1)
+        felt = closure(np.any(matrices.c[finite], axis=(0, 1)), np.any(matrices.a[finite], axis=0))
+        still = np.max(np.abs(move) * felt / (1.0 + np.abs(states)), axis=1) <= AT_REST
+        wrong = finite & ~still
+        if not wrong.any() or trial == NEWTON_STEPS_OF_REST:
+            break
+        trial += 1
+        own = np.ix_(wrong, felt, felt)
+        slopes = np.eye(int(np.count_nonzero(felt))) - matrices.a[own]
+        moves = [np.linalg.lstsq(m, r)[0] for m, r in zip(slopes, move[np.ix_(wrong, felt)], strict=True)]
+        states = states.copy()
+        states[np.ix_(wrong, felt)] += np.stack(moves)
+    if not still.any():
+        raise ConfigError(
+            study.source, "no draw has an equilibrium at a constant reference; linearise along the flight"
+        )
+    findings = examination(lane_loop(study, places, rest=True), places)(values, indices, states, 1)
+    taken = corner_notes(study, places, findings[still], EQUILIBRIUM)
+    cornered = np.any(findings == Finding.CORNER, axis=1)
+    plain = still & ~cornered
+    if plain.any():
+        require_derivative(study, lambda at: of(values, indices, at, 1, smooth).after, states, matrices, plain, felt)
+    if cornered.any():
+        matrices = of(values, indices, states, 1, findings)
+    return Operating(matrices, still, taken)
+
+
+def closure(begin: np.ndarray, influences: np.ndarray) -> np.ndarray:
+    """The states in ``begin`` and those that influence them, directly or not.
+
+    Args:
+        begin: Mask of states, shape (states,).
+        influences: Whether the state of each row depends on that of each column, shape (states, states).
+    """
+    reached = begin
+    for _ in range(len(begin)):
+        reached = reached | reached @ influences
+    return reached
+
+
+def require_derivative(
+    study: Study,
+    after: Callable[[np.ndarray], np.ndarray],
+    states: np.ndarray,
+    matrices: StateMatrices,
+    still: np.ndarray,
+    felt: np.ndarray,
+) -> None:
+    """Require that a small push of the equilibrium has the effect that the derivative predicts.
+
+    Args:
+        study: The study.
+        after: (states of shape (n, states)) -> the states after one sample.
+        states: The equilibria, shape (n, states).
+        matrices: Their derivatives.
+        still: Which draws have an equilibrium and no part at a corner, shape (n,).
+        felt: The states on which the loop's signals depend, which alone are pushed and compared; shape (states,).
+
+    Raises:
+        ConfigError: it has not: the loop switches, or its gain is infinite there.
+    """
+    push = PUSH * felt * np.random.default_rng(0).choice([-1.0, 1.0], states.shape)
+    for side in (push, -push):
+        predicted = np.einsum("nij,nj->ni", matrices.a, side)
+        actual = after(states + side) - matrices.after
+        excess = np.max(np.abs(actual - predicted) * felt, axis=1) / np.max(np.abs(predicted), axis=1, initial=PUSH)
+        worst = np.max(excess[still])
+        if not worst <= SMOOTH_WITHIN:
+            raise ConfigError(
+                study.source,
+                f"has no linearisation at its equilibrium: the effect of a deviation of {PUSH:g} differs by "
+                f"{100.0 * worst:.3g} % from that of the derivative, as where a controller switches or its gain is "
+                "infinite there; describing functions (dssc-jax theory) cover such loops",
+            )
+
+
+def along(study: Study, times: tuple[float, ...], places: tuple[LoopPart, ...]) -> dict[str, Operating]:
+    """Every draw's matrices at the states of its flight at the given times, by name.
+
+    Raises:
+        ConfigError: a time is outside the flight, or they do not ascend.
+    """
+    samples = tuple(round(t / study.config.loop.sample_time) for t in times)
+    if sorted(set(samples)) != list(samples) or samples[0] < 0 or samples[-1] >= study.loop.steps:
+        rule = f"must ascend within [0, {study.config.loop.duration:g}) s, got {', '.join(f'{t:g}' for t in times)}"
+        raise ConfigError("times", rule)
+    indices, values = np.arange(study.config.draws), drawn(study, slice(0, study.config.draws))
+    flown = states_before(study, values, indices, samples)
+    of, examine = linearisation(study, places, rest=False), examination(lane_loop(study, places, rest=False), places)
+    operating = {}
+    for place, (t, k) in enumerate(zip(times, samples, strict=True)):
+        findings = examine(values, indices, flown[place], k)
+        matrices = of(values, indices, flown[place], k, findings)
+        finite = np.all(np.isfinite(flown[place]), axis=1) & np.all(np.isfinite(matrices.a), axis=(1, 2))
+        name = f"t = {t:g} s"
+        operating[name] = Operating(matrices, finite, corner_notes(study, places, findings[finite], name))
+    return operating
+
+
+def states_before(study: Study, values: Arrays, indices: np.ndarray, samples: tuple[int, ...]) -> list[np.ndarray]:
+    """The states of all draws before the given samples, each of shape (n, states).
+
+    The time loop runs on the host: compiling one of a vehicle takes minutes, and its steps take seconds.
+    """
+
+    def start(values: dict[str, jax.Array], index: jax.Array) -> jax.Array:
+        return start_state(study.loop, study.params(values), draw_key(study.config.seed, index))
+
+    def advance(values: dict[str, jax.Array], index: jax.Array, state: jax.Array, k: jax.Array) -> jax.Array:
+        sample = sample_map(study.loop, study.params(values), draw_key(study.config.seed, index), k)
+        return sample(state, jnp.zeros(len(break_points(study.loop)), state.dtype))[0]
+
+    states = []
+    with arithmetic():
+        at = jax.jit(jax.vmap(start), compiler_options=plain_options())(values, indices)
+        program = jax.jit(jax.vmap(advance, in_axes=(0, 0, 0, None)), compiler_options=plain_options())
+        for k in range(samples[-1] + 1):
+            if k in samples:
+                states.append(np.asarray(at))
+            at = program(values, indices, at, k)
+    return states

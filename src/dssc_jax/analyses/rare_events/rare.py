@@ -1,0 +1,179 @@
+"""A failure probability that is too small for plain draws, by splitting on the worst requirement's slack."""
+
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+from scipy import special
+
+from dssc_jax import plotting
+from dssc_jax.analyses.rare_events.splitting import USUAL, Estimate, Plain, Splitting, split
+from dssc_jax.closed_loop.requirements import worst_slack
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.engine.batching import Arrays, Engine, evaluate, is_noisy
+from dssc_jax.engine.sampling import inside, values_at
+from dssc_jax.results.analysis import Analysis
+from dssc_jax.results.analysis_folder import Stored
+from dssc_jax.statistics import CONFIDENCE
+from dssc_jax.study import Study
+
+QUANTILE_LEVELS = (0.05, 0.5, 0.95)
+
+
+@dataclass(eq=False)
+class RareEvent(Analysis):
+    """The probability of a study's rare failure.
+
+    The dataset has along ``repeat``: ``estimate`` and ``levels``. Along ``failure``, the failing particles and then the
+    plain draws that failed, it has every uncertain number; ``plain``, which of the two it is; and ``noise``,
+    a particle's index of the in-loop noise. Along ``failure`` and ``number`` it has its ``point`` in standard
+    normal space.
+
+    Args:
+        splitting: The settings of the splitting.
+        simulations: Number of evaluations of the slack by the splitting.
+        noisy: Whether the loop has in-loop noise.
+    """
+
+    kind = "rare"
+    title = "A rare failure"
+    table = ("failure",)
+
+    splitting: Splitting
+    simulations: int
+    noisy: bool
+
+    @classmethod
+    def of(cls, study: Study, splitting: Splitting, estimate: Estimate, noisy: bool) -> Self:
+        """Create the analysis from the estimate of a splitting."""
+        plain = estimate.plain
+        points = np.concatenate([estimate.points, plain.points])
+        columns = {
+            "estimate": ("repeat", estimate.estimates, {"units": "1", "long_name": "failure probability"}),
+            "levels": ("repeat", estimate.levels, {"units": "1", "long_name": "levels passed"}),
+            "plain": (
+                "failure",
+                np.arange(len(points)) >= len(estimate.points),
+                {"long_name": "a plain draw, not a particle"},
+            ),
+            "noise": (
+                "failure",
+                np.concatenate([estimate.noise, np.full(plain.failures, -1)]),
+                {"units": "1", "long_name": "index of the in-loop noise; -1: of a plain draw"},
+            ),
+            "point": (("failure", "number"), points, {"units": "1", "long_name": "standard normal coordinate"}),
+        }
+        for name, values in values_at(study, inside(special.ndtr(points))).items():
+            quantity = study.quantities[name]
+            columns[name] = ("failure", values, {"units": quantity.unit, "long_name": quantity.meaning})
+        number = ("number", np.array(list(study.laws)), {"long_name": "uncertain number"})
+        dataset = xr.Dataset(columns, coords={"number": number}, attrs={"title": study.name})
+        return cls(study, dataset, splitting, estimate.simulations, noisy)
+
+    @cached_property
+    def estimate(self) -> Estimate:
+        """The probability and how it was estimated."""
+        data, plain = self.dataset, self.dataset["plain"].values
+        return Estimate(
+            estimates=data["estimate"].values,
+            levels=data["levels"].values,
+            simulations=self.simulations,
+            points=data["point"].values[~plain],
+            noise=data["noise"].values[~plain],
+            plain=Plain(self.splitting.plain, data["point"].values[plain]),
+        )
+
+    @property
+    def where(self) -> Arrays:
+        """Values of each uncertain number at failures: those of the plain draws if they answer, else the particles'."""
+        chosen = self.dataset["plain"].values != self.estimate.answered
+        return {name: self.dataset[name].values[chosen] for name in self.study.laws}
+
+    @property
+    def headline(self) -> str:
+        """The answer in one line."""
+        low, high = self.estimate.interval()
+        return (
+            f"failure probability {self.estimate.probability:.3g} in [{low:.3g}, {high:.3g}] ({self.estimate.method})"
+        )
+
+    def figure(self) -> Figure:
+        """Plot the answer."""
+        return plotting.rare(self)
+
+    def content(self) -> dict[str, Any]:
+        """See :class:`Analysis`."""
+        estimate, plain = self.estimate, self.estimate.plain
+        return {
+            "requirements": [requirement.text for requirement in self.study.requirements],
+            "probability": estimate.probability,
+            "interval": estimate.interval(),
+            "interval_method": estimate.method,
+            "confidence": CONFIDENCE,
+            "splitting": {"probability": estimate.mean, "interval": estimate.mean_interval()},
+            "plain": {
+                "draws": plain.draws,
+                "failures": plain.failures,
+                "interval": plain.interval(),
+                "contradicts": estimate.contradicted,
+            },
+            "variation": estimate.variation,
+            "simulations": estimate.simulations,
+            "plain_draws": estimate.plain_draws,
+            "estimates": estimate.estimates,
+            "levels": estimate.levels,
+            "in_loop_noise": self.noisy,
+            "where": {
+                name: {
+                    "median": self.study.laws[name].median,
+                    "failing": np.quantile(values, QUANTILE_LEVELS) if len(values) else None,
+                }
+                for name, values in self.where.items()
+            },
+            **{name: getattr(self.splitting, name) for name in ("particles", "killed", "moves", "repeats")},
+        }
+
+    def settings(self) -> dict[str, Any]:
+        """See :class:`Analysis`."""
+        return {"splitting": asdict(self.splitting), "simulations": self.simulations, "noisy": self.noisy}
+
+    @classmethod
+    def restored(cls, stored: Stored) -> Self:
+        """See :class:`Analysis`."""
+        study, dataset, settings = stored
+        return cls(study, dataset, Splitting(**settings["splitting"]), settings["simulations"], settings["noisy"])
+
+
+def rare(study: Study, splitting: Splitting = USUAL, progress: ProgressCallback | None = None) -> RareEvent:
+    """Estimate a study's failure probability at its own values, by splitting on the worst requirement's scaled slack.
+
+    Args:
+        study: The study; its sweep and its number of draws are ignored.
+        splitting: The settings of the splitting.
+        progress: Called with the simulations done; the total is not known beforehand.
+
+    Raises:
+        ConfigError: the study has no requirements, or nothing is uncertain.
+    """
+    study = study.without_sweep()
+    if not study.requirements:
+        raise ConfigError(study.source, "rare needs at least one [[requirement]]: its slack leads to the failures")
+    if not study.laws:
+        raise ConfigError(study.source, "nothing is uncertain; give at least one number a law")
+    engine = Engine(study, splitting.repeats * splitting.killed)
+    finished = 0
+
+    def slack(points: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        nonlocal finished
+        results = evaluate(engine, values_at(study, inside(special.ndtr(points))), noise)
+        finished += len(points)
+        if progress:
+            progress(finished, None)
+        return worst_slack(study.requirements, results)
+
+    estimate = split(slack, len(study.laws), (study.config.seed,), splitting)
+    return RareEvent.of(study, splitting, estimate, is_noisy(engine))

@@ -1,0 +1,123 @@
+"""The hunt finds what random draws would not, and its witness is a draw like any other."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dssc_jax as dj
+from dssc_jax.analyses.falsification.falsify import hunt
+from dssc_jax.analyses.falsification.hunt import Programs
+
+STUDIES = Path(__file__).parents[2] / "studies"
+
+
+@pytest.fixture(scope="module")
+def study():
+    """Fails with a probability of about 1e-5: docs/tuning.md."""
+    return dj.Study.load(STUDIES / "falsify_corner.toml")
+
+
+def test_a_planted_failure(study):
+    """Done-when: at least 9 of 10 seeds, with a hundredth of the 100,000 draws that random search would need."""
+    programs = Programs.of(study, 1000)
+    found = [hunt(programs, 1000, seed) for seed in range(10)]
+    assert all(each.simulations <= 1000 for each in found)
+    assert sum(each.slack < 0.0 for each in found) >= 9
+    rare = dj.run(study).summary()["points"][0]
+    assert rare["interval"][1] < 3e-4
+
+
+def test_the_witness_is_a_draw(study):
+    """Its study gives the slack that was found, and every number lies within its law's support."""
+    found = dj.falsify(study, budget=300, seed=3)
+    again = dj.run(found.witness_study).dataset
+    slack = float(again["slack_error_max_after_1.5"].values[0]) / 0.8
+    assert slack == pytest.approx(found.slack, rel=1e-9)
+    assert found.slack == float(found.dataset["slack"].min())
+    assert found.first_failure is not None
+    for name, law in study.laws.items():
+        low, high = law.support
+        assert low <= found.witness[name] <= high
+    assert found.witness_study.laws == {}
+
+
+def test_the_worst_requirement_has_its_name(study):
+    """With a second requirement that no draw comes near, and with one that every draw violates most."""
+    own = {"metric": "error_max", "after": 1.5, "max": 0.8}
+    for other, expected in (({"metric": "error_max", "max": 1e6}, 0), ({"metric": "error_rms", "max": 1e-6}, 1)):
+        found = dj.falsify(study.override({"requirement": [own, other]}), budget=64)
+        text = found.study.requirements[expected].text
+        assert found.summary()["worst_requirement"] == text
+        assert found.headline.endswith(f"where {text} is required")
+
+
+def test_a_bound_of_zero_does_not_hide_the_other_requirement(study):
+    """An envelope is bounded by 0: its slack, in metres and always small here, counts in shares of its usual size."""
+    narrow = {"signal": "e", "upper": [[3.96, 0.07], [4.0, 0.07]], "lower": [[3.96, -0.07], [4.0, -0.07]]}
+    found = dj.falsify(study.override({"envelope": [narrow]}), budget=300, seed=4).summary()
+    assert found["worst_requirement"] == "error_max after 1.5 s <= 0.8 m"
+    assert found["slack"] < -0.04
+    assert float(found["worst_value"].removesuffix(" m")) == pytest.approx(0.8 * (1.0 - found["slack"]), rel=1e-3)
+
+
+@pytest.mark.parametrize("design", [{"sampling": "sobol", "draws": 64}, {"correlation": {"plant.k_p, plant.a_p": 0.5}}])
+def test_the_witness_of_a_designed_sample(study, design):
+    """A witness is one draw without laws: nothing of how the draws lie together may be asked of it."""
+    found = dj.falsify(study.override(design), budget=64)
+    assert found.witness_study.laws == {}
+    assert float(dj.run(found.witness_study).dataset["outcome"][0]) == (10 if found.slack < 0.0 else 0)
+
+
+def test_signals(study):
+    """Knots of a disturbance as a spline are numbers like others: the hunt beats 1,000 random signals."""
+    knots = {"kind": "spline", "knots": [{"uniform": [-0.5, 0.5]}] * 4, "interval": 1.0}
+    bounded = study.override({"disturbance": knots, "plant.initial": [0.0, 0.0], "plant.k_p": 1.0, "plant.a_p": 1.0})
+    found = dj.falsify(bounded, budget=300)
+    random = dj.run(bounded.override({"draws": 1000})).dataset["slack_error_max_after_1.5"].values / 0.8
+    assert found.slack < random.min()
+    assert max(abs(value) for value in found.witness.values()) == pytest.approx(0.5, rel=1e-4)
+
+
+def test_a_draw_that_ends_early_is_the_worst(study):
+    unstable = study.override({"plant.a_p": {"uniform": [-400.0, 1.0]}})
+    found = dj.falsify(unstable, budget=64)
+    assert found.slack == -np.inf
+    assert found.simulations < 64
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "rule"),
+    [
+        ({"requirement": []}, {}, "nothing is required"),
+        (
+            {"plant.k_p": 1.0, "plant.a_p": 1.0, "plant.initial": [0.0, 0.0], "disturbance.value": 0.1},
+            {},
+            "no number is uncertain",
+        ),
+        ({}, {"budget": 5}, "must be in 32 .."),
+    ],
+)
+def test_bad_input(study, change, options, rule):
+    with pytest.raises(dj.ConfigError, match=rule):
+        dj.falsify(study.override(change), **options)
+
+
+def test_command(study, tmp_path, monkeypatch, capsys):
+    """falsify, then replay its witness, and simulate it by its own file."""
+    from dssc_jax.cli import guarded
+    from dssc_jax.study.tables import to_toml
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "planted.toml").write_text(to_toml(study.table))
+    loose = ["--set", "requirement.0.max=50.0"]
+    assert guarded(["falsify", "planted.toml", "--budget", "64", "--out", "loose", *loose]) == 0
+    assert "no failure was found, which proves nothing" in capsys.readouterr().out
+    assert guarded(["falsify", "planted.toml", "--budget", "200", "--out", "found", "--json"]) == 1
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert told["failed"]
+    assert told["slack"] < 0.0
+    assert guarded(["replay", told["replay"], "--draw", "0", "--csv", "w.csv"]) == 0
+    assert dj.Study.load(told["witness_study"]).laws == {}
+    assert guarded(["falsify", "planted.toml", "--budget", "7"]) == 2
