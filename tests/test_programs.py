@@ -14,9 +14,12 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.engine.batching import simulated
 from dssc_jax.engine.reference import agreement, computed_again, lane_numbers
 from dssc_jax.lanes.plain import plain_options
-from dssc_jax.models.controllers import CONTROLLERS, DIFFERENTIATORS
-from dssc_jax.models.environment import DISTURBANCES, REFERENCES, SENSORS
-from dssc_jax.models.unmodelled import UNMODELLED
+from dssc_jax.models.actuators import UNMODELLED
+from dssc_jax.models.controllers import CONTROLLERS
+from dssc_jax.models.differentiators import DIFFERENTIATORS
+from dssc_jax.models.disturbances import DISTURBANCES
+from dssc_jax.models.references import REFERENCES
+from dssc_jax.models.sensors import SENSORS
 from tests.test_protocols import FUNCTIONS, NOMINAL, NORM_BOUND, PLAIN, PLANT_TABLES, UNMODELLED_TABLES
 
 ENTRIES = 2000

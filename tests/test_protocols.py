@@ -7,12 +7,13 @@ import pytest
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Measurement, PlantInput, ReferencePoint
+from dssc_jax.models.actuators import UNMODELLED
 from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS
 from dssc_jax.models.controllers.modulation import MODULATIONS
-from dssc_jax.models.environment import DISTURBANCES, REFERENCES
+from dssc_jax.models.disturbances import DISTURBANCES
 from dssc_jax.models.plants import PLANTS
-from dssc_jax.models.unmodelled import UNMODELLED
+from dssc_jax.models.references import REFERENCES
 from dssc_jax.study.components import parse_component
 from tests.contracts import assert_contract
 

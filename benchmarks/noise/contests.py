@@ -13,7 +13,10 @@ from benchmarks.noise.forms import CASE_2, NOISE
 from dssc_jax.analyses.comparison import controller_table
 from dssc_jax.core.contracts import Differentiator
 from dssc_jax.core.signals import Measurement
-from dssc_jax.models.controllers.differentiators import DIFFERENTIATORS, HighGainParams, LeadFilterParams, LevantParams
+from dssc_jax.models.differentiators import DIFFERENTIATORS
+from dssc_jax.models.differentiators.high_gain_observer import HighGainParams
+from dssc_jax.models.differentiators.lead_filter import LeadFilterParams
+from dssc_jax.models.differentiators.levant import LevantParams
 from dssc_jax.runs.trajectory import recorder
 
 PERIODS = (0.001, 0.005, 0.02, 0.05)

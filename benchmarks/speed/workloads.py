@@ -9,7 +9,7 @@ import numpy as np
 import dssc_jax as dj
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.engine.batching import drawn, medians
-from dssc_jax.models.environment.references import MISSION, Axis, SineParams
+from dssc_jax.models.references.sine import MISSION, Axis, SineParams
 
 HERE = Path(__file__).parent
 METRICS = ("error_rms", "error_max", "command_tv")

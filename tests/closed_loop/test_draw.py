@@ -11,8 +11,8 @@ from dssc_jax.closed_loop.metrics import Measure, Window
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.core.adapters import as_mimo_plant, as_mimo_reference
 from dssc_jax.core.signals import Measurement, Outcome, PlantInput, ReferencePoint
-from dssc_jax.models.environment.references import SINE, SineParams, sine_at
 from dssc_jax.models.plants.normal_form import NORMAL_FORM, NormalFormParams, NormalFormState
+from dssc_jax.models.references.sine import SINE, SineParams, sine_at
 
 DIVERGING = {
     "name": "diverging",

@@ -14,7 +14,7 @@ from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurement
 from dssc_jax.engine.integration import integration_error
-from dssc_jax.models.unmodelled.rate_limit import RATE_LIMIT, RateLimitParams
+from dssc_jax.models.actuators.rate_limit import RATE_LIMIT, RateLimitParams
 from tests.exponentials import exponential
 
 T_S = 0.01

@@ -50,7 +50,7 @@ def test_pinned_draws_stay(page):
 
 def test_a_result_from_others_is_brushed_but_not_run(tmp_path, monkeypatch):
     """A study that names code of its own is not imported: its draws are counted, and a click says what is needed."""
-    code = "from dssc_jax.models.environment.sensors import SENSORS\nSENSOR = SENSORS['ideal'].members[None]\n"
+    code = "from dssc_jax.models.sensors import SENSORS\nSENSOR = SENSORS['ideal'].members[None]\n"
     (tmp_path / "explored_code.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
     table = {**copy.deepcopy(UNCERTAIN), "sensor": {"kind": "explored_code:SENSOR"}}

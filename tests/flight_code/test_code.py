@@ -18,7 +18,8 @@ from dssc_jax.flight_code.controller import sampled_controllers
 from dssc_jax.flight_code.folder import FlightFolder
 from dssc_jax.flight_code.recording import recorded_draws, recording_lane
 from dssc_jax.lanes.lanes import CompiledLanes
-from dssc_jax.models.controllers import CONTROLLERS, DIFFERENTIATORS
+from dssc_jax.models.controllers import CONTROLLERS
+from dssc_jax.models.differentiators import DIFFERENTIATORS
 from tests.cli.conftest import last_json
 from tests.flight_code.compiling import made, require
 from tests.test_programs import CONTROLLER_TABLES, DIFFERENTIATOR_TABLES

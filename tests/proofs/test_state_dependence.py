@@ -12,7 +12,7 @@ from scipy.linalg import expm
 
 import dssc_jax as dj
 from dssc_jax.core.signals import Measurement
-from dssc_jax.models.environment.disturbances import PARTITION
+from dssc_jax.models.disturbances.partition import PARTITION
 from dssc_jax.proofs.coverage import problem_of
 from dssc_jax.proofs.fixed_point import motion
 from dssc_jax.proofs.prove import check_certificate, prove

@@ -72,6 +72,14 @@ def log_defect(x: Scalar) -> Scalar:
     return jnp.where(near, 2.0 + x - rest, x - log) / jnp.where(near, (2.0 + x) * (2.0 + x), x * x)
 
 
+def root_of(excess: Scalar, slope: Scalar) -> Scalar:
+    """The non-negative s with s^2 + slope s = excess, for excess >= 0; 0 otherwise."""
+    positive = excess > 0.0
+    inside = jnp.where(positive, excess, 1.0)
+    # 2 c/(b + sqrt(b^2 + 4 c)): the difference of the textbook form cancels for small excess
+    return jnp.where(positive, 2.0 * inside / (slope + jnp.sqrt(slope * slope + 4.0 * inside)), 0.0)
+
+
 def sign(x: Scalar) -> Scalar:
     """sgn x with sgn 0 = 0."""
     return jnp.sign(x)

@@ -22,9 +22,13 @@ from dssc_jax.design.arrays import greater
 from dssc_jax.design.practice import predictor_pole
 from dssc_jax.models.controllers.dssc import DSSC
 from dssc_jax.models.controllers.gain_functions import Vgsta
-from dssc_jax.models.environment import disturbances, references
+from dssc_jax.models.disturbances import NO_DISTURBANCE
+from dssc_jax.models.disturbances.partition import PARTITION
+from dssc_jax.models.disturbances.prescribed import CONSTANT, SINE_DISTURBANCE, SPLINE, STEP
 from dssc_jax.models.plants.linear import RATIONAL_PLANT, STATE_SPACE
 from dssc_jax.models.plants.normal_form import NORMAL_FORM
+from dssc_jax.models.references import ZERO
+from dssc_jax.models.references.sine import MISSION, MISSION_ENTRY, SINE
 from dssc_jax.study import Described, Study
 from dssc_jax.study.laws import SPREAD, Law
 from dssc_jax.study.tables import merged
@@ -314,14 +318,14 @@ def swing(amplitude: Any, period: Any, order: int) -> Any:
 
 def reference_bounds(model: Reference, ends: Ends) -> dict[str, Any]:
     """Suprema of the reference and its first three derivatives."""
-    for axis, member in references.MISSION_ENTRY.members.items():
+    for axis, member in MISSION_ENTRY.members.items():
         if model is member:
-            ends = Ends(references.MISSION[axis], references.MISSION[axis])
-            model = references.SINE
+            ends = Ends(MISSION[axis], MISSION[axis])
+            model = SINE
     low = ends.low
-    if model is references.ZERO:
+    if model is ZERO:
         return {}
-    if model is not references.SINE:
+    if model is not SINE:
         raise NotCovered("the reference's third derivative has no known bound")
     amplitude = ends.largest("amplitude")
     names = ("y_m_dot", "y_m_ddot", "y_m_dddot")
@@ -332,19 +336,19 @@ def reference_bounds(model: Reference, ends: Ends) -> dict[str, Any]:
 def disturbance_bounds(model: Disturbance, ends: Ends) -> dict[str, Any]:
     """The constants of (A0.b)-(A3). A step is constant except at its time, after which the theorem applies again."""
     low = ends.low
-    if model is disturbances.NO_DISTURBANCE:
+    if model is NO_DISTURBANCE:
         return {}
-    if model in (disturbances.CONSTANT, disturbances.STEP):
+    if model in (CONSTANT, STEP):
         return {"alpha_d": ends.largest("value")}
-    if model is disturbances.SINE_DISTURBANCE:
+    if model is SINE_DISTURBANCE:
         amplitude = ends.largest("amplitude")
         return {"alpha_d": amplitude, "alpha_d3": swing(amplitude, low.period, 1)}
-    if model is disturbances.SPLINE:
+    if model is SPLINE:
         pairs = zip(low.knots, ends.high.knots, strict=True)
         knots = [0.0, *(np.maximum(np.abs(a), np.abs(b)) for a, b in pairs), 0.0]
         steepest = np.max(np.add(knots[1:], knots[:-1]), axis=0) / low.interval  # of any knots that large
         return {"alpha_d": np.max(knots, axis=0), "alpha_d3": steepest}
-    if model is disturbances.PARTITION:
+    if model is PARTITION:
         names = ("k_d1", "k_d2", "k_d3", "k_d4", "k_d5", "alpha_d2", "alpha_d3")
         return {name: getattr(ends.high, name) for name in names}
     raise NotCovered("the disturbance's derivative has no known bound")

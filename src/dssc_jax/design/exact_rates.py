@@ -6,7 +6,7 @@ import numpy as np
 
 from dssc_jax.core.quantities import nominal
 from dssc_jax.core.signals import PlantInput, Signals
-from dssc_jax.models.environment.disturbances import NO_DISTURBANCE
+from dssc_jax.models.disturbances import NO_DISTURBANCE
 from dssc_jax.study import Study
 
 

@@ -17,7 +17,7 @@ from dssc_jax.core.signals import Command
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight_logs.replay import median_values
 from dssc_jax.lanes.plain import plain_options
-from dssc_jax.models.environment.sensors import IDEAL
+from dssc_jax.models.sensors import IDEAL
 from dssc_jax.study import Study
 
 RANDOM = ("std", "turbulence")

@@ -8,18 +8,21 @@ import jax
 
 from dssc_jax.core.registry import Discretisation
 from dssc_jax.design.certification import Ends, NotCovered, disturbance_bounds, ends_of, reference_bounds
-from dssc_jax.models.controllers.differentiators import NO_DIFFERENTIATOR
+from dssc_jax.models.actuators import NO_DYNAMICS
+from dssc_jax.models.actuators.delay import DELAY
+from dssc_jax.models.actuators.lag import LAG, Order
+from dssc_jax.models.actuators.transfer_function import TRANSFER_FUNCTION
 from dssc_jax.models.controllers.dssc import DSSC, SSC
 from dssc_jax.models.controllers.dssc_forms import DsscGains
 from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS
 from dssc_jax.models.controllers.modulation import ConstantModulation
 from dssc_jax.models.controllers.pi import PI, PiGains
-from dssc_jax.models.environment import sensors
-from dssc_jax.models.environment.disturbances import PARTITION, STEP
+from dssc_jax.models.differentiators import NO_DIFFERENTIATOR
+from dssc_jax.models.disturbances.partition import PARTITION
+from dssc_jax.models.disturbances.prescribed import STEP
 from dssc_jax.models.plants.normal_form import NORMAL_FORM
-from dssc_jax.models.unmodelled.delay import DELAY
-from dssc_jax.models.unmodelled.lag import LAG, NO_DYNAMICS, Order
-from dssc_jax.models.unmodelled.transfer_function import TRANSFER_FUNCTION
+from dssc_jax.models.sensors import IDEAL
+from dssc_jax.models.sensors.lag import SENSOR_LAG
 from dssc_jax.proofs.problem import Interval, ProofProblem
 from dssc_jax.study import Study
 from dssc_jax.study.laws import Law
@@ -124,9 +127,9 @@ def sensor_lag(sensor: Any, differentiator: Any, ends: Ends) -> float:
     Raises:
         NotCovered: sigma is measured with something else than a known lag.
     """
-    if differentiator is not NO_DIFFERENTIATOR or sensor not in (sensors.IDEAL, sensors.SENSOR_LAG):
+    if differentiator is not NO_DIFFERENTIATOR or sensor not in (IDEAL, SENSOR_LAG):
         raise NotCovered("sigma is measured neither exactly nor through a lag")
-    if sensor is sensors.IDEAL:
+    if sensor is IDEAL:
         return 0.0
     low, high = (end.sensor[0].mu for end in ends)
     if low != high:

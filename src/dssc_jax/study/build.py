@@ -23,11 +23,15 @@ from dssc_jax.core.quantities import extent
 from dssc_jax.core.registry import single
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.lanes.cache.user_cache import remembered
-from dssc_jax.models.controllers import CONTROLLERS, DIFFERENTIATORS
-from dssc_jax.models.environment import DISTURBANCES, REFERENCES, SENSORS, TRAJECTORIES, WINDS
+from dssc_jax.models.actuators import UNMODELLED
+from dssc_jax.models.controllers import CONTROLLERS
+from dssc_jax.models.differentiators import DIFFERENTIATORS
+from dssc_jax.models.disturbances import DISTURBANCES
 from dssc_jax.models.plants import PLANTS
+from dssc_jax.models.references import REFERENCES, TRAJECTORIES
+from dssc_jax.models.sensors import SENSORS
 from dssc_jax.models.uav import UAV
-from dssc_jax.models.unmodelled import UNMODELLED
+from dssc_jax.models.wind import WINDS
 from dssc_jax.study.components import (
     Component,
     Number,

@@ -11,12 +11,14 @@ import dssc_jax as dj
 from dssc_jax.analyses.linearisation.smooth_parts import declared_places, stated
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.smoothness import SMOOTH, declared_smoothness
-from dssc_jax.models.controllers import CONTROLLERS, DIFFERENTIATORS
+from dssc_jax.models.actuators import UNMODELLED
+from dssc_jax.models.actuators.lag import LAG, Order
+from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS
-from dssc_jax.models.environment import DISTURBANCES, SENSORS
+from dssc_jax.models.differentiators import DIFFERENTIATORS
+from dssc_jax.models.disturbances import DISTURBANCES
 from dssc_jax.models.plants import PLANTS
-from dssc_jax.models.unmodelled import UNMODELLED
-from dssc_jax.models.unmodelled.lag import LAG, Order
+from dssc_jax.models.sensors import SENSORS
 
 SAMPLE_TIME, K_P, K_I = 0.1, 10.290658464501297, 9.818466253345544
 PID = {"kind": "pid", "k_p": K_P, "k_i": K_I}

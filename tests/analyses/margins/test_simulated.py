@@ -10,7 +10,7 @@ import dssc_jax as dj
 from dssc_jax.analyses.margins import Censoring, Margins, Walk
 from dssc_jax.analyses.margins.search import Critical
 from dssc_jax.lanes import forms
-from dssc_jax.models.unmodelled import UNMODELLED
+from dssc_jax.models.actuators import UNMODELLED
 from dssc_jax.results import result as results
 from dssc_jax.results.analysis_folder import plain_sums_of
 from dssc_jax.results.manifest import write_json, write_sealed

@@ -7,7 +7,8 @@ import pytest
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.vectors import Vec3
-from dssc_jax.models.uav.allocation import allocate, geometry, net, pseudo_inverse
+from dssc_jax.models.uav.allocation import allocate, geometry, pseudo_inverse
+from dssc_jax.models.uav.rotors import net
 from dssc_jax.models.uav.vehicle import GRAVITY, HEXACOPTER, QUADROTOR
 
 ZERO = Vec3(0.0, 0.0, 0.0)

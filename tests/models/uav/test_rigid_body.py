@@ -9,7 +9,8 @@ import pytest
 
 from dssc_jax.core.integrators import rk4
 from dssc_jax.core.vectors import Vec3, quaternion_from_euler
-from dssc_jax.models.uav.rigid_body import BodyState, body_derivative, gyroscopic_torque
+from dssc_jax.models.uav.rigid_body import BodyState, body_derivative
+from dssc_jax.models.uav.rotors import gyroscopic_torque
 
 ZERO = Vec3(0.0, 0.0, 0.0)
 INERTIA = Vec3(0.44, 0.61, 0.74)

@@ -18,8 +18,8 @@ from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.sample import initial_state, measure, step
 from dssc_jax.core.contracts import NoParams, Reference, Sensor
 from dssc_jax.core.signals import Measurement, ReferencePoint, Scalar
-from dssc_jax.models.environment.disturbances import NO_DISTURBANCE
-from dssc_jax.models.environment.wind import NO_WIND
+from dssc_jax.models.disturbances import NO_DISTURBANCE
+from dssc_jax.models.wind import NO_WIND
 
 
 class BreakPoint(StrEnum):

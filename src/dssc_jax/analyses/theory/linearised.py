@@ -13,9 +13,9 @@ from dssc_jax.core.contracts import Unmodelled
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.registry import Registry
 from dssc_jax.core.signals import PlantInput, ReferencePoint, Scalar, tracking_error
+from dssc_jax.models.actuators import UNMODELLED
 from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.models.controllers.nominal import nominal_control
-from dssc_jax.models.unmodelled import UNMODELLED
 from dssc_jax.study import Study
 
 ORIGIN = ReferencePoint(0.0, 0.0, 0.0)

@@ -1,7 +1,6 @@
 """Registry of controllers; a new one is one file and one row here, covered by the protocol tests."""
 
 from dssc_jax.core.registry import Registry
-from dssc_jax.models.controllers.differentiators import DIFFERENTIATORS
 from dssc_jax.models.controllers.dssc import DSSC, SSC
 from dssc_jax.models.controllers.pi import PI
 from dssc_jax.models.controllers.pid import PID
@@ -20,5 +19,3 @@ CONTROLLERS: Registry = {
     "pid": PID,
     "state_feedback": STATE_FEEDBACK,
 }
-
-__all__ = ["CONTROLLERS", "DIFFERENTIATORS"]

@@ -16,7 +16,7 @@ from typing import Annotated, NamedTuple, TypeAlias
 import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Controller, HarmonicBalance
-from dssc_jax.core.numerics import root_abs, saturate, sign
+from dssc_jax.core.numerics import root_abs, root_of, saturate, sign
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Entry
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, tracking_error
@@ -50,14 +50,6 @@ class IntegralInfo(NamedTuple):
     """The integral part of the command [m/s]."""
 
     integral: Scalar
-
-
-def root_of(excess: Scalar, slope: Scalar) -> Scalar:
-    """The non-negative s with s^2 + slope s = excess, for excess >= 0; 0 otherwise."""
-    positive = excess > 0.0
-    inside = jnp.where(positive, excess, 1.0)
-    # 2 c/(b + sqrt(b^2 + 4 c)): the difference of the textbook form cancels for small excess
-    return jnp.where(positive, 2.0 * inside / (slope + jnp.sqrt(slope * slope + 4.0 * inside)), 0.0)
 
 
 Update: TypeAlias = Callable[[Scalar, Scalar, Scalar, Scalar, Scalar], tuple[Scalar, Scalar]]

@@ -14,14 +14,14 @@ from typing import Annotated, NamedTuple, TypeAlias
 import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Controller
-from dssc_jax.core.numerics import root_abs, saturate, sign
+from dssc_jax.core.numerics import root_abs, root_of, saturate, sign
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Entry
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, TrackingError, tracking_error
 from dssc_jax.core.smoothness import SWITCHES, not_smooth
 from dssc_jax.models.controllers.gain_functions import KAPPA_ABC, ROOT_FLOOR, VariableGains, variable_gains
 from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
-from dssc_jax.models.controllers.sta import K_N, LIMIT, IntegralInfo, IntegralState, root_of
+from dssc_jax.models.controllers.sta import K_N, LIMIT, IntegralInfo, IntegralState
 
 
 class VgstaGains(NamedTuple):

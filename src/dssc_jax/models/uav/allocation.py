@@ -55,11 +55,3 @@ def allocate(inverse: tuple[tuple[float, ...], ...], thrust: Scalar, moment: Vec
     for f in wanted:
         limited = limited | (f < 0.0) | (f > limit)
     return Thrusts(each, limited)
-
-
-def net(vehicle: Vehicle, thrusts: tuple[Scalar, ...]) -> tuple[Scalar, Vec3]:
-    """f = sum f_i and M = sum p_bi x (f_i e3) + e3 sum s_i c_tau f_i."""
-    x, y = vehicle.directions()
-    ones = (1.0,) * vehicle.rotors
-    turning = Vec3(dot(y, thrusts), -dot(x, thrusts), 0.0) * vehicle.arm
-    return dot(ones, thrusts), turning._replace(z=vehicle.torque_coefficient * dot(vehicle.spins, thrusts))

@@ -15,9 +15,10 @@ from dssc_jax.core.smoothness import piecewise
 from dssc_jax.core.units import ANGLE, POSITION
 from dssc_jax.core.vectors import Quaternion, Vec3, quaternion_from_euler
 from dssc_jax.models.uav.aerodynamics import drag
-from dssc_jax.models.uav.allocation import Thrusts, allocate, net, pseudo_inverse
+from dssc_jax.models.uav.allocation import Thrusts, allocate, pseudo_inverse
 from dssc_jax.models.uav.inner_loop import Demand, InnerGains, Integrals, demand, euler_of, euler_rates, trig_of
-from dssc_jax.models.uav.rigid_body import BodyState, body_derivative, gyroscopic_torque
+from dssc_jax.models.uav.rigid_body import BodyState, body_derivative
+from dssc_jax.models.uav.rotors import gyroscopic_torque, net, rotor_motion
 from dssc_jax.models.uav.vehicle import GRAVITY, HEXACOPTER, QUADROTOR, Vehicle, check_vehicle
 
 CHANNELS = ("x", "y", "z", "psi")
@@ -136,13 +137,8 @@ def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar)
     """Right-hand side of (1) with inner loops, allocation, rotors and aerodynamics."""
     vehicle = params.vehicle
     inner, thrusts = wanted(params, state, drive)
-    commanded = tuple(root_abs(f / params.inner_model.thrust_coefficient) for f in thrusts.each)
-    if vehicle.motor_lag is None:
-        speeds, accelerations, spin_up = commanded, (), 0.0
-    else:
-        speeds = state.speeds
-        accelerations = tuple((c - w) / vehicle.motor_lag for c, w in zip(commanded, speeds, strict=True))
-        spin_up = -dot(vehicle.spins, accelerations)
+    speeds, accelerations = rotor_motion(vehicle, thrusts.each, params.inner_model.thrust_coefficient, state.speeds)
+    spin_up = -dot(vehicle.spins, accelerations) if accelerations else 0.0
     thrust, moment = net(vehicle, tuple(vehicle.thrust_coefficient * w * w for w in speeds))
     rotation = state.attitude.matrix()
     air = drag(vehicle, rotation, state.rate, state.velocity - drive.wind, speeds)

@@ -16,22 +16,6 @@ class BodyState(NamedTuple):
     rate: Vec3
 
 
-def gyroscopic_torque(rate: Vec3, rotor_inertia: Scalar, spin: Scalar, spin_up: Scalar) -> Vec3:
-    """tau_dist = -d/dt(h e3) - Omega x (h e3) with h = I_z sum thetadot_i [N m].
-
-    The article prints the opposite sign; with s_i = -sgn(thetadot_i) only the sign used here conserves R (J Omega + h
-    e3).
-
-    Args:
-        rate: Body rate Omega [rad/s].
-        rotor_inertia: Axial inertia I_z of a hub [kg m^2].
-        spin: sum thetadot_i, signed [rad/s].
-        spin_up: sum thetaddot_i, signed [rad/s^2].
-    """
-    h = rotor_inertia * spin
-    return Vec3(-h * rate.y, h * rate.x, -rotor_inertia * spin_up)
-
-
 def body_derivative(
     state: BodyState, mass: Scalar, inertia: Vec3, thrust: Scalar, drag: Vec3, torque: Vec3, rotation: Mat3
 ) -> BodyState:

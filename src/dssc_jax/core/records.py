@@ -1,0 +1,115 @@
+"""Recorded signals as piecewise cubic functions of time: values held, joined by lines, or by a cubic spline."""
+
+from enum import StrEnum
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import ReferencePoint, Scalar
+
+MOST_VALUES = 50_000
+TIMES = Quantity("s", "times, rising", law=False, data=True)
+
+Values = tuple[Scalar, ...]
+
+
+class Pieces(NamedTuple):
+    """A piecewise cubic function.
+
+    Args:
+        begins: Time at which each piece begins [s], shape (n,).
+        coefficients: Shape (n + 1, 4), in ascending powers of the time since the piece began; the first row holds
+            before the first time.
+    """
+
+    begins: jax.Array | np.ndarray
+    coefficients: jax.Array | np.ndarray
+
+
+class Interpolation(StrEnum):
+    """How values between two recorded times are found."""
+
+    HOLD = "hold"
+    LINEAR = "linear"
+    CUBIC = "cubic"
+
+
+def held_pieces(time: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Coefficients of a value that holds until the next one, shape (n - 1, 4)."""
+    return np.pad(value[:-1, None], ((0, 0), (0, 3)))
+
+
+def line_pieces(time: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Coefficients of straight lines, shape (n - 1, 4)."""
+    slope = np.diff(value) / np.diff(time)
+    return np.pad(np.column_stack([value[:-1], slope]), ((0, 0), (0, 2)))
+
+
+def spline_pieces(time: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Coefficients of the natural cubic spline, shape (n - 1, 4): y_m' and y_m'' are continuous."""
+    return CubicSpline(time, value, bc_type="natural").c[::-1].T
+
+
+RULES = {Interpolation.HOLD: held_pieces, Interpolation.LINEAR: line_pieces, Interpolation.CUBIC: spline_pieces}
+
+
+def check_record(time: Values, value: Values) -> None:
+    """Require at least two values, one for each time, at rising times.
+
+    Raises:
+        ConfigError: otherwise.
+    """
+    count = len(time)
+    if len(value) != count:
+        raise ConfigError("value", f"must hold as many numbers as time, {count}, got {len(value)}")
+    if not 2 <= count <= MOST_VALUES:
+        raise ConfigError("time", f"must hold 2 to {MOST_VALUES} numbers, got {count}")
+    fall = np.diff(np.asarray(time, float)) <= 0.0
+    if fall.any():
+        index = int(fall.argmax()) + 1
+        rule = f"must be above the time before it, {time[index - 1]:g} s, got {time[index]:g} s"
+        raise ConfigError(f"time.{index}", rule)
+
+
+def cubic_pieces(time: Values, value: Values, rule: Interpolation) -> Pieces:
+    """The piecewise cubic through a record.
+
+    Raises:
+        ConfigError: As in :func:`check_record`.
+    """
+    check_record(time, value)
+    times = np.asarray(time, float)
+    values = np.asarray(value, float)
+    ends = np.pad(values[[0, -1], None], ((0, 0), (0, 3)))
+    return Pieces(times, np.concatenate([ends[:1], RULES[rule](times, values), ends[1:]]))
+
+
+def columns_as_pieces(time: Values, columns: dict[str, Values], rule: Interpolation) -> tuple[Pieces, ...]:
+    """The piecewise cubics through several columns with the same times.
+
+    Raises:
+        ConfigError: As in :func:`check_record`; a wrong length is reported under the column's name.
+    """
+    parts = []
+    for name, values in columns.items():
+        try:
+            parts.append(cubic_pieces(time, values, rule))
+        except ConfigError as error:
+            raise error if len(values) == len(time) else error.within_path(name) from None
+    return tuple(parts)
+
+
+def piece_at(pieces: Pieces, t: Scalar) -> ReferencePoint:
+    """The value at t with its derivatives; a piece begins at its time, up to the rounding of t = k T_s."""
+    t = jnp.asarray(t, jnp.result_type(float))
+    begins = jnp.asarray(pieces.begins, t.dtype)
+    rounded = t + 4.0 * jnp.finfo(t.dtype).eps * jnp.abs(t)
+    after = jnp.searchsorted(begins, rounded, side="right", method="scan_unrolled")
+    a, b, c, d = jnp.asarray(pieces.coefficients, t.dtype)[after]
+    x = jnp.maximum(t - begins[jnp.maximum(after - 1, 0)], 0.0)
+    return ReferencePoint(a + x * (b + x * (c + x * d)), b + x * (2.0 * c + 3.0 * x * d), 2.0 * c + 6.0 * x * d)

@@ -1,0 +1,31 @@
+"""Registry of actuators: unmodelled dynamics in series with the plant input; a new one is one file and one row."""
+
+from dssc_jax.core.contracts import NoParams, Unmodelled
+from dssc_jax.core.registry import Registry, single
+from dssc_jax.core.smoothness import SMOOTH
+from dssc_jax.models.actuators.delay import DELAY
+from dssc_jax.models.actuators.lag import LAG
+from dssc_jax.models.actuators.quantisation import QUANTISATION
+from dssc_jax.models.actuators.rate_limit import RATE_LIMIT
+from dssc_jax.models.actuators.saturation import SATURATION
+from dssc_jax.models.actuators.transfer_function import TRANSFER_FUNCTION
+
+NO_DYNAMICS = Unmodelled(
+    NoParams,
+    init=lambda params: (),
+    step=lambda params, state, command, dt: state,
+    output=lambda params, state, command: command,
+    held=True,
+    smooth=SMOOTH,
+    continuous=True,
+)
+
+UNMODELLED: Registry = {
+    "none": single(NO_DYNAMICS, "the command reaches the plant unchanged"),
+    "lag": LAG,
+    "transfer_function": single(TRANSFER_FUNCTION, "any stable proper G(mu s) with G(0) = 1, of order 1 to 6"),
+    "delay": single(DELAY, "a pure delay of any real number of controller samples"),
+    "quantisation": single(QUANTISATION, "a plant input that is a multiple of a resolution"),
+    "rate_limit": single(RATE_LIMIT, "a plant input that follows the command at a limited rate"),
+    "saturation": single(SATURATION, "a plant input of limited magnitude"),
+}

@@ -1,0 +1,45 @@
+"""Lags 1/(mu s + 1)^order in series with the plant input (the examples of Section V-A2).
+
+The command is held between samples and the lag is advanced by its exact solution, so a small mu needs no small step.
+"""
+
+from enum import IntEnum
+from typing import Annotated, NamedTuple
+
+from dssc_jax.core.adapters import linear_unmodelled
+from dssc_jax.core.contracts import Unmodelled
+from dssc_jax.core.numerics import at_least
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.registry import Entry
+from dssc_jax.core.sampled_linear import FASTEST, LinearSystem
+from dssc_jax.core.signals import Scalar
+
+
+class Order(IntEnum):
+    """Order of the lag."""
+
+    ONE = 1
+    TWO = 2
+
+
+class LagParams(NamedTuple):
+    """Time constant of the lag."""
+
+    mu: Annotated[Scalar, Quantity("s", "time constant mu of the unmodelled dynamics", above=0.0)]
+
+
+def system(params: LagParams, order: Order) -> LinearSystem:
+    """mu z1' = u - z1, mu z2' = z1 - z2, ...; the output is the last state."""
+    rate = 1.0 / at_least(params.mu, FASTEST)
+    rows = []
+    for i in range(order):
+        rows.append(tuple(-rate if j == i else rate if j == i - 1 else 0.0 for j in range(order)))
+    return LinearSystem(tuple(rows), (rate, *(0.0,) * (order - 1)), (*(0.0,) * (order - 1), 1.0), 0.0)
+
+
+def lag(order: Order) -> Unmodelled:
+    """1/(mu s + 1)^order, at rest at t = 0."""
+    return linear_unmodelled(LagParams, lambda params: (0.0,) * order, lambda params: system(params, order))
+
+
+LAG = Entry({order: lag(order) for order in Order}, "1/(mu s + 1)^order, order 1 or 2", "order", Order.ONE)

@@ -1,0 +1,27 @@
+"""Registry of differentiators, which estimate y' from sampled y; a new one is one file and one row here.
+
+Each starts at the first y with velocity zero and ignores the velocity of the first measurement, because only y is
+known. A step estimates y' at the current sample. Each is exact on y = c0 + c1 t after its transient, and stable at
+every dt. Angles must not be wrapped.
+"""
+
+from dssc_jax.core.contracts import Differentiator, NoParams
+from dssc_jax.core.registry import Registry, single
+from dssc_jax.core.smoothness import SMOOTH
+from dssc_jax.models.differentiators.high_gain_observer import HIGH_GAIN_OBSERVER
+from dssc_jax.models.differentiators.lead_filter import LEAD_FILTER
+from dssc_jax.models.differentiators.levant import LEVANT
+
+NO_DIFFERENTIATOR = Differentiator(
+    NoParams,
+    init=lambda params, measurement: (),
+    step=lambda params, state, measurement, dt: (state, measurement),
+    smooth=SMOOTH,
+)
+
+DIFFERENTIATORS: Registry = {
+    "none": single(NO_DIFFERENTIATOR, "the measured velocity"),
+    "lead_filter": single(LEAD_FILTER, "s y/(tau_f s + 1), exact for y linear between samples"),
+    "high_gain_observer": single(HIGH_GAIN_OBSERVER, "two estimates with poles of order 1/epsilon, backward Euler"),
+    "levant": single(LEVANT, "robust exact differentiator of first order, implicit: no chatter"),
+}

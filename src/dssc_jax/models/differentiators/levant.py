@@ -1,0 +1,99 @@
+"""The robust exact differentiator of first order, sampled implicitly.
+
+References:
+    A. Levant, "Robust exact differentiation via sliding mode technique", Automatica 34 (1998).
+    M. R. Mojallizadeh, B. Brogliato, V. Acary, "Time-discretizations of differentiators: design of implicit
+    algorithms and comparative analysis", Int. J. Robust and Nonlinear Control 31 (2021).
+    R. Seeber, "Proper implicit discretization of arbitrary-order robust exact differentiators",
+    arXiv:2404.02770 (2024).
+"""
+
+from typing import Annotated, NamedTuple
+
+import jax.numpy as jnp
+
+from dssc_jax.core.contracts import Differentiator
+from dssc_jax.core.numerics import root_of, sign
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Measurement, Scalar
+from dssc_jax.core.smoothness import SMOOTH, not_smooth
+
+LIPSCHITZ = Quantity("y/s^2", "bound L of |y''|", above=0.0)
+LAMBDA_1 = Quantity("1", "lambda_1 of the robust exact differentiator", above=0.0)
+LAMBDA_0 = Quantity("1", "lambda_0 of the robust exact differentiator", above=1.0)
+
+
+class LevantParams(NamedTuple):
+    """z0' = -lambda_1 (L |z0 - y|)^(1/2) sgn(z0 - y) + z1, z1' = -lambda_0 L sgn(z0 - y).
+
+    The defaults are Levant's (1998).
+    """
+
+    lipschitz: Annotated[Scalar, LIPSCHITZ]
+    lambda1: Annotated[Scalar, LAMBDA_1] = 1.5
+    lambda0: Annotated[Scalar, LAMBDA_0] = 1.1
+
+
+class LevantState(NamedTuple):
+    """Estimates of y [m] and y' [m/s]."""
+
+    z0: Scalar
+    z1: Scalar
+
+
+def levant_init(params: LevantParams, measurement: Measurement) -> LevantState:
+    """At rest at the first y."""
+    return LevantState(measurement.y, 0.0)
+
+
+def levant_step(
+    params: LevantParams, state: LevantState, measurement: Measurement, dt: Scalar
+) -> tuple[LevantState, Measurement]:
+    """Backward Euler with the set-valued sign, solved exactly.
+
+    With x = z0+ - y, b = z0 + dt z1 - y and xi in Sgn x: x + dt lambda_1 (L |x|)^(1/2) sgn x + dt^2 lambda_0 L xi = b.
+    For |b| <= dt^2 lambda_0 L the solution is x = 0, and z1+ is the backward difference of y: no chatter, and no
+    rounding that adds up. Once reached, sliding persists: b is then a second difference of y, at most
+    L dt^2 < lambda_0 L dt^2. The error is at most L dt/2, the least possible from samples. Outside of sliding, s =
+    |x|^(1/2) solves a quadratic.
+
+    Args:
+        params: Bound of y'' and gains.
+        state: Estimates at the last sample.
+        measurement: The sampled y [m].
+        dt: Time since the last sample [s].
+
+    Returns:
+        The next state, and y with the estimate of y'.
+    """
+    b = state.z0 + dt * state.z1 - measurement.y
+    jump = dt * params.lambda0 * params.lipschitz
+    excess = jnp.abs(b) - dt * jump
+    sliding = excess <= 0.0
+    s = root_of(excess, dt * params.lambda1 * jnp.sqrt(params.lipschitz))
+    velocity = jnp.where(sliding, (measurement.y - state.z0) / dt, state.z1 - jump * sign(b))
+    return LevantState(measurement.y + s * s * sign(b), velocity), Measurement(measurement.y, velocity)
+
+
+def backward_difference_step(
+    params: LevantParams, state: LevantState, measurement: Measurement, dt: Scalar
+) -> tuple[LevantState, Measurement]:
+    """The step of :func:`levant_step` in sliding; with its arguments."""
+    velocity = (measurement.y - state.z0) / dt
+    return LevantState(measurement.y, velocity), Measurement(measurement.y, velocity)
+
+
+def in_sliding(params: LevantParams) -> tuple[Differentiator, LevantParams]:
+    """The robust exact differentiator in sliding."""
+    return BACKWARD_DIFFERENCE, params
+
+
+BACKWARD_DIFFERENCE = Differentiator(LevantParams, levant_init, backward_difference_step, smooth=SMOOTH)
+LEVANT = Differentiator(
+    LevantParams,
+    levant_init,
+    levant_step,
+    smooth=not_smooth(
+        "counts as the backward difference of y, which it is in sliding, while |y''| <= lipschitz", in_sliding
+    ),
+)

@@ -1,0 +1,98 @@
+"""Disturbances prescribed over time: constant, step, sine, spline."""
+
+import math
+from typing import Annotated, Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dssc_jax.core.contracts import Disturbance, Variation, stateless, unchanged
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import begun, cubic_spline
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Measurement, Scalar
+from dssc_jax.core.smoothness import SMOOTH
+
+VALUE = Quantity("u", "value of d")
+
+
+class ConstantParams(NamedTuple):
+    """A constant disturbance."""
+
+    value: Annotated[Scalar, VALUE]
+
+
+class StepParams(NamedTuple):
+    """A step of height ``value`` at the time ``at``."""
+
+    value: Annotated[Scalar, VALUE]
+    at: Annotated[Scalar, Quantity("s", "time of the step", at_least=0.0)] = 0.0
+
+
+class SineDisturbanceParams(NamedTuple):
+    """amplitude sin(2 pi t/period + phase)."""
+
+    amplitude: Annotated[Scalar, Quantity("u", "amplitude")]
+    period: Annotated[Scalar, Quantity("s", "period", above=0.0)]
+    phase: Annotated[Scalar, Quantity("rad", "phase")] = 0.0
+
+
+class SplineParams(NamedTuple):
+    """A cubic spline with knots ``interval`` apart, the first at ``at``: any signal of bounded amplitude and slope.
+
+    d = sum of knots[i] B((t - at)/interval - i) with the cubic B-spline B: |d| is at most the largest |knot|, and
+    |d'| is at most the largest difference of consecutive knots divided by the interval. It begins and ends at 0, two
+    intervals outside the knots.
+    """
+
+    knots: Annotated[tuple[Scalar, ...], Quantity("u", "coefficient of the spline at a knot")]
+    interval: Annotated[Scalar, Quantity("s", "time between two knots", above=0.0)]
+    at: Annotated[Scalar, Quantity("s", "time of the first knot")] = 0.0
+
+
+def held_value(params: Any, state: Scalar, measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
+    """The value held over the sample."""
+    return state
+
+
+def step_mean(params: StepParams, state: Scalar, key: jax.Array, t: Scalar, dt: Scalar) -> Scalar:
+    """Mean of the step over [t, t + dt): the impulse of a jump within a sample is exact, its time to O(T_s)."""
+    return params.value * begun(params.at, t, dt)
+
+
+def sine_value(params: SineDisturbanceParams, state: Any, measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
+    """The sine at t."""
+    return params.amplitude * jnp.sin(2.0 * math.pi / params.period * t + params.phase)
+
+
+def check_knots(params: SplineParams) -> SplineParams:
+    """Check that there are knots.
+
+    Raises:
+        ConfigError: there are none.
+    """
+    if not params.knots:
+        raise ConfigError("knots", "needs at least one knot, got none")
+    return params
+
+
+def spline_value(params: SplineParams, state: Any, measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
+    """The spline at t."""
+    return cubic_spline(params.knots, (t - params.at) / params.interval)
+
+
+CONSTANT = Disturbance(
+    ConstantParams,
+    stateless,
+    unchanged,
+    lambda params, state, measurement, sigma, t: params.value,
+    variation=Variation.HELD,
+    smooth=SMOOTH,
+)
+STEP = Disturbance(StepParams, lambda params, key: 0.0, step_mean, held_value, variation=Variation.HELD, smooth=SMOOTH)
+SINE_DISTURBANCE = Disturbance(
+    SineDisturbanceParams, stateless, unchanged, sine_value, variation=Variation.TIME, smooth=SMOOTH
+)
+SPLINE = Disturbance(
+    SplineParams, stateless, unchanged, spline_value, check_knots, variation=Variation.TIME, smooth=SMOOTH
+)

@@ -1,0 +1,87 @@
+"""A chirp: a sine whose frequency moves from one value to another.
+
+Reference:
+    L. Ljung, System Identification: Theory for the User, 2nd ed. (1999), section 13.3.
+"""
+
+import math
+from enum import StrEnum
+from typing import Annotated, NamedTuple
+
+import jax.numpy as jnp
+
+from dssc_jax.core.contracts import Reference
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.registry import Entry
+from dssc_jax.core.signals import ReferencePoint, Scalar
+from dssc_jax.models.references.steps import AT, BASELINE, reached
+
+
+class Spacing(StrEnum):
+    """How a chirp's frequency moves from its first to its last value."""
+
+    LINEAR = "linear"
+    LOGARITHMIC = "logarithmic"
+
+
+class ChirpParams(NamedTuple):
+    """amplitude sin(phase) from ``at``; after ``duration`` the last frequency is kept."""
+
+    amplitude: Annotated[Scalar, Quantity("y", "amplitude")]
+    start: Annotated[Scalar, Quantity("Hz", "first frequency", above=0.0)]
+    end: Annotated[Scalar, Quantity("Hz", "last frequency", above=0.0)]
+    duration: Annotated[Scalar, Quantity("s", "time from the first to the last frequency", above=0.0)]
+    at: Annotated[Scalar, AT] = 0.0
+    offset: Annotated[Scalar, BASELINE] = 0.0
+
+
+class Phase(NamedTuple):
+    """Phase [rad], angular frequency [rad/s] and its rate [rad/s^2]."""
+
+    angle: Scalar
+    rate: Scalar
+    sweep: Scalar
+
+
+def linear_phase(params: ChirpParams, elapsed: Scalar) -> Phase:
+    """The phase of a frequency that grows by equal amounts in equal times."""
+    slope = (params.end - params.start) / params.duration
+    turn = 2.0 * math.pi
+    return Phase(
+        turn * elapsed * (params.start + 0.5 * slope * elapsed), turn * (params.start + slope * elapsed), turn * slope
+    )
+
+
+def logarithmic_phase(params: ChirpParams, elapsed: Scalar) -> Phase:
+    """The phase of a frequency that grows by equal factors in equal times; (e^x - 1)/x is 1 + x/2 near x = 0."""
+    growth = jnp.log(params.end / params.start) / params.duration
+    exponent = growth * elapsed
+    small = jnp.abs(exponent) < 1e-6
+    mean = jnp.where(small, 1.0 + 0.5 * exponent, jnp.expm1(exponent) / jnp.where(small, 1.0, exponent))
+    rate = 2.0 * math.pi * params.start * jnp.exp(exponent)
+    return Phase(2.0 * math.pi * params.start * elapsed * mean, rate, growth * rate)
+
+
+def chirp(spacing: Spacing) -> Reference:
+    """The chirp whose frequency moves in the given way."""
+    moving = linear_phase if spacing is Spacing.LINEAR else logarithmic_phase
+
+    def at(params: ChirpParams, t: Scalar) -> ReferencePoint:
+        elapsed = jnp.maximum(t - params.at, 0.0)
+        within = jnp.minimum(elapsed, params.duration)
+        angle, rate, sweep = moving(params, within)
+        angle = angle + 2.0 * math.pi * params.end * (elapsed - within)
+        on = jnp.where(reached(t, params.at), params.amplitude, 0.0)
+        sweep = jnp.where(elapsed < params.duration, sweep, 0.0)
+        sine, cosine = on * jnp.sin(angle), on * jnp.cos(angle)
+        return ReferencePoint(params.offset + sine, rate * cosine, sweep * cosine - rate * rate * sine)
+
+    return Reference(ChirpParams, at)
+
+
+CHIRP = Entry(
+    {spacing: chirp(spacing) for spacing in Spacing},
+    "a sine whose frequency moves from one value to another",
+    "spacing",
+    Spacing.LOGARITHMIC,
+)

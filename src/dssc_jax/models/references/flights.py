@@ -1,0 +1,64 @@
+"""Flights of the vehicle: a desired position and yaw over time."""
+
+from typing import Annotated, Any, NamedTuple, TypeAlias
+
+import jax.numpy as jnp
+
+from dssc_jax.core.contracts import NoParams, Reference
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import ReferencePoint, Scalar
+from dssc_jax.models.references.sine import MISSION, sine_at
+
+
+class HoverParams(NamedTuple):
+    """A fixed position and yaw."""
+
+    position: Annotated[tuple[Scalar, ...], Quantity("m", "desired position x, y, z")] = (0.0, 0.0, 0.0)
+    yaw: Annotated[Scalar, Quantity("rad", "desired yaw")] = 0.0
+
+
+class StepsParams(NamedTuple):
+    """Steps of position and yaw from zero at the time ``at``."""
+
+    position: Annotated[tuple[Scalar, ...], Quantity("m", "step of the position x, y, z")] = (0.0, 0.0, 0.0)
+    yaw: Annotated[Scalar, Quantity("rad", "step of the yaw")] = 0.0
+    at: Annotated[Scalar, Quantity("s", "time of the step", at_least=0.0)] = 0.0
+
+
+Flight: TypeAlias = tuple[ReferencePoint, ReferencePoint, ReferencePoint, ReferencePoint]
+"""Desired x, y, z and psi."""
+
+
+def three_values(params: Any) -> Any:
+    """Require a position of three values.
+
+    Raises:
+        ConfigError: otherwise.
+    """
+    if len(params.position) != 3:
+        raise ConfigError("position", f"needs three values, got {len(params.position)}")
+    return params
+
+
+def resting(position: tuple[Scalar, ...], yaw: Scalar) -> Flight:
+    """A fixed point."""
+    x, y, z, psi = (ReferencePoint(value, 0.0, 0.0) for value in (*position, yaw))
+    return x, y, z, psi
+
+
+def steps_at(params: StepsParams, t: Scalar) -> Flight:
+    """Zero before the step, the given point afterwards; exact to rounding at samples t = k T_s."""
+    on = jnp.where(t >= params.at * (1.0 - 1e-12), 1.0, 0.0)
+    return resting(tuple(on * value for value in params.position), on * params.yaw)
+
+
+def whole_mission(params: NoParams, t: Scalar) -> Flight:
+    """All four axes."""
+    x, y, z, psi = (sine_at(axis, t) for axis in MISSION.values())
+    return x, y, z, psi
+
+
+WHOLE_MISSION = Reference(NoParams, whole_mission)
+HOVER = Reference(HoverParams, lambda params, t: resting(params.position, params.yaw), three_values)
+STEPS = Reference(StepsParams, steps_at, three_values)

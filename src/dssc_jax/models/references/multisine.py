@@ -1,0 +1,57 @@
+"""A multisine: a sum of sines, with phases that keep its peak low.
+
+References:
+    L. Ljung, System Identification: Theory for the User, 2nd ed. (1999), section 13.3.
+    M. R. Schroeder, Synthesis of low-peak-factor signals and binary sequences with low autocorrelation, IEEE Trans.
+    Information Theory 16 (1970).
+"""
+
+import math
+from typing import Annotated, NamedTuple
+
+import jax.numpy as jnp
+
+from dssc_jax.core.contracts import Reference
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import ReferencePoint, Scalar
+
+
+class MultisineParams(NamedTuple):
+    """The sum of a_k sin(2 pi f_k t + phi_k). Without phases, Schroeder's keep the peak low for equal amplitudes."""
+
+    amplitudes: Annotated[tuple[Scalar, ...], Quantity("y", "amplitude of each sine")]
+    frequencies: Annotated[tuple[Scalar, ...], Quantity("Hz", "frequency of each sine", above=0.0)]
+    phases: Annotated[tuple[Scalar, ...] | None, Quantity("rad", "phase of each sine")] = None
+    offset: Annotated[Scalar, Quantity("y", "mean value")] = 0.0
+
+
+def multisine_at(params: MultisineParams, t: Scalar) -> ReferencePoint:
+    """The multisine at t."""
+    y, y_dot, y_ddot = params.offset, 0.0, 0.0
+    assert params.phases is not None  # prepare has set them
+    for amplitude, frequency, phase in zip(params.amplitudes, params.frequencies, params.phases, strict=True):
+        rate = 2.0 * math.pi * frequency
+        angle = rate * t + phase
+        swing = amplitude * jnp.sin(angle)
+        y, y_dot, y_ddot = y + swing, y_dot + amplitude * rate * jnp.cos(angle), y_ddot - rate * rate * swing
+    return ReferencePoint(y, y_dot, y_ddot)
+
+
+def prepare_multisine(params: MultisineParams) -> MultisineParams:
+    """Require lists of one length, and set Schroeder's phases -k (k - 1) pi/n if none are given.
+
+    Raises:
+        ConfigError: the lists are empty, or of different lengths.
+    """
+    count = len(params.amplitudes)
+    phases = params.phases
+    if phases is None:
+        phases = tuple(-math.pi * ((k * (k - 1)) % (2 * count)) / count for k in range(1, count + 1))
+    for name, values in (("frequencies", params.frequencies), ("phases", phases)):
+        if not count or len(values) != count:
+            raise ConfigError(name, f"must hold one number for each of the amplitudes, {count}, got {len(values)}")
+    return params._replace(phases=phases)
+
+
+MULTISINE = Reference(MultisineParams, multisine_at, prepare_multisine)

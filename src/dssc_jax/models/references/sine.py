@@ -1,0 +1,56 @@
+"""Sines as desired outputs, and the four axes of the article's mission."""
+
+import math
+from enum import StrEnum
+from typing import Annotated, NamedTuple
+
+import jax.numpy as jnp
+
+from dssc_jax.core.contracts import NoParams, Reference
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.registry import Entry
+from dssc_jax.core.signals import ReferencePoint, Scalar
+
+
+class SineParams(NamedTuple):
+    """y_m = offset + amplitude sin(2 pi t/period + phase)."""
+
+    amplitude: Annotated[Scalar, Quantity("y", "amplitude")]
+    period: Annotated[Scalar, Quantity("s", "period", above=0.0)]
+    phase: Annotated[Scalar, Quantity("rad", "phase")] = 0.0
+    offset: Annotated[Scalar, Quantity("y", "offset")] = 0.0
+
+
+class Axis(StrEnum):
+    """The mission's four degrees of freedom."""
+
+    X = "x"
+    Y = "y"
+    Z = "z"
+    PSI = "psi"
+
+
+def sine_at(params: SineParams, t: Scalar) -> ReferencePoint:
+    """The sine and its derivatives at t."""
+    rate = 2.0 * math.pi / params.period
+    angle = rate * t + params.phase
+    swing, slope = params.amplitude * jnp.sin(angle), params.amplitude * rate * jnp.cos(angle)
+    return ReferencePoint(params.offset + swing, slope, -rate * rate * swing)
+
+
+MISSION = {
+    Axis.X: SineParams(20.0, 40.0),
+    Axis.Y: SineParams(20.0, 40.0, phase=math.pi / 2),
+    Axis.Z: SineParams(3.0, 60.0, offset=5.0),
+    Axis.PSI: SineParams(-math.pi / 4, 40.0, offset=math.pi / 4),
+}
+"""The desired trajectories of Section V-B: x, y, z in m, psi in rad."""
+
+
+def mission(axis: Axis) -> Reference:
+    """One axis of the mission, with the article's numbers."""
+    return Reference(NoParams, lambda params, t: sine_at(MISSION[axis], t))
+
+
+SINE = Reference(SineParams, sine_at)
+MISSION_ENTRY = Entry({axis: mission(axis) for axis in Axis}, "one axis of the article's mission", "axis", Axis.X)

@@ -1,0 +1,90 @@
+"""Steps, ramps and pulse trains as desired outputs.
+
+A step and a pulse train have no derivatives at their edges. There y_m' and y_m'' are those on the right: a controller
+that uses them sees a change of y_m and no impulse.
+"""
+
+from typing import Annotated, NamedTuple
+
+import jax.numpy as jnp
+
+from dssc_jax.core.contracts import Reference
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity, extent
+from dssc_jax.core.signals import ReferencePoint, Scalar
+
+AT = Quantity("s", "time at which it begins", at_least=0.0)
+BASELINE = Quantity("y", "value before it begins")
+
+
+def reached(t: Scalar, at: Scalar) -> Scalar:
+    """Whether t >= at, up to the rounding of t = k T_s."""
+    return t >= at - 4.0 * jnp.finfo(jnp.result_type(float)).eps * jnp.abs(t)
+
+
+class StepReferenceParams(NamedTuple):
+    """y_m = offset before ``at``, and offset + size from then on."""
+
+    size: Annotated[Scalar, Quantity("y", "size of the step")]
+    at: Annotated[Scalar, AT] = 0.0
+    offset: Annotated[Scalar, BASELINE] = 0.0
+
+
+def step_at(params: StepReferenceParams, t: Scalar) -> ReferencePoint:
+    """The step at t."""
+    return ReferencePoint(params.offset + jnp.where(reached(t, params.at), params.size, 0.0), 0.0, 0.0)
+
+
+class RampParams(NamedTuple):
+    """A ramp from ``at``, for ``rise`` seconds; without ``rise``, it does not end."""
+
+    slope: Annotated[Scalar, Quantity("y/s", "slope")]
+    at: Annotated[Scalar, AT] = 0.0
+    rise: Annotated[Scalar | None, Quantity("s", "duration of the ramp", above=0.0)] = None
+    offset: Annotated[Scalar, BASELINE] = 0.0
+
+
+def ramp_at(params: RampParams, t: Scalar) -> ReferencePoint:
+    """The ramp at t."""
+    elapsed = jnp.maximum(t - params.at, 0.0)
+    rising = reached(t, params.at)
+    if params.rise is not None:
+        rising = rising & jnp.logical_not(reached(t, params.at + params.rise))
+        elapsed = jnp.minimum(elapsed, params.rise)
+    return ReferencePoint(params.offset + params.slope * elapsed, jnp.where(rising, params.slope, 0.0), 0.0)
+
+
+class PulseParams(NamedTuple):
+    """A train of rectangular pulses from ``at``, each ``width`` long, one every ``period``."""
+
+    size: Annotated[Scalar, Quantity("y", "size of a pulse")]
+    period: Annotated[Scalar, Quantity("s", "time from one pulse to the next", above=0.0)]
+    width: Annotated[Scalar, Quantity("s", "duration of a pulse", above=0.0)]
+    at: Annotated[Scalar, AT] = 0.0
+    offset: Annotated[Scalar, BASELINE] = 0.0
+
+
+def pulse_at(params: PulseParams, t: Scalar) -> ReferencePoint:
+    """The pulse train at t."""
+    rounding = 8.0 * jnp.finfo(jnp.result_type(float)).eps * jnp.abs(t)
+    elapsed = t - params.at + rounding
+    phase = elapsed - params.period * jnp.floor(elapsed / params.period)
+    on = (elapsed >= 0.0) & (phase < params.width)
+    return ReferencePoint(params.offset + jnp.where(on, params.size, 0.0), 0.0, 0.0)
+
+
+def prepare_pulse(params: PulseParams) -> PulseParams:
+    """Require that a pulse ends before the next one begins.
+
+    Raises:
+        ConfigError: it does not.
+    """
+    widest, shortest = extent(params.width)[1], extent(params.period)[0]
+    if not widest < shortest:
+        raise ConfigError("width", f"must be below the period, got up to {widest:g} s and a period of {shortest:g} s")
+    return params
+
+
+STEP_REFERENCE = Reference(StepReferenceParams, step_at)
+RAMP_REFERENCE = Reference(RampParams, ramp_at)
+PULSES = Reference(PulseParams, pulse_at, prepare_pulse)

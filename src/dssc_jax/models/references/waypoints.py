@@ -1,0 +1,265 @@
+"""The field test's trajectory (Section V-C): a twice differentiable curve through georeferenced waypoints.
+
+The host computes a table once: it converts WGS 84 to local east, north, up (ENU), fits a cubic spline through the
+waypoints, plans a rest-to-rest motion along it at bounded speed, and stores the motion as quintics on equal time
+steps. The simulation evaluates one row of the table at a time.
+
+References:
+    NIMA TR8350.2, Department of Defense World Geodetic System 1984, 3rd ed., 2000 (ellipsoid, geodetic to ECEF).
+    P. D. Groves, Principles of GNSS ... Navigation Systems, 2nd ed., Artech House, 2013, chapter 2 (ECEF to ENU).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Annotated, NamedTuple, get_type_hints
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.polynomial.polynomial import polyder
+
+from dssc_jax.core.contracts import Reference
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import ReferencePoint, Scalar
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
+
+SEMI_MAJOR_AXIS, FLATTENING = 6378137.0, 1.0 / 298.257223563  # a [m] and f of WGS 84 (TR8350.2, table 3.1)
+STANDARD_GRAVITY = 9.80665  # g_n [m/s^2] (3rd CGPM, 1901)
+LATERAL_LIMIT = 0.5 * STANDARD_GRAVITY  # greatest acceleration across the path [m/s^2]: a tilt of 27 degrees (assumed)
+FRAME_RADIUS = 1e4  # reach of the local frame [m] (assumed): the ground is 8 m below the tangent plane there
+SAME = 0.01  # consecutive waypoints nearer than this [m] are the same (assumed; the precision of RTK positioning)
+SEGMENT_TIME = 0.02  # of the table [s]
+FEWEST_SEGMENTS, MOST_SEGMENTS = 256, 65536
+LEG_PARTS = 128  # of a leg, on which its length and curvature are taken
+RAMP = 1.875  # peak slope of 10 x^3 - 15 x^4 + 6 x^5 on [0, 1]
+GAUSS = np.polynomial.legendre.leggauss(5)
+
+LATITUDE = Quantity("deg", "WGS 84 latitude", at_least=-90.0, at_most=90.0, law=False)
+LONGITUDE = Quantity("deg", "WGS 84 longitude", at_least=-180.0, at_most=180.0, law=False)
+ALTITUDE = Quantity(
+    "m", "height above the first point's ground", at_least=-FRAME_RADIUS, at_most=FRAME_RADIUS, law=False
+)
+
+
+class WaypointParams(NamedTuple):
+    """Waypoints in the order of flight; the first is the origin of east (x) and north (y), the ground there of up (z).
+
+    Yaw is measured from east towards north, as psi of the model (not a compass heading), and turns the shorter way
+    from one waypoint to the next; None means zero throughout. Heights are ellipsoidal differences. The ground is
+    assumed to lie on the ellipsoid, which shortens lengths by 1.6e-7 for each metre of its true height.
+    """
+
+    latitude_deg: Annotated[tuple[Scalar, ...], LATITUDE]
+    longitude_deg: Annotated[tuple[Scalar, ...], LONGITUDE]
+    altitude: Annotated[tuple[Scalar, ...], ALTITUDE]
+    speed: Annotated[Scalar, Quantity("m/s", "cruise speed, never exceeded", above=0.0, law=False)]
+    acceleration: Annotated[Scalar, Quantity("m/s^2", "peak acceleration from and to rest", above=0.0, law=False)]
+    yaw_deg: Annotated[tuple[Scalar, ...] | None, Quantity("deg", "yaw at the waypoints", law=False)] = None
+
+
+class Curve(NamedTuple):
+    """Position and yaw over time, twice continuously differentiable, at rest before 0 and after ``duration``.
+
+    Args:
+        step: Duration of a segment [s].
+        coefficients: Shape (segments + 1, 4, 6): x, y, z [m] and psi [rad] in ascending powers of the time within
+            the segment over ``step``; the last row is the last waypoint.
+    """
+
+    step: Scalar
+    coefficients: jax.Array | np.ndarray
+
+    @property
+    def duration(self) -> Scalar:
+        """Time of arrival [s]."""
+        return self.step * (self.coefficients.shape[0] - 1)
+
+
+def ecef(latitude: np.ndarray, longitude: np.ndarray, height: np.ndarray) -> np.ndarray:
+    """Earth-centred, Earth-fixed position of geodetic coordinates [rad], [rad], [m]; shape (..., 3) [m]."""
+    eccentricity2 = FLATTENING * (2.0 - FLATTENING)
+    normal = SEMI_MAJOR_AXIS / np.sqrt(1.0 - eccentricity2 * np.sin(latitude) ** 2)  # prime vertical radius
+    across = (normal + height) * np.cos(latitude)
+    up = (normal * (1.0 - eccentricity2) + height) * np.sin(latitude)
+    return np.stack([across * np.cos(longitude), across * np.sin(longitude), up], axis=-1)
+
+
+def enu(params: WaypointParams) -> np.ndarray:
+    """East, north and up of the waypoints in the tangent plane at the first one's ground; shape (n, 3) [m]."""
+    latitude, longitude = (np.radians(np.asarray(x, float)) for x in (params.latitude_deg, params.longitude_deg))
+    east = np.array([-np.sin(longitude[0]), np.cos(longitude[0]), 0.0])
+    up = np.array([east[1] * np.cos(latitude[0]), -east[0] * np.cos(latitude[0]), np.sin(latitude[0])])
+    origin = ecef(latitude[:1], longitude[:1], np.zeros(1))
+    offset = ecef(latitude, longitude, np.asarray(params.altitude, float)) - origin
+    return offset @ np.stack([east, np.cross(up, east), up], axis=-1)
+
+
+def check_path(params: WaypointParams) -> None:
+    """Check the waypoints before a path is computed; raises ConfigError."""
+    count = len(params.latitude_deg)
+    if count < 2:
+        raise ConfigError("latitude_deg", f"must hold at least two waypoints, got {count}")
+    for name, hint in get_type_hints(WaypointParams, include_extras=True).items():
+        given, quantity = getattr(params, name), hint.__metadata__[0]
+        many = np.ndim(given) == 1
+        if many and len(given) != count:
+            raise ConfigError(name, f"must hold {count} numbers, as latitude_deg does, got {len(given)}")
+        for i, value in enumerate(given if many else () if given is None else (given,)):
+            broken = quantity.violated_by(value, value) or (None if math.isfinite(value) else "must be finite")
+            if broken:
+                rule = f"{quantity.meaning} [{quantity.unit}] {broken}, got {value:g}"
+                raise ConfigError(f"{name}.{i}" if many else name, rule)
+    points = enu(params)
+    far, near = np.linalg.norm(points, axis=1), np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if far.max() > FRAME_RADIUS:
+        i = int(far.argmax())
+        rule = f"waypoint {i} must be within {FRAME_RADIUS / 1e3:g} km of waypoint 0, got {far[i] / 1e3:.4g} km"
+        raise ConfigError(f"{'latitude_deg' if abs(points[i, 1]) > abs(points[i, 0]) else 'longitude_deg'}.{i}", rule)
+    if near.min() < SAME:
+        i = int(near.argmin())
+        raise ConfigError(f"latitude_deg.{i + 1}", f"waypoint {i + 1} repeats waypoint {i} ({near[i]:.2g} m away)")
+
+
+def spline(params: WaypointParams) -> CubicSpline:
+    """Natural cubic spline of x, y, z [m] and psi [rad] through the waypoints over their chord length u [m]."""
+    points = enu(params)
+    yaw = np.zeros(len(points)) if params.yaw_deg is None else np.unwrap(np.radians(np.asarray(params.yaw_deg, float)))
+    chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    from scipy.interpolate import CubicSpline  # slow to load, and few studies fly waypoints
+
+    return CubicSpline(chord, np.column_stack([points, yaw]), bc_type="natural")
+
+
+def path_speed(path: CubicSpline, u: np.ndarray) -> np.ndarray:
+    """|dr/du|: length of the path per unit of u."""
+    return np.linalg.norm(path(u, 1)[..., :3], axis=-1)
+
+
+def length(path: CubicSpline, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Length of the path between start and end [m], by Gauss's rule of five points (intervals are short)."""
+    half = 0.5 * (end - start)
+    return half * (path_speed(path, start[:, None] + np.outer(half, 1.0 + GAUSS[0])) @ GAUSS[1])
+
+
+def check_speed(params: WaypointParams, path: CubicSpline, u: np.ndarray, total: float) -> None:
+    """Check that the path can be flown at the speed: it must be long and smooth enough; raises ConfigError."""
+    slope, bend = path(u, 1)[:, :3], path(u, 2)[:, :3]
+    size = np.maximum(np.linalg.norm(slope, axis=1), np.finfo(float).tiny)
+    turn = np.sum(slope[1:] * slope[:-1], axis=1) / size[1:] / size[:-1]
+    if turn.min() < 0.5:  # 60 degrees within a fraction of a leg
+        i = np.abs(path.x - u[turn.argmin()]).argmin()
+        rule = f"the path turns back on itself at waypoint {i}, which no speed allows; put waypoints around the turn"
+        raise ConfigError(f"latitude_deg.{i}", rule)
+    curvature = np.linalg.norm(np.cross(slope, bend), axis=1) / size**3
+    peak = curvature.argmax()
+    by_length = math.sqrt(total * params.acceleration / RAMP)
+    by_turn = math.sqrt(LATERAL_LIMIT / max(curvature[peak], 1e-12))
+    if params.speed > by_turn:
+        acceleration = params.speed**2 * curvature[peak] / STANDARD_GRAVITY
+        waypoint = np.abs(path.x - u[peak]).argmin()
+        rule = f"{acceleration:.3g} g across the path near waypoint {waypoint} (from 0), limit 0.5 g"
+    elif params.speed > by_length:
+        rule = f"the path of {total:.3g} m is too short to reach it and stop at {params.acceleration:g} m/s^2"
+    else:
+        return
+    limit = 0.995 * min(by_turn, by_length)  # still below when rounded to three digits
+    raise ConfigError("speed", f"must be at most {limit:.3g} m/s, got {params.speed:g}: {rule}")
+
+
+def travel(t: np.ndarray, total: float, speed: float, ramp: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Distance [m], speed and its rate at t: up a ramp 10 x^3 - 15 x^4 + 6 x^5 (so the speed is C^2), cruise, down."""
+    sooner = np.minimum(t, total / speed + ramp - t)  # from the start or to the end
+    x = np.clip(sooner / ramp, 0.0, 1.0)
+    far = speed * (ramp * x**4 * (2.5 - 3.0 * x + x**2) + np.maximum(sooner - ramp, 0.0))
+    rate = speed * x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+    gain = speed / ramp * 30.0 * (x * (1.0 - x)) ** 2
+    return np.where(sooner == t, far, total - far), rate, np.where(sooner == t, gain, -gain)
+
+
+def quintics(y: np.ndarray, y_dot: np.ndarray, y_ddot: np.ndarray, step: float) -> np.ndarray:
+    """Hermite quintics between equidistant nodes, and a constant after the last; (n, 4) to (n, 4, 6)."""
+    low = np.stack([y[:-1], step * y_dot[:-1], 0.5 * step**2 * y_ddot[:-1]], axis=-1)
+    slope = step * y_dot[1:] - low @ [0.0, 1.0, 2.0]
+    rest = np.stack([y[1:] - low.sum(axis=-1), slope, step**2 * y_ddot[1:] - 2.0 * low[..., 2]], axis=-1)
+    high = rest @ np.array([[10.0, -15.0, 6.0], [-4.0, 7.0, -3.0], [0.5, -1.0, 0.5]])
+    hold = np.pad(y[-1:, :, None], ((0, 0), (0, 0), (0, 5)))
+    return np.concatenate([np.concatenate([low, high], axis=-1), hold])
+
+
+def at_length(path: CubicSpline, u: np.ndarray, s: np.ndarray, far: np.ndarray) -> np.ndarray:
+    """The u at which the path has the length ``far`` [m], by Newton's method from the grid (u, s)."""
+    k = np.clip(np.searchsorted(s, far, side="right") - 1, 0, len(u) - 2)
+    reached = u[k] + (far - s[k]) / (s[k + 1] - s[k]) * (u[k + 1] - u[k])
+    for _ in range(4):
+        missing = far - s[k] - length(path, u[k], reached)
+        reached = np.clip(reached + missing / path_speed(path, reached), u[k], u[k + 1])
+    return reached
+
+
+def slowed(step: float, coefficients: np.ndarray, params: WaypointParams) -> float:
+    """The step with which the table keeps both bounds, also between its nodes (usually longer by 1e-5)."""
+    powers = np.vander(np.linspace(0.0, 1.0, 17), 5, increasing=True).T
+    slope = polyder(coefficients[:, :3], axis=-1)
+    velocity, gain = slope @ powers / step, polyder(slope, axis=-1) @ powers[:4] / step**2
+    speed = np.linalg.norm(velocity, axis=1)
+    along = np.abs(np.sum(velocity * gain, axis=1)) / np.maximum(speed, np.finfo(float).tiny)
+    excess = max(1.0, speed.max() / float(params.speed), math.sqrt(along.max() / float(params.acceleration)))
+    return float(step * (excess + 0.01 * (excess - 1.0) + 1e-5))  # more, for a peak between the 17 points
+
+
+def curve(params: WaypointParams) -> Curve:
+    """Compute the motion along the path, on the host and before tracing: the table that :func:`at` evaluates.
+
+    Raises:
+        ConfigError: too few, repeated or scattered waypoints, numbers out of range, or an impossible speed.
+    """
+    check_path(params)
+    path, cruise = spline(params), float(params.speed)
+    u = np.interp(np.arange(LEG_PARTS * (len(path.x) - 1) + 1) / LEG_PARTS, np.arange(len(path.x)), path.x)
+    s = np.concatenate([[0.0], np.cumsum(length(path, u[:-1], u[1:]))])
+    check_speed(params, path, u, s[-1])
+    ramp, flight = RAMP * cruise / float(params.acceleration), s[-1] / cruise
+    count = int(np.clip(math.ceil((flight + ramp) / SEGMENT_TIME), FEWEST_SEGMENTS, MOST_SEGMENTS))
+    ramp = max(ramp, 8.0 * (flight + ramp) / count)  # no ramp is too short for the table's steps
+    duration = flight + ramp
+    far, speed, gain = travel(np.linspace(0.0, duration, count + 1), s[-1], cruise, ramp)
+    v = at_length(path, u, s, far)
+    size, slope, bend = path_speed(path, v), path(v, 1), path(v, 2)
+    v_dot = speed / size
+    v_ddot = (gain - np.sum(slope[:, :3] * bend[:, :3], axis=1) / size * v_dot**2) / size
+    y_ddot = bend * v_dot[:, None] ** 2 + slope * v_ddot[:, None]
+    coefficients = quintics(path(v), slope * v_dot[:, None], y_ddot, duration / count)
+    return Curve(slowed(duration / count, coefficients, params), coefficients)
+
+
+def at(curve: Curve, t: Scalar) -> tuple[ReferencePoint, ReferencePoint, ReferencePoint, ReferencePoint]:
+    """x, y, z [m] and psi [rad] at t [s], in the precision of t; psi is continuous and may pass +-pi."""
+    dtype = jnp.result_type(t, float)
+    step = jnp.asarray(curve.step, dtype)
+    phase = jnp.clip(jnp.asarray(t, dtype) / step, 0, curve.coefficients.shape[0] - 1)
+    x = phase - jnp.floor(phase)
+    row = jnp.take(curve.coefficients, phase.astype(jnp.int32), axis=0, mode="clip").astype(dtype)
+    value = slope = bend = jnp.zeros((4,), dtype)
+    for power in reversed(range(6)):  # Horner's rule with its first two derivatives
+        bend = bend * x + slope
+        slope = slope * x + value
+        value = value * x + row[:, power]
+    east, north, up, psi = (ReferencePoint(value[i], slope[i] / step, 2.0 * bend[i] / step**2) for i in range(4))
+    return east, north, up, psi
+
+
+SOCCER_FIELD = WaypointParams(
+    tuple(-22.86 + 1e-6 * n for n in (-200, -227, -182, 53, 288, 324, 288, 53, -164, -191, -128, 71, 233, 71, -146)),
+    tuple(-43.23 + 1e-6 * n for n in (-400, 9, 380, 457, 360, -30, -400, -478, -342, -10, 302, 380, 243, -49, -361)),
+    altitude=(5.0, 5.5, 6.0, 6.5, 7.0, 8.0, 7.5, 7.0, 6.5, 6.0, 5.5, 6.0, 6.5, 6.0, 5.0),
+    speed=4.0,
+    acceleration=1.0,
+    yaw_deg=(0.0, 15.0, 45.0, 90.0, 75.0, 60.0, 30.0, 0.0, -30.0, -45.0, -30.0, 0.0, 30.0, 45.0, 0.0),
+)
+"""Invented waypoints, not the field test's: a lap of a 105 m by 68 m field, a smaller one, a diagonal, at 5 to 8 m."""
+
+WAYPOINTS = Reference(WaypointParams, at, curve)

@@ -1,0 +1,58 @@
+"""A sensor with a first-order lag on y and on y'."""
+
+from typing import Annotated, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dssc_jax.core.contracts import Sensor
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Measurement, Scalar
+from dssc_jax.core.smoothness import SMOOTH
+
+
+class SensorLagParams(NamedTuple):
+    """A sensor with a lag: y and y' each through 1/(mu s + 1)."""
+
+    mu: Annotated[Scalar, Quantity("s", "time constant of the sensor's lag", above=0.0)]
+
+
+class LagState(NamedTuple):
+    """The previous measurement and the previous reading."""
+
+    true: Measurement
+    shown: Measurement
+
+
+def lag_init(params: SensorLagParams, measurement: Measurement, key: jax.Array) -> LagState:
+    """Start at the first measurement, as after a constant past."""
+    return LagState(measurement, measurement)
+
+
+def lag_step(
+    params: SensorLagParams, state: LagState, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
+) -> tuple[LagState, Measurement]:
+    """Exact solution of mu z' = y - z over dt, for y linear between the samples: a small mu is no delay.
+
+    Args:
+        params: Time constant.
+        state: Measurement and reading of the sample before.
+        measurement: The plant's y [m] and y' [m/s] now.
+        key: Not used.
+        t: Time [s].
+        dt: Time since the sample before [s].
+
+    Returns:
+        The next state, and the measurement that the controller sees.
+    """
+    steps = dt / params.mu
+    share = -jnp.expm1(-steps)
+
+    def followed(true: Scalar, before: Scalar, shown: Scalar) -> Scalar:
+        return true - (true - before) * share / steps + (shown - before) * (1.0 - share)
+
+    seen = Measurement(*map(followed, measurement, state.true, state.shown))
+    return LagState(measurement, seen), seen
+
+
+SENSOR_LAG = Sensor(SensorLagParams, lag_init, lag_step, smooth=SMOOTH)

@@ -1,0 +1,180 @@
+"""A sensor with noise, constant errors, delay, sampling period, resolution, lost readings and jitter."""
+
+from typing import Annotated, Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dssc_jax.core.contracts import Sensor
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import is_zero, standard_normals, uniforms
+from dssc_jax.core.quantities import Quantity, extent
+from dssc_jax.core.signals import Measurement, Scalar
+from dssc_jax.core.smoothness import MEAN_GAIN, SMOOTH, Smoothness, not_smooth
+
+EXTRA = 2  # index of the random numbers of losses and jitter; those of noise have 0 and 1
+MOST_DELAY = 200  # samples: the state holds two scalars for each, and every scalar is copied at every sample
+POSITION_STD = Quantity("y", "standard deviation of the noise on y", at_least=0.0)
+VELOCITY_STD = Quantity("y/s", "standard deviation of the noise on y'", at_least=0.0)
+POSITION_BIAS = Quantity("y", "constant error of y")
+VELOCITY_BIAS = Quantity("y/s", "constant error of y'")
+DELAY_SAMPLES = Quantity("1", "delay, in controller samples", at_least=0.0, at_most=float(MOST_DELAY), law=False)
+READING_LOSS = Quantity("1", "probability that a reading is lost and the last one holds", at_least=0.0, below=1.0)
+POSITION_RESOLUTION = Quantity("y", "readings of y are multiples of it", above=0.0)
+VELOCITY_RESOLUTION = Quantity("y/s", "readings of y' are multiples of it", above=0.0)
+JITTER = Quantity("s", "largest age of a reading; it is uniform between 0 and this, at most one sample", at_least=0.0)
+PERIOD = Quantity("1", "controller samples from one reading to the next", at_least=1.0, law=False)
+
+
+class NoisyParams(NamedTuple):
+    """A sensor with white Gaussian noise, constant errors, a delay and its own sampling period.
+
+    A reading may also be taken early by a random time (``jitter``), be rounded to a resolution, or be lost: then the
+    last one holds. What the table does not give is left out of the program.
+
+    The two counts of samples determine the shape of the state, so they are integers known before tracing. If a
+    channel's output is an angle, units have rad instead of m.
+    """
+
+    position_std: Annotated[Scalar, POSITION_STD] = 0.0
+    velocity_std: Annotated[Scalar, VELOCITY_STD] = 0.0
+    position_bias: Annotated[Scalar, POSITION_BIAS] = 0.0
+    velocity_bias: Annotated[Scalar, VELOCITY_BIAS] = 0.0
+    delay_samples: Annotated[Scalar, DELAY_SAMPLES] = 0.0
+    period_samples: Annotated[Scalar, PERIOD] = 1.0
+    position_resolution: Annotated[Scalar | None, POSITION_RESOLUTION] = None
+    velocity_resolution: Annotated[Scalar | None, VELOCITY_RESOLUTION] = None
+    loss: Annotated[Scalar | None, READING_LOSS] = None
+    jitter: Annotated[Scalar | None, JITTER] = None
+
+
+class NoisyState(NamedTuple):
+    """The last reading with its age in controller samples, and the readings in the delay queue, oldest first.
+
+    With jitter, ``before`` holds the plant's own output at the sample before.
+    """
+
+    age: Scalar
+    held: Measurement
+    queue: tuple[Measurement, ...]
+    before: tuple[Measurement, ...] = ()
+
+
+def whole(name: str, value: Any) -> int:
+    """A count of samples.
+
+    Raises:
+        ConfigError: it is traced, or not a whole number.
+    """
+    if not isinstance(value, int | float):
+        raise ConfigError(name, "decides the shape of the state: must be a plain number, neither law nor swept")
+    if not float(value).is_integer():
+        raise ConfigError(name, f"must be a whole number of samples, got {float(value):g}")
+    return int(value)
+
+
+def prepare(params: NoisyParams) -> NoisyParams:
+    """Check the counts of samples.
+
+    Raises:
+        ConfigError: one is not a whole number.
+    """
+    whole("delay_samples", params.delay_samples)
+    whole("period_samples", params.period_samples)
+    return params
+
+
+def reading(params: NoisyParams, measurement: Measurement, key: jax.Array) -> Measurement:
+    """The measurement with the constant errors and fresh noise, rounded to the resolution."""
+    noise = standard_normals(key, 2)
+    return Measurement(
+        rounded(
+            measurement.y + params.position_bias + params.position_std * noise[0],
+            params.position_resolution,
+        ),
+        rounded(
+            measurement.y_dot + params.velocity_bias + params.velocity_std * noise[1],
+            params.velocity_resolution,
+        ),
+    )
+
+
+def rounded(value: Scalar, resolution: Scalar | None) -> Scalar:
+    """The nearest multiple of the resolution; the value itself if there is none."""
+    return value if resolution is None else resolution * jnp.round(value / resolution)
+
+
+def earlier(now: Measurement, before: Measurement, age: Scalar, dt: Scalar) -> Measurement:
+    """The measurement ``age`` before now, from the cubic through both samples and their derivatives.
+
+    The error is of order dt^4 in y and dt^3 in y', as smooth as the plant's output is.
+    """
+    s = 1.0 - age / dt
+    rise, first, last = now.y - before.y, dt * before.y_dot, dt * now.y_dot
+    second, third = 3.0 * rise - 2.0 * first - last, first + last - 2.0 * rise
+    y = before.y + s * (first + s * (second + s * third))
+    return Measurement(y, (first + s * (2.0 * second + 3.0 * s * third)) / dt)
+
+
+def noisy_init(params: NoisyParams, measurement: Measurement, key: jax.Array) -> NoisyState:
+    """Assume a constant past: one reading of the first measurement fills the queue, and a new one is due."""
+    first = reading(params, measurement, key)
+    period = whole("period_samples", params.period_samples)
+    before = () if params.jitter is None else (measurement,)
+    return NoisyState(float(period), first, (first,) * whole("delay_samples", params.delay_samples), before)
+
+
+def noisy_step(
+    params: NoisyParams, state: NoisyState, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
+) -> tuple[NoisyState, Measurement]:
+    """Take a reading if one is due, else hold the last one; return the reading of ``delay_samples`` ago.
+
+    Args:
+        params: Noise, constant errors, delay and period.
+        state: Last reading and queue.
+        measurement: The plant's y [m] and y' [m/s] now.
+        key: The sample's own random key.
+        t: Time [s].
+        dt: Sampling period of the controller [s].
+
+    Returns:
+        The next state, and the measurement that the controller sees.
+    """
+    due = state.age > whole("period_samples", params.period_samples) - 0.5  # a counter, compared halfway
+    true, arrives = measurement, due
+    if params.loss is not None or params.jitter is not None:
+        chance, share = uniforms(jax.random.fold_in(key, EXTRA), 2)
+        if params.jitter is not None:
+            true = earlier(measurement, state.before[0], params.jitter * share, dt)
+        if params.loss is not None and not is_zero(params.loss):
+            arrives = due & (chance >= params.loss)
+    fresh = reading(params, true, key)
+    held = Measurement(*(jnp.where(arrives, new, old) for new, old in zip(fresh, state.held, strict=True)))
+    delivered, *queue = (*state.queue, held)
+    before = () if params.jitter is None else (measurement,)
+    return NoisyState(jnp.where(due, 1.0, state.age + 1.0), held, tuple(queue), before), delivered
+
+
+def noisy_smoothness(params: NoisyParams) -> Smoothness:
+    """Linear, but for its own period, lost readings, jitter and a resolution."""
+    if params.period_samples != 1.0:
+        return not_smooth(
+            f"has period_samples = {params.period_samples:g}, which must be 1 for a frequency response: the loop is "
+            "periodic otherwise"
+        )
+    if params.loss is not None and extent(params.loss)[1] > 0.0:
+        return not_smooth("loses readings at random, so that no derivative holds from sample to sample; leave loss out")
+    counted = []
+    if params.jitter is not None:
+        counted.append("counts the age of its readings as constant in each draw, at most the jitter")
+    if params.position_resolution is not None or params.velocity_resolution is not None:
+        counted.append(f"counts its resolution as {MEAN_GAIN}")
+    return not_smooth("; ".join(counted), with_mean_gain) if counted else SMOOTH
+
+
+def with_mean_gain(params: NoisyParams) -> tuple[Sensor, NoisyParams]:
+    """The sensor for signals that are large against its resolution; with the jitter of the draw."""
+    return NOISY, params._replace(position_resolution=None, velocity_resolution=None)
+
+
+NOISY = Sensor(NoisyParams, noisy_init, noisy_step, prepare, noisy_smoothness)

@@ -1,0 +1,20 @@
+"""Registry of winds: velocity of the air in the inertial frame, z up; a family is one file."""
+
+from dssc_jax.core.contracts import NoParams, Wind, stateless, unchanged
+from dssc_jax.core.registry import Registry, single
+from dssc_jax.core.vectors import Vec3
+from dssc_jax.models.wind.dryden import DRYDEN
+from dssc_jax.models.wind.prescribed import CONSTANT_WIND, GUST, PIECEWISE, SPLINE_WIND
+from dssc_jax.models.wind.record import RECORDED_WIND
+
+NO_WIND = Wind(NoParams, stateless, unchanged, lambda params, state, t: Vec3(0.0, 0.0, 0.0))
+
+WINDS: Registry = {
+    "none": single(NO_WIND, "no wind"),
+    "constant": single(CONSTANT_WIND, "a constant velocity from a given time on"),
+    "piecewise": single(PIECEWISE, "a table of velocities with jumps"),
+    "gust": single(GUST, "a 1-cosine gust on a constant mean"),
+    "spline": single(SPLINE_WIND, "cubic splines of given knots: any wind of bounded speed and acceleration"),
+    "record": RECORDED_WIND,
+    "dryden": single(DRYDEN, "mean wind and Dryden turbulence of MIL-F-8785C at low altitude, exactly sampled"),
+}

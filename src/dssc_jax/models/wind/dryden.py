@@ -1,0 +1,172 @@
+"""Dryden turbulence with a mean wind, exactly sampled.
+
+Reference:
+    MIL-F-8785C, Military Specification: Flying Qualities of Piloted Airplanes, 1980, section 3.7: turbulence in the
+    Dryden form; wind shear, intensities and scale lengths of the low-altitude model.
+"""
+
+import math
+from typing import Annotated, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dssc_jax.core.contracts import Wind
+from dssc_jax.core.numerics import begun, standard_normals
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.vectors import Vec3
+from dssc_jax.models.wind.prescribed import START
+
+FOOT = 0.3048
+"""The international foot [m]."""
+REFERENCE_HEIGHT = 20.0 * FOOT
+"""Height at which W20 is measured [m] (MIL-F-8785C)."""
+ROUGHNESS = 0.15 * FOOT
+"""z_0 of the flight phases near the ground, category C [m] (MIL-F-8785C; 2 ft in the others)."""
+ROOT3 = math.sqrt(3.0)
+
+
+class DrydenParams(NamedTuple):
+    """Dryden turbulence of the low-altitude model with a mean wind.
+
+    ``altitude`` sets mean wind, intensities and scale lengths; they do not follow the vehicle. ``airspeed`` converts
+    lengths to times: the vehicle passes through a frozen field at that speed (about the wind speed in hover).
+    """
+
+    speed: Annotated[Scalar, Quantity("m/s", "mean wind speed at 20 ft (6.1 m), W20", at_least=0.0)]
+    altitude: Annotated[Scalar, Quantity("m", "height above ground", at_least=3.0, at_most=305.0)]
+    airspeed: Annotated[Scalar, Quantity("m/s", "speed of passing through the frozen field, V", above=0.0)]
+    direction: Annotated[Scalar, Quantity("rad", "where the wind blows to, from x towards y")] = 0.0
+    turbulence: Annotated[Scalar, Quantity("1", "factor on the intensities", at_least=0.0)] = 1.0
+    at: Annotated[Scalar, START] = 0.0
+
+
+class DrydenLaw(NamedTuple):
+    """Mean speed and intensities sigma [m/s], scale lengths L [m]; u along and v across the mean wind, w vertical."""
+
+    mean: Scalar
+    sigma_uv: Scalar
+    sigma_w: Scalar
+    length_uv: Scalar
+    length_w: Scalar
+
+
+class Transverse(NamedTuple):
+    """State of the filter of v or w: a' = -a + n, b' = -b + a, in units of L/V, with unit white noise n."""
+
+    a: Scalar
+    b: Scalar
+
+    @property
+    def output(self) -> Scalar:
+        """The filtered noise, of variance 1: (1 + sqrt(3) s)/(1 + s)^2 in partial fractions."""
+        return ROOT3 * self.a + (1.0 - ROOT3) * self.b
+
+
+class DrydenState(NamedTuple):
+    """Values held over a sample: u over sigma_u, the filters of v and w, and the share of the sample with wind."""
+
+    u: Scalar
+    v: Transverse
+    w: Transverse
+    on: Scalar
+
+
+def dryden_law(params: DrydenParams) -> DrydenLaw:
+    """The low-altitude model at the given height; its formulas use feet.
+
+    Mean W20 ln(h/z_0)/ln(20 ft/z_0) with z_0 = 0.15 ft; L_w = h, L_u = L_v = h/(0.177 + 0.000823 h)^1.2,
+    sigma_w = 0.1 W20, sigma_u = sigma_v = sigma_w/(0.177 + 0.000823 h)^0.4, times ``turbulence``.
+
+    Args:
+        params: Heights in [m], speeds in [m/s].
+
+    Returns:
+        Intensities and mean in [m/s], lengths in [m].
+    """
+    shape = 0.177 + 0.000823 * (params.altitude / FOOT)
+    sigma_w = params.turbulence * 0.1 * params.speed
+    return DrydenLaw(
+        mean=params.speed * jnp.log(params.altitude / ROUGHNESS) / math.log(REFERENCE_HEIGHT / ROUGHNESS),
+        sigma_uv=sigma_w / shape**0.4,
+        sigma_w=sigma_w,
+        length_uv=params.altitude / shape**1.2,
+        length_w=params.altitude,
+    )
+
+
+def sinh_excess(h: Scalar) -> Scalar:
+    """exp(-h) (sinh h - h) for h >= 0, without cancellation or overflow."""
+    small = jnp.minimum(h, 1.0)
+    square, series = small * small, 1.0
+    for n in range(16, 2, -2):
+        series = 1.0 + square / (n * (n + 1)) * series
+    direct = -0.5 * jnp.expm1(-2.0 * h) - h * jnp.exp(-h)
+    return jnp.where(h < 1.0, jnp.exp(-h) * small * square / 6.0 * series, direct)
+
+
+def noise_factor(h: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """Cholesky factor of the noise that :class:`Transverse` accumulates over h = V dt/L.
+
+    The covariance is that of int_0^h (1, s) exp(-s) dW: with S = exp(-h) sinh h, Q_aa = S,
+    Q_ab = (exp(-h) (sinh h - h) - h exp(-h) expm1(-h))/2, and det Q = exp(-2 h) (sinh^2 h - h^2)/4. Every term is
+    positive, so single precision resolves the smallest, of order h^3.
+
+    Returns:
+        The entries (a, a), (b, a), (b, b).
+    """
+    decay, variance, excess = jnp.exp(-h), -0.5 * jnp.expm1(-2.0 * h), sinh_excess(h)
+    a_a = jnp.sqrt(variance)
+    b_a = 0.5 * (excess - h * decay * jnp.expm1(-h)) / a_a
+    b_b = jnp.sqrt(0.25 * excess * (variance + h * decay) / variance)
+    return a_a, b_a, b_b
+
+
+def transverse_init(n1: Scalar, n2: Scalar) -> Transverse:
+    """A draw from the stationary law, of covariance ((1/2, 1/4), (1/4, 1/4)), from two normal numbers."""
+    return Transverse(math.sqrt(0.5) * n1, math.sqrt(0.125) * (n1 + n2))
+
+
+def transverse_step(state: Transverse, h: Scalar, n1: Scalar, n2: Scalar) -> Transverse:
+    """Exact sampling over h = V dt/L: the law of the samples does not depend on the step."""
+    decay = jnp.exp(-h)
+    a_a, b_a, b_b = noise_factor(h)
+    return Transverse(decay * state.a + a_a * n1, decay * (state.b + h * state.a) + b_a * n1 + b_b * n2)
+
+
+def dryden_init(params: DrydenParams, key: jax.Array) -> DrydenState:
+    """A draw from the stationary law, to avoid an initial transient."""
+    n = standard_normals(key, 5)
+    return DrydenState(n[0], transverse_init(n[1], n[2]), transverse_init(n[3], n[4]), 0.0)
+
+
+def dryden_step(params: DrydenParams, state: DrydenState, key: jax.Array, t: Scalar, dt: Scalar) -> DrydenState:
+    """Exact sampling of the filters driven by white noise; before ``at`` they run without effect.
+
+    H_u = sigma_u sqrt(2 L_u/(pi V))/(1 + L_u s/V) and, for v and w,
+    H = sigma sqrt(L/(pi V)) (1 + sqrt(3) L s/V)/(1 + L s/V)^2. Their squared moduli are the one-sided spectra of the
+    specification in omega [rad/s], with integral sigma^2 over omega > 0; the noise therefore has the autocovariance
+    pi delta(t). The autocorrelations are exp(-T) and exp(-T) (1 - T/2), T = V tau/L: integral scales are L_u, L_v/2
+    and L_w/2.
+    """
+    law = dryden_law(params)
+    n = standard_normals(key, 5)
+    h_uv, h_w = params.airspeed * dt / law.length_uv, params.airspeed * dt / law.length_w
+    return DrydenState(
+        jnp.exp(-h_uv) * state.u + jnp.sqrt(-jnp.expm1(-2.0 * h_uv)) * n[0],
+        transverse_step(state.v, h_uv, n[1], n[2]),
+        transverse_step(state.w, h_w, n[3], n[4]),
+        begun(params.at, t, dt),
+    )
+
+
+def dryden_value(params: DrydenParams, state: DrydenState, t: Scalar) -> Vec3:
+    """Mean wind and turbulence, turned from the mean wind's axes to the inertial ones."""
+    law = dryden_law(params)
+    along, across = law.mean + law.sigma_uv * state.u, law.sigma_uv * state.v.output
+    c, s = jnp.cos(params.direction), jnp.sin(params.direction)
+    return Vec3(along * c - across * s, along * s + across * c, law.sigma_w * state.w.output) * state.on
+
+
+DRYDEN = Wind(DrydenParams, dryden_init, dryden_step, dryden_value)

@@ -1,0 +1,145 @@
+"""Wind prescribed over time: constant, piecewise constant, gust, splines.
+
+A jump within a sample acts through its mean over the sample. The gust is evaluated at every stage of the integrator.
+
+Reference:
+    14 CFR 25.341(a)(2) and EASA CS 25.341(a)(2): the discrete gust that returns to zero.
+"""
+
+import math
+from itertools import pairwise
+from typing import Annotated, Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dssc_jax.core.contracts import Wind, stateless, unchanged
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import begun, cubic_spline
+from dssc_jax.core.quantities import Quantity, extent
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.vectors import Vec3
+
+X = Quantity("m/s", "wind velocity along x")
+Y = Quantity("m/s", "wind velocity along y")
+Z = Quantity("m/s", "wind velocity along z, up")
+START = Quantity("s", "time at which the wind begins", at_least=0.0)
+
+
+class ConstantWindParams(NamedTuple):
+    """A constant wind from the time ``at`` on."""
+
+    x: Annotated[Scalar, X]
+    y: Annotated[Scalar, Y]
+    z: Annotated[Scalar, Z]
+    at: Annotated[Scalar, START] = 0.0
+
+
+class PiecewiseParams(NamedTuple):
+    """Row i of the table holds from ``times[i]`` to the next time, the last row for ever; before the first, no wind."""
+
+    times: Annotated[tuple[Scalar, ...], Quantity("s", "time at which the row begins", at_least=0.0)]
+    x: Annotated[tuple[Scalar, ...], X]
+    y: Annotated[tuple[Scalar, ...], Y]
+    z: Annotated[tuple[Scalar, ...], Z]
+
+
+class GustParams(NamedTuple):
+    """A 1-cosine gust of peak (x, y, z) on a constant mean; the peak is at ``at + duration/2``."""
+
+    x: Annotated[Scalar, Quantity("m/s", "peak of the gust along x")]
+    y: Annotated[Scalar, Quantity("m/s", "peak of the gust along y")]
+    z: Annotated[Scalar, Quantity("m/s", "peak of the gust along z, up")]
+    duration: Annotated[Scalar, Quantity("s", "duration of the gust, from zero to zero", above=0.0)]
+    at: Annotated[Scalar, Quantity("s", "time at which the gust begins", at_least=0.0)] = 0.0
+    mean_x: Annotated[Scalar, Quantity("m/s", "mean wind along x")] = 0.0
+    mean_y: Annotated[Scalar, Quantity("m/s", "mean wind along y")] = 0.0
+    mean_z: Annotated[Scalar, Quantity("m/s", "mean wind along z, up")] = 0.0
+
+
+class SplineWindParams(NamedTuple):
+    """Cubic splines with knots ``interval`` apart, the first at ``at``: any wind of bounded speed and acceleration.
+
+    Each component is at most its largest |knot|. Its rate is at most the largest difference of consecutive knots
+    divided by the interval. The wind begins and ends at 0, two intervals outside the knots.
+    """
+
+    interval: Annotated[Scalar, Quantity("s", "time between two knots", above=0.0)]
+    x: Annotated[tuple[Scalar, ...], X] = ()
+    y: Annotated[tuple[Scalar, ...], Y] = ()
+    z: Annotated[tuple[Scalar, ...], Z] = ()
+    at: Annotated[Scalar, Quantity("s", "time of the first knot")] = 0.0
+
+
+def calm(params: Any, key: jax.Array) -> Vec3:
+    """No wind before the first sample."""
+    return Vec3(0.0, 0.0, 0.0)
+
+
+def held_wind(params: Any, state: Vec3, t: Scalar) -> Vec3:
+    """The wind held over the sample."""
+    return state
+
+
+def constant_step(params: ConstantWindParams, state: Vec3, key: jax.Array, t: Scalar, dt: Scalar) -> Vec3:
+    """Mean over [t, t + dt): a jump within a sample does not spoil the integrator's order."""
+    return Vec3(params.x, params.y, params.z) * begun(params.at, t, dt)
+
+
+def check_table(params: PiecewiseParams) -> PiecewiseParams:
+    """Check lengths and order of the table.
+
+    Raises:
+        ConfigError: it is empty, its columns differ in length, or its times do not increase.
+    """
+    rows = len(params.times)
+    if rows == 0:
+        raise ConfigError("times", "needs at least one time, got none")
+    for name in ("x", "y", "z"):
+        if len(getattr(params, name)) != rows:
+            count = len(getattr(params, name))
+            raise ConfigError(name, f"must hold {rows} numbers, one for each of times, got {count}")
+    for i, (before, after) in enumerate(pairwise(map(extent, params.times)), start=1):
+        if not after[0] > before[1]:
+            rule = f"times must increase strictly: must be > {before[1]:g}, the one before, got {after[0]:g}"
+            raise ConfigError(f"times.{i}", rule)
+    return params
+
+
+def piecewise_step(params: PiecewiseParams, state: Vec3, key: jax.Array, t: Scalar, dt: Scalar) -> Vec3:
+    """Mean of the table over [t, t + dt): at each instant the last row that has begun."""
+    wind, later = Vec3(0.0, 0.0, 0.0), 0.0
+    for at, x, y, z in reversed(list(zip(*params, strict=True))):
+        share = jnp.maximum(begun(at, t, dt) - later, 0.0)
+        wind, later = wind + Vec3(x, y, z) * share, later + share
+    return wind
+
+
+def gust_value(params: GustParams, state: Any, t: Scalar) -> Vec3:
+    """Mean plus peak times (1 - cos(2 pi (t - at)/duration))/2, as the square of a sine."""
+    phase = jnp.clip((t - params.at) / params.duration, 0.0, 1.0)
+    swell = jnp.square(jnp.sin(math.pi * phase))
+    return Vec3(params.mean_x, params.mean_y, params.mean_z) + Vec3(params.x, params.y, params.z) * swell
+
+
+def check_wind_knots(params: SplineWindParams) -> SplineWindParams:
+    """Check that there are knots.
+
+    Raises:
+        ConfigError: no component has any.
+    """
+    if not (params.x or params.y or params.z):
+        raise ConfigError("x", "needs at least one knot in x, y or z, got none")
+    return params
+
+
+def spline_wind(params: SplineWindParams, state: Any, t: Scalar) -> Vec3:
+    """The splines at t; a component without knots is 0."""
+    place = (t - params.at) / params.interval
+    return Vec3(*(cubic_spline(knots, place) for knots in (params.x, params.y, params.z)))
+
+
+CONSTANT_WIND = Wind(ConstantWindParams, calm, constant_step, held_wind)
+PIECEWISE = Wind(PiecewiseParams, calm, piecewise_step, held_wind, check_table)
+GUST = Wind(GustParams, stateless, unchanged, gust_value)
+SPLINE_WIND = Wind(SplineWindParams, stateless, unchanged, spline_wind, check_wind_knots)

@@ -1,0 +1,42 @@
+"""A recorded wind."""
+
+from typing import Annotated, NamedTuple
+
+from dssc_jax.core.contracts import Wind, stateless, unchanged
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.records import TIMES, Interpolation, Pieces, Values, columns_as_pieces, piece_at
+from dssc_jax.core.registry import Entry
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.vectors import Vec3
+
+
+class RecordedWindParams(NamedTuple):
+    """A recorded wind; a study file gives ``file`` and the ``columns`` of x, y and z instead."""
+
+    time: Annotated[Values, TIMES]
+    x: Annotated[Values, Quantity("m/s", "wind velocity along x", law=False, data=True)]
+    y: Annotated[Values, Quantity("m/s", "wind velocity along y", law=False, data=True)]
+    z: Annotated[Values, Quantity("m/s", "wind velocity along z, up", law=False, data=True)]
+
+
+def wind_at(pieces: tuple[Pieces, ...], state: tuple[()], t: Scalar) -> Vec3:
+    """The three components at t."""
+    x, y, z = pieces
+    return Vec3(piece_at(x, t).y, piece_at(y, t).y, piece_at(z, t).y)
+
+
+def recorded_wind(rule: Interpolation) -> Wind:
+    """The wind that follows a record of its three components by the given rule."""
+
+    def prepare(params: RecordedWindParams) -> tuple[Pieces, ...]:
+        return columns_as_pieces(params.time, {"x": params.x, "y": params.y, "z": params.z}, rule)
+
+    return Wind(RecordedWindParams, stateless, unchanged, wind_at, prepare)
+
+
+RECORDED_WIND = Entry(
+    {rule: recorded_wind(rule) for rule in Interpolation},
+    "a recorded wind: `file` and three `columns`, or `time`, `x`, `y` and `z`",
+    "interpolation",
+    Interpolation.LINEAR,
+)

@@ -1,0 +1,70 @@
+"""Rate limit and saturation: against a hand-written loop, at any step."""
+
+import jax
+import numpy as np
+import pytest
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.models.actuators import UNMODELLED
+from dssc_jax.study.components import parse_component
+from dssc_jax.study.laws import Law
+
+COMMANDS = [0.5, 0.5, -2.0, -2.0, 0.1, 3.0, 3.0, 3.0, 0.0]
+
+
+def parsed(**table):
+    return parse_component(table, UNMODELLED, "unmodelled")
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.3, 100.0])
+def test_rate_limit(dt):
+    """The plant input goes straight to the held command and stays there: a loop of 1000 parts a sample."""
+    part, z, rate = parsed(kind="rate_limit", rate=4.0), 0.0, 4.0
+    state = part.model.init(part.params)
+    for u in COMMANDS:
+        state = part.model.step(part.params, state, u, dt)
+        for _ in range(1000):
+            room = rate * dt / 1000
+            z = u if abs(u - z) <= room else z + (room if u > z else -room)
+        assert float(part.model.output(part.params, state, u)) == pytest.approx(z, abs=1e-12)
+
+
+def test_two_half_samples_are_one():
+    part = parsed(kind="rate_limit", rate=4.0)
+    for u in COMMANDS:
+        once = part.model.step(part.params, (0.3,), u, 0.2)
+        twice = part.model.step(part.params, part.model.step(part.params, (0.3,), u, 0.1), u, 0.1)
+        np.testing.assert_allclose(once, twice, rtol=1e-15)
+
+
+def test_saturation():
+    part = parsed(kind="saturation", limit=1.5)
+    state = part.model.init(part.params)
+    for u in COMMANDS:
+        state = part.model.step(part.params, state, u, 0.1)
+        assert float(part.model.output(part.params, state, u)) == min(max(u, -1.5), 1.5)
+
+
+@pytest.mark.parametrize(("kind", "number"), [("rate_limit", "rate"), ("saturation", "limit")])
+def test_gradients_are_finite(kind, number):
+    """With respect to number and command, at the limit too."""
+    model = parsed(kind=kind, **{number: 2.0}).model
+
+    def after(value, u):
+        params = model.params(value)
+        return model.output(params, model.step(params, model.init(params), u, 0.5), u)
+
+    for u in (0.0, 0.5, 1.0, 2.0, 5.0):
+        assert np.all(np.isfinite(jax.grad(after, argnums=(0, 1))(2.0, u)))
+    assert float(jax.grad(after)(2.0, 5.0)) == (0.5 if kind == "rate_limit" else 1.0)
+
+
+@pytest.mark.parametrize(("kind", "number", "unit"), [("rate_limit", "rate", "u/s"), ("saturation", "limit", "u")])
+def test_the_number_may_be_a_law_and_is_positive(kind, number, unit):
+    part = parsed(kind=kind, **{number: {"uniform": [1.0, 2.0]}})
+    assert isinstance(part.params[0], Law)
+    assert {n.name: n for n in part.numbers}[number].quantity.unit == unit
+    with pytest.raises(ConfigError, match=rf"unmodelled.{number}: largest .* must be > 0, got 0"):
+        parsed(kind=kind, **{number: 0.0})
+    with pytest.raises(ConfigError, match=f"unmodelled.{number}: is required and missing"):
+        parsed(kind=kind)
