@@ -51,6 +51,7 @@ def test_there_are_notebooks():
         "compare_controllers",
         "tuning",
         "proved_survived_unknown",
+        "plain_jax",
     ]
 
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from dssc_jax.analyses.tuning import Tuned, tune
     from dssc_jax.core.errors import ConfigError
     from dssc_jax.engine.integration import IntegrationError, integration_error
+    from dssc_jax.engine.pure_functions import lane, stepper
     from dssc_jax.exploration import explore
     from dssc_jax.flight_logs.comparison import LogComparison, compare_log
     from dssc_jax.flight_logs.reader import FlightLog, read_log
@@ -78,6 +79,7 @@ __all__ = [
     "export",
     "falsify",
     "integration_error",
+    "lane",
     "load",
     "loop_margins",
     "margin",
@@ -97,6 +99,7 @@ __all__ = [
     "run_until",
     "sensitivity",
     "simulate",
+    "stepper",
     "theory",
     "tune",
     "verify",
@@ -121,6 +124,8 @@ _HOME = {
     "read_log": "dssc_jax.flight_logs.reader",
     "LoopMargins": "dssc_jax.analyses.loop_margins",
     "loop_margins": "dssc_jax.analyses.loop_margins",
+    "lane": "dssc_jax.engine.pure_functions",
+    "stepper": "dssc_jax.engine.pure_functions",
     "Margins": "dssc_jax.analyses.margins",
     "margin": "dssc_jax.analyses.margins",
     "noise_spectrum": "dssc_jax.analyses.noise_spectrum.spectrum",

@@ -1,0 +1,191 @@
+"""The closed loop as pure functions of JAX: a whole draw, and a single sample.
+
+They add no batch axis and no compilation: ``jit``, ``vmap``, ``grad`` and ``scan`` apply to them as to any function.
+Their numbers are those of :func:`dssc_jax.run`, up to the rounding of another compiler.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.closed_loop.sample import LoopState, Recorded, initial_state, step
+from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.numerics import as_arrays
+from dssc_jax.core.signals import Scalar
+from dssc_jax.engine.batching import Arrays, Lane, simulated
+from dssc_jax.engine.sampling import draw, draw_key
+from dssc_jax.study import Study
+
+Values = Mapping[str, Scalar]
+"""Numbers of a study by dotted name."""
+
+
+class StepState(NamedTuple):
+    """State of a loop between two samples.
+
+    Args:
+        k: Index of the next sample.
+        loop: State of plant, wind and channels.
+        values: The draw's numbers by dotted name.
+        key: The draw's random key.
+    """
+
+    k: Scalar
+    loop: LoopState
+    values: dict[str, Scalar]
+    key: jax.Array
+
+
+def require_values(study: Study, values: Values) -> None:
+    """Require a value for each uncertain or swept number, and the precision of the study.
+
+    Raises:
+        ConfigError: otherwise.
+    """
+    for name in (*study.axes, *study.laws):
+        if name not in values:
+            raise ConfigError(name, "is uncertain or swept in this study, so values must contain it")
+    for name in values:
+        if name not in study.numbers:
+            raise ConfigError(name, f"is no number of this study; {nearest(name, study.numbers)}")
+        if not study.numbers[name].quantity.law:
+            raise ConfigError(name, "decides the form of the program and cannot vary; change it with study.override")
+    bits = 8 * jnp.result_type(float).itemsize
+    if bits != study.config.loop.precision:
+        wanted = study.config.loop.precision == 64
+        rule = f"is {study.config.loop.precision}, and JAX computes in {bits} bits"
+        raise ConfigError("loop.precision", f"{rule}; set jax.config.update('jax_enable_x64', {wanted})")
+
+
+def drawn_values(study: Study, indices: np.ndarray) -> Arrays:
+    """Values of all uncertain and swept numbers for some draws, shape (n,) each; a swept number has its first value."""
+    swept = {name: np.full(len(indices), axis[0]) for name, axis in study.axes.items()}
+    return {**swept, **draw(study, indices)}
+
+
+@dataclass(frozen=True, eq=False)
+class LaneFunction:
+    """The pure function of one draw, ``(values, index) -> results``; see :func:`lane`."""
+
+    study: Study
+    compute: Lane
+
+    def __call__(self, values: Values, index: Scalar) -> dict[str, Scalar]:
+        """Metrics, slacks, outcome and time of the early end of one draw.
+
+        Args:
+            values: The draw's numbers by dotted name: each uncertain or swept one, and any other that shall differ from
+                the study's.
+            index: Index of the draw, which decides its noise.
+
+        Raises:
+            ConfigError: a number is missing or unknown, or JAX has another precision than the study.
+        """
+        require_values(self.study, values)
+        return self.compute(dict(values), jnp.asarray(index, jnp.uint32))
+
+    @property
+    def example(self) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Values and index of the first draw, which the function accepts."""
+        values, indices = self.draws(1)
+        return {name: column[0] for name, column in values.items()}, indices[0]
+
+    def draws(self, count: int | None = None) -> tuple[Arrays, np.ndarray]:
+        """Values and indices of the first draws, for ``jax.vmap``; the same draws as those of :func:`dssc_jax.run`.
+
+        Args:
+            count: Number of draws; None: as many as the study has.
+
+        Returns:
+            Values by dotted name, shape (count,) each, and the indices, shape (count,).
+        """
+        indices = np.arange(self.study.config.draws if count is None else count, dtype=np.uint32)
+        return drawn_values(self.study, indices), indices
+
+
+@dataclass(frozen=True, eq=False)
+class Stepper:
+    """The loop as two pure functions, ``init`` and ``step``; see :func:`stepper`."""
+
+    study: Study
+
+    @property
+    def example(self) -> tuple[dict[str, np.ndarray], jax.Array]:
+        """Values and random key of the first draw, which :meth:`init` accepts."""
+        columns = drawn_values(self.study, np.arange(1))
+        return {name: column[0] for name, column in columns.items()}, self.key(0)
+
+    def key(self, index: Scalar) -> jax.Array:
+        """The random key of a draw of the study."""
+        return draw_key(self.study.config.seed, index)
+
+    def init(self, values: Values, key: jax.Array) -> StepState:
+        """The state before the first sample.
+
+        Args:
+            values: The draw's numbers by dotted name; see :class:`LaneFunction`.
+            key: The draw's random key.
+
+        Raises:
+            ConfigError: as for :class:`LaneFunction`.
+        """
+        require_values(self.study, values)
+        numbers = as_arrays(dict(values))
+        loop = initial_state(self.study.loop, self.study.params(numbers), key)
+        return StepState(jnp.zeros((), jnp.int32), loop, numbers, key)
+
+    def step(self, state: StepState) -> tuple[StepState, Recorded]:
+        """Measure, control, and integrate to the next sample.
+
+        Returns:
+            The next state, and what happened at this sample: signals of each channel (``info.instant.channels``), the
+            plant's measurements, the desired outputs, what the controllers saw and gave (``info.controlled``), and
+            whether the state is still finite and the model valid.
+        """
+        params = self.study.params(state.values)
+        after, info = step(self.study.loop, params, state.key, state.loop, state.k)
+        return StepState(state.k + 1, after, state.values, state.key), info
+
+
+def lane(study: Study, segment: int | None = None) -> LaneFunction:
+    """The pure function of one draw, ``lane(values, index) -> results``, for ``jit``, ``vmap`` and ``grad``.
+
+    ``lane.example`` are arguments that it accepts; ``lane.draws(n)`` are those of the first n draws for ``vmap``.
+    Metrics and slacks are differentiable in every value. A draw that ends early has metrics NaN and slacks -inf.
+
+    Args:
+        study: What to simulate.
+        segment: Samples between two checkpoints, which reverse mode stores; it recomputes those between. None: it
+            stores every sample.
+
+    Example:
+        >>> import jax
+        >>> import dssc_jax as dj
+        >>> lane = dj.lane(dj.Study.load("motor"))
+        >>> values, indices = lane.draws(3)
+        >>> with jax.enable_x64(True):
+        ...     results = jax.jit(jax.vmap(lane))(values, indices)
+        >>> results["error_rms"].shape
+        (3,)
+    """
+    return LaneFunction(study, simulated(study, together=None, segment=segment))
+
+
+def stepper(study: Study) -> Stepper:
+    """The loop as ``init(values, key) -> state`` and ``step(state) -> (state, info)``, for a time loop of one's own.
+
+    Example:
+        >>> import jax
+        >>> import dssc_jax as dj
+        >>> loop = dj.stepper(dj.Study.load("motor"))
+        >>> with jax.enable_x64(True):
+        ...     state = loop.init(*loop.example)
+        ...     state, info = jax.lax.scan(lambda state, _: loop.step(state), state, length=100)
+        >>> info.instant.channels[0].e.shape
+        (100,)
+    """
+    return Stepper(study)
