@@ -16,7 +16,6 @@ from matplotlib.ticker import NullLocator
 import dssc_jax as dj
 from dssc_jax import plotting
 from dssc_jax.analyses.comparison.rivals import controller_table
-from dssc_jax.analyses.comparison.tuning import STATE_DEPENDENT
 from dssc_jax.analyses.falsification.falsify import hunt
 from dssc_jax.analyses.falsification.hunt import Programs
 from dssc_jax.analyses.tuning.gradients import check_gradients
@@ -28,7 +27,6 @@ from dssc_jax.statistics import clopper_pearson
 ROOT = Path(__file__).parents[1]
 DOCS, STUDIES = ROOT / "docs", ROOT / "studies"
 CONTROLLERS = ("dssc", "ssc", "sta", "vgsta", "pi")
-GAINS = {"pi": ("k_p", "k_i"), "sta": ("kappa1", "kappa2"), "vgsta": ("kappa_d", "gamma")}
 FACTOR = 10.0  # ranges reach from a tenth to ten times the gain that corresponds to the article's
 LIMITS = (1.0, 1.1, 1.25, 1.5)  # of the command variation, in shares of what DSSC has at the article's gains
 LAGS = (0.005, 2.0)  # s
@@ -114,14 +112,16 @@ class Vehicle(NamedTuple):
 
 def tuned_names(study: dj.Study, channels: tuple[str, ...]) -> list[str]:
     """l0 and the two usual gains, in the channels that are tuned."""
-    table = study.config.controller
-    kind = table["kind"]
-    usual = GAINS.get(kind) or STATE_DEPENDENT[table.get("functions", {}).get("kind", "constant")]
+    usual = study.loop.controller[0].tunable_gains(study.template.controller[0])
     found = []
     for name, value in study.leaves().items():
         parts = name.split(".")
         others = set(study.loop.channels) - set(channels) - {""}
-        if parts[0] == "controller" and parts[-1] in ("l0", *usual) and not others & set(parts):
+        if (
+            parts[0] == "controller"
+            and parts[-1] in ("l0", *(name.rpartition(".")[2] for name in usual))
+            and not others & set(parts)
+        ):
             assert isinstance(value, float)
             found.append(name)
     return found

@@ -15,12 +15,19 @@ from dssc_jax.engine.batching import simulated
 from dssc_jax.engine.reference import agreement, computed_again, lane_numbers
 from dssc_jax.lanes.plain import plain_options
 from dssc_jax.models.actuators import UNMODELLED
-from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.models.differentiators import DIFFERENTIATORS
 from dssc_jax.models.disturbances import DISTURBANCES
 from dssc_jax.models.references import REFERENCES
 from dssc_jax.models.sensors import SENSORS
-from tests.test_protocols import FUNCTIONS, NOMINAL, NORM_BOUND, PLAIN, PLANT_TABLES, UNMODELLED_TABLES
+from tests.test_protocols import (
+    FUNCTIONS,
+    NOMINAL,
+    NORM_BOUND,
+    PLANT_TABLES,
+    controller_examples,
+    examples,
+    has_free_functions,
+)
 
 ENTRIES = 2000
 TABLES = np.linspace(0.0, 1.0, ENTRIES), np.linspace(0.0, 1.0, ENTRIES)
@@ -45,52 +52,28 @@ TABULATED = Disturbance(
     value=lambda params, state, measurement, sigma, t: state,
 )
 
-CONTROLLER_TABLES = [
-    *({"kind": kind, **table} for kind, table in PLAIN.items()),
-    *(
-        {
-            "kind": "dssc",
-            "functions": {"kind": kind, **numbers},
-            "rho": (2.0, NORM_BOUND)[i % 2],
-            "nominal": NOMINAL,
-        }
-        for i, (kind, numbers) in enumerate(FUNCTIONS.items())
-    ),
-]
+
+def controller_tables():
+    """Each controller's example; one with state-dependent functions with each kind of them, and of modulation."""
+    for table in controller_examples():
+        if not has_free_functions(table):
+            yield table
+            continue
+        for i, (kind, numbers) in enumerate(FUNCTIONS.items()):
+            yield table | {"functions": {"kind": kind, **numbers}, "rho": (2.0, NORM_BOUND)[i % 2]}
+
+
+CONTROLLER_TABLES = list(controller_tables())
 COUNT = len(CONTROLLER_TABLES)
-REFERENCE_TABLES = [
-    {"kind": "zero"},
-    {"kind": "sine", "amplitude": 0.5, "period": 2.0},
-    {"kind": "mission", "axis": "x"},
-    {"kind": "step", "size": 0.5, "at": 0.3},
-    {"kind": "ramp", "slope": {"uniform": [0.2, 0.4]}, "rise": 0.5},
-    {"kind": "pulses", "size": 0.2, "period": 0.4, "width": 0.1},
-    {"kind": "chirp", "amplitude": 0.1, "start": 0.5, "end": 2.0, "duration": 1.0},
-    {"kind": "multisine", "amplitudes": [0.1, 0.2], "frequencies": [0.5, 1.0]},
-    {"kind": "record", "time": [0.0, 0.3, 0.6, 1.0], "value": [0.0, 0.2, 0.1, 0.3]},
-]
+REFERENCE_TABLES = [*examples(REFERENCES), {"kind": "ramp", "slope": {"uniform": [0.2, 0.4]}, "rise": 0.5}]
 SENSOR_TABLES = [
-    {"kind": "ideal"},
-    {"kind": "lag", "mu": 0.02},
-    {"kind": "noisy", "position_std": 0.01, "velocity_std": 0.02, "delay_samples": 1, "period_samples": 2},
+    *examples(SENSORS),
     {"kind": "noisy", "velocity_std": 0.02, "velocity_resolution": 0.01, "loss": 0.1, "jitter": 0.005},
-    {"kind": "record", "time": [0.0, 0.2, 0.4], "position": [0.01, -0.01, 0.0], "velocity": [0.02, 0.0, -0.02]},
-]
-DIFFERENTIATOR_TABLES = [
-    {"kind": "none"},
-    {"kind": "lead_filter", "tau_f": 0.05},
-    {"kind": "high_gain_observer", "epsilon": 0.1},
-    {"kind": "levant", "lipschitz": 5.0},
 ]
 DISTURBANCE_TABLES = [
-    {"kind": "none"},
+    *examples(DISTURBANCES),
     {"kind": "constant", "value": {"uniform": [0.1, 0.3]}},
-    {"kind": "step", "value": 0.3, "at": 0.5},
-    {"kind": "sine", "amplitude": 0.3, "period": 0.7},
-    {"kind": "spline", "knots": [0.2, -0.3, 0.1], "interval": 0.3},
-    {"kind": "record", "time": [0.0, 0.3, 0.9], "value": [0.0, 0.3, -0.1]},
     {"kind": "filtered_noise", "std": {"uniform": [0.1, 0.2]}, "correlation_time": 0.5},
-    {"kind": "partition", "k_d1": 0.1, "k_d4": 0.2, "alpha_d2": 0.1, "period": 3.0},
     {"kind": "tests.test_programs:TABULATED", "at": {"uniform": [0.3, 0.7]}},
 ]
 
@@ -110,8 +93,8 @@ def random_studies(seed=20, count=COUNT):
         "controller": CONTROLLER_TABLES,
         "reference": REFERENCE_TABLES,
         "sensor": SENSOR_TABLES,
-        "differentiator": DIFFERENTIATOR_TABLES,
-        "unmodelled": [{"kind": kind, **table} for kind, table in UNMODELLED_TABLES.items()],
+        "differentiator": examples(DIFFERENTIATORS),
+        "unmodelled": examples(UNMODELLED),
         "disturbance": DISTURBANCE_TABLES,
     }
     columns = {slot: shuffled(random, tables, count) for slot, tables in slots.items()}
@@ -119,7 +102,6 @@ def random_studies(seed=20, count=COUNT):
         study = {slot: dict(column[i]) for slot, column in columns.items()}
         if study["plant"]["kind"] == "normal_form":
             study["plant"] |= {"k_p": {"uniform": [0.8, 1.2]}, "a_p": {"uniform": [0.8, 1.2]}}
-        study["controller"] |= {"l0": 0.5}
         substeps, steps = random.choice([1, 2, 3]), random.choice([60, 61])
         loop = {"sample_time": 0.02, "duration": 0.02 * steps, "substeps": substeps}
         loop |= {"integrator": random.choice(["rk4", "euler"])}
@@ -145,18 +127,6 @@ VEHICLE = {
         "psi": {"rho": 0.5},
     },
 }
-
-
-def test_every_kind_of_part_is_there():
-    for tables, registry in (
-        (REFERENCE_TABLES, REFERENCES),
-        (SENSOR_TABLES, SENSORS),
-        (DIFFERENTIATOR_TABLES, DIFFERENTIATORS),
-        (DISTURBANCE_TABLES, DISTURBANCES),
-        (CONTROLLER_TABLES, CONTROLLERS),
-        ([{"kind": kind} for kind in UNMODELLED_TABLES], UNMODELLED),
-    ):
-        assert {table["kind"] for table in tables if ":" not in table["kind"]} == set(registry)
 
 
 @pytest.mark.parametrize("table", [*random_studies(), VEHICLE], ids=lambda table: table["name"])

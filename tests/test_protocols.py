@@ -6,60 +6,91 @@ import numpy as np
 import pytest
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.registry import single
 from dssc_jax.core.signals import Measurement, PlantInput, ReferencePoint
 from dssc_jax.models.actuators import UNMODELLED
 from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS
 from dssc_jax.models.controllers.modulation import MODULATIONS
+from dssc_jax.models.differentiators import DIFFERENTIATORS
 from dssc_jax.models.disturbances import DISTURBANCES
 from dssc_jax.models.plants import PLANTS
-from dssc_jax.models.references import REFERENCES
+from dssc_jax.models.references import REFERENCES, TRAJECTORIES
+from dssc_jax.models.sensors import SENSORS
+from dssc_jax.models.wind import WINDS
 from dssc_jax.study.components import parse_component
 from tests.contracts import assert_contract
 
-FUNCTIONS = {
-    "constant": {"k_o": 10.0, "tau_av": 0.1, "tau_m": 1.0},
-    "sta": {"kappa1": 1.0, "kappa2": 1.0, "k_o": 10.0},
-    "approx_sta_1": {"kappa1": 1.0, "kappa2": 1.0, "delta": 0.5, "tau_av": 0.1},
-    "approx_sta_2": {"kappa1": 1.0, "kappa2": 1.0, "delta": 0.5, "k_o": 10.0},
-    "square_root": {"kappa_o": 50.0, "kappa_m": 2.0, "delta_o": 1.0, "delta_m": 1.0, "tau_av": 0.03},
-    "field": {"k_o": 10.0, "kappa1": 0.5, "kappa2": 0.1, "delta": 0.1},
-    "vgsta": dict.fromkeys(["phi_a", "phi_b", "kappa_a", "kappa_b", "kappa_c", "kappa_d"], 0.5)
-    | {"epsilon": 0.5, "gamma": 1.0, "delta": 0.1, "tau_av": 0.1},
+REGISTRIES = {
+    "controller": CONTROLLERS,
+    "functions": GAIN_FUNCTIONS,
+    "rho": MODULATIONS,
+    "plant": PLANTS,
+    "unmodelled": UNMODELLED,
+    "sensor": SENSORS,
+    "differentiator": DIFFERENTIATORS,
+    "disturbance": DISTURBANCES,
+    "reference": REFERENCES,
+    "trajectory": TRAJECTORIES,
+    "wind": WINDS,
 }
-NORM_BOUND = {"kind": "norm_bound", "k_p_max": 1.2, "a_p_max": 1.0, "delta_rho": 0.1}
-VGSTA_GAINS = {k: v for k, v in FUNCTIONS["vgsta"].items() if k != "tau_av"}
+FUNCTIONS = {kind: entry.example for kind, entry in GAIN_FUNCTIONS.items()}
+NORM_BOUND = {"kind": "norm_bound", **MODULATIONS["norm_bound"].example}
 NOMINAL = {"a": 1.0, "k": 1.0}
-PLAIN = {
-    "sta": {"kappa1": 1.0, "kappa2": 2.0, "nominal": NOMINAL},
-    "vgsta": {**VGSTA_GAINS, "nominal": NOMINAL},
-    "pi": {"k_p": 1.0, "k_i": 0.5, "nominal": NOMINAL},
-    "smc": {"gain": 1.0, "nominal": NOMINAL},
-    "pid": {"k_p": 2.0, "k_i": 1.0, "k_d": 0.1, "filter": 0.02, "derivative_weight": 0.3, "low": -0.5, "high": 0.7},
-    "state_feedback": {"k_1": 2.0, "k_2": 1.0, "k_i": 0.5, "low": -9.0, "tracking": 0.4},
-    "ssc": {"functions": {"kind": "constant", **FUNCTIONS["constant"]}, "rho": 2.0},
-}
+
+
+def example(registry, kind):
+    """The table of a row's example."""
+    return {"kind": kind, **registry[kind].example}
+
+
+def examples(registry):
+    """The table of each row's example."""
+    return [example(registry, kind) for kind in registry]
+
+
+def controller_examples():
+    """The table of each controller's example, with a nominal control where it takes one."""
+    for table in examples(CONTROLLERS):
+        fields = CONTROLLERS[table["kind"]].default_member.gains._fields
+        yield table | ({"nominal": NOMINAL} if "nominal" in fields else {})
+
+
+def has_free_functions(table):
+    """Whether the state-dependent functions of a controller are the study's choice."""
+    return "functions" in table and "functions" not in CONTROLLERS[table["kind"]].base
+
+
+def variants(table):
+    """Tables like one with state-dependent functions: each kind of functions, of modulation and of start."""
+    for kind, numbers in FUNCTIONS.items():
+        functions = {"kind": kind, **numbers}
+        yield table | {"functions": functions}
+        yield table | {"functions": functions, "rho": NORM_BOUND, "predictor_start": "matched"}
+    yield table | {"predictor_start": "zero"}
 
 
 def controller_cases():
-    for kind, entry in CONTROLLERS.items():
-        tables = [PLAIN[kind]] if kind in PLAIN else []
-        if kind == "dssc":
-            for name, numbers in FUNCTIONS.items():
-                functions = {"kind": name, **numbers}
-                tables.append({"functions": functions, "rho": 2.0, "nominal": NOMINAL})
-                tables.append({"functions": functions, "rho": NORM_BOUND, "predictor_start": "matched"})
-            tables.append(tables[0] | {"predictor_start": "midpoint"})
+    for table in controller_examples():
+        entry = CONTROLLERS[table["kind"]]
+        tables = list(variants(table)) if has_free_functions(table) else [table]
         for option in entry.members:
-            for index, table in enumerate(tables):
+            for index, case in enumerate(tables):
                 chosen = {entry.option: option.value} if entry.option else {}
-                yield pytest.param({"kind": kind, "l0": 0.5, **chosen, **table}, id=f"{kind}-{option}-{index}")
+                yield pytest.param(case | chosen, id=f"{case['kind']}-{option}-{index}")
 
 
-def test_every_kind_has_a_case():
-    assert set(FUNCTIONS) == set(GAIN_FUNCTIONS)
-    assert {"constant", "norm_bound"} == set(MODULATIONS)
-    assert set(PLAIN) | {"dssc"} == set(CONTROLLERS)
+@pytest.mark.parametrize("slot", REGISTRIES)
+def test_every_row_has_an_example(slot):
+    """Its table is complete; only a model without parameters, or with defaults for all, has an empty one."""
+    for table in examples(REGISTRIES[slot]):
+        parse_component(table, REGISTRIES[slot], slot)
+
+
+def test_a_row_without_an_example_is_found():
+    planted = {"sine": single(REFERENCES["sine"].default_member, "a row without an example")}
+    with pytest.raises(ConfigError, match="amplitude"):
+        parse_component(example(planted, "sine"), planted, "reference")
 
 
 def typed(tree):
@@ -101,11 +132,10 @@ def test_gradients_are_finite(table, at):
         assert jnp.isfinite(leaf)
 
 
+ZERO_DYNAMICS = {"a": [2.0, 3.0], "c": [0.1, 0.2]}
 PLANT_TABLES = [
-    {"kind": "normal_form", "initial": [1.0, 2.0]},
-    {"kind": "normal_form", "zero_dynamics": {"a": [2.0, 3.0], "c": [0.1, 0.2]}, "initial": [1.0, 2.0, 0.3]},
-    {"kind": "state_space", "a": [[0.0, 1.0], [-2.0, -3.0]], "b": [0.0, 1.0], "c": [1.0, 0.0], "x0": [1.0]},
-    {"kind": "transfer_function", "numerator": [2.0, 1.0], "denominator": [2.0, 1.0, 0.0, 3.0]},
+    *examples(PLANTS),
+    example(PLANTS, "normal_form") | {"zero_dynamics": ZERO_DYNAMICS, "initial": [1.0, 2.0, 0.3]},
 ]
 
 
@@ -194,20 +224,9 @@ def test_filtered_noise_has_the_stated_law_at_any_step():
         assert float(jnp.corrcoef(first, second)[0, 1]) == pytest.approx(np.exp(-dt / 0.4), abs=0.01)
 
 
-UNMODELLED_TABLES = {
-    "none": {},
-    "lag": {"order": 2, "mu": 0.03},
-    "transfer_function": {"mu": 0.03, "numerator": [1.0, -0.2, 0.5], "denominator": [1.0, 0.4, 1.0]},
-    "delay": {"samples": 1.25, "memory": 3},
-    "rate_limit": {"rate": 20.0},
-    "quantisation": {"resolution": 0.3},
-    "saturation": {"limit": 0.7},
-}
-
-
 @pytest.mark.parametrize("kind", UNMODELLED)
 def test_unmodelled(kind):
-    component = parse_component({"kind": kind, **UNMODELLED_TABLES[kind]}, UNMODELLED, "unmodelled")
+    component = parse_component(example(UNMODELLED, kind), UNMODELLED, "unmodelled")
     model, params = component.model, component.params
 
     def two_steps(first, second):

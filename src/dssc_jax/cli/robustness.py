@@ -32,7 +32,6 @@ ProveOption = Annotated[
     bool, typer.Option("--prove", help="Also prove the sampled loop, as far along the walk as a proof is found.")
 ]
 BisectionsOption = Annotated[int, typer.Option("--bisections", metavar="N", help="Halvings of a grid's cell.")]
-SWITCHING = ("sta", "smc")
 WALKED: dict[str, Any] = {"of": "simulations", "early": "every critical value is found"}
 
 
@@ -146,10 +145,10 @@ def theory(
 
 def switching_rivals(study: "Study") -> dict[str, "Study"]:
     """The study with each controller that has a describing function, if its gains follow from the study."""
-    from dssc_jax.analyses.comparison import controller_table, with_controller
+    from dssc_jax.analyses.comparison import controller_table, switching_kinds, with_controller
 
     rivals = {}
-    for name in SWITCHING:
+    for name in switching_kinds():
         try:
             rivals[name] = with_controller(study, name, controller_table(study, name))
         except ConfigError:

@@ -129,6 +129,7 @@ def linear_unmodelled(
     init: Callable[[Params], State],
     linear: Callable[[Params], LinearSystem],
     prepare: Callable[[Params], Params] = as_given,
+    time_constant: str = "",
 ) -> Unmodelled:
     """Linear unmodelled dynamics: their step and output follow from the system."""
 
@@ -142,4 +143,14 @@ def linear_unmodelled(
         system = linear(values)
         return dot((*system.c, system.d), (*jax.tree.leaves(state), command))
 
-    return Unmodelled(params, init, step, output, prepare, linear=linear, smooth=SMOOTH, continuous=True)
+    return Unmodelled(
+        params,
+        init,
+        step,
+        output,
+        prepare,
+        linear=linear,
+        smooth=SMOOTH,
+        continuous=True,
+        time_constant=time_constant,
+    )

@@ -172,6 +172,11 @@ class Controller(NamedTuple):
         synthesised: ``(gains) -> (K_P, K_I)`` of the law u = -K_P sigma - K_I int sigma (22) near the origin; None: the
             controller synthesises no such law.
         describing: ``(gains) -> HarmonicBalance``, the describing function of a switching law; None: it is not known.
+        tunable: Names of the usual gains that a comparison tunes, dotted within the controller's table, or a function
+            of the gains that gives them. Empty: a comparison tunes only what ``[compare.NAME.tune]`` names.
+        from_dssc: ``(gains of DSSC) -> table``: the gains that correspond to those of DSSC. None: a comparison needs
+            ``[compare.NAME]``.
+        limit: Name of the gain that bounds the command; empty: there is none.
     """
 
     gains: type
@@ -182,6 +187,13 @@ class Controller(NamedTuple):
     smooth: Declaration = None
     synthesised: Callable[[Params], tuple[Scalar, Scalar]] | None = None
     describing: Callable[[Params], HarmonicBalance] | None = None
+    tunable: tuple[str, ...] | Callable[[Params], tuple[str, ...]] = ()
+    from_dssc: Callable[[Params], dict[str, Any]] | None = None
+    limit: str = ""
+
+    def tunable_gains(self, gains: Params) -> tuple[str, ...]:
+        """Names of the usual gains, dotted within the controller's table."""
+        return self.tunable(gains) if callable(self.tunable) else self.tunable
 
     @property
     def params(self) -> type:
@@ -317,6 +329,7 @@ class Unmodelled(NamedTuple):
             output at the start, middle and end of dt, which must then resolve it.
         smooth: As in :class:`Plant`.
         continuous: Whether the slope of ``step`` at dt = 0 is that of a model in continuous time.
+        time_constant: Name of the parameter that scales their time, over which oscillations are predicted; empty: none.
     """
 
     params: type
@@ -330,3 +343,4 @@ class Unmodelled(NamedTuple):
     moments: Callable[[Params, State, Scalar, Scalar], Moments] | None = None
     smooth: Declaration = None
     continuous: bool = False
+    time_constant: str = ""

@@ -35,6 +35,7 @@ class Entry(NamedTuple):
         base: The table that the study's own table overrides.
         default_of: ``(table) -> value`` of the option where a part in the table decides on its default; None where
             ``default`` holds for every table.
+        example: A small table of the kind, without ``kind``; tests and documentation take their cases from it.
     """
 
     members: dict[Any, Any]
@@ -43,14 +44,20 @@ class Entry(NamedTuple):
     default: Any = None
     base: dict[str, Any] = {}  # noqa: RUF012  (never changed)
     default_of: Callable[[dict[str, Any]], Any] | None = None
+    example: dict[str, Any] = {}  # noqa: RUF012  (never changed)
+
+    @property
+    def default_member(self) -> Any:
+        """The model that the option's default selects."""
+        return self.members[self.default]
 
 
 Registry: TypeAlias = dict[str, Entry]
 
 
-def single(model: Any, summary: str) -> Entry:
-    """A registry row without options."""
-    return Entry({None: model}, summary)
+def single(model: Any, summary: str, **example: Any) -> Entry:
+    """A registry row without options, with the fields of its example."""
+    return Entry({None: model}, summary, example=example)
 
 
 class Discretisation(StrEnum):

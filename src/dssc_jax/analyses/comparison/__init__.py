@@ -2,7 +2,7 @@
 
 from dssc_jax.analyses.comparison.compare import Comparison, Contest, compare, with_controller
 from dssc_jax.analyses.comparison.margins import MarginContest, compare_margins
-from dssc_jax.analyses.comparison.rivals import controller_table, with_own_controllers
+from dssc_jax.analyses.comparison.rivals import controller_table, switching_kinds, with_own_controllers
 from dssc_jax.analyses.comparison.tuning import Tuning, tuned
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "compare",
     "compare_margins",
     "controller_table",
+    "switching_kinds",
     "tuned",
     "with_controller",
     "with_own_controllers",

@@ -21,23 +21,6 @@ from dssc_jax.study.tables import set_dotted
 FACTOR = 10.0  # ranges reach from a tenth to ten times the study's own gain
 RUNOFF = 1000  # further draws on which the best candidate has to be better than the given gains
 LOW = 5.0  # per cent: quantile of the worst slack that decides ties; a higher one would not see the failures to come
-STATE_DEPENDENT = {
-    "constant": ("k_o", "tau_m"),
-    "sta": ("kappa1", "kappa2"),
-    "approx_sta_1": ("kappa1", "kappa2"),
-    "approx_sta_2": ("kappa1", "kappa2"),
-    "square_root": ("kappa_o", "kappa_m"),
-    "field": ("kappa1", "kappa2"),
-    "vgsta": ("kappa_d", "gamma"),
-}
-GAINS = {
-    "pi": ("k_p", "k_i"),
-    "sta": ("kappa1", "kappa2"),
-    "vgsta": ("kappa_d", "gamma"),
-    "smc": ("gain",),
-    "pid": ("k_p", "k_i"),
-    "state_feedback": ("k_1", "k_2"),
-}
 
 
 @dataclass(frozen=True)
@@ -82,7 +65,7 @@ def ranges(study: Study, given: Mapping[str, Any]) -> dict[str, tuple[float, flo
     Args:
         study: The study with this controller.
         given: ``[compare.NAME.tune]``: ranges by the gains' names within the controller. The remaining ones of the
-            controller's two usual gains range from a tenth to ten times their value.
+            controller's usual gains (``tunable``) range from a tenth to ten times their value.
 
     Raises:
         ConfigError: a range is not valid.
@@ -95,13 +78,7 @@ def ranges(study: Study, given: Mapping[str, Any]) -> dict[str, tuple[float, flo
         extents[f"controller.{name}"] = (float(extent[0]), float(extent[1]))
     if extents:
         return extents
-    table = study.config.controller
-    kind = table["kind"]
-    if kind in ("dssc", "ssc"):
-        functions = table["functions"].get("kind", "constant")
-        names = [f"functions.{name}" for name in STATE_DEPENDENT.get(functions, ())]
-    else:
-        names = list(GAINS.get(kind, ()))
+    names = study.loop.controller[0].tunable_gains(study.template.controller[0])
     leaves = study.leaves()
     values = {f"controller.{name}": leaves.get(f"controller.{name}") for name in names}
     return {

@@ -206,7 +206,7 @@ def time_constants(study: Study, over: str, bounds: tuple[float, float]) -> list
     Raises:
         ConfigError: there are none, or the walk is not over a lag's mu.
     """
-    if over != MU or kind_of(study, "unmodelled") != "lag" or len(study.loop.channels) > 1:
+    if over != MU or not study.loop.unmodelled[0].time_constant or len(study.loop.channels) > 1:
         raise ConfigError(over, "describing functions are of a lag's mu, on a plant of one channel")
     least, most = max(min(bounds), SAMPLES_IN_MU * study.config.loop.sample_time), max(bounds)
     if least >= most:

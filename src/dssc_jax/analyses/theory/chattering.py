@@ -21,7 +21,7 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
     Apart from the push the loop is at rest, and laws are at their medians.
 
     Args:
-        study: A study of one channel under a lag.
+        study: A study of one channel whose unmodelled dynamics declare ``time_constant``, such as a lag.
         values: Time constants mu [s].
         push: Initial output.
         after: Time after which oscillations have settled or decayed [s].
@@ -31,10 +31,11 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
         ``frequency`` by describing function, NaN if there is none.
 
     Raises:
-        ConfigError: the unmodelled dynamics are not a lag, or T_s exceeds a 20th of the smallest mu.
+        ConfigError: the unmodelled dynamics have no time constant, or T_s exceeds a 20th of the smallest mu.
     """
-    if kind_of(study, "unmodelled") != "lag":
-        raise ConfigError(f"{study.source}: unmodelled.kind", "chattering over mu needs a lag")
+    if not study.loop.unmodelled[0].time_constant:
+        rule = "chattering needs dynamics with a time constant, such as a lag"
+        raise ConfigError(f"{study.source}: unmodelled.kind", rule)
     if study.config.loop.sample_time > min(values) / SAMPLES_IN_MU * (1 + 1e-9):
         raise ConfigError(
             f"{study.source}: loop.sample_time", f"must be <= {min(values) / SAMPLES_IN_MU:g}, a 20th of mu"

@@ -23,9 +23,15 @@ NO_DYNAMICS = Unmodelled(
 UNMODELLED: Registry = {
     "none": single(NO_DYNAMICS, "the command reaches the plant unchanged"),
     "lag": LAG,
-    "transfer_function": single(TRANSFER_FUNCTION, "any stable proper G(mu s) with G(0) = 1, of order 1 to 6"),
-    "delay": single(DELAY, "a pure delay of any real number of controller samples"),
-    "quantisation": single(QUANTISATION, "a plant input that is a multiple of a resolution"),
-    "rate_limit": single(RATE_LIMIT, "a plant input that follows the command at a limited rate"),
-    "saturation": single(SATURATION, "a plant input of limited magnitude"),
+    "transfer_function": single(
+        TRANSFER_FUNCTION,
+        "any stable proper G(mu s) with G(0) = 1, of order 1 to 6",
+        mu=0.03,
+        numerator=[1.0, -0.2, 0.5],
+        denominator=[1.0, 0.4, 1.0],
+    ),
+    "delay": single(DELAY, "a pure delay of any real number of controller samples", samples=1.25, memory=3),
+    "quantisation": single(QUANTISATION, "a plant input that is a multiple of a resolution", resolution=0.3),
+    "rate_limit": single(RATE_LIMIT, "a plant input that follows the command at a limited rate", rate=20.0),
+    "saturation": single(SATURATION, "a plant input of limited magnitude", limit=0.7),
 }

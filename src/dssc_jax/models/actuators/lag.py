@@ -39,7 +39,15 @@ def system(params: LagParams, order: Order) -> LinearSystem:
 
 def lag(order: Order) -> Unmodelled:
     """1/(mu s + 1)^order, at rest at t = 0."""
-    return linear_unmodelled(LagParams, lambda params: (0.0,) * order, lambda params: system(params, order))
+    return linear_unmodelled(
+        LagParams, lambda params: (0.0,) * order, lambda params: system(params, order), time_constant="mu"
+    )
 
 
-LAG = Entry({order: lag(order) for order in Order}, "1/(mu s + 1)^order, order 1 or 2", "order", Order.ONE)
+LAG = Entry(
+    {order: lag(order) for order in Order},
+    "1/(mu s + 1)^order, order 1 or 2",
+    "order",
+    Order.ONE,
+    example={"order": 2, "mu": 0.03},
+)

@@ -122,4 +122,4 @@ def linear(params: TransferFunctionParams) -> LinearSystem:
     return LinearSystem(tuple(rows), (*(0.0,) * (len(g.c) - 1), rate), g.c, g.d)
 
 
-TRANSFER_FUNCTION = linear_unmodelled(TransferFunctionParams, init, linear, prepare)
+TRANSFER_FUNCTION = linear_unmodelled(TransferFunctionParams, init, linear, prepare, time_constant="mu")

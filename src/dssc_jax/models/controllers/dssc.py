@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.quantities import extent
+from dssc_jax.core.quantities import extent, nominal
 from dssc_jax.core.registry import Discretisation, Entry
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, State, TrackingError, tracking_error
 from dssc_jax.core.smoothness import (
@@ -36,6 +36,7 @@ from dssc_jax.models.controllers.dssc_forms import (
     own_coordinate,
     own_rate,
     sample_ratios,
+    switching_gain,
 )
 from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS, Constant, StateFunctions
 from dssc_jax.models.controllers.modulation import ModulationSignals
@@ -111,6 +112,18 @@ def synthesised_gains(gains: DsscGains) -> tuple[Scalar, Scalar]:
     return proportional, proportional / at.tau_m
 
 
+def tunable_functions(gains: DsscGains) -> tuple[str, ...]:
+    """The two usual constants of the state-dependent functions."""
+    return tuple(f"functions.{name}" for name in gains.functions.tunable)
+
+
+def constant_gains(gains: DsscGains) -> dict[str, Any]:
+    """The gains of SSC that correspond to DSSC's: the functions' values at the origin."""
+    at = gains.functions.at(0.0, 0.0, nominal(gains.l0))
+    constants = {"kind": "constant", **{name: float(value) for name, value in at._asdict().items()}}
+    return {"functions": constants, "rho": switching_gain(gains), "predictor_start": gains.predictor_start.value}
+
+
 def dssc(form: SampledForm, smooth: Declaration = sliding_smoothness) -> Controller:
     """DSSC with the given sampled form of filter and predictor."""
 
@@ -157,7 +170,15 @@ def dssc(form: SampledForm, smooth: Declaration = sliding_smoothness) -> Control
         earlier = 0.0 if gains.predictor_start == PredictorStart.MIDPOINT else ()
         return state._replace(u_av=before, predictor=predictor, earlier=earlier)
 
-    return Controller(DsscGains, init, step, transfer=transfer, smooth=smooth, synthesised=synthesised_gains)
+    return Controller(
+        DsscGains,
+        init,
+        step,
+        transfer=transfer,
+        smooth=smooth,
+        synthesised=synthesised_gains,
+        tunable=tunable_functions,
+    )
 
 
 def constant_functions(gains: DsscGains) -> DsscGains:
@@ -197,11 +218,13 @@ DSSC = Entry(
     "discretisation",
     Discretisation.CONSERVATIVE,
     default_of=default_form,
+    example={"l0": 0.5, "rho": 2.0, "functions": {"kind": "approx_sta_2", **GAIN_FUNCTIONS["approx_sta_2"].example}},
 )
 SSC = Entry(
-    {form: member._replace(prepare=constant_functions) for form, member in MEMBERS.items()},
+    {form: member._replace(prepare=constant_functions, from_dssc=constant_gains) for form, member in MEMBERS.items()},
     "smooth sliding control: DSSC with constant functions",
     "discretisation",
     Discretisation.CONSERVATIVE,
     {"functions": {"kind": "constant"}},
+    example={"l0": 0.5, "rho": 2.0, "functions": {"kind": "constant", **GAIN_FUNCTIONS["constant"].example}},
 )

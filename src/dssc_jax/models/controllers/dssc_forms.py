@@ -17,12 +17,13 @@ from typing import Annotated, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import clip, newton, sign
-from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.quantities import Quantity, nominal
 from dssc_jax.core.registry import Slot
 from dssc_jax.core.signals import Scalar, State, TrackingError
 from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS, StateFunctions
-from dssc_jax.models.controllers.modulation import MODULATIONS
+from dssc_jax.models.controllers.modulation import MODULATIONS, ConstantModulation
 from dssc_jax.models.controllers.nominal import L0, NominalGains
 
 NEWTON_STEPS = 12
@@ -53,6 +54,22 @@ class DsscGains(NamedTuple):
     nominal: NominalGains | None = None
     predictor_start: PredictorStart = PredictorStart.MIDPOINT
     sign_width: Annotated[Scalar | None, Quantity("y/s", "width of the smoothed sign", at_least=0.0)] = None
+
+
+def switching_gain(gains: DsscGains) -> float:
+    """The constant rho, or its median.
+
+    Raises:
+        ConfigError: rho is the norm bound.
+    """
+    if not isinstance(gains.rho, ConstantModulation):
+        raise ConfigError("", "rho is no constant")
+    return nominal(gains.rho.rho)
+
+
+def nominal_input_gain(gains: DsscGains) -> float:
+    """k_n of the nominal control, or 1 if there is none."""
+    return nominal(gains.nominal.k) if gains.nominal else 1.0
 
 
 class DsscState(NamedTuple):

@@ -3,10 +3,12 @@
 Each row is a NamedTuple of its constants with two methods. ``at(sigma, e, l0)`` gives the functions. In sliding only
 the product k_o tau_av and tau_m matter (22); rows that define only the product take one of k_o or tau_av, and the other
 follows. ``law(sigma, e, at)`` gives the control law that (22) synthesises, integrated. ``sampled_form`` is the form in
-which DSSC is sampled unless the study says otherwise. r = |sigma|^(1/2) throughout.
+which DSSC is sampled unless the study says otherwise. ``tunable`` names the two constants that a comparison tunes,
+``finite_slope`` tells whether phi_1 has a finite slope at 0, and ``super_twisting()`` is the STA that the row
+approximates. r = |sigma|^(1/2) throughout.
 """
 
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import log_defect, root_abs, sign
@@ -48,6 +50,26 @@ class IntegratedLaw(NamedTuple):
     rate: Scalar
 
 
+class SuperTwisting(NamedTuple):
+    """kappa_1 and kappa_2 in the normalisation of Table 2, and the smoothing delta."""
+
+    kappa1: Scalar
+    kappa2: Scalar
+    delta: Scalar
+
+
+def super_twisting(functions: Any) -> SuperTwisting:
+    """The STA that state-dependent functions approximate.
+
+    Raises:
+        ConfigError: the functions approximate no STA.
+    """
+    approximated = getattr(functions, "super_twisting", None)
+    if approximated is None:
+        raise ConfigError("", f"the functions '{type(functions).__name__}' approximate no super-twisting algorithm")
+    return approximated()
+
+
 def root_law(kappa: Scalar, r: Scalar, delta: Scalar, tau_m: Scalar) -> IntegratedLaw:
     """The law of g = kappa/(2 (r + delta)): phi_1 = kappa (r - delta ln(1 + r/delta)) sgn sigma."""
     defect = log_defect(r / delta)
@@ -62,7 +84,10 @@ def factors(product: Scalar, tau_m: Scalar, k_o: Scalar | None, tau_av: Scalar |
     return StateFunctions(product / tau_av, tau_av, tau_m)
 
 
-def one_factor(gains: Any) -> Any:
+F = TypeVar("F")
+
+
+def one_factor(gains: F) -> F:
     """Require that exactly one of k_o and tau_av is given.
 
     Raises:
@@ -82,6 +107,8 @@ class Constant(NamedTuple):
     tau_m: Annotated[Scalar, TAU_M]
 
     sampled_form = Discretisation.CONSERVATIVE
+    tunable = ("k_o", "tau_m")
+    finite_slope = True
     smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
@@ -103,12 +130,18 @@ class StandardSta(NamedTuple):
 
     prepare = one_factor
     sampled_form = Discretisation.IMPLICIT  # the slope of phi_1 is infinite at 0
+    tunable = ("kappa1", "kappa2")
+    finite_slope = False
     smooth = not_smooth(f"with the functions of the standard STA {SWITCHES}")
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """Table 2, row 2: k_o tau_av = 2 r/kappa1 (printed with phi_1 for phi_1'), tau_m = (kappa1/kappa2) r."""
         r = root_abs(sigma, ROOT_FLOOR)
         return factors(2.0 * r / self.kappa1, self.kappa1 / self.kappa2 * r, self.k_o, self.tau_av)
+
+    def super_twisting(self) -> SuperTwisting:
+        """Its own gains, without smoothing."""
+        return SuperTwisting(self.kappa1, self.kappa2, 0.0)
 
     def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
         """phi_1 = kappa1 r sgn sigma, phi_2 = (kappa2/2) sgn sigma."""
@@ -126,6 +159,8 @@ class ApproximateSta1(NamedTuple):
 
     prepare = one_factor
     sampled_form = Discretisation.CONSERVATIVE
+    tunable = ("kappa1", "kappa2")
+    finite_slope = True
     smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
@@ -133,6 +168,10 @@ class ApproximateSta1(NamedTuple):
         r = root_abs(sigma)
         tau_m = self.kappa1 * self.delta / (self.kappa2 * log_defect(r / self.delta))
         return factors(2.0 * (r + self.delta) / self.kappa1, tau_m, self.k_o, self.tau_av)
+
+    def super_twisting(self) -> SuperTwisting:
+        """Its own gains."""
+        return SuperTwisting(self.kappa1, self.kappa2, self.delta)
 
     def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
         """phi_1 = kappa1 (r - delta ln(1 + r/delta)) sgn sigma."""
@@ -150,12 +189,18 @@ class ApproximateSta2(NamedTuple):
 
     prepare = one_factor
     sampled_form = Discretisation.CONSERVATIVE
+    tunable = ("kappa1", "kappa2")
+    finite_slope = True
     smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """Table 2, row 4: k_o tau_av = 2 (r + delta)/kappa1, tau_m = (kappa1/kappa2)(r + delta)."""
         r = root_abs(sigma) + self.delta
         return factors(2.0 * r / self.kappa1, self.kappa1 / self.kappa2 * r, self.k_o, self.tau_av)
+
+    def super_twisting(self) -> SuperTwisting:
+        """Its own gains."""
+        return SuperTwisting(self.kappa1, self.kappa2, self.delta)
 
     def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
         """phi_1 as of row 3; phi_2 = (kappa2/2) sigma/(r + delta)^2."""
@@ -172,12 +217,19 @@ class SquareRoot(NamedTuple):
     tau_av: Annotated[Scalar, TAU_AV]
 
     sampled_form = Discretisation.CONSERVATIVE
+    tunable = ("kappa_o", "kappa_m")
+    finite_slope = True
     smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """k_o = kappa_o (r + delta_o), tau_m = kappa_m (r + delta_m)."""
         r = root_abs(sigma)
         return StateFunctions(self.kappa_o * (r + self.delta_o), self.tau_av, self.kappa_m * (r + self.delta_m))
+
+    def super_twisting(self) -> SuperTwisting:
+        """Row 4 of Table 2, where both delta agree."""
+        kappa1 = 2.0 / (self.kappa_o * self.tau_av)
+        return SuperTwisting(kappa1, kappa1 / self.kappa_m, self.delta_o)
 
     def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
         """phi_1 as of Table 2, row 3, with kappa1 = 2/(kappa_o tau_av)."""
@@ -193,6 +245,8 @@ class Field(NamedTuple):
     delta: Annotated[Scalar, Quantity("s", "smoothing delta of both time constants", above=0.0)]
 
     sampled_form = Discretisation.CONSERVATIVE
+    tunable = ("kappa1", "kappa2")
+    finite_slope = True
     smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
@@ -200,6 +254,11 @@ class Field(NamedTuple):
         r = root_abs(sigma)
         tau_av = 2.0 * r / (self.k_o * self.kappa1) + self.delta
         return StateFunctions(self.k_o, tau_av, self.kappa1 * r / (2.0 * self.kappa2) + self.delta)
+
+    def super_twisting(self) -> SuperTwisting:
+        """Twice its kappa_2, which multiplies sgn itself."""
+        delta = 0.5 * self.delta * self.k_o * self.kappa1
+        return SuperTwisting(self.kappa1, 2.0 * self.kappa2, delta)
 
     def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
         """phi_1 as of Table 2, row 3, with k_o kappa1 delta/2 for delta."""
@@ -254,6 +313,8 @@ class Vgsta(NamedTuple):
 
     prepare = one_factor
     sampled_form = Discretisation.CONSERVATIVE
+    tunable = ("kappa_d", "gamma")
+    finite_slope = True
     smooth = piecewise("the jump of tau_m at e = 0")
 
     def gains(self, sigma: Scalar, e: Scalar) -> VariableGains:
@@ -278,6 +339,11 @@ class Vgsta(NamedTuple):
         tau_m = inverse_product / (ratio * (gains.by_e * (sigma - l0 * e) + gains.kappa2 * slope))
         return factors(1.0 / inverse_product, tau_m, self.k_o, self.tau_av)
 
+    def super_twisting(self) -> SuperTwisting:
+        """The STA near the origin, where phi_a rules over phi_b."""
+        at = self.gains(0.0, 0.0)
+        return SuperTwisting(at.kappa1 * self.phi_a, at.kappa2 * self.phi_a**2, self.delta)
+
     def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
         """The variable-gain STA's own: kappa_1 phi_1 and kappa_2 phi_2 of (26).
 
@@ -289,12 +355,29 @@ class Vgsta(NamedTuple):
         return IntegratedLaw(gains.kappa1 * ratio, gains.kappa2 * slope / gains.kappa1)
 
 
+TABLE_1_EXAMPLE = {
+    "phi_a": 0.5, "phi_b": 0.5, "kappa_a": 0.5, "kappa_b": 0.5, "kappa_c": 0.5, "kappa_d": 0.5,
+    "epsilon": 0.5, "gamma": 1.0, "delta": 0.1,
+}  # fmt: skip
+
 GAIN_FUNCTIONS: Registry = {
-    "constant": single(Constant, "constants: SSC, synthesises PI (Table 2 row 1)"),
-    "sta": single(StandardSta, "standard STA, stiff (Table 2 row 2)"),
-    "approx_sta_1": single(ApproximateSta1, "first approximation of the STA (Table 2 row 3)"),
-    "approx_sta_2": single(ApproximateSta2, "second approximation of the STA (Table 2 row 4)"),
-    "square_root": single(SquareRoot, "the article's simulations (Section V-B)"),
-    "field": single(Field, "the article's field test (Section V-C)"),
-    "vgsta": single(Vgsta, "approximation of the variable-gain STA (Table 1)"),
+    "constant": single(Constant, "constants: SSC, synthesises PI (Table 2 row 1)", k_o=10.0, tau_av=0.1, tau_m=1.0),
+    "sta": single(StandardSta, "standard STA, stiff (Table 2 row 2)", kappa1=1.0, kappa2=1.0, k_o=10.0),
+    "approx_sta_1": single(
+        ApproximateSta1, "first approximation of the STA (Table 2 row 3)", kappa1=1.0, kappa2=1.0, delta=0.5, tau_av=0.1
+    ),
+    "approx_sta_2": single(
+        ApproximateSta2, "second approximation of the STA (Table 2 row 4)", kappa1=1.0, kappa2=1.0, delta=0.5, k_o=10.0
+    ),
+    "square_root": single(
+        SquareRoot,
+        "the article's simulations (Section V-B)",
+        kappa_o=50.0,
+        kappa_m=2.0,
+        delta_o=1.0,
+        delta_m=1.0,
+        tau_av=0.03,
+    ),
+    "field": single(Field, "the article's field test (Section V-C)", k_o=10.0, kappa1=0.5, kappa2=0.1, delta=0.1),
+    "vgsta": single(Vgsta, "approximation of the variable-gain STA (Table 1)", **TABLE_1_EXAMPLE, tau_av=0.1),
 }

@@ -107,6 +107,12 @@ class NormBound(NamedTuple):
 
 
 MODULATIONS: Registry = {
-    "constant": single(ConstantModulation, "constant rho"),
-    "norm_bound": single(NormBound, "norm bound (33)-(34) with a norm observer of the zero dynamics"),
+    "constant": single(ConstantModulation, "constant rho", rho=2.0),
+    "norm_bound": single(
+        NormBound,
+        "norm bound (33)-(34) with a norm observer of the zero dynamics",
+        k_p_max=1.2,
+        a_p_max=1.0,
+        delta_rho=0.1,
+    ),
 }

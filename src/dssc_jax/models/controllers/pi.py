@@ -5,10 +5,12 @@ from typing import Annotated, NamedTuple
 import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Controller
-from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.quantities import Quantity, nominal
 from dssc_jax.core.registry import Discretisation, Entry
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, tracking_error
 from dssc_jax.core.smoothness import SMOOTH
+from dssc_jax.models.controllers.dssc import synthesised_gains
+from dssc_jax.models.controllers.dssc_forms import DsscGains
 from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
 
 
@@ -36,6 +38,12 @@ class PiInfo(NamedTuple):
 def init(gains: PiGains, measurement: Measurement, reference: ReferencePoint) -> PiState:
     """The integral starts at 0."""
     return PiState(0.0)
+
+
+def synthesised_by_dssc(gains: DsscGains) -> dict[str, float]:
+    """The gains of PI that DSSC synthesises at the origin: K_P = 1/(k_o tau_av), K_I = K_P/tau_m."""
+    proportional, integral = synthesised_gains(gains._replace(l0=nominal(gains.l0)))
+    return {"k_p": float(proportional), "k_i": float(integral)}
 
 
 def pi(implicit: bool) -> Controller:
@@ -67,6 +75,8 @@ def pi(implicit: bool) -> Controller:
         transfer=transfer,
         smooth=SMOOTH,
         synthesised=lambda gains: (gains.k_p, gains.k_i),
+        tunable=("k_p", "k_i"),
+        from_dssc=synthesised_by_dssc,
     )
 
 
@@ -75,4 +85,5 @@ PI = Entry(
     "proportional-integral control of sigma",
     "discretisation",
     Discretisation.IMPLICIT,
+    example={"l0": 0.5, "k_p": 1.0, "k_i": 0.5},
 )

@@ -148,6 +148,13 @@ def pid_within_limits(gains: PidGains) -> tuple[Controller, PidGains]:
 
 
 PID: Entry = single(
-    Controller(PidGains, init, step, prepare, transfer, limited_smoothness(pid_within_limits)),
+    Controller(PidGains, init, step, prepare, transfer, limited_smoothness(pid_within_limits), tunable=("k_p", "k_i")),
     "PID with filtered derivative, set-point weights, limits and anti-windup",
+    k_p=2.0,
+    k_i=1.0,
+    k_d=0.1,
+    filter=0.02,
+    derivative_weight=0.3,
+    low=-0.5,
+    high=0.7,
 )

@@ -9,6 +9,7 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Entry
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, tracking_error
 from dssc_jax.core.smoothness import SWITCHES, not_smooth
+from dssc_jax.models.controllers.dssc_forms import DsscGains, nominal_input_gain, switching_gain
 from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
 from dssc_jax.models.controllers.sta import K_N
 
@@ -43,6 +44,11 @@ def relay_balance(gains: SmcGains) -> HarmonicBalance:
     return HarmonicBalance(lambda q: 4.0 * gain / (math.pi * q.real), lambda q, amplitude, w: q.imag)
 
 
+def relay_of_dssc(gains: DsscGains) -> dict[str, float]:
+    """The relay of DSSC without its filter."""
+    return {"gain": switching_gain(gains), "k_n": nominal_input_gain(gains)}
+
+
 def smc(implicit: bool) -> Controller:
     """The relay in implicit form, u = -clip(sigma/(T_s k_n), -K, K), or switched by the sign of the sample."""
 
@@ -56,7 +62,15 @@ def smc(implicit: bool) -> Controller:
             return state, Command(saturate(u_eq, gains.gain), u_nominal), SmcInfo(gains.gain - abs(u_eq))
         return state, Command(-gains.gain * sign(error.sigma), u_nominal), NoInfo()
 
-    return Controller(SmcGains, init, step, smooth=not_smooth(SWITCHES), describing=relay_balance)
+    return Controller(
+        SmcGains,
+        init,
+        step,
+        smooth=not_smooth(SWITCHES),
+        describing=relay_balance,
+        tunable=("gain",),
+        from_dssc=relay_of_dssc,
+    )
 
 
 SMC = Entry(
@@ -64,4 +78,5 @@ SMC = Entry(
     "first-order sliding mode",
     "discretisation",
     Discretisation.IMPLICIT,
+    example={"l0": 0.5, "gain": 1.0},
 )

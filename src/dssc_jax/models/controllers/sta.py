@@ -21,7 +21,8 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Entry
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, tracking_error
 from dssc_jax.core.smoothness import SWITCHES, not_smooth
-from dssc_jax.models.controllers.gain_functions import KAPPA_1, KAPPA_2
+from dssc_jax.models.controllers.dssc_forms import DsscGains, nominal_input_gain
+from dssc_jax.models.controllers.gain_functions import KAPPA_1, KAPPA_2, super_twisting
 from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
 
 K_N = Quantity("y/(s^2 u)", "nominal input gain k_n", above=0.0)
@@ -114,6 +115,12 @@ def sta_balance(gains: StaGains) -> HarmonicBalance:
     )
 
 
+def sta_of_dssc(gains: DsscGains) -> dict[str, float]:
+    """The gains of the STA that DSSC's functions approximate (Table 2, row 2)."""
+    twisting = super_twisting(gains.functions)
+    return {"kappa1": float(twisting.kappa1), "kappa2": float(twisting.kappa2), "k_n": nominal_input_gain(gains)}
+
+
 def sta(update: Update, carried: Carried) -> Controller:
     """The STA with the given sampled form."""
 
@@ -136,7 +143,17 @@ def sta(update: Update, carried: Carried) -> Controller:
         w = gains.k_n * (command - nominal_control(gains.nominal, gains.l0, error, reference, 0.0))
         return IntegralState(carried(error.sigma, w, gains.k_n * gains.kappa1, 0.5 * gains.k_n * gains.kappa2, dt))
 
-    return Controller(StaGains, init, step, transfer=transfer, smooth=not_smooth(SWITCHES), describing=sta_balance)
+    return Controller(
+        StaGains,
+        init,
+        step,
+        transfer=transfer,
+        smooth=not_smooth(SWITCHES),
+        describing=sta_balance,
+        tunable=("kappa1", "kappa2"),
+        from_dssc=sta_of_dssc,
+        limit="limit",
+    )
 
 
 STA = Entry(
@@ -148,4 +165,5 @@ STA = Entry(
     "super-twisting algorithm, three sampled forms",
     "discretisation",
     Discretisation.IMPLICIT,
+    example={"l0": 0.5, "kappa1": 1.0, "kappa2": 2.0},
 )

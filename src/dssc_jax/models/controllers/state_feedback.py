@@ -82,6 +82,19 @@ def feedback_within_limits(gains: FeedbackGains) -> tuple[Controller, FeedbackGa
 
 
 STATE_FEEDBACK: Entry = single(
-    Controller(FeedbackGains, init, step, prepare, transfer, limited_smoothness(feedback_within_limits)),
+    Controller(
+        FeedbackGains,
+        init,
+        step,
+        prepare,
+        transfer,
+        limited_smoothness(feedback_within_limits),
+        tunable=("k_1", "k_2"),
+    ),
     "feedback of output and derivative, with integral action",
+    k_1=2.0,
+    k_2=1.0,
+    k_i=0.5,
+    low=-9.0,
+    tracking=0.4,
 )

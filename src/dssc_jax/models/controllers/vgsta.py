@@ -19,7 +19,16 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Entry
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, TrackingError, tracking_error
 from dssc_jax.core.smoothness import SWITCHES, not_smooth
-from dssc_jax.models.controllers.gain_functions import KAPPA_ABC, ROOT_FLOOR, VariableGains, variable_gains
+from dssc_jax.models.controllers.dssc_forms import DsscGains, nominal_input_gain
+from dssc_jax.models.controllers.gain_functions import (
+    KAPPA_ABC,
+    ROOT_FLOOR,
+    TABLE_1_EXAMPLE,
+    VariableGains,
+    Vgsta,
+    super_twisting,
+    variable_gains,
+)
 from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
 from dssc_jax.models.controllers.sta import K_N, LIMIT, IntegralInfo, IntegralState
 
@@ -128,6 +137,17 @@ def gains_of_sample(gains: VgstaGains, error: TrackingError) -> VariableGains:
     return variable_gains(error.sigma, error.e, coefficients, gains.epsilon, gains.gamma)
 
 
+def vgsta_of_dssc(gains: DsscGains) -> dict[str, float]:
+    """The gains of the VGSTA: Table 1's own numbers if the functions have them, else the STA with smoothing delta."""
+    if isinstance(gains.functions, Vgsta):
+        numbers = {name: getattr(gains.functions, name) for name in TABLE_1_EXAMPLE}
+    else:
+        twisting = super_twisting(gains.functions)
+        numbers = dict.fromkeys(TABLE_1_EXAMPLE, 0.0)
+        numbers |= {"phi_a": 1.0, "kappa_d": twisting.kappa1, "gamma": twisting.kappa2, "delta": twisting.delta}
+    return {name: float(value) for name, value in numbers.items()} | {"k_n": nominal_input_gain(gains)}
+
+
 def vgsta(update: Update, carried: Carried) -> Controller:
     """The VGSTA with the given sampled form."""
 
@@ -152,7 +172,16 @@ def vgsta(update: Update, carried: Carried) -> Controller:
             carried(error.sigma, w, shape_at(gains, error.sigma), gains_of_sample(gains, error), gains.k_n, dt)
         )
 
-    return Controller(VgstaGains, init, step, transfer=transfer, smooth=not_smooth(SWITCHES))
+    return Controller(
+        VgstaGains,
+        init,
+        step,
+        transfer=transfer,
+        smooth=not_smooth(SWITCHES),
+        tunable=("kappa_d", "gamma"),
+        from_dssc=vgsta_of_dssc,
+        limit="limit",
+    )
 
 
 VGSTA = Entry(
@@ -163,4 +192,5 @@ VGSTA = Entry(
     "variable-gain super-twisting algorithm with the gains of Table 1",
     "discretisation",
     Discretisation.IMPLICIT,
+    example={"l0": 0.5, **TABLE_1_EXAMPLE},
 )

@@ -21,7 +21,9 @@ NO_DIFFERENTIATOR = Differentiator(
 
 DIFFERENTIATORS: Registry = {
     "none": single(NO_DIFFERENTIATOR, "the measured velocity"),
-    "lead_filter": single(LEAD_FILTER, "s y/(tau_f s + 1), exact for y linear between samples"),
-    "high_gain_observer": single(HIGH_GAIN_OBSERVER, "two estimates with poles of order 1/epsilon, backward Euler"),
-    "levant": single(LEVANT, "robust exact differentiator of first order, implicit: no chatter"),
+    "lead_filter": single(LEAD_FILTER, "s y/(tau_f s + 1), exact for y linear between samples", tau_f=0.02),
+    "high_gain_observer": single(
+        HIGH_GAIN_OBSERVER, "two estimates with poles of order 1/epsilon, backward Euler", epsilon=0.02
+    ),
+    "levant": single(LEVANT, "robust exact differentiator of first order, implicit: no chatter", lipschitz=20.0),
 }

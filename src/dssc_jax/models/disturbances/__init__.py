@@ -19,11 +19,23 @@ NO_DISTURBANCE = Disturbance(
 
 DISTURBANCES: Registry = {
     "none": single(NO_DISTURBANCE, "no disturbance"),
-    "constant": single(CONSTANT, "a constant"),
-    "step": single(STEP, "a step at a given time"),
-    "sine": single(SINE_DISTURBANCE, "amplitude sin(2 pi t/period + phase)"),
-    "spline": single(SPLINE, "a cubic spline of given knots: any signal of bounded amplitude and slope"),
+    "constant": single(CONSTANT, "a constant", value=0.2),
+    "step": single(STEP, "a step at a given time", value=0.2, at=0.3),
+    "sine": single(SINE_DISTURBANCE, "amplitude sin(2 pi t/period + phase)", amplitude=0.2, period=1.0),
+    "spline": single(
+        SPLINE,
+        "a cubic spline of given knots: any signal of bounded amplitude and slope",
+        knots=[0.1, -0.1],
+        interval=0.2,
+    ),
     "record": RECORDED_DISTURBANCE,
-    "filtered_noise": single(FILTERED_NOISE, "Gauss-Markov noise, exactly sampled"),
-    "partition": single(PARTITION, "d_1 + d_2 + d_3 of (30), attaining the bounds of (A1)-(A3)"),
+    "filtered_noise": single(FILTERED_NOISE, "Gauss-Markov noise, exactly sampled", std=0.1, correlation_time=0.2),
+    "partition": single(
+        PARTITION,
+        "d_1 + d_2 + d_3 of (30), attaining the bounds of (A1)-(A3)",
+        k_d1=0.1,
+        k_d4=0.2,
+        alpha_d3=0.1,
+        period=2.0,
+    ),
 }

@@ -46,4 +46,5 @@ RECORDED_DISTURBANCE = Entry(
     "a recorded disturbance: `file` and `column`, or `time` and `value`",
     "interpolation",
     Interpolation.LINEAR,
+    example={"time": [0.0, 0.3, 0.6], "value": [0.0, 0.2, 0.1]},
 )

@@ -15,12 +15,12 @@ ZERO = Reference(NoParams, lambda params, t: ReferencePoint(0.0, 0.0, 0.0))
 
 REFERENCES: Registry = {
     "zero": single(ZERO, "regulation to the origin"),
-    "sine": single(SINE, "offset + amplitude sin(2 pi t/period + phase)"),
-    "step": single(STEP_REFERENCE, "a step at a given time"),
-    "ramp": single(RAMP_REFERENCE, "a ramp, for a given time or without end"),
-    "pulses": single(PULSES, "a train of rectangular pulses"),
+    "sine": single(SINE, "offset + amplitude sin(2 pi t/period + phase)", amplitude=0.5, period=2.0),
+    "step": single(STEP_REFERENCE, "a step at a given time", size=0.5, at=0.3),
+    "ramp": single(RAMP_REFERENCE, "a ramp, for a given time or without end", slope=0.3, rise=0.5),
+    "pulses": single(PULSES, "a train of rectangular pulses", size=0.2, period=0.4, width=0.1),
     "chirp": CHIRP,
-    "multisine": single(MULTISINE, "a sum of sines"),
+    "multisine": single(MULTISINE, "a sum of sines", amplitudes=[0.1, 0.2], frequencies=[0.5, 1.0]),
     "record": RECORD,
     "mission": MISSION_ENTRY,
 }
@@ -33,5 +33,13 @@ TRAJECTORIES: Registry = {
         WAYPOINTS._replace(defaults=SOCCER_FIELD),
         "waypoints over a soccer field (made up), like the article's field test",
     ),
-    "waypoints": single(WAYPOINTS, "georeferenced waypoints, flown at bounded speed"),
+    "waypoints": single(
+        WAYPOINTS,
+        "georeferenced waypoints, flown at bounded speed",
+        latitude_deg=[-22.86, -22.8598],
+        longitude_deg=[-43.23, -43.23],
+        altitude=[5.0, 6.0],
+        speed=1.0,
+        acceleration=1.0,
+    ),
 }

@@ -84,4 +84,5 @@ CHIRP = Entry(
     "a sine whose frequency moves from one value to another",
     "spacing",
     Spacing.LOGARITHMIC,
+    example={"amplitude": 0.1, "start": 0.5, "end": 2.0, "duration": 1.0},
 )

@@ -28,4 +28,5 @@ RECORD = Entry(
     "a recorded signal: `file` (CSV or Parquet), `column` and `time_column`, or `time` and `value`",
     "interpolation",
     Interpolation.LINEAR,
+    example={"time": [0.0, 0.3, 0.6, 1.0], "value": [0.0, 0.2, 0.1, 0.3]},
 )

@@ -16,7 +16,14 @@ IDEAL = Sensor(
 
 SENSORS: Registry = {
     "ideal": single(IDEAL, "the plant's own y and y'"),
-    "lag": single(SENSOR_LAG, "y and y' each through 1/(mu s + 1)"),
-    "noisy": single(NOISY, "white noise, constant errors, delay, own period, resolution, lost readings, jitter"),
+    "lag": single(SENSOR_LAG, "y and y' each through 1/(mu s + 1)", mu=0.02),
+    "noisy": single(
+        NOISY,
+        "white noise, constant errors, delay, own period, resolution, lost readings, jitter",
+        position_std=0.01,
+        velocity_std=0.02,
+        delay_samples=1,
+        period_samples=2,
+    ),
     "record": RECORDED_NOISE,
 }

@@ -77,4 +77,5 @@ RECORDED_NOISE = Entry(
     "recorded noise on y and y': `file` and two `columns`, or `time`, `position` and `velocity`",
     "start",
     NoiseStart.RANDOM,
+    example={"time": [0.0, 0.2, 0.4], "position": [0.01, -0.01, 0.0], "velocity": [0.02, 0.0, -0.02]},
 )

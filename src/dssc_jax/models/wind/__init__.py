@@ -11,10 +11,23 @@ NO_WIND = Wind(NoParams, stateless, unchanged, lambda params, state, t: Vec3(0.0
 
 WINDS: Registry = {
     "none": single(NO_WIND, "no wind"),
-    "constant": single(CONSTANT_WIND, "a constant velocity from a given time on"),
-    "piecewise": single(PIECEWISE, "a table of velocities with jumps"),
-    "gust": single(GUST, "a 1-cosine gust on a constant mean"),
-    "spline": single(SPLINE_WIND, "cubic splines of given knots: any wind of bounded speed and acceleration"),
+    "constant": single(CONSTANT_WIND, "a constant velocity from a given time on", x=2.0, y=1.0, z=0.0),
+    "piecewise": single(
+        PIECEWISE, "a table of velocities with jumps", times=[0.0, 0.5], x=[1.0, 2.0], y=[0.0, 1.0], z=[0.0, 0.0]
+    ),
+    "gust": single(GUST, "a 1-cosine gust on a constant mean", x=2.0, y=0.0, z=0.5, duration=1.0),
+    "spline": single(
+        SPLINE_WIND,
+        "cubic splines of given knots: any wind of bounded speed and acceleration",
+        interval=0.3,
+        x=[1.0, 2.0],
+    ),
     "record": RECORDED_WIND,
-    "dryden": single(DRYDEN, "mean wind and Dryden turbulence of MIL-F-8785C at low altitude, exactly sampled"),
+    "dryden": single(
+        DRYDEN,
+        "mean wind and Dryden turbulence of MIL-F-8785C at low altitude, exactly sampled",
+        speed=5.0,
+        altitude=10.0,
+        airspeed=5.0,
+    ),
 }

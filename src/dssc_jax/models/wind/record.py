@@ -39,4 +39,5 @@ RECORDED_WIND = Entry(
     "a recorded wind: `file` and three `columns`, or `time`, `x`, `y` and `z`",
     "interpolation",
     Interpolation.LINEAR,
+    example={"time": [0.0, 0.3], "x": [0.0, 2.0], "y": [1.0, 0.0], "z": [0.0, 0.0]},
 )
