@@ -75,6 +75,7 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
         remainder=remainder and (lambda params, state, drive, t: remainder(params, state, plain(drive), t)),
         onboard=plant.onboard,
         smooth=plant.smooth,
+        info=plant.info,
     )
 
 

@@ -116,6 +116,8 @@ class Plant(NamedTuple, Generic[Output, Signal]):
             where it adds nothing. None: the plant is linear.
         onboard: What of the plant is software of the vehicle, in words: generated code of its controllers lacks it.
         smooth: Where the part has a derivative (:mod:`dssc_jax.core.smoothness`); without it, nothing is linearised.
+        info: NamedTuple type of what ``monitor`` reports. A field that is annotated with a ``Quantity`` has its unit and
+            meaning in trajectories; the others have none.
     """
 
     params: type
@@ -135,6 +137,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     remainder: Callable[[Params, State, PlantInput[Signal], Scalar], State] | None = None
     onboard: tuple[str, ...] = ()
     smooth: Declaration = None
+    info: type | None = None
 
 
 class Preset(NamedTuple):
@@ -177,6 +180,7 @@ class Controller(NamedTuple):
         from_dssc: ``(gains of DSSC) -> table``: the gains that correspond to those of DSSC. None: a comparison needs
             ``[compare.NAME]``.
         limit: Name of the gain that bounds the command; empty: there is none.
+        info: NamedTuple type of the info, as in :class:`Plant`.
     """
 
     gains: type
@@ -190,6 +194,7 @@ class Controller(NamedTuple):
     tunable: tuple[str, ...] | Callable[[Params], tuple[str, ...]] = ()
     from_dssc: Callable[[Params], dict[str, Any]] | None = None
     limit: str = ""
+    info: type | None = None
 
     def tunable_gains(self, gains: Params) -> tuple[str, ...]:
         """Names of the usual gains, dotted within the controller's table."""

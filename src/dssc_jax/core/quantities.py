@@ -1,7 +1,7 @@
 """``Quantity``: unit, meaning and admissible interval of a model's number."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_type_hints
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,16 @@ class Quantity:
         upper = f"< {self.below:g}" if self.below is not None else None
         upper = f"<= {self.at_most:g}" if self.at_most is not None else upper
         return " and ".join(filter(None, (lower, upper)))
+
+
+def quantities_of(kind: type | None) -> dict[str, Quantity]:
+    """The quantity of each field of a NamedTuple type that declares one, by name; empty for None."""
+    found = {}
+    for name, hint in get_type_hints(kind, include_extras=True).items() if kind else ():
+        for mark in getattr(hint, "__metadata__", ()):
+            if isinstance(mark, Quantity):
+                found[name] = mark
+    return found
 
 
 def extent(value: Any) -> tuple[float, float]:

@@ -12,6 +12,7 @@ from dssc_jax.closed_loop.draw import Run, simulate_recorded
 from dssc_jax.closed_loop.sample import Recorded
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.numerics import arithmetic
+from dssc_jax.core.quantities import Quantity, quantities_of
 from dssc_jax.engine.batching import drawn
 from dssc_jax.engine.reference import Agreement, agreement
 from dssc_jax.engine.sampling import draw_key
@@ -23,39 +24,17 @@ if TYPE_CHECKING:
     from dssc_jax.results.result import Result
 
 MOST_KEPT = 5_000_000  # samples of a trajectory
-UNITS = {
-    "y": ("y", "output y"),
-    "y_dot": ("y/s", "output's derivative y'"),
-    "y_ref": ("y", "desired output y_m"),
-    "e": ("y", "output error e"),
-    "sigma": ("y/s", "sigma = e' + l_0 e"),
-    "sigma_measured": ("y/s", "sigma as the controller sees it"),
-    "u": ("u", "robust command u"),
-    "u_total": ("u", "total command u + u_n"),
-    "sigma_tilde": ("y/s", "sliding variable"),
-    "sigma_hat": ("y/s", "predictor's state"),
-    "u_av": ("u", "averaged control"),
-    "u_0": ("u", "switched control"),
-    "rho": ("u", "modulation"),
-    "sliding_margin": ("u", "rho - |u_eq|"),
-    "k_o": ("y/(s^2 u)", "predictor gain"),
-    "tau_m": ("s", "predictor time constant"),
-    "tau_av": ("s", "averaging time constant"),
-    "integral_gain": ("u/y", "integral gain of the synthesised law"),
-    "integral": ("u", "integral term of u"),
-    "proportional": ("u", "proportional term of u"),
-    "derivative": ("u", "derivative term of u"),
-    "phi": ("rad", "roll"),
-    "theta": ("rad", "pitch"),
-    "psi": ("rad", "yaw"),
-    "tilt": ("rad", "tilt of body z"),
-    "thrust": ("N", "wanted net thrust"),
-    "rotor_limited": ("1", "a rotor at its limit"),
-    "lift_bounded": ("1", "wanted lift at its lower bound"),
-    "rotor": ("N", "commanded thrust of rotor"),
-    "rotor_limit": ("N", "limit of a rotor's thrust"),
-    "wind": ("m/s", "wind along"),
+SIGNALS = {
+    "y": Quantity("y", "output y"),
+    "y_dot": Quantity("y/s", "output's derivative y'"),
+    "y_ref": Quantity("y", "desired output y_m"),
+    "e": Quantity("y", "output error e"),
+    "sigma": Quantity("y/s", "sigma = e' + l_0 e"),
+    "sigma_measured": Quantity("y/s", "sigma as the controller sees it"),
+    "u": Quantity("u", "robust command u"),
+    "u_total": Quantity("u", "total command u + u_n"),
 }
+"""Signals of every channel; a controller and a plant declare those of their infos."""
 
 
 def lane_values(study: Study, draw: int, point: Mapping[str, float]) -> dict[str, float]:
@@ -188,19 +167,27 @@ def tuple_columns(name: str, values: tuple[np.ndarray, ...]) -> dict[str, np.nda
 
 
 def column_attributes(name: str, study: Study) -> dict[str, str]:
-    """Attributes of a trajectory's column; a user's info field has none."""
-    channel, _, rest = name.partition("_")
+    """Unit and meaning of a trajectory's column; an info field without a quantity has only its name."""
+    channel, _, field = name.partition("_")
     named = channel in study.loop.channels and bool(channel)
-    signal = rest if named else name
-    units = study.units[study.loop.channels.index(channel)] if named else study.units[0]
-    whole, _, part = signal.rpartition("_")
-    if signal in UNITS:
-        unit, meaning = UNITS[signal]
-        unit, meaning = units.of(unit), units.named(meaning)
-    elif whole in UNITS and not named:
-        unit, meaning = UNITS[whole][0], f"{UNITS[whole][1]} {part}"
+    signal = field if named else name
+    index = study.loop.channels.index(channel) if named else 0
+    units = study.units[index]
+    vector, _, part = signal.rpartition("_")
+    controllers = study.loop.controller
+    loaded = isinstance(controllers, tuple)  # not those of a study whose code was not loaded
+    quantities = SIGNALS | quantities_of(controllers[index].info if loaded else None)
+    observed = {} if named else quantities_of(study.loop.plant.info)
+    if signal in quantities or signal in observed:
+        quantity = quantities[signal] if signal in quantities else observed[signal]
+        unit = units.of(quantity.unit)
+        meaning = units.named(quantity.meaning)
+    elif vector in observed:
+        unit = observed[vector].unit
+        meaning = f"{observed[vector].meaning} {part}"
     else:
-        unit, meaning = "", signal
+        unit = ""
+        meaning = signal
     return {"units": unit, "long_name": f"{channel}: {meaning}" if named else meaning}
 
 

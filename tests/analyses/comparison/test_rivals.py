@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.analyses.comparison import controller_table
+from dssc_jax.analyses.comparison import controller_table, switching_kinds
+from dssc_jax.analyses.comparison.tuning import ranges
+from dssc_jax.core.registry import single
+from dssc_jax.models.controllers import CONTROLLERS
 
 FUNCTIONS = {
     "square_root": {"kappa_o": 20.0, "kappa_m": 2.0, "delta_o": 0.5, "delta_m": 0.5, "tau_av": 0.02},
@@ -108,3 +111,28 @@ def test_what_does_not_follow(changes, name, rule):
     study = study_with({"kind": "approx_sta_2", **FUNCTIONS["approx_sta_2"]}).override(changes)
     with pytest.raises(dj.ConfigError, match=rule):
         controller_table(study, name)
+
+
+def test_tunable_gains_stand_on_the_controller():
+    study = study_with({"kind": "field", **FUNCTIONS["field"]})
+    assert list(ranges(study, {})) == ["controller.functions.kappa1", "controller.functions.kappa2"]
+    study = study.override({"controller": controller_table(study, "sta")})
+    assert list(ranges(study, {})) == ["controller.kappa1", "controller.kappa2"]
+
+
+def test_switching_kinds_are_those_with_a_describing_function():
+    assert switching_kinds() == ["sta", "smc"]
+
+
+def test_a_controller_that_declares_nothing_is_refused_by_name(monkeypatch):
+    """Its kind may contain an underscore, as its sampled forms and ``limited`` do."""
+    bare = CONTROLLERS["sta"].default_member._replace(tunable=(), from_dssc=None, limit="", describing=None)
+    monkeypatch.setitem(CONTROLLERS, "bare_law", single(bare, "a controller that declares nothing"))
+    study = study_with({"kind": "approx_sta_2", **FUNCTIONS["approx_sta_2"]})
+    assert "bare_law" not in switching_kinds()
+    with pytest.raises(dj.ConfigError, match=r"cannot be derived from 'dssc'; give \[compare.bare_law\]"):
+        controller_table(study, "bare_law")
+    own = study.override({"controller": {"kind": "bare_law", "l0": 1.0, "kappa1": 1.0, "kappa2": 1.0}})
+    assert ranges(own, {}) == {}
+    with pytest.raises(dj.ConfigError, match="'bare_law' has no limit; sta and vgsta have"):
+        controller_table(own, "bare_law_limited")

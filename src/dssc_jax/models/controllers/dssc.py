@@ -3,11 +3,11 @@
 The sampled forms of filter and predictor are in :mod:`dssc_jax.models.controllers.dssc_forms`.
 """
 
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.quantities import extent, nominal
+from dssc_jax.core.quantities import Quantity, extent, nominal
 from dssc_jax.core.registry import Discretisation, Entry
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, State, TrackingError, tracking_error
 from dssc_jax.core.smoothness import (
@@ -52,16 +52,16 @@ class DsscInfo(NamedTuple):
     ``integral_gain`` is K_I = 1/(k_o tau_av tau_m) of the synthesised law (22), whose K_P is K_I tau_m.
     """
 
-    sigma_tilde: Scalar
-    sigma_hat: Scalar
-    u_av: Scalar
-    u_0: Scalar
-    rho: Scalar
-    sliding_margin: Scalar
-    k_o: Scalar
-    tau_m: Scalar
-    tau_av: Scalar
-    integral_gain: Scalar
+    sigma_tilde: Annotated[Scalar, Quantity("y/s", "sliding variable")]
+    sigma_hat: Annotated[Scalar, Quantity("y/s", "predictor's state")]
+    u_av: Annotated[Scalar, Quantity("u", "averaged control")]
+    u_0: Annotated[Scalar, Quantity("u", "switched control")]
+    rho: Annotated[Scalar, Quantity("u", "modulation")]
+    sliding_margin: Annotated[Scalar, Quantity("u", "rho - |u_eq|")]
+    k_o: Annotated[Scalar, Quantity("y/(s^2 u)", "predictor gain")]
+    tau_m: Annotated[Scalar, Quantity("s", "predictor time constant")]
+    tau_av: Annotated[Scalar, Quantity("s", "averaging time constant")]
+    integral_gain: Annotated[Scalar, Quantity("u/y", "integral gain of the synthesised law")]
 
 
 def control_sample(
@@ -178,6 +178,7 @@ def dssc(form: SampledForm, smooth: Declaration = sliding_smoothness) -> Control
         smooth=smooth,
         synthesised=synthesised_gains,
         tunable=tunable_functions,
+        info=DsscInfo,
     )
 
 

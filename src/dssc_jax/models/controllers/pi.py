@@ -32,7 +32,7 @@ class PiState(NamedTuple):
 class PiInfo(NamedTuple):
     """The integral part of the command [m/s]."""
 
-    integral: Scalar
+    integral: Annotated[Scalar, Quantity("u", "integral term of u")]
 
 
 def init(gains: PiGains, measurement: Measurement, reference: ReferencePoint) -> PiState:
@@ -77,6 +77,7 @@ def pi(implicit: bool) -> Controller:
         synthesised=lambda gains: (gains.k_p, gains.k_i),
         tunable=("k_p", "k_i"),
         from_dssc=synthesised_by_dssc,
+        info=PiInfo,
     )
 
 

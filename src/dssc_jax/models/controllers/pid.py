@@ -58,9 +58,9 @@ class PidState(NamedTuple):
 class PidInfo(NamedTuple):
     """The three parts of the command before its limits."""
 
-    proportional: Scalar
-    integral: Scalar
-    derivative: Scalar
+    proportional: Annotated[Scalar, Quantity("u", "proportional term of u")]
+    integral: Annotated[Scalar, Quantity("u", "integral term of u")]
+    derivative: Annotated[Scalar, Quantity("u", "derivative term of u")]
 
 
 def init(gains: PidGains, measurement: Measurement, reference: ReferencePoint) -> PidState:
@@ -148,7 +148,16 @@ def pid_within_limits(gains: PidGains) -> tuple[Controller, PidGains]:
 
 
 PID: Entry = single(
-    Controller(PidGains, init, step, prepare, transfer, limited_smoothness(pid_within_limits), tunable=("k_p", "k_i")),
+    Controller(
+        PidGains,
+        init,
+        step,
+        prepare,
+        transfer,
+        limited_smoothness(pid_within_limits),
+        tunable=("k_p", "k_i"),
+        info=PidInfo,
+    ),
     "PID with filtered derivative, set-point weights, limits and anti-windup",
     k_p=2.0,
     k_i=1.0,

@@ -26,7 +26,7 @@ class SmcGains(NamedTuple):
 class SmcInfo(NamedTuple):
     """Margin K - |u_eq| [m/s] of the sliding condition; u_eq brings sigma to 0 within one sample."""
 
-    sliding_margin: Scalar
+    sliding_margin: Annotated[Scalar, Quantity("u", "rho - |u_eq|")]
 
 
 class NoInfo(NamedTuple):
@@ -70,6 +70,7 @@ def smc(implicit: bool) -> Controller:
         describing=relay_balance,
         tunable=("gain",),
         from_dssc=relay_of_dssc,
+        info=SmcInfo if implicit else NoInfo,
     )
 
 

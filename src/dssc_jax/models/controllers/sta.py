@@ -50,7 +50,7 @@ class IntegralState(NamedTuple):
 class IntegralInfo(NamedTuple):
     """The integral part of the command [m/s]."""
 
-    integral: Scalar
+    integral: Annotated[Scalar, Quantity("u", "integral term of u")]
 
 
 Update: TypeAlias = Callable[[Scalar, Scalar, Scalar, Scalar, Scalar], tuple[Scalar, Scalar]]
@@ -153,6 +153,7 @@ def sta(update: Update, carried: Carried) -> Controller:
         tunable=("kappa1", "kappa2"),
         from_dssc=sta_of_dssc,
         limit="limit",
+        info=IntegralInfo,
     )
 
 

@@ -40,7 +40,7 @@ class FeedbackState(NamedTuple):
 class FeedbackInfo(NamedTuple):
     """The integral part of the command."""
 
-    integral: Scalar
+    integral: Annotated[Scalar, Quantity("u", "integral term of u")]
 
 
 def init(gains: FeedbackGains, measurement: Measurement, reference: ReferencePoint) -> FeedbackState:
@@ -90,6 +90,7 @@ STATE_FEEDBACK: Entry = single(
         transfer,
         limited_smoothness(feedback_within_limits),
         tunable=("k_1", "k_2"),
+        info=FeedbackInfo,
     ),
     "feedback of output and derivative, with integral action",
     k_1=2.0,

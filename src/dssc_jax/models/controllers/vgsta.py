@@ -181,6 +181,7 @@ def vgsta(update: Update, carried: Carried) -> Controller:
         tunable=("kappa_d", "gamma"),
         from_dssc=vgsta_of_dssc,
         limit="limit",
+        info=IntegralInfo,
     )
 
 

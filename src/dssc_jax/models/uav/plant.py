@@ -84,16 +84,16 @@ class UavInfo(NamedTuple):
     ``rotor`` has the commanded thrusts f_i [N] after their limit ``rotor_limit`` [N], ``wind`` the wind [m/s].
     """
 
-    phi: Scalar
-    theta: Scalar
-    psi: Scalar
-    tilt: Scalar
-    thrust: Scalar
-    rotor_limited: Scalar
-    lift_bounded: Scalar
-    rotor: tuple[Scalar, ...]
-    rotor_limit: Scalar
-    wind: Vec3
+    phi: Annotated[Scalar, Quantity("rad", "roll")]
+    theta: Annotated[Scalar, Quantity("rad", "pitch")]
+    psi: Annotated[Scalar, Quantity("rad", "yaw")]
+    tilt: Annotated[Scalar, Quantity("rad", "tilt of body z")]
+    thrust: Annotated[Scalar, Quantity("N", "wanted net thrust")]
+    rotor_limited: Annotated[Scalar, Quantity("1", "a rotor at its limit")]
+    lift_bounded: Annotated[Scalar, Quantity("1", "wanted lift at its lower bound")]
+    rotor: Annotated[tuple[Scalar, ...], Quantity("N", "commanded thrust of rotor")]
+    rotor_limit: Annotated[Scalar, Quantity("N", "limit of a rotor's thrust")]
+    wind: Annotated[Vec3, Quantity("m/s", "wind along")]
 
 
 def init(params: UavParams) -> UavState:
@@ -233,4 +233,5 @@ UAV = Plant(
         "the allocation of thrust and torque to the rotors (the mixer)",
     ),
     smooth=piecewise("the limits of its rotors and its lift"),
+    info=UavInfo,
 )
