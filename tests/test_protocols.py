@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import quantities_of
 from dssc_jax.core.registry import single
 from dssc_jax.core.signals import Measurement, PlantInput, ReferencePoint
 from dssc_jax.models.actuators import UNMODELLED
@@ -110,7 +111,9 @@ def test_controller(table):
         return state, command, info
 
     first = controller.init(gains, Measurement(1.0, -0.5), reference)
-    assert hasattr(assert_contract(two_steps, first)[-1], "_fields")
+    info = assert_contract(two_steps, first)[-1]
+    assert type(info) is controller.info
+    assert set(quantities_of(controller.info)) == set(info._fields)
 
 
 @pytest.mark.parametrize("table", list(controller_cases()))

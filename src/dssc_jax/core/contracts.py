@@ -116,7 +116,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
             where it adds nothing. None: the plant is linear.
         onboard: What of the plant is software of the vehicle, in words: generated code of its controllers lacks it.
         smooth: Where the part has a derivative (:mod:`dssc_jax.core.smoothness`); without it, nothing is linearised.
-        info: NamedTuple type of what ``monitor`` reports. A field that is annotated with a ``Quantity`` has its unit and
+        info: NamedTuple type of what ``monitor`` reports. Fields annotated with a ``Quantity`` have its unit and
             meaning in trajectories; the others have none.
     """
 
