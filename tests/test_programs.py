@@ -137,7 +137,7 @@ def test_programs_agree(table):
     assert_agrees(result, lanes, computed_again(study, lanes))
     if len(study.loop.channels) == 1:
         first = {name: column[0] for name, column in lane_numbers(study, lanes).items()}
-        alone = jax.jit(simulated(study, together=None), compiler_options=plain_options())(first, np.uint32(0))
+        alone = jax.jit(simulated(study, axis_name=None), compiler_options=plain_options())(first, np.uint32(0))
         assert_agrees(result, (np.array([0]),), {name: np.asarray(value)[None] for name, value in alone.items()})
 
 

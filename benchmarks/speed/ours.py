@@ -34,7 +34,7 @@ def tiled(task: Task, devices: int | None = None) -> tuple[Program, Engine]:
 
 def plain(task: Task, options: Mapping[str, str | bool] | None = None) -> tuple[Program, float]:
     """``jit(vmap(scan))`` over all draws at once, and the seconds that its compilation took; each call runs it."""
-    study, lane = task.study, simulated(task.study, together=None)
+    study, lane = task.study, simulated(task.study, axis_name=None)
     names = list(study.laws)
     precise = jax.enable_x64(task.case.precision == 64)
     began = time.perf_counter()

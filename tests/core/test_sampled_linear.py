@@ -25,7 +25,7 @@ def exact(a, column, h):
 def found(a, column, h):
     """The same by the package."""
     rows = tuple(tuple(row) for row in a)
-    whole = hold(rows, (Forcing(tuple(column), TERMS),), h).whole
+    whole = hold(rows, (Forcing(tuple(column), TERMS),), h).full
     matrix = np.zeros((len(a), len(a) + TERMS))
     for (row, place), entry in whole.entries.items():
         matrix[row, place] = entry
@@ -79,7 +79,7 @@ def test_traced_numbers_are_the_known_ones(mu):
                 tuple(n if x else 0.0 for n, x in zip(row, known, strict=True))
                 for row, known in zip(numbers, a, strict=True)
             )
-            return hold(rows, (Forcing(tuple(column), TERMS),), 1.0).whole.entries
+            return hold(rows, (Forcing(tuple(column), TERMS),), 1.0).full.entries
 
         entries = traced(jnp.asarray(a))
     expected = exact(a, column, 1.0)
@@ -91,7 +91,7 @@ def test_half_a_step_twice_is_a_whole_step():
     a, column = lag_chain(0.2)
     held = hold(tuple(map(tuple, a)), (Forcing(tuple(column), 1),), 0.5)
     x = (1.0, -0.5, 0.3, 0.2)
-    once = held.whole.apply(x, ((0.7,),))
+    once = held.full.apply(x, ((0.7,),))
     twice = held.half.apply(held.half.apply(x, ((0.7,),)), ((0.7,),))
     np.testing.assert_allclose(twice, once, rtol=1e-14)
 
@@ -102,7 +102,7 @@ def test_derivatives_are_those_of_differences():
     def position(mu):
         rate = 1.0 / mu
         rows = ((0.0, 1.0, 0.0), (0.0, -1.0, 1.0), (0.0, 0.0, -rate))
-        return hold(rows, (Forcing((0.0, 0.0, rate), 1),), 0.1).whole.apply((0.0, 0.0, 0.0), ((1.0,),))[0]
+        return hold(rows, (Forcing((0.0, 0.0, rate), 1),), 0.1).full.apply((0.0, 0.0, 0.0), ((1.0,),))[0]
 
     with jax.enable_x64(True):
         for mu in (1e-3, 0.05, 2.0):

@@ -92,7 +92,7 @@ def near_reference(loop: Loop, i: int, measurement: Measurement, reference: Refe
     return measurement._replace(y=turned_near(measurement.y, reference.y)) if is_angle(loop, i) else measurement
 
 
-def unwrapped(loop: Loop, i: int, measurement: Measurement, before: State) -> Measurement:
+def unwrapped(loop: Loop, i: int, measurement: Measurement, previous: State) -> Measurement:
     """The measurement of channel i; an angle is shifted by whole turns to lie within pi of the one before.
 
     So the angle is continuous in time, unless it turns by more than pi within a sample. What has a memory, a sensor
@@ -100,7 +100,7 @@ def unwrapped(loop: Loop, i: int, measurement: Measurement, before: State) -> Me
     """
     if not is_angle(loop, i):
         return measurement
-    continuous = turned_near(measurement.y, before)
+    continuous = turned_near(measurement.y, previous)
     return measurement._replace(y=continuous)
 
 

@@ -122,14 +122,14 @@ def simulate_draw(
     key: jax.Array,
     measures: tuple[Measure, ...] = (),
     requirements: tuple[Requirement, ...] = (),
-    together: str | None = None,
+    axis_name: str | None = None,
     segment: int | None = None,
 ) -> Run:
     """Simulate one draw without recording it; memory does not grow with the duration.
 
     A draw ends early at the sample whose state is not finite or at which the plant's model is no longer valid. Its
     metrics are NaN and its slacks -inf, regardless of later values in the time loop. A settled draw keeps its
-    metrics. The state of an ended draw is frozen (see :func:`sampler`) if derivatives may be taken (``together`` is
+    metrics. The state of an ended draw is frozen (see :func:`sampler`) if derivatives may be taken (``axis_name`` is
     None) or if draws may settle.
 
     Args:
@@ -138,20 +138,20 @@ def simulate_draw(
         key: The draw's own random key.
         measures: The metrics to compute.
         requirements: Bounds on some of the metrics.
-        together: Name of the mapped axis of the draws that are simulated together; the time loop stops when all of
+        axis_name: Name of the mapped axis of the draws that share the time loop, which stops when all of
             them have ended. None: the loop has its full length, as derivatives require.
-        segment: See :func:`dssc_jax.closed_loop.time_loops.scan_segments`; for ``together`` = None only.
+        segment: See :func:`dssc_jax.closed_loop.time_loops.scan_segments`; for ``axis_name`` = None only.
     """
-    sample = sampler(loop, params, key, measures, freeze=together is None or loop.settled is not None)
+    sample = sampler(loop, params, key, measures, freeze=axis_name is None or loop.settled is not None)
     begin = initial_progress(loop, params, key, measures)
 
     def advance(at: Progress) -> Progress:
         return sample(at)[0]
 
-    if together is None:
+    if axis_name is None:
         end = scan_segments(advance, begin, loop.steps, segment)
     else:
-        end = until_all_ended(advance, partial(is_running, loop), begin, loop.steps, together)
+        end = until_all_ended(advance, partial(is_running, loop), begin, loop.steps, axis_name)
     return conclude(loop, measures, requirements, end)
 
 
@@ -161,7 +161,7 @@ def simulate_recorded(
     key: jax.Array,
     measures: tuple[Measure, ...] = (),
     requirements: tuple[Requirement, ...] = (),
-    every: int = 1,
+    stride: int = 1,
 ) -> tuple[Run, Recorded]:
     """Simulate one draw and record its trajectory; an ended draw stays at its last state.
 
@@ -171,10 +171,10 @@ def simulate_recorded(
         key: As of :func:`simulate_draw`.
         measures: As of :func:`simulate_draw`.
         requirements: As of :func:`simulate_draw`.
-        every: Record every ``every``-th sample.
+        stride: Record every ``stride``-th sample.
 
     Returns:
-        The outcome, and the trajectory with leaves of shape (ceil(steps/every),).
+        The outcome, and the trajectory with leaves of shape (ceil(steps/stride),).
     """
     advance = sampler(loop, params, key, measures, freeze=True)
 
@@ -182,7 +182,7 @@ def simulate_recorded(
         after, recorded = advance(at)
         return after, recorded._replace(controlled=())  # the trajectory has it all, by other names
 
-    end, recorded = scan_recorded(sample, initial_progress(loop, params, key, measures), loop.steps, every)
+    end, recorded = scan_recorded(sample, initial_progress(loop, params, key, measures), loop.steps, stride)
     return conclude(loop, measures, requirements, end), recorded
 
 

@@ -196,12 +196,12 @@ def exact(parts: HeldParts, dynamics: LinearDynamics, params: Params, unmodelled
 
             def signals(x: Sequence[Scalar], fraction: float) -> list[Scalar]:
                 """Disturbances and remainder at a stage."""
-                now = t + (index + fraction) * h
+                time = t + (index + fraction) * h
                 at_plant, at_states = scattered(assembly, x, plant, states)
-                drive = drive_at(at_plant, actuation_at(parts, unmodelled, at_states, commands, lines, fraction), now)
+                drive = drive_at(at_plant, actuation_at(parts, unmodelled, at_states, commands, lines, fraction), time)
                 slopes = []
                 if parts.plant.remainder is not None:
-                    slope = jax.tree.leaves(parts.plant.remainder(params, at_plant, drive, now))
+                    slope = jax.tree.leaves(parts.plant.remainder(params, at_plant, drive, time))
                     slopes = [slope[row] for row in rows]
                 return [*drive.disturbance, *slopes]
 
@@ -213,7 +213,7 @@ def exact(parts: HeldParts, dynamics: LinearDynamics, params: Params, unmodelled
                     inputs.append((line.mean,) if model.held else (line.mean - 0.5 * line.rise, line.rise))
             x = gathered(assembly, plant, states)
             if constant or parts.integrator == Integrator.EULER:
-                x = held.whole.apply(x, [*inputs, *((signal,) for signal in signals(x, 0.0))])
+                x = held.full.apply(x, [*inputs, *((signal,) for signal in signals(x, 0.0))])
             else:
                 x = etd_step(held, parts, x, inputs, forcings, signals)
             stepped = tuple(
@@ -254,17 +254,17 @@ def etd_step(
     time_alone = parts.plant.remainder is None and Variation.STATE not in parts.variations
     start = signals(x, 0.0)
     middle = signals(held.half.apply(x, forced([(a,) for a in start])), 0.5)
-    again = middle
+    corrected = middle
     if not time_alone:
         pairs = zip(start, middle, strict=True)
-        again = signals(held.half.apply(x, forced([(a, 4.0 * (b - a)) for a, b in pairs])), 0.5)
-    pairs = zip(start, again, strict=True)
-    end = signals(held.whole.apply(x, forced([(a, 2.0 * (b - a)) for a, b in pairs])), 1.0)
+        corrected = signals(held.half.apply(x, forced([(a, 4.0 * (b - a)) for a, b in pairs])), 0.5)
+    pairs = zip(start, corrected, strict=True)
+    end = signals(held.full.apply(x, forced([(a, 2.0 * (b - a)) for a, b in pairs])), 1.0)
     polynomials = []
-    for a, b, c, d in zip(start, middle, again, end, strict=True):
+    for a, b, c, d in zip(start, middle, corrected, end, strict=True):
         twice = 2.0 * (b + c)
         polynomials.append((a, twice - 3.0 * a - d, 4.0 * (a + d) - 2.0 * twice))
-    return held.whole.apply(x, forced(polynomials))
+    return held.full.apply(x, forced(polynomials))
 
 
 def straight_lines(
@@ -280,8 +280,8 @@ def straight_lines(
         else:
             middle = model.step(p, state, command, 0.5 * h)
             end = model.step(p, middle, command, 0.5 * h)
-            start, half, whole = (model.output(p, z, command) for z in (state, middle, end))
-            lines.append(Moments((start + 4.0 * half + whole) / 6.0, whole - start))
+            start, half, final = (model.output(p, z, command) for z in (state, middle, end))
+            lines.append(Moments((start + 4.0 * half + final) / 6.0, final - start))
     return tuple(lines)
 
 
@@ -315,7 +315,7 @@ class Averaged(NamedTuple):
     def over(self, state: State, command: Scalar) -> tuple[State, Moments]:
         """The state after the step, and the output's moments over it."""
         leaves, structure = jax.tree.flatten(state)
-        *after, mean, double = self.held.whole.apply((*leaves, 0.0, 0.0), ((command,),))
+        *after, mean, double = self.held.full.apply((*leaves, 0.0, 0.0), ((command,),))
         return structure.unflatten(after), Moments(mean, 6.0 * mean - 12.0 * double)
 
 
@@ -340,8 +340,8 @@ def integrated(parts: HeldParts, params: Params, unmodelled: States) -> Advance:
 
     def advance(drive_at: DriveAt, plant: State, states: States, commands: Signals, t: Scalar) -> tuple[State, States]:
         @jax.jit  # traced once for all stages of the integrator
-        def rate(plant: State, now: Scalar, actuation: Signals) -> State:
-            return parts.plant.derivative(params, plant, drive_at(plant, actuation, now), now)
+        def rate(plant: State, time: Scalar, actuation: Signals) -> State:
+            return parts.plant.derivative(params, plant, drive_at(plant, actuation, time), time)
 
         def substep(index: Scalar, carry: tuple[State, States]) -> tuple[State, States]:
             plant, states = carry

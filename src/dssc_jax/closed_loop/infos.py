@@ -25,6 +25,6 @@ def first_infos(loop: Loop, params: LoopParams) -> tuple[tuple[Info, ...], Info]
             start = as_arrays(initial_control(loop, params, i, measurements[i], references[i]))
             forms[form] = control(loop, params, i, start, measurements[i], references[i])[1].info
         infos.append(forms[form])
-    still = (0.0,) * len(loop.channels)
+    zeros = (0.0,) * len(loop.channels)
     wind = loop.wind.value(params.wind, loop.wind.init(params.wind, jax.random.key(0)), 0.0)
-    return tuple(infos), loop.mimo_plant.monitor(params.plant, plant, PlantInput(still, still, wind))
+    return tuple(infos), loop.mimo_plant.monitor(params.plant, plant, PlantInput(zeros, zeros, wind))

@@ -256,7 +256,7 @@ class Measure:
         kind: The metric's name.
         window: The samples that count.
         channel: Index of the channel; None: the vehicle.
-        own: The streaming form, for a kind that is not in :data:`METRICS`.
+        custom: The streaming form, for a kind that is not in :data:`METRICS`.
         units: Units and meanings of the channel's output and command.
         channel_name: The channel's name; empty for the vehicle and for the single channel of a SISO plant.
         usual: The window of the study's ``[metrics]``.
@@ -266,20 +266,20 @@ class Measure:
     kind: str
     window: Window
     channel: int | None = 0
-    own: Metric | None = None
+    custom: Metric | None = None
     units: ChannelUnits = UNNAMED_UNITS
     channel_name: str = ""
     usual: Window = WHOLE_RUN
 
     @property
-    def when(self) -> str:
+    def window_text(self) -> str:
         """The window in words, empty if it is the usual one from the start on."""
         return self.window.words(self.usual)
 
     @property
     def metric(self) -> Metric:
         """The streaming form."""
-        return self.own or METRICS[self.kind]
+        return self.custom or METRICS[self.kind]
 
     @property
     def label(self) -> str:
@@ -294,7 +294,7 @@ class Measure:
     @property
     def meaning(self) -> str:
         """Long name of the value; a user's own metric keeps its words."""
-        return self.units.named(self.metric.meaning) if self.own is None else self.metric.meaning
+        return self.units.named(self.metric.meaning) if self.custom is None else self.metric.meaning
 
     def of(self, instant: Instant) -> Any:
         """The argument with which the metric is updated."""
@@ -373,9 +373,9 @@ def require_like(value: Any, pattern: Any) -> None:
         TypeError: It returns another structure, or an array.
     """
     structure = jax.tree.structure(value)
-    wanted = jax.tree.structure(pattern)
-    if structure != wanted:
-        raise TypeError(f"it must return {wanted}, got {structure}")
+    expected = jax.tree.structure(pattern)
+    if structure != expected:
+        raise TypeError(f"it must return {expected}, got {structure}")
     shapes = [jnp.shape(leaf) for leaf in jax.tree.leaves(value)]
     if any(shapes):
         raise TypeError(f"it must return numbers, got arrays of shapes {shapes}")

@@ -61,8 +61,8 @@ def bands(acc: Bands, sample: Sample, window: Window) -> Bands:
 def fast_share(acc: Bands, window: Window, span: Span) -> Scalar:
     """Energy of the fast part over that of both parts, the slow one about its mean; 0 for a constant command."""
     about_mean = jnp.maximum(acc.squares - acc.total * acc.total / span.inside, 0.0)
-    whole = acc.fast + about_mean
-    return jnp.where(whole > 0.0, acc.fast / jnp.where(whole > 0.0, whole, 1.0), 0.0)
+    energy = acc.fast + about_mean
+    return jnp.where(energy > 0.0, acc.fast / jnp.where(energy > 0.0, energy, 1.0), 0.0)
 
 
 class Amplified(NamedTuple):
@@ -87,14 +87,14 @@ class DriftSum(NamedTuple):
     """Samples so far, the last error of the measured sigma [m/s], and the sum of the gain times its changes [m/s]."""
 
     samples: Scalar = 0.0
-    last: Scalar = 0.0
+    previous: Scalar = 0.0
     total: Scalar = 0.0
 
 
 def drift_sum(acc: DriftSum, sample: Sample, window: Window) -> DriftSum:
     """Add g(sigma_k) (n_k - n_(k-1)) with g = 1/(k_o tau_av) at the measured sigma; the first sample has none."""
     noise = sample.sigma_measured - sample.sigma
-    step = (noise - acc.last) * sample.info.integral_gain * sample.info.tau_m
+    step = (noise - acc.previous) * sample.info.integral_gain * sample.info.tau_m
     return DriftSum(acc.samples + 1.0, noise, acc.total + jnp.where(acc.samples == 0.0, 0.0, step))
 
 
@@ -107,13 +107,13 @@ class Path(NamedTuple):
     """Samples so far, the last whole command, and its total variation so far [m/s]."""
 
     samples: Scalar = 0.0
-    last: Scalar = 0.0
+    previous: Scalar = 0.0
     length: Scalar = 0.0
 
 
 def path(acc: Path, sample: Sample, window: Window) -> Path:
     """Add the change to this sample's u + u_n; the window's first sample has none."""
-    step = jnp.where(acc.samples == 0.0, 0.0, jnp.abs(sample.u_total - acc.last))
+    step = jnp.where(acc.samples == 0.0, 0.0, jnp.abs(sample.u_total - acc.previous))
     return Path(acc.samples + 1.0, sample.u_total, acc.length + step)
 
 

@@ -47,7 +47,7 @@ class Requirement:
     def text(self) -> str:
         """The requirement in words."""
         side = f"<= {self.maximum:g}" if self.maximum is not None else f">= {self.minimum:g}"
-        return f"{self.measure.label}{self.measure.when} {side} {self.measure.unit}".removesuffix(" 1")
+        return f"{self.measure.label}{self.measure.window_text} {side} {self.measure.unit}".removesuffix(" 1")
 
     def slack(self, value: Scalar) -> Scalar:
         """Signed distance to the bound, in the metric's unit: negative if the requirement is violated."""

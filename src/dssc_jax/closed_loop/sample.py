@@ -267,8 +267,8 @@ def step(
     references = loop.mimo_reference.at(params.reference, t)
     disturbances = tuple(channel.disturbance for channel in state.channels)
     reaching = tuple(channel.reaching for channel in state.channels)
-    before = plant_input(loop, params, disturbances, state.wind, state.plant, reaching, t)
-    measurements = measure(loop, params, state.plant, references, before)
+    arriving_drive = plant_input(loop, params, disturbances, state.wind, state.plant, reaching, t)
+    measurements = measure(loop, params, state.plant, references, arriving_drive)
     gains = loop.mimo_plant.input_gain(params.plant)
     channels, samples, commands, outputs = [], [], [], []
     for i, channel in enumerate(state.channels):
@@ -301,8 +301,8 @@ def step(
     sampled = tuple(channel.unmodelled for channel in channels)
     disturbances = tuple(channel.disturbance for channel in channels)
 
-    def drive_at(plant: State, actuation: Signals, now: Scalar) -> PlantInput[Signals]:
-        return plant_input(loop, params, disturbances, wind, plant, actuation, now)
+    def drive_at(plant: State, actuation: Signals, time: Scalar) -> PlantInput[Signals]:
+        return plant_input(loop, params, disturbances, wind, plant, actuation, time)
 
     plant, unmodelled = advance(drive_at, state.plant, sampled, held, t)
     drive = drive_at(state.plant, actuate(loop, params, sampled, held), t)

@@ -54,7 +54,7 @@ class Rise(NamedTuple):
     """The step, its last progress, and the times at which 10 % and 90 % were first passed, in samples; -1: not yet."""
 
     step: StepSize = StepSize()
-    last: Scalar = 0.0
+    previous: Scalar = 0.0
     low: Scalar = -1.0
     high: Scalar = -1.0
 
@@ -63,12 +63,12 @@ def rise(acc: Rise, sample: Sample, window: Window) -> Rise:
     """Note when the progress first passes 10 % and 90 %, between two samples by a straight line."""
     step = acc.step.after(sample)
     p = step.progress(sample)
-    gain = p - acc.last
+    gain = p - acc.previous
 
-    def passed(before: Scalar, level: float) -> Scalar:
-        now = (before < 0.0) & (p >= level)
-        share = (level - acc.last) / jnp.where(gain > 0.0, gain, 1.0)
-        return jnp.where(now, jnp.maximum(acc.step.samples - 1.0 + share, 0.0), before)
+    def passed(passed_at: Scalar, level: float) -> Scalar:
+        passes = (passed_at < 0.0) & (p >= level)
+        share = (level - acc.previous) / jnp.where(gain > 0.0, gain, 1.0)
+        return jnp.where(passes, jnp.maximum(acc.step.samples - 1.0 + share, 0.0), passed_at)
 
     return Rise(step, p, passed(acc.low, LOW), passed(acc.high, HIGH))
 
@@ -100,20 +100,20 @@ class Outside(NamedTuple):
     """The step, and the number of samples up to the last one outside the band."""
 
     step: StepSize = StepSize()
-    last: Scalar = 0.0
+    last_sample: Scalar = 0.0
 
 
 def outside(acc: Outside, sample: Sample, window: Window) -> Outside:
     """Note a sample whose distance from the goal exceeds the band."""
     step = acc.step.after(sample)
-    far = jnp.abs(step.progress(sample) - 1.0) > 0.01 * window.percent
-    return Outside(step, jnp.where(far, step.samples, acc.last))
+    is_outside = jnp.abs(step.progress(sample) - 1.0) > 0.01 * window.percent
+    return Outside(step, jnp.where(is_outside, step.samples, acc.last_sample))
 
 
 def step_settling(acc: Outside, window: Window, span: Span) -> Scalar:
     """Time from the window's start to the first sample after which all lie in the band; infinite if none do."""
-    time = acc.last * span.sample_time
-    return acc.step.judged(jnp.where(acc.last >= span.inside, jnp.inf, time))
+    time = acc.last_sample * span.sample_time
+    return acc.step.judged(jnp.where(acc.last_sample >= span.inside, jnp.inf, time))
 
 
 class Following(NamedTuple):
@@ -177,10 +177,10 @@ STEP_RESPONSE: dict[str, Metric] = {
 }  # fmt: skip
 
 
-def line_at(points: Points, t: Scalar, beyond: float) -> Scalar:
+def line_at(points: Points, t: Scalar, default: float) -> Scalar:
     """A bound at t: straight between two points, and ``beyond`` before the first and after the last one."""
     early = 4.0 * jnp.finfo(jnp.result_type(float)).eps * jnp.abs(t)
-    value: Scalar = beyond
+    value: Scalar = default
     for (begin, low), (end, high) in pairwise(points):
         if end > begin:
             share = (t - begin) / (end - begin)
@@ -203,12 +203,12 @@ def envelope_metric(
 
     def update(acc: Any, sample: Sample, window: Window) -> Scalar:
         t, value = sample.k * sample.dt, signal(sample)
-        above = value - line_at(lower, t, -math.inf) if lower else math.inf
-        below = line_at(upper, t, math.inf) - value if upper else math.inf
-        return jnp.minimum(acc, jnp.minimum(above, below))
+        above_lower = value - line_at(lower, t, -math.inf) if lower else math.inf
+        below_upper = line_at(upper, t, math.inf) - value if upper else math.inf
+        return jnp.minimum(acc, jnp.minimum(above_lower, below_upper))
 
-    about = f"smallest distance of {meaning} from its envelope"
-    return Metric(unit, about, update, lambda acc, *_: acc, start=math.inf)
+    description = f"smallest distance of {meaning} from its envelope"
+    return Metric(unit, description, update, lambda acc, *_: acc, start=math.inf)
 
 
 def crossing(lower: Points, upper: Points) -> float | None:

@@ -27,8 +27,10 @@ C = TypeVar("C", bound=Carry)
 R = TypeVar("R")
 
 
-def until_all_ended(sample: Callable[[C], C], running: Callable[[C], Scalar], begin: C, steps: int, together: str) -> C:
-    """Advance sample by sample until ``steps`` are done, or no draw of the mapped axis ``together`` is running.
+def until_all_ended(
+    sample: Callable[[C], C], running: Callable[[C], Scalar], begin: C, steps: int, axis_name: str
+) -> C:
+    """Advance sample by sample until ``steps`` are done, or no draw of the mapped axis ``axis_name`` is running.
 
     All draws of the axis share the check, so time and values that depend only on time stay scalars.
 
@@ -37,15 +39,15 @@ def until_all_ended(sample: Callable[[C], C], running: Callable[[C], Scalar], be
         running: Whether a draw has not ended.
         begin: The carry at the start.
         steps: Total number of samples.
-        together: Name of the mapped axis.
+        axis_name: Name of the mapped axis.
     """
 
     def any_running(at: C) -> Scalar:
-        return jax.lax.pmax(jnp.where(running(at), 1, 0), together)
+        return jax.lax.pmax(jnp.where(running(at), 1, 0), axis_name)
 
     def block(carry: tuple[C, Scalar]) -> tuple[C, Scalar]:
-        last = jnp.minimum(carry[0].k + CHECK_INTERVAL, steps)
-        after = jax.lax.while_loop(lambda at: at.k < last, sample, carry[0])
+        end = jnp.minimum(carry[0].k + CHECK_INTERVAL, steps)
+        after = jax.lax.while_loop(lambda at: at.k < end, sample, carry[0])
         return after, any_running(after)
 
     def goes_on(carry: tuple[C, Scalar]) -> Scalar:
@@ -75,24 +77,24 @@ def scan_segments(sample: Callable[[C], C], begin: C, steps: int, segment: int |
     return ahead(at, steps % segment)
 
 
-def scan_recorded(sample: Callable[[C], tuple[C, R]], begin: C, steps: int, every: int) -> tuple[C, R]:
-    """Advance sample by sample to the end, and record every ``every``-th sample.
+def scan_recorded(sample: Callable[[C], tuple[C, R]], begin: C, steps: int, stride: int) -> tuple[C, R]:
+    """Advance sample by sample to the end, and record every ``stride``-th sample.
 
     Args:
         sample: Advances the carry by one sample, and returns its record.
         begin: The carry at the start.
         steps: Total number of samples.
-        every: Record every ``every``-th sample, starting with the first.
+        stride: Record every ``stride``-th sample, starting with the first.
 
     Returns:
-        The carry at the end, and the records with leaves of shape (ceil(steps/every),).
+        The carry at the end, and the records with leaves of shape (ceil(steps/stride),).
     """
 
     def recorded_then_skipped(at: C, _: None) -> tuple[C, R]:
-        last = jnp.minimum(at.k + every, steps)
+        end = jnp.minimum(at.k + stride, steps)
         at, record = sample(at)
-        return jax.lax.while_loop(lambda at: at.k < last, lambda at: sample(at)[0], at), record
+        return jax.lax.while_loop(lambda at: at.k < end, lambda at: sample(at)[0], at), record
 
-    if every == 1:
+    if stride == 1:
         return jax.lax.scan(lambda at, _: sample(at), begin, length=steps)
-    return jax.lax.scan(recorded_then_skipped, begin, length=-(-steps // every))
+    return jax.lax.scan(recorded_then_skipped, begin, length=-(-steps // stride))

@@ -74,9 +74,9 @@ class Window:
             entries: Values by the names of the study file; others are ignored.
             usual: Its values stand for entries that are absent or None.
         """
-        values = vars(usual or cls())
-        given = {name: entries.get(entry.key) for name, entry in window_entries().items()}
-        return cls(**{name: values[name] if value is None else float(value) for name, value in given.items()})
+        defaults = vars(usual or cls())
+        values = {name: entries.get(entry.key) for name, entry in window_entries().items()}
+        return cls(**{name: defaults[name] if value is None else float(value) for name, value in values.items()})
 
     def entries(self) -> dict[str, float]:
         """The window as a study's ``[metrics]`` or ``[[requirement]]`` has it: the inverse of :meth:`of`."""

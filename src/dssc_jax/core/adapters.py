@@ -1,7 +1,7 @@
 """Contracts built from others: of several channels, of sums, and of linear systems."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 
@@ -87,17 +87,19 @@ def as_mimo_reference(reference: Reference[ReferencePoint]) -> Reference[Referen
 class JoinedParams(NamedTuple):
     """Parameters of a reference of several channels, and those of the channels that have a reference of their own."""
 
-    whole: Any
-    own: tuple[Any, ...]
+    joint: Params
+    replaced: tuple[Params, ...]
 
 
-def joined_reference(whole: Reference[ReferencePoints], own: dict[int, Reference[ReferencePoint]]) -> Reference:
+def joined_reference(
+    joint: Reference[ReferencePoints], replacements: dict[int, Reference[ReferencePoint]]
+) -> Reference:
     """The reference of several channels in which some, by index, follow references of their own."""
 
     def at(params: JoinedParams, t: Scalar) -> ReferencePoints:
-        points = list(whole.at(params.whole, t))
-        for (index, reference), theirs in zip(own.items(), params.own, strict=True):
-            points[index] = reference.at(theirs, t)
+        points = list(joint.at(params.joint, t))
+        for (index, reference), own_params in zip(replacements.items(), params.replaced, strict=True):
+            points[index] = reference.at(own_params, t)
         return tuple(points)
 
     return Reference(JoinedParams, at)
@@ -106,20 +108,24 @@ def joined_reference(whole: Reference[ReferencePoints], own: dict[int, Reference
 def joined_wind(parts: tuple[Wind, ...]) -> Wind:
     """The sum of several winds; the parameters are a tuple, and each wind has random numbers of its own."""
 
-    def keys(key: jax.Array) -> list[jax.Array]:
-        return [jax.random.fold_in(key, index) for index in range(len(parts))]
+    def init(params: tuple[Params, ...], key: jax.Array) -> tuple[State, ...]:
+        states = []
+        for index, (wind, numbers) in enumerate(zip(parts, params, strict=True)):
+            states.append(wind.init(numbers, jax.random.fold_in(key, index)))
+        return tuple(states)
 
-    def init(params: tuple[Any, ...], key: jax.Array) -> tuple[State, ...]:
-        return tuple(wind.init(p, k) for wind, p, k in zip(parts, params, keys(key), strict=True))
+    def step(
+        params: tuple[Params, ...], state: tuple[State, ...], key: jax.Array, t: Scalar, dt: Scalar
+    ) -> tuple[State, ...]:
+        states = []
+        for index, (wind, numbers, held) in enumerate(zip(parts, params, state, strict=True)):
+            states.append(wind.step(numbers, held, jax.random.fold_in(key, index), t, dt))
+        return tuple(states)
 
-    def step(params: tuple[Any, ...], state: Any, key: jax.Array, t: Scalar, dt: Scalar) -> tuple[State, ...]:
-        each = zip(parts, params, state, keys(key), strict=True)
-        return tuple(wind.step(p, s, k, t, dt) for wind, p, s, k in each)
-
-    def value(params: tuple[Any, ...], state: Any, t: Scalar) -> Vec3:
+    def value(params: tuple[Params, ...], state: tuple[State, ...], t: Scalar) -> Vec3:
         total = Vec3(0.0, 0.0, 0.0)
-        for wind, p, s in zip(parts, params, state, strict=True):
-            total = total + wind.value(p, s, t)
+        for wind, numbers, held in zip(parts, params, state, strict=True):
+            total = total + wind.value(numbers, held, t)
         return total
 
     return Wind(NoParams, init, step, value)
@@ -138,7 +144,7 @@ def linear_unmodelled(
         system = linear(values)
         x, structure = jax.tree.flatten(state)
         held = hold(system.a, (Forcing(system.b, terms=1),), dt)
-        return structure.unflatten(held.whole.apply(x, ((command,),)))
+        return structure.unflatten(held.full.apply(x, ((command,),)))
 
     def output(values: Params, state: State, command: Scalar) -> Scalar:
         system = linear(values)

@@ -75,8 +75,8 @@ def errors_in_code(where: str, function: Callable[..., Any]) -> Iterator[None]:
 def nearest(name: str, valid: Iterable[str]) -> str:
     """Return the end of a message about an unknown name: the nearest valid name, or all valid names."""
     names = sorted(map(str, valid))
-    near = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
-    if not near:  # the last part of a dotted path is what people remember
+    closest = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
+    if not closest:  # the last part of a dotted path is what people remember
         tail = name.rpartition(".")[2]
-        near = [full for full in names if full.rpartition(".")[2] == tail][:1]
-    return f"did you mean '{near[0]}'?" if near else f"valid names are {', '.join(names) or 'none'}"
+        closest = [full for full in names if full.rpartition(".")[2] == tail][:1]
+    return f"did you mean '{closest[0]}'?" if closest else f"valid names are {', '.join(names) or 'none'}"

@@ -59,12 +59,12 @@ def mode_of(path: Path) -> int | None:
         return None
 
 
-def read_bytes(path: str | Path, most: int = -1) -> bytes:
+def read_bytes(path: str | Path, size: int = -1) -> bytes:
     """The content of a regular file; a symbolic link is followed.
 
     Args:
         path: The file.
-        most: Bytes to read at most; -1: all.
+        size: Bytes to read at most; -1: all.
 
     Raises:
         UnsafeFileError: It is a named pipe, a device or a socket.
@@ -74,7 +74,7 @@ def read_bytes(path: str | Path, most: int = -1) -> bytes:
     descriptor = os.open(path, READING)
     with os.fdopen(descriptor, "rb") as file:
         require_readable(Path(path), os.fstat(descriptor).st_mode)  # of what was opened
-        return file.read(most)
+        return file.read(size)
 
 
 def require_readable(path: Path, mode: int) -> None:
@@ -159,13 +159,13 @@ def replacing(path: Path, within: Path | None = None, durable: bool = True) -> I
         OSError: It cannot be written.
     """
     require_inside(path, within)
-    before = require_replaceable(path)
+    replaced_mode = require_replaceable(path)
     partial = partial_of(path)
     try:
         with opened(partial) as file:
             yield file
-            if before is not None and POSIX:
-                os.fchmod(file.fileno(), stat.S_IMODE(before))
+            if replaced_mode is not None and POSIX:
+                os.fchmod(file.fileno(), stat.S_IMODE(replaced_mode))
             if durable:
                 flush(file)
         require_inside(path, within)
@@ -265,10 +265,10 @@ def make_folder(folder: Path, within: Path | None = None) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         return
     require_inside(folder / PARTIAL, within)
-    here = within
+    parent = within
     for part in folder.relative_to(within).parts:
-        here = here / part
-        here.mkdir(exist_ok=True)
+        parent = parent / part
+        parent.mkdir(exist_ok=True)
 
 
 def delete(path: Path, within: Path | None = None) -> None:
@@ -336,15 +336,15 @@ class HeldFolder:
             raise ConfigError(str(self._shown), self._loss())
 
     def _loss(self) -> str:
-        where = ""
+        location = ""
         if self._descriptor is not None:
             with suppress(OSError):
-                where = os.readlink(f"/proc/self/fd/{self._descriptor}")
-        if where.endswith(" (deleted)"):
+                location = os.readlink(f"/proc/self/fd/{self._descriptor}")
+        if location.endswith(" (deleted)"):
             return "was deleted while it was written; what it held is lost, run again"
-        if where:
+        if location:
             return (
-                f"was moved to '{where}' while it was written; it is not complete: "
+                f"was moved to '{location}' while it was written; it is not complete: "
                 "finished blocks are there, continue with --out and --resume"
             )
         return "was moved or deleted while it was written; it is not complete: run again"
@@ -358,5 +358,5 @@ class HeldFolder:
 
 def device_and_inode(path: Path) -> tuple[int, int]:
     """Device and number of a file or folder, which no other one has at the same time."""
-    about = path.stat()
-    return about.st_dev, about.st_ino
+    status = path.stat()
+    return status.st_dev, status.st_ino

@@ -114,15 +114,15 @@ def normal_form(numerator: np.ndarray, denominator: np.ndarray) -> NormalForm:
     zeros = tuple(complex(zero) for zero in np.roots(n))
     if degree != 2:
         return NormalForm(degree, gain, zeros, np.nan, np.nan, (), ())
-    quotient, rest = np.polydiv(d, n)
+    quotient, remainder = np.polydiv(d, n)
     order = len(n) - 1
     if not order:
         return NormalForm(degree, gain, zeros, float(d[1]), float(d[2]), (), ())
-    rest = np.pad(rest, (order - len(rest), 0))  # degree below m
+    remainder = np.pad(remainder, (order - len(remainder), 0))  # degree below m
     if n[-1] == 0.0:  # a zero at the origin: not minimum phase, and no static gain
         return NormalForm(degree, gain, zeros, float(quotient[1]), np.nan, tuple(map(float, n[:0:-1])), ())
-    static = rest[-1] / n[-1]
-    driven = np.concatenate([[0.0], rest]) - static * n  # divisible by s
+    static = remainder[-1] / n[-1]
+    driven = np.concatenate([[0.0], remainder]) - static * n  # divisible by s
     return NormalForm(
         degree,
         gain,

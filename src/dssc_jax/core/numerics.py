@@ -36,9 +36,9 @@ def root_abs(x: Scalar, floor: float = 0.0) -> Scalar:
 def root_abs_slope(floor: float, at: tuple[Scalar], tangent: tuple[Scalar]) -> tuple[Scalar, Scalar]:
     """The root, and its slope sgn(x)/(2 r) where |x| > floor^2, else 0."""
     (x,), (x_dot,) = at, tangent
-    above = jnp.abs(x) > floor**2
+    is_steep = jnp.abs(x) > floor**2
     r = root_abs(x, floor)
-    return r, x_dot * jnp.where(above, jnp.sign(x) / (2.0 * jnp.where(above, r, 1.0)), 0.0)
+    return r, x_dot * jnp.where(is_steep, jnp.sign(x) / (2.0 * jnp.where(is_steep, r, 1.0)), 0.0)
 
 
 def binary_exponent(x: Scalar) -> tuple[Scalar, Scalar]:
@@ -63,13 +63,13 @@ def log_defect(x: Scalar) -> Scalar:
     The polynomial q is that of FreeBSD's e_log.c (Sun Microsystems, 1993).
     """
     k, scale = binary_exponent(1.0 + x)
-    near = k == 0.0
-    f = jnp.where(near, x, (1.0 + x) * scale - 1.0)
+    is_small = k == 0.0
+    f = jnp.where(is_small, x, (1.0 + x) * scale - 1.0)
     s = f / (2.0 + f)
     z = s * s
-    rest = s * polynomial(LOG_SERIES, z)
-    log = k * LOG_2 + 2.0 * s + z * rest
-    return jnp.where(near, 2.0 + x - rest, x - log) / jnp.where(near, (2.0 + x) * (2.0 + x), x * x)
+    remainder = s * polynomial(LOG_SERIES, z)
+    log = k * LOG_2 + 2.0 * s + z * remainder
+    return jnp.where(is_small, 2.0 + x - remainder, x - log) / jnp.where(is_small, (2.0 + x) * (2.0 + x), x * x)
 
 
 def root_of(excess: Scalar, slope: Scalar) -> Scalar:

@@ -104,7 +104,7 @@ class Transition(NamedTuple):
 class HeldSystem(NamedTuple):
     """Transitions over a whole step and over half of it."""
 
-    whole: Transition
+    full: Transition
     half: Transition
 
 
@@ -131,8 +131,8 @@ def hold(a: Rows, forcings: Sequence[Forcing], h: Scalar) -> HeldSystem:
     for start, forcing in zip(starts, forcings, strict=True):
         for k in range(forcing.terms - 1):
             chains[start + k] = start + k + 1
-    half, whole = doubled(size, rates, chains)
-    return HeldSystem(Transition(size, whole, starts), Transition(size, half, starts))
+    half, full = doubled(size, rates, chains)
+    return HeldSystem(Transition(size, full, starts), Transition(size, half, starts))
 
 
 def doubled(size: int, rates: Entries, chains: dict[int, int]) -> tuple[Entries, Entries]:
@@ -158,12 +158,12 @@ def doubled(size: int, rates: Entries, chains: dict[int, int]) -> tuple[Entries,
         x = dict(zip(pattern, values, strict=True))
         square = product(x, x, size)
         for (row, column), number in x.items():
-            later = chains.get(column)
-            if later is not None:
-                add(square, (row, later), number * t)
-                last = chains.get(later)
-                if last is not None:
-                    add(square, (row, last), number * (0.5 * t * t))
+            next_term = chains.get(column)
+            if next_term is not None:
+                add(square, (row, next_term), number * t)
+                term_after = chains.get(next_term)
+                if term_after is not None:
+                    add(square, (row, term_after), number * (0.5 * t * t))
         return tuple(2.0 * x[place] + square.get(place, 0.0) for place in pattern)
 
     values = tuple(start[place] for place in pattern)
@@ -179,8 +179,8 @@ def doubled(size: int, rates: Entries, chains: dict[int, int]) -> tuple[Entries,
 
         begin = tuple(jnp.asarray(value, real) for value in values), jnp.asarray(shortest, real)
         values, _ = jax.lax.fori_loop(0, DOUBLINGS - 1, doubling, begin)
-    whole = double(values, 0.5)
-    return dict(zip(pattern, values, strict=True)), dict(zip(pattern, whole, strict=True))
+    full = double(values, 0.5)
+    return dict(zip(pattern, values, strict=True)), dict(zip(pattern, full, strict=True))
 
 
 def product(left: Entries, right: Entries, size: int) -> Entries:

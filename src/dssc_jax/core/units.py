@@ -68,10 +68,10 @@ def resolved(unit: str, output: str, command: str) -> str:
     """A unit with ``y`` and ``u`` replaced by two others, reduced; one without these symbols is returned as it is."""
     if not re.search(rf"\b({OUTPUT}|{COMMAND})\b", unit):
         return unit
-    given = {OUTPUT: parsed_unit(output), COMMAND: parsed_unit(command)}
+    replacements = {OUTPUT: parsed_unit(output), COMMAND: parsed_unit(command)}
     total: Powers = {}
     for symbol, power in parsed_unit(unit).items():
-        multiply(total, given.get(symbol, {symbol: Fraction(1)}), power)
+        multiply(total, replacements.get(symbol, {symbol: Fraction(1)}), power)
     return unit_text_of(total)
 
 
@@ -142,13 +142,13 @@ def unit_text_of(powers: Powers) -> str:
         powers = dict(powers)
         powers[root] -= half
         powers["s"] += half
-    above = [powered(symbol, power) for symbol, power in powers.items() if power > 0]
-    below = [powered(symbol, -power) for symbol, power in powers.items() if power < 0 and power.denominator == 1]
-    above += [powered(symbol, power) for symbol, power in powers.items() if power < 0 and power.denominator != 1]
-    numerator = " ".join([*above, *([group] if group else [])]) or "1"
-    if not below:
+    numerators = [powered(symbol, power) for symbol, power in powers.items() if power > 0]
+    denominators = [powered(symbol, -power) for symbol, power in powers.items() if power < 0 and power.denominator == 1]
+    numerators += [powered(symbol, power) for symbol, power in powers.items() if power < 0 and power.denominator != 1]
+    numerator = " ".join([*numerators, *([group] if group else [])]) or "1"
+    if not denominators:
         return numerator
-    return f"{numerator}/{below[0] if len(below) == 1 else '(' + ' '.join(below) + ')'}"
+    return f"{numerator}/{denominators[0] if len(denominators) == 1 else '(' + ' '.join(denominators) + ')'}"
 
 
 def powered(symbol: str, power: Fraction) -> str:

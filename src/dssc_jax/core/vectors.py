@@ -18,11 +18,11 @@ class Vec3(NamedTuple):
     y: Scalar
     z: Scalar
 
-    def __add__(self, other: "Vec3") -> "Vec3":  # type: ignore[override]
-        return Vec3(self.x + other.x, self.y + other.y, self.z + other.z)
+    def __add__(self, vector: "Vec3") -> "Vec3":  # type: ignore[override]
+        return Vec3(self.x + vector.x, self.y + vector.y, self.z + vector.z)
 
-    def __sub__(self, other: "Vec3") -> "Vec3":
-        return Vec3(self.x - other.x, self.y - other.y, self.z - other.z)
+    def __sub__(self, vector: "Vec3") -> "Vec3":
+        return Vec3(self.x - vector.x, self.y - vector.y, self.z - vector.z)
 
     def __mul__(self, factor: Scalar) -> "Vec3":  # type: ignore[override]
         return Vec3(self.x * factor, self.y * factor, self.z * factor)
@@ -35,16 +35,16 @@ class Vec3(NamedTuple):
     def __neg__(self) -> "Vec3":
         return Vec3(-self.x, -self.y, -self.z)
 
-    def dot(self, other: "Vec3") -> Scalar:
+    def dot(self, vector: "Vec3") -> Scalar:
         """Scalar product."""
-        return self.x * other.x + self.y * other.y + self.z * other.z
+        return self.x * vector.x + self.y * vector.y + self.z * vector.z
 
-    def cross(self, other: "Vec3") -> "Vec3":
+    def cross(self, vector: "Vec3") -> "Vec3":
         """Vector product."""
         return Vec3(
-            self.y * other.z - self.z * other.y,
-            self.z * other.x - self.x * other.z,
-            self.x * other.y - self.y * other.x,
+            self.y * vector.z - self.z * vector.y,
+            self.z * vector.x - self.x * vector.z,
+            self.x * vector.y - self.y * vector.x,
         )
 
     def scale(self, by: "Vec3") -> "Vec3":

@@ -42,12 +42,12 @@ Lane = Callable[[dict[str, jax.Array], jax.Array], dict[str, Scalar]]
 """(each of the lane's own numbers, draw index) -> the results of the lane."""
 
 
-def simulated(study: Study, together: str | None = AXIS, segment: int | None = None) -> Lane:
+def simulated(study: Study, axis_name: str | None = AXIS, segment: int | None = None) -> Lane:
     """Compute a lane's metrics, slacks, outcome and the time of its early end.
 
     Args:
         study: What to simulate.
-        together: See :func:`dssc_jax.closed_loop.draw.simulate_draw`; None if derivatives are taken.
+        axis_name: See :func:`dssc_jax.closed_loop.draw.simulate_draw`; None if derivatives are taken.
         segment: See :func:`dssc_jax.closed_loop.time_loops.scan_segments`.
     """
 
@@ -55,7 +55,7 @@ def simulated(study: Study, together: str | None = AXIS, segment: int | None = N
         key = draw_key(study.config.seed, index)
         loop, params = study.loop, study.params(values)
         judged = study.measures, study.requirements
-        return results_of(study, simulate_draw(loop, params, key, *judged, together=together, segment=segment))
+        return results_of(study, simulate_draw(loop, params, key, *judged, axis_name=axis_name, segment=segment))
 
     return lane
 
@@ -313,8 +313,8 @@ def evaluate(engine: Engine, values: Arrays, indices: np.ndarray) -> Arrays:
 def is_noisy(engine: Engine) -> bool:
     """Whether a draw's result depends on its index apart from its values: noise of sensors, wind or disturbances."""
     values = draw(engine.study, np.arange(PROBES) % engine.study.config.draws)
-    same, other = (evaluate(engine, values, np.arange(first, first + PROBES)) for first in (0, PROBES))
-    return any(not np.array_equal(same[name], other[name], equal_nan=True) for name in same)
+    repeated, shifted = (evaluate(engine, values, np.arange(first, first + PROBES)) for first in (0, PROBES))
+    return any(not np.array_equal(repeated[name], shifted[name], equal_nan=True) for name in repeated)
 
 
 def collect(block: Block, started: Callable[[], Arrays], values: Arrays) -> tuple[Block, Arrays, Arrays]:

@@ -137,10 +137,12 @@ def forward_mode(study: Study, names: Sequence[str]) -> Lane:
     plain = simulated(study)
 
     def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
-        own = {name: value for name, value in values.items() if name != DIRECTION}
-        numbers = {name: own[name] for name in names}
+        lane_values = {name: value for name, value in values.items() if name != DIRECTION}
+        numbers = {name: lane_values[name] for name in names}
         tangent = {name: jnp.where(values[DIRECTION] == i, 1.0, 0.0) for i, name in enumerate(names)}
-        _, slopes, results = jax.jvp(metrics_and_slacks(plain, own, index), (numbers,), (tangent,), has_aux=True)
+        _, slopes, results = jax.jvp(
+            metrics_and_slacks(plain, lane_values, index), (numbers,), (tangent,), has_aux=True
+        )
         return with_derivatives(results, {Derivative(of, DIRECTION): slope for of, slope in slopes.items()})
 
     return lane
@@ -148,7 +150,7 @@ def forward_mode(study: Study, names: Sequence[str]) -> Lane:
 
 def reverse_mode(study: Study, names: Sequence[str]) -> Lane:
     """The program in reverse mode: one backward pass for each metric and slack."""
-    plain = simulated(study, together=None, segment=math.isqrt(study.loop.steps))
+    plain = simulated(study, axis_name=None, segment=math.isqrt(study.loop.steps))
 
     def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
         numbers = {name: values[name] for name in names}

@@ -118,10 +118,10 @@ def largest_change(study: Study, coarse: Arrays, fine: Arrays) -> tuple[float, s
         scales = {measure.name: typical_size(fine[measure.name]) for measure in study.measures}
     worst, name = 0.0, ""
     for metric, scale in scales.items():
-        before = coarse[metric]
-        after = fine[metric]
-        both = np.isfinite(before) & np.isfinite(after)
-        gaps = np.abs(np.where(both, before, 0.0) - np.where(both, after, 0.0)) / scale
+        coarse_values = coarse[metric]
+        fine_values = fine[metric]
+        finite = np.isfinite(coarse_values) & np.isfinite(fine_values)
+        gaps = np.abs(np.where(finite, coarse_values, 0.0) - np.where(finite, fine_values, 0.0)) / scale
         change = float(np.max(gaps, initial=0.0))
         ended = [ended_early(arrays["outcome"]) for arrays in (coarse, fine)]
         if np.any(ended[0] != ended[1]):

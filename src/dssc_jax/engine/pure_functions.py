@@ -56,9 +56,9 @@ def require_values(study: Study, values: Values) -> None:
             raise ConfigError(name, "decides the form of the program and cannot vary; change it with study.override")
     bits = 8 * jnp.result_type(float).itemsize
     if bits != study.config.loop.precision:
-        wanted = study.config.loop.precision == 64
+        enabled = study.config.loop.precision == 64
         rule = f"is {study.config.loop.precision}, and JAX computes in {bits} bits"
-        raise ConfigError("loop.precision", f"{rule}; set jax.config.update('jax_enable_x64', {wanted})")
+        raise ConfigError("loop.precision", f"{rule}; set jax.config.update('jax_enable_x64', {enabled})")
 
 
 def drawn_values(study: Study, indices: np.ndarray) -> Arrays:
@@ -172,7 +172,7 @@ def lane(study: Study, segment: int | None = None) -> LaneFunction:
         >>> results["error_rms"].shape
         (3,)
     """
-    return LaneFunction(study, simulated(study, together=None, segment=segment))
+    return LaneFunction(study, simulated(study, axis_name=None, segment=segment))
 
 
 def stepper(study: Study) -> Stepper:

@@ -76,7 +76,7 @@ def plain_results(study: Study, values: Mapping[str, np.ndarray], draws: np.ndar
     """
     with jax.enable_x64(study.config.loop.precision == 64):
         lanes = {name: jnp.asarray(column, jnp.result_type(float)) for name, column in values.items()}
-        batch = jax.jit(jax.vmap(simulated(study, together=None)), compiler_options=plain_options())
+        batch = jax.jit(jax.vmap(simulated(study, axis_name=None)), compiler_options=plain_options())
         return jax.tree.map(np.asarray, batch(lanes, np.asarray(draws, np.uint32)))
 
 
@@ -130,8 +130,8 @@ def agreement(study: Study, dataset: xr.Dataset, lanes: Lanes, computed: Mapping
     doubtful = deviation > rounding
     if doubtful.any():
         copies = moved(study, tuple(part[doubtful] for part in lanes))
-        here = {name: column[doubtful] for name, column in computed.items() if name in copies[0]}
-        spread = [list(deviations(study, sizes, here, copy).values()) for copy in copies]
+        doubtful_values = {name: column[doubtful] for name, column in computed.items() if name in copies[0]}
+        spread = [list(deviations(study, sizes, doubtful_values, copy).values()) for copy in copies]
         allowed[doubtful] = np.maximum(rounding, ROUNDING_FACTOR * np.max(spread, axis=(0, 1)))
     return Agreement(deviation, names[table.argmax(0)], allowed)
 
@@ -146,16 +146,18 @@ def deviations(
     one. An outcome is either equal or not.
     """
     counts, gaps = sample_counts(study), {}
-    for name, there in stored.items():
-        here = np.asarray(computed[name], dtype=there.dtype)
+    for name, stored_values in stored.items():
+        computed_values = np.asarray(computed[name], dtype=stored_values.dtype)
         if name == "outcome":
-            gaps[name] = np.where(there == here, 0.0, np.inf)
+            gaps[name] = np.where(stored_values == computed_values, 0.0, np.inf)
             continue
-        equal = (there == here) | (np.isnan(there) & np.isnan(here))
+        equal = (stored_values == computed_values) | (np.isnan(stored_values) & np.isnan(computed_values))
         with np.errstate(invalid="ignore", over="ignore"):
-            gap = np.maximum(np.abs(there.astype(float) - here) - counts.get(name, 0.0), 0.0)
-            relative = gap / np.maximum(np.abs(there), sizes[name])
-        gaps[name] = np.where(equal, 0.0, np.where(np.isfinite(there) & np.isfinite(here), relative, np.inf))
+            gap = np.maximum(np.abs(stored_values.astype(float) - computed_values) - counts.get(name, 0.0), 0.0)
+            relative = gap / np.maximum(np.abs(stored_values), sizes[name])
+        gaps[name] = np.where(
+            equal, 0.0, np.where(np.isfinite(stored_values) & np.isfinite(computed_values), relative, np.inf)
+        )
     return gaps
 
 

@@ -58,7 +58,7 @@ def generator(*words: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(words))
 
 
-def sobol_points(dimension: int, first: int, last: int, words: Sequence[int]) -> np.ndarray:
+def sobol_points(dimension: int, start: int, end: int, words: Sequence[int]) -> np.ndarray:
     """Points first .. last - 1, at cell centres, of a Sobol sequence whose scrambling is drawn from ``words``.
 
     Returns:
@@ -67,11 +67,11 @@ def sobol_points(dimension: int, first: int, last: int, words: Sequence[int]) ->
     from scipy.stats import qmc
 
     sequence = qmc.Sobol(dimension, scramble=True, bits=SOBOL_BITS, rng=generator(*words))
-    if first:
-        sequence.fast_forward(first)
+    if start:
+        sequence.fast_forward(start)
     with warnings.catch_warnings():  # a block need not be a power of two; the study's whole design is
         warnings.filterwarnings("ignore", "The balance properties of Sobol' points require n to be a power of 2")
-        return sequence.random(last - first) + 0.5**SOBOL_BITS / 2.0
+        return sequence.random(end - start) + 0.5**SOBOL_BITS / 2.0
 
 
 def replicated_sobol(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
@@ -79,10 +79,10 @@ def replicated_sobol(study: Study, streams: tuple[int, ...], indices: np.ndarray
     points = np.empty((len(indices), len(streams)))
     position, replicate = np.divmod(indices, study.config.replicates)
     for r in np.unique(replicate):
-        mine = replicate == r
-        first, last = int(position[mine].min()), int(position[mine].max()) + 1
+        members = replicate == r
+        start, end = int(position[members].min()), int(position[members].max()) + 1
         words = (study.config.seed, stream("sobol"), int(r))
-        points[mine] = sobol_points(len(streams), first, last, words)[position[mine] - first]
+        points[members] = sobol_points(len(streams), start, end, words)[position[members] - start]
     return points
 
 

@@ -46,7 +46,7 @@ def sentence(requirement: Requirement) -> h.Node:
     side = "at most" if requirement.maximum is not None else "at least"
     channel = f" ({requirement.measure.channel_name})" if requirement.measure.channel_name else ""
     bound = with_unit(requirement.bound, requirement.measure.unit)
-    return [f"{requirement.measure.meaning}{channel}{requirement.measure.when}: {side} ", h.strong[bound]]
+    return [f"{requirement.measure.meaning}{channel}{requirement.measure.window_text}: {side} ", h.strong[bound]]
 
 
 def loop(about: About) -> Section:

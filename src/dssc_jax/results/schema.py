@@ -63,7 +63,7 @@ def variables(study: Study) -> dict[str, Variable]:
         about = {"units": quantity.unit, "long_name": quantity.meaning, "law": str(law)}
         described[name] = Variable(("draw",), "float64", about)
     for measure in study.measures:
-        about = {"units": measure.unit, "long_name": measure.meaning + measure.when}
+        about = {"units": measure.unit, "long_name": measure.meaning + measure.window_text}
         described[measure.name] = Variable(grid, real, about)
     for requirement in study.requirements:
         about = {"units": requirement.measure.unit, "long_name": f"signed slack of {requirement.text}"}

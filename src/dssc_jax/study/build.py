@@ -273,10 +273,10 @@ def parse_reference(table: dict[str, Any], channels: tuple[str, ...], units: tup
     if not named:
         return replace(whole, numbers=tuple(number.under(slot, slot) for number in whole.numbers))
     own = {channel: parse_component(table[channel], REFERENCES, dotted(slot, channel)) for channel in named}
-    numbers = [number.under(f"{slot}.whole", slot) for number in whole.numbers]
+    numbers = [number.under(f"{slot}.joint", slot) for number in whole.numbers]
     for place, (channel, part) in enumerate(own.items()):
         theirs = with_units(part, units[channels.index(channel)]).numbers
-        numbers += [number.under(f"{slot}.own.{place}", dotted(slot, channel)) for number in theirs]
+        numbers += [number.under(f"{slot}.replaced.{place}", dotted(slot, channel)) for number in theirs]
     model = joined_reference(whole.model, {channels.index(channel): part.model for channel, part in own.items()})
     params = JoinedParams(whole.params, tuple(part.params for part in own.values()))
     return Component(whole.kind, model, params, tuple(numbers))

@@ -70,7 +70,7 @@ def measured(
             kind,
             window,
             channel,
-            own=None if kind in METRICS else known[kind],
+            custom=None if kind in METRICS else known[kind],
             units=UNNAMED_UNITS if channel is None else units[channel],
             channel_name=channel_name,
             usual=config.metrics.window,

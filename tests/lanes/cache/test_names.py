@@ -73,7 +73,7 @@ def test_a_lane_has_another_name_if_anything_of_its_study_differs(change):
 
 def test_programs_of_one_study_have_different_names():
     study = Study.from_table(UNCERTAIN)
-    lanes = simulated(study), simulated(study, together=None), *(forward_mode(study, [name]) for name in study.axes)
+    lanes = simulated(study), simulated(study, axis_name=None), *(forward_mode(study, [name]) for name in study.axes)
     assert len({None, *map(name_of, lanes)}) == len(lanes) + 1
 
 

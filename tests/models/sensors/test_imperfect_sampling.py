@@ -8,7 +8,7 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Measurement
-from dssc_jax.models.sensors.noisy import NOISY, NoisyParams, earlier
+from dssc_jax.models.sensors.noisy import NOISY, NoisyParams, aged_reading
 from dssc_jax.statistics import clopper_pearson
 from tests.conftest import UNCERTAIN
 
@@ -62,7 +62,7 @@ def test_an_earlier_measurement_is_exact_on_cubics(age):
     signal = np.polynomial.Polynomial([0.3, -2.0, 5.0, 7.0])
     slope = signal.deriv()
     now, before = (Measurement(signal(t), slope(t)) for t in (0.02, 0.01))
-    seen = earlier(now, before, age, 0.01)
+    seen = aged_reading(now, before, age, 0.01)
     assert seen.y == pytest.approx(signal(0.02 - age), abs=1e-13)
     assert seen.y_dot == pytest.approx(slope(0.02 - age), abs=1e-11)
 

@@ -39,9 +39,9 @@ def test_allocation_inverts_the_geometry(vehicle):
         wanted = np.array([thrust, *rng.uniform(-2.0, 2.0, 3)])
         thrusts = allocate(inverse, wanted[0], Vec3(*wanted[1:]), limit)
         assert not bool(thrusts.limited)
-        total, moment = net(vehicle, thrusts.each)
+        total, moment = net(vehicle, thrusts.commanded)
         worst = max(worst, float(np.abs(np.array([total, *moment]) - wanted).max()) / thrust)
-        least = max(least, float(np.abs(np.array(thrusts.each) - np.linalg.lstsq(plain, wanted)[0]).max()))
+        least = max(least, float(np.abs(np.array(thrusts.commanded) - np.linalg.lstsq(plain, wanted)[0]).max()))
     print(f"\ngeometry {gap_g:.1e}, pinv {gap_p:.1e}, net(allocate) {worst:.1e}, least norm {least:.1e}")
     assert gap_g == 0.0 or gap_g < 1e-15
     assert gap_p < 1e-14
@@ -62,7 +62,7 @@ def test_limits_are_kept_and_flagged(vehicle):
     ]
     for thrust, moment, limited in cases:
         found = allocate(inverse, thrust, moment, limit)
-        each = np.array(found.each)
+        each = np.array(found.commanded)
         assert bool(found.limited) is limited
         assert each.min() >= 0.0
         assert each.max() <= limit

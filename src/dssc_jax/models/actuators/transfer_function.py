@@ -87,23 +87,23 @@ def prepare(params: TransferFunctionParams) -> TransferFunctionParams:
     Raises:
         ConfigError: A condition does not hold.
     """
-    above, below = params.numerator, params.denominator
-    if not 2 <= len(below) <= MOST_ORDER + 1:
-        raise ConfigError("denominator", f"must have 2 to {MOST_ORDER + 1} coefficients, got {len(below)}")
-    if not 1 <= len(above) <= len(below):
-        rule = f"must have 1 to {len(below)} coefficients, no more than the denominator (G must be proper)"
-        raise ConfigError("numerator", f"{rule}, got {len(above)}")
-    if above[0] != below[0] or below[0] == 0.0:
+    numerator, denominator = params.numerator, params.denominator
+    if not 2 <= len(denominator) <= MOST_ORDER + 1:
+        raise ConfigError("denominator", f"must have 2 to {MOST_ORDER + 1} coefficients, got {len(denominator)}")
+    if not 1 <= len(numerator) <= len(denominator):
+        rule = f"must have 1 to {len(denominator)} coefficients, no more than the denominator (G must be proper)"
+        raise ConfigError("numerator", f"{rule}, got {len(numerator)}")
+    if numerator[0] != denominator[0] or denominator[0] == 0.0:
         rule = "must begin with the denominator's first coefficient, and that not be 0, so that G(0) = 1"
-        raise ConfigError("numerator", f"{rule}, got {above[0]:g} and {below[0]:g}")
-    denominator, numerator = ([float(f"{value:g}") for value in side] for side in (below, above))
-    if not decay(below) > SLOWEST:
+        raise ConfigError("numerator", f"{rule}, got {numerator[0]:g} and {denominator[0]:g}")
+    shown_denominator, shown_numerator = ([float(f"{value:g}") for value in side] for side in (denominator, numerator))
+    if not decay(denominator) > SLOWEST:
         rule = f"must be Hurwitz, and no pole slower than {SLOWEST:g} of their geometric mean"
-        raise ConfigError("denominator", f"{rule}, got {denominator} in rising powers")
+        raise ConfigError("denominator", f"{rule}, got {shown_denominator} in rising powers")
     with np.errstate(all="ignore"):
-        g = realised(above, below)
+        g = realised(numerator, denominator)
     if not np.all(np.isfinite((*g.c, g.d))):
-        raise ConfigError("numerator", f"must be in proportion to the denominator, got {numerator}")
+        raise ConfigError("numerator", f"must be in proportion to the denominator, got {shown_numerator}")
     return params
 
 

@@ -166,9 +166,9 @@ def dssc(form: SampledForm, smooth: Declaration = sliding_smoothness) -> Control
         _, u_nominal, sample = control_sample(gains, state.modulation, 0.0, measurement, reference, dt)
         u_av = u_nominal - command
         _, _, sample = control_sample(gains, state.modulation, u_av, measurement, reference, dt)
-        before, predictor = form.resting(gains, u_av, sample, dt)
+        start, predictor = form.resting(gains, u_av, sample, dt)
         earlier = 0.0 if gains.predictor_start == PredictorStart.MIDPOINT else ()
-        return state._replace(u_av=before, predictor=predictor, earlier=earlier)
+        return state._replace(u_av=start, predictor=predictor, earlier=earlier)
 
     return Controller(
         DsscGains,

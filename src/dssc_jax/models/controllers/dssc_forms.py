@@ -146,14 +146,14 @@ def smoothed_rest(free: Scalar, c: Scalar, rho: Scalar, width: Scalar) -> Scalar
     return jnp.where(inside, within, jnp.sign(free) * 0.5 * (root - b))
 
 
-def limited(wanted: Scalar, u_av: Scalar, rho: Scalar, c: Scalar, width: Scalar | None) -> Scalar:
+def limited(unlimited: Scalar, u_av: Scalar, rho: Scalar, c: Scalar, width: Scalar | None) -> Scalar:
     """The change u_0 - u_av: the wanted one with u_0 in rho Sgn(sigma_tilde+), sigma_tilde+ = c (wanted - change).
 
     The change is clipped instead of u_0, to avoid subtracting numbers of the size of u_av in sliding.
     """
     if width is None:
-        return clip(wanted, -rho - u_av, rho - u_av)
-    return wanted - smoothed_rest(c * (wanted + u_av), c, rho, width) / c
+        return clip(unlimited, -rho - u_av, rho - u_av)
+    return unlimited - smoothed_rest(c * (unlimited + u_av), c, rho, width) / c
 
 
 def sample_ratios(at: StateFunctions, dt: Scalar) -> SampleRatios:
@@ -176,10 +176,10 @@ def implicit_update(gains: DsscGains, state: DsscState, sample: ControlSample, d
     """Backward Euler for (15)-(18), solved exactly."""
     u_av, sigma_hat, at = state.u_av, state.predictor, sample.at
     _, decay, c, inverse_c, _ = sample.ratios
-    wanted = (sample.error.sigma - decay * sigma_hat) * inverse_c  # u_eq - u_av
-    change = limited(wanted, u_av, sample.rho, c, gains.sign_width)
+    unlimited = (sample.error.sigma - decay * sigma_hat) * inverse_c  # u_eq - u_av
+    change = limited(unlimited, u_av, sample.rho, c, gains.sign_width)
     after = decay * sigma_hat + c * change
-    return Sampled(u_av + change, u_av + dt / (at.tau_av + dt) * change, after, after, u_av + wanted)
+    return Sampled(u_av + change, u_av + dt / (at.tau_av + dt) * change, after, after, u_av + unlimited)
 
 
 def conservative_update(gains: DsscGains, state: DsscState, sample: ControlSample, dt: Scalar) -> Sampled:
@@ -194,11 +194,11 @@ def conservative_update(gains: DsscGains, state: DsscState, sample: ControlSampl
     law = gains.functions.law(sigma, e, at)
     share = dt / (at.tau_av + dt)
     decay = 1.0 / (1.0 + dt * law.rate)
-    wanted = (law.gain * sigma * (1.0 + dt * law.rate) - w) / share
-    change = limited(wanted, u_av, sample.rho, share * decay * at.k_o * at.tau_av, gains.sign_width)
+    unlimited = (law.gain * sigma * (1.0 + dt * law.rate) - w) / share
+    change = limited(unlimited, u_av, sample.rho, share * decay * at.k_o * at.tau_av, gains.sign_width)
     after = decay * (w + share * change)
-    sigma_hat = jnp.where(change == wanted, sigma, predicted(gains, after, e))
-    return Sampled(u_av + change, u_av + share * change, after, sigma_hat, u_av + wanted)
+    sigma_hat = jnp.where(change == unlimited, sigma, predicted(gains, after, e))
+    return Sampled(u_av + change, u_av + share * change, after, sigma_hat, u_av + unlimited)
 
 
 def phi_1_and_slope(signals: tuple[State, Scalar, Scalar], sigma: Scalar) -> tuple[Scalar, Scalar]:
@@ -260,8 +260,8 @@ def conservative_resting(gains: DsscGains, u_av: Scalar, sample: ControlSample, 
 def explicit_resting(gains: DsscGains, u_av: Scalar, sample: ControlSample, dt: Scalar) -> tuple[Scalar, Scalar]:
     """Without a width, u_0 = 0 at sigma_tilde = 0, and u_av decays in this sample."""
     sigma_tilde = resting_sigma_tilde(gains, u_av, sample.rho)
-    before = u_av / (1.0 - dt / sample.at.tau_av) if gains.sign_width is None else u_av
-    return before, sample.error.sigma - sigma_tilde
+    start = u_av / (1.0 - dt / sample.at.tau_av) if gains.sign_width is None else u_av
+    return start, sample.error.sigma - sigma_tilde
 
 
 def own_coordinate(gains: DsscGains, error: TrackingError) -> Scalar:

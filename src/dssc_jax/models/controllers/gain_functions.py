@@ -94,8 +94,8 @@ def one_factor(gains: F) -> F:
         ConfigError: Both or neither are given.
     """
     if (gains.k_o is None) == (gains.tau_av is None):
-        given = "neither" if gains.k_o is None else "both"
-        raise ConfigError("", f"give one of k_o and tau_av, the other follows from their product; got {given}")
+        found = "neither" if gains.k_o is None else "both"
+        raise ConfigError("", f"give one of k_o and tau_av, the other follows from their product; got {found}")
     return gains
 
 

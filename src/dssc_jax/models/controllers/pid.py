@@ -52,7 +52,7 @@ class PidState(NamedTuple):
 
     integral: Scalar
     derivative: Scalar
-    last: Scalar
+    weighted: Scalar
 
 
 class PidInfo(NamedTuple):
@@ -88,7 +88,7 @@ def step(
     """One sample of the PID controller."""
     proportional = gains.k_p * (gains.proportional_weight * reference.y - measurement.y)
     weighted = gains.derivative_weight * reference.y - measurement.y
-    change = gains.k_d * (weighted - state.last)
+    change = gains.k_d * (weighted - state.weighted)
     derivative = (gains.filter * state.derivative + change) / (gains.filter + dt)
     v = proportional + state.integral + derivative
     u = within_limits(v, gains.low, gains.high)

@@ -120,8 +120,8 @@ def prepare_state_space(params: StateSpaceParams) -> StateSpaceParams:
 
 def last_slope(params: RationalParams, state: LinearState) -> Scalar:
     """The last state's slope without the command: -(a_0 x_1 + a_1 x_2 + ...)/a_n."""
-    leading, *rest = params.denominator
-    return -dot(tuple(reversed(rest)), state.x) / leading
+    leading, *lower = params.denominator
+    return -dot(tuple(reversed(lower)), state.x) / leading
 
 
 def transfer_function_dynamics(params: RationalParams) -> LinearDynamics:

@@ -104,24 +104,24 @@ def check_path(params: WaypointParams) -> None:
     if count < 2:
         raise ConfigError("latitude_deg", f"must hold at least two waypoints, got {count}")
     for name, hint in get_type_hints(WaypointParams, include_extras=True).items():
-        given, quantity = getattr(params, name), hint.__metadata__[0]
-        many = np.ndim(given) == 1
-        if many and len(given) != count:
-            raise ConfigError(name, f"must hold {count} numbers, as latitude_deg does, got {len(given)}")
-        for i, value in enumerate(given if many else () if given is None else (given,)):
+        values, quantity = getattr(params, name), hint.__metadata__[0]
+        is_list = np.ndim(values) == 1
+        if is_list and len(values) != count:
+            raise ConfigError(name, f"must hold {count} numbers, as latitude_deg does, got {len(values)}")
+        for i, value in enumerate(values if is_list else () if values is None else (values,)):
             broken = quantity.violated_by(value, value) or (None if math.isfinite(value) else "must be finite")
             if broken:
                 rule = f"{quantity.meaning} [{quantity.unit}] {broken}, got {value:g}"
-                raise ConfigError(f"{name}.{i}" if many else name, rule)
+                raise ConfigError(f"{name}.{i}" if is_list else name, rule)
     points = enu(params)
-    far, near = np.linalg.norm(points, axis=1), np.linalg.norm(np.diff(points, axis=0), axis=1)
-    if far.max() > FRAME_RADIUS:
-        i = int(far.argmax())
-        rule = f"waypoint {i} must be within {FRAME_RADIUS / 1e3:g} km of waypoint 0, got {far[i] / 1e3:.4g} km"
+    distances, spacings = np.linalg.norm(points, axis=1), np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if distances.max() > FRAME_RADIUS:
+        i = int(distances.argmax())
+        rule = f"waypoint {i} must be within {FRAME_RADIUS / 1e3:g} km of waypoint 0, got {distances[i] / 1e3:.4g} km"
         raise ConfigError(f"{'latitude_deg' if abs(points[i, 1]) > abs(points[i, 0]) else 'longitude_deg'}.{i}", rule)
-    if near.min() < SAME:
-        i = int(near.argmin())
-        raise ConfigError(f"latitude_deg.{i + 1}", f"waypoint {i + 1} repeats waypoint {i} ({near[i]:.2g} m away)")
+    if spacings.min() < SAME:
+        i = int(spacings.argmin())
+        raise ConfigError(f"latitude_deg.{i + 1}", f"waypoint {i + 1} repeats waypoint {i} ({spacings[i]:.2g} m away)")
 
 
 def spline(params: WaypointParams) -> CubicSpline:
@@ -174,28 +174,28 @@ def travel(t: np.ndarray, total: float, speed: float, ramp: float) -> tuple[np.n
     """Distance [m], speed and its rate at t: up a ramp 10 x^3 - 15 x^4 + 6 x^5 (so the speed is C^2), cruise, down."""
     sooner = np.minimum(t, total / speed + ramp - t)  # from the start or to the end
     x = np.clip(sooner / ramp, 0.0, 1.0)
-    far = speed * (ramp * x**4 * (2.5 - 3.0 * x + x**2) + np.maximum(sooner - ramp, 0.0))
+    distance = speed * (ramp * x**4 * (2.5 - 3.0 * x + x**2) + np.maximum(sooner - ramp, 0.0))
     rate = speed * x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
     gain = speed / ramp * 30.0 * (x * (1.0 - x)) ** 2
-    return np.where(sooner == t, far, total - far), rate, np.where(sooner == t, gain, -gain)
+    return np.where(sooner == t, distance, total - distance), rate, np.where(sooner == t, gain, -gain)
 
 
 def quintics(y: np.ndarray, y_dot: np.ndarray, y_ddot: np.ndarray, step: float) -> np.ndarray:
     """Hermite quintics between equidistant nodes, and a constant after the last; (n, 4) to (n, 4, 6)."""
     low = np.stack([y[:-1], step * y_dot[:-1], 0.5 * step**2 * y_ddot[:-1]], axis=-1)
     slope = step * y_dot[1:] - low @ [0.0, 1.0, 2.0]
-    rest = np.stack([y[1:] - low.sum(axis=-1), slope, step**2 * y_ddot[1:] - 2.0 * low[..., 2]], axis=-1)
-    high = rest @ np.array([[10.0, -15.0, 6.0], [-4.0, 7.0, -3.0], [0.5, -1.0, 0.5]])
+    mismatch = np.stack([y[1:] - low.sum(axis=-1), slope, step**2 * y_ddot[1:] - 2.0 * low[..., 2]], axis=-1)
+    high = mismatch @ np.array([[10.0, -15.0, 6.0], [-4.0, 7.0, -3.0], [0.5, -1.0, 0.5]])
     hold = np.pad(y[-1:, :, None], ((0, 0), (0, 0), (0, 5)))
     return np.concatenate([np.concatenate([low, high], axis=-1), hold])
 
 
-def at_length(path: CubicSpline, u: np.ndarray, s: np.ndarray, far: np.ndarray) -> np.ndarray:
+def at_length(path: CubicSpline, u: np.ndarray, s: np.ndarray, distances: np.ndarray) -> np.ndarray:
     """The u at which the path has the length ``far`` [m], by Newton's method from the grid (u, s)."""
-    k = np.clip(np.searchsorted(s, far, side="right") - 1, 0, len(u) - 2)
-    reached = u[k] + (far - s[k]) / (s[k + 1] - s[k]) * (u[k + 1] - u[k])
+    k = np.clip(np.searchsorted(s, distances, side="right") - 1, 0, len(u) - 2)
+    reached = u[k] + (distances - s[k]) / (s[k + 1] - s[k]) * (u[k + 1] - u[k])
     for _ in range(4):
-        missing = far - s[k] - length(path, u[k], reached)
+        missing = distances - s[k] - length(path, u[k], reached)
         reached = np.clip(reached + missing / path_speed(path, reached), u[k], u[k + 1])
     return reached
 
@@ -226,8 +226,8 @@ def curve(params: WaypointParams) -> Curve:
     count = int(np.clip(math.ceil((flight + ramp) / SEGMENT_TIME), FEWEST_SEGMENTS, MOST_SEGMENTS))
     ramp = max(ramp, 8.0 * (flight + ramp) / count)  # no ramp is too short for the table's steps
     duration = flight + ramp
-    far, speed, gain = travel(np.linspace(0.0, duration, count + 1), s[-1], cruise, ramp)
-    v = at_length(path, u, s, far)
+    distances, speed, gain = travel(np.linspace(0.0, duration, count + 1), s[-1], cruise, ramp)
+    v = at_length(path, u, s, distances)
     size, slope, bend = path_speed(path, v), path(v, 1), path(v, 2)
     v_dot = speed / size
     v_ddot = (gain - np.sum(slope[:, :3] * bend[:, :3], axis=1) / size * v_dot**2) / size

@@ -48,8 +48,8 @@ def lag_step(
     steps = dt / params.mu
     share = -jnp.expm1(-steps)
 
-    def followed(true: Scalar, before: Scalar, shown: Scalar) -> Scalar:
-        return true - (true - before) * share / steps + (shown - before) * (1.0 - share)
+    def followed(true: Scalar, previous: Scalar, shown: Scalar) -> Scalar:
+        return true - (true - previous) * share / steps + (shown - previous) * (1.0 - share)
 
     seen = Measurement(*map(followed, measurement, state.true, state.shown))
     return LagState(measurement, seen), seen

@@ -51,16 +51,16 @@ class NoisyParams(NamedTuple):
 class NoisyState(NamedTuple):
     """The last reading with its age in controller samples, and the readings in the delay queue, oldest first.
 
-    With jitter, ``before`` holds the plant's own output at the sample before.
+    With jitter, ``previous`` holds the plant's own output at the sample before.
     """
 
     age: Scalar
     held: Measurement
     queue: tuple[Measurement, ...]
-    before: tuple[Measurement, ...] = ()
+    previous: tuple[Measurement, ...] = ()
 
 
-def whole(name: str, value: Any) -> int:
+def sample_count(name: str, value: Any) -> int:
     """A count of samples.
 
     Raises:
@@ -79,8 +79,8 @@ def prepare(params: NoisyParams) -> NoisyParams:
     Raises:
         ConfigError: one is not a whole number.
     """
-    whole("delay_samples", params.delay_samples)
-    whole("period_samples", params.period_samples)
+    sample_count("delay_samples", params.delay_samples)
+    sample_count("period_samples", params.period_samples)
     return params
 
 
@@ -104,24 +104,24 @@ def rounded(value: Scalar, resolution: Scalar | None) -> Scalar:
     return value if resolution is None else resolution * jnp.round(value / resolution)
 
 
-def earlier(now: Measurement, before: Measurement, age: Scalar, dt: Scalar) -> Measurement:
+def aged_reading(present: Measurement, previous: Measurement, age: Scalar, dt: Scalar) -> Measurement:
     """The measurement ``age`` before now, from the cubic through both samples and their derivatives.
 
     The error is of order dt^4 in y and dt^3 in y', as smooth as the plant's output is.
     """
     s = 1.0 - age / dt
-    rise, first, last = now.y - before.y, dt * before.y_dot, dt * now.y_dot
+    rise, first, last = present.y - previous.y, dt * previous.y_dot, dt * present.y_dot
     second, third = 3.0 * rise - 2.0 * first - last, first + last - 2.0 * rise
-    y = before.y + s * (first + s * (second + s * third))
+    y = previous.y + s * (first + s * (second + s * third))
     return Measurement(y, (first + s * (2.0 * second + 3.0 * s * third)) / dt)
 
 
 def noisy_init(params: NoisyParams, measurement: Measurement, key: jax.Array) -> NoisyState:
     """Assume a constant past: one reading of the first measurement fills the queue, and a new one is due."""
     first = reading(params, measurement, key)
-    period = whole("period_samples", params.period_samples)
-    before = () if params.jitter is None else (measurement,)
-    return NoisyState(float(period), first, (first,) * whole("delay_samples", params.delay_samples), before)
+    period = sample_count("period_samples", params.period_samples)
+    previous = () if params.jitter is None else (measurement,)
+    return NoisyState(float(period), first, (first,) * sample_count("delay_samples", params.delay_samples), previous)
 
 
 def noisy_step(
@@ -140,19 +140,19 @@ def noisy_step(
     Returns:
         The next state, and the measurement that the controller sees.
     """
-    due = state.age > whole("period_samples", params.period_samples) - 0.5  # a counter, compared halfway
+    due = state.age > sample_count("period_samples", params.period_samples) - 0.5  # a counter, compared halfway
     true, arrives = measurement, due
     if params.loss is not None or params.jitter is not None:
         chance, share = uniforms(jax.random.fold_in(key, EXTRA), 2)
         if params.jitter is not None:
-            true = earlier(measurement, state.before[0], params.jitter * share, dt)
+            true = aged_reading(measurement, state.previous[0], params.jitter * share, dt)
         if params.loss is not None and not is_zero(params.loss):
             arrives = due & (chance >= params.loss)
     fresh = reading(params, true, key)
     held = Measurement(*(jnp.where(arrives, new, old) for new, old in zip(fresh, state.held, strict=True)))
     delivered, *queue = (*state.queue, held)
-    before = () if params.jitter is None else (measurement,)
-    return NoisyState(jnp.where(due, 1.0, state.age + 1.0), held, tuple(queue), before), delivered
+    previous = () if params.jitter is None else (measurement,)
+    return NoisyState(jnp.where(due, 1.0, state.age + 1.0), held, tuple(queue), previous), delivered
 
 
 def noisy_smoothness(params: NoisyParams) -> Smoothness:
@@ -164,12 +164,12 @@ def noisy_smoothness(params: NoisyParams) -> Smoothness:
         )
     if params.loss is not None and extent(params.loss)[1] > 0.0:
         return not_smooth("loses readings at random, so that no derivative holds from sample to sample; leave loss out")
-    counted = []
+    assumptions = []
     if params.jitter is not None:
-        counted.append("counts the age of its readings as constant in each draw, at most the jitter")
+        assumptions.append("counts the age of its readings as constant in each draw, at most the jitter")
     if params.position_resolution is not None or params.velocity_resolution is not None:
-        counted.append(f"counts its resolution as {MEAN_GAIN}")
-    return not_smooth("; ".join(counted), with_mean_gain) if counted else SMOOTH
+        assumptions.append(f"counts its resolution as {MEAN_GAIN}")
+    return not_smooth("; ".join(assumptions), with_mean_gain) if assumptions else SMOOTH
 
 
 def with_mean_gain(params: NoisyParams) -> tuple[Sensor, NoisyParams]:

@@ -44,12 +44,12 @@ def prepare(params: RecordedNoiseParams) -> RecordedNoise:
     """The record as functions of time, the first value at t = 0."""
     columns = {"position": params.position, "velocity": params.velocity}
     pieces = columns_as_pieces(params.time, columns, Interpolation.HOLD)
-    first = params.time[0]
-    last = params.time[-1]
+    start = params.time[0]
+    end = params.time[-1]
     steps = len(params.time) - 1
-    early = AHEAD * (last - first) / steps
-    position, velocity = (part._replace(begins=part.begins - first - early) for part in pieces)
-    return RecordedNoise(position, velocity, (last - first) * (steps + 1) / steps)
+    early = AHEAD * (end - start) / steps
+    position, velocity = (part._replace(begins=part.begins - start - early) for part in pieces)
+    return RecordedNoise(position, velocity, (end - start) * (steps + 1) / steps)
 
 
 def step(

@@ -70,7 +70,7 @@ def parameters_in(text: str) -> dict[str, float]:
     return values
 
 
-def common(values: list[float], what: str) -> float:
+def common(values: list[float], subject: str) -> float:
     """The mean of a number that all rotors have in common.
 
     Raises:
@@ -80,30 +80,30 @@ def common(values: list[float], what: str) -> float:
     if any(abs(value - mean) > SIMILAR * abs(mean) for value in values):
         listed = ", ".join(f"{value:g}" for value in values)
         raise ConfigError(
-            what, f"must be the same for all rotors, as the model has equal rotors on a circle; got {listed}"
+            subject, f"must be the same for all rotors, as the model has equal rotors on a circle; got {listed}"
         )
     return mean
 
 
-def rotors_of(given: Mapping[str, float]) -> dict[str, Any]:
+def rotors_of(parameters: Mapping[str, float]) -> dict[str, Any]:
     """Angles, spins, arm and torque over thrust from CA_ROTOR_COUNT and CA_ROTORi_.
 
     Raises:
         ConfigError: there are fewer than four rotors, one is tilted, or they differ.
     """
-    count = given.get("CA_ROTOR_COUNT", 0.0)
+    count = parameters.get("CA_ROTOR_COUNT", 0.0)
     if count not in range(4, MOST_ROTORS + 1):
         raise ConfigError("CA_ROTOR_COUNT", f"must be a whole number from 4 to {MOST_ROTORS}, got {count:g}")
-    if given.get("CA_AIRFRAME", MULTIROTOR) != MULTIROTOR:
-        raise ConfigError("CA_AIRFRAME", f"must be 0, a multirotor, got {given['CA_AIRFRAME']:g}")
+    if parameters.get("CA_AIRFRAME", MULTIROTOR) != MULTIROTOR:
+        raise ConfigError("CA_AIRFRAME", f"must be 0, a multirotor, got {parameters['CA_AIRFRAME']:g}")
     places, coefficients, thrusts = [], [], []
     for i in range(int(count)):
-        axis = tuple(given.get(f"CA_ROTOR{i}_A{c}", own) for c, own in zip("XYZ", AXIS, strict=True))
+        axis = tuple(parameters.get(f"CA_ROTOR{i}_A{c}", default) for c, default in zip("XYZ", AXIS, strict=True))
         if axis[:2] != (0.0, 0.0) or axis[2] >= 0.0:
             raise ConfigError(f"CA_ROTOR{i}_AX, _AY, _AZ", f"must point up, 0, 0, -1; got {axis}: a tilted rotor")
-        places.append(tuple(given.get(f"CA_ROTOR{i}_P{c}", 0.0) for c in "XY"))
-        coefficients.append(given.get(f"CA_ROTOR{i}_KM", MOMENT_COEFFICIENT))
-        thrusts.append(given.get(f"CA_ROTOR{i}_CT", THRUST_COEFFICIENT))
+        places.append(tuple(parameters.get(f"CA_ROTOR{i}_P{c}", 0.0) for c in "XY"))
+        coefficients.append(parameters.get(f"CA_ROTOR{i}_KM", MOMENT_COEFFICIENT))
+        thrusts.append(parameters.get(f"CA_ROTOR{i}_CT", THRUST_COEFFICIENT))
     arm = common([math.hypot(x, y) for x, y in places], "CA_ROTORi_PX, CA_ROTORi_PY (distance from the centre)")
     if arm < ROUNDED_TO_ZERO:
         raise ConfigError("CA_ROTORi_PX, CA_ROTORi_PY", "must be given; all rotors are at the centre")
@@ -119,25 +119,25 @@ def rotors_of(given: Mapping[str, float]) -> dict[str, Any]:
     }
 
 
-def properties_of(given: Mapping[str, float]) -> dict[str, Any]:
+def properties_of(parameters: Mapping[str, float]) -> dict[str, Any]:
     """Mass, inertia, largest thrust and lag from SIH_, as far as they are given.
 
     The inertia is that of the whole vehicle, so the rotors' own is zero. PX4's lag is one of thrust; near hover, where
     thrust is linear in speed, the speed has the same.
     """
-    own: dict[str, Any] = {}
-    if "SIH_MASS" in given:
-        own["mass"] = given["SIH_MASS"]
-    inertia = [given[name] for name in ("SIH_IXX", "SIH_IYY", "SIH_IZZ") if name in given]
+    properties: dict[str, Any] = {}
+    if "SIH_MASS" in parameters:
+        properties["mass"] = parameters["SIH_MASS"]
+    inertia = [parameters[name] for name in ("SIH_IXX", "SIH_IYY", "SIH_IZZ") if name in parameters]
     if len(inertia) == 3:
-        own |= {"body_inertia": inertia, "rotor_inertia_xy": 0.0, "rotor_inertia_z": 0.0}
-    if "SIH_T_MAX" in given:
-        own["max_thrust"] = given["SIH_T_MAX"]
-        if "SIH_Q_MAX" in given:  # the simulated plant; CA_ROTORi_KM is what the allocation believes
-            own["torque_coefficient"] = given["SIH_Q_MAX"] / given["SIH_T_MAX"]
-    if "SIH_T_TAU" in given:
-        own["motor_lag"] = given["SIH_T_TAU"]
-    return own
+        properties |= {"body_inertia": inertia, "rotor_inertia_xy": 0.0, "rotor_inertia_z": 0.0}
+    if "SIH_T_MAX" in parameters:
+        properties["max_thrust"] = parameters["SIH_T_MAX"]
+        if "SIH_Q_MAX" in parameters:  # the simulated plant; CA_ROTORi_KM is what the allocation believes
+            properties["torque_coefficient"] = parameters["SIH_Q_MAX"] / parameters["SIH_T_MAX"]
+    if "SIH_T_TAU" in parameters:
+        properties["motor_lag"] = parameters["SIH_T_TAU"]
+    return properties
 
 
 def read_airframe(text: str, base: str = "m600_quadrotor") -> Airframe:
@@ -150,22 +150,22 @@ def read_airframe(text: str, base: str = "m600_quadrotor") -> Airframe:
     Raises:
         ConfigError: the file does not describe a multirotor with equal, upright rotors on a circle.
     """
-    given = parameters_in(text)
-    if not any(name.startswith("CA_") for name in given):
+    parameters = parameters_in(text)
+    if not any(name.startswith("CA_") for name in parameters):
         raise ConfigError("", "sets no parameter CA_..; a PX4 airframe or parameter file is needed")
-    vehicle: dict[str, Any] = {"kind": base} | rotors_of(given)
+    vehicle: dict[str, Any] = {"kind": base} | rotors_of(parameters)
     relative = vehicle["arm"] >= 0.99 and all(
-        given.get(f"CA_ROTOR{i}_P{c}", 0.0) in (-1.0, -0.866, -0.5, 0.0, 0.5, 0.866, 1.0)
+        parameters.get(f"CA_ROTOR{i}_P{c}", 0.0) in (-1.0, -0.866, -0.5, 0.0, 0.5, 0.866, 1.0)
         for i in range(len(vehicle["spins"]))
         for c in "XY"
     )
-    vehicle |= properties_of(given)
+    vehicle |= properties_of(parameters)
     notes = [f"{field} is the base vehicle's: the file does not set {name}"
              for field, name in GIVEN_BY.items() if field not in vehicle]  # fmt: skip
     notes.append("thrust_coefficient is the base vehicle's: PX4 knows no rotor speed in rad/s")
     notes.append("structure_drag and propeller_drag are the base vehicle's: PX4's drag is linear in speed")
     if relative:
         notes.append("arm may be a ratio: the rotors' positions look like those of a generic airframe, not metres")
-    if any(given.get(name, 0.0) for name in PRODUCTS):
+    if any(parameters.get(name, 0.0) for name in PRODUCTS):
         notes.append(f"{', '.join(PRODUCTS)} are left out: the model's axes are principal axes")
     return Airframe(vehicle, tuple(notes))

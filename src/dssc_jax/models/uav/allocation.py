@@ -18,7 +18,7 @@ NEGLIGIBLE_ENTRY = 1e-12  # relative to the largest entry of a column
 class Thrusts(NamedTuple):
     """Commanded thrusts f_i [N], and whether any is at a limit."""
 
-    each: tuple[Scalar, ...]
+    commanded: tuple[Scalar, ...]
     limited: Scalar
 
 
@@ -49,9 +49,9 @@ def pseudo_inverse(vehicle: Vehicle) -> tuple[tuple[float, ...], ...]:
 
 def allocate(inverse: tuple[tuple[float, ...], ...], thrust: Scalar, moment: Vec3, limit: Scalar) -> Thrusts:
     """Thrusts for the wanted net thrust [N] and moment [N m], each limited to [0, limit]."""
-    wanted = [dot(row, (thrust, *moment)) for row in inverse]
-    each = tuple(clip(f, 0.0, limit) for f in wanted)
+    unlimited = [dot(row, (thrust, *moment)) for row in inverse]
+    commanded = tuple(clip(f, 0.0, limit) for f in unlimited)
     limited = jnp.zeros((), dtype=bool)
-    for f in wanted:
+    for f in unlimited:
         limited = limited | (f < 0.0) | (f > limit)
-    return Thrusts(each, limited)
+    return Thrusts(commanded, limited)

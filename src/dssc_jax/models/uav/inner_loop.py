@@ -161,19 +161,19 @@ def tilt_error(acceleration: Vec3, at: Trig) -> tuple[Scalar, Scalar]:
     )
 
 
-def moment_for(inertia: Vec3, at: Trig, rate: Vec3, turning: Euler, wanted: Euler) -> Vec3:
+def moment_for(inertia: Vec3, at: Trig, rate: Vec3, turning: Euler, desired: Euler) -> Vec3:
     """M_net = J W euler'' + J W' euler' + Omega x J Omega."""
     dphi, dtheta, dpsi = turning
     # rows of W: [1, 0, -s_theta], [0, c_phi, s_phi c_theta], [0, -s_phi, c_phi c_theta]
     ct_dot, sp_ct, cp_ct = -at.stheta * dtheta, at.sphi * at.ctheta, at.cphi * at.ctheta
     angular = Vec3(
-        wanted.phi - at.stheta * wanted.psi - at.ctheta * dtheta * dpsi,
-        at.cphi * wanted.theta
-        + sp_ct * wanted.psi
+        desired.phi - at.stheta * desired.psi - at.ctheta * dtheta * dpsi,
+        at.cphi * desired.theta
+        + sp_ct * desired.psi
         - at.sphi * dphi * dtheta
         + (at.cphi * dphi * at.ctheta + at.sphi * ct_dot) * dpsi,
-        -at.sphi * wanted.theta
-        + cp_ct * wanted.psi
+        -at.sphi * desired.theta
+        + cp_ct * desired.psi
         - at.cphi * dphi * dtheta
         + (-at.sphi * dphi * at.ctheta + at.cphi * ct_dot) * dpsi,
     )
@@ -206,22 +206,22 @@ def demand(
     """
     at, error = trig_of(rotation), command - velocity
     turning = euler_rates(at, rate)
-    wanted = error * gains.kd_velocity + integrals.velocity * gains.kp_velocity
-    lift = wanted.z + GRAVITY
+    desired = error * gains.kd_velocity + integrals.velocity * gains.kp_velocity
+    lift = desired.z + GRAVITY
     bounded = lift < LEAST_LIFT
-    wanted = wanted._replace(z=jnp.where(bounded, LEAST_LIFT, lift))
+    desired = desired._replace(z=jnp.where(bounded, LEAST_LIFT, lift))
     by_norm = gains.thrust is ThrustRule.NORM
-    thrust = mass * (wanted.norm() if by_norm else wanted.z / (at.cphi * at.ctheta))
+    thrust = mass * (desired.norm() if by_norm else desired.z / (at.cphi * at.ctheta))
     if gains.attitude is AttitudeReference.RATE_FEED_FORWARD:
         body_z = Vec3(rotation.a.z, rotation.b.z, rotation.c.z)
         acceleration = body_z * (thrust / mass) - Vec3(0.0, 0.0, GRAVITY)
         slope = error * gains.kp_velocity - acceleration * gains.kd_velocity
         slope = slope._replace(z=jnp.where(bounded, 0.0, slope.z))
         turned = (-at.spsi * turning.psi, at.cpsi * turning.psi)
-        _, (phi_d_dot, theta_d_dot) = jax.jvp(wanted_tilt, (wanted, (at.cpsi, at.spsi)), (slope, turned))
+        _, (phi_d_dot, theta_d_dot) = jax.jvp(wanted_tilt, (desired, (at.cpsi, at.spsi)), (slope, turned))
     else:
         phi_d_dot, theta_d_dot = 0.0, 0.0
-    phi_error, theta_error = tilt_error(wanted, at)
+    phi_error, theta_error = tilt_error(desired, at)
     yaw_error = yaw_command - turning.psi
     accelerate = Euler(
         gains.kp_attitude * phi_error + gains.kd_attitude * (phi_d_dot - turning.phi),

@@ -115,7 +115,7 @@ def init(params: UavParams) -> UavState:
     )
 
 
-def wanted(params: UavParams, state: UavState, drive: PlantInput) -> tuple[Demand, Thrusts]:
+def demanded_thrusts(params: UavParams, state: UavState, drive: PlantInput) -> tuple[Demand, Thrusts]:
     """Inner loops and allocation."""
     x, y, z, psi = (u + d for u, d in zip(drive.command, drive.disturbance, strict=True))
     rotation = state.attitude.matrix()
@@ -136,8 +136,10 @@ def wanted(params: UavParams, state: UavState, drive: PlantInput) -> tuple[Deman
 def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar) -> UavState:
     """Right-hand side of (1) with inner loops, allocation, rotors and aerodynamics."""
     vehicle = params.vehicle
-    inner, thrusts = wanted(params, state, drive)
-    speeds, accelerations = rotor_motion(vehicle, thrusts.each, params.inner_model.thrust_coefficient, state.speeds)
+    inner, thrusts = demanded_thrusts(params, state, drive)
+    speeds, accelerations = rotor_motion(
+        vehicle, thrusts.commanded, params.inner_model.thrust_coefficient, state.speeds
+    )
     spin_up = -dot(vehicle.spins, accelerations) if accelerations else 0.0
     thrust, moment = net(vehicle, tuple(vehicle.thrust_coefficient * w * w for w in speeds))
     rotation = state.attitude.matrix()
@@ -167,10 +169,10 @@ def measure(params: UavParams, state: UavState, drive: PlantInput) -> tuple[Meas
 def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
     """Attitude and limits at a sample."""
     rotation = state.attitude.matrix()
-    inner, thrusts = wanted(params, state, drive)
+    inner, thrusts = demanded_thrusts(params, state, drive)
     tilt = atan2(jnp.sqrt(rotation.c.x**2 + rotation.c.y**2), rotation.c.z)
     limits = thrusts.limited, inner.bounded
-    rotors = thrusts.each, params.vehicle.thrust_limit
+    rotors = thrusts.commanded, params.vehicle.thrust_limit
     return UavInfo(*euler_of(rotation), tilt, inner.thrust, *limits, *rotors, drive.wind)
 
 
@@ -205,11 +207,11 @@ def prepare(params: UavParams) -> UavParams:
         rotor_inertia_xy=nominal(vehicle.rotor_inertia_xy),
         rotor_inertia_z=nominal(vehicle.rotor_inertia_z),
     )
-    own = Believed(nominal(vehicle.mass), tuple(plain.inertia), nominal(vehicle.thrust_coefficient))
-    given = {name: value for name, value in params.believed._asdict().items() if value is not None}
-    believed = own._replace(**given)
-    if len(given.get("inertia", (0, 0, 0))) != 3:
-        raise ConfigError("believed.inertia", f"needs three values, got {given['inertia']}")
+    vehicle_values = Believed(nominal(vehicle.mass), tuple(plain.inertia), nominal(vehicle.thrust_coefficient))
+    chosen = {name: value for name, value in params.believed._asdict().items() if value is not None}
+    believed = vehicle_values._replace(**chosen)
+    if len(chosen.get("inertia", (0, 0, 0))) != 3:
+        raise ConfigError("believed.inertia", f"needs three values, got {chosen['inertia']}")
     return params._replace(believed=believed, allocation=allocation)
 
 

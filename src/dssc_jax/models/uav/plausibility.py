@@ -51,7 +51,7 @@ def usual_ranges(vehicle: Vehicle) -> list[UsualRange]:
     return ranges
 
 
-def implausible(vehicle: Vehicle, given: Collection[str]) -> list[str]:
+def implausible(vehicle: Vehicle, fields: Collection[str]) -> list[str]:
     """One line for each number outside of its usual range that follows from fields which the user gave.
 
     Args:
@@ -59,8 +59,8 @@ def implausible(vehicle: Vehicle, given: Collection[str]) -> list[str]:
         given: Names of the fields that the study gives; the others are a base vehicle's own.
     """
     return [
-        f"{each.name} is {each.value:.3g} {each.unit}".rstrip()
-        + f", usual are {each.low:g} to {each.high:g}; see plant.vehicle.{' and '.join(each.fields)}"
-        for each in usual_ranges(vehicle)
-        if not each.low <= each.value <= each.high and set(each.fields) & set(given)
+        f"{number.name} is {number.value:.3g} {number.unit}".rstrip()
+        + f", usual are {number.low:g} to {number.high:g}; see plant.vehicle.{' and '.join(number.fields)}"
+        for number in usual_ranges(vehicle)
+        if not number.low <= number.value <= number.high and set(number.fields) & set(fields)
     ]

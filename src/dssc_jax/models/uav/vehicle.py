@@ -101,12 +101,10 @@ def check_vehicle(vehicle: Vehicle) -> None:
         raise ConfigError("spins", f"each must be 1 or -1, got {list(vehicle.spins)}")
     limits = [extent(value) for value in vehicle.body_inertia]
     for i, axis in enumerate("xyz"):
-        others = sum(limits[j][0] for j in range(3) if j != i)
-        if limits[i][1] > others:
-            raise ConfigError(
-                "body_inertia",
-                f"must keep the triangle inequality: I_{axis} <= the sum of the others; {limits[i][1]:g} > {others:g}",
-            )
+        opposite = sum(limits[j][0] for j in range(3) if j != i)
+        if limits[i][1] > opposite:
+            rule = f"must keep the triangle inequality: I_{axis} <= the sum of the others"
+            raise ConfigError("body_inertia", f"{rule}; {limits[i][1]:g} > {opposite:g}")
     if vehicle.max_thrust is not None:
         lift, weight = vehicle.rotors * extent(vehicle.max_thrust)[0], extent(vehicle.mass)[1] * GRAVITY
         if lift <= weight:

@@ -99,19 +99,19 @@ def check_table(params: PiecewiseParams) -> PiecewiseParams:
         if len(getattr(params, name)) != rows:
             count = len(getattr(params, name))
             raise ConfigError(name, f"must hold {rows} numbers, one for each of times, got {count}")
-    for i, (before, after) in enumerate(pairwise(map(extent, params.times)), start=1):
-        if not after[0] > before[1]:
-            rule = f"times must increase strictly: must be > {before[1]:g}, the one before, got {after[0]:g}"
+    for i, (previous, following) in enumerate(pairwise(map(extent, params.times)), start=1):
+        if not following[0] > previous[1]:
+            rule = f"times must increase strictly: must be > {previous[1]:g}, the one before, got {following[0]:g}"
             raise ConfigError(f"times.{i}", rule)
     return params
 
 
 def piecewise_step(params: PiecewiseParams, state: Vec3, key: jax.Array, t: Scalar, dt: Scalar) -> Vec3:
     """Mean of the table over [t, t + dt): at each instant the last row that has begun."""
-    wind, later = Vec3(0.0, 0.0, 0.0), 0.0
+    wind, covered = Vec3(0.0, 0.0, 0.0), 0.0
     for at, x, y, z in reversed(list(zip(*params, strict=True))):
-        share = jnp.maximum(begun(at, t, dt) - later, 0.0)
-        wind, later = wind + Vec3(x, y, z) * share, later + share
+        share = jnp.maximum(begun(at, t, dt) - covered, 0.0)
+        wind, covered = wind + Vec3(x, y, z) * share, covered + share
     return wind
 
 
