@@ -2,19 +2,19 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.closed_loop.loop import Loop, LoopParams
-from dssc_jax.closed_loop.metrics import Instant, Measure, starts, update_all, values
+from dssc_jax.closed_loop.metrics import Accumulator, Instant, Measure, starts, update_all, values
 from dssc_jax.closed_loop.requirements import Requirement, judge
 from dssc_jax.closed_loop.sample import LoopState, Recorded, held_between_samples, initial_state, step
 from dssc_jax.closed_loop.time_loops import scan_recorded, scan_segments, until_all_ended
 from dssc_jax.core.numerics import as_arrays
-from dssc_jax.core.signals import Outcome, Scalar
+from dssc_jax.core.signals import Outcome, Scalar, State
 
 
 class Run(NamedTuple):
@@ -50,10 +50,10 @@ class Progress(NamedTuple):
 
     k: Scalar
     state: LoopState
-    accumulators: tuple[Any, ...]
+    accumulators: tuple[Accumulator, ...]
     outcome: Scalar
     steps: Scalar
-    in_band: Any
+    in_band: State
 
 
 def initial_progress(loop: Loop, params: LoopParams, key: jax.Array, measures: tuple[Measure, ...]) -> Progress:
@@ -64,7 +64,7 @@ def initial_progress(loop: Loop, params: LoopParams, key: jax.Array, measures: t
     return Progress(zero, state, as_arrays(starts(measures)), zero, zero, in_band)
 
 
-def count_in_band(loop: Loop, in_band: Any, instant: Instant, k: Scalar) -> Any:
+def count_in_band(loop: Loop, in_band: State, instant: Instant, k: Scalar) -> State:
     """Number of consecutive samples with small errors, including sample k."""
     if loop.settled is None:
         return in_band

@@ -1,7 +1,5 @@
 """What controllers and plant report at a sample, without simulating one."""
 
-from typing import Any
-
 import jax
 
 from dssc_jax.closed_loop.loop import Loop, LoopParams
@@ -17,7 +15,7 @@ def first_infos(loop: Loop, params: LoopParams) -> tuple[tuple[Info, ...], Info]
     plant = as_arrays(loop.plant.init(params.plant))
     references = loop.mimo_reference.at(params.reference, 0.0)
     measurements = measure(loop, params, plant, references)
-    forms: dict[Any, Info] = {}
+    forms: dict[object, Info] = {}
     infos = []
     for i in range(len(loop.channels)):
         form = loop.differentiator[i], loop.controller[i], jax.tree.structure(params.controller[i])

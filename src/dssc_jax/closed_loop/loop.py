@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 
@@ -10,7 +10,7 @@ from dssc_jax.core.adapters import as_mimo_plant, as_mimo_reference
 from dssc_jax.core.contracts import Controller, Differentiator, Disturbance, Plant, Reference, Sensor, Unmodelled, Wind
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.numerics import stream
-from dssc_jax.core.signals import Measurements, ReferencePoints, Signals
+from dssc_jax.core.signals import Measurements, Params, ReferencePoints, Signals
 
 
 class LoopParams(NamedTuple):
@@ -20,14 +20,14 @@ class LoopParams(NamedTuple):
     channel.
     """
 
-    plant: Any
-    reference: Any
-    wind: Any
-    controller: tuple[Any, ...]
-    sensor: tuple[Any, ...]
-    differentiator: tuple[Any, ...]
-    unmodelled: tuple[Any, ...]
-    disturbance: tuple[Any, ...]
+    plant: Params
+    reference: Params
+    wind: Params
+    controller: tuple[Params, ...]
+    sensor: tuple[Params, ...]
+    differentiator: tuple[Params, ...]
+    unmodelled: tuple[Params, ...]
+    disturbance: tuple[Params, ...]
 
 
 class Settled(NamedTuple):

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -51,6 +51,12 @@ class Instant(NamedTuple):
     plant: Info
 
 
+Accumulator: TypeAlias = Any
+"""What a metric accumulates: a number, or a NamedTuple of numbers."""
+
+Observed = TypeVar("Observed", Sample, Instant)
+
+
 class Scope(StrEnum):
     """Scope of a metric: each channel, or the vehicle as a whole."""
 
@@ -83,20 +89,20 @@ class Metric(NamedTuple):
 
     unit: str
     meaning: str
-    update: Callable[[Any, Any, Window], Any]
-    value: Callable[[Any, Window, Span], Scalar]
+    update: Callable[[Accumulator, Any, Window], Accumulator]
+    value: Callable[[Accumulator, Window, Span], Scalar]
     needs: tuple[str, ...] = ()
     scope: Scope = Scope.CHANNEL
-    start: Any = 0.0
+    start: Accumulator = 0.0
     counted: bool = False
 
 
-def peak(of: Callable[[Any], Scalar]) -> Callable[[Scalar, Any, Window], Scalar]:
+def peak(of: Callable[[Observed], Scalar]) -> Callable[[Scalar, Observed, Window], Scalar]:
     """Running maximum of |.|."""
     return lambda acc, sample, window: jnp.maximum(acc, jnp.abs(of(sample)))
 
 
-def total(of: Callable[[Any], Scalar]) -> Callable[[Scalar, Any, Window], Scalar]:
+def total(of: Callable[[Observed], Scalar]) -> Callable[[Scalar, Observed, Window], Scalar]:
     """Running sum."""
     return lambda acc, sample, window: acc + of(sample)
 
@@ -123,10 +129,10 @@ class Stretch(NamedTuple):
     longest: Scalar = 0.0
 
 
-def stretch(of: Callable[[Any], Scalar]) -> Callable[[Stretch, Any, Window], Stretch]:
+def stretch(of: Callable[[Observed], Scalar]) -> Callable[[Stretch, Observed, Window], Stretch]:
     """Longest run of samples at which the flag (1 or 0) holds."""
 
-    def update(acc: Stretch, sample: Any, window: Window) -> Stretch:
+    def update(acc: Stretch, sample: Observed, window: Window) -> Stretch:
         lasting = (acc.lasting + 1.0) * of(sample)
         return Stretch(lasting, jnp.maximum(acc.longest, lasting))
 
@@ -296,7 +302,7 @@ class Measure:
         """Long name of the value; a user's own metric keeps its words."""
         return self.units.named(self.metric.meaning) if self.custom is None else self.metric.meaning
 
-    def of(self, instant: Instant) -> Any:
+    def of(self, instant: Instant) -> Sample | Instant:
         """The argument with which the metric is updated."""
         return instant if self.channel is None else instant.channels[self.channel]
 
@@ -333,14 +339,14 @@ def first_sample(window: Window, sample_time: float) -> int:
     return max(0, math.ceil(window.after / sample_time - 1e-9))
 
 
-def starts(measures: tuple[Measure, ...]) -> tuple[Any, ...]:
+def starts(measures: tuple[Measure, ...]) -> tuple[Accumulator, ...]:
     """Every accumulator before the first sample."""
     return tuple(measure.metric.start for measure in measures)
 
 
 def update_all(
-    measures: tuple[Measure, ...], accumulators: tuple[Any, ...], instant: Instant, k: Scalar, t_s: float
-) -> tuple[Any, ...]:
+    measures: tuple[Measure, ...], accumulators: tuple[Accumulator, ...], instant: Instant, k: Scalar, t_s: float
+) -> tuple[Accumulator, ...]:
     """Every accumulator after sample k."""
     updated = []
     for measure, acc in zip(measures, accumulators, strict=True):
@@ -353,7 +359,7 @@ def update_all(
 
 
 def values(
-    measures: tuple[Measure, ...], accumulators: tuple[Any, ...], steps: Scalar, t_s: float
+    measures: tuple[Measure, ...], accumulators: tuple[Accumulator, ...], steps: Scalar, t_s: float
 ) -> dict[str, Scalar]:
     """Every metric at the end of a run of ``steps`` samples."""
     computed = {}
@@ -366,7 +372,7 @@ def values(
     return computed
 
 
-def require_like(value: Any, pattern: Any) -> None:
+def require_like(value: Accumulator, pattern: Accumulator) -> None:
     """Require that a metric's code returns numbers in the structure that it began with.
 
     Raises:

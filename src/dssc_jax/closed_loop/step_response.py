@@ -11,7 +11,7 @@ References:
 import math
 from collections.abc import Callable
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 
@@ -201,7 +201,7 @@ def envelope_metric(
         upper: Points of the upper bound; empty: none.
     """
 
-    def update(acc: Any, sample: Sample, window: Window) -> Scalar:
+    def update(acc: Scalar, sample: Sample, window: Window) -> Scalar:
         t, value = sample.k * sample.dt, signal(sample)
         above_lower = value - line_at(lower, t, -math.inf) if lower else math.inf
         below_upper = line_at(upper, t, math.inf) - value if upper else math.inf

@@ -7,7 +7,7 @@ annotated with a :class:`~dssc_jax.core.quantities.Quantity`, which is used to v
 
 from collections.abc import Callable
 from enum import StrEnum
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import jax
 
@@ -24,6 +24,7 @@ from dssc_jax.core.signals import (
     Scalar,
     Signal,
     State,
+    Table,
 )
 from dssc_jax.core.smoothness import Declaration
 from dssc_jax.core.units import ChannelUnits
@@ -144,7 +145,7 @@ class Preset(NamedTuple):
     """A parameter type with an instance that a table overrides field by field."""
 
     params: type
-    defaults: Any
+    defaults: Params
     prepare: Callable[[Params], Params] = as_given
 
 
@@ -192,7 +193,7 @@ class Controller(NamedTuple):
     synthesised: Callable[[Params], tuple[Scalar, Scalar]] | None = None
     describing: Callable[[Params], HarmonicBalance] | None = None
     tunable: tuple[str, ...] | Callable[[Params], tuple[str, ...]] = ()
-    from_dssc: Callable[[Params], dict[str, Any]] | None = None
+    from_dssc: Callable[[Params], Table] | None = None
     limit: str = ""
     info: type | None = None
 
@@ -215,7 +216,7 @@ class Reference(NamedTuple, Generic[Desired]):
     params: type
     at: Callable[[Params, Scalar], Desired]
     prepare: Callable[[Params], Params] = as_given
-    defaults: Any = None
+    defaults: Params = None
 
 
 class Variation(StrEnum):

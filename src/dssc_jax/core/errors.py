@@ -4,7 +4,6 @@ import difflib
 import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any
 
 LIBRARIES = ("site-packages", "dist-packages", "dssc_jax/", "dssc_jax\\", "<frozen", "<string>")
 """Parts of the names of files whose lines are not a user's own."""
@@ -48,7 +47,7 @@ def errors_under(path: str) -> Iterator[None]:
 
 
 @contextmanager
-def errors_in_code(where: str, function: Callable[..., Any]) -> Iterator[None]:
+def errors_in_code(where: str, function: Callable[..., object]) -> Iterator[None]:
     """Report an exception of a user's own code in one line, with the line of the user's file.
 
     Args:

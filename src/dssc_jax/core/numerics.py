@@ -5,13 +5,15 @@ import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import Any
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.core.signals import Scalar
+from dssc_jax.core.signals import Params, Scalar
+
+Tree = TypeVar("Tree")
 
 LOG_SERIES = (1.479819860511658591e-1, 1.531383769920937332e-1, 1.818357216161805012e-1, 2.222219843214978396e-1,
               2.857142874366239149e-1, 3.999999999940941908e-1, 6.666666666666735130e-1)  # fmt: skip
@@ -94,7 +96,7 @@ def clip(x: Scalar, low: Scalar, high: Scalar) -> Scalar:
     return jnp.where(high < x, high, x)
 
 
-def as_arrays(tree: Any) -> Any:
+def as_arrays(tree: Tree) -> Tree:
     """Convert every leaf to an array of the working precision, so that the scan's carry keeps its types."""
     return jax.tree.map(lambda x: jnp.asarray(x, dtype=jnp.result_type(float)), tree)
 
@@ -143,7 +145,11 @@ def polynomial(coefficients: Sequence[float], x: Scalar) -> Scalar:
 
 @partial(jax.jit, static_argnums=(0, 4))  # traced once for all channels of a controller
 def newton(
-    tangent: Callable[[Any, Scalar], tuple[Scalar, Scalar]], parameters: Any, value: Scalar, start: Scalar, steps: int
+    tangent: Callable[[Params, Scalar], tuple[Scalar, Scalar]],
+    parameters: Params,
+    value: Scalar,
+    start: Scalar,
+    steps: int,
 ) -> Scalar:
     """x with f(x) = value, by Newton's method; ``tangent(parameters, x)`` is (f(x), f'(x)), a function of a module."""
 

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, NamedTuple, TypeAlias
 
+from dssc_jax.core.signals import Table
+
 
 @dataclass(frozen=True)
 class Slot:
@@ -42,9 +44,9 @@ class Entry(NamedTuple):
     summary: str
     option: str | None = None
     default: Any = None
-    base: dict[str, Any] = {}  # noqa: RUF012  (never changed)
-    default_of: Callable[[dict[str, Any]], Any] | None = None
-    example: dict[str, Any] = {}  # noqa: RUF012  (never changed)
+    base: Table = {}  # noqa: RUF012  (never changed)
+    default_of: Callable[[Table], Any] | None = None
+    example: Table = {}  # noqa: RUF012  (never changed)
 
     @property
     def default_member(self) -> Any:

@@ -14,6 +14,9 @@ State: TypeAlias = Any
 
 Info: TypeAlias = Any
 
+Table: TypeAlias = dict[str, Any]
+"""A table of a study file: its values are what TOML holds."""
+
 ProgressCallback: TypeAlias = Callable[[int, int | None], None]
 """Called with the number of finished lanes or steps and the total number; None: the total is not known."""
 
@@ -67,7 +70,7 @@ class PlantInput(NamedTuple, Generic[Signal]):
 
     command: Signal
     disturbance: Signal
-    wind: Any = None
+    wind: State = None
 
 
 class Outcome(IntEnum):

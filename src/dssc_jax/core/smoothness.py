@@ -9,6 +9,7 @@ from enum import StrEnum
 from typing import Any, NamedTuple, TypeAlias
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.signals import Params
 
 
 class SmoothExtent(StrEnum):
@@ -17,6 +18,10 @@ class SmoothExtent(StrEnum):
     EVERYWHERE = "everywhere"
     PIECEWISE = "piecewise"
     NOWHERE = "nowhere"
+
+
+Substitution: TypeAlias = Callable[[Params], tuple[Any, Params]]
+"""``(params) -> (part, params)``: the part that stands for another, with its parameters."""
 
 
 class Smoothness(NamedTuple):
@@ -35,10 +40,10 @@ class Smoothness(NamedTuple):
 
     extent: SmoothExtent
     meaning: str = ""
-    substitute: Callable[[Any], tuple[Any, Any]] | None = None
+    substitute: Substitution | None = None
 
 
-Declaration: TypeAlias = Smoothness | Callable[[Any], Smoothness] | None
+Declaration: TypeAlias = Smoothness | Callable[[Params], Smoothness] | None
 """The field ``smooth`` of a part: plainly, or from its parameters; None: not declared."""
 
 MEAN_GAIN = (
@@ -56,17 +61,17 @@ SMOOTH = Smoothness(SmoothExtent.EVERYWHERE)
 """A part with a derivative at every point, such as a linear one."""
 
 
-def piecewise(meaning: str, substitute: Callable[[Any], tuple[Any, Any]] | None = None) -> Smoothness:
+def piecewise(meaning: str, substitute: Substitution | None = None) -> Smoothness:
     """A part with a derivative except on boundaries; see :class:`Smoothness`."""
     return Smoothness(SmoothExtent.PIECEWISE, meaning, substitute)
 
 
-def not_smooth(meaning: str, substitute: Callable[[Any], tuple[Any, Any]] | None = None) -> Smoothness:
+def not_smooth(meaning: str, substitute: Substitution | None = None) -> Smoothness:
     """A part without a derivative that helps; see :class:`Smoothness`."""
     return Smoothness(SmoothExtent.NOWHERE, meaning, substitute)
 
 
-def declared_smoothness(part: Any, params: Any) -> Smoothness:
+def declared_smoothness(part: object, params: Params) -> Smoothness:
     """The declaration of a part with these parameters.
 
     Args:

@@ -3,13 +3,22 @@
 The sampled forms of filter and predictor are in :mod:`dssc_jax.models.controllers.dssc_forms`.
 """
 
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity, extent, nominal
 from dssc_jax.core.registry import Discretisation, Entry
-from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, State, TrackingError, tracking_error
+from dssc_jax.core.signals import (
+    Command,
+    Measurement,
+    ReferencePoint,
+    Scalar,
+    State,
+    Table,
+    TrackingError,
+    tracking_error,
+)
 from dssc_jax.core.smoothness import (
     SWITCHES,
     Declaration,
@@ -117,7 +126,7 @@ def tunable_functions(gains: DsscGains) -> tuple[str, ...]:
     return tuple(f"functions.{name}" for name in gains.functions.tunable)
 
 
-def constant_gains(gains: DsscGains) -> dict[str, Any]:
+def constant_gains(gains: DsscGains) -> Table:
     """The gains of SSC that correspond to DSSC's: the functions' values at the origin."""
     at = gains.functions.at(0.0, 0.0, nominal(gains.l0))
     constants = {"kind": "constant", **{name: float(value) for name, value in at._asdict().items()}}
@@ -204,7 +213,7 @@ MEMBERS = {
 }
 
 
-def default_form(table: dict[str, Any]) -> Discretisation:
+def default_form(table: Table) -> Discretisation:
     """The sampled form of a controller's table that does not give it: that of its state-dependent functions."""
     functions = table.get("functions")
     kind = functions.get("kind") if isinstance(functions, dict) else None

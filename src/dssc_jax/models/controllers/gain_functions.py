@@ -8,13 +8,13 @@ which DSSC is sampled unless the study says otherwise. ``tunable`` names the two
 approximates. r = |sigma|^(1/2) throughout.
 """
 
-from typing import Annotated, Any, NamedTuple, TypeVar
+from typing import Annotated, NamedTuple, TypeVar
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import log_defect, root_abs, sign
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Registry, single
-from dssc_jax.core.signals import Scalar
+from dssc_jax.core.signals import Scalar, State
 from dssc_jax.core.smoothness import SMOOTH, SWITCHES, not_smooth, piecewise
 
 ROOT_FLOOR = 1e-9  # [(m/s)^(1/2)]: the standard STA's k_o tau_av and tau_m vanish at sigma = 0
@@ -58,7 +58,7 @@ class SuperTwisting(NamedTuple):
     delta: Scalar
 
 
-def super_twisting(functions: Any) -> SuperTwisting:
+def super_twisting(functions: State) -> SuperTwisting:
     """The STA that state-dependent functions approximate.
 
     Raises:

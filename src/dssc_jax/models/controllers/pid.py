@@ -13,7 +13,7 @@ References:
 """
 
 from collections.abc import Callable
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 
@@ -21,8 +21,8 @@ from dssc_jax.core.contracts import Controller
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.registry import Entry, single
-from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar
-from dssc_jax.core.smoothness import SMOOTH, Smoothness, piecewise
+from dssc_jax.core.signals import Command, Measurement, Params, ReferencePoint, Scalar
+from dssc_jax.core.smoothness import SMOOTH, Smoothness, Substitution, piecewise
 from dssc_jax.models.controllers.nominal import L0
 
 LOW, HIGH = Quantity("u", "lower limit of the command"), Quantity("u", "upper limit of the command")
@@ -131,10 +131,10 @@ def require_order(low: Scalar | None, high: Scalar | None) -> None:
         raise ConfigError("low", f"must be below high = {bottom:g}, got up to {top:g}")
 
 
-def limited_smoothness(substitute: Callable[[Any], tuple[Controller, Any]]) -> Callable[[Any], Smoothness]:
+def limited_smoothness(substitute: Substitution) -> Callable[[Params], Smoothness]:
     """The declaration of a linear law between the limits ``low`` and ``high``, which its gains may have."""
 
-    def smoothness(gains: Any) -> Smoothness:
+    def smoothness(gains: Params) -> Smoothness:
         if gains.low is None and gains.high is None:
             return SMOOTH
         return piecewise("the limits low and high of its command; there it counts as within them", substitute)

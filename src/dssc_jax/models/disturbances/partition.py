@@ -1,7 +1,7 @@
 """A disturbance of the class (30), which depends on the output and attains its bounds."""
 
 import math
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 
@@ -32,7 +32,9 @@ class PartitionParams(NamedTuple):
     period: Annotated[Scalar, Quantity("s", "period of the time-varying parts", above=0.0)] = 10.0
 
 
-def partition_value(params: PartitionParams, state: Any, measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
+def partition_value(
+    params: PartitionParams, state: tuple[()], measurement: Measurement, sigma: Scalar, t: Scalar
+) -> Scalar:
     """d_1 + d_2 + d_3 of (30)."""
     omega = 2.0 * math.pi / params.period
     s = jnp.sin(omega * t)

@@ -1,7 +1,7 @@
 """Disturbances prescribed over time: constant, step, sine, spline."""
 
 import math
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ from dssc_jax.core.contracts import Disturbance, Variation, stateless, unchanged
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import begun, cubic_spline
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.core.signals import Measurement, Scalar
+from dssc_jax.core.signals import Measurement, Params, Scalar, State
 from dssc_jax.core.smoothness import SMOOTH
 
 VALUE = Quantity("u", "value of d")
@@ -50,7 +50,7 @@ class SplineParams(NamedTuple):
     at: Annotated[Scalar, Quantity("s", "time of the first knot")] = 0.0
 
 
-def held_value(params: Any, state: Scalar, measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
+def held_value(params: Params, state: Scalar, measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
     """The value held over the sample."""
     return state
 
@@ -60,7 +60,9 @@ def step_mean(params: StepParams, state: Scalar, key: jax.Array, t: Scalar, dt: 
     return params.value * begun(params.at, t, dt)
 
 
-def sine_value(params: SineDisturbanceParams, state: Any, measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
+def sine_value(
+    params: SineDisturbanceParams, state: State, measurement: Measurement, sigma: Scalar, t: Scalar
+) -> Scalar:
     """The sine at t."""
     return params.amplitude * jnp.sin(2.0 * math.pi / params.period * t + params.phase)
 
@@ -76,7 +78,7 @@ def check_knots(params: SplineParams) -> SplineParams:
     return params
 
 
-def spline_value(params: SplineParams, state: Any, measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
+def spline_value(params: SplineParams, state: tuple[()], measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
     """The spline at t."""
     return cubic_spline(params.knots, (t - params.at) / params.interval)
 

@@ -1,6 +1,6 @@
 """Flights of the vehicle: a desired position and yaw over time."""
 
-from typing import Annotated, Any, NamedTuple, TypeAlias
+from typing import Annotated, NamedTuple, TypeAlias, TypeVar
 
 import jax.numpy as jnp
 
@@ -29,8 +29,10 @@ class StepsParams(NamedTuple):
 Flight: TypeAlias = tuple[ReferencePoint, ReferencePoint, ReferencePoint, ReferencePoint]
 """Desired x, y, z and psi."""
 
+Placed = TypeVar("Placed", HoverParams, StepsParams)
 
-def three_values(params: Any) -> Any:
+
+def three_values(params: Placed) -> Placed:
     """Require a position of three values.
 
     Raises:

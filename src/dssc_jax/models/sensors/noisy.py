@@ -1,6 +1,6 @@
 """A sensor with noise, constant errors, delay, sampling period, resolution, lost readings and jitter."""
 
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -60,7 +60,7 @@ class NoisyState(NamedTuple):
     previous: tuple[Measurement, ...] = ()
 
 
-def sample_count(name: str, value: Any) -> int:
+def sample_count(name: str, value: object) -> int:
     """A count of samples.
 
     Raises:

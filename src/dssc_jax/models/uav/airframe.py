@@ -10,9 +10,10 @@ Sources: PX4's parameter reference (control allocation; simulation in hardware) 
 import math
 import re
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.signals import Table
 from dssc_jax.models.uav.vehicle import ROUNDED_TO_ZERO
 
 LINE = re.compile(
@@ -47,7 +48,7 @@ class Airframe(NamedTuple):
         notes: What the file does not give, or gives in another form than the model has.
     """
 
-    vehicle: dict[str, Any]
+    vehicle: Table
     notes: tuple[str, ...]
 
 
@@ -85,7 +86,7 @@ def common(values: list[float], subject: str) -> float:
     return mean
 
 
-def rotors_of(parameters: Mapping[str, float]) -> dict[str, Any]:
+def rotors_of(parameters: Mapping[str, float]) -> Table:
     """Angles, spins, arm and torque over thrust from CA_ROTOR_COUNT and CA_ROTORi_.
 
     Raises:
@@ -119,13 +120,13 @@ def rotors_of(parameters: Mapping[str, float]) -> dict[str, Any]:
     }
 
 
-def properties_of(parameters: Mapping[str, float]) -> dict[str, Any]:
+def properties_of(parameters: Mapping[str, float]) -> Table:
     """Mass, inertia, largest thrust and lag from SIH_, as far as they are given.
 
     The inertia is that of the whole vehicle, so the rotors' own is zero. PX4's lag is one of thrust; near hover, where
     thrust is linear in speed, the speed has the same.
     """
-    properties: dict[str, Any] = {}
+    properties: Table = {}
     if "SIH_MASS" in parameters:
         properties["mass"] = parameters["SIH_MASS"]
     inertia = [parameters[name] for name in ("SIH_IXX", "SIH_IYY", "SIH_IZZ") if name in parameters]
@@ -153,7 +154,7 @@ def read_airframe(text: str, base: str = "m600_quadrotor") -> Airframe:
     parameters = parameters_in(text)
     if not any(name.startswith("CA_") for name in parameters):
         raise ConfigError("", "sets no parameter CA_..; a PX4 airframe or parameter file is needed")
-    vehicle: dict[str, Any] = {"kind": base} | rotors_of(parameters)
+    vehicle: Table = {"kind": base} | rotors_of(parameters)
     relative = vehicle["arm"] >= 0.99 and all(
         parameters.get(f"CA_ROTOR{i}_P{c}", 0.0) in (-1.0, -0.866, -0.5, 0.0, 0.5, 0.866, 1.0)
         for i in range(len(vehicle["spins"]))

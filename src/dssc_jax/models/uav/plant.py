@@ -1,7 +1,7 @@
 """The complete UAV as a plant with four channels, from velocity commands to position and yaw (1), Section V-B."""
 
 import math
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 
@@ -49,7 +49,7 @@ class InnerModel(NamedTuple):
 class UavParams(NamedTuple):
     """Parameters of the UAV; ``allocation`` follows from the vehicle's nominal geometry before tracing."""
 
-    vehicle: Annotated[Any, Slot(VEHICLES, default="m600_quadrotor")]
+    vehicle: Annotated[Vehicle, Slot(VEHICLES, default="m600_quadrotor")]
     believed: Believed = Believed()
     inner_loop: InnerGains = InnerGains()
     position: Annotated[tuple[Scalar, ...], Quantity("m", "initial position")] = (0.0, 0.0, 0.0)

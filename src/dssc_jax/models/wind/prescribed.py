@@ -8,7 +8,7 @@ Reference:
 
 import math
 from itertools import pairwise
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,7 @@ from dssc_jax.core.contracts import Wind, stateless, unchanged
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import begun, cubic_spline
 from dssc_jax.core.quantities import Quantity, extent
-from dssc_jax.core.signals import Scalar
+from dssc_jax.core.signals import Params, Scalar, State
 from dssc_jax.core.vectors import Vec3
 
 X = Quantity("m/s", "wind velocity along x")
@@ -71,12 +71,12 @@ class SplineWindParams(NamedTuple):
     at: Annotated[Scalar, Quantity("s", "time of the first knot")] = 0.0
 
 
-def calm(params: Any, key: jax.Array) -> Vec3:
+def calm(params: Params, key: jax.Array) -> Vec3:
     """No wind before the first sample."""
     return Vec3(0.0, 0.0, 0.0)
 
 
-def held_wind(params: Any, state: Vec3, t: Scalar) -> Vec3:
+def held_wind(params: Params, state: Vec3, t: Scalar) -> Vec3:
     """The wind held over the sample."""
     return state
 
@@ -115,7 +115,7 @@ def piecewise_step(params: PiecewiseParams, state: Vec3, key: jax.Array, t: Scal
     return wind
 
 
-def gust_value(params: GustParams, state: Any, t: Scalar) -> Vec3:
+def gust_value(params: GustParams, state: State, t: Scalar) -> Vec3:
     """Mean plus peak times (1 - cos(2 pi (t - at)/duration))/2, as the square of a sine."""
     phase = jnp.clip((t - params.at) / params.duration, 0.0, 1.0)
     swell = jnp.square(jnp.sin(math.pi * phase))
@@ -133,7 +133,7 @@ def check_wind_knots(params: SplineWindParams) -> SplineWindParams:
     return params
 
 
-def spline_wind(params: SplineWindParams, state: Any, t: Scalar) -> Vec3:
+def spline_wind(params: SplineWindParams, state: State, t: Scalar) -> Vec3:
     """The splines at t; a component without knots is 0."""
     place = (t - params.at) / params.interval
     return Vec3(*(cubic_spline(knots, place) for knots in (params.x, params.y, params.z)))
