@@ -172,14 +172,6 @@ def transferred_control(
 ) -> ControlState | None:
     """The state of channel i whose first step at this sample gives a command, for a bumpless start.
 
-    Args:
-        loop: The models and the clock.
-        params: Their parameters.
-        i: Index of the channel.
-        reading: What the sensor shows.
-        reference: The desired output.
-        command: The whole command u + u_n.
-
     Returns:
         The state; None if the controller's state cannot carry a command.
     """

@@ -165,14 +165,6 @@ def simulate_recorded(
 ) -> tuple[Run, Recorded]:
     """Simulate one draw and record its trajectory; an ended draw stays at its last state.
 
-    Args:
-        loop: As of :func:`simulate_draw`.
-        params: As of :func:`simulate_draw`.
-        key: As of :func:`simulate_draw`.
-        measures: As of :func:`simulate_draw`.
-        requirements: As of :func:`simulate_draw`.
-        stride: Record every ``stride``-th sample.
-
     Returns:
         The outcome, and the trajectory with leaves of shape (ceil(steps/stride),).
     """

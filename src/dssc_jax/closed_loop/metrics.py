@@ -315,13 +315,7 @@ def suffixed(kind: str, channel: str) -> str:
 def available_metrics(
     channels: Mapping[str, Sequence[str]], vehicle: Sequence[str], metrics: Mapping[str, Metric]
 ) -> dict[str, tuple[str, int | None]]:
-    """Metrics that a loop can have: name -> kind and channel.
-
-    Args:
-        channels: Fields of the controller's info by channel; a single channel has the empty name.
-        vehicle: Fields of the plant's own info.
-        metrics: All kinds of metric.
-    """
+    """Metrics that a loop can have: name -> kind and channel."""
     kinds: dict[str, tuple[str, int | None]] = {}
     for kind, metric in metrics.items():
         if metric.scope is Scope.VEHICLE:

@@ -57,12 +57,7 @@ class Requirement:
 
 
 def sized(requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]) -> tuple[Requirement, ...]:
-    """The requirements with the median distance from their bounds over some draws.
-
-    Args:
-        requirements: The requirements.
-        results: Slacks by name, of any one shape.
-    """
+    """The requirements with the median distance from their bounds over some draws."""
     sizes = [np.abs(results[requirement.name]) for requirement in requirements]
     return tuple(
         replace(requirement, size=float(np.median(size[np.isfinite(size)])) if np.isfinite(size).any() else None)
@@ -108,12 +103,7 @@ def judge(
 
 
 def binding_requirement(requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Index of the requirement with the smallest slack relative to its bound; a NaN counts as smallest.
-
-    Args:
-        requirements: At least one.
-        results: Slacks by name, of any one shape.
-    """
+    """Index of the requirement with the smallest slack relative to its bound; a NaN counts as smallest."""
     slacks = np.array([results[requirement.name] / requirement.scale for requirement in requirements])
     return np.argmin(np.where(np.isnan(slacks), -np.inf, slacks), axis=0)
 

@@ -33,13 +33,6 @@ def until_all_ended(
     """Advance sample by sample until ``steps`` are done, or no draw of the mapped axis ``axis_name`` is running.
 
     All draws of the axis share the check, so time and values that depend only on time stay scalars.
-
-    Args:
-        sample: Advances the carry by one sample.
-        running: Whether a draw has not ended.
-        begin: The carry at the start.
-        steps: Total number of samples.
-        axis_name: Name of the mapped axis.
     """
 
     def any_running(at: C) -> Scalar:
@@ -79,12 +72,6 @@ def scan_segments(sample: Callable[[C], C], begin: C, steps: int, segment: int |
 
 def scan_recorded(sample: Callable[[C], tuple[C, R]], begin: C, steps: int, stride: int) -> tuple[C, R]:
     """Advance sample by sample to the end, and record every ``stride``-th sample.
-
-    Args:
-        sample: Advances the carry by one sample, and returns its record.
-        begin: The carry at the start.
-        steps: Total number of samples.
-        stride: Record every ``stride``-th sample, starting with the first.
 
     Returns:
         The carry at the end, and the records with leaves of shape (ceil(steps/stride),).

@@ -50,10 +50,6 @@ def errors_under(path: str) -> Iterator[None]:
 def errors_in_code(where: str, function: Callable[..., object]) -> Iterator[None]:
     """Report an exception of a user's own code in one line, with the line of the user's file.
 
-    Args:
-        where: What was computed, such as a metric.
-        function: The user's function, whose first line is named where the exception was raised outside of it.
-
     Raises:
         ConfigError: The code raised an exception.
     """

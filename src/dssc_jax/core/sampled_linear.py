@@ -136,13 +136,7 @@ def hold(a: Rows, forcings: Sequence[Forcing], h: Scalar) -> HeldSystem:
 
 
 def doubled(size: int, rates: Entries, chains: dict[int, int]) -> tuple[Entries, Entries]:
-    """X over half a step and over the whole step, in the rows of the state.
-
-    Args:
-        size: Number of states.
-        rates: M h in the rows of the state.
-        chains: For each column of an input's term that has a next term, that next column.
-    """
+    """X over half a step and over the whole step, in the rows of the state."""
     pattern = reached(rates, size, chains)
     shortest = 2.0**-DOUBLINGS
     first = {place: number * shortest for place, number in rates.items()}

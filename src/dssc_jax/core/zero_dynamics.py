@@ -3,6 +3,7 @@
 from typing import Annotated, NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_continuous_lyapunov
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity, extent
@@ -73,8 +74,6 @@ def norm_observer(dynamics: ZeroDynamics) -> tuple[float, float]:
     Raises:
         ConfigError: as :func:`require_hurwitz`.
     """
-    from scipy.linalg import solve_continuous_lyapunov
-
     require_hurwitz(dynamics)
     matrix = companion(tuple(float(value) for value in dynamics.a))
     p = solve_continuous_lyapunov(matrix.T, -2.0 * np.eye(len(matrix)))

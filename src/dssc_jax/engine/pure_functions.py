@@ -41,11 +41,7 @@ class StepState(NamedTuple):
 
 
 def require_values(study: Study, values: Values) -> None:
-    """Require a value for each uncertain or swept number, and the precision of the study.
-
-    Raises:
-        ConfigError: otherwise.
-    """
+    """Require a value for each uncertain or swept number, and the precision of the study; raises ConfigError."""
     for name in (*study.axes, *study.laws):
         if name not in values:
             raise ConfigError(name, "is uncertain or swept in this study, so values must contain it")

@@ -67,13 +67,7 @@ class Agreement(NamedTuple):
 
 
 def plain_results(study: Study, values: Mapping[str, np.ndarray], draws: np.ndarray) -> Arrays:
-    """Metrics, slacks and outcome of lanes by the plain program, shape (n,) each.
-
-    Args:
-        study: The study.
-        values: Numbers that replace those of the study, shape (n,) each; at least its laws and swept numbers.
-        draws: Index of each lane's draw, shape (n,).
-    """
+    """Metrics, slacks and outcome of lanes by the plain program, shape (n,) each."""
     with jax.enable_x64(study.config.loop.precision == 64):
         lanes = {name: jnp.asarray(column, jnp.result_type(float)) for name, column in values.items()}
         batch = jax.jit(jax.vmap(simulated(study, axis_name=None)), compiler_options=plain_options())

@@ -114,10 +114,6 @@ SAMPLING_DESIGNS: dict[str, Callable[[Study, tuple[int, ...], np.ndarray], np.nd
 def unit_points(study: Study, indices: np.ndarray) -> np.ndarray:
     """Points of the open unit cube by the study's design, with one column per factor.
 
-    Args:
-        study: The study.
-        indices: Draw indices, shape (n,).
-
     Returns:
         Shape (n, number of laws), float64 for every precision of the study.
     """
@@ -171,10 +167,6 @@ def mixing(study: Study) -> np.ndarray:
 
 def draw(study: Study, indices: np.ndarray) -> dict[str, np.ndarray]:
     """Values of the uncertain numbers for the given draws.
-
-    Args:
-        study: The study.
-        indices: Draw indices, shape (n,).
 
     Returns:
         For each factor an array of shape (n,), float64.

@@ -31,11 +31,7 @@ class DelayState(NamedTuple):
 
 
 def prepare(params: DelayParams) -> DelayParams:
-    """Check the delay against the memory.
-
-    Raises:
-        ConfigError: The delay can exceed the memory, or the memory is not an integer.
-    """
+    """Check the delay against the memory; raises ConfigError."""
     if not float(params.memory).is_integer():
         raise ConfigError("memory", f"must be a whole number of samples, got {params.memory:g}")
     longest = extent(params.samples)[1]

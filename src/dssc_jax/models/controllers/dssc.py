@@ -192,11 +192,7 @@ def dssc(form: SampledForm, smooth: Declaration = sliding_smoothness) -> Control
 
 
 def constant_functions(gains: DsscGains) -> DsscGains:
-    """SSC is DSSC with constants.
-
-    Raises:
-        ConfigError: the functions are not constants.
-    """
+    """Require constant functions, which make DSSC SSC; raises ConfigError."""
     if not isinstance(gains.functions, Constant):
         raise ConfigError("functions.kind", "ssc has constant functions; for others take kind = 'dssc'")
     return gains

@@ -57,11 +57,7 @@ class DsscGains(NamedTuple):
 
 
 def switching_gain(gains: DsscGains) -> float:
-    """The constant rho, or its median.
-
-    Raises:
-        ConfigError: rho is the norm bound.
-    """
+    """The constant rho, or its median; raises ConfigError for the norm bound."""
     if not isinstance(gains.rho, ConstantModulation):
         raise ConfigError("", "rho is no constant")
     return nominal(gains.rho.rho)

@@ -59,11 +59,7 @@ class SuperTwisting(NamedTuple):
 
 
 def super_twisting(functions: State) -> SuperTwisting:
-    """The STA that state-dependent functions approximate.
-
-    Raises:
-        ConfigError: the functions approximate no STA.
-    """
+    """The STA that state-dependent functions approximate; raises ConfigError if they approximate none."""
     approximated = getattr(functions, "super_twisting", None)
     if approximated is None:
         raise ConfigError("", f"the functions '{type(functions).__name__}' approximate no super-twisting algorithm")
@@ -88,11 +84,7 @@ F = TypeVar("F")
 
 
 def one_factor(gains: F) -> F:
-    """Require that exactly one of k_o and tau_av is given.
-
-    Raises:
-        ConfigError: Both or neither are given.
-    """
+    """Require that exactly one of k_o and tau_av is given; raises ConfigError."""
     if (gains.k_o is None) == (gains.tau_av is None):
         found = "neither" if gains.k_o is None else "both"
         raise ConfigError("", f"give one of k_o and tau_av, the other follows from their product; got {found}")

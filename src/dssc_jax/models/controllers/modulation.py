@@ -62,11 +62,7 @@ class NormBound(NamedTuple):
     observer_gain: Annotated[Scalar | None, Quantity("1/s", "c of the norm observer", at_least=0.0)] = None
 
     def prepare(self) -> "NormBound":
-        """Derive the observer from the zero dynamics, unless both of its numbers are given.
-
-        Raises:
-            ConfigError: the zero dynamics are not Hurwitz or not plain numbers; or rate without gain.
-        """
+        """Derive the observer from the zero dynamics, unless both of its numbers are given; raises ConfigError."""
         if (self.observer_rate is None) != (self.observer_gain is None):
             raise ConfigError("observer_rate", "observer_rate and observer_gain go together; got one of them")
         if self.observer_rate is not None:

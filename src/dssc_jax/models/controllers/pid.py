@@ -109,21 +109,13 @@ def transfer(
 
 
 def prepare(gains: PidGains) -> PidGains:
-    """Require limits in order.
-
-    Raises:
-        ConfigError: the lower limit may exceed the upper one.
-    """
+    """Require limits in order; raises ConfigError."""
     require_order(gains.low, gains.high)
     return gains
 
 
 def require_order(low: Scalar | None, high: Scalar | None) -> None:
-    """Require that a lower limit lies below an upper one.
-
-    Raises:
-        ConfigError: it may not.
-    """
+    """Require that a lower limit lies below an upper one; raises ConfigError."""
     if low is None or high is None:
         return
     top, bottom = extent(low)[1], extent(high)[0]

@@ -46,12 +46,6 @@ def high_gain_step(
 ) -> tuple[HighGainState, Measurement]:
     """Backward Euler, solved for the innovation y - x1+; tends to the backward difference for dt >> epsilon.
 
-    Args:
-        params: Time constant and coefficients.
-        state: Estimates at the last sample.
-        measurement: The sampled y [m].
-        dt: Time since the last sample [s].
-
     Returns:
         The next state, and y with the estimate of y'.
     """

@@ -35,12 +35,6 @@ def lead_filter_step(
 ) -> tuple[LeadFilterState, Measurement]:
     """Exact solution of tau_f v' = y' - v over dt, for y linear between the samples.
 
-    Args:
-        params: Time constant.
-        state: Last sample and last output.
-        measurement: The sampled y [m].
-        dt: Time since the last sample [s].
-
     Returns:
         The next state, and y with the estimate of y'.
     """

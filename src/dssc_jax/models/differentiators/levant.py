@@ -57,12 +57,6 @@ def levant_step(
     L dt^2 < lambda_0 L dt^2. The error is at most L dt/2, the least possible from samples. Outside of sliding, s =
     |x|^(1/2) solves a quadratic.
 
-    Args:
-        params: Bound of y'' and gains.
-        state: Estimates at the last sample.
-        measurement: The sampled y [m].
-        dt: Time since the last sample [s].
-
     Returns:
         The next state, and y with the estimate of y'.
     """

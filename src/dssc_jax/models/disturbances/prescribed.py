@@ -68,11 +68,7 @@ def sine_value(
 
 
 def check_knots(params: SplineParams) -> SplineParams:
-    """Check that there are knots.
-
-    Raises:
-        ConfigError: there are none.
-    """
+    """Check that there are knots; raises ConfigError."""
     if not params.knots:
         raise ConfigError("knots", "needs at least one knot, got none")
     return params

@@ -96,11 +96,7 @@ def state_space_gain(params: StateSpaceParams) -> Scalar:
 
 
 def prepare_state_space(params: StateSpaceParams) -> StateSpaceParams:
-    """Check the sizes, and find the relative degree of the nominal plant.
-
-    Raises:
-        ConfigError: a size does not fit, or the command does not reach the output.
-    """
+    """Check the sizes, and find the relative degree of the nominal plant; raises ConfigError."""
     order = len(params.a)
     if not 1 <= order <= MOST_STATES:
         raise ConfigError("a", f"must have 1 to {MOST_STATES} rows, got {order}")
@@ -148,11 +144,7 @@ def transfer_function_gain(params: RationalParams) -> Scalar:
 
 
 def prepare_transfer_function(params: RationalParams) -> RationalParams:
-    """Check that the plant is strictly proper and that its leading coefficients cannot vanish.
-
-    Raises:
-        ConfigError: otherwise.
-    """
+    """Check that the plant is strictly proper and that its leading coefficients cannot vanish; raises ConfigError."""
     order = len(params.denominator) - 1
     if not 1 <= order <= MOST_STATES:
         raise ConfigError("denominator", f"must have 2 to {MOST_STATES + 1} coefficients, got {order + 1}")
@@ -167,21 +159,13 @@ def prepare_transfer_function(params: RationalParams) -> RationalParams:
 
 
 def require_start(x0: tuple[Scalar, ...], order: int) -> None:
-    """Require an initial state with at most as many numbers as the plant has states.
-
-    Raises:
-        ConfigError: otherwise.
-    """
+    """Require an initial state with at most as many numbers as the plant has states; raises ConfigError."""
     if len(x0) > order:
         raise ConfigError("x0", f"must have at most {order} numbers, one for each state, got {len(x0)}")
 
 
 def required(degree: int | None, place: str) -> int:
-    """The relative degree.
-
-    Raises:
-        ConfigError: there is none.
-    """
+    """The relative degree; raises ConfigError."""
     if degree is None:
         raise ConfigError(place, "the command does not reach the output: c A^k b is zero for every k")
     return degree

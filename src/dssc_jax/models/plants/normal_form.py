@@ -65,11 +65,7 @@ def input_gain(params: NormalFormParams) -> Scalar:
 
 
 def prepare(params: NormalFormParams) -> NormalFormParams:
-    """Check the zero dynamics and the length of the initial state.
-
-    Raises:
-        ConfigError: A_eta is not Hurwitz for some admissible value, or a length does not fit.
-    """
+    """Check the zero dynamics and the length of the initial state; raises ConfigError."""
     order = 0
     if params.zero_dynamics is not None:
         require_hurwitz(params.zero_dynamics)

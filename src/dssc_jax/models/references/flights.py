@@ -33,11 +33,7 @@ Placed = TypeVar("Placed", HoverParams, StepsParams)
 
 
 def three_values(params: Placed) -> Placed:
-    """Require a position of three values.
-
-    Raises:
-        ConfigError: otherwise.
-    """
+    """Require a position of three values; raises ConfigError."""
     if len(params.position) != 3:
         raise ConfigError("position", f"needs three values, got {len(params.position)}")
     return params

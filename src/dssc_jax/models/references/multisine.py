@@ -39,11 +39,7 @@ def multisine_at(params: MultisineParams, t: Scalar) -> ReferencePoint:
 
 
 def prepare_multisine(params: MultisineParams) -> MultisineParams:
-    """Require lists of one length, and set Schroeder's phases -k (k - 1) pi/n if none are given.
-
-    Raises:
-        ConfigError: the lists are empty, or of different lengths.
-    """
+    """Require lists of one length, and set Schroeder's phases -k (k - 1) pi/n if none are given; raises ConfigError."""
     count = len(params.amplitudes)
     phases = params.phases
     if phases is None:

@@ -9,23 +9,19 @@ References:
     P. D. Groves, Principles of GNSS ... Navigation Systems, 2nd ed., Artech House, 2013, chapter 2 (ECEF to ENU).
 """
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, Annotated, NamedTuple, get_type_hints
+from typing import Annotated, NamedTuple, get_type_hints
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.polynomial.polynomial import polyder
+from scipy.interpolate import CubicSpline
 
 from dssc_jax.core.contracts import Reference
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ReferencePoint, Scalar
-
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
 
 SEMI_MAJOR_AXIS, FLATTENING = 6378137.0, 1.0 / 298.257223563  # a [m] and f of WGS 84 (TR8350.2, table 3.1)
 STANDARD_GRAVITY = 9.80665  # g_n [m/s^2] (3rd CGPM, 1901)
@@ -129,8 +125,6 @@ def spline(params: WaypointParams) -> CubicSpline:
     points = enu(params)
     yaw = np.zeros(len(points)) if params.yaw_deg is None else np.unwrap(np.radians(np.asarray(params.yaw_deg, float)))
     chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    from scipy.interpolate import CubicSpline  # slow to load, and few studies fly waypoints
-
     return CubicSpline(chord, np.column_stack([points, yaw]), bc_type="natural")
 
 

@@ -34,14 +34,6 @@ def lag_step(
 ) -> tuple[LagState, Measurement]:
     """Exact solution of mu z' = y - z over dt, for y linear between the samples: a small mu is no delay.
 
-    Args:
-        params: Time constant.
-        state: Measurement and reading of the sample before.
-        measurement: The plant's y [m] and y' [m/s] now.
-        key: Not used.
-        t: Time [s].
-        dt: Time since the sample before [s].
-
     Returns:
         The next state, and the measurement that the controller sees.
     """

@@ -61,11 +61,7 @@ class NoisyState(NamedTuple):
 
 
 def sample_count(name: str, value: object) -> int:
-    """A count of samples.
-
-    Raises:
-        ConfigError: it is traced, or not a whole number.
-    """
+    """A count of samples; raises ConfigError."""
     if not isinstance(value, int | float):
         raise ConfigError(name, "decides the shape of the state: must be a plain number, neither law nor swept")
     if not float(value).is_integer():
@@ -74,11 +70,7 @@ def sample_count(name: str, value: object) -> int:
 
 
 def prepare(params: NoisyParams) -> NoisyParams:
-    """Check the counts of samples.
-
-    Raises:
-        ConfigError: one is not a whole number.
-    """
+    """Check the counts of samples; raises ConfigError."""
     sample_count("delay_samples", params.delay_samples)
     sample_count("period_samples", params.period_samples)
     return params
@@ -128,14 +120,6 @@ def noisy_step(
     params: NoisyParams, state: NoisyState, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
 ) -> tuple[NoisyState, Measurement]:
     """Take a reading if one is due, else hold the last one; return the reading of ``delay_samples`` ago.
-
-    Args:
-        params: Noise, constant errors, delay and period.
-        state: Last reading and queue.
-        measurement: The plant's y [m] and y' [m/s] now.
-        key: The sample's own random key.
-        t: Time [s].
-        dt: Sampling period of the controller [s].
 
     Returns:
         The next state, and the measurement that the controller sees.

@@ -72,11 +72,7 @@ def parameters_in(text: str) -> dict[str, float]:
 
 
 def common(values: list[float], subject: str) -> float:
-    """The mean of a number that all rotors have in common.
-
-    Raises:
-        ConfigError: the rotors differ by more than 1 %.
-    """
+    """The mean of a number that all rotors have in common; raises ConfigError."""
     mean = sum(values) / len(values)
     if any(abs(value - mean) > SIMILAR * abs(mean) for value in values):
         listed = ", ".join(f"{value:g}" for value in values)
@@ -87,11 +83,7 @@ def common(values: list[float], subject: str) -> float:
 
 
 def rotors_of(parameters: Mapping[str, float]) -> Table:
-    """Angles, spins, arm and torque over thrust from CA_ROTOR_COUNT and CA_ROTORi_.
-
-    Raises:
-        ConfigError: there are fewer than four rotors, one is tilted, or they differ.
-    """
+    """Angles, spins, arm and torque over thrust from CA_ROTOR_COUNT and CA_ROTORi_; raises ConfigError."""
     count = parameters.get("CA_ROTOR_COUNT", 0.0)
     if count not in range(4, MOST_ROTORS + 1):
         raise ConfigError("CA_ROTOR_COUNT", f"must be a whole number from 4 to {MOST_ROTORS}, got {count:g}")

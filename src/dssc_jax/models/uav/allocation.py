@@ -30,11 +30,7 @@ def geometry(vehicle: Vehicle) -> np.ndarray:
 
 
 def pseudo_inverse(vehicle: Vehicle) -> tuple[tuple[float, ...], ...]:
-    """Rows (f, M_x, M_y, M_z) -> f_i, one per rotor.
-
-    Raises:
-        ConfigError: the rotors cannot produce thrust and all three moments.
-    """
+    """Rows (f, M_x, M_y, M_z) -> f_i, one per rotor; raises ConfigError."""
     matrix = geometry(vehicle)
     scale = np.linalg.norm(matrix, axis=1, keepdims=True)
     rank = int(np.linalg.matrix_rank(matrix / scale, tol=1e-9))

@@ -188,11 +188,7 @@ def input_gain(params: UavParams) -> tuple[Scalar, ...]:
 
 
 def prepare(params: UavParams) -> UavParams:
-    """Check the vehicle, and derive allocation and nominal values from its numbers.
-
-    Raises:
-        ConfigError: the vehicle is impossible, or its rotors cannot produce yaw.
-    """
+    """Check the vehicle, and derive allocation and nominal values from its numbers; raises ConfigError."""
     vehicle = params.vehicle
     try:
         check_vehicle(vehicle)

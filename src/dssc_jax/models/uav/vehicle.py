@@ -87,11 +87,7 @@ HEXACOPTER = QUADROTOR._replace(rotor_angles=ring(6), spins=alternating(6))
 
 
 def check_vehicle(vehicle: Vehicle) -> None:
-    """Check rules that span several fields, for every value within the laws' supports.
-
-    Raises:
-        ConfigError: with the field, the rule and the value.
-    """
+    """Check rules that span several fields, for every value within the laws' supports; raises ConfigError."""
     for name in ("body_inertia", "structure_drag"):
         if len(getattr(vehicle, name)) != 3:
             raise ConfigError(name, f"needs three values, got {len(getattr(vehicle, name))}")

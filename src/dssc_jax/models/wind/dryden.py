@@ -79,9 +79,6 @@ def dryden_law(params: DrydenParams) -> DrydenLaw:
     Mean W20 ln(h/z_0)/ln(20 ft/z_0) with z_0 = 0.15 ft; L_w = h, L_u = L_v = h/(0.177 + 0.000823 h)^1.2,
     sigma_w = 0.1 W20, sigma_u = sigma_v = sigma_w/(0.177 + 0.000823 h)^0.4, times ``turbulence``.
 
-    Args:
-        params: Heights in [m], speeds in [m/s].
-
     Returns:
         Intensities and mean in [m/s], lengths in [m].
     """

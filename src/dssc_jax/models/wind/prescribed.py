@@ -87,11 +87,7 @@ def constant_step(params: ConstantWindParams, state: Vec3, key: jax.Array, t: Sc
 
 
 def check_table(params: PiecewiseParams) -> PiecewiseParams:
-    """Check lengths and order of the table.
-
-    Raises:
-        ConfigError: it is empty, its columns differ in length, or its times do not increase.
-    """
+    """Check lengths and order of the table; raises ConfigError."""
     rows = len(params.times)
     if rows == 0:
         raise ConfigError("times", "needs at least one time, got none")
@@ -123,11 +119,7 @@ def gust_value(params: GustParams, state: State, t: Scalar) -> Vec3:
 
 
 def check_wind_knots(params: SplineWindParams) -> SplineWindParams:
-    """Check that there are knots.
-
-    Raises:
-        ConfigError: no component has any.
-    """
+    """Check that there are knots; raises ConfigError."""
     if not (params.x or params.y or params.z):
         raise ConfigError("x", "needs at least one knot in x, y or z, got none")
     return params
