@@ -161,7 +161,8 @@ def sampling_ratio(sample: Sample) -> Scalar:
     The stability limit is exact for constant functions and sigma' = k_p u; state-dependent functions enter with their
     values at the sample. k_p is the draw's own, so the largest ratio over the draws occurs at k_max.
     """
-    info, dt = sample.info, sample.dt
+    info = sample.info
+    dt = sample.dt
     return 0.5 * sample.k_p * dt * info.integral_gain * (info.tau_m + 0.5 * dt)
 
 
@@ -180,7 +181,9 @@ def as_float(flag: Scalar, like: Scalar) -> Scalar:
     return jnp.where(flag, jnp.ones_like(like), jnp.zeros_like(like))
 
 
-SLIDING, SAMPLING, FLYING = ("sliding_margin",), ("integral_gain", "tau_m"), ("tilt",)
+SLIDING = ("sliding_margin",)
+SAMPLING = ("integral_gain", "tau_m")
+FLYING = ("tilt",)
 METRICS: dict[str, Metric] = {
     "error_rms": Metric("y", "rms of the output error e", total(lambda s: s.e * s.e), root_mean),
     "error_max": Metric("y", "largest |e|", peak(lambda s: s.e), itself),

@@ -208,7 +208,9 @@ def control_channel(
 
     The sensor sees an angle that is continuous in time.
     """
-    t, dt, name = k * loop.sample_time, loop.sample_time, loop.channels[i]
+    t = k * loop.sample_time
+    dt = loop.sample_time
+    name = loop.channels[i]
     measurement = unwrapped(loop, i, measurement, channel.angle)
     sensor, reading = loop.sensor[i].step(
         params.sensor[i],
@@ -270,9 +272,13 @@ def step(
     arriving_drive = plant_input(loop, params, disturbances, state.wind, state.plant, reaching, t)
     measurements = measure(loop, params, state.plant, references, arriving_drive)
     gains = loop.mimo_plant.input_gain(params.plant)
-    channels, samples, commands, outputs = [], [], [], []
+    channels = []
+    samples = []
+    commands = []
+    outputs = []
     for i, channel in enumerate(state.channels):
-        m, r = measurements[i], references[i]
+        m = measurements[i]
+        r = references[i]
         after, controlled = control_channel(loop, params, key, channel, i, m, r, k)
         _, sensed, desired, command, info = controlled
         error = tracking_error(m, r, params.controller[i].l0)

@@ -19,7 +19,8 @@ from dssc_jax.closed_loop.metrics import Metric, Sample, Span, Window
 from dssc_jax.core.numerics import arithmetic, atan2, root_abs
 from dssc_jax.core.signals import Scalar
 
-LOW, HIGH = 0.1, 0.9
+LOW = 0.1
+HIGH = 0.9
 Points = tuple[tuple[float, float], ...]
 """Times [s] and values of a bound, by rising time; two points of one time are a jump."""
 
@@ -130,7 +131,8 @@ class Following(NamedTuple):
 
 def following(acc: Following, sample: Sample, window: Window) -> Following:
     """Add a sample."""
-    r, d = sample.reference.y, sample.reference.y_dot
+    r = sample.reference.y
+    d = sample.reference.y_dot
     y = sample.e + r
     new = Following(y, r, d, r * r, d * d, y * r, y * d)
     return Following(*(total + value for total, value in zip(acc, new, strict=True)))
@@ -142,7 +144,8 @@ def in_phase(acc: Following, span: Span) -> tuple[Scalar, Scalar]:
     r' is 90 degrees ahead of r, and its amplitude is larger by the angular frequency, whose square is var r'/var r.
     """
     n = span.inside
-    rr, dd = acc.rr - acc.r * acc.r / n, acc.dd - acc.r_dot * acc.r_dot / n
+    rr = acc.rr - acc.r * acc.r / n
+    dd = acc.dd - acc.r_dot * acc.r_dot / n
     moves = (rr > 0.0) & (dd > 0.0)
     ahead = (acc.yd - acc.y * acc.r_dot / n) / jnp.sqrt(jnp.where(moves, rr * dd, 1.0))
     level = (acc.yr - acc.y * acc.r / n) / jnp.where(moves, rr, 1.0)
@@ -202,7 +205,8 @@ def envelope_metric(
     """
 
     def update(acc: Scalar, sample: Sample, window: Window) -> Scalar:
-        t, value = sample.k * sample.dt, signal(sample)
+        t = sample.k * sample.dt
+        value = signal(sample)
         above_lower = value - line_at(lower, t, -math.inf) if lower else math.inf
         below_upper = line_at(upper, t, math.inf) - value if upper else math.inf
         return jnp.minimum(acc, jnp.minimum(above_lower, below_upper))

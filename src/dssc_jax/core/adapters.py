@@ -53,7 +53,8 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
     """Adapt a plant with one channel to the interface of several: its signals become tuples of one value."""
 
     def plain(drive: PlantInput[Signals]) -> PlantInput[Scalar]:
-        (command,), (disturbance,) = drive.command, drive.disturbance
+        (command,) = drive.command
+        (disturbance,) = drive.disturbance
         return PlantInput(command, disturbance, drive.wind)
 
     remainder = plant.remainder

@@ -18,7 +18,8 @@ class ConfigError(ValueError):
     """
 
     def __init__(self, where: str, rule: str) -> None:
-        self.where, self.rule = where, rule
+        self.where = where
+        self.rule = rule
         super().__init__(f"{where}: {rule}" if where else rule)
 
     def __reduce__(self) -> tuple[type, tuple[str, str]]:  # it travels between a cluster's processes

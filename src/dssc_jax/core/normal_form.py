@@ -71,7 +71,9 @@ def relative_degree(system: RealisedSystem) -> int | None:
 
     A product counts as zero if it is rounding of the terms that it is the sum of.
     """
-    a, row, b = np.array(system.a), np.array(system.c), np.array(system.b)
+    a = np.array(system.a)
+    row = np.array(system.c)
+    b = np.array(system.b)
     for degree in range(1, len(b) + 1):
         if abs(row @ b) > VANISHING * (np.abs(row) @ np.abs(b)):
             return degree
@@ -91,7 +93,9 @@ def transfer_function(system: RealisedSystem) -> tuple[np.ndarray, np.ndarray]:
     degree = relative_degree(system)
     if degree is None:
         raise ValueError("the command does not reach the output")
-    a, row, b = np.array(system.a, float), np.array(system.c, float), np.array(system.b, float)
+    a = np.array(system.a, float)
+    row = np.array(system.c, float)
+    b = np.array(system.b, float)
     chi = np.real(np.poly(a))
     markov = []
     for k in range(len(b)):
@@ -107,9 +111,11 @@ def normal_form(numerator: np.ndarray, denominator: np.ndarray) -> NormalForm:
         numerator: Coefficients, highest power first, shape (m + 1,), the first not zero.
         denominator: Coefficients, highest power first, shape (n + 1,), n > m, the first not zero.
     """
-    numerator, denominator = np.asarray(numerator, float), np.asarray(denominator, float)
+    numerator = np.asarray(numerator, float)
+    denominator = np.asarray(denominator, float)
     gain = float(numerator[0] / denominator[0])
-    n, d = numerator / numerator[0], denominator / denominator[0]
+    n = numerator / numerator[0]
+    d = denominator / denominator[0]
     degree = len(d) - len(n)
     zeros = tuple(complex(zero) for zero in np.roots(n))
     if degree != 2:

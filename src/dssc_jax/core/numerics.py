@@ -37,7 +37,8 @@ def root_abs(x: Scalar, floor: float = 0.0) -> Scalar:
 @root_abs.defjvp
 def root_abs_slope(floor: float, at: tuple[Scalar], tangent: tuple[Scalar]) -> tuple[Scalar, Scalar]:
     """The root, and its slope sgn(x)/(2 r) where |x| > floor^2, else 0."""
-    (x,), (x_dot,) = at, tangent
+    (x,) = at
+    (x_dot,) = tangent
     is_steep = jnp.abs(x) > floor**2
     r = root_abs(x, floor)
     return r, x_dot * jnp.where(is_steep, jnp.sign(x) / (2.0 * jnp.where(is_steep, r, 1.0)), 0.0)
@@ -186,7 +187,8 @@ def atan(x: Scalar) -> Scalar:
 
 def atan2(y: Scalar, x: Scalar) -> Scalar:
     """The angle of (x, y) in (-pi, pi], like :func:`atan`; 0 at the origin."""
-    across, along = jnp.abs(y), jnp.abs(x)
+    across = jnp.abs(y)
+    along = jnp.abs(x)
     steep = across > along
     longer = jnp.where(steep, across, along)
     angle = arc(jnp.where(steep, along, across), jnp.where(longer == 0.0, 1.0, longer))
@@ -243,7 +245,8 @@ def cubic_spline(coefficients: Sequence[Scalar], x: Scalar) -> Scalar:
     total: Scalar = 0.0
     for i, coefficient in enumerate(coefficients):
         distance = jnp.abs(x - i)
-        outer, inner = jnp.maximum(2.0 - distance, 0.0), jnp.maximum(1.0 - distance, 0.0)
+        outer = jnp.maximum(2.0 - distance, 0.0)
+        inner = jnp.maximum(1.0 - distance, 0.0)
         total = total + coefficient * (outer * outer * outer - 4.0 * inner * inner * inner) / 6.0
     return total
 

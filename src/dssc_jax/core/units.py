@@ -10,7 +10,8 @@ from fractions import Fraction
 from functools import cache
 from typing import NamedTuple, TypeAlias
 
-OUTPUT, COMMAND = "y", "u"
+OUTPUT = "y"
+COMMAND = "u"
 POWER = r"\^(?P<power>-?\d+|\(-?\d+(?:/\d+)?\))"
 TOKEN = re.compile(rf"\s*(?:(?P<symbol>[^\W\d_]+|[%°]\w*|1)(?:{POWER})?|(?P<sign>[/()]))\s*")
 CLOSING = re.compile(rf"\)(?:{POWER})?\s*")
@@ -115,7 +116,8 @@ def product(text: str, position: int) -> tuple[Powers, int]:
             closed = CLOSING.match(text, position)
             if closed is None:
                 raise StopIteration
-            position, power = closed.end(), closed["power"]
+            position = closed.end()
+            power = closed["power"]
         else:
             factor = {} if token["symbol"] == "1" else {token["symbol"]: Fraction(1)}
             power = token["power"]

@@ -116,9 +116,12 @@ class Quaternion(NamedTuple):
 
 def quaternion_from_euler(phi: Scalar, theta: Scalar, psi: Scalar) -> Quaternion:
     """The rotation R_z(psi) R_y(theta) R_x(phi); angles in rad."""
-    cr, sr = jnp.cos(0.5 * phi), jnp.sin(0.5 * phi)
-    cp, sp = jnp.cos(0.5 * theta), jnp.sin(0.5 * theta)
-    cy, sy = jnp.cos(0.5 * psi), jnp.sin(0.5 * psi)
+    cr = jnp.cos(0.5 * phi)
+    sr = jnp.sin(0.5 * phi)
+    cp = jnp.cos(0.5 * theta)
+    sp = jnp.sin(0.5 * theta)
+    cy = jnp.cos(0.5 * psi)
+    sy = jnp.sin(0.5 * psi)
     return Quaternion(
         cr * cp * cy + sr * sp * sy,
         sr * cp * cy - cr * sp * sy,

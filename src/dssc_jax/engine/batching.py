@@ -53,7 +53,8 @@ def simulated(study: Study, axis_name: str | None = AXIS, segment: int | None = 
 
     def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
         key = draw_key(study.config.seed, index)
-        loop, params = study.loop, study.params(values)
+        loop = study.loop
+        params = study.params(values)
         judged = study.measures, study.requirements
         return results_of(study, simulate_draw(loop, params, key, *judged, axis_name=axis_name, segment=segment))
 
@@ -85,7 +86,8 @@ class Layout:
         If one block contains the whole grid, it leaves room for more draws.
         """
         shape = (*(len(values) for values in study.axes.values()), study.config.draws)
-        block, room = [], lanes
+        block = []
+        room = lanes
         for size in reversed(shape):
             block.append(max(1, min(size, room)))
             room //= block[-1] if block[-1] == size else room + 1

@@ -102,7 +102,8 @@ class GradientEvaluator(Evaluator):
         """Results of each lane, as in :class:`Evaluator`, and their derivatives."""
         if self.reverse:
             return super().__call__(indices, values)
-        count, size = len(indices), len(self.names)
+        count = len(indices)
+        size = len(self.names)
         tiled = {name: np.tile(values[name], size) for name in self.engine.names if name != DIRECTION}
         columns = super().__call__(np.tile(indices, size), tiled | {DIRECTION: np.repeat(np.arange(size), count)})
         results = {}

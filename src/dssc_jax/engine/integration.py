@@ -116,7 +116,8 @@ def largest_change(study: Study, coarse: Arrays, fine: Arrays) -> tuple[float, s
         scales[requirement.measure.name] = requirement.scale
     if not scales:
         scales = {measure.name: typical_size(fine[measure.name]) for measure in study.measures}
-    worst, name = 0.0, ""
+    worst = 0.0
+    name = ""
     for metric, scale in scales.items():
         coarse_values = coarse[metric]
         fine_values = fine[metric]
@@ -127,5 +128,6 @@ def largest_change(study: Study, coarse: Arrays, fine: Arrays) -> tuple[float, s
         if np.any(ended[0] != ended[1]):
             change = float("inf")
         if change > worst:
-            worst, name = change, metric
+            worst = change
+            name = metric
     return worst, name

@@ -87,7 +87,8 @@ def moved(study: Study, lanes: Lanes) -> list[Arrays]:
         for name, number in study.numbers.items()
         if not isinstance(number.value, Law) and number.quantity.law
     }
-    rng, shift = np.random.default_rng(0), SHIFT[study.config.loop.precision]
+    rng = np.random.default_rng(0)
+    shift = SHIFT[study.config.loop.precision]
     values = {
         name: (column * (1.0 + shift * rng.choice([-1.0, 1.0], (COPIES, len(column))))).ravel()
         for name, column in {**constant, **lane_numbers(study, lanes)}.items()
@@ -117,7 +118,8 @@ def agreement(study: Study, dataset: xr.Dataset, lanes: Lanes, computed: Mapping
     stored = stored_lanes(dataset, computed, lanes)
     sizes = {name: typical_size(dataset[name].values) for name in computed}
     gaps = deviations(study, sizes, stored, computed)
-    names, table = np.array(list(gaps)), np.stack(list(gaps.values()))
+    names = np.array(list(gaps))
+    table = np.stack(list(gaps.values()))
     deviation = table.max(0)
     rounding = TOLERANCE[study.config.loop.precision]
     allowed = np.full(deviation.shape, rounding)
@@ -139,7 +141,8 @@ def deviations(
     infinities, infinite where one value is not finite and the other is. Rounding may change a count of samples by
     one. An outcome is either equal or not.
     """
-    counts, gaps = sample_counts(study), {}
+    counts = sample_counts(study)
+    gaps = {}
     for name, stored_values in stored.items():
         computed_values = np.asarray(computed[name], dtype=stored_values.dtype)
         if name == "outcome":

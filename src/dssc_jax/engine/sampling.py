@@ -80,7 +80,8 @@ def replicated_sobol(study: Study, streams: tuple[int, ...], indices: np.ndarray
     position, replicate = np.divmod(indices, study.config.replicates)
     for r in np.unique(replicate):
         members = replicate == r
-        start, end = int(position[members].min()), int(position[members].max()) + 1
+        start = int(position[members].min())
+        end = int(position[members].max()) + 1
         words = (study.config.seed, stream("sobol"), int(r))
         points[members] = sobol_points(len(streams), start, end, words)[position[members] - start]
     return points

@@ -87,7 +87,8 @@ def prepare(params: TransferFunctionParams) -> TransferFunctionParams:
     Raises:
         ConfigError: A condition does not hold.
     """
-    numerator, denominator = params.numerator, params.denominator
+    numerator = params.numerator
+    denominator = params.denominator
     if not 2 <= len(denominator) <= MOST_ORDER + 1:
         raise ConfigError("denominator", f"must have 2 to {MOST_ORDER + 1} coefficients, got {len(denominator)}")
     if not 1 <= len(numerator) <= len(denominator):

@@ -156,9 +156,11 @@ def sample_ratios(at: StateFunctions, dt: Scalar) -> SampleRatios:
     """The ratios from one common division, since a division costs far more than a product; for tau_m > 0."""
     share = dt / (at.tau_av + dt)  # a/(1+a)
     gain = share * at.k_o * at.tau_av  # T_s k_o/(1+a)
-    product, longer = gain * at.tau_m, at.tau_m + dt
+    product = gain * at.tau_m
+    longer = at.tau_m + dt
     inverse = 1.0 / (product * longer)
-    decay, inverse_product = product * inverse * at.tau_m, longer * inverse
+    decay = product * inverse * at.tau_m
+    inverse_product = longer * inverse
     return SampleRatios(
         pole=gain * inverse_product,
         decay=decay,
@@ -170,7 +172,9 @@ def sample_ratios(at: StateFunctions, dt: Scalar) -> SampleRatios:
 
 def implicit_update(gains: DsscGains, state: DsscState, sample: ControlSample, dt: Scalar) -> Sampled:
     """Backward Euler for (15)-(18), solved exactly."""
-    u_av, sigma_hat, at = state.u_av, state.predictor, sample.at
+    u_av = state.u_av
+    sigma_hat = state.predictor
+    at = sample.at
     _, decay, c, inverse_c, _ = sample.ratios
     unlimited = (sample.error.sigma - decay * sigma_hat) * inverse_c  # u_eq - u_av
     change = limited(unlimited, u_av, sample.rho, c, gains.sign_width)
@@ -185,7 +189,9 @@ def conservative_update(gains: DsscGains, state: DsscState, sample: ControlSampl
     over any number of samples by the change of phi_1 plus T_s times the sum of phi_2, also if sigma is noisy. The
     implicit form sums g(sigma_k)(sigma_k - sigma_(k-1)) instead, whose mean under noise is not zero.
     """
-    u_av, w, at = state.u_av, state.predictor, sample.at
+    u_av = state.u_av
+    w = state.predictor
+    at = sample.at
     e, sigma = sample.error
     law = gains.functions.law(sigma, e, at)
     share = dt / (at.tau_av + dt)
@@ -206,14 +212,17 @@ def phi_1_and_slope(signals: tuple[State, Scalar, Scalar], sigma: Scalar) -> tup
 
 def predicted(gains: DsscGains, w: Scalar, e: Scalar) -> Scalar:
     """sigma_hat with phi_1(sigma_hat, e) = w; only what is recorded needs it. Newton's method goes up from below."""
-    size, signals = jnp.abs(w), (gains.functions, gains.l0, e)
+    size = jnp.abs(w)
+    signals = (gains.functions, gains.l0, e)
     start = size / phi_1_and_slope(signals, 0.0 * size)[1]
     return sign(w) * newton(phi_1_and_slope, signals, size, start, NEWTON_STEPS)
 
 
 def explicit_update(gains: DsscGains, state: DsscState, sample: ControlSample, dt: Scalar) -> Sampled:
     """Forward Euler for (15)-(18) with sgn 0 = 0, for comparison."""
-    sigma, sigma_hat, at = sample.error.sigma, state.predictor, sample.at
+    sigma = sample.error.sigma
+    sigma_hat = state.predictor
+    at = sample.at
     u_0 = sample.rho * smoothed_sign(sigma - sigma_hat, gains.sign_width)
     change = u_0 - state.u_av
     u_eq = ((sigma - state.sigma) / dt + sigma * sample.ratios.pole) / at.k_o + state.u_av

@@ -25,7 +25,8 @@ from dssc_jax.core.signals import Command, Measurement, Params, ReferencePoint, 
 from dssc_jax.core.smoothness import SMOOTH, Smoothness, Substitution, piecewise
 from dssc_jax.models.controllers.nominal import L0
 
-LOW, HIGH = Quantity("u", "lower limit of the command"), Quantity("u", "upper limit of the command")
+LOW = Quantity("u", "lower limit of the command")
+HIGH = Quantity("u", "upper limit of the command")
 
 
 class PidGains(NamedTuple):
@@ -118,7 +119,8 @@ def require_order(low: Scalar | None, high: Scalar | None) -> None:
     """Require that a lower limit lies below an upper one; raises ConfigError."""
     if low is None or high is None:
         return
-    top, bottom = extent(low)[1], extent(high)[0]
+    top = extent(low)[1]
+    bottom = extent(high)[0]
     if not top < bottom:
         raise ConfigError("low", f"must be below high = {bottom:g}, got up to {top:g}")
 

@@ -108,7 +108,8 @@ def init(gains: StaGains, measurement: Measurement, reference: ReferencePoint) -
 
 def sta_balance(gains: StaGains) -> HarmonicBalance:
     """The balance of the STA: N = c kappa1 A^(-1/2) + 2 kappa2/(pi A)/(i w), in the normalisation of Table 2."""
-    kappa1, kappa2 = float(gains.kappa1), float(gains.kappa2)
+    kappa1 = float(gains.kappa1)
+    kappa2 = float(gains.kappa2)
     return HarmonicBalance(
         lambda q: (ROOT_FACTOR * kappa1 / q.real) ** 2,
         lambda q, amplitude, w: q.imag + 2.0 * kappa2 / (math.pi * amplitude * w),

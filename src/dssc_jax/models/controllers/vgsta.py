@@ -98,7 +98,8 @@ def implicit_update(
 ) -> tuple[Scalar, Scalar]:
     """Backward Euler with the gains of the sample: A s^2 + B s = |x + h v| - h^2 kappa_2 a a_slope/2."""
     a, a_slope, b = shape
-    hk1, h2k2 = h * k_n * at.kappa1, h * h * k_n * at.kappa2
+    hk1 = h * k_n * at.kappa1
+    h2k2 = h * h * k_n * at.kappa2
     start = x + h * v
     quadratic = 1.0 + hk1 * b + h2k2 * b * b
     linear = hk1 * a + h2k2 * b * (a + 0.5 * a_slope)

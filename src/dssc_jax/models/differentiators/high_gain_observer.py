@@ -50,7 +50,8 @@ def high_gain_step(
         The next state, and y with the estimate of y'.
     """
     # multiplied by epsilon^2, so that nothing is divided by a small epsilon
-    first, second = dt * params.alpha1 * params.epsilon, dt * dt * params.alpha2
+    first = dt * params.alpha1 * params.epsilon
+    second = dt * dt * params.alpha2
     square = params.epsilon * params.epsilon
     scaled = (measurement.y - state.x1 - dt * state.x2) / (square + first + second)
     velocity = state.x2 + dt * params.alpha2 * scaled

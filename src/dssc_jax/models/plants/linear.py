@@ -134,7 +134,8 @@ def transfer_function_measure(params: RationalParams, state: LinearState, drive:
     """y = (b_0 x_1 + b_1 x_2 + ...)/a_n, and its slope without the part that jumps with the command."""
     rising = tuple(reversed(params.numerator))
     slope = (*state.x[1:], last_slope(params, state) + drive.disturbance)
-    count, leading = len(rising), params.denominator[0]
+    count = len(rising)
+    leading = params.denominator[0]
     return Measurement(dot(rising, state.x[:count]) / leading, dot(rising, slope[:count]) / leading)
 
 

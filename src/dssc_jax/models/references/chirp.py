@@ -73,7 +73,8 @@ def chirp(spacing: Spacing) -> Reference:
         angle = angle + 2.0 * math.pi * params.end * (elapsed - within)
         on = jnp.where(reached(t, params.at), params.amplitude, 0.0)
         sweep = jnp.where(elapsed < params.duration, sweep, 0.0)
-        sine, cosine = on * jnp.sin(angle), on * jnp.cos(angle)
+        sine = on * jnp.sin(angle)
+        cosine = on * jnp.cos(angle)
         return ReferencePoint(params.offset + sine, rate * cosine, sweep * cosine - rate * rate * sine)
 
     return Reference(ChirpParams, at)

@@ -28,13 +28,17 @@ class MultisineParams(NamedTuple):
 
 def multisine_at(params: MultisineParams, t: Scalar) -> ReferencePoint:
     """The multisine at t."""
-    y, y_dot, y_ddot = params.offset, 0.0, 0.0
+    y = params.offset
+    y_dot = 0.0
+    y_ddot = 0.0
     assert params.phases is not None  # prepare has set them
     for amplitude, frequency, phase in zip(params.amplitudes, params.frequencies, params.phases, strict=True):
         rate = 2.0 * math.pi * frequency
         angle = rate * t + phase
         swing = amplitude * jnp.sin(angle)
-        y, y_dot, y_ddot = y + swing, y_dot + amplitude * rate * jnp.cos(angle), y_ddot - rate * rate * swing
+        y = y + swing
+        y_dot = y_dot + amplitude * rate * jnp.cos(angle)
+        y_ddot = y_ddot - rate * rate * swing
     return ReferencePoint(y, y_dot, y_ddot)
 
 

@@ -34,7 +34,8 @@ def sine_at(params: SineParams, t: Scalar) -> ReferencePoint:
     """The sine and its derivatives at t."""
     rate = 2.0 * math.pi / params.period
     angle = rate * t + params.phase
-    swing, slope = params.amplitude * jnp.sin(angle), params.amplitude * rate * jnp.cos(angle)
+    swing = params.amplitude * jnp.sin(angle)
+    slope = params.amplitude * rate * jnp.cos(angle)
     return ReferencePoint(params.offset + swing, slope, -rate * rate * swing)
 
 

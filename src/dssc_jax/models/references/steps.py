@@ -75,7 +75,8 @@ def pulse_at(params: PulseParams, t: Scalar) -> ReferencePoint:
 
 def prepare_pulse(params: PulseParams) -> PulseParams:
     """Require that a pulse ends before the next one begins; raises ConfigError."""
-    widest, shortest = extent(params.width)[1], extent(params.period)[0]
+    widest = extent(params.width)[1]
+    shortest = extent(params.period)[0]
     if not widest < shortest:
         raise ConfigError("width", f"must be below the period, got up to {widest:g} s and a period of {shortest:g} s")
     return params

@@ -23,13 +23,15 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ReferencePoint, Scalar
 
-SEMI_MAJOR_AXIS, FLATTENING = 6378137.0, 1.0 / 298.257223563  # a [m] and f of WGS 84 (TR8350.2, table 3.1)
+SEMI_MAJOR_AXIS = 6378137.0  # a [m] and f of WGS 84 (TR8350.2, table 3.1)
+FLATTENING = 1.0 / 298.257223563
 STANDARD_GRAVITY = 9.80665  # g_n [m/s^2] (3rd CGPM, 1901)
 LATERAL_LIMIT = 0.5 * STANDARD_GRAVITY  # greatest acceleration across the path [m/s^2]: a tilt of 27 degrees (assumed)
 FRAME_RADIUS = 1e4  # reach of the local frame [m] (assumed): the ground is 8 m below the tangent plane there
 SAME = 0.01  # consecutive waypoints nearer than this [m] are the same (assumed; the precision of RTK positioning)
 SEGMENT_TIME = 0.02  # of the table [s]
-FEWEST_SEGMENTS, MOST_SEGMENTS = 256, 65536
+FEWEST_SEGMENTS = 256
+MOST_SEGMENTS = 65536
 LEG_PARTS = 128  # of a leg, on which its length and curvature are taken
 RAMP = 1.875  # peak slope of 10 x^3 - 15 x^4 + 6 x^5 on [0, 1]
 GAUSS = np.polynomial.legendre.leggauss(5)
@@ -100,7 +102,8 @@ def check_path(params: WaypointParams) -> None:
     if count < 2:
         raise ConfigError("latitude_deg", f"must hold at least two waypoints, got {count}")
     for name, hint in get_type_hints(WaypointParams, include_extras=True).items():
-        values, quantity = getattr(params, name), hint.__metadata__[0]
+        values = getattr(params, name)
+        quantity = hint.__metadata__[0]
         is_list = np.ndim(values) == 1
         if is_list and len(values) != count:
             raise ConfigError(name, f"must hold {count} numbers, as latitude_deg does, got {len(values)}")
@@ -110,7 +113,8 @@ def check_path(params: WaypointParams) -> None:
                 rule = f"{quantity.meaning} [{quantity.unit}] {broken}, got {value:g}"
                 raise ConfigError(f"{name}.{i}" if is_list else name, rule)
     points = enu(params)
-    distances, spacings = np.linalg.norm(points, axis=1), np.linalg.norm(np.diff(points, axis=0), axis=1)
+    distances = np.linalg.norm(points, axis=1)
+    spacings = np.linalg.norm(np.diff(points, axis=0), axis=1)
     if distances.max() > FRAME_RADIUS:
         i = int(distances.argmax())
         rule = f"waypoint {i} must be within {FRAME_RADIUS / 1e3:g} km of waypoint 0, got {distances[i] / 1e3:.4g} km"
@@ -141,7 +145,8 @@ def length(path: CubicSpline, start: np.ndarray, end: np.ndarray) -> np.ndarray:
 
 def check_speed(params: WaypointParams, path: CubicSpline, u: np.ndarray, total: float) -> None:
     """Check that the path can be flown at the speed: it must be long and smooth enough; raises ConfigError."""
-    slope, bend = path(u, 1)[:, :3], path(u, 2)[:, :3]
+    slope = path(u, 1)[:, :3]
+    bend = path(u, 2)[:, :3]
     size = np.maximum(np.linalg.norm(slope, axis=1), np.finfo(float).tiny)
     turn = np.sum(slope[1:] * slope[:-1], axis=1) / size[1:] / size[:-1]
     if turn.min() < 0.5:  # 60 degrees within a fraction of a leg
@@ -198,7 +203,8 @@ def slowed(step: float, coefficients: np.ndarray, params: WaypointParams) -> flo
     """The step with which the table keeps both bounds, also between its nodes (usually longer by 1e-5)."""
     powers = np.vander(np.linspace(0.0, 1.0, 17), 5, increasing=True).T
     slope = polyder(coefficients[:, :3], axis=-1)
-    velocity, gain = slope @ powers / step, polyder(slope, axis=-1) @ powers[:4] / step**2
+    velocity = slope @ powers / step
+    gain = polyder(slope, axis=-1) @ powers[:4] / step**2
     speed = np.linalg.norm(velocity, axis=1)
     along = np.abs(np.sum(velocity * gain, axis=1)) / np.maximum(speed, np.finfo(float).tiny)
     excess = max(1.0, speed.max() / float(params.speed), math.sqrt(along.max() / float(params.acceleration)))
@@ -212,17 +218,21 @@ def curve(params: WaypointParams) -> Curve:
         ConfigError: too few, repeated or scattered waypoints, numbers out of range, or an impossible speed.
     """
     check_path(params)
-    path, cruise = spline(params), float(params.speed)
+    path = spline(params)
+    cruise = float(params.speed)
     u = np.interp(np.arange(LEG_PARTS * (len(path.x) - 1) + 1) / LEG_PARTS, np.arange(len(path.x)), path.x)
     s = np.concatenate([[0.0], np.cumsum(length(path, u[:-1], u[1:]))])
     check_speed(params, path, u, s[-1])
-    ramp, flight = RAMP * cruise / float(params.acceleration), s[-1] / cruise
+    ramp = RAMP * cruise / float(params.acceleration)
+    flight = s[-1] / cruise
     count = int(np.clip(math.ceil((flight + ramp) / SEGMENT_TIME), FEWEST_SEGMENTS, MOST_SEGMENTS))
     ramp = max(ramp, 8.0 * (flight + ramp) / count)  # no ramp is too short for the table's steps
     duration = flight + ramp
     distances, speed, gain = travel(np.linspace(0.0, duration, count + 1), s[-1], cruise, ramp)
     v = at_length(path, u, s, distances)
-    size, slope, bend = path_speed(path, v), path(v, 1), path(v, 2)
+    size = path_speed(path, v)
+    slope = path(v, 1)
+    bend = path(v, 2)
     v_dot = speed / size
     v_ddot = (gain - np.sum(slope[:, :3] * bend[:, :3], axis=1) / size * v_dot**2) / size
     y_ddot = bend * v_dot[:, None] ** 2 + slope * v_ddot[:, None]

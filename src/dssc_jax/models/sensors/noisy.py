@@ -102,8 +102,11 @@ def aged_reading(present: Measurement, previous: Measurement, age: Scalar, dt: S
     The error is of order dt^4 in y and dt^3 in y', as smooth as the plant's output is.
     """
     s = 1.0 - age / dt
-    rise, first, last = present.y - previous.y, dt * previous.y_dot, dt * present.y_dot
-    second, third = 3.0 * rise - 2.0 * first - last, first + last - 2.0 * rise
+    rise = present.y - previous.y
+    first = dt * previous.y_dot
+    last = dt * present.y_dot
+    second = 3.0 * rise - 2.0 * first - last
+    third = first + last - 2.0 * rise
     y = previous.y + s * (first + s * (second + s * third))
     return Measurement(y, (first + s * (2.0 * second + 3.0 * s * third)) / dt)
 
@@ -125,7 +128,8 @@ def noisy_step(
         The next state, and the measurement that the controller sees.
     """
     due = state.age > sample_count("period_samples", params.period_samples) - 0.5  # a counter, compared halfway
-    true, arrives = measurement, due
+    true = measurement
+    arrives = due
     if params.loss is not None or params.jitter is not None:
         chance, share = uniforms(jax.random.fold_in(key, EXTRA), 2)
         if params.jitter is not None:

@@ -27,7 +27,9 @@ MOST_ROTORS = 12  # that PX4's control allocation takes
 READ = ("CA_", "SIH_")
 LARGEST_PARAMETER = 1e6
 """Of a parameter in PX4's units; no length, mass, thrust or inertia of a multirotor is larger."""
-MOMENT_COEFFICIENT, THRUST_COEFFICIENT, AXIS = 0.05, 6.5, (0.0, 0.0, -1.0)
+MOMENT_COEFFICIENT = 0.05
+THRUST_COEFFICIENT = 6.5
+AXIS = (0.0, 0.0, -1.0)
 """PX4's defaults of CA_ROTORi_KM, CA_ROTORi_CT and CA_ROTORi_AX, _AY, _AZ."""
 
 PRODUCTS = ("SIH_IXY", "SIH_IXZ", "SIH_IYZ")
@@ -89,7 +91,9 @@ def rotors_of(parameters: Mapping[str, float]) -> Table:
         raise ConfigError("CA_ROTOR_COUNT", f"must be a whole number from 4 to {MOST_ROTORS}, got {count:g}")
     if parameters.get("CA_AIRFRAME", MULTIROTOR) != MULTIROTOR:
         raise ConfigError("CA_AIRFRAME", f"must be 0, a multirotor, got {parameters['CA_AIRFRAME']:g}")
-    places, coefficients, thrusts = [], [], []
+    places = []
+    coefficients = []
+    thrusts = []
     for i in range(int(count)):
         axis = tuple(parameters.get(f"CA_ROTOR{i}_A{c}", default) for c, default in zip("XYZ", AXIS, strict=True))
         if axis[:2] != (0.0, 0.0) or axis[2] >= 0.0:

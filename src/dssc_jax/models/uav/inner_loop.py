@@ -165,7 +165,9 @@ def moment_for(inertia: Vec3, at: Trig, rate: Vec3, turning: Euler, desired: Eul
     """M_net = J W euler'' + J W' euler' + Omega x J Omega."""
     dphi, dtheta, dpsi = turning
     # rows of W: [1, 0, -s_theta], [0, c_phi, s_phi c_theta], [0, -s_phi, c_phi c_theta]
-    ct_dot, sp_ct, cp_ct = -at.stheta * dtheta, at.sphi * at.ctheta, at.cphi * at.ctheta
+    ct_dot = -at.stheta * dtheta
+    sp_ct = at.sphi * at.ctheta
+    cp_ct = at.cphi * at.ctheta
     angular = Vec3(
         desired.phi - at.stheta * desired.psi - at.ctheta * dtheta * dpsi,
         at.cphi * desired.theta
@@ -204,7 +206,8 @@ def demand(
         command: Velocity commands u_x, u_y, u_z [m/s].
         yaw_command: u_psi [rad/s].
     """
-    at, error = trig_of(rotation), command - velocity
+    at = trig_of(rotation)
+    error = command - velocity
     turning = euler_rates(at, rate)
     desired = error * gains.kd_velocity + integrals.velocity * gains.kp_velocity
     lift = desired.z + GRAVITY
@@ -220,7 +223,8 @@ def demand(
         turned = (-at.spsi * turning.psi, at.cpsi * turning.psi)
         _, (phi_d_dot, theta_d_dot) = jax.jvp(wanted_tilt, (desired, (at.cpsi, at.spsi)), (slope, turned))
     else:
-        phi_d_dot, theta_d_dot = 0.0, 0.0
+        phi_d_dot = 0.0
+        theta_d_dot = 0.0
     phi_error, theta_error = tilt_error(desired, at)
     yaw_error = yaw_command - turning.psi
     accelerate = Euler(

@@ -33,7 +33,8 @@ def usual_ranges(vehicle: Vehicle) -> list[UsualRange]:
     Hover throttle is the share of the largest thrust that carries the weight. Torque over thrust of a propeller is a
     few per cent of its diameter. The radius of gyration is that about a horizontal axis.
     """
-    mass, arm = nominal(vehicle.mass), nominal(vehicle.arm)
+    mass = nominal(vehicle.mass)
+    arm = nominal(vehicle.arm)
     inertia = [nominal(value) for value in vehicle.body_inertia]
     transverse = 0.5 * (inertia[0] + inertia[1]) + vehicle.rotors * nominal(vehicle.rotor_inertia_xy)
     gyration = (transverse / mass) ** 0.5

@@ -102,6 +102,7 @@ def check_vehicle(vehicle: Vehicle) -> None:
             rule = f"must keep the triangle inequality: I_{axis} <= the sum of the others"
             raise ConfigError("body_inertia", f"{rule}; {limits[i][1]:g} > {opposite:g}")
     if vehicle.max_thrust is not None:
-        lift, weight = vehicle.rotors * extent(vehicle.max_thrust)[0], extent(vehicle.mass)[1] * GRAVITY
+        lift = vehicle.rotors * extent(vehicle.max_thrust)[0]
+        weight = extent(vehicle.mass)[1] * GRAVITY
         if lift <= weight:
             raise ConfigError("max_thrust", f"hover needs n_r f_max > M g = {weight:g} N, got {lift:g} N")

@@ -96,7 +96,8 @@ def dryden_law(params: DrydenParams) -> DrydenLaw:
 def sinh_excess(h: Scalar) -> Scalar:
     """exp(-h) (sinh h - h) for h >= 0, without cancellation or overflow."""
     small = jnp.minimum(h, 1.0)
-    square, series = small * small, 1.0
+    square = small * small
+    series = 1.0
     for n in range(16, 2, -2):
         series = 1.0 + square / (n * (n + 1)) * series
     direct = -0.5 * jnp.expm1(-2.0 * h) - h * jnp.exp(-h)
@@ -113,7 +114,9 @@ def noise_factor(h: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     Returns:
         The entries (a, a), (b, a), (b, b).
     """
-    decay, variance, excess = jnp.exp(-h), -0.5 * jnp.expm1(-2.0 * h), sinh_excess(h)
+    decay = jnp.exp(-h)
+    variance = -0.5 * jnp.expm1(-2.0 * h)
+    excess = sinh_excess(h)
     a_a = jnp.sqrt(variance)
     b_a = 0.5 * (excess - h * decay * jnp.expm1(-h)) / a_a
     b_b = jnp.sqrt(0.25 * excess * (variance + h * decay) / variance)
@@ -149,7 +152,8 @@ def dryden_step(params: DrydenParams, state: DrydenState, key: jax.Array, t: Sca
     """
     law = dryden_law(params)
     n = standard_normals(key, 5)
-    h_uv, h_w = params.airspeed * dt / law.length_uv, params.airspeed * dt / law.length_w
+    h_uv = params.airspeed * dt / law.length_uv
+    h_w = params.airspeed * dt / law.length_w
     return DrydenState(
         jnp.exp(-h_uv) * state.u + jnp.sqrt(-jnp.expm1(-2.0 * h_uv)) * n[0],
         transverse_step(state.v, h_uv, n[1], n[2]),
@@ -161,8 +165,10 @@ def dryden_step(params: DrydenParams, state: DrydenState, key: jax.Array, t: Sca
 def dryden_value(params: DrydenParams, state: DrydenState, t: Scalar) -> Vec3:
     """Mean wind and turbulence, turned from the mean wind's axes to the inertial ones."""
     law = dryden_law(params)
-    along, across = law.mean + law.sigma_uv * state.u, law.sigma_uv * state.v.output
-    c, s = jnp.cos(params.direction), jnp.sin(params.direction)
+    along = law.mean + law.sigma_uv * state.u
+    across = law.sigma_uv * state.v.output
+    c = jnp.cos(params.direction)
+    s = jnp.sin(params.direction)
     return Vec3(along * c - across * s, along * s + across * c, law.sigma_w * state.w.output) * state.on
 
 

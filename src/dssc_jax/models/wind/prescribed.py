@@ -104,10 +104,12 @@ def check_table(params: PiecewiseParams) -> PiecewiseParams:
 
 def piecewise_step(params: PiecewiseParams, state: Vec3, key: jax.Array, t: Scalar, dt: Scalar) -> Vec3:
     """Mean of the table over [t, t + dt): at each instant the last row that has begun."""
-    wind, covered = Vec3(0.0, 0.0, 0.0), 0.0
+    wind = Vec3(0.0, 0.0, 0.0)
+    covered = 0.0
     for at, x, y, z in reversed(list(zip(*params, strict=True))):
         share = jnp.maximum(begun(at, t, dt) - covered, 0.0)
-        wind, covered = wind + Vec3(x, y, z) * share, covered + share
+        wind = wind + Vec3(x, y, z) * share
+        covered = covered + share
     return wind
 
 
