@@ -58,11 +58,12 @@ class Requirement:
 
 def sized(requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]) -> tuple[Requirement, ...]:
     """The requirements with the median distance from their bounds over some draws."""
-    sizes = [np.abs(results[requirement.name]) for requirement in requirements]
-    return tuple(
-        replace(requirement, size=float(np.median(size[np.isfinite(size)])) if np.isfinite(size).any() else None)
-        for requirement, size in zip(requirements, sizes, strict=True)
-    )
+    with_sizes = []
+    for requirement in requirements:
+        distances = np.abs(results[requirement.name])
+        finite = distances[np.isfinite(distances)]
+        with_sizes.append(replace(requirement, size=float(np.median(finite)) if finite.size else None))
+    return tuple(with_sizes)
 
 
 def violated(slack: Any) -> Any:

@@ -63,8 +63,10 @@ def simulated(study: Study, axis_name: str | None = AXIS, segment: int | None = 
 
 def results_of(study: Study, run: Run) -> dict[str, Scalar]:
     """The results of a finished lane by name."""
-    ended = {"failed_at": run.failed_at} | ({"settled_at": run.settled_at} if study.loop.settled else {})
-    return {**run.metrics, **run.slacks, "outcome": run.outcome, **ended}
+    results = {**run.metrics, **run.slacks, "outcome": run.outcome, "failed_at": run.failed_at}
+    if study.loop.settled:
+        results["settled_at"] = run.settled_at
+    return results
 
 
 @dataclass(frozen=True)
@@ -114,11 +116,10 @@ class Layout:
 
     def blocks(self) -> list[Block]:
         """Every block as a slice of the grid, in C order."""
-        starts = (range(0, size, step) for size, step in zip(self.shape, self.block, strict=True))
-        return [
-            tuple(slice(a, min(a + step, size)) for a, step, size in zip(at, self.block, self.shape, strict=True))
-            for at in itertools.product(*starts)
-        ]
+        parts = []
+        for size, step in zip(self.shape, self.block, strict=True):
+            parts.append([slice(start, min(start + step, size)) for start in range(0, size, step)])
+        return list(itertools.product(*parts))
 
 
 @dataclass
@@ -253,8 +254,10 @@ def lanes_of(study: Study, block: Block, values: Arrays) -> tuple[Arrays, np.nda
 
 def lane_numbers(study: Study, lanes: Lanes) -> Arrays:
     """Swept and drawn numbers of each lane, shape (n,) each."""
-    swept = {name: np.asarray(axis)[i] for (name, axis), i in zip(study.axes.items(), lanes, strict=False)}
-    return {**swept, **draw(study, lanes[-1])}
+    numbers = draw(study, lanes[-1])
+    for (name, axis), index in zip(study.axes.items(), lanes[:-1], strict=True):
+        numbers[name] = np.asarray(axis)[index]
+    return numbers
 
 
 def lanes_in(block: Block) -> int:
@@ -306,8 +309,11 @@ def evaluate(engine: Engine, values: Arrays, indices: np.ndarray) -> Arrays:
     Returns:
         Each metric, slack, ``outcome`` and ``failed_at``, shape (n,).
     """
-    parts = [slice(start, start + engine.lanes) for start in range(0, len(indices), engine.lanes)]
-    started = [engine({name: column[part] for name, column in values.items()}, indices[part]) for part in parts]
+    started = []
+    for start in range(0, len(indices), engine.lanes):
+        part = slice(start, start + engine.lanes)
+        columns = {name: column[part] for name, column in values.items()}
+        started.append(engine(columns, indices[part]))
     batches = [finish() for finish in started]
     return {name: np.concatenate([arrays[name] for arrays in batches]) for name in batches[0]}
 
@@ -315,8 +321,9 @@ def evaluate(engine: Engine, values: Arrays, indices: np.ndarray) -> Arrays:
 def is_noisy(engine: Engine) -> bool:
     """Whether a draw's result depends on its index apart from its values: noise of sensors, wind or disturbances."""
     values = draw(engine.study, np.arange(PROBES) % engine.study.config.draws)
-    repeated, shifted = (evaluate(engine, values, np.arange(first, first + PROBES)) for first in (0, PROBES))
-    return any(not np.array_equal(repeated[name], shifted[name], equal_nan=True) for name in repeated)
+    results = evaluate(engine, values, np.arange(PROBES))
+    shifted = evaluate(engine, values, np.arange(PROBES, 2 * PROBES))
+    return any(not np.array_equal(results[name], shifted[name], equal_nan=True) for name in results)
 
 
 def collect(block: Block, started: Callable[[], Arrays], values: Arrays) -> tuple[Block, Arrays, Arrays]:

@@ -156,9 +156,11 @@ def reverse_mode(study: Study, names: Sequence[str]) -> Lane:
     def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
         numbers = {name: values[name] for name in names}
         slopes, results = jax.jacrev(metrics_and_slacks(plain, values, index), has_aux=True)(numbers)
-        return with_derivatives(
-            results, {Derivative(of, by): slope for of, row in slopes.items() for by, slope in row.items()}
-        )
+        flat = {}
+        for metric, row in slopes.items():
+            for number, slope in row.items():
+                flat[Derivative(metric, number)] = slope
+        return with_derivatives(results, flat)
 
     return lane
 

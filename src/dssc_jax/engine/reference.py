@@ -82,19 +82,22 @@ def computed_again(study: Study, lanes: Lanes) -> Arrays:
 
 def moved(study: Study, lanes: Lanes) -> list[Arrays]:
     """Results of copies of the lanes by the plain program, with every number changed in its last bits."""
-    constant = {
-        name: np.full(len(lanes[-1]), number.value)
-        for name, number in study.numbers.items()
-        if not isinstance(number.value, Law) and number.quantity.law
-    }
+    columns = {}
+    for name, number in study.numbers.items():
+        if not isinstance(number.value, Law) and number.quantity.law:
+            columns[name] = np.full(len(lanes[-1]), number.value)
+    columns |= lane_numbers(study, lanes)
     rng = np.random.default_rng(0)
     shift = SHIFT[study.config.loop.precision]
-    values = {
-        name: (column * (1.0 + shift * rng.choice([-1.0, 1.0], (COPIES, len(column))))).ravel()
-        for name, column in {**constant, **lane_numbers(study, lanes)}.items()
-    }
+    values = {}
+    for name, column in columns.items():
+        signs = rng.choice([-1.0, 1.0], (COPIES, len(column)))
+        values[name] = (column * (1.0 + shift * signs)).ravel()
     results = plain_results(study, values, np.tile(lanes[-1], COPIES))
-    return [{name: np.split(array, COPIES)[copy] for name, array in results.items()} for copy in range(COPIES)]
+    copies = []
+    for copy in range(COPIES):
+        copies.append({name: np.split(array, COPIES)[copy] for name, array in results.items()})
+    return copies
 
 
 def stored_lanes(dataset: xr.Dataset, names: Iterable[str], lanes: Lanes) -> Arrays:
@@ -162,6 +165,11 @@ def sample_counts(study: Study) -> dict[str, float]:
     """The effect of one sample more or less, for each variable that counts samples."""
     clock = study.loop
     sample = {"s": clock.sample_time, "1": 1.0 / clock.steps}
-    samples = {m.name: (1.0 + 1e-6) * sample[m.metric.unit] for m in study.measures if m.metric.counted}
-    samples |= {r.name: samples[r.measure.name] for r in study.requirements if r.measure.name in samples}
-    return samples | dict.fromkeys(("failed_at", "settled_at"), (1.0 + 1e-6) * clock.sample_time)
+    samples = dict.fromkeys(("failed_at", "settled_at"), (1.0 + 1e-6) * clock.sample_time)
+    for measure in study.measures:
+        if measure.metric.counted:
+            samples[measure.name] = (1.0 + 1e-6) * sample[measure.metric.unit]
+    for requirement in study.requirements:
+        if requirement.measure.name in samples:
+            samples[requirement.name] = samples[requirement.measure.name]
+    return samples

@@ -92,11 +92,12 @@ def latin_design(seed: int, streams: tuple[int, ...], replicates: int, draws: in
     """All points of independent Latin hypercubes, shape (draws, factors): a design of one dimension for each factor."""
     from scipy.stats import qmc
 
-    def column(factor: int, replicate: int) -> np.ndarray:
-        return qmc.LatinHypercube(1, rng=generator(seed, factor, replicate)).random(draws // replicates)[:, 0]
-
-    columns = [np.stack([column(factor, r) for r in range(replicates)], axis=1).reshape(-1) for factor in streams]
-    return np.stack(columns, axis=1)
+    design = np.empty((draws // replicates, replicates, len(streams)))
+    for column, factor in enumerate(streams):
+        for replicate in range(replicates):
+            sequence = qmc.LatinHypercube(1, rng=generator(seed, factor, replicate))
+            design[:, replicate, column] = sequence.random(draws // replicates)[:, 0]
+    return design.reshape(-1, len(streams))
 
 
 def replicated_latin(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
@@ -153,7 +154,10 @@ def values_at(study: Study, points: np.ndarray) -> dict[str, np.ndarray]:
 
 def values_at_levels(study: Study, levels: np.ndarray) -> dict[str, np.ndarray]:
     """Values of the uncertain numbers at levels of their laws, one column per law; correlations are in the levels."""
-    return {name: law.quantile(levels[:, column]) for column, (name, law) in enumerate(study.laws.items())}
+    values = {}
+    for column, (name, law) in enumerate(study.laws.items()):
+        values[name] = law.quantile(levels[:, column])
+    return values
 
 
 def mixing(study: Study) -> np.ndarray:

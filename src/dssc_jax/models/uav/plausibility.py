@@ -57,11 +57,14 @@ def implausible(vehicle: Vehicle, fields: Collection[str]) -> list[str]:
 
     Args:
         vehicle: The vehicle.
-        given: Names of the fields that the study gives; the others are a base vehicle's own.
+        fields: Names of the fields that the study gives; the others are a base vehicle's own.
     """
-    return [
-        f"{number.name} is {number.value:.3g} {number.unit}".rstrip()
-        + f", usual are {number.low:g} to {number.high:g}; see plant.vehicle.{' and '.join(number.fields)}"
-        for number in usual_ranges(vehicle)
-        if not number.low <= number.value <= number.high and set(number.fields) & set(fields)
-    ]
+    lines = []
+    for number in usual_ranges(vehicle):
+        inside = number.low <= number.value <= number.high
+        if inside or not set(number.fields) & set(fields):
+            continue
+        found = f"{number.name} is {number.value:.3g} {number.unit}".rstrip()
+        usual = f"usual are {number.low:g} to {number.high:g}"
+        lines.append(f"{found}, {usual}; see plant.vehicle.{' and '.join(number.fields)}")
+    return lines
