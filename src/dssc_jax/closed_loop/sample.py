@@ -29,6 +29,7 @@ from dssc_jax.core.signals import (
     Scalar,
     Signals,
     State,
+    TrackingError,
     tracking_error,
 )
 
@@ -228,19 +229,43 @@ def control_channel(
         t,
         dt,
     )
-    u = controlled.command.robust
-    after = ChannelState(
+    after = channel._replace(
         controller=state.controller,
         sensor=sensor,
         differentiator=state.differentiator,
-        unmodelled=channel.unmodelled,
         disturbance=disturbance,
-        u=u,
-        reaching=channel.reaching,
+        u=controlled.command.robust,
         angle=measurement.y if is_angle(loop, i) else (),
         reading=state.reading,
     )
     return after, controlled
+
+
+def metric_sample(
+    loop: Loop,
+    k: Scalar,
+    error: TrackingError,
+    reference: ReferencePoint,
+    controlled: Controlled,
+    u_previous: Scalar,
+    input_gain: Scalar,
+    l0: Scalar,
+) -> Sample:
+    """The signals of one channel at sample k, for metrics."""
+    command = controlled.command
+    return Sample(
+        k=k,
+        dt=loop.sample_time,
+        e=error.e,
+        sigma=error.sigma,
+        sigma_measured=tracking_error(controlled.sensed, controlled.reference, l0).sigma,
+        u=command.robust,
+        u_previous=jnp.where(k == 0, command.robust, u_previous),
+        u_total=command.total,
+        k_p=input_gain,
+        info=controlled.info,
+        reference=reference,
+    )
 
 
 def step(
@@ -277,26 +302,12 @@ def step(
     commands = []
     outputs = []
     for i, channel in enumerate(state.channels):
-        m = measurements[i]
-        r = references[i]
-        after, controlled = control_channel(loop, params, key, channel, i, m, r, k)
-        _, sensed, desired, command, info = controlled
-        error = tracking_error(m, r, params.controller[i].l0)
-        samples.append(
-            Sample(
-                k=k,
-                dt=dt,
-                e=error.e,
-                sigma=error.sigma,
-                sigma_measured=tracking_error(sensed, desired, params.controller[i].l0).sigma,
-                u=command.robust,
-                u_previous=jnp.where(k == 0, command.robust, channel.u),
-                u_total=command.total,
-                k_p=gains[i],
-                info=info,
-                reference=r,
-            )
-        )
+        reference = references[i]
+        after, controlled = control_channel(loop, params, key, channel, i, measurements[i], reference, k)
+        l0 = params.controller[i].l0
+        error = tracking_error(measurements[i], reference, l0)
+        samples.append(metric_sample(loop, k, error, reference, controlled, channel.u, gains[i], l0))
+        command = controlled.command
         total = command.total if added is None else command.total + added[i]
         sampled = loop.unmodelled[i].sample(params.unmodelled[i], channel.unmodelled, total, dt)
         channels.append(after._replace(unmodelled=sampled))

@@ -13,14 +13,14 @@ class ConfigError(ValueError):
     """Bad input: its location, the rule it violates and the value found.
 
     Args:
-        where: File and dotted path of the field, e.g. ``study.toml: plant.k_p``.
+        location: File and dotted path of the field, e.g. ``study.toml: plant.k_p``.
         rule: What must hold, and the value that does not.
     """
 
-    def __init__(self, where: str, rule: str) -> None:
-        self.where = where
+    def __init__(self, location: str, rule: str) -> None:
+        self.where = location
         self.rule = rule
-        super().__init__(f"{where}: {rule}" if where else rule)
+        super().__init__(f"{location}: {rule}" if location else rule)
 
     def __reduce__(self) -> tuple[type, tuple[str, str]]:  # it travels between a cluster's processes
         return ConfigError, (self.where, self.rule)
@@ -48,7 +48,7 @@ def errors_under(path: str) -> Iterator[None]:
 
 
 @contextmanager
-def errors_in_code(where: str, function: Callable[..., object]) -> Iterator[None]:
+def errors_in_code(subject: str, function: Callable[..., object]) -> Iterator[None]:
     """Report an exception of a user's own code in one line, with the line of the user's file.
 
     Raises:
@@ -65,7 +65,7 @@ def errors_in_code(where: str, function: Callable[..., object]) -> Iterator[None
         code = getattr(function, "__code__", None)
         place = f", in line {code.co_firstlineno} of {code.co_filename}" if code is not None else ""
         place = f", in line {lines[-1].lineno} of {lines[-1].filename}" if lines else place
-        raise ConfigError(where, f"{type(error).__name__}: {text}{place}") from error
+        raise ConfigError(subject, f"{type(error).__name__}: {text}{place}") from error
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:
