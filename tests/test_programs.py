@@ -70,6 +70,7 @@ SENSOR_TABLES = [
     *examples(SENSORS),
     {"kind": "noisy", "velocity_std": 0.02, "velocity_resolution": 0.01, "loss": 0.1, "jitter": 0.005},
 ]
+DIFFERENTIATOR_TABLES = examples(DIFFERENTIATORS)
 DISTURBANCE_TABLES = [
     *examples(DISTURBANCES),
     {"kind": "constant", "value": {"uniform": [0.1, 0.3]}},
@@ -93,7 +94,7 @@ def random_studies(seed=20, count=COUNT):
         "controller": CONTROLLER_TABLES,
         "reference": REFERENCE_TABLES,
         "sensor": SENSOR_TABLES,
-        "differentiator": examples(DIFFERENTIATORS),
+        "differentiator": DIFFERENTIATOR_TABLES,
         "unmodelled": examples(UNMODELLED),
         "disturbance": DISTURBANCE_TABLES,
     }

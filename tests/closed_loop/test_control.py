@@ -36,9 +36,9 @@ def flights(wrapped, continuous):
     return [dj.simulate(dj.Study.from_table(table)) for table in (wrapped, continuous)]
 
 
-def departure(one, other):
+def departure(first, second):
     """Largest difference of the signals, relative to the largest value of each."""
-    return max(float(np.max(np.abs(one[name] - other[name])) / np.max(np.abs(other[name]))) for name in SIGNALS)
+    return max(float(np.max(np.abs(first[name] - second[name])) / np.max(np.abs(second[name]))) for name in SIGNALS)
 
 
 @pytest.mark.parametrize(
@@ -51,10 +51,10 @@ def test_a_step_of_more_than_half_a_turn(sensor, differentiator):
     size = 3.5
     wrapped = heading(reference={"kind": "step", "size": size, "at": 1.0}, **parts)
     shorter = {"kind": "step", "size": size - 2.0 * math.pi, "at": 1.0}
-    one, other = flights(wrapped, heading("CONTINUOUS", reference=shorter, **parts))
-    assert departure(one, other) < COMPILER
-    assert float(np.max(np.abs(one["sigma"]))) == pytest.approx(0.5 * (2.0 * math.pi - size), rel=0.2)
-    assert float(np.max(np.abs(one["sigma_measured"] - one["sigma"]))) < 0.35
+    first, second = flights(wrapped, heading("CONTINUOUS", reference=shorter, **parts))
+    assert departure(first, second) < COMPILER
+    assert float(np.max(np.abs(first["sigma"]))) == pytest.approx(0.5 * (2.0 * math.pi - size), rel=0.2)
+    assert float(np.max(np.abs(first["sigma_measured"] - first["sigma"]))) < 0.35
 
 
 @pytest.mark.parametrize("controller", [heading()["controller"], PID], ids=["pi", "pid"])
@@ -64,23 +64,23 @@ def test_turning_through_pi(controller, direction):
     parts = {"sensor": SENSORS["lag"], "differentiator": DIFFERENTIATORS["lead"], "controller": controller}
     start = 3.0 * direction
     ramp = {"kind": "ramp", "slope": 2.0 * direction, "offset": start}
-    one, other = flights(
+    first, second = flights(
         heading(start=start, reference=ramp, **parts), heading("CONTINUOUS", start=start, reference=ramp, **parts)
     )
-    assert departure(one, other) < COMPILER
-    assert np.array_equal(np.sign(one["y"]), np.sign(other["y"]))  # what is shown lies near the reference
+    assert departure(first, second) < COMPILER
+    assert np.array_equal(np.sign(first["y"]), np.sign(second["y"]))  # what is shown lies near the reference
 
 
 def test_a_pid_sees_no_jump_of_its_measurement():
     """The reference steps by more than half a turn; the derivative of the measurement takes no part in it."""
     step = {"kind": "step", "size": 3.5, "at": 1.0}
-    one, other = flights(
+    first, second = flights(
         heading(controller=PID, reference=step),
         heading("CONTINUOUS", controller=PID, reference=step | {"size": 3.5 - 2.0 * math.pi}),
     )
-    assert departure(one, other) < COMPILER
-    at = int(np.searchsorted(one["t"].values, 1.0 - 1e-9))
-    assert abs(float(one["derivative"][at])) < 1e-6
+    assert departure(first, second) < COMPILER
+    at = int(np.searchsorted(first["t"].values, 1.0 - 1e-9))
+    assert abs(float(first["derivative"][at])) < 1e-6
 
 
 def test_the_vehicle_turns_the_short_way():
@@ -103,11 +103,11 @@ def test_the_vehicle_turns_the_short_way():
 @pytest.mark.parametrize("desired", [3.1, -3.1, math.pi, 0.3, -3.1 - 4.0 * math.pi])
 def test_turned_near(psi, desired):
     with arithmetic():
-        near = float(turned_near(psi, desired))
-    assert abs(near - desired) <= math.pi * (1.0 + ROUNDING)
-    assert np.exp(1j * near) == pytest.approx(np.exp(1j * psi), abs=1e-13)
+        close = float(turned_near(psi, desired))
+    assert abs(close - desired) <= math.pi * (1.0 + ROUNDING)
+    assert np.exp(1j * close) == pytest.approx(np.exp(1j * psi), abs=1e-13)
     if abs(psi - desired) < math.pi:
-        assert near == psi
+        assert close == psi
 
 
 def carrying_controllers():
@@ -142,7 +142,7 @@ def test_a_transferred_state_gives_the_command(table):
             assert table["kind"] == "smc"
             assert transferred_control(study.loop, params, 0, reading, reference, 0.3) is None
             return
-        for wanted in (0.3, -0.25):
-            state = transferred_control(study.loop, params, 0, reading, reference, jnp.asarray(wanted))
+        for expected in (0.3, -0.25):
+            state = transferred_control(study.loop, params, 0, reading, reference, jnp.asarray(expected))
             _, controlled = control(study.loop, params, 0, state, reading, reference)
-            assert float(controlled.command.total) == pytest.approx(wanted, abs=1e-10)
+            assert float(controlled.command.total) == pytest.approx(expected, abs=1e-10)

@@ -58,8 +58,8 @@ def test_the_one_channel_of_a_plant_may_have_a_name(monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(tmp_path)
     plain = dj.Study.from_table(DIVERGING | {"plant": {"kind": "normal_form", "initial": [1.0, 1.0]}})
     named = plain.override({"plant.kind": "named_plant:PLANT", "requirement.0.metric": "error_max_x"})
-    one, other = dj.run(plain).dataset, dj.run(named).dataset
-    np.testing.assert_array_equal(one["error_rms"], other["error_rms_x"])
+    first, second = dj.run(plain).dataset, dj.run(named).dataset
+    np.testing.assert_array_equal(first["error_rms"], second["error_rms_x"])
     assert named.requirements[0].text == "error_max_x <= 10 m"
 
 

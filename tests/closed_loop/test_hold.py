@@ -91,11 +91,11 @@ def test_every_lag_is_held_exactly(ratio, order):
 
 
 def test_a_lag_tends_to_none():
-    none, short = (
+    ideal, short = (
         dj.simulate(dj.Study.from_table(loop(table)))["y"].values
         for table in ({"kind": "none"}, {"kind": "lag", "order": 1, "mu": 1e-16})
     )
-    np.testing.assert_allclose(short, none, rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(short, ideal, rtol=1e-10, atol=1e-10)
 
 
 @pytest.mark.parametrize("substeps", [1, 20])
@@ -284,12 +284,12 @@ def test_a_lag_before_a_nonlinear_plant_tends_to_none(case):
     """With one step of Runge-Kutta in each sample, to rounding: no share of the old command stays."""
     study = with_substeps(case, 1)
     short = dj.simulate(study.override({"unmodelled.mu": 1e-14}))["y"].values
-    none = dj.simulate(study.override({"unmodelled": {"kind": "none"}}))["y"].values
-    np.testing.assert_allclose(short, none, rtol=1e-10, atol=1e-11)
+    ideal = dj.simulate(study.override({"unmodelled": {"kind": "none"}}))["y"].values
+    np.testing.assert_allclose(short, ideal, rtol=1e-10, atol=1e-11)
 
 
 def test_both_forms_of_the_pendulum_agree():
-    whole, split = (
+    complete, split = (
         dj.simulate(
             dj.Study.from_table(
                 with_substeps("pendulum", 128).table | {"plant": {"kind": f"tests.closed_loop.test_hold:{name}"}}
@@ -297,7 +297,7 @@ def test_both_forms_of_the_pendulum_agree():
         )["y"].values
         for name in ("PENDULUM", "SPLIT")
     )
-    np.testing.assert_allclose(split, whole, rtol=1e-8)
+    np.testing.assert_allclose(split, complete, rtol=1e-8)
 
 
 @pytest.mark.parametrize(("command", "rate"), [(1.0, 4.0), (-1.0, 1e9), (1.0, 0.1), (0.0, 1.0), (1.0, np.inf)])
@@ -333,8 +333,8 @@ def test_the_integration_error_is_told_with_its_remedy():
     assert not coarse.exact
     assert coarse.matters
     assert f"loop.substeps = {coarse.remedy}" in coarse.warning
-    one, two = (dj.run(study.override({"loop.substeps": n}), check=False).dataset["error_rms"].values for n in (1, 2))
-    assert coarse.change == pytest.approx(np.abs(one - two).max() / 0.2, rel=1e-9)
+    first, two = (dj.run(study.override({"loop.substeps": n}), check=False).dataset["error_rms"].values for n in (1, 2))
+    assert coarse.change == pytest.approx(np.abs(first - two).max() / 0.2, rel=1e-9)
     mended = integration_error(study.override({"loop.substeps": coarse.remedy}))
     assert not mended.matters
     assert mended.warning == ""
@@ -342,10 +342,10 @@ def test_the_integration_error_is_told_with_its_remedy():
 
 def test_a_changed_verdict_is_told():
     study = with_substeps("pendulum", 1)
-    one, two = (
+    first, two = (
         dj.run(study.override({"loop.substeps": n}), check=False).dataset["error_rms"].values[0] for n in (1, 2)
     )
-    between = study.override({"requirement": [{"metric": "error_rms", "max": float(0.5 * (one + two))}]})
-    assert integration_error(between).verdicts == 1
-    assert "1 verdicts change" in dj.run(between).summary()["integration"]["warning"]
-    assert dj.run(between, check=False).summary()["integration"] is None
+    halfway = study.override({"requirement": [{"metric": "error_rms", "max": float(0.5 * (first + two))}]})
+    assert integration_error(halfway).verdicts == 1
+    assert "1 verdicts change" in dj.run(halfway).summary()["integration"]["warning"]
+    assert dj.run(halfway, check=False).summary()["integration"] is None

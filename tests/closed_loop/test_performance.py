@@ -25,7 +25,7 @@ error_rms = Metric("m", "a name that is taken", peak(lambda s: s.e), itself)
 
 
 @pytest.fixture
-def own(tmp_path, monkeypatch):
+def custom(tmp_path, monkeypatch):
     (tmp_path / "own_metrics.py").write_text(OWN)
     monkeypatch.syspath_prepend(str(tmp_path))
     yield
@@ -42,7 +42,7 @@ def test_streaming_equals_stored(case_2):
     study = case_2.override({"sensor": sensor, "metrics": {"after": 10.0, "names": ["error_rms", *PERFORMANCE]}})
     run = dj.simulate(study)
     inside = run["t"].values >= 10.0 - 1e-9
-    e, u, whole, sigma, t = (run[name].values[inside] for name in ("e", "u", "u_total", "sigma", "t"))
+    e, u, energy, sigma, t = (run[name].values[inside] for name in ("e", "u", "u_total", "sigma", "t"))
     slow = [u[0]]
     for value in u[1:]:
         slow.append(slow[-1] + (1.0 - np.exp(-2.0 * np.pi * 0.005)) * (value - slow[-1]))
@@ -58,7 +58,7 @@ def test_streaming_equals_stored(case_2):
         "chattering_index": fast / (fast + len(u) * np.var(slow)),
         "noise_amplification": np.sqrt(fast / np.sum(noise**2)),
         "noise_drift": abs(np.sum(gain[1:] * np.diff(noise))) / (0.005 * len(u)),
-        "total_command_tv": np.abs(np.diff(whole)).sum(),
+        "total_command_tv": np.abs(np.diff(energy)).sum(),
         "growth_rate": np.polyfit(t, np.log(np.abs(sigma)), 1)[0],
     }
     assert set(expected) == {name for name, metric in PERFORMANCE.items() if metric.scope is Scope.CHANNEL}
@@ -68,13 +68,13 @@ def test_streaming_equals_stored(case_2):
 
 
 def test_a_constant_command_does_not_chatter(case_2):
-    still = {
+    constant = {
         "plant.initial": [0.0, 0.0],
         "reference": {"kind": "zero"},
         "disturbance": {"kind": "none"},
         "metrics": {"names": list(PERFORMANCE)},
     }
-    attrs = dj.simulate(case_2.override(still)).attrs
+    attrs = dj.simulate(case_2.override(constant)).attrs
     assert {attrs[name] for name in PERFORMANCE if name in attrs and name != "growth_rate"} == {0.0}
 
 
@@ -98,7 +98,7 @@ def test_metrics_of_an_angle_are_in_radians():
     named = {"metrics.names": ["error_rms", "iae", "itae", "command_energy", "tilt_max", "chattering_index"]}
     uav = dj.Study.load(Path(__file__).parents[2] / "studies" / "paper_case1.toml")
     study = uav.override({**named, "requirement": [{"metric": "error_max_psi", "max": 0.1}]})
-    units = {name: about.attributes["units"] for name, about in variables(study).items() if name != "outcome"}
+    units = {name: variable.attributes["units"] for name, variable in variables(study).items() if name != "outcome"}
     of_length = {"error_rms": "m", "iae": "m s", "itae": "m s^2", "command_energy": "m^2/s"}
     for kind, unit in of_length.items():
         assert (units[f"{kind}_x"], units[f"{kind}_psi"]) == (unit, "rad" + unit.removeprefix("m"))
@@ -124,7 +124,7 @@ def test_chattering_is_the_share_above_the_cutoff():
     assert found["implicit"] < 1e-3
 
 
-def test_own_metric(case_2, own, tmp_path):
+def test_own_metric(case_2, custom, tmp_path):
     study = case_2.override(
         {
             "metrics": {"names": ["own_metrics:JERK"]},
@@ -151,7 +151,7 @@ def test_own_metric(case_2, own, tmp_path):
         ("chattering_indx", "did you mean 'chattering_index'"),
     ],
 )
-def test_bad_names(case_2, own, name, rule):
+def test_bad_names(case_2, custom, name, rule):
     for changes in ({"metrics": {"names": [name]}}, {"requirement": [{"metric": name, "max": 1.0}]}):
         with pytest.raises(dj.ConfigError, match=rule):
             case_2.override(changes)

@@ -74,8 +74,8 @@ def test_a_trajectory_stops_there_and_replays(study, result):
 
 
 def test_a_rule_that_nothing_meets_changes_nothing():
-    never = dj.Study.from_table(LOOP).override({"loop.settled": {**RULE, "error": 1e-12}})
-    plain, found = dj.run(dj.Study.from_table(LOOP)).dataset, dj.run(never).dataset
+    endless = dj.Study.from_table(LOOP).override({"loop.settled": {**RULE, "error": 1e-12}})
+    plain, found = dj.run(dj.Study.from_table(LOOP)).dataset, dj.run(endless).dataset
     assert np.all(np.isnan(found["settled_at"]))
     for name in plain.data_vars:
         np.testing.assert_allclose(found[name], plain[name], rtol=1e-13, err_msg=name)

@@ -24,12 +24,12 @@ def counted(ends):
     def sample(at):
         return Counting(at.k + 1, at.end, at.computed + 1)
 
-    def one(end):
+    def single(end):
         zero = jnp.zeros((), jnp.int32)
         at = Counting(zero, end, zero)
         return until_all_ended(sample, lambda at: at.k < at.end, at, STEPS, "tile").computed
 
-    return np.asarray(jax.jit(jax.vmap(one, axis_name="tile"))(jnp.asarray(ends)))
+    return np.asarray(jax.jit(jax.vmap(single, axis_name="tile"))(jnp.asarray(ends)))
 
 
 @pytest.mark.parametrize(
@@ -46,12 +46,12 @@ def test_a_tile_stops_at_the_first_look_without_a_flying_draw(ends, computed):
     assert counted(ends).tolist() == [computed, computed]
 
 
-@pytest.mark.parametrize("every", [1, 3, 7, 8])
-def test_a_recording_holds_every_nth_sample_and_ends_with_the_last(every):
+@pytest.mark.parametrize("stride", [1, 3, 7, 8])
+def test_a_recording_holds_every_nth_sample_and_ends_with_the_last(stride):
     def sample(at):
         return Counting(at.k + 1, at.end, at.computed + at.k), at.k
 
     zero = jnp.zeros((), jnp.int32)
-    end, recorded = scan_recorded(sample, Counting(zero, zero, zero), 8, every)
-    assert np.asarray(recorded).tolist() == list(range(0, 8, every))
+    end, recorded = scan_recorded(sample, Counting(zero, zero, zero), 8, stride)
+    assert np.asarray(recorded).tolist() == list(range(0, 8, stride))
     assert (int(end.k), int(end.computed)) == (8, sum(range(8)))

@@ -52,8 +52,8 @@ def test_a_field_is_parsed_printed_and_copied(name):
         window = requirement.measure.window
         assert getattr(window, name) == value
         assert Window.of(window.entries()) == window
-        again = dj.Study.from_table(tomllib.loads(tomli_w.dumps(read.table)))
-        assert again.requirements == read.requirements
+        parsed = dj.Study.from_table(tomllib.loads(tomli_w.dumps(read.table)))
+        assert parsed.requirements == read.requirements
         assert read.override({"draws": 3}).requirements[0].measure.window == window
         tuned = Plan.of(read).trial()
         assert tuned.requirements[0].measure == requirement.measure
@@ -81,9 +81,9 @@ def test_an_override_moves_a_field(name):
 def test_both_tables_have_the_declared_bounds(name):
     entry = window_entries()[name]
     low = entry.bounds.get("ge", entry.bounds.get("gt", 0.0))
-    for table, more in ((MetricsTable, {}), (RequirementTable, {"metric": "error_rms", "max": 1.0})):
+    for table, windows in ((MetricsTable, {}), (RequirementTable, {"metric": "error_rms", "max": 1.0})):
         with pytest.raises(ValidationError, match=entry.key):
-            table(**more, **{entry.key: low - 1.0})
+            table(**windows, **{entry.key: low - 1.0})
     assert MetricsTable().window == WHOLE_RUN
     assert RequirementTable(metric="error_rms", max=1.0).window(Window(3.0, 0.1, 5.0)) == Window(3.0, 0.1, 5.0)
 

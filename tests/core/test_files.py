@@ -154,8 +154,8 @@ def test_two_processes_write_one_file(tmp_path):
         return subprocess.run(arguments, check=True)
 
     seen = set()
-    with ThreadPoolExecutor(2) as both:
-        writers = [both.submit(process, letter) for letter in sizes]
+    with ThreadPoolExecutor(2) as pool:
+        writers = [pool.submit(process, letter) for letter in sizes]
         while not all(writer.done() for writer in writers):
             if path.exists():
                 seen.add(path.read_bytes())

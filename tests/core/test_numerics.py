@@ -47,8 +47,8 @@ def test_log_defect_against_high_precision(precision, largest, ulps):
         values = np.asarray(jax.jit(log_defect)(x))
     assert values.dtype == kind
     with mpmath.workdps(120):
-        numbers = [mpmath.mpf(float(each)) for each in x[1:]]
-        exact = [mpmath.mpf(1) / 2, *((each - mpmath.log1p(each)) / each**2 for each in numbers)]
+        numbers = [mpmath.mpf(float(value)) for value in x[1:]]
+        exact = [mpmath.mpf(1) / 2, *((value - mpmath.log1p(value)) / value**2 for value in numbers)]
         errors = [abs(mpmath.mpf(float(a)) / b - 1) for a, b in zip(values, exact, strict=True)]
     assert max(errors) < ulps * np.finfo(kind).eps
 
@@ -59,8 +59,8 @@ def test_log_defect_has_the_right_slope():
     slope = np.asarray(jax.vmap(jax.grad(log_defect))(jnp.asarray(x)))
     assert slope[0] == pytest.approx(-1.0 / 3.0, rel=1e-12)
     with mpmath.workdps(60):
-        for each, found in zip(map(mpmath.mpf, map(float, x[1:])), slope[1:], strict=True):
-            exact = 1 / (each * (1 + each)) - 2 * (each - mpmath.log1p(each)) / each**3
+        for value, found in zip(map(mpmath.mpf, map(float, x[1:])), slope[1:], strict=True):
+            exact = 1 / (value * (1 + value)) - 2 * (value - mpmath.log1p(value)) / value**3
             assert found == pytest.approx(float(exact), rel=1e-9)
 
 

@@ -25,9 +25,9 @@ def exact(a, column, h):
 def found(a, column, h):
     """The same by the package."""
     rows = tuple(tuple(row) for row in a)
-    whole = hold(rows, (Forcing(tuple(column), TERMS),), h).full
+    transition = hold(rows, (Forcing(tuple(column), TERMS),), h).full
     matrix = np.zeros((len(a), len(a) + TERMS))
-    for (row, place), entry in whole.entries.items():
+    for (row, place), entry in transition.entries.items():
         matrix[row, place] = entry
     return matrix + np.eye(len(a), len(a) + TERMS)
 
@@ -91,9 +91,9 @@ def test_half_a_step_twice_is_a_whole_step():
     a, column = lag_chain(0.2)
     held = hold(tuple(map(tuple, a)), (Forcing(tuple(column), 1),), 0.5)
     x = (1.0, -0.5, 0.3, 0.2)
-    once = held.full.apply(x, ((0.7,),))
+    full_step = held.full.apply(x, ((0.7,),))
     twice = held.half.apply(held.half.apply(x, ((0.7,),)), ((0.7,),))
-    np.testing.assert_allclose(twice, once, rtol=1e-14)
+    np.testing.assert_allclose(twice, full_step, rtol=1e-14)
 
 
 def test_derivatives_are_those_of_differences():

@@ -53,8 +53,8 @@ def test_vectors_and_matrices_equal_numpy():
             (matrix.transpose @ u, m.T @ a),
             (matrix.transpose, m.T),
         ]
-        for found, wanted in pairs:
-            gap = np.max(np.abs(np.array(found) - wanted) / np.maximum(np.abs(wanted), 1.0))
+        for found, expected in pairs:
+            gap = np.max(np.abs(np.array(found) - expected) / np.maximum(np.abs(expected), 1.0))
             worst = max(worst, float(gap))
     print(f"\nvectors and matrices: {worst:.1e}")
     assert worst < 1e-14
@@ -69,13 +69,13 @@ def test_norm_has_a_gradient_at_zero():
 @pytest.mark.parametrize("angles", EULER)
 def test_quaternion_equals_scipy(angles):
     """Rotation matrix, the quaternion of Euler angles up to its sign, and normalisation."""
-    wanted = turned(*angles)
+    expected = turned(*angles)
     q = quaternion_from_euler(*angles)
     matrix = np.array(q.matrix())
-    gap = np.abs(matrix - wanted.as_matrix()).max()
-    other = np.array(quaternion_of(wanted))
-    sign = np.sign(np.dot(other, np.array(q)))
-    gap_q = np.abs(np.array(q) - sign * other).max()
+    gap = np.abs(matrix - expected.as_matrix()).max()
+    second = np.array(quaternion_of(expected))
+    sign = np.sign(np.dot(second, np.array(q)))
+    gap_q = np.abs(np.array(q) - sign * second).max()
     longer = Quaternion(*(3.7 * x for x in q)).normalised()
     gap_n = np.abs(np.array(longer) - np.array(q)).max()
     print(f"\nmatrix {gap:.1e}, quaternion {gap_q:.1e}, normalised {gap_n:.1e}")
@@ -113,8 +113,10 @@ def test_euler_angles_and_their_rates_equal_scipy(angles):
     matrix = quaternion_of(at).matrix()
     gap = np.abs(np.array(euler_of(matrix)) - np.array(angles)).max()
     phi, theta, psi = angles
-    wanted = Trig(np.cos(phi), np.sin(phi), np.cos(theta), np.sin(theta), np.cos(psi), np.sin(psi), 1.0 / np.cos(theta))
-    gap_t = np.abs(np.array(trig_of(matrix)) - np.array(wanted)).max()
+    expected = Trig(
+        np.cos(phi), np.sin(phi), np.cos(theta), np.sin(theta), np.cos(psi), np.sin(psi), 1.0 / np.cos(theta)
+    )
+    gap_t = np.abs(np.array(trig_of(matrix)) - np.array(expected)).max()
 
     def angles_after(time):
         return (at * Rotation.from_rotvec(omega * time)).as_euler("ZYX")[::-1]

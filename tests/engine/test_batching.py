@@ -11,76 +11,78 @@ from dssc_jax.engine.batching import Engine, Layout, drawn
 from tests.tolerances import COMPILER, SINGLE
 
 
-def same(left, right):
+def assert_same(left, right):
     for name in left.dataset.data_vars:
         np.testing.assert_array_equal(left.dataset[name].values, right.dataset[name].values, err_msg=name)
 
 
 @pytest.fixture(scope="module")
-def whole():
+def complete():
     from tests.conftest import UNCERTAIN
 
     return dj.run(dj.Study.from_table(UNCERTAIN))
 
 
-def test_the_study_is_not_trivial(whole):
-    share = whole.failed.mean().item()
+def test_the_study_is_not_trivial(complete):
+    share = complete.failed.mean().item()
     assert 0.05 < share < 0.95
-    assert whole.dataset.sizes == {"controller.functions.tau_av": 3, "controller.l0": 2, "draw": 24}
+    assert complete.dataset.sizes == {"controller.functions.tau_av": 3, "controller.l0": 2, "draw": 24}
 
 
 @pytest.mark.parametrize("block", [1, 7, 24, 1000])
-def test_any_chunk_size(whole, block):
-    found = dj.run(whole.study, block=block)
-    same(whole, found)
+def test_any_chunk_size(complete, block):
+    found = dj.run(complete.study, block=block)
+    assert_same(complete, found)
     assert found.manifest["times"]["traces"] <= 1  # one compile
 
 
 @pytest.mark.parametrize("tile", [1, 40, 1024])
-def test_any_tile_size(whole, tile):
-    same(whole, dj.run(whole.study, tile=tile))
+def test_any_tile_size(complete, tile):
+    assert_same(complete, dj.run(complete.study, tile=tile))
 
 
-def test_any_number_of_devices(whole):
+def test_any_number_of_devices(complete):
     """All of them made the whole."""
-    same(whole, dj.run(whole.study, devices=1))
+    assert_same(complete, dj.run(complete.study, devices=1))
 
 
-def test_more_draws_keep_the_first_ones(whole):
-    more = dj.run(whole.study.override({"draws": 60}))
-    for name in whole.dataset.data_vars:
-        np.testing.assert_array_equal(more.dataset[name].values[..., :24], whole.dataset[name].values, err_msg=name)
+def test_more_draws_keep_the_first_ones(complete):
+    extended = dj.run(complete.study.override({"draws": 60}))
+    for name in complete.dataset.data_vars:
+        np.testing.assert_array_equal(
+            extended.dataset[name].values[..., :24], complete.dataset[name].values, err_msg=name
+        )
 
 
-def test_another_law_does_not_move_the_draws_of_the_others(whole):
-    fixed = dj.run(whole.study.override({"plant.k_p": 1.0}))
+def test_another_law_does_not_move_the_draws_of_the_others(complete):
+    fixed = dj.run(complete.study.override({"plant.k_p": 1.0}))
     for name in ("plant.a_p", "unmodelled.mu", "controller.rho", "plant.zero_dynamics.a.1"):
-        np.testing.assert_array_equal(fixed.dataset[name].values, whole.dataset[name].values, err_msg=name)
+        np.testing.assert_array_equal(fixed.dataset[name].values, complete.dataset[name].values, err_msg=name)
 
 
-def test_another_seed_gives_other_draws(whole):
-    other = dj.run(whole.study.override({"seed": 4}))
-    assert not np.any(other.dataset["plant.k_p"].values == whole.dataset["plant.k_p"].values)
+def test_another_seed_gives_other_draws(complete):
+    second = dj.run(complete.study.override({"seed": 4}))
+    assert not np.any(second.dataset["plant.k_p"].values == complete.dataset["plant.k_p"].values)
 
 
-def test_vmap_equals_a_loop(whole):
+def test_vmap_equals_a_loop(complete):
     """A batch against one draw at a time, by the single-draw path."""
     for draw in (0, 5, 23):
         point = {"controller.functions.tau_av": 0.05, "controller.l0": 0.5}
-        alone = dj.simulate(whole.study, draw, point=point)
-        batch = whole.dataset.sel(point).isel(draw=draw)
-        for measure in whole.study.measures:
+        alone = dj.simulate(complete.study, draw, point=point)
+        batch = complete.dataset.sel(point).isel(draw=draw)
+        for measure in complete.study.measures:
             assert alone.attrs[measure.name] == pytest.approx(batch[measure.name].item(), rel=1e-11), measure.name
 
 
-def test_a_replay_agrees(whole):
-    again = dj.replay(whole, 11, point={"controller.functions.tau_av": 0.1, "controller.l0": 1.0})
-    assert again.attrs["agreement"] == "agrees"
-    assert 0.0 <= again.attrs["deviation"] < 1e-11
+def test_a_replay_agrees(complete):
+    repeated = dj.replay(complete, 11, point={"controller.functions.tau_av": 0.1, "controller.l0": 1.0})
+    assert repeated.attrs["agreement"] == "agrees"
+    assert 0.0 <= repeated.attrs["deviation"] < 1e-11
 
 
-def test_one_compile_for_the_whole_sweep(whole):
-    assert whole.manifest["times"]["traces"] <= 1
+def test_one_compile_for_the_whole_sweep(complete):
+    assert complete.manifest["times"]["traces"] <= 1
 
 
 @pytest.mark.parametrize("shape", [{}, {"draws": 1}, {"draws": 1000, "sweep": {}}])

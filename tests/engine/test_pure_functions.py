@@ -77,9 +77,9 @@ def test_a_step_depends_on_its_state_alone(study):
     loop = dj.stepper(study)
     step = jax.jit(loop.step)
     state = loop.init(*loop.example)
-    once = step(state)[0]
-    again = step(state)[0]
-    assert jax.tree.all(jax.tree.map(jnp.array_equal, once.loop, again.loop))
+    first = step(state)[0]
+    second = step(state)[0]
+    assert jax.tree.all(jax.tree.map(jnp.array_equal, first.loop, second.loop))
 
 
 @pytest.mark.parametrize("make", [lambda study: dj.lane(study), lambda study: dj.stepper(study).init])

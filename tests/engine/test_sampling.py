@@ -18,17 +18,17 @@ def plain(uncertain):
 @pytest.mark.parametrize("kind", ["random", "sobol", "lhs"])
 def test_a_point_depends_on_its_index_only(plain, kind):
     study = plain.override({"sampling": kind, "draws": 512})
-    whole = unit_points(study, np.arange(512))
+    complete = unit_points(study, np.arange(512))
     for start, stop in [(0, 1), (3, 200), (500, 512)]:
-        np.testing.assert_array_equal(unit_points(study, np.arange(start, stop)), whole[start:stop])
-    assert np.all((whole > 0.0) & (whole < 1.0))
-    assert len(np.unique(whole)) == whole.size
+        np.testing.assert_array_equal(unit_points(study, np.arange(start, stop)), complete[start:stop])
+    assert np.all((complete > 0.0) & (complete < 1.0))
+    assert len(np.unique(complete)) == complete.size
 
 
 @pytest.mark.parametrize("kind", ["random", "sobol"])
 def test_more_draws_keep_the_first_ones(plain, kind):
-    few, many = (plain.override({"sampling": kind, "draws": n}) for n in (128, 1024))
-    np.testing.assert_array_equal(unit_points(few, np.arange(128)), unit_points(many, np.arange(128)))
+    short, long = (plain.override({"sampling": kind, "draws": n}) for n in (128, 1024))
+    np.testing.assert_array_equal(unit_points(short, np.arange(128)), unit_points(long, np.arange(128)))
 
 
 @pytest.mark.parametrize(("kind", "cells"), [("sobol", 64), ("lhs", 75)])
@@ -43,8 +43,8 @@ def test_every_replicate_is_stratified_and_differs_from_the_others(plain, kind, 
 
 def test_another_seed_gives_other_points(plain):
     for kind in ("sobol", "lhs"):
-        one, other = (plain.override({"sampling": kind, "draws": 64, "seed": s}) for s in (1, 2))
-        assert not np.any(unit_points(one, np.arange(64)) == unit_points(other, np.arange(64)))
+        first, second = (plain.override({"sampling": kind, "draws": 64, "seed": s}) for s in (1, 2))
+        assert not np.any(unit_points(first, np.arange(64)) == unit_points(second, np.arange(64)))
 
 
 def test_another_law_does_not_move_the_latin_columns_of_the_others(plain):

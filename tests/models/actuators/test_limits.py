@@ -32,9 +32,9 @@ def test_rate_limit(dt):
 def test_two_half_samples_are_one():
     part = parsed(kind="rate_limit", rate=4.0)
     for u in COMMANDS:
-        once = part.model.step(part.params, (0.3,), u, 0.2)
+        single = part.model.step(part.params, (0.3,), u, 0.2)
         twice = part.model.step(part.params, part.model.step(part.params, (0.3,), u, 0.1), u, 0.1)
-        np.testing.assert_allclose(once, twice, rtol=1e-15)
+        np.testing.assert_allclose(single, twice, rtol=1e-15)
 
 
 def test_saturation():

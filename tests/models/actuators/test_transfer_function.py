@@ -105,11 +105,11 @@ def test_the_loop_is_the_one_with_the_lag():
     """A whole run; and with direct feedthrough, whatever the substeps: it is exact."""
     lagged = dj.Study.from_table(LAGGED | {"name": "lag", "draws": 8})
     shape = {"numerator": [1], "denominator": [1, 2, 1]}
-    same = lagged.override({"unmodelled": {"kind": "transfer_function", "mu": 0.02, **shape}})
-    known, found = (dj.run(study).dataset["error_rms"].values for study in (lagged, same))
+    equal = lagged.override({"unmodelled": {"kind": "transfer_function", "mu": 0.02, **shape}})
+    known, found = (dj.run(study).dataset["error_rms"].values for study in (lagged, equal))
     np.testing.assert_allclose(found, known, rtol=1e-9)
-    through = same.override({"unmodelled.numerator": [1, 0.5, 0.25]})
-    runs = [dj.run(through.override({"loop.substeps": n})).dataset["error_rms"].values for n in (1, 16)]
+    filtered = equal.override({"unmodelled.numerator": [1, 0.5, 0.25]})
+    runs = [dj.run(filtered.override({"loop.substeps": n})).dataset["error_rms"].values for n in (1, 16)]
     np.testing.assert_allclose(runs[0], runs[1], rtol=1e-11)
 
 

@@ -101,10 +101,10 @@ def test_constant_functions_give_the_implicit_form():
     gains = DsscGains(1.0, Constant(10.0, 0.1, 2.0), ConstantModulation(0.5), None, PredictorStart.MATCHED)
     sigma = np.random.default_rng(3).normal(size=2_000)
     u_av, _, _, _, info = flown(CONSERVATIVE, gains, sigma, 0.01)
-    same, _, _, _, other = flown(IMPLICIT, gains, sigma, 0.01)
-    np.testing.assert_allclose(u_av, same, rtol=1e-11, atol=1e-12)
-    np.testing.assert_allclose(info.sigma_tilde, other.sigma_tilde, rtol=1e-9, atol=1e-11)
-    np.testing.assert_allclose(info.sliding_margin, other.sliding_margin, rtol=1e-9, atol=1e-10)
+    first, _, _, _, second = flown(IMPLICIT, gains, sigma, 0.01)
+    np.testing.assert_allclose(u_av, first, rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(info.sigma_tilde, second.sigma_tilde, rtol=1e-9, atol=1e-11)
+    np.testing.assert_allclose(info.sliding_margin, second.sliding_margin, rtol=1e-9, atol=1e-10)
 
 
 @pytest.mark.parametrize("kind", GAIN_FUNCTIONS)
@@ -178,7 +178,7 @@ def test_the_sampling_limit_is_that_of_the_functions_at_the_origin(kind, member)
     gains = DsscGains(1.0, row, ConstantModulation(10.0), predictor_start=PredictorStart.MATCHED)
 
     @jax.jit
-    def later(dt):
+    def delayed(dt):
         def sample(carry, _):
             sigma, state = carry
             state, command, _ = member.step(gains, state, Measurement(0.0, sigma), AT_REST, dt)
@@ -188,9 +188,9 @@ def test_the_sampling_limit_is_that_of_the_functions_at_the_origin(kind, member)
         start = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), (1e-9, state))
         return jnp.abs(jax.lax.scan(sample, start, length=4000)[1][-200:]).max()
 
-    below, above = (float(later(factor * limit)) for factor in (0.99, 1.01))
-    assert below < 1e-10
-    assert above > 1e-9
+    lower, upper = (float(delayed(factor * limit)) for factor in (0.99, 1.01))
+    assert lower < 1e-10
+    assert upper > 1e-9
 
 
 def test_no_loop_stays_below_the_floor_of_the_noise():
@@ -198,9 +198,9 @@ def test_no_loop_stays_below_the_floor_of_the_noise():
     from benchmarks.noise.forms import STILL, case
 
     functions = {"kind": "constant", "k_o": 2.0, "tau_m": 10.0, "tau_av": 0.03}
-    still = {**STILL, "plant.initial": [0.0, 0.0], "reference": {"kind": "zero"}, "draws": 64, "loop.duration": 200.0}
+    resting = {**STILL, "plant.initial": [0.0, 0.0], "reference": {"kind": "zero"}, "draws": 64, "loop.duration": 200.0}
     metrics = {"metrics": {"after": 40.0, "names": ["error_rms"]}}
-    study = case("field", "implicit", 0.02, 0.06, **still, **metrics, **{"controller.functions": functions})
+    study = case("field", "implicit", 0.02, 0.06, **resting, **metrics, **{"controller.functions": functions})
     found = float(np.sqrt(np.mean(dj.run(study).dataset["error_rms"] ** 2)))
     floor = 0.06 * np.sqrt(0.02 / (2.0 * 0.2))
     print(f"\nstd(e) {found:.4f} m, floor {floor:.4f} m")
@@ -222,7 +222,7 @@ def test_noise_does_not_move_case_2(form):
         }
     )
     noisy = study.override({"sensor": {"kind": "noisy", "velocity_std": 0.06}})
-    quiet, moved = (float(dj.run(each).dataset["error_max"].median()) for each in (study, noisy))
+    quiet, moved = (float(dj.run(draw).dataset["error_max"].median()) for draw in (study, noisy))
     print(f"\n{form}: {quiet:.3f} m without noise, {moved:.3f} m with it")
     assert (moved < 1.15 * quiet) == (form == "conservative")
     assert (moved > 10.0 * quiet) == (form == "implicit")

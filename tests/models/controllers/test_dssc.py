@@ -73,7 +73,7 @@ def test_implicit_identities_for_every_row(kind, record_property):
         dt = float(10 ** rng.uniform(-4, -1.5))
         state = DsscState(float(rng.normal()), float(rng.normal()), 0.0, ())
         held = False  # the sample before was not saturated, so that sigma_hat is its sigma
-        before = state.predictor
+        previous = state.predictor
         for _ in range(6):
             gains = DsscGains(
                 1.0, random_functions(kind, rng), ConstantModulation(1e9), predictor_start=PredictorStart.ZERO
@@ -90,12 +90,12 @@ def test_implicit_identities_for_every_row(kind, record_property):
                 worst = max(worst, abs(info.sigma_hat - sigma) / max(abs(sigma), abs(state.predictor)))
                 worst = max(worst, abs(increment - general) / scale)
                 if held:
-                    backward_euler = (sigma - before + ratio * sigma) / product
+                    backward_euler = (sigma - previous + ratio * sigma) / product
                     worst = max(worst, abs(increment - backward_euler) / scale)
                 assert command.robust == -after.u_av
                 assert info.integral_gain == pytest.approx(1.0 / (product * info.tau_m), rel=1e-12)
                 checked += 1
-            held, before, state = sliding, sigma, after
+            held, previous, state = sliding, sigma, after
     record_property("worst", worst)
     print(f"\n{kind}: worst relative residual {worst:.1e} in {checked} samples")
     assert checked > 300

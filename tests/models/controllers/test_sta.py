@@ -45,11 +45,11 @@ def test_implicit_form_is_of_first_order():
 @pytest.mark.parametrize(("form", "limit"), [("proper", 4 / 3), ("implicit", 2.0)])
 def test_limit_of_the_input_gain(form, limit):
     """Just below the limit of k_p/k_n the command is as smooth as the disturbance; just above it chatters."""
-    below, above = (dj.simulate(loop(form, 0.01, k_p=limit * factor)).attrs["command_tv"] for factor in (0.985, 1.015))
+    lower, upper = (dj.simulate(loop(form, 0.01, k_p=limit * factor)).attrs["command_tv"] for factor in (0.985, 1.015))
     smooth = 4 * (1 / OMEGA) * 2  # the disturbance's own variation over two periods
-    print(f"\n{form}: total variation {below:.2f} below k_p/k_n = {limit:.3f}, {above:.2f} above")
-    assert below == pytest.approx(smooth, rel=0.02)
-    assert above > 1.5 * smooth
+    print(f"\n{form}: total variation {lower:.2f} below k_p/k_n = {limit:.3f}, {upper:.2f} above")
+    assert lower == pytest.approx(smooth, rel=0.02)
+    assert upper > 1.5 * smooth
 
 
 def test_explicit_form_chatters():

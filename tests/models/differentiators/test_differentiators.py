@@ -41,8 +41,8 @@ def velocities(chosen, y, dt):
 
 @functools.partial(jax.jit, static_argnums=0)
 def estimates(model, params, y, dt):
-    def sample(state, now):
-        state, seen = model.step(params, state, Measurement(now, jnp.nan), dt)
+    def sample(state, present):
+        state, seen = model.step(params, state, Measurement(present, jnp.nan), dt)
         return state, seen.y_dot
 
     return jax.lax.scan(sample, floats(model.init(params, Measurement(y[0], jnp.nan))), y)[1]
@@ -88,9 +88,9 @@ def test_gradients_are_finite(table, second):
     def estimate(numbers, first, second, dt):
         params = tree.unflatten(numbers)
         state = component.model.init(params, Measurement(first, 0.0))
-        state, one = component.model.step(params, state, Measurement(first, 0.0), dt)
+        state, single = component.model.step(params, state, Measurement(first, 0.0), dt)
         state, two = component.model.step(params, state, Measurement(second, 0.0), dt)
-        return two.y_dot + component.model.step(params, state, Measurement(first, 0.0), dt)[1].y_dot + one.y_dot
+        return two.y_dot + component.model.step(params, state, Measurement(first, 0.0), dt)[1].y_dot + single.y_dot
 
     floats = [float(x) for x in numbers]
     for leaf in jax.tree.leaves(jax.grad(estimate, argnums=(0, 1, 2, 3))(floats, 1.0, second, 0.01)):
@@ -148,9 +148,9 @@ def test_levant_is_exact_in_finite_time_and_does_not_chatter(dt, slope):
 def explicit_levant(y, dt, lipschitz=1.0):
     """Forward Euler, for comparison."""
     z0, z1, out = y[0], 0.0, []
-    for now in y:
-        s = np.sign(z0 - now)
-        z0 += dt * (z1 - 1.5 * np.sqrt(lipschitz * abs(z0 - now)) * s)
+    for present in y:
+        s = np.sign(z0 - present)
+        z0 += dt * (z1 - 1.5 * np.sqrt(lipschitz * abs(z0 - present)) * s)
         z1 -= dt * 1.1 * lipschitz * s
         out.append(z1)
     return np.array(out)
@@ -209,8 +209,8 @@ def test_observer_is_backward_euler(alpha1, alpha2):
         a = np.array([[-alpha1 / eps, 1.0], [-alpha2 / eps**2, 0.0]])
         b = np.array([alpha1 / eps, alpha2 / eps**2])
         x, expected = np.array([y[0], 0.0]), []
-        for now in y:
-            x = np.linalg.solve(np.eye(2) - dt * a, x + dt * b * now)
+        for present in y:
+            x = np.linalg.solve(np.eye(2) - dt * a, x + dt * b * present)
             expected.append(x[1])
         found = velocities((HIGH_GAIN_OBSERVER, HighGainParams(eps, alpha1, alpha2)), y, dt)
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())

@@ -78,10 +78,10 @@ def test_the_normal_form_is_the_same_plant():
     assert form.stiffness == pytest.approx(0.0, abs=1e-12)
     plant = {"kind": "normal_form", "k_p": form.gain, "a_p": form.damping,
              "zero_dynamics": {"a": list(form.zero_a), "c": list(form.zero_c)}}  # fmt: skip
-    one = dj.simulate(study({"kind": "transfer_function", "numerator": numerator, "denominator": denominator}))
+    first = dj.simulate(study({"kind": "transfer_function", "numerator": numerator, "denominator": denominator}))
     two = dj.simulate(study(plant))
-    np.testing.assert_allclose(one["y"], two["y"], atol=1e-9)
-    np.testing.assert_allclose(one["y_dot"], two["y_dot"], atol=1e-9)
+    np.testing.assert_allclose(first["y"], two["y"], atol=1e-9)
+    np.testing.assert_allclose(first["y_dot"], two["y_dot"], atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -146,13 +146,13 @@ def test_theorem_1_recognises_its_class():
     """A transfer function with the certified study's k_p and a_p has its certificate, and says why others do not."""
     certified = dj.Study.load("studies/certified_margin.toml").without_sweep()
     normal = certified.override({"plant": {"kind": "normal_form", "k_p": 1.0, "a_p": 0.5}, "requirement": []})
-    same = {"kind": "transfer_function", "numerator": [2.0], "denominator": [2.0, 1.0, 0.0]}
+    equal = {"kind": "transfer_function", "numerator": [2.0], "denominator": [2.0, 1.0, 0.0]}
     assert mark(normal).certified is not None
-    assert mark(normal.override({"plant": same})) == mark(normal)
+    assert mark(normal.override({"plant": equal})) == mark(normal)
     bounds = {"kind": "transfer_function", "numerator": [{"uniform": [1.8, 2.2]}], "denominator": [2.0, 1.0, 0.0]}
     law = normal.override({"plant": {"kind": "normal_form", "k_p": {"uniform": [0.9, 1.1]}, "a_p": 0.5}})
     assert mark(normal.override({"plant": bounds})) == mark(law)
     for denominator, reason in (([1.0, 1.0], "relative degree 1"), ([1.0, 1.0, 1.0, 1.0], "relative degree 3")):
-        silent = mark(normal.override({"plant": same | {"denominator": denominator}}))
+        silent = mark(normal.override({"plant": equal | {"denominator": denominator}}))
         assert silent.certified is None
         assert reason in silent.reason

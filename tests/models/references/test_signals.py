@@ -74,10 +74,10 @@ def test_schroeders_phases_keep_the_peak_low():
     frequencies = [0.05 * k for k in range(1, count + 1)]
     table = {"kind": "multisine", "amplitudes": [1.0] * count, "frequencies": frequencies}
     y, *_ = at(table)
-    together, *_ = at(table | {"phases": [0.5 * np.pi] * count})
+    joint, *_ = at(table | {"phases": [0.5 * np.pi] * count})
     rms = np.sqrt(0.5 * count)
     assert np.abs(y).max() < 2.0 * rms
-    assert np.abs(together).max() == pytest.approx(count)
+    assert np.abs(joint).max() == pytest.approx(count)
 
 
 @pytest.mark.parametrize("table", SMOOTH)
@@ -86,9 +86,9 @@ def test_derivatives(table):
     step = 1e-5
     times = np.arange(0.013, 12.0, 0.217)
     _, slope, bend = at(table, times)
-    ahead, behind = at(table, times + step), at(table, times - step)
-    np.testing.assert_allclose(slope, (ahead[0] - behind[0]) / (2.0 * step), atol=1e-6)
-    np.testing.assert_allclose(bend, (ahead[1] - behind[1]) / (2.0 * step), atol=1e-4)
+    ahead, delayed = at(table, times + step), at(table, times - step)
+    np.testing.assert_allclose(slope, (ahead[0] - delayed[0]) / (2.0 * step), atol=1e-6)
+    np.testing.assert_allclose(bend, (ahead[1] - delayed[1]) / (2.0 * step), atol=1e-4)
 
 
 def test_a_record_passes_through_its_values():

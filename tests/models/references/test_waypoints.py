@@ -95,9 +95,9 @@ def test_enu_of_near_points(latitude):
     steps = [(0, 0, 5), (d, 0, 0), (-d, 0, 0), (0, d, 0), (0, -d, 0), (0, 0, 9)]
     params = local(steps, latitude=latitude, longitude=179.9999)
     longitude = tuple((np.array(params.longitude_deg) + 180) % 360 - 180)  # over the date line
-    origin, east, west, north, south, above = enu(params._replace(longitude_deg=longitude))
+    origin, east, west, north, south, height = enu(params._replace(longitude_deg=longitude))
     np.testing.assert_allclose(origin, [0, 0, 5], atol=1e-8)
-    np.testing.assert_allclose(above, [0, 0, 9], atol=1e-8)
+    np.testing.assert_allclose(height, [0, 0, 9], atol=1e-8)
     np.testing.assert_allclose((east - west) / 2, [d, 0, 0], atol=1e-5)
     np.testing.assert_allclose((north - south) / 2, [0, d, 0], atol=1e-5)
     sine, tangent = np.sin(np.radians(latitude)), np.tan(np.radians(latitude))
@@ -109,8 +109,8 @@ def test_enu_of_near_points(latitude):
 
 def test_distances_survive_the_rotation():
     latitude, longitude, altitude = SOCCER_FIELD[:3]
-    there = ecef(np.radians(latitude), np.radians(longitude), np.array(altitude))
-    legs = np.linalg.norm(np.diff(there, axis=0), axis=1)
+    target = ecef(np.radians(latitude), np.radians(longitude), np.array(altitude))
+    legs = np.linalg.norm(np.diff(target, axis=0), axis=1)
     np.testing.assert_allclose(np.linalg.norm(np.diff(enu(SOCCER_FIELD), axis=0), axis=1), legs, atol=1e-8)
 
 
@@ -120,9 +120,9 @@ def test_passes_the_waypoints_in_order(name, samples):
     yaw = np.unwrap(np.radians(params.yaw_deg or [0.0] * len(params.altitude)))
     k = 0
     for point, psi in zip(enu(params), yaw, strict=True):
-        near = np.flatnonzero(np.linalg.norm(y[:3, k:].T - point, axis=1) < 0.01)
-        assert near.size
-        k += near[0] + 1
+        close = np.flatnonzero(np.linalg.norm(y[:3, k:].T - point, axis=1) < 0.01)
+        assert close.size
+        k += close[0] + 1
         assert y[3, k] == pytest.approx(psi, abs=1e-3)
 
 
@@ -147,11 +147,11 @@ def test_derivatives_are_those_of_the_value(curves):
     found = curves["soccer"]
     t = np.concatenate([np.linspace(-3.0, found.duration + 3.0, 1001), found.step * np.arange(50) + 1e-5])
 
-    def both(found, t):
+    def pair(found, t):
         return jnp.stack([jnp.stack(p[:2]) for p in at(found, t)])
 
     points = np.asarray(EVALUATE(found, t))
-    derivatives = jax.jit(jax.vmap(jax.jacfwd(both, argnums=1), in_axes=(None, 0), out_axes=2))(found, t)
+    derivatives = jax.jit(jax.vmap(jax.jacfwd(pair, argnums=1), in_axes=(None, 0), out_axes=2))(found, t)
     np.testing.assert_allclose(derivatives[:, 0], points[:, 1], rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(derivatives[:, 1], points[:, 2], rtol=1e-10, atol=1e-10)
 
@@ -173,9 +173,9 @@ def test_rests_at_both_ends_for_ever(name, curves):
     points, yaw = enu(PATHS[name]), PATHS[name].yaw_deg or (0.0,)
     end = found.duration
     for times, i in (((-1e3, -1e-9, 0.0), 0), ((end + 1e-9, end + 1, 1e6), -1)):
-        here = np.asarray(EVALUATE(found, np.array(times)))  # shape (4, 3, times)
-        np.testing.assert_allclose(here[:, 0].T, [[*points[i], np.radians(yaw[i])]] * 3, atol=1e-8)
-        np.testing.assert_array_equal(here[:, 1:], 0.0)
+        motion = np.asarray(EVALUATE(found, np.array(times)))  # shape (4, 3, times)
+        np.testing.assert_allclose(motion[:, 0].T, [[*points[i], np.radians(yaw[i])]] * 3, atol=1e-8)
+        np.testing.assert_array_equal(motion[:, 1:], 0.0)
 
 
 @pytest.mark.parametrize("name", ["soccer", "random 0"])
@@ -198,10 +198,10 @@ def test_follows_scipys_spline(name, curves):
     u = np.random.default_rng(0).uniform(0.1, 0.9, 20) * chord[-1]
     leg = np.searchsorted(chord, u) - 1
     way = legs[leg] + [arc(*ends) for ends in zip(chord[leg], u, strict=True)]
-    here = np.asarray(EVALUATE(found, scale * (way / params.speed + ramp / 2)))
-    np.testing.assert_allclose(here[:, 0].T, path(u), atol=1e-8)
+    motion = np.asarray(EVALUATE(found, scale * (way / params.speed + ramp / 2)))
+    np.testing.assert_allclose(motion[:, 0].T, path(u), atol=1e-8)
     rate = params.speed / scale * tangent(u) / np.linalg.norm(tangent(u)[:, :3], axis=1, keepdims=True)
-    np.testing.assert_allclose(here[:, 1].T, rate, atol=1e-5)
+    np.testing.assert_allclose(motion[:, 1].T, rate, atol=1e-5)
     ramping = np.asarray(EVALUATE(found, scale * ramp * np.linspace(0.05, 1.0, 20)))
     x = np.linspace(0.05, 1.0, 20)
     smooth = params.speed / scale * x**3 * (10 - 15 * x + 6 * x**2)
@@ -242,13 +242,13 @@ def test_single_precision(curves):
 def test_any_way_of_calling_is_the_same(curves):
     found = curves["soccer"]
     plain = at(found, 33.3)
-    for other in (
+    for second in (
         jax.jit(lambda t: at(found, t))(33.3),
         jax.jit(at)(found, 33.3),
         jax.tree.map(lambda x: x[1], jax.vmap(lambda t: at(found, t))(jnp.array([0.0, 33.3]))),
         at(found._replace(coefficients=jnp.asarray(found.coefficients)), jnp.asarray(33.3)),
     ):
-        np.testing.assert_allclose(np.asarray(other), np.asarray(plain), rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(np.asarray(second), np.asarray(plain), rtol=1e-12, atol=1e-12)
     assert np.asarray(at(found, 33)).shape == (4, 3)
 
 
@@ -288,10 +288,10 @@ BAD = {
 
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input_is_one_line(case):
-    changes, where, rule = BAD[case]
+    changes, location, rule = BAD[case]
     with pytest.raises(ConfigError) as error:
         curve(SQUARE._replace(**changes))
-    assert error.value.where == where
+    assert error.value.where == location
     assert rule in str(error.value)
     assert "\n" not in str(error.value)
 

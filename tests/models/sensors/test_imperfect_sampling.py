@@ -24,12 +24,12 @@ def readings(params, y, y_dot=None):
     state = NOISY.init(params, Measurement(y[0], y_dot[0]), jax.random.key(5))
     state = jax.tree.map(lambda x: jnp.asarray(x, float), state)
 
-    def one(state, at):
+    def single(state, at):
         key, *signals = at
         state, seen = NOISY.step(params, state, Measurement(*signals), key, 0.0, DT)
         return jax.tree.map(lambda x: jnp.asarray(x, float), state), seen
 
-    return jax.tree.map(np.asarray, jax.lax.scan(one, state, (keys, y, y_dot))[1])
+    return jax.tree.map(np.asarray, jax.lax.scan(single, state, (keys, y, y_dot))[1])
 
 
 def test_lost_readings_are_held_at_the_given_rate():
@@ -61,8 +61,8 @@ def test_readings_are_multiples_of_the_resolution():
 def test_an_earlier_measurement_is_exact_on_cubics(age):
     signal = np.polynomial.Polynomial([0.3, -2.0, 5.0, 7.0])
     slope = signal.deriv()
-    now, before = (Measurement(signal(t), slope(t)) for t in (0.02, 0.01))
-    seen = aged_reading(now, before, age, 0.01)
+    present, previous = (Measurement(signal(t), slope(t)) for t in (0.02, 0.01))
+    seen = aged_reading(present, previous, age, 0.01)
     assert seen.y == pytest.approx(signal(0.02 - age), abs=1e-13)
     assert seen.y_dot == pytest.approx(slope(0.02 - age), abs=1e-11)
 

@@ -37,8 +37,8 @@ def path(sensor, params, y, y_dot, key, dt=DT):
     """What the sensor delivers for a sequence of measurements, the stream of keys as in the loop."""
     state = floats(sensor.init(params, Measurement(y[0], y_dot[0]), jax.random.fold_in(key, 0)))
 
-    def sample(state, now):
-        k, true = now
+    def sample(state, present):
+        k, true = present
         state, seen = sensor.step(params, state, true, jax.random.fold_in(key, k + 1), k * dt, dt)
         return floats(state), jnp.stack(seen)
 
@@ -102,10 +102,10 @@ def test_noise_has_the_stated_law():
 def test_noise_scales_and_adds_to_the_constant_errors():
     """One key, one noise: twice the deviation is twice the noise, and the constant errors do not change it."""
     y, y_dot = ramp(40)
-    one = delivered(NoisyParams(0.1, 0.2), 40) - np.stack([y, y_dot])
+    single = delivered(NoisyParams(0.1, 0.2), 40) - np.stack([y, y_dot])
     two = delivered(NoisyParams(0.2, 0.4, 5.0, -7.0), 40) - np.stack([y + 5.0, y_dot - 7.0])
-    np.testing.assert_allclose(two, 2.0 * one, atol=1e-13)
-    assert np.abs(delivered(NoisyParams(0.1, 0.2), 40, seed=4) - np.stack([y, y_dot]) - one).max() > 0.1
+    np.testing.assert_allclose(two, 2.0 * single, atol=1e-13)
+    assert np.abs(delivered(NoisyParams(0.1, 0.2), 40, seed=4) - np.stack([y, y_dot]) - single).max() > 0.1
 
 
 def test_constant_errors_are_exact():

@@ -38,10 +38,10 @@ def fall(vehicle, speeds, duration, step, velocity=ZERO, turned=(0.0, 0.0, 0.0))
 def test_free_fall_is_a_parabola():
     vehicle = QUADROTOR._replace(structure_drag=(0.0, 0.0, 0.0))
     end = fall(vehicle, (0.0,) * 4, 3.0, 0.01, Vec3(2.0, -1.0, 4.0))
-    wanted = [6.0, -3.0, 12.0 - 0.5 * GRAVITY * 9.0, 2.0, -1.0, 4.0 - GRAVITY * 3.0]
+    expected = [6.0, -3.0, 12.0 - 0.5 * GRAVITY * 9.0, 2.0, -1.0, 4.0 - GRAVITY * 3.0]
     found = np.array([*end.position, *end.velocity])
-    print(f"\nfree fall: {np.abs(found - wanted).max():.1e}")
-    np.testing.assert_allclose(found, wanted, rtol=1e-13, atol=1e-12)
+    print(f"\nfree fall: {np.abs(found - expected).max():.1e}")
+    np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-12)
 
 
 @pytest.mark.parametrize(("turned", "axis"), [((0.0, 0.0, 0.0), 2), ((0.5 * np.pi, 0.0, 0.0), 1)], ids=["flat", "side"])
@@ -68,9 +68,9 @@ def test_fall_against_propeller_drag():
     speeds = (200.0, 150.0, 180.0, 230.0)
     tau = vehicle.mass / (vehicle.propeller_drag * sum(speeds))
     end = fall(vehicle, speeds, 2.0, 0.005)
-    wanted = -GRAVITY * tau * (1.0 - math.exp(-2.0 / tau))
-    print(f"\npropeller drag: relative {abs(float(end.velocity.z) / wanted - 1.0):.1e}")
-    assert float(end.velocity.z) == pytest.approx(wanted, rel=1e-9)
+    expected = -GRAVITY * tau * (1.0 - math.exp(-2.0 / tau))
+    print(f"\npropeller drag: relative {abs(float(end.velocity.z) / expected - 1.0):.1e}")
+    assert float(end.velocity.z) == pytest.approx(expected, rel=1e-9)
 
 
 def test_drag_equals_the_sums_of_appendix_a():
@@ -96,7 +96,7 @@ def test_drag_equals_the_sums_of_appendix_a():
             force = force + f_i
             torque = torque + np.cross(p, at.T @ f_i)
         found = drag(vehicle, Mat3(*(Vec3(*row) for row in at)), Vec3(*omega), Vec3(*v_r), tuple(speeds))
-        for got, wanted in ((found.force, force), (found.torque, torque)):
-            worst = max(worst, float(np.abs(np.array(got) - wanted).max() / np.linalg.norm(wanted)))
+        for got, expected in ((found.force, force), (found.torque, torque)):
+            worst = max(worst, float(np.abs(np.array(got) - expected).max() / np.linalg.norm(expected)))
     print(f"\ndrag against Appendix A: {worst:.1e}")
     assert worst < 1e-13

@@ -94,7 +94,7 @@ def test_what_the_file_lacks_is_named():
 
 
 @pytest.mark.parametrize(
-    ("text", "where", "rule"),
+    ("text", "location", "rule"),
     [
         ("param set MC_ROLL_P 6.5", "", "sets no parameter CA_"),
         (QUAD.replace("COUNT 4", "COUNT 3"), "CA_ROTOR_COUNT", "from 4 to 12, got 3"),
@@ -115,10 +115,10 @@ def test_what_the_file_lacks_is_named():
         (with_properties(SIH_MASS="${MASS}").replace("COUNT 4", "COUNT ${N}"), "CA_ROTOR_COUNT", "got 0"),
     ],
 )
-def test_what_does_not_map_is_refused(text, where, rule):
+def test_what_does_not_map_is_refused(text, location, rule):
     with pytest.raises(ConfigError) as refusal:
         read_airframe(text)
-    assert where in refusal.value.where
+    assert location in refusal.value.where
     assert rule in refusal.value.rule
 
 
@@ -127,7 +127,7 @@ def test_the_command_prints_a_table_of_a_study_that_flies(tmp_path, capsys, monk
     (tmp_path / "racer").write_text(with_properties())
     assert guarded(["airframe", "racer"]) == 0
     printed = capsys.readouterr().out
-    rest = """
+    tables = """
     [controller]
     kind = "pi"
     l0 = 0.5
@@ -139,7 +139,7 @@ def test_the_command_prints_a_table_of_a_study_that_flies(tmp_path, capsys, monk
     """
     head = 'name = "own"\n[loop]\nduration = 30.0\nsample_time = 0.01\n[plant]\nkind = "uav"\n'
     requirement = '[[requirement]]\nmetric = "position_error_max"\nafter = 25.0\nmax = 0.05\n'
-    (tmp_path / "own.toml").write_text(head + printed + rest + requirement)
+    (tmp_path / "own.toml").write_text(head + printed + tables + requirement)
     assert not dj.run(dj.Study.load(tmp_path / "own.toml")).failed.any()
     (tmp_path / "other").write_text("nothing")
     assert guarded(["airframe", "other"]) == 2

@@ -33,20 +33,22 @@ def test_allocation_inverts_the_geometry(vehicle):
     gap_g = np.abs(geometry(vehicle) - plain).max()
     gap_p = np.abs(np.array(inverse) - np.linalg.pinv(plain)).max()
     rng = np.random.default_rng(1)
-    worst, least = 0.0, 0.0
+    worst, largest_gap = 0.0, 0.0
     for _ in range(50):
         thrust = vehicle.mass * GRAVITY * rng.uniform(0.8, 1.2)
-        wanted = np.array([thrust, *rng.uniform(-2.0, 2.0, 3)])
-        thrusts = allocate(inverse, wanted[0], Vec3(*wanted[1:]), limit)
+        demand = np.array([thrust, *rng.uniform(-2.0, 2.0, 3)])
+        thrusts = allocate(inverse, demand[0], Vec3(*demand[1:]), limit)
         assert not bool(thrusts.limited)
         total, moment = net(vehicle, thrusts.commanded)
-        worst = max(worst, float(np.abs(np.array([total, *moment]) - wanted).max()) / thrust)
-        least = max(least, float(np.abs(np.array(thrusts.commanded) - np.linalg.lstsq(plain, wanted)[0]).max()))
-    print(f"\ngeometry {gap_g:.1e}, pinv {gap_p:.1e}, net(allocate) {worst:.1e}, least norm {least:.1e}")
+        worst = max(worst, float(np.abs(np.array([total, *moment]) - demand).max()) / thrust)
+        largest_gap = max(
+            largest_gap, float(np.abs(np.array(thrusts.commanded) - np.linalg.lstsq(plain, demand)[0]).max())
+        )
+    print(f"\ngeometry {gap_g:.1e}, pinv {gap_p:.1e}, net(allocate) {worst:.1e}, least norm {largest_gap:.1e}")
     assert gap_g == 0.0 or gap_g < 1e-15
     assert gap_p < 1e-14
     assert worst < 1e-14
-    assert least < 1e-12
+    assert largest_gap < 1e-12
 
 
 @GEOMETRIES
@@ -62,12 +64,12 @@ def test_limits_are_kept_and_flagged(vehicle):
     ]
     for thrust, moment, limited in cases:
         found = allocate(inverse, thrust, moment, limit)
-        each = np.array(found.commanded)
+        forces = np.array(found.commanded)
         assert bool(found.limited) is limited
-        assert each.min() >= 0.0
-        assert each.max() <= limit
+        assert forces.min() >= 0.0
+        assert forces.max() <= limit
         if limited:
-            assert each.min() == 0.0 or each.max() == limit
+            assert forces.min() == 0.0 or forces.max() == limit
 
 
 @pytest.mark.parametrize(

@@ -103,7 +103,7 @@ class Independent:
         lift = max(a[2] + G, 0.1 * G)
         theta_d = np.arctan((a[0] * np.cos(psi) + a[1] * np.sin(psi)) / lift)
         phi_d = np.arctan(np.cos(theta_d) * (a[0] * np.sin(psi) - a[1] * np.cos(psi)) / lift)
-        wanted = np.array(
+        expected = np.array(
             [
                 60.0 * (phi_d - phi) - 15.0 * rates[0],
                 60.0 * (theta_d - theta) - 15.0 * rates[1],
@@ -111,7 +111,7 @@ class Independent:
             ]
         )
         spin_matrix = np.array([[0, -omega[2], omega[1]], [omega[2], 0, -omega[0]], [-omega[1], omega[0], 0]])
-        moment = self.j * (w @ wanted + (by_phi * rates[0] + by_theta * rates[1]) @ rates)
+        moment = self.j * (w @ expected + (by_phi * rates[0] + by_theta * rates[1]) @ rates)
         moment = moment + spin_matrix @ (self.j * omega)
         f = np.clip(self.inverse @ np.array([self.believed * lift / (cp * ct), *moment]), 0.0, self.f_max)
         speeds = np.sqrt(f / 0.0024)
@@ -240,15 +240,15 @@ def test_mirrored_flight_has_mirrored_errors():
     for i, row in enumerate(turned.template.plant.allocation):
         mirror |= {f"plant.allocation.{i}.{j}": value for j, value in enumerate(row)}
     mirror |= {f"plant.vehicle.spins.{i}": s for i, s in enumerate(spins["spins"])}
-    own = {name: leaf for name, leaf in plain.leaves().items() if name in mirror}
-    own |= {
+    custom = {name: leaf for name, leaf in plain.leaves().items() if name in mirror}
+    custom |= {
         f"plant.allocation.{i}.{j}": v
         for i, row in enumerate(plain.template.plant.allocation)
         for j, v in enumerate(row)
     }
-    assert own.keys() == mirror.keys()
-    wrong = mirror | {name: value for name, value in own.items() if "spins" in name or "allocation" in name}
-    stacked = {name: jnp.array([own[name], mirror[name], wrong[name]]) for name in mirror}
+    assert custom.keys() == mirror.keys()
+    wrong = mirror | {name: value for name, value in custom.items() if "spins" in name or "allocation" in name}
+    stacked = {name: jnp.array([custom[name], mirror[name], wrong[name]]) for name in mirror}
 
     def fly(values):
         run, recorded = simulate_recorded(plain.loop, plain.params(values), draw_key(0, 0))
@@ -291,12 +291,12 @@ def test_a_singular_attitude_is_an_outcome_with_its_time():
     draw = int(np.flatnonzero(stormy)[0])
     run = dj.replay(result, draw)
     tilt = np.degrees(run["tilt"].values)
-    last = run["t"].values < failed_at[draw] - 1e-9
-    print(f"tilt before the end {np.nanmax(tilt[last]):.2f} deg")
+    final = run["t"].values < failed_at[draw] - 1e-9
+    print(f"tilt before the end {np.nanmax(tilt[final]):.2f} deg")
     assert run.attrs["outcome_meaning"] == "singular_attitude"
     assert run.attrs["failed_at"] == failed_at[draw]
-    assert np.nanmax(tilt[last]) <= 85.0
-    assert np.nanmax(tilt[last]) > 45.0
+    assert np.nanmax(tilt[final]) <= 85.0
+    assert np.nanmax(tilt[final]) > 45.0
 
 
 BAD = {

@@ -40,10 +40,10 @@ def test_moment_gives_the_requested_euler_accelerations():
     for _ in range(10):
         psi, theta, phi = rng.uniform(-1.0, 1.0, 3) * [3.0, 1.0, 1.0]
         at = Rotation.from_euler("ZYX", [psi, theta, phi])
-        omega, wanted = rng.normal(size=3), 5.0 * rng.normal(size=3)
+        omega, desired = rng.normal(size=3), 5.0 * rng.normal(size=3)
         trig = trig_of(quaternion_of(at).matrix())
         turning = euler_rates(trig, Vec3(*omega))
-        moment = np.array(moment_for(Vec3(*INERTIA), trig, Vec3(*omega), turning, Euler(*wanted)))
+        moment = np.array(moment_for(Vec3(*INERTIA), trig, Vec3(*omega), turning, Euler(*desired)))
 
         def accelerations(moment, at=at, omega=omega):
             omega_dot = (moment - np.cross(omega, INERTIA * omega)) / INERTIA
@@ -54,14 +54,14 @@ def test_moment_gives_the_requested_euler_accelerations():
                     (at * Rotation.from_rotvec(omega * t + 0.5 * omega_dot * t * t)).as_euler("ZYX")[::-1]
                     for t in (-h, 0.0, h)
                 ]
-                ahead, behind = (np.angle(np.exp(1j * (angles[i] - angles[1]))) for i in (2, 0))
-                return (ahead + behind) / h**2
+                ahead, delayed = (np.angle(np.exp(1j * (angles[i] - angles[1]))) for i in (2, 0))
+                return (ahead + delayed) / h**2
 
             return (4.0 * second(1e-3) - second(2e-3)) / 3.0
 
-        worst = max(worst, np.abs(accelerations(moment) - wanted).max())
+        worst = max(worst, np.abs(accelerations(moment) - desired).max())
         plain = moment - np.cross(omega, INERTIA * omega)
-        without = max(without, np.abs(accelerations(plain) - wanted).max())
+        without = max(without, np.abs(accelerations(plain) - desired).max())
     print(f"\neuler'' against the request: {worst:.1e}; without Omega x J Omega: {without:.1e}")
     assert worst < 1e-6
     assert without > 1e-2
@@ -110,8 +110,8 @@ def test_transfer_functions_at_hover(name, yaw, vehicle):
         loop = gains.kd_velocity + gains.kp_velocity / s
         yaw_loop = gains.kd_yaw + gains.kp_yaw / s
         across = loop * tilt / (s + loop * tilt)
-        wanted = np.diag([across, across, loop / (s + loop), yaw_loop / (s + yaw_loop)])
-        worst = max(worst, np.abs(found - wanted).max())
+        desired = np.diag([across, across, loop / (s + loop), yaw_loop / (s + yaw_loop)])
+        worst = max(worst, np.abs(found - desired).max())
         if name != "integral":
             assert abs(found[2, 2] - 1.0 / (s + 1.0)) < 1e-11
             assert abs(found[3, 3] - (s + 0.2) / (s * s + s + 0.2)) < 1e-11
@@ -123,9 +123,9 @@ def test_transfer_functions_at_hover(name, yaw, vehicle):
     assert low < 0.01
 
 
-def tilt_of(wanted, psi):
+def tilt_of(desired, psi):
     """(phi_d, theta_d) as model.md prints them; the third of ``wanted`` holds g."""
-    x, y, z = wanted
+    x, y, z = desired
     theta = np.arctan((x * np.cos(psi) + y * np.sin(psi)) / z)
     return np.array([np.arctan(np.cos(theta) * (x * np.sin(psi) - y * np.cos(psi)) / z), theta])
 
@@ -197,9 +197,9 @@ def test_feed_forward_is_the_derivative_of_the_tilt(rule, falling):
         acceleration = float(plain.thrust) / MASS * body_z - np.array([0.0, 0.0, GRAVITY])
 
         def tilt(t, a=acceleration, v=velocity, i=integral, u=command, psi=angles[2], psi_dot=rates[2]):
-            wanted = 0.8 * (u - v - a * t) + 0.3 * (i + (u - v) * t) + np.array([0.0, 0.0, GRAVITY])
-            wanted[2] = max(wanted[2], 0.1 * GRAVITY)
-            return tilt_of(wanted, psi + psi_dot * t)
+            desired = 0.8 * (u - v - a * t) + 0.3 * (i + (u - v) * t) + np.array([0.0, 0.0, GRAVITY])
+            desired[2] = max(desired[2], 0.1 * GRAVITY)
+            return tilt_of(desired, psi + psi_dot * t)
 
         h = 1e-4
         numerical = (8.0 * (tilt(h) - tilt(-h)) - (tilt(2 * h) - tilt(-2 * h))) / (12.0 * h)

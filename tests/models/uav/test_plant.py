@@ -59,8 +59,8 @@ def flat(state):
     return np.array([float(leaf) for leaf in jax.tree.leaves(state)])
 
 
-def relative(found, wanted):
-    return float(np.max(np.abs(found - wanted) / np.maximum(np.abs(wanted), 1.0)))
+def relative(found, expected):
+    return float(np.max(np.abs(found - expected) / np.maximum(np.abs(expected), 1.0)))
 
 
 CASES = pytest.mark.parametrize(("rotors", "lag"), [(4, None), (4, 0.05), (6, None), (6, 0.05)])
@@ -92,9 +92,9 @@ def test_yaw_rotation_of_the_plant_rotates_its_derivative(rotors, lag):
         command, disturbance, wind = (Vec3(*rng.normal(size=3)) for _ in range(3))
         plain = PlantInput((*command, 0.3), (*disturbance, -0.1), wind * 5.0)
         turned = PlantInput((*turn(command), 0.3), (*turn(disturbance), -0.1), turn(wind * 5.0))
-        wanted = turn_state(UAV.derivative(params, state, plain, 0.0))
+        expected = turn_state(UAV.derivative(params, state, plain, 0.0))
         found = UAV.derivative(params, turn_state(state), turned, 0.0)
-        worst = max(worst, relative(flat(found), flat(wanted)))
+        worst = max(worst, relative(flat(found), flat(expected)))
     print(f"\nyaw equivariance, {rotors} rotors, lag {lag}: {worst:.1e}")
     assert worst < 1e-11
 
@@ -123,7 +123,7 @@ def test_mirrored_plant_has_the_mirrored_derivative(rotors, lag):
 
     for _ in range(4):
         vehicle = some_vehicle(rng, rotors, lag)
-        other = vehicle._replace(
+        second = vehicle._replace(
             rotor_angles=tuple(-a for a in vehicle.rotor_angles), spins=tuple(-s for s in vehicle.spins)
         )
         state = some_state(rng, tuple(rng.uniform(80.0, 130.0, rotors)) if lag else ())
@@ -131,9 +131,9 @@ def test_mirrored_plant_has_the_mirrored_derivative(rotors, lag):
         zero = (0.0,) * 4
         plain = UAV.derivative(prepared(vehicle), state, PlantInput((*command, 0.3), zero, wind), 0.0)
         drive = PlantInput((*polar(command), -0.3), zero, polar(wind))
-        found = UAV.derivative(prepared(other), mirrored(state), drive, 0.0)
+        found = UAV.derivative(prepared(second), mirrored(state), drive, 0.0)
         worst = max(worst, relative(flat(found), flat(mirrored(plain))))
-        same_spins = prepared(other._replace(spins=vehicle.spins))
+        same_spins = prepared(second._replace(spins=vehicle.spins))
         assert relative(flat(UAV.derivative(same_spins, mirrored(state), drive, 0.0)), flat(mirrored(plain))) > 1e-6
     print(f"\nmirror, {rotors} rotors, lag {lag}: {worst:.1e}")
     assert worst < 1e-12

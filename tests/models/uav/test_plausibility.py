@@ -44,8 +44,8 @@ def test_a_slip_is_named(changes, said):
 
 
 def test_ranges_are_ranges():
-    for each in usual_ranges(RACER):
-        assert each.low < each.value < each.high
+    for number in usual_ranges(RACER):
+        assert number.low < number.value < number.high
 
 
 def test_the_command_warns(tmp_path, monkeypatch, capsys):

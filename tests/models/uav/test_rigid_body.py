@@ -18,7 +18,7 @@ HUB = 0.02  # I_z [kg m^2]: large, so that the rotors' share of the angular mome
 STEP, DURATION = 1e-3, 60.0
 
 
-def rest(t):
+def at_rest(t):
     return 0.0 * t
 
 
@@ -37,8 +37,8 @@ def tumbled(spin, sign):
     """R (J Omega + I_z sum thetadot e3), energy of the body and |q| before normalisation, at each step of 1 ms."""
 
     def derivative(state, half_steps, t):
-        now = t + 0.5 * STEP * half_steps
-        total, rate = jax.jvp(spin, (now,), (jnp.ones_like(now),))
+        time = t + 0.5 * STEP * half_steps
+        total, rate = jax.jvp(spin, (time,), (jnp.ones_like(time),))
         torque = gyroscopic_torque(state.rate, HUB, total, rate) * sign
         return body_derivative(state, 10.9, INERTIA, 0.0, ZERO, torque, state.attitude.matrix())
 
@@ -58,7 +58,7 @@ def tumbled(spin, sign):
     return start, series, end
 
 
-@pytest.mark.parametrize("spin", [rest, unequal, varying])
+@pytest.mark.parametrize("spin", [at_rest, unequal, varying])
 def test_torque_free_tumbling_conserves_angular_momentum(spin):
     """Over 60 s at a step of 1 ms, to 1e-8 of its length; and the body turns by many revolutions meanwhile."""
     (momentum, energy), (momenta, energies), _ = tumbled(spin, 1.0)
@@ -66,7 +66,7 @@ def test_torque_free_tumbling_conserves_angular_momentum(spin):
     change = float(jnp.max(jnp.abs(energies / energy - 1.0)))
     print(f"\n{spin.__name__}: momentum {gap:.1e}, energy of the body {change:.1e}")
     assert gap < 1e-8
-    if spin is rest:
+    if spin is at_rest:
         assert change < 1e-8
     if spin is unequal:  # a constant h e3 does no work
         assert change < 1e-8
@@ -100,8 +100,8 @@ def test_tumbling_converges_at_order_four():
 
             first = BodyState(ZERO, ZERO, quaternion_from_euler(0.3, -0.2, 0.9), Vec3(1.0, -1.4, 0.6))
             first = jax.tree.map(jnp.float64, first)
-            last, _ = jax.lax.scan(body, first, length=round(4.0 / step))
-            return jnp.stack(last.attitude.matrix() @ last.rate.scale(INERTIA)), first
+            final, _ = jax.lax.scan(body, first, length=round(4.0 / step))
+            return jnp.stack(final.attitude.matrix() @ final.rate.scale(INERTIA)), first
 
         found, first = end()
         return float(np.linalg.norm(found - np.array(first.attitude.matrix() @ first.rate.scale(INERTIA))))

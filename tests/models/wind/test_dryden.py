@@ -95,11 +95,11 @@ def simulated(dt, paths=PATHS, block=BLOCK, blocks=BLOCKS, seed=1):
         def record(carry, j):
             state, first = sample(carry, j * inner)
 
-            def more(i, at):
+            def sampled(i, at):
                 state, x = sample(at[0], j * inner + i)
                 return state, at[1] + x
 
-            state, total = jax.lax.fori_loop(1, inner, more, (state, first))
+            state, total = jax.lax.fori_loop(1, inner, sampled, (state, first))
             return state, (first, total / inner)
 
         return jax.lax.scan(record, arrays(model.init(params, jax.random.fold_in(key, 0))), jnp.arange(blocks))[1]
@@ -135,8 +135,8 @@ def measured_length(means, squares, count, dt, airspeed, transverse):
     def excess(length, target):
         return dispersion(count * round(BLOCK / dt), dt * airspeed / length, transverse) - target
 
-    length, far = (optimize.brentq(excess, 0.1, 1e4, args=(target,)) for target in (ratio, ratio + error))
-    return length, far - length
+    length, distant = (optimize.brentq(excess, 0.1, 1e4, args=(target,)) for target in (ratio, ratio + error))
+    return length, distant - length
 
 
 @pytest.mark.parametrize("dt", [0.001, 0.005, 0.02])
@@ -202,10 +202,10 @@ def test_dryden_axes():
     """The mean wind blows to ``direction``; u, v, w stand along, across and up; nothing before ``at``."""
     model, params = dryden(direction=2.0, at=1.0)
     law = wind.dryden_law(params)
-    still = wind.DrydenState(0.0, wind.Transverse(0.0, 0.0), wind.Transverse(0.0, 0.0), 1.0)
+    resting = wind.DrydenState(0.0, wind.Transverse(0.0, 0.0), wind.Transverse(0.0, 0.0), 1.0)
     mean = float(law.mean) * np.array([math.cos(2.0), math.sin(2.0), 0.0])
-    np.testing.assert_allclose(np.array(model.value(params, still, 0.0)), mean, rtol=0, atol=1e-14)
-    gusty = still._replace(u=1.0, v=wind.Transverse(1.0, 0.0), w=wind.Transverse(0.0, 1.0))
+    np.testing.assert_allclose(np.array(model.value(params, resting, 0.0)), mean, rtol=0, atol=1e-14)
+    gusty = resting._replace(u=1.0, v=wind.Transverse(1.0, 0.0), w=wind.Transverse(0.0, 1.0))
     found = in_wind_axes(model.value(params, gusty, 0.0) - Vec3(*mean), 2.0)
     root3 = math.sqrt(3.0)
     expected = [law.sigma_uv, root3 * law.sigma_uv, (1 - root3) * law.sigma_w]

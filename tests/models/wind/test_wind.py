@@ -133,7 +133,7 @@ def test_piecewise_means_within_one_long_sample():
 
 
 @pytest.mark.parametrize(
-    ("change", "where", "rule"),
+    ("change", "location", "rule"),
     [
         ({"times": [1.0, 3.0, 2.0]}, "wind.times.2", r"increase strictly: must be > 3, the one before, got 2"),
         ({"times": [1.0, 1.0, 2.0]}, "wind.times.1", r"must be > 1, the one before, got 1"),
@@ -144,14 +144,14 @@ def test_piecewise_means_within_one_long_sample():
         ({"x": [1.0, float("nan"), 0.0]}, "wind.x", r"finite number"),
     ],
 )
-def test_bad_tables(change, where, rule):
+def test_bad_tables(change, location, rule):
     with pytest.raises(ConfigError, match=rule) as error:
         parsed({"kind": "piecewise", **TABLES["piecewise"], **change})
-    assert error.value.where == where
+    assert error.value.where == location
 
 
 @pytest.mark.parametrize(
-    ("kind", "change", "where"),
+    ("kind", "change", "location"),
     [
         ("dryden", {"altitude": 2.0}, "wind.altitude"),
         ("dryden", {"altitude": 400.0}, "wind.altitude"),
@@ -163,7 +163,7 @@ def test_bad_tables(change, where, rule):
         ("constant", {"at": -1.0}, "wind.at"),
     ],
 )
-def test_bad_numbers(kind, change, where):
+def test_bad_numbers(kind, change, location):
     with pytest.raises(ConfigError) as error:
         parsed({"kind": kind, **TABLES[kind], **change})
-    assert error.value.where == where
+    assert error.value.where == location
