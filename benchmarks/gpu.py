@@ -29,7 +29,7 @@ from page import put
 import dssc_jax as dj
 from dssc_jax.closed_loop.metrics import starts
 from dssc_jax.closed_loop.sample import initial_state
-from dssc_jax.engine.batching import Engine, drawn, medians, simulated
+from dssc_jax.engine.batching import Engine, drawn, lane_of_study, medians
 from dssc_jax.lanes.forms import Form
 from dssc_jax.lanes.interface import AXIS
 from dssc_jax.lanes.kernels import LANES, WARPS, in_registers
@@ -65,7 +65,7 @@ CASES = {"1-DOF DSSC": axis, "full UAV": flight}
 
 def lanes_of(study: dj.Study) -> Any:
     """The study's program for many lanes."""
-    return jax.vmap(simulated(study), axis_name=AXIS)
+    return jax.vmap(lane_of_study(study), axis_name=AXIS)
 
 
 def state_numbers(study: dj.Study) -> int:

@@ -24,8 +24,8 @@ import xarray as xr
 import dssc_jax as dj
 from benchmarks.page import put
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.engine.batching import Engine, drawn, evaluate, simulated
-from dssc_jax.engine.reference import agreement, computed_again
+from dssc_jax.engine.batching import Engine, drawn, evaluate, lane_of_study
+from dssc_jax.engine.reference import agreement, recompute
 from dssc_jax.lanes import machine
 from dssc_jax.lanes.cache.user_cache import CACHE_VARIABLE
 from dssc_jax.lanes.needed import reachable
@@ -82,7 +82,7 @@ def compared(study: dj.Study) -> Deviation:
     count = study.config.draws
     numbers = drawn(study, slice(0, count))
     results = evaluate(Engine(study, count), numbers, np.arange(count))
-    plain = computed_again(study, (np.arange(count),))
+    plain = recompute(study, (np.arange(count),))
     dataset = xr.Dataset({name: ("draw", column) for name, column in {**numbers, **results}.items()})
     found = agreement(study, dataset, (np.arange(count),), plain)
     differ = int(np.count_nonzero(results["outcome"] != plain["outcome"]))
@@ -199,7 +199,9 @@ def vehicle() -> str:
     study = dj.Study.load(VEHICLE)
     with jax.enable_x64(True):
         arguments = dict.fromkeys(study.laws, jax.ShapeDtypeStruct((), np.float64)), jax.ShapeDtypeStruct((), np.uint32)
-        one, two = (TracedLanes(simulated(study), arguments, n * machine.vector_bits() // 64, False) for n in (1, 2))
+        one, two = (
+            TracedLanes(lane_of_study(study), arguments, n * machine.vector_bits() // 64, False) for n in (1, 2)
+        )
     alive, loops = reachable(one.program), loops_of(one.program.body)
     loop = max(loops, key=lambda each: len(each.body.nodes))
     nodes = [node for block in all_blocks(loop.body) for node in block.nodes if id(node) in alive]

@@ -11,8 +11,8 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.core.contracts import Disturbance
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.engine.batching import simulated
-from dssc_jax.engine.reference import agreement, computed_again, lane_numbers
+from dssc_jax.engine.batching import lane_of_study
+from dssc_jax.engine.reference import agreement, lane_numbers, recompute
 from dssc_jax.lanes.plain import plain_options
 from dssc_jax.models.actuators import UNMODELLED
 from dssc_jax.models.differentiators import DIFFERENTIATORS
@@ -135,10 +135,10 @@ def test_programs_agree(table):
     result = dj.run(dj.Study.from_table(table))
     study, lanes = result.study, (np.arange(table["draws"]),)
     assert np.isnan(result.dataset["failed_at"].values).any()
-    assert_agrees(result, lanes, computed_again(study, lanes))
+    assert_agrees(result, lanes, recompute(study, lanes))
     if len(study.loop.channels) == 1:
         first = {name: column[0] for name, column in lane_numbers(study, lanes).items()}
-        alone = jax.jit(simulated(study, axis_name=None), compiler_options=plain_options())(first, np.uint32(0))
+        alone = jax.jit(lane_of_study(study, axis_name=None), compiler_options=plain_options())(first, np.uint32(0))
         assert_agrees(result, (np.array([0]),), {name: np.asarray(value)[None] for name, value in alone.items()})
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import dssc_jax as dj
 from benchmarks.speed.workloads import METRICS, Found, Task
 from dssc_jax.core.signals import Outcome
-from dssc_jax.engine.batching import Engine, simulated
+from dssc_jax.engine.batching import Engine, lane_of_study
 
 Program = Callable[[], Found]
 
@@ -34,7 +34,7 @@ def tiled(task: Task, devices: int | None = None) -> tuple[Program, Engine]:
 
 def plain(task: Task, options: Mapping[str, str | bool] | None = None) -> tuple[Program, float]:
     """``jit(vmap(scan))`` over all draws at once, and the seconds that its compilation took; each call runs it."""
-    study, lane = task.study, simulated(task.study, axis_name=None)
+    study, lane = task.study, lane_of_study(task.study, axis_name=None)
     names = list(study.laws)
     precise = jax.enable_x64(task.case.precision == 64)
     began = time.perf_counter()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.closed_loop.control import transferred_control
+from dssc_jax.closed_loop.control import transfer_control
 from dssc_jax.closed_loop.sample import control
 from dssc_jax.core.numerics import arithmetic, turned_near
 from dssc_jax.core.signals import Measurement, ReferencePoint
@@ -140,9 +140,9 @@ def test_a_transferred_state_gives_the_command(table):
         reading, reference = Measurement(0.13, 0.0), ReferencePoint(0.1, 0.02, -0.1)
         if study.loop.controller[0].transfer is None:
             assert table["kind"] == "smc"
-            assert transferred_control(study.loop, params, 0, reading, reference, 0.3) is None
+            assert transfer_control(study.loop, params, 0, reading, reference, 0.3) is None
             return
         for expected in (0.3, -0.25):
-            state = transferred_control(study.loop, params, 0, reading, reference, jnp.asarray(expected))
+            state = transfer_control(study.loop, params, 0, reading, reference, jnp.asarray(expected))
             _, controlled = control(study.loop, params, 0, state, reading, reference)
             assert float(controlled.command.total) == pytest.approx(expected, abs=1e-10)

@@ -7,7 +7,7 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.console.kinds import registries, rows_of
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.units import ANGLE, POSITION, UNNAMED_UNITS, ChannelUnits, parsed_unit
+from dssc_jax.core.units import ANGLE, POSITION, UNNAMED_UNITS, ChannelUnits, parse_unit
 from dssc_jax.study.measuring import KNOWN
 
 MOTOR = ChannelUnits("rad/s", "V", "shaft speed", "armature voltage")
@@ -84,7 +84,7 @@ def test_units_follow_from_those_of_output_and_command(unit, units, expected):
 @pytest.mark.parametrize("text", ["", "rad/", "m//s", "(m", "m)", "m^", "5", "m^(1/0)"])
 def test_what_is_no_product_of_powers_is_refused(text):
     with pytest.raises(ValueError, match="must be a product of powers"):
-        parsed_unit(text)
+        parse_unit(text)
 
 
 def test_every_unit_of_the_package_is_one():
@@ -96,7 +96,7 @@ def test_every_unit_of_the_package_is_one():
     assert len(named) >= 19
     for unit in named:
         for part in MOTOR.of(unit).split(", "):
-            assert not {"y", "u"} & set(parsed_unit(part))
+            assert not {"y", "u"} & set(parse_unit(part))
 
 
 def test_everything_follows_the_plants_units(shaft, tmp_path):

@@ -92,7 +92,7 @@ def near_reference(loop: Loop, i: int, measurement: Measurement, reference: Refe
     return measurement._replace(y=turned_near(measurement.y, reference.y)) if is_angle(loop, i) else measurement
 
 
-def unwrapped(loop: Loop, i: int, measurement: Measurement, previous: State) -> Measurement:
+def unwrap(loop: Loop, i: int, measurement: Measurement, previous: State) -> Measurement:
     """The measurement of channel i; an angle is shifted by whole turns to lie within pi of the one before.
 
     So the angle is continuous in time, unless it turns by more than pi within a sample. What has a memory, a sensor
@@ -159,7 +159,7 @@ def control(
         The next state, and what the controller saw and gave.
     """
     dt = loop.sample_time
-    seen = unwrapped(loop, i, reading, state.reading)
+    seen = unwrap(loop, i, reading, state.reading)
     differentiator, sensed = loop.differentiator[i].step(params.differentiator[i], state.differentiator, seen, dt)
     desired = nearest_reference(loop, i, reference, sensed)
     controller, command, info = loop.controller[i].step(params.controller[i], state.controller, sensed, desired, dt)
@@ -167,7 +167,7 @@ def control(
     return after, Controlled(reading, sensed, desired, command, info)
 
 
-def transferred_control(
+def transfer_control(
     loop: Loop, params: LoopParams, i: int, reading: Measurement, reference: ReferencePoint, command: Scalar
 ) -> ControlState | None:
     """The state of channel i whose first step at this sample gives a command, for a bumpless start.

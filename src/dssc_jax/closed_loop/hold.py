@@ -70,11 +70,11 @@ def between_samples(parts: HeldParts, plant: Params, unmodelled: tuple[Params, .
         unmodelled: Parameters of the unmodelled dynamics of each channel.
     """
     if parts.plant.linear is not None:
-        return exact(parts, parts.plant.linear(plant), plant, unmodelled)
-    return integrated(parts, plant, unmodelled)
+        return advance_exactly(parts, parts.plant.linear(plant), plant, unmodelled)
+    return advance_by_steps(parts, plant, unmodelled)
 
 
-def repeated(
+def repeat_substeps(
     substep: Callable[[Scalar, tuple[State, States]], tuple[State, States]], begin: tuple[State, States], count: int
 ) -> tuple[State, States]:
     """The states after ``count`` substeps; many are traced once, to keep compilation short."""
@@ -85,7 +85,7 @@ def repeated(
     return begin
 
 
-def scaled(column: Column, factor: Scalar) -> Column:
+def scale_column(column: Column, factor: Scalar) -> Column:
     """A column times a number; products with a known 0 are plain zeros."""
     return tuple(0.0 if is_zero(entry) or is_zero(factor) else entry * factor for entry in column)
 
@@ -104,7 +104,7 @@ class Assembly(NamedTuple):
     offsets: tuple[int | None, ...]
 
 
-def assembled(parts: HeldParts, dynamics: LinearDynamics, unmodelled: States) -> Assembly:
+def assemble(parts: HeldParts, dynamics: LinearDynamics, unmodelled: States) -> Assembly:
     """The plant's linear part in series with the linear unmodelled dynamics of each channel."""
     order = len(dynamics.a)
     systems: list[LinearSystem | None] = []
@@ -125,11 +125,11 @@ def assembled(parts: HeldParts, dynamics: LinearDynamics, unmodelled: States) ->
             inputs.append(Forcing(tuple(reaching), terms=1 if model.held else 2))
             continue
         for state, weight in enumerate(system.c):
-            for row, entry in enumerate(scaled(column, weight)):
+            for row, entry in enumerate(scale_column(column, weight)):
                 matrix[row][offset + state] = entry
         for row, entries in enumerate(system.a):
             matrix[offset + row][offset : offset + len(system.a)] = entries
-        reaching[:order] = scaled(column, system.d)
+        reaching[:order] = scale_column(column, system.d)
         reaching[offset : offset + len(system.a)] = system.b
         inputs.append(Forcing(tuple(reaching), terms=1))
     for column, variation in zip(dynamics.disturbance, parts.variations, strict=True):
@@ -155,7 +155,7 @@ def remainder_rows(plant: Plant[Measurements, Signals], params: Params, channels
     return tuple(row for row, zero in enumerate(known) if not zero)
 
 
-def gathered(assembly: Assembly, plant: State, states: States) -> list[Scalar]:
+def gather_state(assembly: Assembly, plant: State, states: States) -> list[Scalar]:
     """The state of the linear system: the leaves of the plant's state, then those of linear unmodelled dynamics."""
     x = jax.tree.leaves(plant)
     for offset, state in zip(assembly.offsets, states, strict=True):
@@ -164,8 +164,8 @@ def gathered(assembly: Assembly, plant: State, states: States) -> list[Scalar]:
     return x
 
 
-def scattered(assembly: Assembly, x: Sequence[Scalar], plant: State, states: States) -> tuple[State, States]:
-    """The inverse of :func:`gathered`; states of other unmodelled dynamics are those of ``states``."""
+def scatter_state(assembly: Assembly, x: Sequence[Scalar], plant: State, states: States) -> tuple[State, States]:
+    """The inverse of :func:`gather_state`; states of other unmodelled dynamics are those of ``states``."""
     leaves, structure = jax.tree.flatten(plant)
     found = []
     for offset, state in zip(assembly.offsets, states, strict=True):
@@ -176,9 +176,9 @@ def scattered(assembly: Assembly, x: Sequence[Scalar], plant: State, states: Sta
     return structure.unflatten(x[: len(leaves)]), tuple(found)
 
 
-def exact(parts: HeldParts, dynamics: LinearDynamics, params: Params, unmodelled: States) -> Advance:
+def advance_exactly(parts: HeldParts, dynamics: LinearDynamics, params: Params, unmodelled: States) -> Advance:
     """Advance a plant with a linear part: exactly what is linear, by ETDRK4-B what else varies within the sample."""
-    assembly = assembled(parts, dynamics, unmodelled)
+    assembly = assemble(parts, dynamics, unmodelled)
     rows = remainder_rows(parts.plant, params, len(parts.unmodelled))
     forcings = list(assembly.inputs)
     for row in rows:
@@ -197,7 +197,7 @@ def exact(parts: HeldParts, dynamics: LinearDynamics, params: Params, unmodelled
             def signals(x: Sequence[Scalar], fraction: float) -> list[Scalar]:
                 """Disturbances and remainder at a stage."""
                 time = t + (index + fraction) * h
-                at_plant, at_states = scattered(assembly, x, plant, states)
+                at_plant, at_states = scatter_state(assembly, x, plant, states)
                 drive = drive_at(at_plant, actuation_at(parts, unmodelled, at_states, commands, lines, fraction), time)
                 slopes = []
                 if parts.plant.remainder is not None:
@@ -211,7 +211,7 @@ def exact(parts: HeldParts, dynamics: LinearDynamics, params: Params, unmodelled
                     inputs.append((command,))
                 else:
                     inputs.append((line.mean,) if model.held else (line.mean - 0.5 * line.rise, line.rise))
-            x = gathered(assembly, plant, states)
+            x = gather_state(assembly, plant, states)
             if constant or parts.integrator == Integrator.EULER:
                 x = held.full.apply(x, [*inputs, *((signal,) for signal in signals(x, 0.0))])
             else:
@@ -220,10 +220,10 @@ def exact(parts: HeldParts, dynamics: LinearDynamics, params: Params, unmodelled
                 state if model.linear is not None else model.step(p, state, command, h)
                 for model, p, state, command in zip(parts.unmodelled, unmodelled, states, commands, strict=True)
             )
-            plant, states = scattered(assembly, x, plant, stepped)
+            plant, states = scatter_state(assembly, x, plant, stepped)
             return parts.plant.project(params, plant), states
 
-        return repeated(substep, (plant, states), count)
+        return repeat_substeps(substep, (plant, states), count)
 
     return advance
 
@@ -296,8 +296,10 @@ def actuation_at(
     """The commands that reach the plant at a share of the step: of linear dynamics from their state at that stage."""
     reaching = []
     for model, p, state, command, line in zip(parts.unmodelled, unmodelled, states, commands, lines, strict=True):
-        exact = model.linear is not None
-        reaching.append(model.output(p, state, command) if exact else line.mean + (fraction - 0.5) * line.rise)
+        if model.linear is not None:
+            reaching.append(model.output(p, state, command))
+        else:
+            reaching.append(line.mean + (fraction - 0.5) * line.rise)
     return tuple(reaching)
 
 
@@ -319,24 +321,24 @@ class Averaged(NamedTuple):
         return structure.unflatten(after), Moments(mean, 6.0 * mean - 12.0 * double)
 
 
-def averaged(system: LinearSystem, h: float) -> Averaged:
+def average_output(system: LinearSystem, h: float) -> Averaged:
     """Linear unmodelled dynamics with q' = y/h and r' = q/h: after h, q is the mean and r the double integral."""
     order = len(system.a)
     rate = 1.0 / h
     rows = [(*row, 0.0, 0.0) for row in system.a]
-    rows.append((*scaled(system.c, rate), 0.0, 0.0))
+    rows.append((*scale_column(system.c, rate), 0.0, 0.0))
     rows.append((*(0.0,) * order, rate, 0.0))
-    column = (*system.b, *scaled((system.d,), rate), 0.0)
+    column = (*system.b, *scale_column((system.d,), rate), 0.0)
     return Averaged(order, hold(tuple(rows), (Forcing(column, 1),), h))
 
 
-def integrated(parts: HeldParts, params: Params, unmodelled: States) -> Advance:
+def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States) -> Advance:
     """Advance a plant without a linear part by the loop's fixed-step method."""
     h = parts.sample_time / parts.substeps
     integrate = INTEGRATORS[parts.integrator]
     systems: list[Averaged | None] = []
     for model, p in zip(parts.unmodelled, unmodelled, strict=True):
-        systems.append(None if model.linear is None else averaged(model.linear(p), h))
+        systems.append(None if model.linear is None else average_output(model.linear(p), h))
 
     def advance(drive_at: DriveAt, plant: State, states: States, commands: Signals, t: Scalar) -> tuple[State, States]:
         @jax.jit  # traced once for all stages of the integrator
@@ -363,6 +365,6 @@ def integrated(parts: HeldParts, params: Params, unmodelled: States) -> Advance:
             moved = integrate(derivative, plant, h, parts.plant.velocities)
             return parts.plant.project(params, moved), tuple(after)
 
-        return repeated(substep, (plant, states), parts.substeps)
+        return repeat_substeps(substep, (plant, states), parts.substeps)
 
     return advance

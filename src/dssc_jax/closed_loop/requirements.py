@@ -56,7 +56,7 @@ class Requirement:
         return value - self.minimum  # type: ignore[operator]
 
 
-def sized(requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]) -> tuple[Requirement, ...]:
+def add_sizes(requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]) -> tuple[Requirement, ...]:
     """The requirements with the median distance from their bounds over some draws."""
     with_sizes = []
     for requirement in requirements:

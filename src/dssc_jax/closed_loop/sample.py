@@ -14,7 +14,7 @@ from dssc_jax.closed_loop.control import (
     is_angle,
     measure,
     principal_value,
-    unwrapped,
+    unwrap,
 )
 from dssc_jax.closed_loop.hold import Advance, HeldParts, between_samples
 from dssc_jax.closed_loop.loop import Loop, LoopParams
@@ -212,7 +212,7 @@ def control_channel(
     t = k * loop.sample_time
     dt = loop.sample_time
     name = loop.channels[i]
-    measurement = unwrapped(loop, i, measurement, channel.angle)
+    measurement = unwrap(loop, i, measurement, channel.angle)
     sensor, reading = loop.sensor[i].step(
         params.sensor[i],
         channel.sensor,

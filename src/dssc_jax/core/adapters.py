@@ -85,28 +85,28 @@ def as_mimo_reference(reference: Reference[ReferencePoint]) -> Reference[Referen
     return Reference(reference.params, lambda params, t: (reference.at(params, t),), reference.prepare)
 
 
-class JoinedParams(NamedTuple):
+class ReplacedParams(NamedTuple):
     """Parameters of a reference of several channels, and those of the channels that have a reference of their own."""
 
     joint: Params
     replaced: tuple[Params, ...]
 
 
-def joined_reference(
+def replace_channels(
     joint: Reference[ReferencePoints], replacements: dict[int, Reference[ReferencePoint]]
 ) -> Reference:
     """The reference of several channels in which some, by index, follow references of their own."""
 
-    def at(params: JoinedParams, t: Scalar) -> ReferencePoints:
+    def at(params: ReplacedParams, t: Scalar) -> ReferencePoints:
         points = list(joint.at(params.joint, t))
         for (index, reference), own_params in zip(replacements.items(), params.replaced, strict=True):
             points[index] = reference.at(own_params, t)
         return tuple(points)
 
-    return Reference(JoinedParams, at)
+    return Reference(ReplacedParams, at)
 
 
-def joined_wind(parts: tuple[Wind, ...]) -> Wind:
+def sum_of_winds(parts: tuple[Wind, ...]) -> Wind:
     """The sum of several winds; the parameters are a tuple, and each wind has random numbers of its own."""
 
     def init(params: tuple[Params, ...], key: jax.Array) -> tuple[State, ...]:

@@ -53,7 +53,7 @@ def no_info(params: Params, state: State, drive: PlantInput) -> tuple[()]:
     return ()
 
 
-def always_valid(params: Params, state: State) -> bool:
+def never_broken(params: Params, state: State) -> bool:
     """Report that the model is valid in every state."""
     return False
 
@@ -133,7 +133,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     units: tuple[ChannelUnits, ...] = ()
     project: Callable[[Params, State], State] = no_constraint
     monitor: Callable[[Params, State, PlantInput[Signal]], Info] = no_info
-    broken: Callable[[Params, State], Scalar | bool] = always_valid
+    broken: Callable[[Params, State], Scalar | bool] = never_broken
     linear: Callable[[Params], LinearDynamics] | None = None
     remainder: Callable[[Params, State, PlantInput[Signal], Scalar], State] | None = None
     onboard: tuple[str, ...] = ()

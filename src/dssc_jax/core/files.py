@@ -135,7 +135,7 @@ def create_text(path: Path, text: str) -> None:
         FileExistsError: There is something in its place.
         OSError: It cannot be written.
     """
-    opened(path).close()  # takes the name
+    create_file(path).close()  # takes the name
     try:
         write_text(path, text)
     except BaseException:
@@ -160,9 +160,9 @@ def replacing(path: Path, within: Path | None = None, durable: bool = True) -> I
     """
     require_inside(path, within)
     replaced_mode = require_replaceable(path)
-    partial = partial_of(path)
+    partial = partial_path(path)
     try:
-        with opened(partial) as file:
+        with create_file(partial) as file:
             yield file
             if replaced_mode is not None and POSIX:
                 os.fchmod(file.fileno(), stat.S_IMODE(replaced_mode))
@@ -179,12 +179,12 @@ def replacing(path: Path, within: Path | None = None, durable: bool = True) -> I
         flush_folder(path.parent)
 
 
-def opened(partial: Path) -> BinaryIO:
+def create_file(partial: Path) -> BinaryIO:
     """A new file to write."""
     return os.fdopen(os.open(partial, CREATION, 0o666), "wb")
 
 
-def partial_of(path: Path) -> Path:
+def partial_path(path: Path) -> Path:
     """A name beside a file that no other writer uses."""
     return path.with_name(f".{path.name[:REPEATED_NAME]}.{uuid4().hex}{PARTIAL}")
 

@@ -210,7 +210,7 @@ def wrap_angle(angle: Scalar) -> Scalar:
     return turned_near(angle, 0.0)
 
 
-def begun(at: Scalar, t: Scalar, dt: Scalar) -> Scalar:
+def elapsed_share(at: Scalar, t: Scalar, dt: Scalar) -> Scalar:
     """Share of the sample [t, t + dt) after ``at``: a signal that begins within a sample is held at its mean."""
     return jnp.clip((t + dt - at) / dt, 0.0, 1.0)
 

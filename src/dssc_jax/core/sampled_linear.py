@@ -131,13 +131,13 @@ def hold(a: Rows, forcings: Sequence[Forcing], h: Scalar) -> HeldSystem:
     for start, forcing in zip(starts, forcings, strict=True):
         for k in range(forcing.terms - 1):
             chains[start + k] = start + k + 1
-    half, full = doubled(size, rates, chains)
+    half, full = exponentials(size, rates, chains)
     return HeldSystem(Transition(size, full, starts), Transition(size, half, starts))
 
 
-def doubled(size: int, rates: Entries, chains: dict[int, int]) -> tuple[Entries, Entries]:
+def exponentials(size: int, rates: Entries, chains: dict[int, int]) -> tuple[Entries, Entries]:
     """X over half a step and over the whole step, in the rows of the state."""
-    pattern = reached(rates, size, chains)
+    pattern = nonzero_places(rates, size, chains)
     shortest = 2.0**-DOUBLINGS
     first = {place: number * shortest for place, number in rates.items()}
     second = product(first, first, size)
@@ -195,7 +195,7 @@ def add(entries: Entries, place: tuple[int, int], number: Scalar) -> None:
     entries[place] = entries[place] + number if place in entries else number
 
 
-def reached(rates: Entries, size: int, chains: dict[int, int]) -> tuple[tuple[int, int], ...]:
+def nonzero_places(rates: Entries, size: int, chains: dict[int, int]) -> tuple[tuple[int, int], ...]:
     """The places where the exponential may differ from the identity: where a path of the matrix leads."""
     known = set(rates)
     while True:

@@ -46,7 +46,7 @@ class ChannelUnits(NamedTuple):
 
     def of(self, unit: str) -> str:
         """The unit with this channel's own units in place of ``y`` and ``u``; several are separated by commas."""
-        return ", ".join(resolved(part, self.output, self.command) for part in unit.split(", "))
+        return ", ".join(substitute_units(part, self.output, self.command) for part in unit.split(", "))
 
     def named(self, meaning: str) -> str:
         """The meaning with this channel's own words in place of ``output`` and ``command``."""
@@ -65,13 +65,13 @@ ANGLE = ChannelUnits("rad", "rad/s")
 
 
 @cache
-def resolved(unit: str, output: str, command: str) -> str:
+def substitute_units(unit: str, output: str, command: str) -> str:
     """A unit with ``y`` and ``u`` replaced by two others, reduced; one without these symbols is returned as it is."""
     if not re.search(rf"\b({OUTPUT}|{COMMAND})\b", unit):
         return unit
-    replacements = {OUTPUT: parsed_unit(output), COMMAND: parsed_unit(command)}
+    replacements = {OUTPUT: parse_unit(output), COMMAND: parse_unit(command)}
     total: Powers = {}
-    for symbol, power in parsed_unit(unit).items():
+    for symbol, power in parse_unit(unit).items():
         multiply(total, replacements.get(symbol, {symbol: Fraction(1)}), power)
     return unit_text_of(total)
 
@@ -82,7 +82,7 @@ def multiply(total: Powers, factor: Powers, power: Fraction) -> None:
         total[symbol] = total.get(symbol, Fraction(0)) + power * exponent
 
 
-def parsed_unit(text: str) -> Powers:
+def parse_unit(text: str) -> Powers:
     """The exponents of a unit such as ``N m``, ``rad/s^2`` or ``V (y/s)^(-1/2)``; a slash divides by the next factor.
 
     Raises:
@@ -144,16 +144,26 @@ def unit_text_of(powers: Powers) -> str:
         powers = dict(powers)
         powers[root] -= half
         powers["s"] += half
-    numerators = [powered(symbol, power) for symbol, power in powers.items() if power > 0]
-    denominators = [powered(symbol, -power) for symbol, power in powers.items() if power < 0 and power.denominator == 1]
-    numerators += [powered(symbol, power) for symbol, power in powers.items() if power < 0 and power.denominator != 1]
-    numerator = " ".join([*numerators, *([group] if group else [])]) or "1"
+    numerators = []
+    denominators = []
+    negative_roots = []
+    for symbol, power in powers.items():
+        if power > 0:
+            numerators.append(power_text(symbol, power))
+        elif power < 0 and power.denominator == 1:
+            denominators.append(power_text(symbol, -power))
+        elif power < 0:
+            negative_roots.append(power_text(symbol, power))
+    numerators += negative_roots
+    if group:
+        numerators.append(group)
+    numerator = " ".join(numerators) or "1"
     if not denominators:
         return numerator
     return f"{numerator}/{denominators[0] if len(denominators) == 1 else '(' + ' '.join(denominators) + ')'}"
 
 
-def powered(symbol: str, power: Fraction) -> str:
+def power_text(symbol: str, power: Fraction) -> str:
     """One factor."""
     if power == 1:
         return symbol

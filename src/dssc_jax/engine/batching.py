@@ -42,7 +42,7 @@ Lane = Callable[[dict[str, jax.Array], jax.Array], dict[str, Scalar]]
 """(each of the lane's own numbers, draw index) -> the results of the lane."""
 
 
-def simulated(study: Study, axis_name: str | None = AXIS, segment: int | None = None) -> Lane:
+def lane_of_study(study: Study, axis_name: str | None = AXIS, segment: int | None = None) -> Lane:
     """Compute a lane's metrics, slacks, outcome and the time of its early end.
 
     Args:
@@ -164,7 +164,7 @@ class Engine:
     tile: int | None = None
     devices: int | None = None
     clock: Clock = field(default_factory=Clock)
-    program: Callable[[Study], Lane] = simulated
+    program: Callable[[Study], Lane] = lane_of_study
     kernel: str = ""
     extra: tuple[str, ...] = ()
 

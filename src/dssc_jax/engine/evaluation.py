@@ -13,7 +13,7 @@ import numpy as np
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Scalar
-from dssc_jax.engine.batching import BLOCK, Arrays, Engine, Lane, drawn, evaluate, simulated
+from dssc_jax.engine.batching import BLOCK, Arrays, Engine, Lane, drawn, evaluate, lane_of_study
 from dssc_jax.lanes.forms import Form
 from dssc_jax.study import Study
 
@@ -135,7 +135,7 @@ def with_derivatives(results: Mapping[str, Scalar], slopes: Mapping[Derivative, 
 
 def forward_mode(study: Study, names: Sequence[str]) -> Lane:
     """The program in forward mode; each lane differentiates by the number that its ``DIRECTION`` selects."""
-    plain = simulated(study)
+    plain = lane_of_study(study)
 
     def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
         lane_values = {name: value for name, value in values.items() if name != DIRECTION}
@@ -151,7 +151,7 @@ def forward_mode(study: Study, names: Sequence[str]) -> Lane:
 
 def reverse_mode(study: Study, names: Sequence[str]) -> Lane:
     """The program in reverse mode: one backward pass for each metric and slack."""
-    plain = simulated(study, axis_name=None, segment=math.isqrt(study.loop.steps))
+    plain = lane_of_study(study, axis_name=None, segment=math.isqrt(study.loop.steps))
 
     def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
         numbers = {name: values[name] for name in names}

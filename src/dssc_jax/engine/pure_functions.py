@@ -16,7 +16,7 @@ from dssc_jax.closed_loop.sample import LoopState, Recorded, initial_state, step
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.numerics import as_arrays
 from dssc_jax.core.signals import Scalar
-from dssc_jax.engine.batching import Arrays, Lane, simulated
+from dssc_jax.engine.batching import Arrays, Lane, lane_of_study
 from dssc_jax.engine.sampling import draw, draw_key
 from dssc_jax.study import Study
 
@@ -168,7 +168,7 @@ def lane(study: Study, segment: int | None = None) -> LaneFunction:
         >>> results["error_rms"].shape
         (3,)
     """
-    return LaneFunction(study, simulated(study, axis_name=None, segment=segment))
+    return LaneFunction(study, lane_of_study(study, axis_name=None, segment=segment))
 
 
 def stepper(study: Study) -> Stepper:

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from dssc_jax.engine.batching import Arrays, Lanes, lane_numbers, simulated
+from dssc_jax.engine.batching import Arrays, Lanes, lane_numbers, lane_of_study
 from dssc_jax.lanes.plain import plain_options
 from dssc_jax.statistics.order import typical_size
 from dssc_jax.study import Study
@@ -70,17 +70,17 @@ def plain_results(study: Study, values: Mapping[str, np.ndarray], draws: np.ndar
     """Metrics, slacks and outcome of lanes by the plain program, shape (n,) each."""
     with jax.enable_x64(study.config.loop.precision == 64):
         lanes = {name: jnp.asarray(column, jnp.result_type(float)) for name, column in values.items()}
-        batch = jax.jit(jax.vmap(simulated(study, axis_name=None)), compiler_options=plain_options())
+        batch = jax.jit(jax.vmap(lane_of_study(study, axis_name=None)), compiler_options=plain_options())
         return jax.tree.map(np.asarray, batch(lanes, np.asarray(draws, np.uint32)))
 
 
-def computed_again(study: Study, lanes: Lanes) -> Arrays:
+def recompute(study: Study, lanes: Lanes) -> Arrays:
     """Every variable of the lanes, by the plain program."""
     values = lane_numbers(study, lanes)
     return {name: values[name] for name in study.laws} | plain_results(study, values, lanes[-1])
 
 
-def moved(study: Study, lanes: Lanes) -> list[Arrays]:
+def perturbed_copies(study: Study, lanes: Lanes) -> list[Arrays]:
     """Results of copies of the lanes by the plain program, with every number changed in its last bits."""
     columns = {}
     for name, number in study.numbers.items():
@@ -128,7 +128,7 @@ def agreement(study: Study, dataset: xr.Dataset, lanes: Lanes, computed: Mapping
     allowed = np.full(deviation.shape, rounding)
     doubtful = deviation > rounding
     if doubtful.any():
-        copies = moved(study, tuple(part[doubtful] for part in lanes))
+        copies = perturbed_copies(study, tuple(part[doubtful] for part in lanes))
         doubtful_values = {name: column[doubtful] for name, column in computed.items() if name in copies[0]}
         spread = [list(deviations(study, sizes, doubtful_values, copy).values()) for copy in copies]
         allowed[doubtful] = np.maximum(rounding, ROUNDING_FACTOR * np.max(spread, axis=(0, 1)))

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import keystr, tree_flatten_with_path
 
-from dssc_jax.closed_loop.control import ControlState, control, initial_control, transferred_control
+from dssc_jax.closed_loop.control import ControlState, control, initial_control, transfer_control
 from dssc_jax.closed_loop.sample import as_arrays
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic
@@ -123,7 +123,7 @@ def sampled_controller(study: Study, index: int) -> SampledController:
 
     def transfer(numbers: tuple[Any, ...], command: Any, measurement: Measurement, reference: ReferencePoint) -> Any:
         params = study.params(dict(zip(keys, numbers, strict=True)))
-        state = transferred_control(loop, params, index, measurement, reference, command)
+        state = transfer_control(loop, params, index, measurement, reference, command)
         assert state is not None  # asked for only where the controller declares it
         _, controlled = control(loop, params, index, state, measurement, reference)
         return as_arrays((state, command_parts(controlled.command)))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from xml.etree import ElementTree
 
-from dssc_jax.core.units import parsed_unit
+from dssc_jax.core.units import parse_unit
 from dssc_jax.flight_code.controller import SampledController
 from dssc_jax.flight_code.fmu_variables import INPUT, OUTPUT, PARAMETER, FmuVariable, flag_variables, real_variables
 from dssc_jax.flight_code.header_text import not_generated
@@ -41,7 +41,7 @@ def xml_text(text: str) -> str:
 def base_exponents(unit: str) -> dict[str, int] | None:
     """Exponents of FMI's base units; None for a unit that is no product of whole powers of SI units."""
     try:
-        powers = parsed_unit(unit)
+        powers = parse_unit(unit)
     except ValueError:
         return None
     total = dict.fromkeys(BASE, 0)

@@ -8,7 +8,7 @@ import numpy as np
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Arrays, Lanes, computing
-from dssc_jax.engine.reference import Agreement, agreement, computed_again, deviations, stored_lanes
+from dssc_jax.engine.reference import Agreement, agreement, deviations, recompute, stored_lanes
 from dssc_jax.results.manifest import WITHOUT_DIGESTS, machinery_differences
 from dssc_jax.results.result import Result
 from dssc_jax.statistics.order import typical_size
@@ -92,7 +92,7 @@ def verify(result: Result, draws: int = LANES, seed: int | None = None) -> Verif
     total = int(np.prod(shape))
     picked = np.sort(np.random.default_rng(seed).choice(total, min(draws, total), replace=False))
     lanes = np.unravel_index(picked, shape)
-    computed = computed_again(result.study, lanes)
+    computed = recompute(result.study, lanes)
     compared = agreement(result.study, result.dataset, lanes, computed)
     shown = compared.decided if compared.decided.any() else np.ones_like(compared.decided)
     largest = int(np.argmax(np.where(shown, compared.deviation, -1.0)))
@@ -123,7 +123,7 @@ def worst_lane(result: Result, lanes: Lanes, computed: Arrays, compared: Agreeme
 def single_precision(result: Result, lanes: Lanes, computed: Arrays) -> SinglePrecision:
     """Compare lanes in float32 with the same lanes in float64."""
     study = result.study.override({"loop.precision": 64})
-    exact = computed_again(study, lanes)
+    exact = recompute(study, lanes)
     sizes = {name: typical_size(result.dataset[name].values) for name in exact}
     gaps = deviations(study, sizes, exact, {name: computed[name].astype(exact[name].dtype) for name in exact})
     largest = np.max([gap for name, gap in gaps.items() if name != "outcome"], axis=0)

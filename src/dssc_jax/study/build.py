@@ -14,7 +14,7 @@ from dssc_jax.closed_loop.infos import first_infos
 from dssc_jax.closed_loop.loop import Loop, LoopParams, Settled
 from dssc_jax.closed_loop.metrics import Measure, available_metrics
 from dssc_jax.closed_loop.requirements import Requirement
-from dssc_jax.core.adapters import JoinedParams, joined_reference, joined_wind
+from dssc_jax.core.adapters import ReplacedParams, replace_channels, sum_of_winds
 from dssc_jax.core.contracts import Plant
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.integrators import Integrator
@@ -257,7 +257,7 @@ def parse_winds(table: dict[str, Any] | list[dict[str, Any]]) -> Component:
         component = parse_component(part, REGISTRIES["wind"], f"wind.{index}")
         own = f"wind.{index}"
         parts.append(replace(component, numbers=tuple(number.under(own, own) for number in component.numbers)))
-    model = joined_wind(tuple(part.model for part in parts))
+    model = sum_of_winds(tuple(part.model for part in parts))
     numbers = tuple(chain.from_iterable(part.numbers for part in parts))
     return Component(" + ".join(part.kind for part in parts), model, tuple(part.params for part in parts), numbers)
 
@@ -277,8 +277,8 @@ def parse_reference(table: dict[str, Any], channels: tuple[str, ...], units: tup
     for place, (channel, part) in enumerate(own.items()):
         theirs = with_units(part, units[channels.index(channel)]).numbers
         numbers += [number.under(f"{slot}.replaced.{place}", dotted(slot, channel)) for number in theirs]
-    model = joined_reference(whole.model, {channels.index(channel): part.model for channel, part in own.items()})
-    params = JoinedParams(whole.params, tuple(part.params for part in own.values()))
+    model = replace_channels(whole.model, {channels.index(channel): part.model for channel, part in own.items()})
+    params = ReplacedParams(whole.params, tuple(part.params for part in own.values()))
     return Component(whole.kind, model, params, tuple(numbers))
 
 

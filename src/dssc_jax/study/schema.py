@@ -11,7 +11,7 @@ from dssc_jax.closed_loop.step_response import crossing
 from dssc_jax.closed_loop.window import Window, window_defaults, window_entries
 from dssc_jax.core.errors import nearest
 from dssc_jax.core.integrators import Integrator
-from dssc_jax.core.units import parsed_unit
+from dssc_jax.core.units import parse_unit
 from dssc_jax.study.laws import is_number
 
 STRICT = ConfigDict(extra="forbid", strict=True, frozen=True)
@@ -134,7 +134,7 @@ def unit_text(value: Any) -> str:
     """
     if not isinstance(value, str) or len(value) > LONGEST_UNIT:
         raise ValueError(f"must be a unit of at most {LONGEST_UNIT} characters, such as 'rad/s', got {value!r}")
-    parsed_unit(value)
+    parse_unit(value)
     return value
 
 

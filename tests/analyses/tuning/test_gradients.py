@@ -11,7 +11,7 @@ from dssc_jax.analyses.tuning.plan import Plan
 from dssc_jax.analyses.tuning.problem import Problem
 from dssc_jax.core.signals import Measurement, ReferencePoint
 from dssc_jax.engine import evaluation
-from dssc_jax.engine.batching import simulated
+from dssc_jax.engine.batching import lane_of_study
 from dssc_jax.engine.evaluation import Derivative, Evaluator, GradientEvaluator
 from dssc_jax.lanes.plain import plain_options
 from dssc_jax.models.controllers import CONTROLLERS
@@ -118,7 +118,7 @@ def test_reverse_mode_agrees_and_its_memory_is_bounded(monkeypatch):
         assert np.allclose(backward[name], values, rtol=1e-9, atol=1e-12, equal_nan=True), name
     room = bytes_of_reverse_mode(long)
     assert room < 5.0 * bytes_of_reverse_mode(short)
-    monkeypatch.setattr(evaluation, "simulated", lambda study, together, segment: simulated(study, together))
+    monkeypatch.setattr(evaluation, "lane_of_study", lambda study, axis_name, segment: lane_of_study(study, axis_name))
     assert bytes_of_reverse_mode(long) > 20.0 * room
 
 

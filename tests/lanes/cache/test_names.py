@@ -11,7 +11,7 @@ import dssc_jax
 from dssc_jax.core.integrators import rk4
 from dssc_jax.core.numerics import clip
 from dssc_jax.core.vectors import Vec3
-from dssc_jax.engine.batching import simulated
+from dssc_jax.engine.batching import lane_of_study
 from dssc_jax.engine.evaluation import forward_mode
 from dssc_jax.lanes.cache import names as naming
 from dssc_jax.lanes.cache.names import name_of, sources_digest
@@ -67,13 +67,17 @@ def test_things_that_differ_in_anything_have_different_names():
 )
 def test_a_lane_has_another_name_if_anything_of_its_study_differs(change):
     study, changed = Study.from_table(UNCERTAIN), Study.from_table(UNCERTAIN).override(change)
-    assert name_of(simulated(study)) == name_of(simulated(Study.from_table(UNCERTAIN)))
-    assert None is not name_of(simulated(study)) != name_of(simulated(changed)) is not None
+    assert name_of(lane_of_study(study)) == name_of(lane_of_study(Study.from_table(UNCERTAIN)))
+    assert None is not name_of(lane_of_study(study)) != name_of(lane_of_study(changed)) is not None
 
 
 def test_programs_of_one_study_have_different_names():
     study = Study.from_table(UNCERTAIN)
-    lanes = simulated(study), simulated(study, axis_name=None), *(forward_mode(study, [name]) for name in study.axes)
+    lanes = (
+        lane_of_study(study),
+        lane_of_study(study, axis_name=None),
+        *(forward_mode(study, [name]) for name in study.axes),
+    )
     assert len({None, *map(name_of, lanes)}) == len(lanes) + 1
 
 

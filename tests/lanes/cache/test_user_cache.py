@@ -11,7 +11,7 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.core.numerics import arithmetic
-from dssc_jax.engine.batching import simulated
+from dssc_jax.engine.batching import lane_of_study
 from dssc_jax.lanes.cache import user_cache
 from dssc_jax.lanes.cache.user_cache import DIGEST, DISK_BLOCK, SEARCHES, ProgramCache, digest
 from dssc_jax.lanes.lanes import CompiledLanes
@@ -248,7 +248,7 @@ def test_the_trace_of_a_known_program_has_its_precision(tmp_path, monkeypatch):
     study = dj.Study.from_table(SMALL).without_sweep()
     number = jax.ShapeDtypeStruct((), np.float32)
     with arithmetic(32):
-        lane, index = simulated(study), jax.ShapeDtypeStruct((), np.uint32)
+        lane, index = lane_of_study(study), jax.ShapeDtypeStruct((), np.uint32)
         first, second = (CompiledLanes(lane, dict.fromkeys(study.laws, number), index) for _ in range(2))
     assert "traced" in vars(first)
     assert "traced" not in vars(second)

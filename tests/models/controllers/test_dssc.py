@@ -9,7 +9,13 @@ import dssc_jax as dj
 from dssc_jax.core.registry import Discretisation
 from dssc_jax.core.signals import Measurement, ReferencePoint, tracking_error
 from dssc_jax.models.controllers.dssc import DSSC
-from dssc_jax.models.controllers.dssc_forms import DsscGains, DsscState, PredictorStart, smoothed_rest, smoothed_sign
+from dssc_jax.models.controllers.dssc_forms import (
+    DsscGains,
+    DsscState,
+    PredictorStart,
+    smoothed_remainder,
+    smoothed_sign,
+)
 from dssc_jax.models.controllers.gain_functions import (
     GAIN_FUNCTIONS,
     ApproximateSta1,
@@ -152,7 +158,7 @@ def test_a_vanishing_width_is_the_clip():
         assert commands[1] == pytest.approx(commands[0], rel=1e-13)
         assert commands[2] == pytest.approx(commands[0], rel=1e-4)
     for free, width in ((0.0, 0.0), (0.05, 0.0), (-0.05, 0.0), (0.0, 0.1), (1.0, 0.0)):
-        slopes = jax.grad(smoothed_rest, argnums=(0, 1, 2))(free, 0.1, 0.5, width)  # a corner is at 0.05
+        slopes = jax.grad(smoothed_remainder, argnums=(0, 1, 2))(free, 0.1, 0.5, width)  # a corner is at 0.05
         assert np.isfinite(slopes).all()
     assert np.isfinite(jax.grad(smoothed_sign)(0.0, 0.0))
 

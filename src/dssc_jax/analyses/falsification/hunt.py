@@ -8,7 +8,7 @@ from scipy.optimize import differential_evolution
 
 from dssc_jax.analyses.defaults import LEAST_BUDGET
 from dssc_jax.analyses.falsification.search_sets import SearchSet
-from dssc_jax.closed_loop.requirements import Requirement, binding_requirement, sized, worst_slack
+from dssc_jax.closed_loop.requirements import Requirement, add_sizes, binding_requirement, worst_slack
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import BLOCK, Arrays
 from dssc_jax.engine.evaluation import Derivative, Evaluator, GradientEvaluator
@@ -100,7 +100,7 @@ class Hunt:
     def simulate(self, points: np.ndarray, evaluator: Evaluator, each: int = 1) -> tuple[np.ndarray, Arrays]:
         """Slacks and results of points; ``each`` is the number of simulations that one point costs."""
         results = evaluator(np.zeros(len(points), dtype=int), self.region.values(points))
-        self.requirements = self.requirements or sized(self.programs.study.requirements, results)
+        self.requirements = self.requirements or add_sizes(self.programs.study.requirements, results)
         slacks, binding = worst_slack(self.requirements, results), binding_requirement(self.requirements, results)
         each_slack = np.array([results[requirement.name] for requirement in self.requirements])
         distances = np.take_along_axis(each_slack, binding[None], 0)[0]

@@ -51,7 +51,7 @@ class Realisation(NamedTuple):
     d: float
 
 
-def time_scaled(denominator: Sequence[float]) -> tuple[float, np.ndarray]:
+def scale_time(denominator: Sequence[float]) -> tuple[float, np.ndarray]:
     """Unit of time over mu, and the denominator's coefficients in it: the first and the last are 1, shape (n + 1,)."""
     ratios = np.asarray(denominator, dtype=float) / denominator[0]
     unit = ratios[-1] ** (1.0 / (len(ratios) - 1))
@@ -61,7 +61,7 @@ def time_scaled(denominator: Sequence[float]) -> tuple[float, np.ndarray]:
 def decay(denominator: Sequence[float]) -> float:
     """Rate of the slowest pole, over the poles' geometric mean; NaN if there is no finite rate."""
     with np.errstate(all="ignore"):
-        _, coefficients = time_scaled(denominator)
+        _, coefficients = scale_time(denominator)
         if not np.all(np.isfinite(coefficients)):
             return np.nan
         return -float(np.max(np.linalg.eigvals(companion(tuple(coefficients[:-1]))).real))
@@ -72,9 +72,9 @@ def as_rows(matrix: np.ndarray) -> Matrix:
     return tuple(map(tuple, matrix.tolist()))
 
 
-def realised(numerator: tuple[float, ...], denominator: tuple[float, ...]) -> Realisation:
+def realise(numerator: tuple[float, ...], denominator: tuple[float, ...]) -> Realisation:
     """G as matrices."""
-    unit, poles = time_scaled(denominator)
+    unit, poles = scale_time(denominator)
     zeros = np.zeros(len(poles))
     zeros[: len(numerator)] = np.asarray(numerator) / denominator[0] / unit ** np.arange(len(numerator))
     c = zeros - zeros[-1] * poles
@@ -102,7 +102,7 @@ def prepare(params: TransferFunctionParams) -> TransferFunctionParams:
         rule = f"must be Hurwitz, and no pole slower than {SLOWEST:g} of their geometric mean"
         raise ConfigError("denominator", f"{rule}, got {shown_denominator} in rising powers")
     with np.errstate(all="ignore"):
-        g = realised(numerator, denominator)
+        g = realise(numerator, denominator)
     if not np.all(np.isfinite((*g.c, g.d))):
         raise ConfigError("numerator", f"must be in proportion to the denominator, got {shown_numerator}")
     return params
@@ -115,7 +115,7 @@ def init(params: TransferFunctionParams) -> tuple[Scalar, ...]:
 
 def linear(params: TransferFunctionParams) -> LinearSystem:
     """G in the unit of time mu ``unit``."""
-    g = realised(params.numerator, params.denominator)
+    g = realise(params.numerator, params.denominator)
     rate = 1.0 / at_least(params.mu * g.unit, FASTEST)
     rows = []
     for row in g.a:

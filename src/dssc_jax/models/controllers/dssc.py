@@ -40,11 +40,11 @@ from dssc_jax.models.controllers.dssc_forms import (
     explicit_update,
     implicit_resting,
     implicit_update,
-    integrated,
-    integrated_rate,
-    own_coordinate,
-    own_rate,
+    phi_1_coordinate,
+    phi_1_rate,
     sample_ratios,
+    sigma_coordinate,
+    sigma_rate,
     switching_gain,
 )
 from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS, Constant, StateFunctions
@@ -199,12 +199,12 @@ def constant_functions(gains: DsscGains) -> DsscGains:
 
 
 MEMBERS = {
-    Discretisation.IMPLICIT: dssc(SampledForm(own_coordinate, own_rate, implicit_update, implicit_resting)),
+    Discretisation.IMPLICIT: dssc(SampledForm(sigma_coordinate, sigma_rate, implicit_update, implicit_resting)),
     Discretisation.CONSERVATIVE: dssc(
-        SampledForm(integrated, integrated_rate, conservative_update, conservative_resting)
+        SampledForm(phi_1_coordinate, phi_1_rate, conservative_update, conservative_resting)
     ),
     Discretisation.EXPLICIT: dssc(
-        SampledForm(own_coordinate, own_rate, explicit_update, explicit_resting), explicit_smoothness
+        SampledForm(sigma_coordinate, sigma_rate, explicit_update, explicit_resting), explicit_smoothness
     ),
 }
 

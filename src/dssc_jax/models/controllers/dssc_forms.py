@@ -128,7 +128,7 @@ class SampledForm(NamedTuple):
     resting: Callable[[DsscGains, Scalar, ControlSample, Scalar], tuple[Scalar, Scalar]]
 
 
-def smoothed_rest(free: Scalar, c: Scalar, rho: Scalar, width: Scalar) -> Scalar:
+def smoothed_remainder(free: Scalar, c: Scalar, rho: Scalar, width: Scalar) -> Scalar:
     """The rest of ``free`` after u_0: the solution x of x + c rho x/(|x| + width) = free, in closed form.
 
     Smooth for width > 0; for width 0 it equals free - clip(free, -c rho, c rho).
@@ -142,14 +142,14 @@ def smoothed_rest(free: Scalar, c: Scalar, rho: Scalar, width: Scalar) -> Scalar
     return jnp.where(inside, within, jnp.sign(free) * 0.5 * (root - b))
 
 
-def limited(unlimited: Scalar, u_av: Scalar, rho: Scalar, c: Scalar, width: Scalar | None) -> Scalar:
+def limit_change(unlimited: Scalar, u_av: Scalar, rho: Scalar, c: Scalar, width: Scalar | None) -> Scalar:
     """The change u_0 - u_av: the wanted one with u_0 in rho Sgn(sigma_tilde+), sigma_tilde+ = c (wanted - change).
 
     The change is clipped instead of u_0, to avoid subtracting numbers of the size of u_av in sliding.
     """
     if width is None:
         return clip(unlimited, -rho - u_av, rho - u_av)
-    return unlimited - smoothed_rest(c * (unlimited + u_av), c, rho, width) / c
+    return unlimited - smoothed_remainder(c * (unlimited + u_av), c, rho, width) / c
 
 
 def sample_ratios(at: StateFunctions, dt: Scalar) -> SampleRatios:
@@ -177,7 +177,7 @@ def implicit_update(gains: DsscGains, state: DsscState, sample: ControlSample, d
     at = sample.at
     _, decay, c, inverse_c, _ = sample.ratios
     unlimited = (sample.error.sigma - decay * sigma_hat) * inverse_c  # u_eq - u_av
-    change = limited(unlimited, u_av, sample.rho, c, gains.sign_width)
+    change = limit_change(unlimited, u_av, sample.rho, c, gains.sign_width)
     after = decay * sigma_hat + c * change
     return Sampled(u_av + change, u_av + dt / (at.tau_av + dt) * change, after, after, u_av + unlimited)
 
@@ -197,9 +197,9 @@ def conservative_update(gains: DsscGains, state: DsscState, sample: ControlSampl
     share = dt / (at.tau_av + dt)
     decay = 1.0 / (1.0 + dt * law.rate)
     unlimited = (law.gain * sigma * (1.0 + dt * law.rate) - w) / share
-    change = limited(unlimited, u_av, sample.rho, share * decay * at.k_o * at.tau_av, gains.sign_width)
+    change = limit_change(unlimited, u_av, sample.rho, share * decay * at.k_o * at.tau_av, gains.sign_width)
     after = decay * (w + share * change)
-    sigma_hat = jnp.where(change == unlimited, sigma, predicted(gains, after, e))
+    sigma_hat = jnp.where(change == unlimited, sigma, predicted_sigma(gains, after, e))
     return Sampled(u_av + change, u_av + share * change, after, sigma_hat, u_av + unlimited)
 
 
@@ -210,7 +210,7 @@ def phi_1_and_slope(signals: tuple[State, Scalar, Scalar], sigma: Scalar) -> tup
     return functions.law(sigma, e, at).gain * sigma, 1.0 / (at.k_o * at.tau_av)
 
 
-def predicted(gains: DsscGains, w: Scalar, e: Scalar) -> Scalar:
+def predicted_sigma(gains: DsscGains, w: Scalar, e: Scalar) -> Scalar:
     """sigma_hat with phi_1(sigma_hat, e) = w; only what is recorded needs it. Newton's method goes up from below."""
     size = jnp.abs(w)
     signals = (gains.functions, gains.l0, e)
@@ -269,23 +269,23 @@ def explicit_resting(gains: DsscGains, u_av: Scalar, sample: ControlSample, dt: 
     return start, sample.error.sigma - sigma_tilde
 
 
-def own_coordinate(gains: DsscGains, error: TrackingError) -> Scalar:
+def sigma_coordinate(gains: DsscGains, error: TrackingError) -> Scalar:
     """Sigma itself."""
     return error.sigma
 
 
-def own_rate(gains: DsscGains, sample: ControlSample) -> Scalar:
+def sigma_rate(gains: DsscGains, sample: ControlSample) -> Scalar:
     """1/tau_m."""
     return sample.ratios.pole
 
 
-def integrated(gains: DsscGains, error: TrackingError) -> Scalar:
+def phi_1_coordinate(gains: DsscGains, error: TrackingError) -> Scalar:
     """phi_1(sigma, e)."""
     at = gains.functions.at(error.sigma, error.e, gains.l0)
     return gains.functions.law(error.sigma, error.e, at).gain * error.sigma
 
 
-def integrated_rate(gains: DsscGains, sample: ControlSample) -> Scalar:
+def phi_1_rate(gains: DsscGains, sample: ControlSample) -> Scalar:
     """phi_2/phi_1."""
     e, sigma = sample.error
     return gains.functions.law(sigma, e, sample.at).rate

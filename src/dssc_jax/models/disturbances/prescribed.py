@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Disturbance, Variation, stateless, unchanged
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import begun, cubic_spline
+from dssc_jax.core.numerics import cubic_spline, elapsed_share
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurement, Params, Scalar, State
 from dssc_jax.core.smoothness import SMOOTH
@@ -57,7 +57,7 @@ def held_value(params: Params, state: Scalar, measurement: Measurement, sigma: S
 
 def step_mean(params: StepParams, state: Scalar, key: jax.Array, t: Scalar, dt: Scalar) -> Scalar:
     """Mean of the step over [t, t + dt): the impulse of a jump within a sample is exact, its time to O(T_s)."""
-    return params.value * begun(params.at, t, dt)
+    return params.value * elapsed_share(params.at, t, dt)
 
 
 def sine_value(

@@ -199,7 +199,7 @@ def at_length(path: CubicSpline, u: np.ndarray, s: np.ndarray, distances: np.nda
     return reached
 
 
-def slowed(step: float, coefficients: np.ndarray, params: WaypointParams) -> float:
+def slow_down(step: float, coefficients: np.ndarray, params: WaypointParams) -> float:
     """The step with which the table keeps both bounds, also between its nodes (usually longer by 1e-5)."""
     powers = np.vander(np.linspace(0.0, 1.0, 17), 5, increasing=True).T
     slope = polyder(coefficients[:, :3], axis=-1)
@@ -237,7 +237,7 @@ def curve(params: WaypointParams) -> Curve:
     v_ddot = (gain - np.sum(slope[:, :3] * bend[:, :3], axis=1) / size * v_dot**2) / size
     y_ddot = bend * v_dot[:, None] ** 2 + slope * v_ddot[:, None]
     coefficients = quintics(path(v), slope * v_dot[:, None], y_ddot, duration / count)
-    return Curve(slowed(duration / count, coefficients, params), coefficients)
+    return Curve(slow_down(duration / count, coefficients, params), coefficients)
 
 
 def at(curve: Curve, t: Scalar) -> tuple[ReferencePoint, ReferencePoint, ReferencePoint, ReferencePoint]:

@@ -80,18 +80,18 @@ def reading(params: NoisyParams, measurement: Measurement, key: jax.Array) -> Me
     """The measurement with the constant errors and fresh noise, rounded to the resolution."""
     noise = standard_normals(key, 2)
     return Measurement(
-        rounded(
+        round_reading(
             measurement.y + params.position_bias + params.position_std * noise[0],
             params.position_resolution,
         ),
-        rounded(
+        round_reading(
             measurement.y_dot + params.velocity_bias + params.velocity_std * noise[1],
             params.velocity_resolution,
         ),
     )
 
 
-def rounded(value: Scalar, resolution: Scalar | None) -> Scalar:
+def round_reading(value: Scalar, resolution: Scalar | None) -> Scalar:
     """The nearest multiple of the resolution; the value itself if there is none."""
     return value if resolution is None else resolution * jnp.round(value / resolution)
 

@@ -146,7 +146,7 @@ def lean(acceleration: Vec3, heading: tuple[Scalar, Scalar]) -> Lean:
     return Lean(forward, acceleration.z, left, jnp.sqrt(acceleration.z**2 + forward**2))
 
 
-def wanted_tilt(acceleration: Vec3, heading: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
+def desired_tilt(acceleration: Vec3, heading: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
     """(phi_d, theta_d) [rad]."""
     sides = lean(acceleration, heading)
     return atan2(sides.left, sides.slant), atan2(sides.forward, sides.up)
@@ -221,7 +221,7 @@ def demand(
         slope = error * gains.kp_velocity - acceleration * gains.kd_velocity
         slope = slope._replace(z=jnp.where(bounded, 0.0, slope.z))
         turned = (-at.spsi * turning.psi, at.cpsi * turning.psi)
-        _, (phi_d_dot, theta_d_dot) = jax.jvp(wanted_tilt, (desired, (at.cpsi, at.spsi)), (slope, turned))
+        _, (phi_d_dot, theta_d_dot) = jax.jvp(desired_tilt, (desired, (at.cpsi, at.spsi)), (slope, turned))
     else:
         phi_d_dot = 0.0
         theta_d_dot = 0.0

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Wind
-from dssc_jax.core.numerics import begun, standard_normals
+from dssc_jax.core.numerics import elapsed_share, standard_normals
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
@@ -158,7 +158,7 @@ def dryden_step(params: DrydenParams, state: DrydenState, key: jax.Array, t: Sca
         jnp.exp(-h_uv) * state.u + jnp.sqrt(-jnp.expm1(-2.0 * h_uv)) * n[0],
         transverse_step(state.v, h_uv, n[1], n[2]),
         transverse_step(state.w, h_w, n[3], n[4]),
-        begun(params.at, t, dt),
+        elapsed_share(params.at, t, dt),
     )
 
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Wind, stateless, unchanged
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import begun, cubic_spline
+from dssc_jax.core.numerics import cubic_spline, elapsed_share
 from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.signals import Params, Scalar, State
 from dssc_jax.core.vectors import Vec3
@@ -83,7 +83,7 @@ def held_wind(params: Params, state: Vec3, t: Scalar) -> Vec3:
 
 def constant_step(params: ConstantWindParams, state: Vec3, key: jax.Array, t: Scalar, dt: Scalar) -> Vec3:
     """Mean over [t, t + dt): a jump within a sample does not spoil the integrator's order."""
-    return Vec3(params.x, params.y, params.z) * begun(params.at, t, dt)
+    return Vec3(params.x, params.y, params.z) * elapsed_share(params.at, t, dt)
 
 
 def check_table(params: PiecewiseParams) -> PiecewiseParams:
@@ -107,7 +107,7 @@ def piecewise_step(params: PiecewiseParams, state: Vec3, key: jax.Array, t: Scal
     wind = Vec3(0.0, 0.0, 0.0)
     covered = 0.0
     for at, x, y, z in reversed(list(zip(*params, strict=True))):
-        share = jnp.maximum(begun(at, t, dt) - covered, 0.0)
+        share = jnp.maximum(elapsed_share(at, t, dt) - covered, 0.0)
         wind = wind + Vec3(x, y, z) * share
         covered = covered + share
     return wind
