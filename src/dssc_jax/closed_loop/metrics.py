@@ -171,14 +171,37 @@ def position_error(instant: Instant) -> Scalar:
     return root_abs(sum(jnp.square(sample.e) for sample in instant.channels[:3]))
 
 
+def as_float(flag: Scalar, like: Scalar) -> Scalar:
+    """1 if the flag holds, else 0."""
+    return jnp.where(flag, jnp.ones_like(like), jnp.zeros_like(like))
+
+
+def share_of_time(meaning: str, holds: Callable[[Sample], Scalar], needs: tuple[str, ...]) -> Metric:
+    """The share of time for which a flag of a channel holds."""
+    update = total(lambda sample: as_float(holds(sample), sample.e))
+    return Metric("1", f"share of time {meaning}", update, mean, needs, counted=True)
+
+
+def vehicle_metric(
+    unit: str,
+    meaning: str,
+    update: Callable[[Accumulator, Instant, Window], Accumulator],
+    value: Callable[[Accumulator, Window, Span], Scalar],
+    start: Accumulator = 0.0,
+    counted: bool = False,
+) -> Metric:
+    """A metric of the vehicle."""
+    return Metric(unit, meaning, update, value, FLYING, Scope.VEHICLE, start, counted)
+
+
 def rotor_limited(instant: Instant) -> Scalar:
     """1 if a rotor is at its limit, else 0."""
     return as_float(instant.plant.rotor_limited, instant.plant.tilt)
 
 
-def as_float(flag: Scalar, like: Scalar) -> Scalar:
-    """1 if the flag holds, else 0."""
-    return jnp.where(flag, jnp.ones_like(like), jnp.zeros_like(like))
+def lift_bounded(instant: Instant) -> Scalar:
+    """1 if the wanted lift is at its lower bound, else 0."""
+    return as_float(instant.plant.lift_bounded, instant.plant.tilt)
 
 
 SLIDING = ("sliding_margin",)
@@ -196,60 +219,29 @@ METRICS: dict[str, Metric] = {
     "command_rms": Metric("u", "rms of the robust command u", total(lambda s: s.u * s.u), root_mean),
     "command_max": Metric("u", "largest |u|", peak(lambda s: s.u), itself),
     "total_command_max": Metric("u", "largest |u + u_n|", peak(lambda s: s.u_total), itself),
-    "outside_sliding": Metric(
-        "1",
-        "share of time outside sliding",
-        total(lambda s: as_float(s.info.sliding_margin < 0.0, s.e)),
-        mean,
-        SLIDING,
-        counted=True,
-    ),
+    "outside_sliding": share_of_time("outside sliding", lambda s: s.info.sliding_margin < 0.0, SLIDING),
     "sampling_ratio": Metric("1", "largest sampling ratio", peak(sampling_ratio), itself, SAMPLING),
-    "sampling_ratio_above_1": Metric(
-        "1",
-        "share of time with a sampling ratio above 1",
-        total(lambda s: as_float(sampling_ratio(s) > 1.0, s.e)),
-        mean,
-        SAMPLING,
-        counted=True,
+    "sampling_ratio_above_1": share_of_time(
+        "with a sampling ratio above 1", lambda s: sampling_ratio(s) > 1.0, SAMPLING
     ),
-    "position_error_rms": Metric(
-        "m",
-        "rms of the position error",
-        total(lambda i: jnp.square(position_error(i))),
-        root_mean,
-        FLYING,
-        Scope.VEHICLE,
+    "position_error_rms": vehicle_metric(
+        "m", "rms of the position error", total(lambda i: jnp.square(position_error(i))), root_mean
     ),
-    "position_error_max": Metric("m", "largest position error", peak(position_error), itself, FLYING, Scope.VEHICLE),
-    "tilt_max": Metric("rad", "largest tilt of body z", peak(lambda i: i.plant.tilt), itself, FLYING, Scope.VEHICLE),
-    "rotor_limited": Metric(
-        "1",
-        "share of time with a rotor at its limit",
-        total(rotor_limited),
-        mean,
-        FLYING,
-        Scope.VEHICLE,
-        counted=True,
+    "position_error_max": vehicle_metric("m", "largest position error", peak(position_error), itself),
+    "tilt_max": vehicle_metric("rad", "largest tilt of body z", peak(lambda i: i.plant.tilt), itself),
+    "rotor_limited": vehicle_metric(
+        "1", "share of time with a rotor at its limit", total(rotor_limited), mean, counted=True
     ),
-    "rotor_limited_longest": Metric(
+    "rotor_limited_longest": vehicle_metric(
         "s",
         "longest uninterrupted time with a rotor at its limit",
         stretch(rotor_limited),
         longest,
-        FLYING,
-        Scope.VEHICLE,
         Stretch(),
         counted=True,
     ),
-    "lift_bounded": Metric(
-        "1",
-        "share of time with the wanted lift at its lower bound",
-        total(lambda i: as_float(i.plant.lift_bounded, i.plant.tilt)),
-        mean,
-        FLYING,
-        Scope.VEHICLE,
-        counted=True,
+    "lift_bounded": vehicle_metric(
+        "1", "share of time with the wanted lift at its lower bound", total(lift_bounded), mean, counted=True
     ),
 }
 BRIEF = ("error_rms", "error_max", "command_tv", "command_max", "outside_sliding", "sampling_ratio")

@@ -27,7 +27,7 @@ from dssc_jax.core.signals import (
     Signals,
     State,
 )
-from dssc_jax.core.smoothness import SMOOTH
+from dssc_jax.core.smoothness import SMOOTH, Declaration
 from dssc_jax.core.vectors import Vec3
 
 
@@ -130,6 +130,26 @@ def sum_of_winds(parts: tuple[Wind, ...]) -> Wind:
         return total
 
     return Wind(NoParams, init, step, value)
+
+
+def static_unmodelled(
+    params: type,
+    output: Callable[[Params, Scalar], Scalar],
+    *,
+    held: bool = True,
+    smooth: Declaration = None,
+    continuous: bool = False,
+) -> Unmodelled:
+    """Unmodelled dynamics without a state: their output depends on the present command alone."""
+    return Unmodelled(
+        params,
+        init=lambda params: (),
+        step=lambda params, state, command, dt: state,
+        output=lambda params, state, command: output(params, command),
+        held=held,
+        smooth=smooth,
+        continuous=continuous,
+    )
 
 
 def linear_unmodelled(

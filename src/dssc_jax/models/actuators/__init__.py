@@ -1,6 +1,7 @@
 """Registry of actuators: unmodelled dynamics in series with the plant input; a new one is one file and one row."""
 
-from dssc_jax.core.contracts import NoParams, Unmodelled
+from dssc_jax.core.adapters import static_unmodelled
+from dssc_jax.core.contracts import NoParams
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.core.smoothness import SMOOTH
 from dssc_jax.models.actuators.delay import DELAY
@@ -10,15 +11,7 @@ from dssc_jax.models.actuators.rate_limit import RATE_LIMIT
 from dssc_jax.models.actuators.saturation import SATURATION
 from dssc_jax.models.actuators.transfer_function import TRANSFER_FUNCTION
 
-NO_DYNAMICS = Unmodelled(
-    NoParams,
-    init=lambda params: (),
-    step=lambda params, state, command, dt: state,
-    output=lambda params, state, command: command,
-    held=True,
-    smooth=SMOOTH,
-    continuous=True,
-)
+NO_DYNAMICS = static_unmodelled(NoParams, lambda params, command: command, smooth=SMOOTH, continuous=True)
 
 UNMODELLED: Registry = {
     "none": single(NO_DYNAMICS, "the command reaches the plant unchanged"),

@@ -4,6 +4,7 @@ from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 
+from dssc_jax.core.adapters import static_unmodelled
 from dssc_jax.core.contracts import Unmodelled
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
@@ -16,7 +17,7 @@ class QuantisationParams(NamedTuple):
     resolution: Annotated[Scalar, Quantity("u", "the plant input is a multiple of it", above=0.0)]
 
 
-def nearest_multiple(params: QuantisationParams, state: tuple[()], command: Scalar) -> Scalar:
+def nearest_multiple(params: QuantisationParams, command: Scalar) -> Scalar:
     """The multiple of the resolution that is nearest to the command; the error is at most half the resolution."""
     return params.resolution * jnp.round(command / params.resolution)
 
@@ -26,19 +27,9 @@ def unit_gain(params: QuantisationParams) -> tuple[Unmodelled, QuantisationParam
     return UNIT_GAIN, params
 
 
-UNIT_GAIN = Unmodelled(
-    QuantisationParams,
-    init=lambda params: (),
-    step=lambda params, state, command, dt: state,
-    output=lambda params, state, command: command,
-    smooth=SMOOTH,
-    continuous=True,
+UNIT_GAIN = static_unmodelled(
+    QuantisationParams, lambda params, command: command, held=False, smooth=SMOOTH, continuous=True
 )
-QUANTISATION = Unmodelled(
-    QuantisationParams,
-    init=lambda params: (),
-    step=lambda params, state, command, dt: state,
-    output=nearest_multiple,
-    held=True,
-    smooth=not_smooth(f"counts as {MEAN_GAIN}", unit_gain),
+QUANTISATION = static_unmodelled(
+    QuantisationParams, nearest_multiple, smooth=not_smooth(f"counts as {MEAN_GAIN}", unit_gain)
 )

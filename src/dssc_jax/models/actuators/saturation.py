@@ -4,6 +4,7 @@ from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 
+from dssc_jax.core.adapters import static_unmodelled
 from dssc_jax.core.contracts import Unmodelled
 from dssc_jax.core.numerics import saturate
 from dssc_jax.core.quantities import Quantity
@@ -22,12 +23,9 @@ def without_limit(params: SaturationParams) -> tuple[Unmodelled, SaturationParam
     return SATURATION, SaturationParams(jnp.inf)
 
 
-SATURATION = Unmodelled(
+SATURATION = static_unmodelled(
     SaturationParams,
-    init=lambda params: (),
-    step=lambda params, state, command, dt: state,
-    output=lambda params, state, command: saturate(command, params.limit),
-    held=True,
+    lambda params, command: saturate(command, params.limit),
     smooth=piecewise("its limit; there it counts as within the limit, a gain of 1", without_limit),
     continuous=True,
 )
