@@ -19,7 +19,15 @@ from dssc_jax.core.contracts import Controller, HarmonicBalance
 from dssc_jax.core.numerics import root_abs, root_of, saturate, sign
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Entry
-from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, tracking_error
+from dssc_jax.core.signals import (
+    Command,
+    Measurement,
+    Params,
+    ReferencePoint,
+    Scalar,
+    TrackingError,
+    tracking_error,
+)
 from dssc_jax.core.smoothness import SWITCHES, not_smooth
 from dssc_jax.models.controllers.dssc_forms import DsscGains, nominal_input_gain
 from dssc_jax.models.controllers.gain_functions import KAPPA_1, KAPPA_2, super_twisting
@@ -101,11 +109,6 @@ def proper_carried(x: Scalar, w: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> S
     return w + (2.0 * h * k2 + k1 * s) * xi
 
 
-def init(gains: StaGains, measurement: Measurement, reference: ReferencePoint) -> IntegralState:
-    """v = 0."""
-    return IntegralState(0.0)
-
-
 def sta_balance(gains: StaGains) -> HarmonicBalance:
     """The balance of the STA: N = c kappa1 A^(-1/2) + 2 kappa2/(pi A)/(i w), in the normalisation of Table 2."""
     kappa1 = float(gains.kappa1)
@@ -122,40 +125,63 @@ def sta_of_dssc(gains: DsscGains) -> dict[str, float]:
     return {"kappa1": float(twisting.kappa1), "kappa2": float(twisting.kappa2), "k_n": nominal_input_gain(gains)}
 
 
-def sta(update: Update, carried: Carried) -> Controller:
-    """The STA with the given sampled form."""
+Sampled: TypeAlias = Callable[[Params, TrackingError, Scalar, Scalar], tuple[Scalar, Scalar]]
+"""(gains, error, v, T_s) -> w and v+ after the sample."""
+
+Inverse: TypeAlias = Callable[[Params, TrackingError, Scalar, Scalar], Scalar]
+"""(gains, error, w, T_s) -> the v with which the sample gives w."""
+
+
+def twisting_controller(gains_type: type, sampled: Sampled, inverse: Inverse) -> Controller:
+    """A controller u = w/k_n + u_n whose state is its integral term v, with a limit of u.
+
+    Args:
+        gains_type: Type of the gains, with ``k_n``, ``limit`` and ``nominal``.
+        sampled: The sampled form.
+        inverse: The sampled form, solved for v.
+    """
 
     def step(
-        gains: StaGains, state: IntegralState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
+        gains: Params, state: IntegralState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
     ) -> tuple[IntegralState, Command, IntegralInfo]:
         error = tracking_error(measurement, reference, gains.l0)
         u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, 0.0)
-        w, v = update(error.sigma, state.v, gains.k_n * gains.kappa1, 0.5 * gains.k_n * gains.kappa2, dt)
+        w, v = sampled(gains, error, state.v, dt)
         u = w / gains.k_n
         if gains.limit is not None:
             u = saturate(u, gains.limit)
         return IntegralState(v), Command(u, u_nominal), IntegralInfo(v / gains.k_n)
 
     def transfer(
-        gains: StaGains, measurement: Measurement, reference: ReferencePoint, command: Scalar, dt: Scalar
+        gains: Params, measurement: Measurement, reference: ReferencePoint, command: Scalar, dt: Scalar
     ) -> IntegralState:
         """The integral term that leaves the command as it is."""
         error = tracking_error(measurement, reference, gains.l0)
         w = gains.k_n * (command - nominal_control(gains.nominal, gains.l0, error, reference, 0.0))
-        return IntegralState(carried(error.sigma, w, gains.k_n * gains.kappa1, 0.5 * gains.k_n * gains.kappa2, dt))
+        return IntegralState(inverse(gains, error, w, dt))
 
     return Controller(
-        StaGains,
-        init,
-        step,
+        gains_type,
+        init=lambda gains, measurement, reference: IntegralState(0.0),
+        step=step,
         transfer=transfer,
         smooth=not_smooth(SWITCHES),
-        describing=sta_balance,
-        tunable=("kappa1", "kappa2"),
-        from_dssc=sta_of_dssc,
         limit="limit",
         info=IntegralInfo,
     )
+
+
+def sta(update: Update, carried: Carried) -> Controller:
+    """The STA with the given sampled form."""
+
+    def sampled(gains: StaGains, error: TrackingError, v: Scalar, dt: Scalar) -> tuple[Scalar, Scalar]:
+        return update(error.sigma, v, gains.k_n * gains.kappa1, 0.5 * gains.k_n * gains.kappa2, dt)
+
+    def inverse(gains: StaGains, error: TrackingError, w: Scalar, dt: Scalar) -> Scalar:
+        return carried(error.sigma, w, gains.k_n * gains.kappa1, 0.5 * gains.k_n * gains.kappa2, dt)
+
+    controller = twisting_controller(StaGains, sampled, inverse)
+    return controller._replace(describing=sta_balance, tunable=("kappa1", "kappa2"), from_dssc=sta_of_dssc)
 
 
 STA = Entry(

@@ -14,11 +14,10 @@ from typing import Annotated, NamedTuple, TypeAlias
 import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Controller
-from dssc_jax.core.numerics import root_abs, root_of, saturate, sign
+from dssc_jax.core.numerics import root_abs, root_of, sign
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Entry
-from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar, TrackingError, tracking_error
-from dssc_jax.core.smoothness import SWITCHES, not_smooth
+from dssc_jax.core.signals import Scalar, TrackingError
 from dssc_jax.models.controllers.dssc_forms import DsscGains, nominal_input_gain
 from dssc_jax.models.controllers.gain_functions import (
     KAPPA_ABC,
@@ -29,8 +28,8 @@ from dssc_jax.models.controllers.gain_functions import (
     super_twisting,
     variable_gains,
 )
-from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
-from dssc_jax.models.controllers.sta import K_N, LIMIT, IntegralInfo, IntegralState
+from dssc_jax.models.controllers.nominal import L0, NominalGains
+from dssc_jax.models.controllers.sta import K_N, LIMIT, twisting_controller
 
 
 class VgstaGains(NamedTuple):
@@ -127,11 +126,6 @@ def implicit_carried(x: Scalar, w: Scalar, shape: Shape, at: VariableGains, k_n:
     return w + k_n * (at.kappa1 * phi_1 + h * at.kappa2 * phi_2)
 
 
-def init(gains: VgstaGains, measurement: Measurement, reference: ReferencePoint) -> IntegralState:
-    """v = 0."""
-    return IntegralState(0.0)
-
-
 def gains_of_sample(gains: VgstaGains, error: TrackingError) -> VariableGains:
     """kappa_1 and kappa_2 at the sample."""
     coefficients = (gains.kappa_a, gains.kappa_b, gains.kappa_c, gains.kappa_d)
@@ -152,38 +146,16 @@ def vgsta_of_dssc(gains: DsscGains) -> dict[str, float]:
 def vgsta(update: Update, carried: Carried) -> Controller:
     """The VGSTA with the given sampled form."""
 
-    def step(
-        gains: VgstaGains, state: IntegralState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
-    ) -> tuple[IntegralState, Command, IntegralInfo]:
-        error = tracking_error(measurement, reference, gains.l0)
-        u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, 0.0)
-        w, v = update(error.sigma, state.v, shape_at(gains, error.sigma), gains_of_sample(gains, error), gains.k_n, dt)
-        u = w / gains.k_n
-        if gains.limit is not None:
-            u = saturate(u, gains.limit)
-        return IntegralState(v), Command(u, u_nominal), IntegralInfo(v / gains.k_n)
+    def sampled(gains: VgstaGains, error: TrackingError, v: Scalar, dt: Scalar) -> tuple[Scalar, Scalar]:
+        shape = shape_at(gains, error.sigma)
+        return update(error.sigma, v, shape, gains_of_sample(gains, error), gains.k_n, dt)
 
-    def transfer(
-        gains: VgstaGains, measurement: Measurement, reference: ReferencePoint, command: Scalar, dt: Scalar
-    ) -> IntegralState:
-        """The integral term that leaves the command as it is."""
-        error = tracking_error(measurement, reference, gains.l0)
-        w = gains.k_n * (command - nominal_control(gains.nominal, gains.l0, error, reference, 0.0))
-        return IntegralState(
-            carried(error.sigma, w, shape_at(gains, error.sigma), gains_of_sample(gains, error), gains.k_n, dt)
-        )
+    def inverse(gains: VgstaGains, error: TrackingError, w: Scalar, dt: Scalar) -> Scalar:
+        shape = shape_at(gains, error.sigma)
+        return carried(error.sigma, w, shape, gains_of_sample(gains, error), gains.k_n, dt)
 
-    return Controller(
-        VgstaGains,
-        init,
-        step,
-        transfer=transfer,
-        smooth=not_smooth(SWITCHES),
-        tunable=("kappa_d", "gamma"),
-        from_dssc=vgsta_of_dssc,
-        limit="limit",
-        info=IntegralInfo,
-    )
+    controller = twisting_controller(VgstaGains, sampled, inverse)
+    return controller._replace(tunable=("kappa_d", "gamma"), from_dssc=vgsta_of_dssc)
 
 
 VGSTA = Entry(
