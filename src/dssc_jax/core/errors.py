@@ -49,11 +49,7 @@ def errors_under(path: str) -> Iterator[None]:
 
 @contextmanager
 def errors_in_code(subject: str, function: Callable[..., object]) -> Iterator[None]:
-    """Report an exception of a user's own code in one line, with the line of the user's file.
-
-    Raises:
-        ConfigError: The code raised an exception.
-    """
+    """Report an exception of a user's own code in one line, with the line of the user's file; raises ConfigError."""
     try:
         yield
     except ConfigError:

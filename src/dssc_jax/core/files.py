@@ -91,11 +91,7 @@ def require_readable(path: Path, mode: int) -> None:
 
 
 def read_text(path: str | Path, errors: str = "strict") -> str:
-    """The content of a regular UTF-8 file, with the same errors as :func:`read_bytes`.
-
-    Raises:
-        UnicodeDecodeError: It is not UTF-8, and ``errors`` is ``strict``.
-    """
+    """The content of a regular UTF-8 file, with the same errors as :func:`read_bytes`; raises UnicodeDecodeError."""
     text = read_bytes(path).decode("utf-8", errors)
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
@@ -208,11 +204,7 @@ def flush_folder(folder: Path) -> None:
 
 
 def require_replaceable(path: Path) -> int | None:
-    """Require that a path is absent or a regular file; return its mode.
-
-    Raises:
-        UnsafeFileError: It is something else.
-    """
+    """Require that a path is absent or a regular file; return its mode; raises UnsafeFileError."""
     mode = mode_of(path)
     if mode is not None and not stat.S_ISREG(mode):
         raise unsafe(path, f"is {file_type(mode)}, which is not overwritten")
@@ -220,11 +212,7 @@ def require_replaceable(path: Path) -> int | None:
 
 
 def require_inside(path: Path, within: Path | None) -> None:
-    """Require that the folders of a path below ``within`` are folders, not symbolic links.
-
-    Raises:
-        UnsafeFileError: One is something else.
-    """
+    """Require that the folders of a path below ``within`` are folders, not symbolic links; raises UnsafeFileError."""
     if within is None:
         return
     folder = within
@@ -236,11 +224,7 @@ def require_inside(path: Path, within: Path | None) -> None:
 
 
 def require_plain_tree(folder: Path) -> None:
-    """Require that a folder which is to be written contains regular files and folders only.
-
-    Raises:
-        ConfigError: It contains something else, such as a symbolic link; the message names it.
-    """
+    """Require that a folder which is to be written contains regular files and folders only; raises ConfigError."""
     for place, folders, names in os.walk(folder):
         for name in (*folders, *names):
             path = Path(place) / name
@@ -272,11 +256,7 @@ def make_folder(folder: Path, within: Path | None = None) -> None:
 
 
 def delete(path: Path, within: Path | None = None) -> None:
-    """Delete a file if it exists; of a symbolic link, the link.
-
-    Raises:
-        UnsafeFileError: A folder of the path below ``within`` is a symbolic link.
-    """
+    """Delete a file if it exists; of a symbolic link, the link; raises UnsafeFileError."""
     require_inside(path, within)
     path.unlink(missing_ok=True)
 
@@ -323,11 +303,7 @@ class HeldFolder:
         self._identity = device_and_inode(path)
 
     def require_in_place(self) -> None:
-        """Require that the path still leads to the folder.
-
-        Raises:
-            ConfigError: The folder was moved or deleted; the message says where it is, as far as the system tells.
-        """
+        """Require that the path still leads to the folder; raises ConfigError."""
         try:
             present = device_and_inode(self.path)
         except OSError:

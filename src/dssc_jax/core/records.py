@@ -59,11 +59,7 @@ RULES = {Interpolation.HOLD: held_pieces, Interpolation.LINEAR: line_pieces, Int
 
 
 def check_record(time: Values, value: Values) -> None:
-    """Require at least two values, one for each time, at rising times.
-
-    Raises:
-        ConfigError: otherwise.
-    """
+    """Require at least two values, one for each time, at rising times; raises ConfigError."""
     count = len(time)
     if len(value) != count:
         raise ConfigError("value", f"must hold as many numbers as time, {count}, got {len(value)}")
@@ -77,11 +73,7 @@ def check_record(time: Values, value: Values) -> None:
 
 
 def cubic_pieces(time: Values, value: Values, rule: Interpolation) -> Pieces:
-    """The piecewise cubic through a record.
-
-    Raises:
-        ConfigError: As in :func:`check_record`.
-    """
+    """The piecewise cubic through a record; raises ConfigError."""
     check_record(time, value)
     times = np.asarray(time, float)
     values = np.asarray(value, float)
@@ -90,11 +82,7 @@ def cubic_pieces(time: Values, value: Values, rule: Interpolation) -> Pieces:
 
 
 def columns_as_pieces(time: Values, columns: dict[str, Values], rule: Interpolation) -> tuple[Pieces, ...]:
-    """The piecewise cubics through several columns with the same times.
-
-    Raises:
-        ConfigError: As in :func:`check_record`; a wrong length is reported under the column's name.
-    """
+    """The piecewise cubics through several columns with the same times; raises ConfigError."""
     parts = []
     for name, values in columns.items():
         try:

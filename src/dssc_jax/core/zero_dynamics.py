@@ -46,11 +46,7 @@ def kharitonov(low: tuple[float, ...], high: tuple[float, ...]) -> list[tuple[fl
 
 
 def require_hurwitz(dynamics: ZeroDynamics) -> None:
-    """Check lengths, and that A_eta is Hurwitz for every admissible value of its coefficients.
-
-    Raises:
-        ConfigError: a and c differ in length, or some value within the laws' supports is not Hurwitz.
-    """
+    """Check lengths, and that A_eta is Hurwitz for every admissible value of its coefficients; raises ConfigError."""
     if len(dynamics.a) != len(dynamics.c) or not dynamics.a:
         raise ConfigError(
             "zero_dynamics", f"a and c must have the same length >= 1, got {len(dynamics.a)} and {len(dynamics.c)}"
