@@ -205,27 +205,39 @@ def advance_exactly(parts: HeldParts, dynamics: LinearDynamics, params: Params, 
                     slopes = [slope[row] for row in rows]
                 return [*drive.disturbance, *slopes]
 
-            inputs = []
-            for model, command, line in zip(parts.unmodelled, commands, lines, strict=True):
-                if model.linear is not None:
-                    inputs.append((command,))
-                else:
-                    inputs.append((line.mean,) if model.held else (line.mean - 0.5 * line.rise, line.rise))
+            inputs = command_terms(parts, commands, lines)
             x = gather_state(assembly, plant, states)
             if constant or parts.integrator == Integrator.EULER:
                 x = held.full.apply(x, [*inputs, *((signal,) for signal in signals(x, 0.0))])
             else:
                 x = etd_step(held, parts, x, inputs, forcings, signals)
-            stepped = tuple(
-                state if model.linear is not None else model.step(p, state, command, h)
-                for model, p, state, command in zip(parts.unmodelled, unmodelled, states, commands, strict=True)
-            )
-            plant, states = scatter_state(assembly, x, plant, stepped)
+            plant, states = scatter_state(assembly, x, plant, stepped_states(parts, unmodelled, states, commands, h))
             return parts.plant.project(params, plant), states
 
         return repeat_substeps(substep, (plant, states), count)
 
     return advance
+
+
+def command_terms(parts: HeldParts, commands: Signals, lines: tuple[Moments, ...]) -> list[tuple[Scalar, ...]]:
+    """Terms of the input of each channel's command, as a polynomial over a step."""
+    inputs = []
+    for model, command, line in zip(parts.unmodelled, commands, lines, strict=True):
+        if model.linear is not None:
+            inputs.append((command,))
+        elif model.held:
+            inputs.append((line.mean,))
+        else:
+            inputs.append((line.mean - 0.5 * line.rise, line.rise))
+    return inputs
+
+
+def stepped_states(parts: HeldParts, unmodelled: States, states: States, commands: Signals, h: Scalar) -> States:
+    """States of the unmodelled dynamics after a step, but for linear ones, which advance with the plant."""
+    after = []
+    for model, params, state, command in zip(parts.unmodelled, unmodelled, states, commands, strict=True):
+        after.append(state if model.linear is not None else model.step(params, state, command, h))
+    return tuple(after)
 
 
 def etd_step(
