@@ -103,12 +103,16 @@ def check_path(params: WaypointParams) -> None:
         raise ConfigError("latitude_deg", f"must hold at least two waypoints, got {count}")
     for name, hint in get_type_hints(WaypointParams, include_extras=True).items():
         values = getattr(params, name)
-        quantity = hint.__metadata__[0]
+        if values is None:
+            continue
         is_list = np.ndim(values) == 1
         if is_list and len(values) != count:
             raise ConfigError(name, f"must hold {count} numbers, as latitude_deg does, got {len(values)}")
-        for i, value in enumerate(values if is_list else () if values is None else (values,)):
-            broken = quantity.violated_by(value, value) or (None if math.isfinite(value) else "must be finite")
+        quantity = hint.__metadata__[0]
+        for i, value in enumerate(values if is_list else (values,)):
+            broken = quantity.violated_by(value, value)
+            if broken is None and not math.isfinite(value):
+                broken = "must be finite"
             if broken:
                 rule = f"{quantity.meaning} [{quantity.unit}] {broken}, got {value:g}"
                 raise ConfigError(f"{name}.{i}" if is_list else name, rule)
@@ -117,8 +121,9 @@ def check_path(params: WaypointParams) -> None:
     spacings = np.linalg.norm(np.diff(points, axis=0), axis=1)
     if distances.max() > FRAME_RADIUS:
         i = int(distances.argmax())
-        rule = f"waypoint {i} must be within {FRAME_RADIUS / 1e3:g} km of waypoint 0, got {distances[i] / 1e3:.4g} km"
-        raise ConfigError(f"{'latitude_deg' if abs(points[i, 1]) > abs(points[i, 0]) else 'longitude_deg'}.{i}", rule)
+        axis = "latitude_deg" if abs(points[i, 1]) > abs(points[i, 0]) else "longitude_deg"
+        reach = f"{FRAME_RADIUS / 1e3:g} km of waypoint 0, got {distances[i] / 1e3:.4g} km"
+        raise ConfigError(f"{axis}.{i}", f"waypoint {i} must be within {reach}")
     if spacings.min() < SAME:
         i = int(spacings.argmin())
         raise ConfigError(f"latitude_deg.{i + 1}", f"waypoint {i + 1} repeats waypoint {i} ({spacings[i]:.2g} m away)")
