@@ -44,11 +44,7 @@ def high_gain_init(params: HighGainParams, measurement: Measurement) -> HighGain
 def high_gain_step(
     params: HighGainParams, state: HighGainState, measurement: Measurement, dt: Scalar
 ) -> tuple[HighGainState, Measurement]:
-    """Backward Euler, solved for the innovation y - x1+; tends to the backward difference for dt >> epsilon.
-
-    Returns:
-        The next state, and y with the estimate of y'.
-    """
+    """Backward Euler, solved for the innovation y - x1+; tends to the backward difference for dt >> epsilon."""
     # multiplied by epsilon^2, so that nothing is divided by a small epsilon
     first = dt * params.alpha1 * params.epsilon
     second = dt * dt * params.alpha2

@@ -33,11 +33,7 @@ def lead_filter_init(params: LeadFilterParams, measurement: Measurement) -> Lead
 def lead_filter_step(
     params: LeadFilterParams, state: LeadFilterState, measurement: Measurement, dt: Scalar
 ) -> tuple[LeadFilterState, Measurement]:
-    """Exact solution of tau_f v' = y' - v over dt, for y linear between the samples.
-
-    Returns:
-        The next state, and y with the estimate of y'.
-    """
+    """Exact solution of tau_f v' = y' - v over dt, for y linear between the samples."""
     share = -jnp.expm1(-dt / params.tau_f)
     slope = (measurement.y - state.y) / dt
     velocity = state.velocity + share * (slope - state.velocity)

@@ -56,9 +56,6 @@ def levant_step(
     rounding that adds up. Once reached, sliding persists: b is then a second difference of y, at most
     L dt^2 < lambda_0 L dt^2. The error is at most L dt/2, the least possible from samples. Outside of sliding, s =
     |x|^(1/2) solves a quadratic.
-
-    Returns:
-        The next state, and y with the estimate of y'.
     """
     b = state.z0 + dt * state.z1 - measurement.y
     jump = dt * params.lambda0 * params.lipschitz

@@ -32,11 +32,7 @@ def lag_init(params: SensorLagParams, measurement: Measurement, key: jax.Array) 
 def lag_step(
     params: SensorLagParams, state: LagState, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
 ) -> tuple[LagState, Measurement]:
-    """Exact solution of mu z' = y - z over dt, for y linear between the samples: a small mu is no delay.
-
-    Returns:
-        The next state, and the measurement that the controller sees.
-    """
+    """Exact solution of mu z' = y - z over dt, for y linear between the samples: a small mu is no delay."""
     steps = dt / params.mu
     share = -jnp.expm1(-steps)
 

@@ -122,11 +122,7 @@ def noisy_init(params: NoisyParams, measurement: Measurement, key: jax.Array) ->
 def noisy_step(
     params: NoisyParams, state: NoisyState, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
 ) -> tuple[NoisyState, Measurement]:
-    """Take a reading if one is due, else hold the last one; return the reading of ``delay_samples`` ago.
-
-    Returns:
-        The next state, and the measurement that the controller sees.
-    """
+    """Take a reading if one is due, else hold the last one; return the reading of ``delay_samples`` ago."""
     due = state.age > sample_count("period_samples", params.period_samples) - 0.5  # a counter, compared halfway
     true = measurement
     arrives = due
