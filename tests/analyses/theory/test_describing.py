@@ -67,3 +67,9 @@ def test_unknown_law():
     pi = {"kind": "pi", "l0": 1.0, "k_p": 1.0, "k_i": 1.0}
     with pytest.raises(dj.ConfigError, match="the describing function of 'pi' is not known"):
         dj.theory.limit_cycle(chattering("smc").override({"controller": pi}))
+
+
+def test_dynamics_that_declare_no_time_constant_are_refused():
+    rate_limited = chattering("smc").override({"unmodelled": {"kind": "rate_limit", "rate": 5.0}})
+    with pytest.raises(dj.ConfigError, match=r"unmodelled.kind: chattering needs dynamics with a time constant"):
+        dj.theory.chattering(rate_limited, [0.1], push=0.1, after=1.0)
