@@ -31,7 +31,7 @@ from dssc_jax.design import guarantee
 from dssc_jax.design.certification import design_of
 from dssc_jax.proofs import SWEEP_BOXES
 from dssc_jax.proofs.coverage import problem_of
-from dssc_jax.proofs.verifier import verify_certificate
+from dssc_jax.proofs.verifier.verdict import verify_certificate
 from dssc_jax.results.proofs import SweepProofs
 from dssc_jax.runs.prove_sweep import prove_sweep, sweep_points
 

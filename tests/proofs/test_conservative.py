@@ -9,12 +9,12 @@ from scipy.linalg import expm
 
 import dssc_jax as dj
 from dssc_jax.proofs.coverage import problem_of
-from dssc_jax.proofs.function_distances import function_distances
-from dssc_jax.proofs.gain_enclosures import enclosed_gains, enclosed_start_ratio
-from dssc_jax.proofs.law_spread import law_spreads, middle_gains
 from dssc_jax.proofs.prove import check_certificate, prove
-from dssc_jax.proofs.small_gain import MIDDLE_GAINS
-from dssc_jax.proofs.verifier import arb, ball_precision, verify_certificate
+from dssc_jax.proofs.search.law_spread import law_spreads, middle_gains
+from dssc_jax.proofs.verifier.function_distances import function_distances
+from dssc_jax.proofs.verifier.gain_enclosures import enclosed_gains, enclosed_start_ratio
+from dssc_jax.proofs.verifier.small_gain import MIDDLE_GAINS
+from dssc_jax.proofs.verifier.verdict import arb, ball_precision, verify_certificate
 from tests.proofs.cases import LOOP
 
 DEFAULT = {"controller.discretisation": "conservative", "controller.predictor_start": "midpoint"}

@@ -8,7 +8,7 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.proofs.prove import prove
-from dssc_jax.proofs.verifier import verify_certificate
+from dssc_jax.proofs.verifier.verdict import verify_certificate
 from tests.proofs.cases import HIGHER, LOOP, NOMINAL, SINE, TRANSFER
 
 

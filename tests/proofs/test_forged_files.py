@@ -10,11 +10,11 @@ from flint import arb
 
 from dssc_jax.cli import guarded
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.proofs import small_gain, verifier
-from dssc_jax.proofs.balls import StageLimits
-from dssc_jax.proofs.impulse_responses import ResponseBounds
 from dssc_jax.proofs.prove import VERSION, check_certificate, prove
-from dssc_jax.proofs.verifier import verify_certificate
+from dssc_jax.proofs.verifier import small_gain
+from dssc_jax.proofs.verifier.balls import StageLimits
+from dssc_jax.proofs.verifier.impulse_responses import ResponseBounds
+from dssc_jax.proofs.verifier.verdict import verify_certificate
 from dssc_jax.proofs.words import loop_in_words
 from tests.proofs.cases import CONSTANT, LOOP
 
@@ -212,7 +212,7 @@ def test_a_sweep_of_other_things_is_refused(tmp_path, capsys):
 def test_infinite_bounds_prove_nothing(certificate, monkeypatch):
     """Even where every inequality holds, as it may among numbers near the end of float64's range."""
     limits = [StageLimits(arb(1), arb(1), arb("1e400"), arb(0), arb(0), arb(0))]
-    monkeypatch.setattr(verifier, "verified_stages", lambda problem, proof: limits)
+    monkeypatch.setattr("dssc_jax.proofs.verifier.verdict.verified_stages", lambda problem, proof: limits)
     verdict = verify_certificate(certificate)
     assert not verdict.proved
     assert verdict.reason == "P0: a bound of |e| is not finite, and proves nothing"

@@ -14,10 +14,10 @@ import dssc_jax as dj
 from dssc_jax.core.signals import Measurement
 from dssc_jax.models.environment.disturbances import PARTITION
 from dssc_jax.proofs.coverage import problem_of
-from dssc_jax.proofs.fixed_point import motion
 from dssc_jax.proofs.prove import check_certificate, prove
-from dssc_jax.proofs.state_dependence import disturbance_by_state, motion_bounds
-from dssc_jax.proofs.verifier import ball_precision, verify_certificate
+from dssc_jax.proofs.search.fixed_point import motion
+from dssc_jax.proofs.verifier.state_dependence import disturbance_by_state, motion_bounds
+from dssc_jax.proofs.verifier.verdict import ball_precision, verify_certificate
 from tests.proofs.cases import LOOP, SINE
 
 GAINS = {"k_d1": 0.1, "k_d2": 0.1, "k_d3": 0.2, "k_d4": 0.2, "k_d5": 0.1, "alpha_d2": 0.05, "alpha_d3": 0.1}

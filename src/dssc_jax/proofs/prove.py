@@ -12,11 +12,11 @@ import numpy as np
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.proofs import BOXES
-from dssc_jax.proofs.boxes import Box, halves, volume
 from dssc_jax.proofs.coverage import problem_of
 from dssc_jax.proofs.problem import Interval, ProofProblem
-from dssc_jax.proofs.search import Failure, Proof, prove_box
-from dssc_jax.proofs.verifier import ProofVerdict, verify_certificate, verify_proof
+from dssc_jax.proofs.search.box_search import Failure, Proof, prove_box
+from dssc_jax.proofs.search.boxes import Box, halves, volume
+from dssc_jax.proofs.verifier.verdict import ProofVerdict, verify_certificate, verify_proof
 from dssc_jax.study import Study
 
 VERSION = 5

@@ -5,8 +5,8 @@ from typing import Any
 
 from flint import arb
 
-from dssc_jax.proofs.balls import Balls, Rejected, enclosing, larger, require_premise
-from dssc_jax.proofs.table_gains import table_gains
+from dssc_jax.proofs.verifier.balls import Balls, Rejected, enclosing, larger, require_premise
+from dssc_jax.proofs.verifier.table_gains import table_gains
 
 PRECISE = 0.03  # largest excess of a hull over the gains themselves, in widths of the hull
 ROUNDING = 2.0**-40  # and in sizes of the gain
@@ -48,7 +48,7 @@ def enclosed_gains(problem: dict[str, Any], sigma: float, e: float, least: float
     """Balls of the gains for |sigma| and |e| from their least values to a bound.
 
     Of K_P, K_I, K_N, of the sliding condition's gains, and in the conservative form of phi_1/sigma and of what phi_1
-    changes by with e. Table 1's functions depend on e: :func:`dssc_jax.proofs.table_gains.table_gains`.
+    changes by with e. Table 1's functions depend on e: :func:`dssc_jax.proofs.verifier.table_gains.table_gains`.
     """
     if problem["functions"]["kind"] == "vgsta":
         result = table_gains(problem, sigma, e, least, least_e)

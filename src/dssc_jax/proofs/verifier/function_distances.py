@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from flint import arb
 
-from dssc_jax.proofs.balls import Balls, Rejected, larger, require_premise
-from dssc_jax.proofs.gain_enclosures import gains_at, middle_of
-from dssc_jax.proofs.intervals import Intervals, exactly, square_root
-from dssc_jax.proofs.table_gains import first_cells, gains_of, quartered
+from dssc_jax.proofs.verifier.balls import Balls, Rejected, larger, require_premise
+from dssc_jax.proofs.verifier.gain_enclosures import gains_at, middle_of
+from dssc_jax.proofs.verifier.intervals import Intervals, exactly, square_root
+from dssc_jax.proofs.verifier.table_gains import first_cells, gains_of, quartered
 
 DISTANCE_ROOM = 0.02
 """Largest excess over the distances at points, as a share of them."""

@@ -310,7 +310,7 @@ def start_corners(problem: ProofProblem, box: dict[str, Interval], ratio: Interv
     Args:
         problem: What is to be proved.
         box: Intervals of the uncertain numbers.
-        ratio: Interval of what the start takes from v or q, over sigma (:func:`dssc_jax.proofs.gains.start_ratio`).
+        ratio: Interval of what the start takes from v or q, over sigma: that of ``gains.start_ratio``.
     """
     zeta, memory, n = state_layout(problem)
     sizes = signal_sizes(problem, box)

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from dssc_jax.proofs.balls import Balls, enclosing, require_premise
-from dssc_jax.proofs.intervals import Intervals, exactly, square_root
+from dssc_jax.proofs.verifier.balls import Balls, enclosing, require_premise
+from dssc_jax.proofs.verifier.intervals import Intervals, exactly, square_root
 
 TABLE_ROOM = 0.02  # largest excess over the gains at points, in widths of what they span
 TABLE_ROUNDING = 2.0**-36  # and in sizes of the gain

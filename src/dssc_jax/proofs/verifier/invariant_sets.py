@@ -6,7 +6,7 @@ from typing import Any
 
 from flint import arb, arb_mat
 
-from dssc_jax.proofs.balls import (
+from dssc_jax.proofs.verifier.balls import (
     Balls,
     StageLimits,
     approximate_root,
@@ -19,7 +19,7 @@ from dssc_jax.proofs.balls import (
     symmetric_ball,
     symmetrised,
 )
-from dssc_jax.proofs.enclosed_loop import (
+from dssc_jax.proofs.verifier.enclosed_loop import (
     SAMPLE_PIECES,
     Corner,
     control_rows,
@@ -32,8 +32,13 @@ from dssc_jax.proofs.enclosed_loop import (
     start_columns,
     state_places,
 )
-from dssc_jax.proofs.gain_enclosures import depends_on_error, enclosed_gains, enclosed_start_ratio, with_moving_error
-from dssc_jax.proofs.slope_ratios import slide_gain
+from dssc_jax.proofs.verifier.gain_enclosures import (
+    depends_on_error,
+    enclosed_gains,
+    enclosed_start_ratio,
+    with_moving_error,
+)
+from dssc_jax.proofs.verifier.slope_ratios import slide_gain
 
 ERROR, SPEED = 0, 1
 """Places of e and e' among the states."""

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import cholesky, solve_discrete_lyapunov
 
-from dssc_jax.proofs.sampled_loop import Step
+from dssc_jax.proofs.search.sampled_loop import Step
 
 clarabel: Any = importlib.import_module("clarabel")  # its extension module has no types
 SLACK = 1e-7

@@ -4,7 +4,7 @@ import math
 import sys
 from typing import Any
 
-from dssc_jax.proofs.balls import require_premise
+from dssc_jax.proofs.verifier.balls import require_premise
 
 CONSTANTS = {
     "constant": ({"k_o", "tau_av", "tau_m"}, False),

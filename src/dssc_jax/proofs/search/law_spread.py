@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.proofs.gains import GAIN_NAMES, MARGIN, GainPoints, Hull, gain_hull, gain_points, with_room
 from dssc_jax.proofs.problem import Interval, ProofProblem
-from dssc_jax.proofs.sampled_loop import functions_of, middle
+from dssc_jax.proofs.search.gains import GAIN_NAMES, MARGIN, GainPoints, Hull, gain_hull, gain_points, with_room
+from dssc_jax.proofs.search.sampled_loop import functions_of, middle
 
 SLOPE_STEPS = 40
 """Steps of the search for a slope; each cuts the interval by a third."""

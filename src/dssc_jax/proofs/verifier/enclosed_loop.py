@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from flint import arb, arb_mat
 
-from dssc_jax.proofs.balls import Balls, both, enclosing, exact_ends, larger
+from dssc_jax.proofs.verifier.balls import Balls, both, enclosing, exact_ends, larger
 
 HALF = arb(1) / 2 * (1 + arb(2) ** -100)  # of a width, from its middle, which is rounded
 SAMPLE_PIECES = 8  # pieces of a sample on which its inside is enclosed

@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 
 from flint import arb, ctx
 
-from dssc_jax.proofs.balls import ENTERED, Rejected, StageLimits, require_premise
-from dssc_jax.proofs.enclosed_loop import signal_bounds
-from dssc_jax.proofs.gain_enclosures import enclosed_gains
-from dssc_jax.proofs.invariant_sets import invariant_bounds
-from dssc_jax.proofs.small_gain import implied_bounds
-from dssc_jax.proofs.well_formed import require_certificate, require_problem, require_proof
+from dssc_jax.proofs.verifier.balls import ENTERED, Rejected, StageLimits, require_premise
+from dssc_jax.proofs.verifier.enclosed_loop import signal_bounds
+from dssc_jax.proofs.verifier.gain_enclosures import enclosed_gains
+from dssc_jax.proofs.verifier.invariant_sets import invariant_bounds
+from dssc_jax.proofs.verifier.small_gain import implied_bounds
+from dssc_jax.proofs.verifier.well_formed import require_certificate, require_problem, require_proof
 
 PRECISION = 160  # bits
 STAGE_METHODS = {"invariant set": invariant_bounds, "small gain": implied_bounds}

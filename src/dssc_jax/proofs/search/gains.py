@@ -9,7 +9,7 @@ import numpy as np
 
 from dssc_jax.core.signals import Scalar
 from dssc_jax.proofs.problem import Interval, ProofProblem
-from dssc_jax.proofs.sampled_loop import functions_of
+from dssc_jax.proofs.search.sampled_loop import functions_of
 
 GRID = 129
 MARGIN = 0.06

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from flint import arb
 
-from dssc_jax.proofs.balls import Balls, larger, require_premise
-from dssc_jax.proofs.gain_enclosures import functions_at
-from dssc_jax.proofs.intervals import Intervals, outwards
-from dssc_jax.proofs.table_gains import gains_of
+from dssc_jax.proofs.verifier.balls import Balls, larger, require_premise
+from dssc_jax.proofs.verifier.gain_enclosures import functions_at
+from dssc_jax.proofs.verifier.intervals import Intervals, outwards
+from dssc_jax.proofs.verifier.table_gains import gains_of
 
 ROOT_CELLS, ERROR_CELLS = 64, 16
 """Cells of |sigma|^(1/2) and of |e| in which the end of a sample may lie."""

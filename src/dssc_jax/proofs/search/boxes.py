@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from dssc_jax.proofs.gains import gain_hull
 from dssc_jax.proofs.problem import Interval, ProofProblem
-from dssc_jax.proofs.sampled_loop import box_middle, step_of
+from dssc_jax.proofs.search.gains import gain_hull
+from dssc_jax.proofs.search.sampled_loop import box_middle, step_of
 
 Box = dict[str, Interval]
 

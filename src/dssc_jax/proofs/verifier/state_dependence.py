@@ -12,8 +12,8 @@ from typing import Any
 
 from flint import arb
 
-from dssc_jax.proofs.balls import enclosing, larger
-from dssc_jax.proofs.enclosed_loop import held_generator, inside_bounds, signal_bounds, state_places
+from dssc_jax.proofs.verifier.balls import enclosing, larger
+from dssc_jax.proofs.verifier.enclosed_loop import held_generator, inside_bounds, signal_bounds, state_places
 
 PIECES = 64  # of a sample, on which its inside is enclosed
 

@@ -1,6 +1,6 @@
 """The search for a proof: boxes of uncertain numbers, and in each a region, a set in it and a residual.
 
-Nothing that is found here counts as proved before :mod:`dssc_jax.proofs.verifier` has accepted it.
+Nothing that is found here counts as proved before :mod:`dssc_jax.proofs.verifier.verdict` has accepted it.
 """
 
 from collections.abc import Sequence
@@ -11,14 +11,30 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dssc_jax.proofs import fixed_point
-from dssc_jax.proofs.boxes import Box
-from dssc_jax.proofs.fixed_point import BoundsStage, from_start, responses, towards_residual
-from dssc_jax.proofs.gains import Hull, Region, gain_hull, region_of, start_ratio
-from dssc_jax.proofs.law_spread import slide_hull
 from dssc_jax.proofs.problem import ProofProblem
-from dssc_jax.proofs.programs import TIGHT, Bounded, SetPrograms, Solution, invariant_set, largest_in_set, scaling
-from dssc_jax.proofs.sampled_loop import Step, box_middle, box_steps, middle, signal_sizes, start_corners, step_of
+from dssc_jax.proofs.search import fixed_point
+from dssc_jax.proofs.search.boxes import Box
+from dssc_jax.proofs.search.fixed_point import BoundsStage, from_start, responses, towards_residual
+from dssc_jax.proofs.search.gains import Hull, Region, gain_hull, region_of, start_ratio
+from dssc_jax.proofs.search.law_spread import slide_hull
+from dssc_jax.proofs.search.programs import (
+    TIGHT,
+    Bounded,
+    SetPrograms,
+    Solution,
+    invariant_set,
+    largest_in_set,
+    scaling,
+)
+from dssc_jax.proofs.search.sampled_loop import (
+    Step,
+    box_middle,
+    box_steps,
+    middle,
+    signal_sizes,
+    start_corners,
+    step_of,
+)
 
 FIRST_REGION, LARGEST_REGION, MOST_REGIONS = 1.02, 30.0, 20
 """Smallest and largest region that are tried, in sizes of the start, and the largest number of regions."""

@@ -1,7 +1,7 @@
 """Bounds of all signals that imply themselves (P7), searched in floating point as fixed points.
 
 The bounds go in through the gains of their region and through what deviates from the middle loop, and come out through
-its responses. :mod:`dssc_jax.proofs.small_gain` states the inequality and verifies it.
+its responses. :mod:`dssc_jax.proofs.verifier.small_gain` states the inequality and verifies it.
 """
 
 from collections.abc import Sequence
@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 
-from dssc_jax.proofs.gains import start_ratio
-from dssc_jax.proofs.law_spread import Deviation, LawSpread, law_spreads, middle_gains, slide_hull
 from dssc_jax.proofs.problem import Interval, ProofProblem
-from dssc_jax.proofs.sampled_loop import (
+from dssc_jax.proofs.search.gains import start_ratio
+from dssc_jax.proofs.search.law_spread import Deviation, LawSpread, law_spreads, middle_gains, slide_hull
+from dssc_jax.proofs.search.sampled_loop import (
     INNER_STEPS,
     Step,
     box_middle,

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from flint import arb, arb_mat
 
-from dssc_jax.proofs.balls import (
+from dssc_jax.proofs.verifier.balls import (
     ENTERED,
     Balls,
     StageLimits,
@@ -24,7 +24,7 @@ from dssc_jax.proofs.balls import (
     require_premise,
     symmetric_ball,
 )
-from dssc_jax.proofs.enclosed_loop import (
+from dssc_jax.proofs.verifier.enclosed_loop import (
     control_rows,
     held_generator,
     held_sample,
@@ -38,11 +38,11 @@ from dssc_jax.proofs.enclosed_loop import (
     state_places,
     zeta_jump,
 )
-from dssc_jax.proofs.function_distances import function_distances
-from dssc_jax.proofs.gain_enclosures import depends_on_error, enclosed_start_ratio
-from dssc_jax.proofs.impulse_responses import response_bounds
-from dssc_jax.proofs.slope_ratios import slide_gain
-from dssc_jax.proofs.state_dependence import disturbance_by_state, motion_bounds
+from dssc_jax.proofs.verifier.function_distances import function_distances
+from dssc_jax.proofs.verifier.gain_enclosures import depends_on_error, enclosed_start_ratio
+from dssc_jax.proofs.verifier.impulse_responses import response_bounds
+from dssc_jax.proofs.verifier.slope_ratios import slide_gain
+from dssc_jax.proofs.verifier.state_dependence import disturbance_by_state, motion_bounds
 
 MIDDLE_GAINS: dict[str, tuple[str, ...]] = {
     "implicit": ("k_p", "k_i", "k_n", "slide_p", "slide_i"),
