@@ -62,7 +62,7 @@ def map_text() -> str:
     plotting.save_figure(plotting.sweep(result), ROOT / "docs" / "figures", "design_map")
     variation = result.dataset["command_tv_after_20"].max("draw").values
     stable, proved = variation < UNSTABLE, proofs.proved
-    theorem = result.dataset["certified"].values.astype(bool)
+    theorem = result.with_theorem().dataset["certified"].values.astype(bool)
     failing = result.failed.mean("draw").values
     ratio = (proofs.error / result.dataset["error_max_after_20"].max("draw").values)[proved]
     each = [point["seconds"] for point, here in zip(proofs.points, proved.ravel(), strict=True) if here]

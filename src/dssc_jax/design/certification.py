@@ -27,7 +27,6 @@ from dssc_jax.models.plants.linear import RATIONAL_PLANT, STATE_SPACE
 from dssc_jax.models.plants.normal_form import NORMAL_FORM
 from dssc_jax.study import Described, Study
 from dssc_jax.study.laws import SPREAD, Law
-from dssc_jax.study.tables import merged
 
 OUTSIDE = {
     "loop": "it is of continuous time",
@@ -37,7 +36,7 @@ OUTSIDE = {
 }
 """Numbers that the theorem does not cover, with the reason."""
 LIMITS = ("unmodelled.rate", "unmodelled.limit")  # unmodelled dynamics whose absence is an infinite number
-TABLE_1 = "vgsta"  # kind of the functions of Table 1
+OTHER_FUNCTIONS = "the controller is not DSSC with functions.kind = 'vgsta', those of Table 1"
 REFINEMENTS, REFINED = 2, 33  # of the walk's cell in which the certificate is lost: 1/1024 of it
 
 
@@ -95,19 +94,13 @@ class PlantBounds(NamedTuple):
     stiffness: Any = 0.0
 
 
-def in_play(study: Study) -> bool:
-    """Whether a channel's controller is DSSC with the functions of Table 1, so that Theorem 1 has something to say."""
-    own, channels = study.config.controller, study.loop.channels
-    tables = [own, *(merged(own, own[name]) for name in channels if isinstance(own.get(name), dict))]
-    kinds = [(table.get("kind"), table.get("functions", {}).get("kind")) for table in tables]
-    return ("dssc", TABLE_1) in kinds
-
-
 def mark(study: Study) -> Mark:
     """Whether each point of a study's sweep is certified; the stored result if the study's code is not loaded."""
     if isinstance(study, Described):
-        verdicts = study.description.certified
-        return Mark(None if verdicts is None else np.asarray(verdicts, dtype=bool), study.description.silence)
+        description = study.description
+        if description.certified is None:
+            return Mark(None, description.silence or OTHER_FUNCTIONS)
+        return Mark(np.asarray(description.certified, dtype=bool), "")
     try:
         with np.errstate(all="ignore"):  # an unbounded law makes infinite bounds, which nothing certifies
             verdicts = certified(*design_of(study))
@@ -215,7 +208,7 @@ def design_of(study: Study) -> tuple[Parameters, Bounds]:
     gains = ends.low.controller[0]
     own_model = study.loop.controller[0] not in DSSC.members.values()
     if own_model or not isinstance(gains.functions, Vgsta):
-        raise NotCovered("the controller is not DSSC with functions.kind = 'vgsta', those of Table 1")
+        raise NotCovered(OTHER_FUNCTIONS)
     if gains.sign_width is not None:
         raise NotCovered("the sign is smoothed (sign_width), so that nothing slides on sigma_tilde = 0")
     if any(isinstance(leaf, Law) for name, leaf in study.leaves().items() if is_gain(name) and name not in study.axes):
