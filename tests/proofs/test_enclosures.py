@@ -16,8 +16,8 @@ from dssc_jax.proofs.coverage import problem_of
 from dssc_jax.proofs.prove import prove
 from dssc_jax.proofs.search.gains import GAIN_NAMES, implicit_gains
 from dssc_jax.proofs.search.sampled_loop import control_points, functions_of
-from dssc_jax.proofs.verifier.enclosed_loop import held_generator, held_vertices
 from dssc_jax.proofs.verifier.gain_enclosures import enclosed_gains
+from dssc_jax.proofs.verifier.held_plant import held_generator, held_vertices
 from dssc_jax.proofs.verifier.intervals import Intervals, exactly
 from dssc_jax.proofs.verifier.verdict import ball_precision, verify_certificate
 from tests.proofs.cases import LOOP

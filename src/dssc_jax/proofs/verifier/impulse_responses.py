@@ -6,17 +6,20 @@ error of each is at most ``ROUNDED`` times the product of the magnitudes, since 
 so that of both is at most ``TWICE`` ROUNDED S N |z|.
 """
 
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 from flint import arb, arb_mat
 
-SIDE, MOST_BLOCKS = 32, 500
-"""Root of the number of samples of a block, and the largest number of blocks."""
+from dssc_jax.proofs.verifier.balls import column, identity, quadratic_form, side_by_side, total
+
+SIDE = 32
+"""Root of the number of samples of a block."""
+MOST_BLOCKS = 500
 TAIL_SHARE = 2e-5
 """Share of a sum at which its tail is bounded instead of computed."""
-ROUNDED, TWICE = 2.0**-44, 2.0 + 2.0**-20
+ROUNDED = 2.0**-44
+TWICE = 2.0 + 2.0**-20
 SUMMED = 1.0 + 2.0**-28
 """Covers the rounding of the sums themselves, of which there are fewer than 2^22 terms."""
 UNDERFLOW = 1e-290
@@ -36,14 +39,13 @@ class ResponseBounds(NamedTuple):
 
 def middles(matrix: arb_mat) -> np.ndarray:
     """The middles of the balls, rounded."""
-    return np.array([[float(matrix[i, j].mid()) for j in range(matrix.ncols())] for i in range(matrix.nrows())])
+    return np.array([[float(x.mid()) for x in row] for row in matrix.tolist()])
 
 
 def magnitudes(matrix: arb_mat) -> np.ndarray:
     """Bounds of the magnitudes, with each ball's radius weighted so that ROUNDED times them covers it, too."""
     weight = arb(2) ** 60
-    entries = [[matrix[i, j] for j in range(matrix.ncols())] for i in range(matrix.nrows())]
-    return np.array([[float((abs(x) + weight * x.rad()).upper()) for x in row] for row in entries])
+    return np.array([[float((abs(x) + weight * x.rad()).upper()) for x in row] for row in matrix.tolist()])
 
 
 def response_bounds(
@@ -60,42 +62,42 @@ def response_bounds(
         decay: Its share.
     """
     n, m, q = a.nrows(), rows.nrows(), inputs.ncols()
-    near, far = powers(rows, a), powers(identity(n), a**SIDE)
-    value, size = (of(rows_below(near)) for of in (middles, magnitudes))
-    jumps = middles(rows_below(far)).reshape(SIDE, n, n)
-    error = ROUNDED * TWICE * size @ np.concatenate(list(magnitudes(rows_below(far)).reshape(SIDE, n, n)), axis=1)
-    error = error.reshape(SIDE, m, SIDE, n)
-    error_sum, error_peak = SUMMED * error.sum(axis=(0, 2)), error.max(axis=(0, 2))
-    jump, inverse = far[-1] * a**SIDE, p.inv()
-    shadow = rows * inverse * rows.transpose()
+    short = stacked(powers(rows, a))
+    jumps = powers(identity(n), a**SIDE)
+    long = stacked(jumps)
+    block_jump = jumps[-1] * a**SIDE
+    short_middles = middles(short)
+    long_middles = middles(long).reshape(SIDE, n, n)
+    long_sizes = np.concatenate(list(magnitudes(long).reshape(SIDE, n, n)), axis=1)
+    error = (ROUNDED * TWICE * magnitudes(short) @ long_sizes).reshape(SIDE, m, SIDE, n)
+    error_sum = SUMMED * error.sum(axis=(0, 2))
+    error_peak = error.max(axis=(0, 2))
+    shadow = rows * p.inv() * rows.transpose()
     reach = np.array([float(abs(shadow[i, i]).upper().sqrt().upper()) for i in range(m)])
-    ones = sum((abs(p[i, j]) for i, j in product(range(n), range(n))), arb(0)).sqrt()
-    z = arb_mat([[*(inputs[i, j] for j in range(q)), *(starts[i, j] for j in range(starts.ncols()))] for i in range(n)])
-    lost = [arb(0)] * z.ncols()
-    sums, peaks = np.zeros((m, q)), np.zeros((m, starts.ncols()))
+    norm = total([abs(entry) for row in p.tolist() for entry in row]).sqrt()
+    z = side_by_side(inputs, starts)
+    count = z.ncols()
+    lost = [arb(0)] * count
+    sums = np.zeros((m, q))
+    peaks = np.zeros((m, starts.ncols()))
     for _ in range(MOST_BLOCKS):
-        for j in range(z.ncols()):  # go on with exact numbers; V bounds what the difference can still cause
-            lost[j] = lost[j] + ones * max((z[i, j].rad() for i in range(n)), key=float)
+        for j in range(count):  # go on with exact numbers; V bounds what the difference can still cause
+            lost[j] = lost[j] + norm * max((z[i, j].rad() for i in range(n)), key=float)
         z = z.mid()
-        now = middles(z)
-        response = np.abs(value @ (jumps @ now)).reshape(SIDE**2, m, -1)
-        sums += response[..., :q].sum(axis=0) + error_sum @ np.abs(now[:, :q]) + UNDERFLOW
-        largest = response[..., q:].max(axis=0) + error_peak @ np.abs(now[:, q:]) + UNDERFLOW
+        state = middles(z)
+        response = np.abs(short_middles @ (long_middles @ state)).reshape(SIDE**2, m, -1)
+        sums += response[..., :q].sum(axis=0) + error_sum @ np.abs(state[:, :q]) + UNDERFLOW
+        largest = response[..., q:].max(axis=0) + error_peak @ np.abs(state[:, q:]) + UNDERFLOW
         peaks = np.maximum(peaks, largest)
-        z = jump * z
-        ends = [(state_size(p, z, j) + lost[j]).upper() for j in range(z.ncols())]
-        after = reach[:, None] * np.array([float(each) for each in ends])
-        tails = after[:, :q] * float((2 / decay).upper())
-        if np.all(tails <= TAIL_SHARE * sums) and np.all(after[:, q:] <= np.maximum(peaks, UNDERFLOW)):
-            within = peaks + reach[:, None] * np.array([float(each.upper()) for each in lost[q:]])
-            peaks = np.maximum(within, after[:, q:]).max(axis=1, initial=0.0)
-            return ResponseBounds(SUMMED * (sums + tails), SUMMED * peaks)
+        z = block_jump * z
+        ends = [(state_size(p, z, j) + lost[j]).upper() for j in range(count)]
+        tail_peaks = reach[:, None] * np.array([float(end) for end in ends])
+        tail_sums = tail_peaks[:, :q] * float((2 / decay).upper())
+        if np.all(tail_sums <= TAIL_SHARE * sums) and np.all(tail_peaks[:, q:] <= np.maximum(peaks, UNDERFLOW)):
+            lost_peaks = reach[:, None] * np.array([float(size.upper()) for size in lost[q:]])
+            peaks = np.maximum(peaks + lost_peaks, tail_peaks[:, q:]).max(axis=1, initial=0.0)
+            return ResponseBounds(SUMMED * (sums + tail_sums), SUMMED * peaks)
     return None
-
-
-def identity(n: int) -> arb_mat:
-    """The unit matrix."""
-    return arb_mat([[int(i == j) for j in range(n)] for i in range(n)])
 
 
 def powers(first: arb_mat, a: arb_mat) -> list[arb_mat]:
@@ -106,12 +108,11 @@ def powers(first: arb_mat, a: arb_mat) -> list[arb_mat]:
     return result
 
 
-def rows_below(parts: list[arb_mat]) -> arb_mat:
+def stacked(parts: list[arb_mat]) -> arb_mat:
     """Matrices below one another."""
-    return arb_mat([[each[i, j] for j in range(each.ncols())] for each in parts for i in range(each.nrows())])
+    return arb_mat([row for part in parts for row in part.tolist()])
 
 
 def state_size(p: arb_mat, z: arb_mat, j: int) -> arb:
     """Bound of V^(1/2) of a column."""
-    state = arb_mat([[z[i, j]] for i in range(z.nrows())])
-    return abs((state.transpose() * p * state)[0, 0]).upper().sqrt()
+    return abs(quadratic_form(p, column(z, j))).upper().sqrt()

@@ -10,7 +10,7 @@ responses times the bounds of the inputs. If that is less than the bound that we
 induction no signal ever exceeds its bound. docs/proofs.md has the proof.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from flint import arb, arb_mat
 
@@ -18,28 +18,35 @@ from dssc_jax.proofs.verifier.balls import (
     ENTERED,
     Balls,
     StageLimits,
-    enclosing,
-    larger,
+    identity,
+    matrix_of_columns,
+    maximum,
     positive_definite,
     require_premise,
-    symmetric_ball,
+    side_by_side,
+    symmetric_matrix,
+    total,
 )
+from dssc_jax.proofs.verifier.certificate import Box, Problem, SmallGainStage
 from dssc_jax.proofs.verifier.enclosed_loop import (
     control_rows,
-    held_generator,
-    held_sample,
-    held_spread,
     input_columns,
     inside_bounds,
     sampled,
     signal_bounds,
     signal_rows,
     start_columns,
-    state_places,
     zeta_jump,
 )
 from dssc_jax.proofs.verifier.function_distances import function_distances
 from dssc_jax.proofs.verifier.gain_enclosures import depends_on_error, enclosed_start_ratio
+from dssc_jax.proofs.verifier.held_plant import (
+    flows,
+    generator_over,
+    held_sample,
+    held_spread,
+    state_places,
+)
 from dssc_jax.proofs.verifier.impulse_responses import response_bounds
 from dssc_jax.proofs.verifier.slope_ratios import slide_gain
 from dssc_jax.proofs.verifier.state_dependence import disturbance_by_state, motion_bounds
@@ -87,46 +94,50 @@ class LawDeviations(NamedTuple):
     slide: arb
 
 
-def middle_loop(problem: dict[str, Any], box: dict[str, Any], centre: Balls) -> MiddleLoop:
+def middle_loop(problem: Problem, box: Box, centre: Balls) -> MiddleLoop:
     """The loop of a box at its middle and at these gains."""
     zeta, _, n = state_places(problem)
-    chi, t, rows = n - 2, arb(problem["sample_time"]), signal_rows(problem)
-    low, high = map(arb, box["k_p"])
-    middle = {name: ((arb(pair[0]) + arb(pair[1])) / 2).mid() for name, pair in box.items()}
+    chi = n - 2
+    t = arb(problem["sample_time"])
+    rows = signal_rows(problem)
     integrated = problem["form"] == "conservative"
-    k_p, gain = middle["k_p"], [centre[name] for name in MIDDLE_GAINS[problem["form"]][:3]]
+    middle = {name: ((arb(low) + arb(high)) / 2).mid() for name, (low, high) in box.items()}
+    k_p = middle["k_p"]
+    low, high = map(arb, box["k_p"])
+    gain = [centre[name] for name in MIDDLE_GAINS[problem["form"]][:3]]
     held = held_sample(problem, middle["a_p"], middle.get("rate", arb(0)))
     a = sampled(problem, held, k_p, gain, integrated=integrated)
     _, command = control_rows(problem, gain, integrated=integrated)
-    equivalent = rows["v"] + rows["change"] * centre["slide_p"] + rows["sigma"] * centre["slide_i"]
+    equivalent = rows.v + rows.change * centre["slide_p"] + rows.sigma * centre["slide_i"]
     if integrated:
-        equivalent = equivalent + rows["s"] * centre["mean"]
-    signals = [rows["change"], rows["sigma"], rows["e"], command, equivalent]
-    unit = [[arb(int(i == j)) for j in range(n)] for i in range(n)]
+        equivalent = equivalent + rows.s * centre["mean"]
+    signals = [row.tolist()[0] for row in (rows.change, rows.sigma, rows.e, command, equivalent)]
+    unit = identity(n).tolist()
     by_command = [k_p * held[i, chi] if i < chi else arb(0) for i in range(n)]
     by_v = [-x for x in by_command[:chi]] + [arb(1), arb(0)]
-    columns, spread = [by_v, by_command], None
+    deviations = [by_v, by_command]
+    spread = None
     if any(box[name][0] < box[name][1] for name in box if name != "k_p"):
         spread = [[*row[:chi], (row[chi] * high).upper()] for row in held_spread(problem, box)[:chi]]
-        columns += unit
+        deviations += unit
     sizes = signal_bounds(problem, box)
     inputs = input_columns(problem, k_p, sizes, inside_bounds(problem, box, t))
-    other = [arb(0)] * n  # zeta's jump at other values of k_p
-    for at, jump in zip(zeta, zeta_jump(problem), strict=True):
-        other[at] = t * sizes.slope * larger(high - k_p, k_p - low) * jump
-    w = [[*(inputs[i, j] for j in range(inputs.ncols())), other[i]] for i in range(n)]
+    k_p_distance = maximum(high - k_p, k_p - low)
+    jump_distance = [arb(0)] * n  # of zeta at other values of k_p
+    for place, jump in zip(zeta, zeta_jump(problem), strict=True):
+        jump_distance[place] = t * sizes.slope * k_p_distance * jump
     return MiddleLoop(
         a,
-        arb_mat([*([row[0, j] for j in range(n)] for row in signals), *unit]),
-        arb_mat(w),
-        arb_mat([[column[i] for column in columns] for i in range(n)]),
-        (larger(high - k_p, k_p - low) / k_p).upper(),
+        arb_mat([*signals, *unit]),
+        side_by_side(inputs, matrix_of_columns([jump_distance])),
+        matrix_of_columns(deviations),
+        (k_p_distance / k_p).upper(),
         spread,
     )
 
 
 def implied_bounds(
-    problem: dict[str, Any], box: dict[str, Any], stage: dict[str, Any], gains: Balls, started: bool, where: str
+    problem: Problem, box: Box, stage: SmallGainStage, gains: Balls, started: bool, label: str
 ) -> StageLimits:
     """Show that the stage's bounds imply themselves.
 
@@ -136,75 +147,76 @@ def implied_bounds(
         stage: The stage, whose ``bounds`` are those of the signals.
         gains: Balls of the gains in the stage's region; the stage has those of the middle loop.
         started: Whether the bounds hold from the start on; otherwise of every upper limit.
-        where: The stage's place, for messages.
+        label: The stage's place, for messages.
     """
-    t, rate = arb(problem["sample_time"]), arb(stage["rate"])
+    t = arb(problem["sample_time"])
+    rate = arb(stage["rate"])
     centre = dict(zip(MIDDLE_GAINS[problem["form"]], map(arb, stage["gains"]), strict=True))
     loop = middle_loop(problem, box, centre)
-    p, bounds = symmetric_ball(stage["p"]), [arb(each) for each in stage["bounds"]]
-    require_premise(rate > 0 and t * rate < 1, f"P7: lambda is not in (0, 1/T_s) in {where}")
-    require_premise(positive_definite(p), f"P2: P is not positive definite in {where}")
-    falls = p * (1 - t * rate) - loop.a.transpose() * p * loop.a
-    require_premise(positive_definite(falls), f"P7: V does not fall in {where}")
-    inputs = adjoined(loop.w, loop.deviations)
-    starts = (
-        start_columns(problem, box, enclosed_start_ratio(problem, integrated=problem["form"] == "conservative"))
-        if started
-        else arb_mat(p.nrows(), 0)
-    )
+    p = symmetric_matrix(stage["p"])
+    bounds = [arb(bound) for bound in stage["bounds"]]
+    states = bounds[STATES:]
+    require_premise(rate > 0 and t * rate < 1, f"P7: lambda is not in (0, 1/T_s) in {label}")
+    require_premise(positive_definite(p), f"P2: P is not positive definite in {label}")
+    decrease = p * (1 - t * rate) - loop.a.transpose() * p * loop.a
+    require_premise(positive_definite(decrease), f"P7: V does not fall in {label}")
+    inputs = side_by_side(loop.w, loop.deviations)
+    starts = arb_mat(p.nrows(), 0)
+    if started:
+        ratio = enclosed_start_ratio(problem, integrated=problem["form"] == "conservative")
+        starts = start_columns(problem, box, ratio)
     responses = response_bounds(loop.a, loop.rows, inputs, starts, p, t * rate)
-    require_premise(responses is not None, f"P7: the responses decay too slowly in {where}")
+    require_premise(responses is not None, f"P7: the responses decay too slowly in {label}")
     assert responses is not None
     law = law_deviations(problem, stage, gains, centre, bounds)
-    command, moved = bounds[COMMAND] + law.integral + law.command, arb(0)
+    command = bounds[COMMAND] + law.integral + law.command
+    moved = arb(0)
     if depends_on_error(problem):
-        moved = t * motion_bounds(problem, box, [command, *bounds[STATES:]])[1]
-    sizes = [arb(1)] * loop.w.ncols() + deviation_sizes(loop, law, command, bounds[STATES:])
+        moved = t * motion_bounds(problem, box, [command, *states])[1]
+    sizes = [arb(1)] * loop.w.ncols() + deviation_sizes(loop, law, command, states)
     for i, bound in enumerate(bounds):
-        forced = sum((arb(float(responses.sums[i, j])) * size for j, size in enumerate(sizes)), arb(0))
-        total = forced + (arb(float(responses.peaks[i])) if started else arb(0))
-        require_premise(total < bound, f"P7: the bound of signal {i} does not imply itself in {where}")
+        response = total([arb(float(responses.sums[i, j])) * size for j, size in enumerate(sizes)])
+        peak = arb(float(responses.peaks[i])) if started else arb(0)
+        holds = response + peak < bound
+        require_premise(holds, f"P7: the bound of signal {i} does not imply itself in {label}")
     if started and problem["rho"] is not None:
         room = arb(problem["rho"]) - signal_bounds(problem, box).offset
         slack = law.slide + slide_deviation(problem, stage, gains, centre, bounds, moved)
-        require_premise(bounds[EQUIVALENT] + slack <= room, f"P5: the equivalent control may exceed rho in {where}")
-    bend = bend_between_samples(problem, box, bounds, command)
-    added = disturbance_by_state(problem, box, [each * arb(ENTERED) for each in (command, *bounds[STATES:])])
-    return StageLimits(bounds[SIGMA], bounds[ERROR], (bounds[STATES] + bend).upper(), *added, moved)
+        require_premise(bounds[EQUIVALENT] + slack <= room, f"P5: the equivalent control may exceed rho in {label}")
+    bend = bend_between_samples(problem, box, states, command)
+    entered = [bound * arb(ENTERED) for bound in (command, *states)]
+    level, slope = disturbance_by_state(problem, box, entered)
+    return StageLimits(bounds[SIGMA], bounds[ERROR], (states[0] + bend).upper(), level, slope, moved)
 
 
 def law_deviations(
-    problem: dict[str, Any], stage: dict[str, Any], gains: Balls, centre: Balls, bounds: list[arb]
+    problem: Problem, stage: SmallGainStage, gains: Balls, centre: Balls, bounds: list[arb]
 ) -> LawDeviations:
     """What the law deviates by, under the stage's bounds.
 
     In the implicit form the gains K_P, K_I and K_N deviate. In the conservative form the functions phi_1, phi_2 and n
     of sigma and e do: by the spread of their ratios to sigma, or by their distance from straight lines, whichever is
-    less. Both are affine in the bounds, so that either may stand in P7.
-
-    Args:
-        problem: The certificate's problem.
-        stage: The stage with its region.
-        gains: Balls of the gains there.
-        centre: Those of the middle loop.
-        bounds: Of the signals.
+    less. Both are affine in the bounds, so that either may stand in P7. ``gains`` are those of the stage's region,
+    ``centre`` those of the middle loop.
     """
-    t, change, sigma = arb(problem["sample_time"]), bounds[CHANGE], bounds[SIGMA]
-    half = {name: abs(gains[name] - value).upper() for name, value in centre.items()}
-    slide = half["slide_i"] * sigma
+    t = arb(problem["sample_time"])
+    change = bounds[CHANGE]
+    sigma = bounds[SIGMA]
+    spread = {name: abs(gains[name] - value).upper() for name, value in centre.items()}
+    slide = spread["slide_i"] * sigma
     if problem["form"] == "implicit":
-        by_v = half["k_p"] * change + t * half["k_i"] * sigma
-        return LawDeviations(by_v, half["k_n"] * sigma, slide)
-    far = function_distances(problem, stage["sigma"], stage["e"], centre)
+        by_v = spread["k_p"] * change + t * spread["k_i"] * sigma
+        return LawDeviations(by_v, spread["k_n"] * sigma, slide)
+    distances = function_distances(problem, stage["sigma"], stage["e"], centre)
     return LawDeviations(
-        t * smaller(far["phi_2"], half["k_i"] * sigma),
-        smaller(far["both"], (half["mean"] + half["k_n"]) * sigma),
-        slide + smaller(far["phi_1"], half["mean"] * sigma),
+        t * minimum(distances["phi_2"], spread["k_i"] * sigma),
+        minimum(distances["both"], (spread["mean"] + spread["k_n"]) * sigma),
+        slide + minimum(distances["phi_1"], spread["mean"] * sigma),
     )
 
 
 def slide_deviation(
-    problem: dict[str, Any], stage: dict[str, Any], gains: Balls, centre: Balls, bounds: list[arb], moved: arb
+    problem: Problem, stage: SmallGainStage, gains: Balls, centre: Balls, bounds: list[arb], moved: arb
 ) -> arb:
     """What the equivalent control deviates by, through the changes of sigma and, by ``moved``, of e in a sample."""
     by_e = abs(gains.get("slide_e", arb(0))).upper()
@@ -212,20 +224,10 @@ def slide_deviation(
     return abs(slide_p - centre["slide_p"]).upper() * bounds[CHANGE] + by_e * moved
 
 
-def smaller(a: arb, b: arb) -> arb:
+def minimum(a: arb, b: arb) -> arb:
     """An upper bound of the smaller of two numbers."""
-    low, high = a.upper(), b.upper()
-    return low if low <= high else high
-
-
-def adjoined(left: arb_mat, right: arb_mat) -> arb_mat:
-    """Two matrices side by side."""
-    return arb_mat(
-        [
-            [*(left[i, j] for j in range(left.ncols())), *(right[i, j] for j in range(right.ncols()))]
-            for i in range(left.nrows())
-        ]
-    )
+    a_end, b_end = a.upper(), b.upper()
+    return a_end if a_end <= b_end else b_end
 
 
 def deviation_sizes(loop: MiddleLoop, law: LawDeviations, command: arb, states: list[arb]) -> list[arb]:
@@ -234,17 +236,20 @@ def deviation_sizes(loop: MiddleLoop, law: LawDeviations, command: arb, states: 
     if loop.held is not None:
         chi = len(loop.held)
         for row in loop.held:
-            sizes.append(row[chi] * command + sum((row[j] * states[j] for j in range(chi)), arb(0)))
+            by_states = total([row[j] * states[j] for j in range(chi)])
+            sizes.append(row[chi] * command + by_states)
         sizes += [arb(0)] * (len(states) - chi)
     return sizes
 
 
-def bend_between_samples(problem: dict[str, Any], box: dict[str, Any], bounds: list[arb], command: arb) -> arb:
+def bend_between_samples(problem: Problem, box: Box, states: list[arb], command: arb) -> arb:
     """How far e can deviate from the straight line between two samples: T_s^2/8 sup |e''|."""
-    _, _, n = state_places(problem)
-    t, k_p = arb(problem["sample_time"]), arb(box["k_p"][1])
-    f = held_generator(problem, enclosing(*box["a_p"]), enclosing(*box.get("rate", (0.0, 0.0))))
-    bent = f * (f * (t * enclosing(0.0, 1.0))).exp()
-    by_states = sum((abs(bent[1, j]) * bounds[STATES + j] for j in range(n - 2)), arb(0))
-    disturbed = k_p * signal_bounds(problem, box).slope * t * (1 + t * abs(bent[1, 1]))
-    return t * t / 8 * (by_states + k_p * abs(bent[1, n - 2]) * command + disturbed)
+    chi = state_places(problem).n - 2
+    t = arb(problem["sample_time"])
+    k_p = arb(box["k_p"][1])
+    f = generator_over(problem, box)
+    (flow,) = flows(f, t, 1)
+    second_derivative = (f * flow).tolist()[1]
+    by_states = total([abs(second_derivative[j]) * states[j] for j in range(chi)])
+    disturbed = k_p * signal_bounds(problem, box).slope * t * (1 + t * abs(second_derivative[1]))
+    return t * t / 8 * (by_states + k_p * abs(second_derivative[chi]) * command + disturbed)
