@@ -36,26 +36,40 @@ from dssc_jax.proofs.search.sampled_loop import (
     step_of,
 )
 
-FIRST_REGION, LARGEST_REGION, MOST_REGIONS = 1.02, 30.0, 20
-"""Smallest and largest region that are tried, in sizes of the start, and the largest number of regions."""
-CURVE_SHARE, MOST_DEGREE = 1e-3, 6
-"""Share of the decay that the rest of a polynomial in 1/mu may take, and its largest degree."""
+FIRST_REGION = 1.02
+"""Smallest region that is tried, in sizes of the start."""
+LARGEST_REGION = 30.0
+"""The largest, likewise."""
+MOST_REGIONS = 20
+"""Largest number of regions."""
+CURVE_SHARE = 1e-3
+"""Share of the decay that the remainder of a polynomial in 1/mu may take."""
+MOST_DEGREE = 6
+"""Its largest degree."""
 REGION_ROOM = 1.03
 """Room around the set that sizes the next region."""
-START_RATES, RATES = (0.3, 0.12, 0.04), (0.3, 0.6, 0.12, 0.04)
-"""Values of lambda that are tried for a set that holds the start, and for others; in the loop's slowest decay."""
-SHRINKING, ENOUGH = 8, 0.98
-"""Largest number of residual stages, and the least improvement that is worth another."""
+START_RATES = (0.3, 0.12, 0.04)
+"""Values of lambda that are tried for a set that holds the start; in the loop's slowest decay."""
+RATES = (0.3, 0.6, 0.12, 0.04)
+"""The same for sets that need not hold it."""
+SHRINKING = 8
+"""Largest number of residual stages."""
+ENOUGH = 0.98
+"""The least improvement that is worth another."""
 ENOUGH_RATES = 2
 """Number of rates with a set after which no other is tried."""
 INFLATION = 1.001
 """A set attracts; its trajectories enter this multiple of it in finite time."""
-SPARE, SPARE_OF_BOXES = 0.01, 0.1
-"""Share of the decay that is left to the verifier's balls, for one plant and for a box of a_p or mu."""
+SPARE = 0.01
+"""Share of the decay that is left to the verifier's balls, for one plant."""
+SPARE_OF_BOXES = 0.1
+"""The same for a box of a_p or mu."""
 LOOSE = 1.3
 """A bound of |e| on the way, over what the loop at sigma = e = 0 reaches, from which a set is tried, too."""
-CHANGE_ROOM, CHANGE_WEIGHT = 8.0, 1e-3
-"""Room of a set for the change of sigma in a sample, over what the loop at sigma = e = 0 reaches, and its weight."""
+CHANGE_ROOM = 8.0
+"""Room of a set for the change of sigma in a sample, over what the loop at sigma = e = 0 reaches."""
+CHANGE_WEIGHT = 1e-3
+"""Weight of that change in the cost."""
 GAIN_ROOM = 1.03
 """Widening of what phi_1 changes by with e, for the verifier's enclosures."""
 SPEED_ROOM = 1.05
@@ -126,16 +140,22 @@ def slide_rows(setting: "Setting", region: Region) -> list[Bounded]:
     In the conservative form u_av = q + phi_1(s), of which phi_1(s) - mean s is bounded by itself, and so is what phi_1
     changes by with e. The change of sigma in a sample stays within a bound of its own.
     """
-    problem, step = setting.problem, setting.at
+    problem = setting.problem
+    step = setting.origin
     if problem.rho is None:
         return []
-    unit, hull, room = np.eye(step.a.shape[0]), region.hull, problem.rho - signal_sizes(problem, setting.box).offset
-    change, sigma, held, slide_p = step.rows[CHANGE], step.rows[SIGMA], unit[-2], hull["slide_p"]
+    unit = np.eye(step.a.shape[0])
+    hull = region.hull
+    room = problem.rho - signal_sizes(problem, setting.box).offset
+    change = step.rows[CHANGE]
+    sigma = step.rows[SIGMA]
+    held = unit[-2]
+    slide_p = hull["slide_p"]
     rows = []
     if setting.integrated:
         mean = middle(hull["mean"])
-        far = [max(abs(end - mean) for end in piece["mean"]) for piece in region.pieces]
-        room -= max(each * end for each, end in zip(far, region.ends, strict=True))
+        spreads = [max(abs(end - mean) for end in piece["mean"]) for piece in region.pieces]
+        room -= max(spread * end for spread, end in zip(spreads, region.ends, strict=True))
         held = held + mean * unit[-1]
         room -= hull["slide_e"][1] * setting.moved(region)
     else:
@@ -161,7 +181,8 @@ def prove_box(problem: ProofProblem, box: Box) -> Proof | Failure:
     first = from_start(problem, box)
     if not isinstance(first, str):
         stage, allowed = first
-        sigma, e = stage.bounds[fixed_point.SIGMA], stage.bounds[fixed_point.ERROR]
+        sigma = stage.bounds[fixed_point.SIGMA]
+        e = stage.bounds[fixed_point.ERROR]
         proof = Proof(box, [stage, *towards_residual(problem, box, (sigma, e), e, allowed)])
         return tighter_start(problem, proof)
     if any(problem.by_state):  # of which the sets know no bound
@@ -174,20 +195,24 @@ def tighter_start(problem: ProofProblem, proof: Proof) -> Proof:
     if any(problem.by_state) or (setting := setting_of(problem, proof.box)) is None:
         return proof
     first = reached_error(proof.stages[0], setting)
-    if first <= LOOSE * excursion(setting.at, setting.programs.starts, E):
+    if first <= LOOSE * excursion(setting.origin, setting.programs.starts, E):
         return proof
-    other = proof_by_sets(problem, proof.box)
-    if isinstance(other, Failure) or reached_error(other.stages[0], setting) >= first:
+    by_sets = proof_by_sets(problem, proof.box)
+    if isinstance(by_sets, Failure) or reached_error(by_sets.stages[0], setting) >= first:
         return proof
-    ends = [min(reached_error(stage, setting) for stage in each.stages) for each in (proof, other)]
-    return other if ends[1] <= ends[0] / ENOUGH else proof
+    return by_sets if smallest_error(by_sets, setting) <= smallest_error(proof, setting) / ENOUGH else proof
+
+
+def smallest_error(proof: Proof, setting: "Setting") -> float:
+    """The smallest bound of |e| that a stage of a proof reaches."""
+    return min(reached_error(stage, setting) for stage in proof.stages)
 
 
 def reached_error(stage: SetStage | BoundsStage, setting: "Setting") -> float:
     """The bound of |e| at the samples."""
     if isinstance(stage, BoundsStage):
         return stage.bounds[fixed_point.ERROR]
-    return largest_in_set(np.array(stage.p), setting.at.rows[E])
+    return largest_in_set(np.array(stage.p), setting.origin.rows[E])
 
 
 class Setting(NamedTuple):
@@ -196,7 +221,7 @@ class Setting(NamedTuple):
     Args:
         problem: What is to be proved.
         box: The box.
-        at: One sample at the box's middle, with the gains at sigma = e = 0.
+        origin: One sample at the box's middle, with the gains at sigma = e = 0.
         speed: Decay of the slowest mode [1/s].
         integrated: Whether z holds q = v - phi_1(s) in place of v.
         programs: Starts, coordinates and precision of the programs.
@@ -204,7 +229,7 @@ class Setting(NamedTuple):
 
     problem: ProofProblem
     box: Box
-    at: Step
+    origin: Step
     speed: float
     integrated: bool
     programs: SetPrograms
@@ -225,7 +250,8 @@ class Setting(NamedTuple):
         """
         if self.problem.form == "implicit":
             return hull
-        reach, t = hull["slide_p"][1] / hull["k_p"][1], self.problem.sample_time
+        reach = hull["slide_p"][1] / hull["k_p"][1]
+        t = self.problem.sample_time
         joins = GAIN_ROOM * hull["by_e"][1] * self.moved(region)
         k_i = hull["k_i"][0] - joins / t, hull["k_i"][1] + joins / t
         slide_i = hull["slide_i"][0] - joins * reach, hull["slide_i"][1] + joins * reach
@@ -237,11 +263,14 @@ class Setting(NamedTuple):
 
     @property
     def degree(self) -> int:
-        """Degree of the polynomial in 1/mu, such that its rest is far below what V falls by in a sample."""
+        """Degree of the polynomial in 1/mu, such that its remainder is far below what V falls by in a sample."""
         low, high = self.box.get("rate", (0.0, 0.0))
-        half = 0.5 * (high - low) * self.problem.sample_time
+        radius = 0.5 * (high - low) * self.problem.sample_time
         falls = CURVE_SHARE * min(RATES) * self.speed * self.problem.sample_time
-        return next((d for d in range(1, MOST_DEGREE) if half ** (d + 1) / factorial(d + 1) <= falls), MOST_DEGREE)
+        for degree in range(1, MOST_DEGREE):
+            if radius ** (degree + 1) / factorial(degree + 1) <= falls:
+                return degree
+        return MOST_DEGREE
 
     def solve(self, steps: list[Step], rows: list[Bounded], share: float, *, started: bool) -> Solution | None:
         """The set for lambda as a share of the slowest decay."""
@@ -254,15 +283,15 @@ class Setting(NamedTuple):
 
 def setting_of(problem: ProofProblem, box: Box, *, integrated: bool = False) -> Setting | None:
     """The setting of a box; None if the loop is not stable at sigma = e = 0."""
-    origin = gain_hull(problem, 1e-9, 1e-9)
-    at = step_of(problem, box_middle(box, origin), box, integrated=integrated)
+    gains = gain_hull(problem, 1e-9, 1e-9)
+    origin = step_of(problem, box_middle(box, gains), box, integrated=integrated)
     starts = start_corners(problem, box, start_ratio(problem, integrated=integrated))
-    speed = decay_rate(at, problem.sample_time)
-    if speed <= 0.0 or (scale := scaling(at, starts, speed * problem.sample_time)) is None:
+    speed = decay_rate(origin, problem.sample_time)
+    if speed <= 0.0 or (scale := scaling(origin, starts, speed * problem.sample_time)) is None:
         return None
     point = all(low == high for name, (low, high) in box.items() if name != "k_p")
     programs = SetPrograms(problem.sample_time, starts, scale, SPARE if point else SPARE_OF_BOXES, [])
-    return Setting(problem, box, at, speed, integrated, programs)
+    return Setting(problem, box, origin, speed, integrated, programs)
 
 
 def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
@@ -275,12 +304,12 @@ def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
         return proof_in_coordinate(problem, box, integrated=False)
     wide = False
     if (setting := setting_of(problem, box)) is not None:
-        first = [excursion(setting.at, setting.programs.starts, row) for row in (SIGMA, E)]
+        first = [excursion(setting.origin, setting.programs.starts, row) for row in (SIGMA, E)]
         wide = bool(np.all(np.isfinite(first))) and len(region_of(problem, first[0], first[1]).pieces) > 1
     result = proof_in_coordinate(problem, box, integrated=wide)
     if isinstance(result, Failure) and result.reason != "origin":
-        other = proof_in_coordinate(problem, box, integrated=not wide)
-        return result if isinstance(other, Failure) else other
+        alternative = proof_in_coordinate(problem, box, integrated=not wide)
+        return result if isinstance(alternative, Failure) else alternative
     return result
 
 
@@ -288,15 +317,16 @@ def proof_in_coordinate(problem: ProofProblem, box: Box, *, integrated: bool) ->
     """Sets from the start to a region in which bounds imply themselves."""
     if (setting := setting_of(problem, box, integrated=integrated)) is None:
         return Failure(box, "origin")
-    at = setting.at
     first = first_set(setting)
     if isinstance(first, str):
         return Failure(box, first)
     stages = [first]
     for _ in range(SHRINKING):
-        sigma, e = (INFLATION * largest_in_set(np.array(stages[-1].p), at.rows[row]) for row in (SIGMA, E))
-        if rest := towards_residual(problem, box, (sigma, e), e, problem):
-            return Proof(box, [*stages, *rest])
+        p = np.array(stages[-1].p)
+        sigma = INFLATION * largest_in_set(p, setting.origin.rows[SIGMA])
+        e = INFLATION * largest_in_set(p, setting.origin.rows[E])
+        if residual_stages := towards_residual(problem, box, (sigma, e), e, problem):
+            return Proof(box, [*stages, *residual_stages])
         shares = RATES if len(stages) == 1 else (stages[-1].rate / setting.speed,)
         if (smaller := smaller_set(setting, sigma, e, shares)) is None:
             break
@@ -306,10 +336,10 @@ def proof_in_coordinate(problem: ProofProblem, box: Box, *, integrated: bool) ->
 
 def first_set(setting: Setting) -> SetStage | str:
     """A set that holds the start and keeps sliding; otherwise the reason why there is none."""
-    least = [excursion(setting.at, setting.programs.starts, row) for row in (SIGMA, E)]
-    if not all(np.isfinite(least)):
+    excursions = [excursion(setting.origin, setting.programs.starts, row) for row in (SIGMA, E)]
+    if not all(np.isfinite(excursions)):
         return "region"
-    first = [FIRST_REGION * max(each, 1e-9) for each in least]
+    first = [FIRST_REGION * max(size, 1e-9) for size in excursions]
     if (solution := held_start(setting, first, slides=True)) is not None:
         return solution
     if not setting.falls(setting.steps(region_of(setting.problem, first[0], first[1]))):
@@ -327,21 +357,23 @@ def held_start(setting: Setting, first: Sequence[float], *, slides: bool) -> Set
         first: Bounds of |sigma| and |e| of the first region.
         slides: Whether the set has to keep sliding, too.
     """
-    at, by_e = setting.at, setting.problem.functions["kind"] == "vgsta"
+    rows = setting.origin.rows
+    by_e = setting.problem.functions["kind"] == "vgsta"
     shares = START_RATES if slides else START_RATES[:1]  # else it is about the reason of a failure
     limits = np.array(first)
     for _ in range(MOST_REGIONS):
         region = region_of(setting.problem, float(limits[0]), float(limits[1]))
         steps = setting.steps(region)
-        inside = [Bounded(at.rows[SIGMA], region.sigma, None)]
-        inside += [Bounded(at.rows[E], region.e, None)] if by_e else []
+        within = [Bounded(rows[SIGMA], region.sigma, None)]
+        if by_e:
+            within.append(Bounded(rows[E], region.e, None))
         sliding = slide_rows(setting, region) if slides else []
-        if not all(each.bound > 0.0 for each in sliding):
+        if not all(bounded.bound > 0.0 for bounded in sliding):
             return None
-        if (solution := started_set(setting, steps, [*inside, *sliding], shares)) is None:
+        if (solution := started_set(setting, steps, [*within, *sliding], shares)) is None:
             return None
-        sizes = np.array([largest_in_set(solution.p, at.rows[row]) for row in (SIGMA, E)])
-        if np.all((sizes <= (1.0 - TIGHT) * limits)[: len(inside)]):
+        sizes = np.array([largest_in_set(solution.p, rows[row]) for row in (SIGMA, E)])
+        if np.all((sizes <= (1.0 - TIGHT) * limits)[: len(within)]):
             return set_stage(solution, region, setting)
         limits = REGION_ROOM * sizes
         if np.any(limits > LARGEST_REGION * np.array(first)):
@@ -362,17 +394,18 @@ def started_set(setting: Setting, steps: list[Step], rows: list[Bounded], shares
 
 def smaller_set(setting: Setting, sigma: float, e: float, shares: Sequence[float] = RATES) -> SetStage | None:
     """The set with the least |e| that attracts within a region, for some rates; None if it is not worth it."""
-    at, region = setting.at, region_of(setting.problem, sigma, e)
+    region = region_of(setting.problem, sigma, e)
     steps = setting.steps(region)
-    rows = [Bounded(at.rows[E], e, 1.0), Bounded(at.rows[SIGMA], sigma, 0.05)]
+    e_row = setting.origin.rows[E]
+    rows = [Bounded(e_row, e, 1.0), Bounded(setting.origin.rows[SIGMA], sigma, 0.05)]
     solutions: list[Solution] = []
     for share in shares:
         if (solution := setting.solve(steps, rows, share, started=False)) is not None:
             solutions.append(solution)
         if len(solutions) == ENOUGH_RATES:
             break
-    best = min(solutions, key=lambda each: largest_in_set(each.p, at.rows[E]), default=None)
-    if best is None or largest_in_set(best.p, at.rows[E]) > ENOUGH * e:
+    best = min(solutions, key=lambda solution: largest_in_set(solution.p, e_row), default=None)
+    if best is None or largest_in_set(best.p, e_row) > ENOUGH * e:
         return None
     return set_stage(best, region, setting)
 
@@ -385,9 +418,16 @@ def excursion(step: Step, starts: Sequence[np.ndarray], row: int) -> float:
 
 def set_stage(result: Solution, region: Region, setting: Setting) -> SetStage:
     """The stage of a solution; where the gains do not depend on e, its region holds any e of the set."""
-    e, pieces = max(region.e, INFLATION * largest_in_set(result.p, setting.at.rows[E])), len(region.pieces)
-    multipliers, p = result.multipliers.tolist(), result.p.tolist()
-    sizes = region.sigma, e, setting.problem.level, setting.problem.slope
-    coordinate = "phi_1" if setting.integrated else "u_av"
-    shape = pieces, setting.degree, result.rate, multipliers, p, coordinate, setting.moved(region)
-    return SetStage(*sizes, *shape)
+    return SetStage(
+        sigma=region.sigma,
+        e=max(region.e, INFLATION * largest_in_set(result.p, setting.origin.rows[E])),
+        level=setting.problem.level,
+        slope=setting.problem.slope,
+        pieces=len(region.pieces),
+        degree=setting.degree,
+        rate=result.rate,
+        multipliers=result.multipliers.tolist(),
+        p=result.p.tolist(),
+        coordinate="phi_1" if setting.integrated else "u_av",
+        moved=setting.moved(region),
+    )
