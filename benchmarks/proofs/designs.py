@@ -84,7 +84,7 @@ def holds_in(problem: ProofProblem, sigma: float, e: float) -> bool:
         return False
     region = region_of(problem, sigma, e)
     steps = setting.steps(region)
-    rows = [Bounded(setting.at.rows[SIGMA], sigma, 1.0), Bounded(setting.at.rows[E], e, 1.0)]
+    rows = [Bounded(setting.origin.rows[SIGMA], sigma, 1.0), Bounded(setting.origin.rows[E], e, 1.0)]
     for share in (min(RATES), 0.01):
         if (found := setting.solve(steps, rows, share, started=False)) is not None:
             proof = Proof(problem.box, [set_stage(found, region, setting)])
