@@ -12,10 +12,11 @@ from dssc_jax.design import Bounds, Guarantee, guarantee
 from dssc_jax.design.practice import practice
 from dssc_jax.proofs.problem import ProofProblem
 from dssc_jax.proofs.prove import prove_problem
-from dssc_jax.proofs.search.box_search import RATES, SIGMA, E, Proof, set_stage, setting_of
+from dssc_jax.proofs.search.box_search import Proof
 from dssc_jax.proofs.search.gains import gain_hull, region_of
 from dssc_jax.proofs.search.programs import Bounded
 from dssc_jax.proofs.search.sampled_loop import Step, box_middle, step_of
+from dssc_jax.proofs.search.set_stages import RATES, SIGMA, E, set_stage, setting_of
 from dssc_jax.proofs.verifier.verdict import verify_proof
 
 FUNCTIONS = ("phi_a", "phi_b", "kappa_a", "kappa_b", "kappa_c", "kappa_d", "gamma", "delta")

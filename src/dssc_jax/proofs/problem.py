@@ -6,6 +6,8 @@ from typing import Any
 from dssc_jax.core.errors import ConfigError
 
 Interval = tuple[float, float]
+Box = dict[str, Interval]
+"""Intervals of k_p, a_p and, with a transfer function, of ``rate``, 1/mu."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +71,9 @@ class ProofProblem:
         return asdict(self)
 
     @property
-    def box(self) -> dict[str, Interval]:
+    def box(self) -> Box:
         """The intervals of k_p, a_p and, with a lag, of 1/mu."""
-        box = {"k_p": self.k_p, "a_p": self.a_p}
+        box: Box = {"k_p": self.k_p, "a_p": self.a_p}
         if self.denominator:
             box["rate"] = (1.0 / self.mu[1], 1.0 / self.mu[0])
         return box

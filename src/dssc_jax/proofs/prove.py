@@ -13,9 +13,8 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.proofs import BOXES
 from dssc_jax.proofs.coverage import problem_of
-from dssc_jax.proofs.problem import Interval, ProofProblem
-from dssc_jax.proofs.search.box_search import Failure, Proof, prove_box
-from dssc_jax.proofs.search.boxes import Box, halves, volume
+from dssc_jax.proofs.problem import Box, Interval, ProofProblem
+from dssc_jax.proofs.search.box_search import Failure, Proof, halves, prove_box, volume
 from dssc_jax.proofs.verifier.verdict import ProofVerdict, verify_certificate, verify_proof
 from dssc_jax.study import Study
 
@@ -107,7 +106,7 @@ class Proved:
         return {"version": VERSION, "complete": self.complete, "problem": self.problem.to_dict(), "proofs": proofs}
 
 
-def with_mu(box: Box) -> dict[str, Interval]:
+def with_mu(box: Box) -> Box:
     """A box with the time constant mu in place of 1/mu."""
     intervals = {name: interval for name, interval in box.items() if name != "rate"}
     if "rate" in box:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 
-from dssc_jax.proofs.problem import Interval, ProofProblem
+from dssc_jax.proofs.problem import Box, ProofProblem
 from dssc_jax.proofs.search.gains import start_ratio
 from dssc_jax.proofs.search.law_spread import Deviation, LawSpread, law_spreads, middle_gains, slide_hull
 from dssc_jax.proofs.search.sampled_loop import (
@@ -138,7 +138,7 @@ def responses(a: np.ndarray, rows: np.ndarray, inputs: np.ndarray, starts: np.nd
     return None
 
 
-def bounds_map(problem: ProofProblem, box: dict[str, Interval], spread: LawSpread) -> Map | None:
+def bounds_map(problem: ProofProblem, box: Box, spread: LawSpread) -> Map | None:
     """The map of bounds to bounds for a law with such deviations; None if the middle loop is not stable."""
     integrated = problem.form == "conservative"
     point = box_middle(box, spread.gains)
@@ -182,7 +182,7 @@ def deviation_row(deviation: Deviation, signals: int) -> np.ndarray:
     return row
 
 
-def held_deviations(problem: ProofProblem, box: dict[str, Interval], k_p: float, command: np.ndarray) -> np.ndarray:
+def held_deviations(problem: ProofProblem, box: Box, k_p: float, command: np.ndarray) -> np.ndarray:
     """How the bounds act through the deviations of Phi and Gamma from the middle, (n, signals + 1)."""
     n = command.size - 1 - STATES
     result = np.zeros((n, command.size))
@@ -227,7 +227,7 @@ def decay_of(step: Step) -> tuple[float, np.ndarray]:
 
 
 def allowed_disturbance(
-    problem: ProofProblem, disturbed: ProofProblem, box: dict[str, Interval], by: Map, bounds: np.ndarray
+    problem: ProofProblem, disturbed: ProofProblem, box: Box, by: Map, bounds: np.ndarray
 ) -> ProofProblem:
     """The problem with the largest disturbance that bounds of the signals allow, with k_d1 to k_d5 of (30).
 
@@ -254,9 +254,7 @@ def motion_sizes(by: Map, bounds: np.ndarray) -> np.ndarray:
     return STATE_ROOM * np.array([by.command[:-1] @ bounds + by.command[-1], *bounds[STATES:]])
 
 
-def slide_slack(
-    problem: ProofProblem, box: dict[str, Interval], by: Map, bounds: np.ndarray, region: tuple[float, float]
-) -> float:
+def slide_slack(problem: ProofProblem, box: Box, by: Map, bounds: np.ndarray, region: tuple[float, float]) -> float:
     """What the equivalent control deviates by from that of the middle loop."""
     change, sigma, constant = by.spread.slide
     slack = change * bounds[CHANGE] + sigma * bounds[SIGMA] + constant
@@ -270,7 +268,7 @@ def slide_slack(
     return slack + max(high - centre, centre - low) * bounds[CHANGE] + by.spread.slide_e * moved
 
 
-def motion(problem: ProofProblem, box: dict[str, Interval], bounds: np.ndarray) -> tuple[float, float, float]:
+def motion(problem: ProofProblem, box: Box, bounds: np.ndarray) -> tuple[float, float, float]:
     """Bounds of |e|, |e'| and |e''| at all times, from those of the command and the states at the samples."""
     command = bounds[0] * box["k_p"][1]
     states = bounds[1:]
@@ -289,7 +287,7 @@ def motion(problem: ProofProblem, box: dict[str, Interval], bounds: np.ndarray) 
     return float(reached[0]), float(reached[1]), float(bend)
 
 
-def from_start(problem: ProofProblem, box: dict[str, Interval]) -> tuple[BoundsStage, ProofProblem] | str:
+def from_start(problem: ProofProblem, box: Box) -> tuple[BoundsStage, ProofProblem] | str:
     """Bounds from the start on, with the disturbance that they allow; or why there are none.
 
     The reasons are ``gain``, ``region`` and ``sliding``.
@@ -320,7 +318,7 @@ def from_start(problem: ProofProblem, box: dict[str, Interval]) -> tuple[BoundsS
 
 
 def implied(
-    problem: ProofProblem, box: dict[str, Interval], region: tuple[float, float], signal: int, *, started: bool
+    problem: ProofProblem, box: Box, region: tuple[float, float], signal: int, *, started: bool
 ) -> tuple[Map, np.ndarray] | None:
     """The bounds that imply themselves with the deviations of a region, as small as can be for one signal."""
     candidates = []
@@ -334,7 +332,7 @@ def implied(
 
 
 def towards_residual(
-    problem: ProofProblem, box: dict[str, Interval], limits: Sequence[float], error: float, allowed: ProofProblem
+    problem: ProofProblem, box: Box, limits: Sequence[float], error: float, allowed: ProofProblem
 ) -> list[BoundsStage]:
     """Stages that follow, from upper limits of |sigma| and |e|, as long as the bound of |e| becomes smaller.
 

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS
-from dssc_jax.proofs.problem import Interval, ProofProblem
+from dssc_jax.proofs.problem import Box, Interval, ProofProblem
 
 INNER_STEPS = 16  # of a sample, after each of which its inside is evaluated
 ROOM = 1.02  # widening of a bound, so that the verifier's enclosure fits in
@@ -98,7 +98,7 @@ def state_layout(problem: ProofProblem) -> StateLayout:
     return StateLayout(slice(first, memory), slice(memory, end), end + 2)
 
 
-def signal_sizes(problem: ProofProblem, box: dict[str, Interval]) -> SignalSizes:
+def signal_sizes(problem: ProofProblem, box: Box) -> SignalSizes:
     """What disturbance and reference add up to."""
     speed, acceleration, jerk = problem.reference
     a_n, k_n, _ = problem.nominal or (0.0, np.inf, False)
@@ -231,7 +231,7 @@ def bernstein_weight(degree: int, i: int, k: int) -> float:
 def step_of(
     problem: ProofProblem,
     point: LoopPoint,
-    box: dict[str, Interval],
+    box: Box,
     *,
     integrated: bool = False,
     held: HeldSample | None = None,
@@ -280,7 +280,7 @@ def step_of(
     return Step(a, np.stack(columns, axis=1), np.stack([e, unit[0], sigma, sigma - s]), command, push, jump)
 
 
-def inside_bound(problem: ProofProblem, point: LoopPoint, box: dict[str, Interval]) -> np.ndarray:
+def inside_bound(problem: ProofProblem, point: LoopPoint, box: Box) -> np.ndarray:
     """Bound of theta's components: D T_s^2/2 times the largest |exp(F t) k_p b| in a sample, D that of |d_r'|."""
     inner, _ = flow(problem, point.a_p, point.rate, problem.sample_time / INNER_STEPS)
     states = [np.eye(inner.shape[0])[1]]
@@ -300,7 +300,7 @@ def middle(interval: Interval) -> float:
     return 0.5 * (interval[0] + interval[1])
 
 
-def box_middle(box: dict[str, Interval], gains: dict[str, Interval]) -> LoopPoint:
+def box_middle(box: Box, gains: dict[str, Interval]) -> LoopPoint:
     """The middle of plant and gains."""
     centre = LoopGains(*(middle(gains[name]) for name in ("k_p", "k_i", "k_n")))
     return LoopPoint(middle(box["k_p"]), middle(box["a_p"]), middle(box.get("rate", (0.0, 0.0))), centre)
@@ -308,7 +308,7 @@ def box_middle(box: dict[str, Interval], gains: dict[str, Interval]) -> LoopPoin
 
 def box_steps(
     problem: ProofProblem,
-    box: dict[str, Interval],
+    box: Box,
     gains: dict[str, Interval],
     degree: int,
     *,
@@ -325,7 +325,7 @@ def box_steps(
                     yield step_of(problem, point, box, integrated=integrated, held=held)
 
 
-def start_corners(problem: ProofProblem, box: dict[str, Interval], ratio: Interval = (0.0, 0.0)) -> list[np.ndarray]:
+def start_corners(problem: ProofProblem, box: Box, ratio: Interval = (0.0, 0.0)) -> list[np.ndarray]:
     """Every corner of the states in which the loop may start: z is affine in the initial state and in each signal.
 
     Args:
