@@ -95,7 +95,7 @@ def changed(certificate, path, value) -> Any:
     return content
 
 
-def without(table, name):
+def removed(table, name):
     """A table without one entry."""
     return {key: value for key, value in table.items() if key != name}
 
@@ -111,7 +111,7 @@ def malformed(certificate):
         yield f"{path} with another entry", changed(certificate, path, {**table, "other": 1.0})
         yield f"{path} as a list", changed(certificate, path, list(table.values()))
         for name in table:
-            yield f"{path} without {name}", changed(certificate, path, without(table, name))
+            yield f"{path} without {name}", changed(certificate, path, removed(table, name))
     for path in LISTS:
         values = at(certificate, path)
         yield f"{path} too short", changed(certificate, path, values[:-1])
@@ -125,7 +125,7 @@ def malformed(certificate):
     for i, j in ((i, j) for i in range(size) for j in range(size) if i != j):
         entry = (*stage, "p", i, j)
         yield f"P not symmetric at {i}, {j}", changed(certificate, entry, at(certificate, entry) * 1.0001 + 1e-9)
-    others = {
+    replacements = {
         ("version",): [1, 4, 5.0, "5", None, True],
         ("complete",): [False, 1, "true"],
         ("problem", "sample_time"): [-0.005, 0.0],
@@ -142,7 +142,7 @@ def malformed(certificate):
         ("proofs", 0, "stages"): [{}, None, [], [[]]],
         (*stage, "method"): ["trust me", ["small gain"], None, "invariant set"],
     }
-    for path, values in others.items():
+    for path, values in replacements.items():
         for value in values:
             yield f"{path} is {value!r:.40}", changed(certificate, path, value)
     yield "null", None

@@ -64,15 +64,7 @@ def kappa_1(p: Parameters, sigma: Numeric, e: Numeric) -> Numeric:
 
 
 def smallest_of_q(p: Parameters, k_p: Numeric, gain: Numeric, alpha_1: Numeric, alpha_2: Numeric) -> Numeric:
-    """Smallest eigenvalue of Q - 2 eps I.
-
-    Args:
-        p: The parameters.
-        k_p: High-frequency gain [1/s].
-        gain: kappa_1.
-        alpha_1: beta_1/phi_1.
-        alpha_2: beta_2/phi_2.
-    """
+    """Smallest eigenvalue of Q - 2 eps I; ``gain`` is kappa_1, alpha_i = beta_i/phi_i."""
     eps = p.eps
     first = p.gamma * k_p
     k_q = (

@@ -10,8 +10,7 @@ SIGNAL_NAMES = ("|y_m'|", "|y_m''|", "|y_m'''|")
 def loop_in_words(problem: Problem) -> dict[str, str]:
     """What a certificate's problem says, by label.
 
-    Args:
-        problem: A problem that is well formed, with the units of the certificate: y and u, seconds.
+    The problem is well formed; units are those of the certificate, y and u, seconds.
     """
     return {
         "controller": controller_words(problem),

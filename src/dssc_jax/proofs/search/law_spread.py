@@ -56,43 +56,43 @@ def law_spreads(problem: ProofProblem, sigma: float, e: float) -> list[LawSpread
     """The deviations of a region, in each way in which they can be bounded."""
     points = gain_points(problem, sigma, e)
     hull = {name: with_room(column) for name, column in points.columns.items()}
-    half = {name: 0.5 * (high - low) for name, (low, high) in hull.items()}
+    width = {name: 0.5 * (high - low) for name, (low, high) in hull.items()}
     t = problem.sample_time
     if problem.form == "implicit":
         return [
             LawSpread(
                 {name: hull[name] for name in GAIN_NAMES},
-                Deviation(half["k_p"], t * half["k_i"], 0.0),
-                Deviation(0.0, half["k_n"], 0.0),
-                Deviation(half["slide_p"], half["slide_i"], 0.0),
+                Deviation(width["k_p"], t * width["k_i"], 0.0),
+                Deviation(0.0, width["k_n"], 0.0),
+                Deviation(width["slide_p"], width["slide_i"], 0.0),
                 0.0,
             )
         ]
     by_ratio = LawSpread(
         {name: hull["mean" if name == "k_p" else name] for name in GAIN_NAMES},
-        Deviation(0.0, t * half["k_i"], 0.0),
-        Deviation(0.0, half["mean"] + half["k_n"], 0.0),
-        Deviation(0.0, half["mean"] + half["slide_i"], 0.0),
+        Deviation(0.0, t * width["k_i"], 0.0),
+        Deviation(0.0, width["mean"] + width["k_n"], 0.0),
+        Deviation(0.0, width["mean"] + width["slide_i"], 0.0),
         hull["slide_e"][1],
     )
-    return [by_ratio, function_spread(points, by_ratio, half, t)]
+    return [by_ratio, function_spread(points, by_ratio, width, t)]
 
 
-def function_spread(points: GainPoints, by_ratio: LawSpread, half: dict[str, float], t: float) -> LawSpread:
+def function_spread(points: GainPoints, by_ratio: LawSpread, width: dict[str, float], t: float) -> LawSpread:
     """The distances of the functions from the straight lines that are nearest to them."""
     size = np.abs(points.sigma)
     columns = points.columns
     slopes = {name: nearest_slope(size, columns[name]) for name in ("mean", "k_i", "k_n")}
-    together = columns["mean"] + columns["k_n"]
+    ratio_of_command = columns["mean"] + columns["k_n"]
     first = largest_distance(size, columns["mean"], slopes["mean"])
     second = largest_distance(size, columns["k_i"], slopes["k_i"])
-    both = largest_distance(size, together, slopes["mean"] + slopes["k_n"])
+    command = largest_distance(size, ratio_of_command, slopes["mean"] + slopes["k_n"])
     gains = by_ratio.gains | {name: (slopes[of], slopes[of]) for name, of in SLOPES.items()}
     return LawSpread(
         gains,
         Deviation(0.0, 0.0, t * second),
-        Deviation(0.0, 0.0, both),
-        Deviation(0.0, half["slide_i"], first),
+        Deviation(0.0, 0.0, command),
+        Deviation(0.0, width["slide_i"], first),
         by_ratio.slide_e,
     )
 

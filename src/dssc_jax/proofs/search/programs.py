@@ -61,18 +61,15 @@ class Solution(NamedTuple):
     rate: float
 
 
-def scaling(step: Step, starts: Sequence[np.ndarray], forgets: float) -> np.ndarray | None:
+def scaling(step: Step, starts: Sequence[np.ndarray], decay: float) -> np.ndarray | None:
     """Coordinates z = S x in which what starts and inputs excite has size one; None if the loop is not stable.
 
-    Args:
-        step: One sample at one point.
-        starts: Initial states.
-        forgets: Share of a state that is forgotten within a sample.
+    ``decay`` is the share of a state that is lost within a sample.
     """
     n = step.a.shape[0]
     if np.max(np.abs(np.linalg.eigvals(step.a))) >= 1.0:
         return None
-    columns = np.stack(starts, axis=1) * np.sqrt(forgets)
+    columns = np.stack(starts, axis=1) * np.sqrt(decay)
     spread = step.b @ step.b.T + columns @ columns.T
     noise = spread + 1e-9 * np.trace(spread) * np.eye(n) if np.any(spread) else np.eye(n)
     gramian = solve_discrete_lyapunov(step.a, noise)

@@ -238,12 +238,8 @@ def step_of(
 ) -> Step:
     """The matrices of one sample, with inputs scaled by their bounds over a box.
 
-    Args:
-        problem: What is to be proved.
-        point: Plant and gains.
-        box: The box that the point is of.
-        integrated: Whether the coordinate is q = v - phi_1(s), and the first gain phi_1/sigma.
-        held: What takes the place of the point's own Phi and Gamma.
+    With ``integrated``, the coordinate is q = v - phi_1(s), and the first gain is phi_1/sigma. ``held`` takes the place
+    of the point's Phi and Gamma.
     """
     zeta, memory, n = state_layout(problem)
     t = problem.sample_time
@@ -252,7 +248,7 @@ def step_of(
     sizes = signal_sizes(problem, box)
     phi, gamma = held or held_matrices(problem, point.a_p, point.rate)
     kappa, _ = sensor_weights(problem)
-    e, speed, v, s = unit[0], unit[1], unit[n - 2], unit[n - 1]
+    e, speed, *_, v, s = unit
     if problem.sensor_lag:
         e, speed = (1.0 - kappa) * e + unit[memory.start], (1.0 - kappa) * speed + unit[memory.start + 1]
     sigma = speed + problem.l0 * e
@@ -328,10 +324,7 @@ def box_steps(
 def start_corners(problem: ProofProblem, box: Box, ratio: Interval = (0.0, 0.0)) -> list[np.ndarray]:
     """Every corner of the states in which the loop may start: z is affine in the initial state and in each signal.
 
-    Args:
-        problem: What is to be proved.
-        box: Intervals of the uncertain numbers.
-        ratio: Interval of what the start takes from v or q, over sigma: that of ``gains.start_ratio``.
+    ``ratio`` is the interval of what the start takes from v or q, over sigma: that of ``gains.start_ratio``.
     """
     zeta, memory, n = state_layout(problem)
     sizes = signal_sizes(problem, box)

@@ -238,10 +238,7 @@ def held_start(setting: Setting, first: Sequence[float], *, slides: bool) -> Set
 
     Of the sets of a region's gains, the one that exceeds the region by the least sizes the next region.
 
-    Args:
-        setting: The box.
-        first: Bounds of |sigma| and |e| of the first region.
-        slides: Whether the set has to keep sliding, too.
+    ``first`` bounds |sigma| and |e| in the first region; ``slides`` tells whether the set has to keep sliding, too.
     """
     rows = setting.origin.rows
     by_e = setting.problem.functions["kind"] == "vgsta"

@@ -42,11 +42,14 @@ class SignalRows(NamedTuple):
 
 def signal_bounds(problem: Problem, box: Box) -> SignalBounds:
     """What disturbance and reference add up to: d_r = d - (y_m'' + a_p y_m')/k_p, f = (y_m'' + a_n y_m')/k_n."""
-    level, slope = arb(problem["level"]), arb(problem["slope"])
+    level = arb(problem["level"])
+    slope = arb(problem["slope"])
     speed, acceleration, jerk = map(arb, problem["reference"])
-    a_n, inverse_k_n = arb(0), arb(0)
+    a_n = arb(0)
+    inverse_k_n = arb(0)
     if problem["nominal"]:
-        a_n, inverse_k_n = arb(problem["nominal"][0]), 1 / arb(problem["nominal"][1])
+        a_n = arb(problem["nominal"][0])
+        inverse_k_n = 1 / arb(problem["nominal"][1])
     worst = [arb(0)] * 5
     for k_p, a_p in product(exact_ends(box["k_p"]), exact_ends(box["a_p"])):  # every bound is largest at a corner
         ratio = abs(a_p) / k_p
@@ -72,8 +75,7 @@ def signal_rows(problem: Problem) -> SignalRows:
     """The rows of the signals."""
     places = state_places(problem)
     unit = unit_rows(places.n)
-    e, speed = unit[0], unit[1]
-    v, s = unit[-2], unit[-1]
+    e, speed, *_, v, s = unit
     if places.memory:
         kappa, _ = memory_weights(problem)
         e, speed = (unit[i] * (1 - kappa) + unit[place] for i, place in enumerate(places.memory))
@@ -86,11 +88,11 @@ def sample_corners(
 ) -> list[Corner]:
     """Every corner of plant and gains, the plant's at the vertices that ``held_plant.held_vertices`` gives."""
     sizes = signal_bounds(problem, box)
-    inside = inside_bounds(problem, box, arb(problem["sample_time"]))
+    within_sample = inside_bounds(problem, box, arb(problem["sample_time"]))
     names = ("mean" if integrated else "k_p", "k_i", "k_n")
     corners = []
     for vertex, k_p in product(vertices, exact_ends(box["k_p"])):
-        b = input_columns(problem, k_p, sizes, inside)
+        b = input_columns(problem, k_p, sizes, within_sample)
         for gain in product(*(ball_ends(gains[name]) for name in names)):
             corners.append(Corner(sampled(problem, vertex, k_p, gain, integrated=integrated), b))
     return corners
@@ -119,7 +121,7 @@ def control_rows(problem: Problem, gain: Sequence[arb], *, integrated: bool) -> 
         v_row = v_row + rows.change * proportional
         command = -v_row
     if problem["nominal"]:
-        a_n, k = arb(problem["nominal"][0]), arb(problem["nominal"][1])
+        a_n, k = map(arb, problem["nominal"][:2])
         l0 = arb(problem["l0"])
         feedback = rows.e * ((a_n - l0) * l0) + rows.sigma * (l0 - a_n)
         command = command - feedback * (1 / k)
@@ -135,7 +137,7 @@ def zeta_jump(problem: Problem) -> list[arb]:
     return [arb(1) for _ in zeta]
 
 
-def input_columns(problem: Problem, k_p: arb, sizes: SignalBounds, inside: list[arb]) -> arb_mat:
+def input_columns(problem: Problem, k_p: arb, sizes: SignalBounds, within_sample: list[arb]) -> arb_mat:
     """Columns of the changes of d_r + f and -f and of theta's components, for inputs of magnitude at most 1."""
     zeta, memory, n = state_places(problem)
     t = arb(problem["sample_time"])
@@ -144,7 +146,7 @@ def input_columns(problem: Problem, k_p: arb, sizes: SignalBounds, inside: list[
     offset = [*feed[:-2], arb(-1), arb(0)]
     columns = [[t * sizes.offset_slope * x for x in offset], [t * sizes.feed_slope * x for x in feed]]
     for j in range(zeta.start):
-        columns.append([inside[i] if i == j else arb(0) for i in range(n)])
+        columns.append([within_sample[i] if i == j else arb(0) for i in range(n)])
     return matrix_of_columns(columns)
 
 

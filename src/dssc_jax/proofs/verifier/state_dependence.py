@@ -48,11 +48,11 @@ def motion_bounds(problem: Problem, box: Box, bounds: list[arb]) -> tuple[arb, a
     t = arb(problem["sample_time"])
     k_p = arb(box["k_p"][1])
     generator = generator_over(problem, box)
-    inside = inside_bounds(problem, box, t)
+    disturbed = inside_bounds(problem, box, t)
     largest = [arb(0)] * chi
     for flow in flows(generator, t, PIECES):
         for i in range(chi):
-            forced = inside[i] + abs(flow[i, chi]) * k_p * command
+            forced = disturbed[i] + abs(flow[i, chi]) * k_p * command
             reached = forced + total([abs(flow[i, j]) * states[j] for j in range(chi)])
             largest[i] = maximum(largest[i], reached.upper())
     forced = abs(generator[1, chi]) * k_p * command + signal_bounds(problem, box).slope * t * k_p
