@@ -12,7 +12,7 @@ from dssc_jax.proofs.verifier.balls import Balls, Rejected, maximum, require_pre
 from dssc_jax.proofs.verifier.certificate import Problem
 from dssc_jax.proofs.verifier.gain_enclosures import gains_at, middle_of
 from dssc_jax.proofs.verifier.intervals import Intervals, exactly, square_root
-from dssc_jax.proofs.verifier.table_gains import first_cells, gains_of, quartered
+from dssc_jax.proofs.verifier.table_gains import Cells, first_cells, gains_of
 
 DISTANCE_ROOM = 0.02
 """Largest excess over the distances at points, as a share of them."""
@@ -79,14 +79,14 @@ def distances_in_cells(problem: Problem, sigma: float, e: float, centre: Balls) 
     least_rooms = {name: rounding_of(names, centre) * sigma for name, names in DISTANCES.items()}
     at_points = dict.fromkeys(DISTANCES, 0.0)
     result = dict.fromkeys(DISTANCES, 0.0)
-    r, sign, x = first_cells(square_root(0.0, sigma), (0.0, e))
+    cells = first_cells(square_root(0.0, sigma), (0.0, e))
     remaining = MOST_CELLS
-    while sign.size:
-        remaining -= sign.size
-        for name, reached in cell_distances(problem, r.middle(), sign, x.middle(), slopes).items():
+    while cells.sign.size:
+        remaining -= cells.sign.size
+        for name, reached in cell_distances(problem, cells.middles(), slopes).items():
             at_points[name] = max(at_points[name], float(np.max(reached.low)))
-        too_wide = np.zeros(sign.shape, bool)
-        distances = cell_distances(problem, r, sign, x, slopes)
+        too_wide = np.zeros(cells.sign.shape, bool)
+        distances = cell_distances(problem, cells, slopes)
         for name, reached in distances.items():
             too_wide |= ~(reached.high <= at_points[name] * (1.0 + DISTANCE_ROOM) + least_rooms[name])
         if remaining <= 0:
@@ -94,18 +94,16 @@ def distances_in_cells(problem: Problem, sigma: float, e: float, centre: Balls) 
         for name, reached in distances.items():
             kept = reached.high[~too_wide]
             result[name] = float(np.maximum(result[name], np.max(kept, initial=0.0)))
-        r, sign, x = quartered(r, sign, x, too_wide)
+        cells = cells.quartered(too_wide)
     finite = bool(np.all(np.isfinite(list(result.values()))))
     require_premise(finite, "P2: the functions cannot be enclosed in the region")
     return {name: arb(value) for name, value in result.items()}
 
 
-def cell_distances(
-    problem: Problem, r: Intervals, sign: np.ndarray, x: Intervals, slopes: dict[str, Intervals]
-) -> dict[str, Intervals]:
+def cell_distances(problem: Problem, cells: Cells, slopes: dict[str, Intervals]) -> dict[str, Intervals]:
     """Intervals of the distances in cells."""
-    gains = gains_of(problem, r, sign, x)
-    size = r * r
+    gains = gains_of(problem, cells)
+    size = cells.root * cells.root
     result = {}
     for name, names in DISTANCES.items():
         difference = gains[names[0]] - slopes[names[0]]

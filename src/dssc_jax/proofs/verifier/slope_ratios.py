@@ -11,7 +11,7 @@ from dssc_jax.proofs.verifier.balls import Balls, maximum, require_premise
 from dssc_jax.proofs.verifier.certificate import Problem, Stage
 from dssc_jax.proofs.verifier.gain_enclosures import constants_of, functions_at
 from dssc_jax.proofs.verifier.intervals import Intervals, outwards
-from dssc_jax.proofs.verifier.table_gains import gains_of
+from dssc_jax.proofs.verifier.table_gains import Cells, gains_of
 
 ROOT_CELLS = 64
 ERROR_CELLS = 16
@@ -61,9 +61,12 @@ def table_ratio(problem: Problem, sigma: float, e: float, change: float, moved: 
     sizes = outwards(size_low.ravel() - change, size_high.ravel() + change)
     root = outwards(np.sqrt(np.maximum(sizes.low, 0.0)), np.sqrt(np.minimum(sizes.high, sigma)))
     reached = outwards(error_low.ravel() - moved, error_high.ravel() + moved)
-    r = Intervals(np.maximum(root.low, 0.0), root.high)
-    x = Intervals(np.maximum(reached.low, 0.0), np.minimum(reached.high, e))
-    slope = gains_of(problem, r, np.ones(r.low.size), x)["k_p"]
+    cells = Cells(
+        Intervals(np.maximum(root.low, 0.0), root.high),
+        np.ones(root.low.size),
+        Intervals(np.maximum(reached.low, 0.0), np.minimum(reached.high, e)),
+    )
+    slope = gains_of(problem, cells)["k_p"]
     require_premise(bool(np.all(slope.low > 0.0)), "P2: the functions are not positive in the region")
     ratio = slope / slope
     return arb(float(np.max(ratio.high)))

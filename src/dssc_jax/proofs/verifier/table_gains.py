@@ -6,6 +6,7 @@ gains at points span by more than a small share.
 
 from collections.abc import Sequence
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,33 +20,67 @@ FIRST_CUTS = 6  # of r and of |e|
 MOST_CELLS = 100_000
 
 
+class Cells(NamedTuple):
+    """Cells of a region.
+
+    Args:
+        root: |sigma|^(1/2).
+        sign: The sign of sigma e.
+        e: |e|.
+    """
+
+    root: Intervals
+    sign: np.ndarray
+    e: Intervals
+
+    def middles(self) -> "Cells":
+        """A point of each cell."""
+        return Cells(self.root.middle(), self.sign, self.e.middle())
+
+    def quartered(self, mask: np.ndarray) -> "Cells":
+        """The four quarters of each selected cell."""
+        quarters = list(product(self.root.selected(mask).halves(), self.e.selected(mask).halves()))
+        roots, errors = zip(*quarters, strict=True)
+        return Cells(concatenated(roots), np.tile(self.sign[mask], len(quarters)), concatenated(errors))
+
+
+def first_cells(roots: tuple[float, float], errors: tuple[float, float]) -> Cells:
+    """The cells with which a region is first cut, from intervals of |sigma|^(1/2) and |e|."""
+    root_ends = np.linspace(*roots, FIRST_CUTS + 1)
+    error_ends = np.linspace(*errors, FIRST_CUTS + 1)
+    signs = np.array([-1.0, 1.0])
+    root_low, error_low, sign = np.meshgrid(root_ends[:-1], error_ends[:-1], signs, indexing="ij")
+    root_high, error_high, _ = np.meshgrid(root_ends[1:], error_ends[1:], signs, indexing="ij")
+    root = Intervals(root_low.ravel(), root_high.ravel())
+    return Cells(root, sign.ravel(), Intervals(error_low.ravel(), error_high.ravel()))
+
+
 def table_gains(problem: Problem, sigma: float, e: float, sigma_from: float, e_from: float) -> Balls:
     """Balls of the gains for |sigma| from ``sigma_from`` to a bound, and |e| from ``e_from`` to one.
 
     They are the same at (-sigma, -e). Both signs are taken at e = 0, where sgn e jumps; with sgn 0 = 0 the gains lie
     between.
     """
-    r, sign, x = first_cells(square_root(sigma_from, sigma), (e_from, e))
+    cells = first_cells(square_root(sigma_from, sigma), (e_from, e))
     spans: dict[str, tuple[float, float]] = {}
     result: dict[str, tuple[float, float]] = {}
     remaining = MOST_CELLS
-    while sign.size:
-        remaining -= sign.size
-        for name, at in gains_of(problem, r.middle(), sign, x.middle()).items():
-            spans[name] = spanned(spans.get(name), float(np.min(at.low)), float(np.max(at.high)))
-        pieces = gains_of(problem, r, sign, x)
-        too_wide = np.zeros(sign.shape, bool)
-        for name, at in pieces.items():
+    while cells.sign.size:
+        remaining -= cells.sign.size
+        for name, gain in gains_of(problem, cells.middles()).items():
+            spans[name] = spanned(spans.get(name), gain)
+        gains = gains_of(problem, cells)
+        too_wide = np.zeros(cells.sign.shape, bool)
+        for name, gain in gains.items():
             lowest, highest = spans[name]
             room = TABLE_ROOM * (highest - lowest) + TABLE_ROUNDING * max(abs(lowest), abs(highest))
-            too_wide |= ~((at.low >= lowest - room) & (at.high <= highest + room))
+            too_wide |= ~((gain.low >= lowest - room) & (gain.high <= highest + room))
         if remaining <= 0:
             too_wide[:] = False
         if not too_wide.all():
-            for name, at in pieces.items():
-                kept = at.selected(~too_wide)
-                result[name] = spanned(result.get(name), float(np.min(kept.low)), float(np.max(kept.high)))
-        r, sign, x = quartered(r, sign, x, too_wide)
+            for name, gain in gains.items():
+                result[name] = spanned(result.get(name), gain.selected(~too_wide))
+        cells = cells.quartered(too_wide)
     positive = all(result[name][0] > 0.0 for name in ("k_p", "k_i"))
     require_premise(positive, "P2: the functions are not positive in the region")
     finite = bool(np.all(np.isfinite(list(result.values()))))
@@ -53,26 +88,10 @@ def table_gains(problem: Problem, sigma: float, e: float, sigma_from: float, e_f
     return {name: interval_ball(*ends) for name, ends in result.items()}
 
 
-def first_cells(roots: tuple[float, float], errors: tuple[float, float]) -> tuple[Intervals, np.ndarray, Intervals]:
-    """Cells of a region: r = |sigma|^(1/2), the sign of sigma e, and |e|."""
-    r, x = (np.linspace(*ends, FIRST_CUTS + 1) for ends in (roots, errors))
-    signs = np.array([-1.0, 1.0])
-    low = np.meshgrid(r[:-1], x[:-1], signs, indexing="ij")
-    high = np.meshgrid(r[1:], x[1:], signs, indexing="ij")
-    return Intervals(low[0].ravel(), high[0].ravel()), low[2].ravel(), Intervals(low[1].ravel(), high[1].ravel())
-
-
-def quartered(
-    r: Intervals, sign: np.ndarray, x: Intervals, mask: np.ndarray
-) -> tuple[Intervals, np.ndarray, Intervals]:
-    """The four quarters of each selected cell."""
-    quarters = list(product(r.selected(mask).halves(), x.selected(mask).halves()))
-    r_parts, x_parts = zip(*quarters, strict=True)
-    return concatenated(r_parts), np.tile(sign[mask], len(quarters)), concatenated(x_parts)
-
-
-def spanned(ends: tuple[float, float] | None, low: float, high: float) -> tuple[float, float]:
-    """The smallest interval with both; NaN if one has it."""
+def spanned(ends: tuple[float, float] | None, intervals: Intervals) -> tuple[float, float]:
+    """The smallest interval with all of these; NaN if one has it."""
+    low = float(np.min(intervals.low))
+    high = float(np.max(intervals.high))
     if ends is None:
         return low, high
     return float(np.minimum(ends[0], low)), float(np.maximum(ends[1], high))
@@ -83,14 +102,15 @@ def concatenated(parts: Sequence[Intervals]) -> Intervals:
     return Intervals(np.concatenate([part.low for part in parts]), np.concatenate([part.high for part in parts]))
 
 
-def gains_of(problem: Problem, r: Intervals, sign: np.ndarray, e: Intervals) -> dict[str, Intervals]:
-    """The gains with r = |sigma|^(1/2), the sign of sigma e, and e = |e|.
+def gains_of(problem: Problem, cells: Cells) -> dict[str, Intervals]:
+    """The gains in cells, with r = |sigma|^(1/2) and e = |e|.
 
     Terms are written so that each r in them acts in the same direction, where they can be. In the conservative form
     K_I is phi_2/sigma; ``mean`` is phi_1/sigma, ``k_e`` the size of d phi_1/d e, ``by_e`` that over |sigma|,
     and ``tau_av`` is needed by itself.
     """
     c = {name: exactly(float(value)) for name, value in problem["functions"].items() if name != "kind"}
+    r, sign, e = cells
     two = exactly(2.0)
     t = exactly(problem["sample_time"])
     sides = Intervals(sign, sign)
