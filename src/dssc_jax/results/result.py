@@ -94,12 +94,11 @@ class Result:
     @property
     def theorem(self) -> str:
         """The result of Theorem 1 for the loop, in one line; empty without the functions of Table 1."""
-        mark = theorem_mark(self.study)
-        if mark is None:
-            return ""
-        if mark.certified is None:
-            return f"Theorem 1 does not apply: {mark.reason}"
-        certified = self.with_theorem().dataset["certified"].values
+        dataset = self.with_theorem().dataset
+        if "certified" not in dataset:
+            mark = theorem_mark(self.study)
+            return f"Theorem 1 does not apply: {mark.reason}" if mark else ""
+        certified = dataset["certified"].values
         if not certified.ndim:
             return f"certified by Theorem 1, {GIVEN}" if certified else "not certified by Theorem 1"
         return f"Theorem 1 certifies {np.count_nonzero(certified)} of {certified.size} points, {GIVEN}"
