@@ -77,9 +77,9 @@ def models(path):
     return path.relative_to(ROOT).parts[1] if layer(path) == "models" else None
 
 
-def imported(path):
-    """Layers that a file imports, and which part of them, at any level but under TYPE_CHECKING."""
-    tree = ast.parse(path.read_text())
+def imported_modules(text):
+    """Names of this package that a module's text imports, at any level but under TYPE_CHECKING."""
+    tree = ast.parse(text)
     skipped = {
         id(inner)
         for node in ast.walk(tree)
@@ -92,12 +92,19 @@ def imported(path):
         names = []
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("dssc_jax"):
             names = [f"{node.module}.{alias.name}" for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.level:
+            names = ["dssc_jax.relative"]  # absolute imports are the rule here
         elif isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
-        for name in names:
-            parts = name.split(".")
-            if parts[0] == "dssc_jax" and len(parts) > 2:
-                yield parts[1], parts[2]
+        yield from (name for name in names if name.split(".")[0] == "dssc_jax")
+
+
+def imported(path):
+    """Layers that a file imports, and which part of each."""
+    for name in imported_modules(path.read_text()):
+        parts = name.split(".")
+        if len(parts) > 2:
+            yield parts[1], parts[2]
 
 
 def test_every_folder_is_a_layer():
@@ -117,6 +124,60 @@ def test_imports_go_down(path):
             assert RANK[there] < RANK[here], f"{here} imports {there}"
         if there == here == "models":
             assert part == models(path), f"{path} imports its sibling {part}"
+
+
+def foreign_to_verifier(text):
+    """What a module of the verifier imports of the rest of this package."""
+    return [name for name in imported_modules(text) if not name.startswith("dssc_jax.proofs.verifier.")]
+
+
+def used_of_verifier(text):
+    """What a module of the search imports of the verifier."""
+    return [name for name in imported_modules(text) if name.startswith("dssc_jax.proofs.verifier")]
+
+
+def test_verifier_and_search_share_no_code():
+    verifier = sorted((ROOT / "proofs" / "verifier").glob("*.py"))
+    search = sorted((ROOT / "proofs" / "search").glob("*.py"))
+    assert len(verifier) > 5
+    assert len(search) > 5
+    assert {path.name: names for path in verifier if (names := foreign_to_verifier(path.read_text()))} == {}
+    assert {path.name: names for path in search if (names := used_of_verifier(path.read_text()))} == {}
+
+
+@pytest.mark.parametrize(
+    "planted",
+    [
+        "from dssc_jax.proofs.search.gains import gain_hull",
+        "from dssc_jax.proofs.search import gains",
+        "from dssc_jax.proofs import search",
+        "import dssc_jax.proofs.search.gains",
+        "def f():\n    from dssc_jax.proofs.search import gains",
+        "from dssc_jax.proofs.problem import ProofProblem",
+        "from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS",
+        "import dssc_jax",
+        "from ..search import gains",
+    ],
+)
+def test_an_import_planted_in_the_verifier_is_found(planted):
+    text = (ROOT / "proofs" / "verifier" / "verdict.py").read_text()
+    assert not foreign_to_verifier(text)
+    assert foreign_to_verifier(f"{text}\n{planted}\n")
+
+
+@pytest.mark.parametrize(
+    "planted",
+    [
+        "from dssc_jax.proofs.verifier.balls import enclosing",
+        "from dssc_jax.proofs.verifier import balls",
+        "from dssc_jax.proofs import verifier",
+        "import dssc_jax.proofs.verifier.balls",
+    ],
+)
+def test_an_import_planted_in_the_search_is_found(planted):
+    text = (ROOT / "proofs" / "search" / "box_search.py").read_text()
+    assert not used_of_verifier(text)
+    assert used_of_verifier(f"{text}\n{planted}\n")
 
 
 def test_places_that_the_architecture_names_exist():

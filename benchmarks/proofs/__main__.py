@@ -31,7 +31,7 @@ from dssc_jax.design import guarantee
 from dssc_jax.design.certification import design_of
 from dssc_jax.proofs import SWEEP_BOXES
 from dssc_jax.proofs.coverage import problem_of
-from dssc_jax.proofs.verifier import verify_certificate
+from dssc_jax.proofs.verifier.verdict import verify_certificate
 from dssc_jax.results.proofs import SweepProofs
 from dssc_jax.runs.prove_sweep import prove_sweep, sweep_points
 
@@ -62,7 +62,7 @@ def map_text() -> str:
     plotting.save_figure(plotting.sweep(result), ROOT / "docs" / "figures", "design_map")
     variation = result.dataset["command_tv_after_20"].max("draw").values
     stable, proved = variation < UNSTABLE, proofs.proved
-    theorem = result.dataset["certified"].values.astype(bool)
+    theorem = result.with_theorem().dataset["certified"].values.astype(bool)
     failing = result.failed.mean("draw").values
     ratio = (proofs.error / result.dataset["error_max_after_20"].max("draw").values)[proved]
     each = [point["seconds"] for point, here in zip(proofs.points, proved.ravel(), strict=True) if here]

@@ -10,13 +10,14 @@ import numpy as np
 from benchmarks.conservatism import random_cases
 from dssc_jax.design import Bounds, Guarantee, guarantee
 from dssc_jax.design.practice import practice
-from dssc_jax.proofs.gains import gain_hull, region_of
 from dssc_jax.proofs.problem import ProofProblem
-from dssc_jax.proofs.programs import Bounded
 from dssc_jax.proofs.prove import prove_problem
-from dssc_jax.proofs.sampled_loop import Step, box_middle, step_of
-from dssc_jax.proofs.search import RATES, SIGMA, E, Proof, set_stage, setting_of
-from dssc_jax.proofs.verifier import verify_proof
+from dssc_jax.proofs.search.box_search import Proof
+from dssc_jax.proofs.search.gains import gain_hull, region_of
+from dssc_jax.proofs.search.programs import Bounded
+from dssc_jax.proofs.search.sampled_loop import Step, box_middle, step_of
+from dssc_jax.proofs.search.set_stages import RATES, SIGMA, E, set_stage, setting_of
+from dssc_jax.proofs.verifier.verdict import verify_proof
 
 FUNCTIONS = ("phi_a", "phi_b", "kappa_a", "kappa_b", "kappa_c", "kappa_d", "gamma", "delta")
 LONGEST, ENDED = 4_000_000, 1e-9
@@ -84,7 +85,7 @@ def holds_in(problem: ProofProblem, sigma: float, e: float) -> bool:
         return False
     region = region_of(problem, sigma, e)
     steps = setting.steps(region)
-    rows = [Bounded(setting.at.rows[SIGMA], sigma, 1.0), Bounded(setting.at.rows[E], e, 1.0)]
+    rows = [Bounded(setting.origin.rows[SIGMA], sigma, 1.0), Bounded(setting.origin.rows[E], e, 1.0)]
     for share in (min(RATES), 0.01):
         if (found := setting.solve(steps, rows, share, started=False)) is not None:
             proof = Proof(problem.box, [set_stage(found, region, setting)])

@@ -57,7 +57,7 @@ def test_a_sweep_is_marked_point_by_point():
     study = dj.Study.from_table(table(sweep={"controller.functions.phi_b": [2.0, 8.0], "plant.k_p": [0.5, 0.9, 1.1]}))
     assert mark(study).certified.tolist() == [[False, False, False], [False, True, True]]
     result = dj.run(study)
-    assert result.dataset["certified"].dims == ("controller.functions.phi_b", "plant.k_p")
+    assert result.with_theorem().dataset["certified"].dims == ("controller.functions.phi_b", "plant.k_p")
     assert [point["certified"] for point in result.summary()["points"]] == [False] * 4 + [True] * 2
 
 
@@ -99,11 +99,11 @@ def test_bounds_of_a_spline_are_kept_by_every_spline():
 
 def test_an_uncertain_nominal_control_counts_at_its_worst():
     """The mark of a law is that of both its ends together."""
-    own = table()["controller"]
+    controller = table()["controller"]
 
     def marked(a):
         nominal = {"a": a, "k": 1.0, "predictor_term": False}
-        return mark(dj.Study.from_table(table(controller=own | {"nominal": nominal}))).certified.item()
+        return mark(dj.Study.from_table(table(controller=controller | {"nominal": nominal}))).certified.item()
 
     assert marked(0.5)
     assert not marked(1000.0)
@@ -113,9 +113,11 @@ def test_an_uncertain_nominal_control_counts_at_its_worst():
 
 def test_a_design_without_kappa_a_is_not_certified():
     """The bound of 1/tau_m in the nominal control divides by it."""
-    own = table()["controller"]
-    functions = own["functions"] | {"kappa_a": 0.0}
-    study = dj.Study.from_table(table(controller=own | {"functions": functions, "nominal": {"a": 1.0, "k": 1.0}}))
+    controller = table()["controller"]
+    functions = controller["functions"] | {"kappa_a": 0.0}
+    study = dj.Study.from_table(
+        table(controller=controller | {"functions": functions, "nominal": {"a": 1.0, "k": 1.0}})
+    )
     assert mark(study).certified.item() is False
 
 
@@ -123,8 +125,9 @@ def test_a_users_own_plant_is_not_taken_for_the_class():
     from dssc_jax.models.plants.normal_form import NORMAL_FORM
 
     study = dj.Study.from_table(table())
-    other = replace(study, loop=replace(study.loop, plant=NORMAL_FORM._replace(project=lambda params, state: state)))
-    assert "class (5)-(8)" in mark(other).reason
+    plant = NORMAL_FORM._replace(project=lambda params, state: state)
+    own_plant = replace(study, loop=replace(study.loop, plant=plant))
+    assert "class (5)-(8)" in mark(own_plant).reason
 
 
 @pytest.mark.parametrize("amplitude", [{"normal": [0.0, 0.1]}, {"lognormal": [-3.0, 0.1]}])
@@ -152,8 +155,8 @@ def test_the_certificate_reaches_as_far_as_the_marks_do(name, values):
     found = reach(study, name, grid)
     assert found.value is not None
     assert min(values) < found.value < max(values)
-    beyond = found.value + (values[1] - values[0]) / 8 / 32**2
-    ends = sorted([found.value, beyond])
+    uncertified = found.value + (values[1] - values[0]) / 8 / 32**2
+    ends = sorted([found.value, uncertified])
     marks = mark(study.override({"sweep": {name: ends}})).certified.tolist()
     assert marks == [end == found.value for end in ends]
     assert f"as far as {name}" in found.text
@@ -184,18 +187,18 @@ def test_of_unmodelled_dynamics_the_theorem_knows_their_absence_only():
 
 
 @pytest.mark.parametrize(
-    ("name", "why"),
+    ("name", "reason"),
     [
         ("loop.sample_time", "continuous time"),
         ("sensor.position_std", "as they are"),
         ("controller.rho", "for granted"),
     ],
 )
-def test_numbers_of_which_the_theorem_says_nothing(name, why):
+def test_numbers_of_which_the_theorem_says_nothing(name, reason):
     found = reach(dj.Study.from_table(table()), name, np.array([0.1, 1.0]))
     assert found.value is None
     assert "does not cover" in found.text
-    assert why in found.text
+    assert reason in found.text
 
 
 def test_other_controllers_have_no_certificate():

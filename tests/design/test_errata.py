@@ -43,10 +43,10 @@ def vgsta():
     )
     rate = sp.Symbol("sigma_dot", real=True)
     synthesised = -rate * inverse - s_ * inverse / tau_m
-    wanted = -(
+    law = -(
         (sp.diff(kappa_1, s_) * rate + sp.diff(kappa_1, e_) * (s_ - l0 * e_)) * phi + kappa_1 * sp.diff(phi, s_) * rate
     ) - kappa_2 * phi * sp.diff(phi, s_)
-    return synthesised - wanted, factor
+    return synthesised - law, factor
 
 
 def test_e01_tau_m_of_table_1():
@@ -299,9 +299,9 @@ def test_e24_a_sharper_beta_m():
 def test_e25_a_weaker_kappa_a():
     """(79) by coefficients: eps phi_b kappa_a >= kappa_b suffices; with phi_b > l0/eps it follows from kappa_b/l0."""
     p = synthesise(BOUNDS, FREE)
-    least = p.kappa_b / (p.eps * p.phi_b)
-    assert least < p.kappa_b / p.l0
-    certificate = check(p._replace(kappa_a=1.01 * least), BOUNDS)
+    bound = p.kappa_b / (p.eps * p.phi_b)
+    assert bound < p.kappa_b / p.l0
+    certificate = check(p._replace(kappa_a=1.01 * bound), BOUNDS)
     assert certificate.lyapunov.functions_proved
     assert not certificate.table
 
@@ -329,5 +329,5 @@ def test_every_entry_of_the_page_has_its_proof():
     """And every proof its entry; E8, E9, E16 and E17 are shown elsewhere, as the page says."""
     entries = set(re.findall(r"^\| E(\d+) ", PAGE.read_text(), flags=re.MULTILINE))
     assert entries == {str(number) for number in range(1, 28)}
-    here = {str(int(number)) for number in re.findall(r"def test_e(\d+)_", Path(__file__).read_text())}
-    assert entries - here == {"8", "9", "16", "17"}
+    tested = {str(int(number)) for number in re.findall(r"def test_e(\d+)_", Path(__file__).read_text())}
+    assert entries - tested == {"8", "9", "16", "17"}

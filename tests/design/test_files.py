@@ -56,8 +56,8 @@ def test_what_is_written_reads_back():
     }
     found = parse_design(table, "d")
     for name in ("d", 'a "quoted" C:\\name', "two\nlines\x7f"):
-        again = parse_design(tomllib.loads(design_toml(found._replace(name=name))), "other")
-        assert again._replace(free=found.free) == found._replace(name=name)
+        reread = parse_design(tomllib.loads(design_toml(found._replace(name=name))), "other")
+        assert reread._replace(free=found.free) == found._replace(name=name)
 
 
 @pytest.mark.parametrize(

@@ -62,9 +62,9 @@ def test_no_attack_makes_q_indefinite():
         sigma, e = scale[0] * p.kappa_c / p.kappa_a, scale[1] * p.kappa_c / p.kappa_b
         k_p = rng.choice([bounds.k_min, bounds.k_max, rng.uniform(bounds.k_min, bounds.k_max)], 300)
         limit = alphas(p, bounds, derive(bounds, p.l0), sigma, e)
-        inside = rng.choice([-1.0, 1.0, 0.3], (2, 300))
+        shares = rng.choice([-1.0, 1.0, 0.3], (2, 300))
         gain = kappa_1(p, sigma, e)
-        found = smallest_of_q(p, k_p, gain, inside[0] * limit.rho_1, inside[1] * limit.rho_2)
+        found = smallest_of_q(p, k_p, gain, shares[0] * limit.rho_1, shares[1] * limit.rho_2)
         worst = worst_of_q(p, bounds, k_p, sigma, e)
         assert worst.min() > 0.0
         assert np.all(found >= worst * (1 - 1e-9))
@@ -171,25 +171,25 @@ def test_error_dynamics_against_scipy():
             matrix[:m, :m] = companion(a)
             matrix[m - 1, m] = -l0
         matrix[m, m] = -l0
-        wanted = solve_continuous_lyapunov(matrix.T, -2 * np.eye(m + 1))
+        expected = solve_continuous_lyapunov(matrix.T, -2 * np.eye(m + 1))
         bounds = Bounds(1.0, 1.0, 1.0, zero_dynamics=ZeroDynamics(a, tuple(rng.normal(size=m))) if m else None)
         found = error_dynamics(bounds, l0)
         b_m = np.eye(m + 1)[m - 1] if m else np.zeros(1)
         b_sigma = np.eye(m + 1)[m] + b_m
-        assert list(found.spread) == pytest.approx(np.linalg.eigvalsh(wanted)[[0, -1]], rel=1e-9)
-        assert found.input == pytest.approx(np.linalg.norm(wanted @ b_sigma), rel=1e-9)
-        assert found.reference == pytest.approx(np.linalg.norm(wanted @ b_m), abs=1e-12)
+        assert list(found.spread) == pytest.approx(np.linalg.eigvalsh(expected)[[0, -1]], rel=1e-9)
+        assert found.input == pytest.approx(np.linalg.norm(expected @ b_sigma), rel=1e-9)
+        assert found.reference == pytest.approx(np.linalg.norm(expected @ b_m), abs=1e-12)
 
 
 def test_the_worst_k_p_is_an_end_of_its_interval():
     """Residuals, decay rate and condition number over 301 values of k_p for 300 designs."""
     for p, bounds in designs(300, seed=10):
         k_p = np.linspace(bounds.k_min, bounds.k_max, 301)
-        inside = guarantee_at(p, bounds, derive(bounds, p.l0), error_dynamics(bounds, p.l0), k_p)
+        inner_guarantee = guarantee_at(p, bounds, derive(bounds, p.l0), error_dynamics(bounds, p.l0), k_p)
         worst = guarantee(p, bounds)
-        assert inside.decay_rate.min() >= worst.decay_rate * (1 - 1e-12)
-        assert inside.e.max() <= worst.e * (1 + 1e-12)
-        assert inside.x_eta.max() <= worst.x_eta * (1 + 1e-12)
+        assert inner_guarantee.decay_rate.min() >= worst.decay_rate * (1 - 1e-12)
+        assert inner_guarantee.e.max() <= worst.e * (1 + 1e-12)
+        assert inner_guarantee.x_eta.max() <= worst.x_eta * (1 + 1e-12)
         assert eigenvalues_of_p(k_p, p.eps, p.gamma).condition.max() <= worst_condition(p, bounds) * (1 + 1e-12)
 
 
@@ -258,15 +258,15 @@ def test_many_designs_at_once():
     """100,000 designs vmapped give what single checks say."""
     rng = np.random.default_rng(14)
     base = synthesise(BOUNDS, FREE)
-    many = Parameters(*(value * rng.uniform(0.9, 1.1, 100_000) for value in base))
+    designs = Parameters(*(value * rng.uniform(0.9, 1.1, 100_000) for value in base))
     with jax.enable_x64(True):
         batch = jax.jit(jax.vmap(lambda p: certified(p, BOUNDS)))
-        found = np.asarray(batch(many))
+        found = np.asarray(batch(designs))
     assert 0.01 < found.mean() < 0.99
-    assert np.array_equal(found, certified(many, BOUNDS))
+    assert np.array_equal(found, certified(designs, BOUNDS))
     for i in range(100):
-        one = Parameters(*(float(value[i]) for value in many))
-        assert check(one, BOUNDS).certified == found[i]
+        design = Parameters(*(float(value[i]) for value in designs))
+        assert check(design, BOUNDS).certified == found[i]
 
 
 def test_the_certificate_has_gradients():

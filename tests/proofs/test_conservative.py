@@ -9,12 +9,12 @@ from scipy.linalg import expm
 
 import dssc_jax as dj
 from dssc_jax.proofs.coverage import problem_of
-from dssc_jax.proofs.function_distances import function_distances
-from dssc_jax.proofs.gain_enclosures import enclosed_gains, enclosed_start_ratio
-from dssc_jax.proofs.law_spread import law_spreads, middle_gains
 from dssc_jax.proofs.prove import check_certificate, prove
-from dssc_jax.proofs.small_gain import MIDDLE_GAINS
-from dssc_jax.proofs.verifier import arb, ball_precision, verify_certificate
+from dssc_jax.proofs.search.law_spread import law_spreads, middle_gains
+from dssc_jax.proofs.verifier.function_distances import function_distances
+from dssc_jax.proofs.verifier.gain_enclosures import enclosed_gains, enclosed_start_ratio
+from dssc_jax.proofs.verifier.small_gain import MIDDLE_GAINS
+from dssc_jax.proofs.verifier.verdict import arb, ball_precision, verify_certificate
 from tests.proofs.cases import LOOP
 
 DEFAULT = {"controller.discretisation": "conservative", "controller.predictor_start": "midpoint"}
@@ -61,33 +61,33 @@ STUDY = LOOP.override(
 )
 
 
-def law(own, sigma, e):
+def law(row, sigma, e):
     """phi_1 and phi_2 of each row, written out from the tables, and k_o tau_av."""
     r = np.sqrt(np.abs(sigma))
-    match own["kind"]:
+    match row["kind"]:
         case "vgsta":
-            kappa = own["kappa_a"] * np.abs(sigma) + own["kappa_b"] * np.abs(e) + own["kappa_c"]
-            kappa1 = kappa**2 + own["kappa_d"]
-            rd = r + own["delta"]
-            phi = own["phi_a"] * sigma / rd + own["phi_b"] * sigma
-            slope = own["phi_a"] * (r + 2.0 * own["delta"]) / (2.0 * rd**2) + own["phi_b"]
-            by_sigma = 2.0 * kappa * own["kappa_a"] * np.sign(sigma)
-            kappa2 = 2.0 * own["epsilon"] * kappa1 + own["gamma"]
+            kappa = row["kappa_a"] * np.abs(sigma) + row["kappa_b"] * np.abs(e) + row["kappa_c"]
+            kappa1 = kappa**2 + row["kappa_d"]
+            rd = r + row["delta"]
+            phi = row["phi_a"] * sigma / rd + row["phi_b"] * sigma
+            slope = row["phi_a"] * (r + 2.0 * row["delta"]) / (2.0 * rd**2) + row["phi_b"]
+            by_sigma = 2.0 * kappa * row["kappa_a"] * np.sign(sigma)
+            kappa2 = 2.0 * row["epsilon"] * kappa1 + row["gamma"]
             return kappa1 * phi, kappa2 * phi * slope, 1.0 / (by_sigma * phi + kappa1 * slope)
         case "constant":
-            gain = 1.0 / (own["k_o"] * own["tau_av"])
-            return gain * sigma, gain * sigma / own["tau_m"], np.full_like(sigma, 1.0 / gain)
+            gain = 1.0 / (row["k_o"] * row["tau_av"])
+            return gain * sigma, gain * sigma / row["tau_m"], np.full_like(sigma, 1.0 / gain)
         case "square_root":
-            kappa1, delta = 2.0 / (own["kappa_o"] * own["tau_av"]), own["delta_o"]
-            tau_m = own["kappa_m"] * (r + own["delta_m"])
+            kappa1, delta = 2.0 / (row["kappa_o"] * row["tau_av"]), row["delta_o"]
+            tau_m = row["kappa_m"] * (r + row["delta_m"])
         case "field":
-            kappa1, delta = own["kappa1"], 0.5 * own["k_o"] * own["kappa1"] * own["delta"]
-            tau_m = own["kappa1"] * r / (2.0 * own["kappa2"]) + own["delta"]
+            kappa1, delta = row["kappa1"], 0.5 * row["k_o"] * row["kappa1"] * row["delta"]
+            tau_m = row["kappa1"] * r / (2.0 * row["kappa2"]) + row["delta"]
         case _:
-            kappa1, delta = own["kappa1"], own["delta"]
-            tau_m = own["kappa1"] / own["kappa2"] * (r + delta)
-    if own["kind"] == "approx_sta_1":
-        tau_m = own["kappa1"] / own["kappa2"] * r / (1.0 - delta / r * np.log1p(r / delta))
+            kappa1, delta = row["kappa1"], row["delta"]
+            tau_m = row["kappa1"] / row["kappa2"] * (r + delta)
+    if row["kind"] == "approx_sta_1":
+        tau_m = row["kappa1"] / row["kappa2"] * r / (1.0 - delta / r * np.log1p(r / delta))
     product = 2.0 * (r + delta) / kappa1
     return kappa1 * (r - delta * np.log1p(r / delta)) * np.sign(sigma), sigma / (product * tau_m), product
 
@@ -101,10 +101,10 @@ def points(rng, sigma, e, count=20_000):
 @pytest.mark.parametrize("kind", ROWS)
 def test_changes_of_phi_1_follow_the_gains(kind):
     """phi_1 changes between any two points by gains within the verifier's balls; so do the ratios to sigma."""
-    own, rng, region = ROWS[kind], np.random.default_rng(1), (0.4, 0.3)
-    content = problem_of(LOOP.override({**DEFAULT, "controller.functions": own})).to_dict()
-    (s, e), (other, moved) = points(rng, *region), points(rng, *region)
-    (first, second, product), (after, _, _) = law(own, s, e), law(own, other, moved)
+    row, rng, region = ROWS[kind], np.random.default_rng(1), (0.4, 0.3)
+    content = problem_of(LOOP.override({**DEFAULT, "controller.functions": row})).to_dict()
+    (s, e), (moved_sigma, moved) = points(rng, *region), points(rng, *region)
+    (first, second, product), (next_phi_1, _, _) = law(row, s, e), law(row, moved_sigma, moved)
     with ball_precision():
         balls = {name: (float(x.lower()), float(x.upper())) for name, x in enclosed_gains(content, *region).items()}
     for name, values in (("mean", first / s), ("k_i", second / s), ("k_p", 1.0 / product)):
@@ -112,39 +112,39 @@ def test_changes_of_phi_1_follow_the_gains(kind):
         assert low * (1.0 - 1e-9) <= values.min()
         assert values.max() <= high * (1.0 + 1e-9)
         assert high - low <= 1.1 * np.ptp(values) + 1e-9 * high
-    reach = 1.0 + (own["tau_av"] if "tau_av" in own else product / own["k_o"]) / content["sample_time"]
+    reach = 1.0 + (row["tau_av"] if "tau_av" in row else product / row["k_o"]) / content["sample_time"]
     by_e = balls["slide_e"][1] / reach.max() if kind == "vgsta" else 0.0
-    change, rest = other - s, by_e * np.abs(moved - e) + 1e-9
+    change, by_error = moved_sigma - s, by_e * np.abs(moved - e) + 1e-9
     ends = np.stack([balls["k_p"][0] * change, balls["k_p"][1] * change])
-    assert np.all(after - first <= ends.max(axis=0) + rest)
-    assert np.all(after - first >= ends.min(axis=0) - rest)
-    wanted = reach * (after - first)  # what the sliding condition asks for at the later point, besides phi_2
-    assert np.abs(wanted).max() <= balls["slide_p"][1] * np.abs(change).max() + balls["slide_e"][1] * 2.0 * region[1]
+    assert np.all(next_phi_1 - first <= ends.max(axis=0) + by_error)
+    assert np.all(next_phi_1 - first >= ends.min(axis=0) - by_error)
+    requested = reach * (next_phi_1 - first)  # what the sliding condition asks for at the later point, besides phi_2
+    assert np.abs(requested).max() <= balls["slide_p"][1] * np.abs(change).max() + balls["slide_e"][1] * 2.0 * region[1]
 
 
 @pytest.mark.parametrize("kind", ROWS)
 @pytest.mark.parametrize("region", [(0.4, 0.3), (20.0, 5.0), (1e-7, 1e-7)])
 def test_functions_are_as_far_from_their_lines_as_the_verifier_says(kind, region):
     """Against 20,000 points; the bounds are hardly larger, and the search's own a little larger than they."""
-    own, rng = ROWS[kind], np.random.default_rng(2)
+    row, rng = ROWS[kind], np.random.default_rng(2)
     nominal = {"controller.nominal": {"a": 0.8, "k": 1.1}}
-    problem = problem_of(LOOP.override({**DEFAULT, **nominal, "controller.functions": own}))
+    problem = problem_of(LOOP.override({**DEFAULT, **nominal, "controller.functions": row}))
     *_, spread = law_spreads(problem, *region)
     slopes = dict(zip(MIDDLE_GAINS["conservative"], middle_gains(spread), strict=True))
     with ball_precision():
         centre = {name: arb(value) for name, value in slopes.items()}
-        far = {
+        distances = {
             name: float(x) for name, x in function_distances(problem.to_dict(), region[0], region[1], centre).items()
         }
     s, e = points(rng, *region)
     s = np.concatenate([s, region[0] * np.geomspace(1e-3, 1.0, 2000), region[0] * np.linspace(0.001, 1.0, 2000)])
     e = np.concatenate([e, np.zeros(2000), np.full(2000, region[1])])
-    first, second, product = law(own, s, e)
+    first, second, product = law(row, s, e)
     by_e = 0.0
     if kind == "vgsta":  # what (29) holds of kappa_1's change with e
-        kappa = own["kappa_a"] * np.abs(s) + own["kappa_b"] * np.abs(e) + own["kappa_c"]
-        ratio = own["phi_a"] / (np.sqrt(np.abs(s)) + own["delta"]) + own["phi_b"]
-        by_e = 2.0 * kappa * own["kappa_b"] * np.sign(e) * ratio * (s - problem.l0 * e) * s
+        kappa = row["kappa_a"] * np.abs(s) + row["kappa_b"] * np.abs(e) + row["kappa_c"]
+        ratio = row["phi_a"] / (np.sqrt(np.abs(s)) + row["delta"]) + row["phi_b"]
+        by_e = 2.0 * kappa * row["kappa_b"] * np.sign(e) * ratio * (s - problem.l0 * e) * s
     pole = (second + by_e) * product / 1.1  # sigma/(k_n tau_m)
     found = {
         "phi_1": np.abs(first - slopes["mean"] * s).max(),
@@ -153,12 +153,12 @@ def test_functions_are_as_far_from_their_lines_as_the_verifier_says(kind, region
     }
     size = region[0] * max(abs(slopes["mean"]), abs(slopes["k_i"]))
     for name, value in found.items():
-        assert value <= far[name] + 1e-12 * size
-        assert far[name] <= 1.06 * value + 1e-9 * size
+        assert value <= distances[name] + 1e-12 * size
+        assert distances[name] <= 1.06 * value + 1e-9 * size
     t = problem.sample_time
     searched = {"phi_1": spread.slide.constant, "phi_2": spread.integral.constant / t, "both": spread.command.constant}
     for name, value in searched.items():
-        assert far[name] <= value <= 1.1 * far[name] + 1e-9 * size
+        assert distances[name] <= value <= 1.1 * distances[name] + 1e-9 * size
 
 
 @pytest.mark.parametrize("form", ["implicit", "conservative"])
@@ -173,24 +173,24 @@ def test_the_first_command_follows_from_the_start(form, kind, start):
     sigma, e, t = np.array(0.1 + 0.5 * 0.2), np.array(0.2), 0.004
     first, second, product = law(ROWS[kind], sigma, e)
     if form == "implicit":  # linear in the gains of the sample, of (28) and (29)
-        own = ROWS["vgsta"]
-        kappa = own["kappa_a"] * sigma + own["kappa_b"] * e + own["kappa_c"]
-        ratio = own["phi_a"] / (np.sqrt(sigma) + own["delta"]) + own["phi_b"]
-        by_e = 2.0 * kappa * own["kappa_b"] * ratio * (sigma - 0.5 * e) * sigma if kind == "vgsta" else 0.0
+        row = ROWS["vgsta"]
+        kappa = row["kappa_a"] * sigma + row["kappa_b"] * e + row["kappa_c"]
+        ratio = row["phi_a"] / (np.sqrt(sigma) + row["delta"]) + row["phi_b"]
+        by_e = 2.0 * kappa * row["kappa_b"] * ratio * (sigma - 0.5 * e) * sigma if kind == "vgsta" else 0.0
         first, second = sigma / product, second + by_e
     with ball_precision():
         ratio = enclosed_start_ratio(problem.to_dict(), integrated=form == "conservative")
-        before = -float(ratio.mid()) * (0.0 if start == "zero" else sigma)
+        v_before_start = -float(ratio.mid()) * (0.0 if start == "zero" else sigma)
         radius = float(ratio.rad()) * float(sigma)
     predictor = 0.0 if start == "zero" or form == "conservative" else first
-    after = before + first - predictor + t * second
+    u_av = v_before_start + first - predictor + t * second
     run = dj.simulate(study.override({"loop.duration": 0.4}))
-    assert run["u_av"].values[0] == pytest.approx(float(after), abs=radius + 1e-9 * abs(float(first)))
+    assert run["u_av"].values[0] == pytest.approx(float(u_av), abs=radius + 1e-9 * abs(float(first)))
     assert radius < 2e-4 * abs(first)  # the ball holds the gains of both signs of e
     expected = {"zero": first + t * second, "matched": t * second, "midpoint": 0.5 * t * second}[start]
-    assert float(after) == pytest.approx(float(expected), rel=1e-9, abs=radius)
+    assert float(u_av) == pytest.approx(float(expected), rel=1e-9, abs=radius)
     tau_av = product if kind == "vgsta" else 0.02  # k_o = 1 in Table 1's row here
-    proved = before + (first if form == "conservative" and start != "zero" else 0.0)
+    proved = v_before_start + (first if form == "conservative" and start != "zero" else 0.0)
     proved += (1.0 + tau_av / t) * (t * second + (first if start == "zero" else 0.0))
     used = study.template.controller[0].rho.rho - run["sliding_margin"].values[0]
     assert used <= abs(proved) * (1.0 + 1e-9)
@@ -217,20 +217,20 @@ class Flights:
 
     def fly(self, slopes, first):
         """Largest |e| from the start on and in the last sixth, and the least sliding margin; the clip included."""
-        own, rho, level, t = self.problem.functions, self.problem.rho, self.problem.level, self.t
+        row, rho, level, t = self.problem.functions, self.problem.rho, self.problem.level, self.t
         state = np.zeros((self.count, 4))
         state[:, 0], state[:, 1] = (pair[0] for pair in self.problem.initial[:2])
         d, u_av, w = first.copy(), np.zeros(self.count), None
         largest, settled, room = np.abs(state[:, 0]), np.zeros(self.count), np.full(self.count, np.inf)
         for k, slope in enumerate(slopes):
             e, sigma = state[:, 0], state[:, 1] + self.problem.l0 * state[:, 0]
-            phi_1, phi_2, product = law(own, np.where(sigma == 0.0, 1e-12, sigma), e)
-            share = t / (product / own["k_o"] + t)
+            phi_1, phi_2, product = law(row, np.where(sigma == 0.0, 1e-12, sigma), e)
+            share = t / (product / row["k_o"] + t)
             w = phi_1 + 0.5 * t * phi_2 if w is None else w
-            wanted = (phi_1 + t * phi_2 - w) / share
-            change = np.clip(wanted, -rho - u_av, rho - u_av)
+            requested = (phi_1 + t * phi_2 - w) / share
+            change = np.clip(requested, -rho - u_av, rho - u_av)
             w = (w + share * change) * phi_1 / (phi_1 + t * phi_2)
-            room = np.minimum(room, rho - np.abs(u_av + wanted))
+            room = np.minimum(room, rho - np.abs(u_av + requested))
             u_av = u_av + share * change
             kept = np.clip(slope, (-level - d) / t, (level - d) / t)
             state = np.einsum("nij,nj->ni", self.held, np.column_stack([state, -u_av, d, kept]))
@@ -242,8 +242,8 @@ class Flights:
 
     def worst(self, steps, i):
         """Signs of the linearised loop's impulse response from d to e, turned in time."""
-        own, t, l0 = self.problem.functions, self.t, self.problem.l0
-        phi_1, phi_2, _ = (float(x) for x in law(own, np.array(1e-9), np.array(0.0)))
+        row, t, l0 = self.problem.functions, self.t, self.problem.l0
+        phi_1, phi_2, _ = (float(x) for x in law(row, np.array(1e-9), np.array(0.0)))
         a = np.zeros((6, 6))  # e, e', x_1, x_2, q, d
         sigma = np.array([l0, 1.0, 0.0, 0.0, 0.0, 0.0])
         a[4] = np.eye(6)[4] + t * phi_2 / 1e-9 * sigma

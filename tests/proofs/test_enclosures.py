@@ -13,26 +13,26 @@ from scipy.linalg import expm
 
 import dssc_jax as dj
 from dssc_jax.proofs.coverage import problem_of
-from dssc_jax.proofs.enclosed_loop import held_generator, held_vertices
-from dssc_jax.proofs.gain_enclosures import enclosed_gains
-from dssc_jax.proofs.gains import GAIN_NAMES, implicit_gains
-from dssc_jax.proofs.intervals import Intervals, exactly
 from dssc_jax.proofs.prove import prove
-from dssc_jax.proofs.sampled_loop import control_points, functions_of
-from dssc_jax.proofs.verifier import ball_precision, verify_certificate
+from dssc_jax.proofs.search.gains import GAIN_NAMES, implicit_gains
+from dssc_jax.proofs.search.sampled_loop import control_points, functions_of
+from dssc_jax.proofs.verifier.gain_enclosures import enclosed_gains
+from dssc_jax.proofs.verifier.held_plant import held_generator, held_vertices
+from dssc_jax.proofs.verifier.intervals import Intervals, exactly
+from dssc_jax.proofs.verifier.verdict import ball_precision, verify_certificate
 from tests.proofs.cases import LOOP
 
 WIDE = LOOP.override({"unmodelled.mu": {"uniform": [0.005, 0.008]}})
 
 
 @pytest.mark.parametrize(
-    ("sigma", "e", "least"), [(0.3, 0.2, 0.0), (3.0, 0.01, 0.5), (1e-6, 2.0, 0.0), (1e-12, 1e-12, 0.0)]
+    ("sigma", "e", "sigma_from"), [(0.3, 0.2, 0.0), (3.0, 0.01, 0.5), (1e-6, 2.0, 0.0), (1e-12, 1e-12, 0.0)]
 )
-def test_gains_of_table_1_lie_in_their_balls(sigma, e, least):
+def test_gains_of_table_1_lie_in_their_balls(sigma, e, sigma_from):
     """20,000 points of the region, by the package's own functions; the balls are hardly wider than what they span."""
     problem, rng = problem_of(LOOP), np.random.default_rng(1)
-    balls = enclosed_gains(problem.to_dict(), sigma, e, least)
-    s = rng.choice([-1.0, 1.0], 20_000) * (least + (sigma - least) * rng.beta(0.3, 0.3, 20_000))
+    balls = enclosed_gains(problem.to_dict(), sigma, e, sigma_from)
+    s = rng.choice([-1.0, 1.0], 20_000) * (sigma_from + (sigma - sigma_from) * rng.beta(0.3, 0.3, 20_000))
     x = e * (2.0 * rng.beta(0.3, 0.3, 20_000) - 1.0)
     with jax.enable_x64(True):
         numbers = jnp.float64(problem.l0), jnp.float64(problem.sample_time), jnp.float64(0.0)
@@ -71,11 +71,11 @@ def test_the_held_plant_is_a_convex_combination_of_its_vertices(degree):
     vertices, t = held_vertices(content, box, degree), problem.sample_time
     size = vertices[0].nrows()
     middles, radii = (
-        np.array([[[float(of(each[i, j])) for j in range(size)] for i in range(size)] for each in vertices])
+        np.array([[[float(of(balls[i, j])) for j in range(size)] for i in range(size)] for balls in vertices])
         for of in (arb.mid, arb.rad)
     )
-    for held, own in zip(control_points(problem, problem.a_p[0], problem.box["rate"], degree), middles, strict=True):
-        assert np.abs(np.column_stack([held.phi, held.gamma]) - own[:-1]).max() < 1e-12
+    for held, vertex in zip(control_points(problem, problem.a_p[0], problem.box["rate"], degree), middles, strict=True):
+        assert np.abs(np.column_stack([held.phi, held.gamma]) - vertex[:-1]).max() < 1e-12
     low, high = box["rate"]
     for share in np.linspace(0.0, 1.0, 11):
         f = held_generator(content, arb(problem.a_p[0]), arb(low + share * (high - low)))
@@ -90,10 +90,10 @@ def test_a_wide_interval_of_mu_is_proved_in_one_box():
     assert outcome.complete, outcome.failures
     certificate = json.loads(json.dumps(outcome.certificate()))
     assert verify_certificate(certificate).proved
-    for premise, degree, far in (("P6", 1, 0.008), ("P6", None, 0.03), ("P0", 0, 0.008), ("P0", 2.0, 0.008)):
+    for premise, degree, largest_mu in (("P6", 1, 0.008), ("P6", None, 0.03), ("P0", 0, 0.008), ("P0", 2.0, 0.008)):
         content = copy.deepcopy(certificate)
-        content["problem"]["mu"] = [0.005, far]
-        content["proofs"][0]["box"]["rate"] = [1.0 / far, 1.0 / 0.005]
+        content["problem"]["mu"] = [0.005, largest_mu]
+        content["proofs"][0]["box"]["rate"] = [1.0 / largest_mu, 1.0 / 0.005]
         for stage in content["proofs"][0]["stages"]:
             if stage["method"] == "invariant set" and degree is not None:
                 stage["degree"] = degree

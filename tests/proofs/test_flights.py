@@ -8,7 +8,7 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.proofs.prove import prove
-from dssc_jax.proofs.verifier import verify_certificate
+from dssc_jax.proofs.verifier.verdict import verify_certificate
 from tests.proofs.cases import HIGHER, LOOP, NOMINAL, SINE, TRANSFER
 
 
@@ -71,13 +71,13 @@ def test_case_2_is_proved_from_40_m(form):
 
 def test_a_channel_near_hover_is_that_of_the_vehicle():
     """x of the vehicle and of its model, from 0.1 m on, with the same controller."""
-    own = {"controller.discretisation": "conservative", "controller.predictor_start": "matched"}
+    conservative = {"controller.discretisation": "conservative", "controller.predictor_start": "matched"}
     calm = {"requirement": [], "loop.duration": 12.0, "metrics": {}}
     channel = dj.Study.load("studies/channel_x.toml").override(
         {**calm, "plant.k_p": 1.0, "plant.initial": [0.1, 0.0], "disturbance": {"kind": "none"}}
     )
     start = {"plant.position": [0.1, 0.0, 0.0], "plant.yaw": 0.0}
-    still = {"reference": {"kind": "hover"}, "wind": {"kind": "none"}, **start}
-    vehicle = dj.Study.load("studies/paper_case1.toml").override({**calm, **own, **still})
+    hover = {"reference": {"kind": "hover"}, "wind": {"kind": "none"}, **start}
+    vehicle = dj.Study.load("studies/paper_case1.toml").override({**calm, **conservative, **hover})
     x, model = dj.simulate(vehicle)["x_e"].values, dj.simulate(channel)["e"].values
     assert np.abs(x - model).max() < 0.01 * np.abs(model).max()

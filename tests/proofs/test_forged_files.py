@@ -10,11 +10,11 @@ from flint import arb
 
 from dssc_jax.cli import guarded
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.proofs import small_gain, verifier
-from dssc_jax.proofs.balls import StageLimits
-from dssc_jax.proofs.impulse_responses import ResponseBounds
 from dssc_jax.proofs.prove import VERSION, check_certificate, prove
-from dssc_jax.proofs.verifier import verify_certificate
+from dssc_jax.proofs.verifier import small_gain
+from dssc_jax.proofs.verifier.balls import StageLimits
+from dssc_jax.proofs.verifier.impulse_responses import ResponseBounds
+from dssc_jax.proofs.verifier.verdict import verify_certificate
 from dssc_jax.proofs.words import loop_in_words
 from tests.proofs.cases import CONSTANT, LOOP
 
@@ -95,7 +95,7 @@ def changed(certificate, path, value) -> Any:
     return content
 
 
-def without(table, name):
+def removed(table, name):
     """A table without one entry."""
     return {key: value for key, value in table.items() if key != name}
 
@@ -111,7 +111,7 @@ def malformed(certificate):
         yield f"{path} with another entry", changed(certificate, path, {**table, "other": 1.0})
         yield f"{path} as a list", changed(certificate, path, list(table.values()))
         for name in table:
-            yield f"{path} without {name}", changed(certificate, path, without(table, name))
+            yield f"{path} without {name}", changed(certificate, path, removed(table, name))
     for path in LISTS:
         values = at(certificate, path)
         yield f"{path} too short", changed(certificate, path, values[:-1])
@@ -125,7 +125,7 @@ def malformed(certificate):
     for i, j in ((i, j) for i in range(size) for j in range(size) if i != j):
         entry = (*stage, "p", i, j)
         yield f"P not symmetric at {i}, {j}", changed(certificate, entry, at(certificate, entry) * 1.0001 + 1e-9)
-    others = {
+    replacements = {
         ("version",): [1, 4, 5.0, "5", None, True],
         ("complete",): [False, 1, "true"],
         ("problem", "sample_time"): [-0.005, 0.0],
@@ -142,7 +142,7 @@ def malformed(certificate):
         ("proofs", 0, "stages"): [{}, None, [], [[]]],
         (*stage, "method"): ["trust me", ["small gain"], None, "invariant set"],
     }
-    for path, values in others.items():
+    for path, values in replacements.items():
         for value in values:
             yield f"{path} is {value!r:.40}", changed(certificate, path, value)
     yield "null", None
@@ -212,7 +212,7 @@ def test_a_sweep_of_other_things_is_refused(tmp_path, capsys):
 def test_infinite_bounds_prove_nothing(certificate, monkeypatch):
     """Even where every inequality holds, as it may among numbers near the end of float64's range."""
     limits = [StageLimits(arb(1), arb(1), arb("1e400"), arb(0), arb(0), arb(0))]
-    monkeypatch.setattr(verifier, "verified_stages", lambda problem, proof: limits)
+    monkeypatch.setattr("dssc_jax.proofs.verifier.verdict.verified_stages", lambda problem, proof: limits)
     verdict = verify_certificate(certificate)
     assert not verdict.proved
     assert verdict.reason == "P0: a bound of |e| is not finite, and proves nothing"

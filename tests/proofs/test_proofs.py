@@ -10,15 +10,15 @@ import dssc_jax as dj
 from dssc_jax.cli import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.design.certification import NotCovered
-from dssc_jax.proofs import small_gain
 from dssc_jax.proofs.coverage import problem_of
-from dssc_jax.proofs.gain_enclosures import enclosed_gains
-from dssc_jax.proofs.gains import GAIN_NAMES, gain_hull
 from dssc_jax.proofs.problem import problem_from
 from dssc_jax.proofs.prove import check_certificate, prove
 from dssc_jax.proofs.reach import proved_up_to
-from dssc_jax.proofs.sampled_loop import LoopGains, LoopPoint, middle, step_of
-from dssc_jax.proofs.verifier import verify_certificate
+from dssc_jax.proofs.search.gains import GAIN_NAMES, gain_hull
+from dssc_jax.proofs.search.sampled_loop import LoopGains, LoopPoint, middle, step_of
+from dssc_jax.proofs.verifier import small_gain
+from dssc_jax.proofs.verifier.gain_enclosures import enclosed_gains
+from dssc_jax.proofs.verifier.verdict import verify_certificate
 from tests.proofs.cases import CONSTANT, HIGHER, LOOP, SINE
 
 
@@ -151,8 +151,8 @@ def test_false_certificates_are_rejected():
     """Each names the premise that fails."""
     coarse = LOOP.override({"loop.sample_time": 0.002})
     box = LOOP.override({"plant.k_p": {"uniform": [0.9, 1.1]}, "plant.a_p": {"uniform": [-1.0, 1.0]}})
-    certificates = [json.loads(json.dumps(prove(each, boxes=1).certificate())) for each in (coarse, box)]
-    assert all(verify_certificate(each).proved for each in certificates)
+    certificates = [json.loads(json.dumps(prove(study, boxes=1).certificate())) for study in (coarse, box)]
+    assert all(verify_certificate(study).proved for study in certificates)
     for premise, content in (*falsified(certificates[0]), *falsified_sets(certificates[1])):
         verdict = verify_certificate(content)
         assert not verdict.proved
@@ -267,11 +267,11 @@ def test_the_last_proved_value_is_bisected(capsys):
     assert reach.proved < reach.refused < 1.05 * reach.proved
     assert prove(quick.override({"unmodelled.mu": reach.proved})).complete
     assert reach.statement().startswith(f"Proved up to unmodelled.mu = {reach.proved:.4g}, each value on its own")
-    whole = proved_up_to(quick, "unmodelled.mu", (0.01, 0.02))
-    assert (whole.proved, whole.refused, len(whole.values)) == (0.02, None, 2)
-    none = proved_up_to(quick, "unmodelled.mu", (0.5, 0.6))
-    assert (none.proved, none.last) == (None, None)
-    assert "Not proved at the safe end" in none.statement()
+    complete_reach = proved_up_to(quick, "unmodelled.mu", (0.01, 0.02))
+    assert (complete_reach.proved, complete_reach.refused, len(complete_reach.values)) == (0.02, None, 2)
+    failed_reach = proved_up_to(quick, "unmodelled.mu", (0.5, 0.6))
+    assert (failed_reach.proved, failed_reach.last) == (None, None)
+    assert "Not proved at the safe end" in failed_reach.statement()
     with pytest.raises(ConfigError, match="two different positive ends"):
         proved_up_to(quick, "unmodelled.mu", (0.0, 0.5), log=True)
     fixed = ["--set=plant.k_p=1.0", "--set=plant.a_p=0.3", "--set=loop.sample_time=0.005", "--json"]

@@ -6,8 +6,9 @@ from flint import arb
 
 import dssc_jax as dj
 from dssc_jax.proofs.coverage import problem_of
-from dssc_jax.proofs.enclosed_loop import held_sample, sampled
-from dssc_jax.proofs.sampled_loop import LoopGains, LoopPoint, sensor_weights, state_layout, step_of
+from dssc_jax.proofs.search.sampled_loop import LoopGains, LoopPoint, sensor_weights, state_layout, step_of
+from dssc_jax.proofs.verifier.enclosed_loop import sampled
+from dssc_jax.proofs.verifier.held_plant import held_sample
 from tests.proofs.cases import CONSTANT, DIRECT, HIGHER, LOOP, NOMINAL, SINE, TRANSFER
 
 

@@ -14,10 +14,10 @@ import dssc_jax as dj
 from dssc_jax.core.signals import Measurement
 from dssc_jax.models.disturbances.partition import PARTITION
 from dssc_jax.proofs.coverage import problem_of
-from dssc_jax.proofs.fixed_point import motion
 from dssc_jax.proofs.prove import check_certificate, prove
-from dssc_jax.proofs.state_dependence import disturbance_by_state, motion_bounds
-from dssc_jax.proofs.verifier import ball_precision, verify_certificate
+from dssc_jax.proofs.search.fixed_point import motion
+from dssc_jax.proofs.verifier.state_dependence import disturbance_by_state, motion_bounds
+from dssc_jax.proofs.verifier.verdict import ball_precision, verify_certificate
 from tests.proofs.cases import LOOP, SINE
 
 GAINS = {"k_d1": 0.1, "k_d2": 0.1, "k_d3": 0.2, "k_d4": 0.2, "k_d5": 0.1, "alpha_d2": 0.05, "alpha_d3": 0.1}
@@ -64,7 +64,7 @@ def test_motion_within_a_sample_stays_within_its_bounds():
     content, rng, t = problem.to_dict(), np.random.default_rng(4), problem.sample_time
     sizes = np.array([0.7, 0.2, 0.4, 0.1, 0.05, 0.3, 0.4])[: 1 + 6]  # command, e, e', zeta, v, s
     with ball_precision():
-        bounds = [float(each) for each in motion_bounds(content, problem.box, list(map(arb, sizes)))]
+        bounds = [float(bound) for bound in motion_bounds(content, problem.box, list(map(arb, sizes)))]
         level, slope = map(float, disturbance_by_state(content, problem.box, list(map(arb, sizes))))
     searched = motion(problem, problem.box, sizes)
     assert np.all(np.array(searched) <= 1.001 * np.array(bounds))
@@ -78,10 +78,10 @@ def test_motion_within_a_sample_stays_within_its_bounds():
     largest = np.zeros(3)
     for _ in range(2000):
         state = np.array([*(sizes[1:5] * rng.choice([-1.0, 1.0], 4)), k_p * sizes[0] * rng.choice([-1.0, 1.0]), 0.0])
-        sign, whole = rng.choice([-1.0, 1.0]), np.zeros((7, 7))
-        whole[:6, :6], whole[5, 6] = f, sign * problem.slope
-        z = expm(whole * t * rng.random()) @ [*state, 1.0]
-        largest = np.maximum(largest, np.abs([z[0], z[1], (whole @ z)[1]]))
+        sign, extended = rng.choice([-1.0, 1.0]), np.zeros((7, 7))
+        extended[:6, :6], extended[5, 6] = f, sign * problem.slope
+        z = expm(extended * t * rng.random()) @ [*state, 1.0]
+        largest = np.maximum(largest, np.abs([z[0], z[1], (extended @ z)[1]]))
     assert np.all(largest <= bounds)
     assert np.all(largest > 0.8 * np.array(bounds))
 

@@ -4,7 +4,7 @@ import dssc_jax as dj
 from dssc_jax.core.units import ChannelUnits
 from dssc_jax.proofs.coverage import problem_of
 from dssc_jax.proofs.prove import Proved
-from dssc_jax.proofs.search import Proof
+from dssc_jax.proofs.search.box_search import Proof
 
 
 def test_the_statement_is_in_the_units_of_the_study():

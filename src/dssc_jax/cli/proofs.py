@@ -55,7 +55,7 @@ def prove(
     from dssc_jax.design.certification import NotCovered
     from dssc_jax.proofs.prove import check_certificate
     from dssc_jax.proofs.prove import prove as search
-    from dssc_jax.proofs.verifier import ProofVerdict
+    from dssc_jax.proofs.verifier.verdict import ProofVerdict
     from dssc_jax.proofs.words import loop_in_words
 
     if study.endswith(".json"):

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from dssc_jax.console.terminal import output, show_table
 
 if TYPE_CHECKING:
-    from dssc_jax.proofs.verifier import ProofVerdict
+    from dssc_jax.proofs.verifier.verdict import ProofVerdict
 
 MOST_SHOWN = 12
 """Boxes without a proof that are listed."""

@@ -135,6 +135,7 @@ def show_points(result: "Result") -> None:
     """Print one row for each sweep point, with the headline metric's median; only the first ones if there are many."""
     axes, metric = result.study.axes, headline(result).name
     several = len(result.study.requirements) > 1
+    result = result.with_theorem()
     certifiable = "certified" in result.dataset
     rows = []
     for point in islice(result.points(), WIDEST_ROWS):

@@ -4,7 +4,7 @@ Formulas here and in the rest of the package accept numbers, arrays or traced va
 """
 
 from functools import cache
-from typing import Annotated, Any, NamedTuple, get_type_hints
+from typing import Annotated, NamedTuple, TypeVar, get_type_hints
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
@@ -12,6 +12,9 @@ from dssc_jax.core.zero_dynamics import ZeroDynamics, require_hurwitz
 from dssc_jax.design.arrays import Numeric
 
 LARGEST = 1e30  # numbers beyond it, or below its inverse, overflow in products of powers
+
+Numbers = TypeVar("Numbers", bound=NamedTuple)
+"""A NamedTuple of numbers."""
 
 
 def known(unit: str, meaning: str) -> Quantity:
@@ -34,7 +37,7 @@ def quantities(kind: type) -> dict[str, Quantity]:
     return {name: mark for name, mark in marks.items() if mark is not None}
 
 
-def in_range(numbers: Any) -> Numeric:
+def in_range(numbers: tuple[Numeric, ...]) -> Numeric:
     """Whether every number lies within its quantity's interval and below :data:`MOST`; for arrays, one by one."""
     holds: Numeric = True
     for name, quantity in quantities(type(numbers)).items():
@@ -47,7 +50,7 @@ def in_range(numbers: Any) -> Numeric:
     return holds
 
 
-def require_plain(numbers: Any) -> None:
+def require_plain(numbers: tuple[Numeric, ...]) -> None:
     """Require that every number is a plain one within its quantity's interval.
 
     Raises:
@@ -140,7 +143,8 @@ def derive(bounds: Bounds, l0: Numeric) -> Constants:
         >>> derive(Bounds(k_min=0.9, k_max=1.1, a_max=1.0, k_d4=0.1), l0=0.5).k_sigma
         0.86
     """
-    b, k_max = bounds, bounds.k_max
+    b = bounds
+    k_max = bounds.k_max
     c_eta_a_eta, c_eta_b_eta = coupling(b.zero_dynamics)
     csigma_bar = k_max * b.c_sigma + l0 + b.a_max
     k_sigma = (l0 + b.a_max) * l0 + k_max * (b.c_e2 + b.k_d4) + c_eta_b_eta
@@ -166,6 +170,6 @@ def coupling(dynamics: ZeroDynamics | None) -> tuple[float, float]:
     """|C_eta A_eta| and |C_eta B_eta|; both 0 for a plant of order two."""
     if dynamics is None:
         return 0.0, 0.0
-    a, c = dynamics.a, dynamics.c
+    a, c = dynamics
     row = [(c[i - 1] if i else 0.0) - c[-1] * a[i] for i in range(len(a))]
     return float(sum(x * x for x in row) ** 0.5), float(abs(c[-1]))

@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple
 
 from dssc_jax.design.arrays import Numeric
-from dssc_jax.design.bounds import Bounds, Constants, derive, in_range, require_plain
+from dssc_jax.design.bounds import Bounds, Constants, Numbers, derive, in_range, require_plain
 from dssc_jax.design.lyapunov import attack_q, eigenvalues_of_p, functions_are_positive, q_is_positive
 from dssc_jax.design.practice import Practice, practice
 from dssc_jax.design.small_gain import NOTHING, Guarantee, SmallGain, guarantee, small_gain, small_gain_holds
@@ -116,7 +116,8 @@ def check(parameters: Parameters, bounds: Bounds) -> Certificate:
     require_plain(parameters)
     bounds = bounds.prepare()
     p = parameters
-    proved, holds = bool(q_is_positive(p, bounds)), bool(small_gain_holds(p, bounds))
+    proved = bool(q_is_positive(p, bounds))
+    holds = bool(small_gain_holds(p, bounds))
     promised = guarantee(p, bounds) if proved and holds else NOTHING
     lyapunov = Lyapunov(
         p_smallest=float(eigenvalues_of_p(bounds.k_min, p.eps, p.gamma).low),
@@ -136,9 +137,10 @@ def check(parameters: Parameters, bounds: Bounds) -> Certificate:
     )
 
 
-def as_floats(numbers: Any) -> Any:
+def as_floats(numbers: Numbers) -> Numbers:
     """The same tuple with Python numbers."""
-    return type(numbers)(*(value if isinstance(value, str) else float(value) for value in numbers))
+    values = [value if isinstance(value, str) else float(value) for value in numbers]
+    return numbers._replace(**dict(zip(numbers._fields, values, strict=True)))
 
 
 def certified(parameters: Parameters, bounds: Bounds) -> Numeric:

@@ -18,7 +18,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.normal_form import NormalForm, RealisedSystem, normal_form, transfer_function
 from dssc_jax.core.zero_dynamics import ZeroDynamics
 from dssc_jax.design import Bounds, Parameters, certified
-from dssc_jax.design.arrays import greater
+from dssc_jax.design.arrays import Numeric, greater
 from dssc_jax.design.practice import predictor_pole
 from dssc_jax.models.controllers.dssc import DSSC
 from dssc_jax.models.controllers.gain_functions import Vgsta
@@ -31,7 +31,6 @@ from dssc_jax.models.references import ZERO
 from dssc_jax.models.references.sine import MISSION, MISSION_ENTRY, SINE
 from dssc_jax.study import Described, Study
 from dssc_jax.study.laws import SPREAD, Law
-from dssc_jax.study.tables import merged
 
 OUTSIDE = {
     "loop": "it is of continuous time",
@@ -41,8 +40,9 @@ OUTSIDE = {
 }
 """Numbers that the theorem does not cover, with the reason."""
 LIMITS = ("unmodelled.rate", "unmodelled.limit")  # unmodelled dynamics whose absence is an infinite number
-TABLE_1 = "vgsta"  # kind of the functions of Table 1
-REFINEMENTS, REFINED = 2, 33  # of the walk's cell in which the certificate is lost: 1/1024 of it
+OTHER_FUNCTIONS = "the controller is not DSSC with functions.kind = 'vgsta', those of Table 1"
+REFINEMENTS = 2  # of the walk's cell in which the certificate is lost
+REFINED = 33  # points of a refined cell, so that two refinements reach 1/1024 of it
 
 
 class NotCovered(Exception):
@@ -76,42 +76,37 @@ class Reach(NamedTuple):
 class Ends(NamedTuple):
     """Lowest and highest value of every number of a loop, each an array over the sweep's axes or a number."""
 
-    low: Any
-    high: Any
+    low: Numeric
+    high: Numeric
 
-    def largest(self, name: str) -> Any:
+    def largest(self, name: str) -> Numeric:
         """Largest magnitude of a field."""
         return np.maximum(np.abs(getattr(self.low, name)), np.abs(getattr(self.high, name)))
 
     def part(self, name: str, index: int | None = None) -> "Ends":
         """The lowest and highest values of a part."""
-        low, high = getattr(self.low, name), getattr(self.high, name)
+        low = getattr(self.low, name)
+        high = getattr(self.high, name)
         return Ends(low, high) if index is None else Ends(low[index], high[index])
 
 
 class PlantBounds(NamedTuple):
     """The plant's share of the bounds: those of k_p, |a_p| and |stiffness|, and the zero dynamics."""
 
-    k_min: Any
-    k_max: Any
-    a_max: Any
+    k_min: Numeric
+    k_max: Numeric
+    a_max: Numeric
     zero_dynamics: ZeroDynamics | None = None
-    stiffness: Any = 0.0
-
-
-def in_play(study: Study) -> bool:
-    """Whether a channel's controller is DSSC with the functions of Table 1, so that Theorem 1 has something to say."""
-    own, channels = study.config.controller, study.loop.channels
-    tables = [own, *(merged(own, own[name]) for name in channels if isinstance(own.get(name), dict))]
-    kinds = [(table.get("kind"), table.get("functions", {}).get("kind")) for table in tables]
-    return ("dssc", TABLE_1) in kinds
+    stiffness: Numeric = 0.0
 
 
 def mark(study: Study) -> Mark:
     """Whether each point of a study's sweep is certified; the stored result if the study's code is not loaded."""
     if isinstance(study, Described):
-        verdicts = study.description.certified
-        return Mark(None if verdicts is None else np.asarray(verdicts, dtype=bool), study.description.silence)
+        description = study.description
+        if description.certified is None:
+            return Mark(None, description.silence or OTHER_FUNCTIONS)
+        return Mark(np.asarray(description.certified, dtype=bool), "")
     try:
         with np.errstate(all="ignore"):  # an unbounded law makes infinite bounds, which nothing certifies
             verdicts = certified(*design_of(study))
@@ -135,13 +130,13 @@ def reach(study: Study, name: str, values: np.ndarray) -> Reach:
     """
     part = name.partition(".")[0]
     if part == "unmodelled":
-        whole, reason = mark(study.override({"sweep": {}}))
-        if whole is None:
+        verdict, reason = mark(study.override({"sweep": {}}))
+        if verdict is None:
             return Reach(None, f"Theorem 1 does not apply: {reason}")
-        if not whole:
+        if not verdict:
             return Reach(None, "Theorem 1 does not certify the loop, not even without unmodelled dynamics")
-        alone = "Theorem 1 certifies only the loop without unmodelled dynamics; it covers no"
-        return Reach(None, f"{alone} finite {name}") if name in LIMITS else Reach(0.0, f"{alone} {name} > 0")
+        text = "Theorem 1 certifies only the loop without unmodelled dynamics; it covers no"
+        return Reach(None, f"{text} finite {name}") if name in LIMITS else Reach(0.0, f"{text} {name} > 0")
     if part in OUTSIDE or name in OUTSIDE:
         return Reach(None, f"Theorem 1 does not cover {name}: {OUTSIDE.get(name) or OUTSIDE[part]}")
     return certified_up_to(study, name, np.asarray(values, float))
@@ -159,13 +154,15 @@ def certified_up_to(study: Study, name: str, values: np.ndarray) -> Reach:
         text = f"Theorem 1 certifies the whole walk, without lag and sampling, to {name} = {values[-1]:g}"
         return Reach(float(values[-1]), text)
     first = int(np.argmin(holds))
-    low, high = values[first - 1], values[first]
+    low = values[first - 1]
+    high = values[first]
     for _ in range(REFINEMENTS):
         finer = np.linspace(low, high, REFINED)
         holds, _ = along(study, name, finer)
         assert holds is not None  # it spoke of both ends
         first = max(1, int(np.argmin(holds)))
-        low, high = finer[first - 1], finer[first]
+        low = finer[first - 1]
+        high = finer[first]
     return Reach(float(low), f"Theorem 1 certifies the loop, without lag and sampling, as far as {name} = {low:.6g}")
 
 
@@ -212,20 +209,18 @@ def design_of(study: Study) -> tuple[Parameters, Bounds]:
         NotCovered: The plant is not (5)-(8), the functions are not those of Table 1, or a number has no bound.
     """
     ends = ends_of(study)
-    if study.loop.plant is not NORMAL_FORM:
-        plant_bounds(
-            study.loop.plant, ends.part("plant")
-        )  # what the plant lacks is told before what the controller lacks
+    if study.loop.plant is not NORMAL_FORM:  # what the plant lacks is told before what the controller lacks
+        plant_bounds(study.loop.plant, ends.part("plant"))
     gains = ends.low.controller[0]
-    own_model = study.loop.controller[0] not in DSSC.members.values()
-    if own_model or not isinstance(gains.functions, Vgsta):
-        raise NotCovered("the controller is not DSSC with functions.kind = 'vgsta', those of Table 1")
+    is_dssc = study.loop.controller[0] in DSSC.members.values()
+    if not is_dssc or not isinstance(gains.functions, Vgsta):
+        raise NotCovered(OTHER_FUNCTIONS)
     if gains.sign_width is not None:
         raise NotCovered("the sign is smoothed (sign_width), so that nothing slides on sigma_tilde = 0")
     if any(isinstance(leaf, Law) for name, leaf in study.leaves().items() if is_gain(name) and name not in study.axes):
         raise NotCovered("the controller's own numbers are uncertain")
-    own = gains.functions._asdict() | {"eps": gains.functions.epsilon, "l0": gains.l0}
-    parameters = Parameters(**{name: own[name] for name in Parameters._fields})
+    constants = gains.functions._asdict() | {"eps": gains.functions.epsilon, "l0": gains.l0}
+    parameters = Parameters(**{name: constants[name] for name in Parameters._fields})
     return parameters, bounds_of(study.loop, ends, parameters)
 
 
@@ -237,11 +232,11 @@ def is_gain(name: str) -> bool:
 def ends_of(study: Study) -> Ends:
     """The loop's parameters at both ends of every law; swept values lie along their axes."""
     count = len(study.axes)
-    along: dict[str, Any] = {
+    swept: dict[str, Numeric] = {
         name: np.asarray(values).reshape([-1 if i == position else 1 for i in range(count)])
         for position, (name, values) in enumerate(study.axes.items())
     }
-    low, high = (study.params({name: law.support[end] for name, law in study.laws.items()} | along) for end in (0, 1))
+    low, high = (study.params({name: law.support[end] for name, law in study.laws.items()} | swept) for end in (0, 1))
     return Ends(low, high)
 
 
@@ -284,16 +279,20 @@ def plant_bounds(model: Plant, ends: Ends) -> PlantBounds:
         return PlantBounds(form.gain, form.gain, abs(form.damping), dynamics, abs(form.stiffness))
     if model is STATE_SPACE or len(low.denominator) != 3 or len(low.numerator) != 1:
         raise NotCovered("the plant is uncertain, and no transfer function of second order without zeros")
-    first, last = low.denominator[0], high.denominator[0]
-    if not np.all(np.asarray(first) > 0.0) or not np.all(np.asarray(low.numerator[0]) > 0.0):
+    lead_low = low.denominator[0]
+    lead_high = high.denominator[0]
+    if not np.all(np.asarray(lead_low) > 0.0) or not np.all(np.asarray(low.numerator[0]) > 0.0):
         raise NotCovered("the leading coefficients of the transfer function are not positive for every draw")
     largest = [np.maximum(np.abs(a), np.abs(b)) for a, b in zip(low.denominator, high.denominator, strict=True)]
     return PlantBounds(
-        low.numerator[0] / last, high.numerator[0] / first, largest[1] / first, stiffness=largest[2] / first
+        k_min=low.numerator[0] / lead_high,
+        k_max=high.numerator[0] / lead_low,
+        a_max=largest[1] / lead_low,
+        stiffness=largest[2] / lead_low,
     )
 
 
-def is_certain(low: Any, high: Any) -> bool:
+def is_certain(low: Numeric, high: Numeric) -> bool:
     """Whether a linear plant's numbers are plain, and the same at both ends."""
     return low == high and all(isinstance(leaf, int | float) for leaf in jax.tree.leaves(low))
 
@@ -311,12 +310,12 @@ def is_fixed(ends: Ends) -> bool:
     return all(isinstance(value, int | float) for value in low) and low == high
 
 
-def swing(amplitude: Any, period: Any, order: int) -> Any:
+def swing(amplitude: Numeric, period: Numeric, order: int) -> Numeric:
     """Largest value of the derivative of a sine of the given order."""
     return amplitude * (2.0 * math.pi / period) ** order
 
 
-def reference_bounds(model: Reference, ends: Ends) -> dict[str, Any]:
+def reference_bounds(model: Reference, ends: Ends) -> dict[str, Numeric]:
     """Suprema of the reference and its first three derivatives."""
     for axis, member in MISSION_ENTRY.members.items():
         if model is member:
@@ -333,7 +332,7 @@ def reference_bounds(model: Reference, ends: Ends) -> dict[str, Any]:
     return {"y_m": amplitude + ends.largest("offset"), **swings}
 
 
-def disturbance_bounds(model: Disturbance, ends: Ends) -> dict[str, Any]:
+def disturbance_bounds(model: Disturbance, ends: Ends) -> dict[str, Numeric]:
     """The constants of (A0.b)-(A3). A step is constant except at its time, after which the theorem applies again."""
     low = ends.low
     if model is NO_DISTURBANCE:
@@ -354,13 +353,14 @@ def disturbance_bounds(model: Disturbance, ends: Ends) -> dict[str, Any]:
     raise NotCovered("the disturbance's derivative has no known bound")
 
 
-def nominal_bounds(ends: Ends, p: Parameters, reference: dict[str, Any]) -> dict[str, Any]:
+def nominal_bounds(ends: Ends, p: Parameters, reference: dict[str, Numeric]) -> dict[str, Numeric]:
     """The constants of (A4) for the nominal control (37), with the largest 1/tau_m; each at its worse end."""
     if ends.low is None:
         return {}
     speed, acceleration, jerk = (reference.get(name, 0.0) for name in ("y_m_dot", "y_m_ddot", "y_m_dddot"))
     pole = predictor_pole(p) if ends.low.predictor_term else 0.0
-    k, damping = ends.low.k, ends.largest("a")
+    k = ends.low.k
+    damping = ends.largest("a")
     offset = greater(abs(ends.low.a - p.l0), abs(ends.high.a - p.l0))
     c_e = offset * p.l0 / k
     return {

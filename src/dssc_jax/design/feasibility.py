@@ -51,18 +51,19 @@ def limits(p: Parameters, bounds: Bounds) -> Limits:
         0.896
     """
 
-    def along(change: Callable[[float], tuple[Parameters, Bounds]], far: float) -> float:
-        return last_true(lambda factor: bool(certified(*change(factor))), far)
+    def factor_of(change: Callable[[float], tuple[Parameters, Bounds]], end: float) -> float:
+        return last_true(lambda factor: bool(certified(*change(factor))), end)
 
     def disturbed(factor: float) -> tuple[Parameters, Bounds]:
         return p, scaled_bounds(bounds, factor)
 
+    a_factor = factor_of(lambda x: (p, bounds._replace(a_max=bounds.a_max + x - 1.0)), LARGEST_FACTOR)
     return Limits(
-        phi_b=p.phi_b * along(lambda x: (p._replace(phi_b=p.phi_b * x), bounds), 1.0 / LARGEST_FACTOR),
-        disturbance=along(disturbed, LARGEST_FACTOR),
-        k_min=bounds.k_min * along(lambda x: (p, bounds._replace(k_min=bounds.k_min * x)), 1.0 / LARGEST_FACTOR),
-        k_max=bounds.k_max * along(lambda x: (p, bounds._replace(k_max=bounds.k_max * x)), LARGEST_FACTOR),
-        a_max=along(lambda x: (p, bounds._replace(a_max=bounds.a_max + x - 1.0)), LARGEST_FACTOR) - 1.0 + bounds.a_max,
+        phi_b=p.phi_b * factor_of(lambda x: (p._replace(phi_b=p.phi_b * x), bounds), 1.0 / LARGEST_FACTOR),
+        disturbance=factor_of(disturbed, LARGEST_FACTOR),
+        k_min=bounds.k_min * factor_of(lambda x: (p, bounds._replace(k_min=bounds.k_min * x)), 1.0 / LARGEST_FACTOR),
+        k_max=bounds.k_max * factor_of(lambda x: (p, bounds._replace(k_max=bounds.k_max * x)), LARGEST_FACTOR),
+        a_max=a_factor - 1.0 + bounds.a_max,
     )
 
 
@@ -71,20 +72,24 @@ def scaled_bounds(bounds: Bounds, factor: float) -> Bounds:
     return bounds._replace(**{name: factor * getattr(bounds, name) for name in DISTURBANCE_FIELDS})
 
 
-def last_true(holds: Callable[[float], bool], far: float) -> float:
-    """The factor between 1 and ``far`` up to which a condition holds, by bisection of its logarithm.
+def last_true(holds: Callable[[float], bool], end: float) -> float:
+    """The factor between 1 and ``end`` up to which a condition holds, by bisection of its logarithm.
 
-    NaN if it does not hold at 1; infinity, or 0, if it still holds at ``far``.
+    NaN if it does not hold at 1; infinity, or 0, if it still holds at ``end``.
     """
     if not holds(1.0):
         return float("nan")
-    if holds(far):
-        return float("inf") if far > 1.0 else 0.0
-    inside, outside = 0.0, float(np.log(far))
+    if holds(end):
+        return float("inf") if end > 1.0 else 0.0
+    low = 0.0
+    high = float(np.log(end))
     for _ in range(FACTOR_HALVINGS):
-        middle = 0.5 * (inside + outside)
-        inside, outside = (middle, outside) if holds(float(np.exp(middle))) else (inside, middle)
-    return float(np.exp(inside))
+        middle = 0.5 * (low + high)
+        if holds(float(np.exp(middle))):
+            low = middle
+        else:
+            high = middle
+    return float(np.exp(low))
 
 
 class Criterion(StrEnum):
@@ -216,12 +221,14 @@ def shortfall(p: Parameters, bounds: Bounds, goal: DesignGoal) -> np.ndarray:
 def infeasible(bounds: Bounds, nearest: Free, goal: DesignGoal) -> str:
     """Describe the limit that cannot be met, and the nearest design."""
     p = synthesise(bounds, nearest)
-    e, period = float(guarantee(p, bounds).e), float(practice(p, bounds).sample_time_origin)
-    wanted = [
-        *([f"residual <= {goal.residual:g} m"] if np.isfinite(goal.residual) else []),
-        *([f"sample_time >= {goal.sample_time:g} s"] if goal.sample_time > 0.0 else []),
-    ]
+    e = float(guarantee(p, bounds).e)
+    period = float(practice(p, bounds).sample_time_origin)
+    limits = []
+    if np.isfinite(goal.residual):
+        limits.append(f"residual <= {goal.residual:g} m")
+    if goal.sample_time > 0.0:
+        limits.append(f"sample_time >= {goal.sample_time:g} s")
     return (
-        f"no design in the ranges has {' and '.join(wanted)}; the nearest guarantees |e| <= {e:.4g} m at a sampling "
+        f"no design in the ranges has {' and '.join(limits)}; the nearest guarantees |e| <= {e:.4g} m at a sampling "
         f"period of {period:.4g} s (phi_b = {p.phi_b:.4g}, kappa_c = {p.kappa_c:.4g})"
     )

@@ -1,6 +1,7 @@
 """Design files: ``[bounds]`` with ``[parameters]`` to check, or with ``[free]`` and ``[goal]`` for synthesis."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -8,7 +9,7 @@ from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.design import Bounds, Free, Modulation, Parameters, Recipe, derive, synthesise
-from dssc_jax.design.bounds import require_plain
+from dssc_jax.design.bounds import Numbers, require_plain
 from dssc_jax.design.feasibility import RANGES, Criterion, DesignGoal, edges, optimise
 from dssc_jax.study.components import as_table, explain, parse_params
 from dssc_jax.study.schema import STRICT, finite_number
@@ -20,7 +21,7 @@ REQUIRED_FREE = set(Free._fields) - set(Free._field_defaults)
 RUNNABLE = 1e-3  # s; sampling period that a design must allow where no goal is given
 
 
-def interval_of(value: Any) -> tuple[float, float]:
+def interval_of(value: object) -> tuple[float, float]:
     """Two finite numbers."""
     if not isinstance(value, list | tuple) or len(value) != 2:
         raise ValueError(f"must be [low, high], got {value!r}")
@@ -109,33 +110,35 @@ def parse_design(table: dict[str, Any], name: str, complete: bool = True) -> Des
         raise ConfigError("recipe", f"must be strict or printed, got {recipe!r}")
     named = as_table(table.get("free", {}), "free").keys() >= REQUIRED_FREE
     if "goal" not in table and (complete or named):
-        free, goal, at_edges = parsed_numbers(table, Free, "free"), None, ()
+        free = parsed_numbers(table, Free, "free")
+        goal = None
+        at_edges = ()
     else:
         if "recipe" in table:
             raise ConfigError("recipe", "has no meaning where the free parameters are sought; designs are strict then")
-        free, goal, at_edges = sought(table, bounds)
+        free, goal, at_edges = searched_parameters(table, bounds)
     return DesignFile(name, bounds, synthesise(bounds, free, Recipe(recipe)), free, goal, modulation, at_edges)
 
 
-def sought(table: dict[str, Any], bounds: Bounds) -> tuple[Free, DesignGoal, tuple[str, ...]]:
+def searched_parameters(table: dict[str, Any], bounds: Bounds) -> tuple[Free, DesignGoal, tuple[str, ...]]:
     """Find the free parameters for the goal, and those at an end of their range.
 
     Parameters given in ``[free]`` are fixed, the others are varied.
     """
     try:
-        wanted = GoalTable.model_validate(as_table(table.get("goal", {}), "goal"))
+        goal_table = GoalTable.model_validate(as_table(table.get("goal", {}), "goal"))
     except ValidationError as error:
         raise explain(error, GoalTable.model_fields).within_path("goal") from None
-    criterion = wanted.criterion or default_criterion(bounds)
+    criterion = goal_table.criterion or default_criterion(bounds)
     if criterion not in list(Criterion):
         raise ConfigError("goal.criterion", f"unknown criterion '{criterion}'; {nearest(criterion, list(Criterion))}")
-    given = as_table(table.get("free", {}), "free")
-    for key in wanted.vary:
-        if key in given:
+    fixed = as_table(table.get("free", {}), "free")
+    for key in goal_table.vary:
+        if key in fixed:
             raise ConfigError(f"goal.vary.{key}", "is fixed by [free] already")
-    start = parsed_numbers({"free": FREE_DEFAULTS._asdict() | given}, Free, "free")
-    ranges = {key: box for key, box in RANGES.items() if key not in given} | wanted.vary
-    goal = DesignGoal(Criterion(criterion), wanted.residual or float("inf"), wanted.sample_time)
+    start = parsed_numbers({"free": FREE_DEFAULTS._asdict() | fixed}, Free, "free")
+    ranges = {key: box for key, box in RANGES.items() if key not in fixed} | goal_table.vary
+    goal = DesignGoal(Criterion(criterion), goal_table.residual or float("inf"), goal_table.sample_time)
     try:
         best = optimise(bounds, start, goal, ranges)
     except ConfigError as error:
@@ -149,7 +152,7 @@ def default_criterion(bounds: Bounds) -> str:
     return (Criterion.RESIDUAL if driven else Criterion.DECAY_RATE).value
 
 
-def parsed_numbers(table: dict[str, Any], kind: type, path: str) -> Any:
+def parsed_numbers(table: Mapping[str, object], kind: type[Numbers], path: str) -> Numbers:
     """Parse a table of plain numbers of usable size into an instance of its parameter type."""
     if path not in table:
         raise ConfigError(path, "is required and missing")

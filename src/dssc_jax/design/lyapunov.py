@@ -64,16 +64,9 @@ def kappa_1(p: Parameters, sigma: Numeric, e: Numeric) -> Numeric:
 
 
 def smallest_of_q(p: Parameters, k_p: Numeric, gain: Numeric, alpha_1: Numeric, alpha_2: Numeric) -> Numeric:
-    """Smallest eigenvalue of Q - 2 eps I.
-
-    Args:
-        p: The parameters.
-        k_p: High-frequency gain [1/s].
-        gain: kappa_1.
-        alpha_1: beta_1/phi_1.
-        alpha_2: beta_2/phi_2.
-    """
-    eps, first = p.eps, p.gamma * k_p
+    """Smallest eigenvalue of Q - 2 eps I; ``gain`` is kappa_1, alpha_i = beta_i/phi_i."""
+    eps = p.eps
+    first = p.gamma * k_p
     k_q = (
         2.0 * (first - 4.0 * eps**2) * k_p * gain
         - 4.0 * eps * first
@@ -82,8 +75,9 @@ def smallest_of_q(p: Parameters, k_p: Numeric, gain: Numeric, alpha_1: Numeric, 
         - 2.0 * eps
     )
     off = 2.0 * eps * alpha_1 - alpha_2
-    mean, half = 0.5 * k_q + eps, 0.5 * k_q - eps
-    root = (half**2 + off**2) ** 0.5
+    mean = 0.5 * k_q + eps
+    difference = 0.5 * k_q - eps
+    root = (difference**2 + off**2) ** 0.5
     large = mean + root  # the smaller eigenvalue as determinant over the larger: no cancellation while that is positive
     positive = large > 0.0
     xp = namespace(large)
@@ -129,8 +123,11 @@ def q_coefficients(p: Parameters, bounds: Bounds) -> tuple[Numeric, ...]:
     Returns:
         The coefficients of sigma^2, |sigma e|, e^2, |sigma|, |e| and 1, at k_min.
     """
-    c, eps, k_p = derive(bounds, p.l0), p.eps, bounds.k_min
-    gain, first = f(k_p, eps, p.gamma), p.gamma * k_p
+    c = derive(bounds, p.l0)
+    eps = p.eps
+    k_p = bounds.k_min
+    gain = f(k_p, eps, p.gamma)
+    first = p.gamma * k_p
     rho_1 = tuple(x / p.phi_b for x in (c.kd2_bar, c.kd1_bar, c.kd3_bar))
     rho_2 = tuple(x / p.phi_b**2 for x in (bounds.k_max * bounds.c_isigma, bounds.k_max * bounds.c_ie, c.k_sigma))
     a, b, d = (2.0 * eps * x + y for x, y in zip(rho_1, rho_2, strict=True))

@@ -88,14 +88,15 @@ def mean_rates(functions: Any, l0: Scalar, noise: jax.Array, sigma: jax.Array, d
         Two arrays of shape (m,).
     """
 
-    def at(sigma: Scalar, noise: Scalar, before: Scalar) -> tuple[Scalar, Scalar]:
+    def rates(sigma: Scalar, noise: Scalar, previous: Scalar) -> tuple[Scalar, Scalar]:
         read = sigma + noise
         k_o, tau_av, tau_m = functions.at(read, sigma / l0, l0)
         gain = 1.0 / (k_o * tau_av)
-        return gain * (noise - before) / dt, gain * read / tau_m
+        return gain * (noise - previous) / dt, gain * read / tau_m
 
-    both = jnp.stack([noise[1:], -noise[1:]]), jnp.stack([noise[:-1], -noise[:-1]])
-    by_noise, by_law = jax.vmap(lambda one: at(one, *both))(sigma)
+    present = jnp.stack([noise[1:], -noise[1:]])
+    previous = jnp.stack([noise[:-1], -noise[:-1]])
+    by_noise, by_law = jax.vmap(lambda value: rates(value, present, previous))(sigma)
     return jnp.mean(by_noise, axis=(1, 2)), jnp.mean(by_law, axis=(1, 2))
 
 
@@ -126,33 +127,33 @@ def noise_drift(study: Study) -> dict[str, Drift]:
             if size > 0.0:
                 sigma = size * OFFSETS
                 by_noise, by_law = mean_rates(gains.functions, gains.l0, noise, sigma, loop.sample_time)
-                drifts[name] = rest(size, sigma, np.asarray(by_noise), np.asarray(by_law), gains.l0)
+                drifts[name] = rest_drift(size, sigma, np.asarray(by_noise), np.asarray(by_law), gains.l0)
     return drifts
 
 
 def noise_warning(study: Study) -> str | None:
     """One sentence, if :func:`noise_drift` predicts an error in some channel beyond the study's settling band."""
     band = study.config.metrics.window.band
-    far = {name: drift for name, drift in noise_drift(study).items() if drift.error > band}
-    if not far:
+    displaced = {name: drift for name, drift in noise_drift(study).items() if drift.error > band}
+    if not displaced:
         return None
     unit = {name: units.output for name, units in zip(study.loop.channels, study.units, strict=True)}
-    errors = [f"{drift.error:.2g} {unit[name]}{f' in {name}' if name else ''}" for name, drift in far.items()]
+    errors = [f"{drift.error:.2g} {unit[name]}{f' in {name}' if name else ''}" for name, drift in displaced.items()]
     return (
         f"measurement noise is predicted to move DSSC's implicit form off its reference by {', '.join(errors)}; "
         "discretisation = 'conservative' in [controller] avoids this"
     )
 
 
-def rest(size: float, sigma: np.ndarray, by_noise: np.ndarray, by_law: np.ndarray, l0: float) -> Drift:
+def rest_drift(size: float, sigma: np.ndarray, by_noise: np.ndarray, by_law: np.ndarray, l0: float) -> Drift:
     """The largest sigma at which both rates balance, from the sign of their sum over a grid."""
     total = by_noise + by_law
-    away = np.flatnonzero(total < 0.0)
-    if not away.size:
+    driven = np.flatnonzero(total < 0.0)
+    if not driven.size:
         return Drift(size, max(0.0, -float(by_noise.min())), 0.0)
-    last = int(away[-1])
-    if last + 1 == sigma.size:
+    i = int(driven[-1])
+    if i + 1 == sigma.size:
         return Drift(size, -float(by_noise.min()), np.inf)
-    share = total[last] / (total[last] - total[last + 1])
-    between = sigma[last] * (sigma[last + 1] / sigma[last]) ** share
-    return Drift(size, -float(by_noise.min()), float(between / l0))
+    share = total[i] / (total[i] - total[i + 1])
+    balanced = sigma[i] * (sigma[i + 1] / sigma[i]) ** share
+    return Drift(size, -float(by_noise.min()), float(balanced / l0))

@@ -47,11 +47,11 @@ def practice(p: Parameters, bounds: Bounds, promised: Guarantee | None = None) -
         promised: The guarantee, if it is already known.
     """
     reached = finite_guarantee(guarantee(p, bounds) if promised is None else promised)
-    inside = proportional_gain(p, reached.sigma, reached.e)
+    gain = proportional_gain(p, reached.sigma, reached.e)
     return Practice(
         sample_time(bounds.k_max, proportional_gain(p, 0.0, 0.0), predictor_pole(p)),
-        sample_time(bounds.k_max, inside, predictor_pole(p)),
-        inside,
+        sample_time(bounds.k_max, gain, predictor_pole(p)),
+        gain,
         *command_bounds(p, bounds, reached),
     )
 
@@ -98,9 +98,11 @@ def command_bounds(p: Parameters, bounds: Bounds, reached: Guarantee) -> tuple[N
 
     sigma' = -k_p kappa_1 phi_1 + beta_1 + z (48) with |phi_1|, |z| <= zeta, and k_p u_av = d_sigma - sigma' (13).
     """
-    b, c = bounds, derive(bounds, p.l0)
+    b = bounds
+    c = derive(bounds, p.l0)
     xp = namespace(reached.sigma)
-    sigma, e = reached.sigma, reached.e
+    sigma = reached.sigma
+    e = reached.e
     slope = c.kd1_bar * e + c.kd2_bar * sigma + c.kd3_bar
     sigma_dot = (b.k_max * kappa_1(p, sigma, e) + 1.0) * reached.zeta + slope * sigma
     y_dot = p.l0 * e + sigma + b.y_m_dot
@@ -108,9 +110,9 @@ def command_bounds(p: Parameters, bounds: Bounds, reached: Guarantee) -> tuple[N
     nominal = b.c_e1 * e + b.c_sigma * sigma + b.c_m
     d_sigma = b.k_max * (nominal + b.alpha_d) + (p.l0 + b.a_max) * y_dot + sigma_m_dot + output_norm(b) * reached.x_eta
     disturbed = sum((b.k_d1, b.k_d2, b.k_d3, b.k_d4, b.k_d5, b.alpha_d2, b.alpha_d3)) > 0.0
-    known_ = ((b.alpha_d > 0.0) | ~xp.asarray(disturbed)) & (b.c_isigma + b.c_ie == 0.0)
-    u_av = xp.where(known_, (d_sigma + sigma_dot) / b.k_min, xp.nan)
-    return u_av, xp.where(known_, sigma_dot + sigma * predictor_pole(p), xp.nan)
+    is_known = ((b.alpha_d > 0.0) | ~xp.asarray(disturbed)) & (b.c_isigma + b.c_ie == 0.0)
+    u_av = xp.where(is_known, (d_sigma + sigma_dot) / b.k_min, xp.nan)
+    return u_av, xp.where(is_known, sigma_dot + sigma * predictor_pole(p), xp.nan)
 
 
 def output_norm(bounds: Bounds) -> float:

@@ -47,13 +47,15 @@ def error_dynamics(bounds: Bounds, l0: Numeric) -> ErrorDynamics:
     l0 = xp.asarray(l0)
     a = bounds.zero_dynamics.a
     m = len(a)
-    zero, one = xp.zeros_like(l0), xp.ones_like(l0)
-    rows = [[one if j == i + 1 else zero for j in range(m)] + [zero] for i in range(m - 1)]
-    rows += [[-x * one for x in a] + [-l0], [zero] * m + [-l0]]
+    zero = xp.zeros_like(l0)
+    unit = xp.ones_like(l0)
+    rows = [[unit if j == i + 1 else zero for j in range(m)] + [zero] for i in range(m - 1)]
+    rows += [[-x * unit for x in a] + [-l0], [zero] * m + [-l0]]
     matrix = xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
     p = lyapunov(matrix)
     eigenvalues = xp.linalg.eigvalsh(p)
-    low, high = eigenvalues[..., 0], eigenvalues[..., -1]
+    low = eigenvalues[..., 0]
+    high = eigenvalues[..., -1]
     column = p[..., :, m - 1]
     return ErrorDynamics(
         Spread(xp.where(low > RESOLVED * high, low, xp.nan), high),
@@ -72,8 +74,8 @@ def lyapunov(matrix: Numeric) -> Numeric:
     left = transposed[..., :, None, :, None] * identity[:, None, :]
     right = identity[:, None, :, None] * transposed[..., None, :, None, :]
     system = (left + right).reshape(*matrix.shape[:-2], n * n, n * n)
-    wanted = xp.broadcast_to(-2.0 * identity.reshape(n * n, 1), (*matrix.shape[:-2], n * n, 1))
-    p = xp.linalg.solve(system, wanted).reshape(matrix.shape)
+    right_side = xp.broadcast_to(-2.0 * identity.reshape(n * n, 1), (*matrix.shape[:-2], n * n, 1))
+    p = xp.linalg.solve(system, right_side).reshape(matrix.shape)
     return 0.5 * (p + xp.swapaxes(p, -1, -2))
 
 
@@ -103,7 +105,8 @@ def small_gain(p: Parameters, bounds: Bounds) -> SmallGain:
     phi_b^2 > |P_eta B_sigma| |P B| (kappa_e + |C_eta A_eta|) cond(P) cond(P_eta)/eps. The right side does not depend
     on phi_b, so a sufficiently large phi_b always satisfies it.
     """
-    c, eta = derive(bounds, p.l0), error_dynamics(bounds, p.l0)
+    c = derive(bounds, p.l0)
+    eta = error_dynamics(bounds, p.l0)
     common = eta.input * norm_of_pb(p.eps) * eta.spread.condition / p.eps
     derived = (common * (c.kappa_e + c.c_eta_a_eta) * worst_condition(p, bounds)) ** 0.5
     ends = [eigenvalues_of_p(k_p, p.eps, p.gamma) for k_p in (bounds.k_min, bounds.k_max)]
@@ -190,7 +193,8 @@ def guarantee(p: Parameters, bounds: Bounds) -> Guarantee:
         >>> round(float(guarantee(gains, bounds).e), 4)
         0.0844
     """
-    c, eta = derive(bounds, p.l0), error_dynamics(bounds, p.l0)
+    c = derive(bounds, p.l0)
+    eta = error_dynamics(bounds, p.l0)
     low, high = (guarantee_at(p, bounds, c, eta, k_p) for k_p in (bounds.k_min, bounds.k_max))
     worst = [greater(first, second) for first, second in zip(low[1:], high[1:], strict=True)]
     return Guarantee(-greater(-low.decay_rate, -high.decay_rate), *worst)

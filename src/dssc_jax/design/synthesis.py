@@ -73,7 +73,9 @@ def synthesise(bounds: Bounds, free: Free, recipe: Recipe = Recipe.STRICT) -> Pa
 def design(bounds: Bounds, free: Free, recipe: Recipe = Recipe.STRICT) -> Parameters:
     """:func:`synthesise` without its checks, for arrays and traced values."""
     strict = recipe is Recipe.STRICT
-    k_p, k_max, eps = bounds.k_min, bounds.k_max, free.eps
+    k_p = bounds.k_min
+    k_max = bounds.k_max
+    eps = free.eps
     grow = 1.0 + free.slack if strict else 1.0
     factor = greater(1.0, 2.0 * eps) if strict else 1.0
     c = derive(bounds, free.l0)

@@ -127,12 +127,14 @@ def inequalities(p: Parameters, bounds: Bounds) -> tuple[Inequality, ...]:
         bounds: Bounds of plant, disturbance, nominal control and reference.
     """
     constants = derive(bounds, p.l0)
-    k_p, k_max = bounds.k_min, bounds.k_max
+    k_p = bounds.k_min
+    k_max = bounds.k_max
     at = (k_p, p.eps, p.gamma)
     table = "Table 1"
     value = f(*at)
     error = BOUNDARY_WIDTH + f_rounding(*at)
-    lyapunov, drift = kappa_c_bound(*at), kappa_d_bound(*at)
+    lyapunov = kappa_c_bound(*at)
+    drift = kappa_d_bound(*at)
 
     def disturbed(name: str, left: Numeric, first: Numeric, second: Numeric) -> Inequality:
         derived = over_phi_b(first, second, 2.0 * p.eps, p.phi_b)

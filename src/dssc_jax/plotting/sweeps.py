@@ -333,7 +333,8 @@ def map_keys(result: Result, keys: list[tuple[str, Any]]) -> list[Any]:
 
 def certified_region(result: Result) -> Any:
     """The region in which Theorem 1 certifies the loop, over the remaining axes; None if it does not apply."""
-    return result.dataset["certified"].astype(bool) if "certified" in result.dataset else None
+    dataset = result.with_theorem().dataset
+    return dataset["certified"].astype(bool) if "certified" in dataset else None
 
 
 def quantiles(result: Result, measure: Measure) -> np.ndarray:

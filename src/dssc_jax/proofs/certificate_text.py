@@ -2,13 +2,15 @@
 
 import json
 import math
-from typing import Any
+from typing import TypeAlias
+
+Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
 
 MOST_DIGITS = 400
 """Longest integer that is read; the largest number of float64 has 309 digits."""
 
 
-def certificate_content(text: str) -> Any:
+def certificate_content(text: str) -> Json:
     """The content of a text.
 
     Raises:
@@ -27,7 +29,7 @@ def certificate_content(text: str) -> Any:
         raise ValueError("it nests lists or tables too deeply") from None
 
 
-def entries_of(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def entries_of(pairs: list[tuple[str, Json]]) -> dict[str, Json]:
     """A table of entries, each of which occurs once.
 
     Raises:
@@ -36,8 +38,8 @@ def entries_of(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     table = dict(pairs)
     if len(table) < len(pairs):
         names = [name for name, _ in pairs]
-        twice = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"the entry {twice[:40]!r} occurs more than once")
+        repeated = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"the entry {repeated[:40]!r} occurs more than once")
     return table
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 
+from dssc_jax.core.contracts import Differentiator, Sensor
 from dssc_jax.core.registry import Discretisation
 from dssc_jax.design.certification import Ends, NotCovered, disturbance_bounds, ends_of, reference_bounds
 from dssc_jax.models.actuators import NO_DYNAMICS
@@ -46,7 +47,8 @@ def problem_of(study: Study) -> ProofProblem:
     Raises:
         NotCovered: a part of the loop is outside of the class; the message gives the reason.
     """
-    loop, ends = study.loop, ends_of(study.without_sweep())
+    loop = study.loop
+    ends = ends_of(study.without_sweep())
     for name, law in study.laws.items():
         if name not in UNCERTAIN and not name.startswith(BOUNDED_SIGNALS):
             raise NotCovered(f"{name} is uncertain; a proof takes intervals of {', '.join(UNCERTAIN)} only")
@@ -88,7 +90,7 @@ def problem_of(study: Study) -> ProofProblem:
     return problem
 
 
-def numbers_in(value: Any) -> list[float]:
+def numbers_in(value: object) -> list[float]:
     """All numbers of a field, at any depth."""
     if isinstance(value, int | float):
         return [value]
@@ -121,7 +123,7 @@ def disturbance_of(study: Study, ends: Ends) -> tuple[float, float, tuple[float,
     return level, slope, gains
 
 
-def sensor_lag(sensor: Any, differentiator: Any, ends: Ends) -> float:
+def sensor_lag(sensor: Sensor, differentiator: Differentiator, ends: Ends) -> float:
     """The time constant [s] of the sensor's lag, 0 for none.
 
     Raises:
@@ -161,21 +163,22 @@ def unmodelled_of(study: Study, ends: Ends) -> dict[str, Any]:
     Raises:
         NotCovered: the unmodelled dynamics are neither linear nor a known delay.
     """
-    model, (low, high) = study.loop.unmodelled[0], (end.unmodelled[0] for end in ends)
-    nothing = {"numerator": (), "denominator": (), "mu": (0.0, 0.0), "delay": 0.0}
+    model = study.loop.unmodelled[0]
+    low, high = (end.unmodelled[0] for end in ends)
+    absent = {"numerator": (), "denominator": (), "mu": (0.0, 0.0), "delay": 0.0}
     if model is NO_DYNAMICS:
-        return nothing
+        return absent
     if model is DELAY:
         if low.samples != high.samples:
             raise NotCovered("the delay is uncertain")
-        return nothing | {"delay": float(low.samples)}
+        return absent | {"delay": float(low.samples)}
     if model in LAGS:
         numerator, denominator = LAGS[model]
     elif model is TRANSFER_FUNCTION:
         numerator, denominator = (tuple(map(float, side)) for side in (low.numerator, low.denominator))
     else:
         raise NotCovered("the unmodelled dynamics are neither a lag, a transfer function nor a delay")
-    return nothing | {"numerator": numerator, "denominator": denominator, "mu": (float(low.mu), float(high.mu))}
+    return absent | {"numerator": numerator, "denominator": denominator, "mu": (float(low.mu), float(high.mu))}
 
 
 def controller_of(study: Study) -> dict[str, Any]:
@@ -184,7 +187,8 @@ def controller_of(study: Study) -> dict[str, Any]:
     Raises:
         NotCovered: the controller, or one of its options, is outside of the class.
     """
-    member, gains = study.loop.controller[0], study.template.controller[0]
+    member = study.loop.controller[0]
+    gains = study.template.controller[0]
     nominal = gains.nominal and (float(gains.nominal.a), float(gains.nominal.k), bool(gains.nominal.predictor_term))
     common = {"l0": float(gains.l0), "nominal": nominal}
     if isinstance(gains, PiGains):
@@ -194,8 +198,9 @@ def controller_of(study: Study) -> dict[str, Any]:
             raise NotCovered("PI needs K_P > 0 and K_I > 0")
         constants = {"k_o": 1.0, "tau_av": 1.0 / gains.k_p, "tau_m": gains.k_p / gains.k_i}
         functions = {"kind": "constant", **constants}
-        own = (*common["nominal"][:2], False) if common["nominal"] else None
-        return common | {"nominal": own, "form": "implicit", "functions": functions, "rho": None, "start": "zero"}
+        if nominal:
+            common["nominal"] = (*nominal[:2], False)
+        return common | {"form": "implicit", "functions": functions, "rho": None, "start": "zero"}
     forms = {Discretisation.IMPLICIT, Discretisation.CONSERVATIVE}
     form = next((f for f in forms if member in (DSSC.members[f], SSC.members[f])), None)
     if form is None or not isinstance(gains, DsscGains):

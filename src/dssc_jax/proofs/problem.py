@@ -6,6 +6,8 @@ from typing import Any
 from dssc_jax.core.errors import ConfigError
 
 Interval = tuple[float, float]
+Box = dict[str, Interval]
+"""Intervals of k_p, a_p and, with a transfer function, of ``rate``, 1/mu."""
 
 
 @dataclass(frozen=True)
@@ -69,17 +71,20 @@ class ProofProblem:
         return asdict(self)
 
     @property
-    def box(self) -> dict[str, Interval]:
+    def box(self) -> Box:
         """The intervals of k_p, a_p and, with a lag, of 1/mu."""
-        ends = {"k_p": self.k_p, "a_p": self.a_p}
-        return ends | ({"rate": (1.0 / self.mu[1], 1.0 / self.mu[0])} if self.denominator else {})
+        box: Box = {"k_p": self.k_p, "a_p": self.a_p}
+        if self.denominator:
+            box["rate"] = (1.0 / self.mu[1], 1.0 / self.mu[0])
+        return box
 
     @property
     def delay_weights(self) -> tuple[float, ...]:
         """Weights of the commands of ages 0, 1, ... samples in what acts on the plant; their sum is 1."""
-        whole = int(self.delay)
-        late = self.delay - whole
-        return (*(0.0 for _ in range(whole)), 1.0 - late, *((late,) if late > 0.0 else ()))
+        samples = int(self.delay)
+        fraction = self.delay - samples
+        weights = (*(0.0 for _ in range(samples)), 1.0 - fraction)
+        return (*weights, fraction) if fraction > 0.0 else weights
 
 
 TUPLES = ("k_p", "a_p", "mu", "zero_a", "zero_c", "numerator", "denominator", "reference", "by_state")

@@ -3,7 +3,7 @@
 import heapq
 import itertools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,11 +12,10 @@ import numpy as np
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.proofs import BOXES
-from dssc_jax.proofs.boxes import Box, halves, volume
 from dssc_jax.proofs.coverage import problem_of
-from dssc_jax.proofs.problem import Interval, ProofProblem
-from dssc_jax.proofs.search import Failure, Proof, prove_box
-from dssc_jax.proofs.verifier import ProofVerdict, verify_certificate, verify_proof
+from dssc_jax.proofs.problem import Box, Interval, ProofProblem
+from dssc_jax.proofs.search.box_search import Failure, Proof, halves, prove_box, volume
+from dssc_jax.proofs.verifier.verdict import ProofVerdict, verify_certificate, verify_proof
 from dssc_jax.study import Study
 
 VERSION = 5
@@ -66,7 +65,8 @@ class Proved:
         """The outcome in plain numbers."""
         finite = bool(self.proofs)
         failures = [
-            {"box": with_mu(each.box), "reason": each.reason, "text": REASONS[each.reason]} for each in self.failures
+            {"box": with_mu(failure.box), "reason": failure.reason, "text": REASONS[failure.reason]}
+            for failure in self.failures
         ]
         return {
             "proved": self.complete,
@@ -83,19 +83,21 @@ class Proved:
         """What is proved, in one sentence."""
         if not self.proofs:
             return f"Nothing is proved: {REASONS[self.failures[0].reason]}."
-        where = " and ".join(in_words(name, pair, self.units) for name, pair in with_mu(self.problem.box).items())
-        who = f"every plant with {where}" if self.complete else f"{self.share:.1%} of the plants with {where}"
-        level, slope = (self.units.of(unit) for unit in ("u", "u/s"))
-        own = f"|d| <= {self.problem.level:g} {level} and |d'| <= {self.problem.slope:g} {slope}"
-        signal = f"every disturbance with {own}"
+        box = with_mu(self.problem.box)
+        intervals = " and ".join(in_words(name, interval, self.units) for name, interval in box.items())
+        plants = "every plant" if self.complete else f"{self.share:.1%} of the plants"
+        level = self.units.of("u")
+        slope = self.units.of("u/s")
+        bounds = f"|d| <= {self.problem.level:g} {level} and |d'| <= {self.problem.slope:g} {slope}"
+        signal = f"every disturbance with {bounds}"
         if any(self.problem.by_state):
             gains = ", ".join(f"k_d{i} = {k:g}" for i, k in enumerate(self.problem.by_state, 1) if k)
-            signal = f"every disturbance that depends on the state with {gains} (docs/proofs.md), besides {own}"
+            signal = f"every disturbance that depends on the state with {gains} (docs/proofs.md), besides {bounds}"
         y = self.units.output
         slides = "" if self.problem.rho is None else "slides from the first sample on, "
         return (
-            f"For {who} and {signal}, the sampled loop {slides}never exceeds |e| = {self.largest_error:.4g} {y} "
-            f"and ends within |e| <= {self.error:.4g} {y}."
+            f"For {plants} with {intervals} and {signal}, the sampled loop {slides}never exceeds "
+            f"|e| = {self.largest_error:.4g} {y} and ends within |e| <= {self.error:.4g} {y}."
         )
 
     def certificate(self) -> dict[str, Any]:
@@ -104,16 +106,19 @@ class Proved:
         return {"version": VERSION, "complete": self.complete, "problem": self.problem.to_dict(), "proofs": proofs}
 
 
-def with_mu(box: Box) -> dict[str, Interval]:
+def with_mu(box: Box) -> Box:
     """A box with the time constant mu in place of 1/mu."""
-    words = {name: pair for name, pair in box.items() if name != "rate"}
-    return words | ({"mu": (1.0 / box["rate"][1], 1.0 / box["rate"][0])} if "rate" in box else {})
+    intervals = {name: interval for name, interval in box.items() if name != "rate"}
+    if "rate" in box:
+        low, high = box["rate"]
+        intervals["mu"] = (1.0 / high, 1.0 / low)
+    return intervals
 
 
-def in_words(name: str, pair: Interval, units: ChannelUnits) -> str:
+def in_words(name: str, interval: Interval, units: ChannelUnits) -> str:
     """A number or an interval in a sentence."""
     unit = {"mu": "s", "k_p": units.of("y/(s^2 u)")}.get(name, "1/s")
-    low, high = pair
+    low, high = interval
     return f"{name} = {low:g} {unit}" if low == high else f"{name} in [{low:g}, {high:g}] {unit}"
 
 
@@ -143,7 +148,9 @@ def prove_problem(problem: ProofProblem, boxes: int, progress: Callable[[int, in
     """
     if boxes < 1:
         raise ConfigError("boxes", f"must be at least 1, got {boxes}")
-    began, content, number = time.perf_counter(), problem.to_dict(), itertools.count()
+    began = time.perf_counter()
+    content = problem.to_dict()
+    number = itertools.count()
     waiting: list[tuple[float, int, Box]] = [(-1.0, next(number), problem.box)]  # the number orders equal volumes
     proofs: list[Proof] = []
     failures: list[Failure] = []
@@ -161,28 +168,31 @@ def prove_problem(problem: ProofProblem, boxes: int, progress: Callable[[int, in
             if hopeless or tried + len(waiting) + 2 > boxes:
                 failures.append(result)
             else:
-                for half in halves(box, problem):
-                    heapq.heappush(waiting, (-volume(half, problem), next(number), half))
+                for part in halves(box, problem):
+                    heapq.heappush(waiting, (-volume(part, problem), next(number), part))
         if progress is not None:
             progress(tried, tried + len(waiting))
-    settled = max((each.error for each in verdicts), default=np.inf)
-    ever = max((each.largest_error for each in verdicts), default=np.inf)
-    return Proved(problem, proofs, failures, settled, ever, time.perf_counter() - began)
+    error = max((verdict.error for verdict in verdicts), default=np.inf)
+    largest_error = max((verdict.largest_error for verdict in verdicts), default=np.inf)
+    return Proved(problem, proofs, failures, error, largest_error, time.perf_counter() - began)
 
 
-def attempt(problem: ProofProblem, content: dict[str, Any], box: Box) -> tuple[Proof | Failure, ProofVerdict | None]:
+def attempt(
+    problem: ProofProblem, content: Mapping[str, object], box: Box
+) -> tuple[Proof | Failure, ProofVerdict | None]:
     """Search and verify one box; if the verifier rejects a later stage, those before it may still do."""
     result = prove_box(problem, box)
     if isinstance(result, Failure):
         return result, None
     for count in range(len(result.stages), 0, -1):
         proof = Proof(box, result.stages[:count])
-        if (verdict := verify_proof(content, proof.to_dict())).proved:
+        verdict = verify_proof(content, proof.to_dict())
+        if verdict.proved:
             return proof, verdict
     return Failure(box, "verifier"), None
 
 
-def check_certificate(content: Any) -> ProofVerdict:
+def check_certificate(content: object) -> ProofVerdict:
     """Verify the content of a certificate's file, from it alone.
 
     Raises:

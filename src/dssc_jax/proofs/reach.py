@@ -45,8 +45,8 @@ class ProvedReach:
         tried = ", each value on its own"
         if self.refused is None:
             return f"Proved up to the end, {self.name} = {self.proved:.4g}{tried}. {self.last.statement()}"
-        where = f"Proved up to {self.name} = {self.proved:.4g}{tried}; not at {self.refused:.4g}: {self.reason}."
-        return f"{where} {self.last.statement()}"
+        sentence = f"Proved up to {self.name} = {self.proved:.4g}{tried}; not at {self.refused:.4g}: {self.reason}."
+        return f"{sentence} {self.last.statement()}"
 
     def summary(self) -> dict[str, Any]:
         """The outcome in plain numbers."""
@@ -86,34 +86,40 @@ def proved_up_to(
         NotCovered: The loop is outside of what a proof covers; the message gives the reason.
         ConfigError: The bounds agree, or a logarithmic scale has a bound that is not positive.
     """
-    safe, far = bounds
-    if safe == far or (log and min(bounds) <= 0.0):
-        raise ConfigError("--over", f"needs two different{' positive' if log else ''} ends, got {safe:g} and {far:g}")
-    single, values = study.without_sweep(), []
+    safe, end = bounds
+    if safe == end or (log and min(bounds) <= 0.0):
+        raise ConfigError("--over", f"needs two different{' positive' if log else ''} ends, got {safe:g} and {end:g}")
+    single = study.without_sweep()
+    values = []
 
     def at(share: float) -> tuple[float, Proved]:
-        value = safe * (far / safe) ** share if log else safe + share * (far - safe)
+        value = safe * (end / safe) ** share if log else safe + share * (end - safe)
         outcome = replace(prove_problem(problem_at(single, name, value), boxes), units=study.units[0])
         values.append((value, outcome.complete))
         if progress is not None:
             progress(len(values), None)
         return value, outcome
 
-    proved, last = at(0.0)
-    if not last.complete:
-        return ProvedReach(name, values, None, None, proved, REASONS[last.failures[0].reason])
-    refused, beyond = at(1.0)
-    if beyond.complete:
-        return ProvedReach(name, values, beyond, refused, None, "")
-    low, high = 0.0, 1.0
+    proved, proof = at(0.0)
+    if not proof.complete:
+        return ProvedReach(name, values, None, None, proved, REASONS[proof.failures[0].reason])
+    refused, failure = at(1.0)
+    if failure.complete:
+        return ProvedReach(name, values, failure, refused, None, "")
+    low = 0.0
+    high = 1.0
     while high - low > NARROWEST_GAP:
         middle = 0.5 * (low + high)
         value, outcome = at(middle)
         if outcome.complete:
-            low, proved, last = middle, value, outcome
+            low = middle
+            proved = value
+            proof = outcome
         else:
-            high, refused, beyond = middle, value, outcome
-    return ProvedReach(name, values, last, proved, refused, REASONS[beyond.failures[0].reason])
+            high = middle
+            refused = value
+            failure = outcome
+    return ProvedReach(name, values, proof, proved, refused, REASONS[failure.failures[0].reason])
 
 
 def problem_at(study: Study, name: str, value: float) -> ProofProblem:

@@ -1,15 +1,16 @@
 """The loop of a certificate in words, with its numbers as they are."""
 
-from typing import Any
+from collections.abc import Mapping
+
+from dssc_jax.proofs.verifier.certificate import Interval, Problem
 
 SIGNAL_NAMES = ("|y_m'|", "|y_m''|", "|y_m'''|")
 
 
-def loop_in_words(problem: dict[str, Any]) -> dict[str, str]:
+def loop_in_words(problem: Problem) -> dict[str, str]:
     """What a certificate's problem says, by label.
 
-    Args:
-        problem: A problem that is well formed, with the units of the certificate: y and u, seconds.
+    The problem is well formed; units are those of the certificate, y and u, seconds.
     """
     return {
         "controller": controller_words(problem),
@@ -24,26 +25,26 @@ def loop_in_words(problem: dict[str, Any]) -> dict[str, str]:
     }
 
 
-def interval_words(pair: Any) -> str:
+def interval_words(interval: Interval) -> str:
     """A number, or an interval."""
-    low, high = pair
+    low, high = interval
     return f"= {low}" if low == high else f"in [{low}, {high}]"
 
 
-def controller_words(problem: dict[str, Any]) -> str:
+def controller_words(problem: Problem) -> str:
     """Form, T_s and the bound of the switched control."""
     rho = "without a bound of the command" if problem["rho"] is None else f"rho = {problem['rho']}"
     period = f"T_s = {problem['sample_time']} s"
     return f"{problem['form']} form, {period}, l_0 = {problem['l0']} 1/s, {rho}, predictor's start {problem['start']}"
 
 
-def functions_words(functions: dict[str, Any]) -> str:
+def functions_words(functions: Mapping[str, float | str]) -> str:
     """Kind and constants."""
     constants = [f"{name} = {value}" for name, value in functions.items() if name != "kind"]
     return f"{functions['kind']} with {', '.join(constants)}"
 
 
-def nominal_words(nominal: Any) -> str:
+def nominal_words(nominal: tuple[float, float, bool] | None) -> str:
     """The nominal control."""
     if nominal is None:
         return "none"
@@ -51,7 +52,7 @@ def nominal_words(nominal: Any) -> str:
     return f"a_n = {a} 1/s, k_n = {k}, {'with' if term else 'without'} its term 1/tau_m"
 
 
-def plant_words(problem: dict[str, Any]) -> str:
+def plant_words(problem: Problem) -> str:
     """Intervals of the plant, and its zero dynamics."""
     intervals = f"k_p {interval_words(problem['k_p'])}, a_p {interval_words(problem['a_p'])} 1/s"
     if not problem["zero_a"]:
@@ -61,22 +62,22 @@ def plant_words(problem: dict[str, Any]) -> str:
     return f"{intervals}, order {order}, {zeros}"
 
 
-def start_words(problem: dict[str, Any]) -> str:
+def start_words(problem: Problem) -> str:
     """The intervals of the initial state."""
     names = ["e", "e'", *(f"eta_{i + 1}" for i in range(len(problem["zero_a"])))]
     parts = [f"{name} {interval_words(pair)}" for name, pair in zip(names, problem["initial"], strict=True)]
     return ", ".join(parts)
 
 
-def unmodelled_words(problem: dict[str, Any]) -> str:
+def unmodelled_words(problem: Problem) -> str:
     """The lag, the transfer function or the delay."""
     if problem["denominator"]:
-        above, below = list(problem["numerator"]), list(problem["denominator"])
-        return f"G(mu s) = {above}/{below} in rising powers of mu s, mu {interval_words(problem['mu'])} s"
+        quotient = f"{list(problem['numerator'])}/{list(problem['denominator'])}"
+        return f"G(mu s) = {quotient} in rising powers of mu s, mu {interval_words(problem['mu'])} s"
     return f"delay of {problem['delay']} samples" if problem["delay"] else "none"
 
 
-def disturbance_words(problem: dict[str, Any]) -> str:
+def disturbance_words(problem: Problem) -> str:
     """Bounds of the disturbance (wind, load), and how it depends on the state."""
     bounds = f"any (wind, load) with |d| <= {problem['level']} and slope |d'| <= {problem['slope']} 1/s"
     gains = [f"k_d{i} = {k}" for i, k in enumerate(problem["by_state"], 1) if k]
@@ -85,7 +86,7 @@ def disturbance_words(problem: dict[str, Any]) -> str:
     return f"{bounds}, besides what depends on the state with {', '.join(gains)}, |y_m| <= {problem['reference_size']}"
 
 
-def reference_words(problem: dict[str, Any]) -> str:
+def reference_words(problem: Problem) -> str:
     """Bounds of the reference's derivatives."""
     if not any(problem["reference"]):
         return "at rest"

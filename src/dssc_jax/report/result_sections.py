@@ -141,7 +141,7 @@ def sweep_section(about: Subject) -> Section | None:
     low, high = number(min(shares)), number(max(shares))
     text = f"Failure probability over {over}: from {low} to {high}. All points are in the table of the outcome."
     metric = headline(result).name
-    hatched = " (hatched)" if "certified" in result.dataset else ""
+    hatched = " (hatched)" if "certified" in result.with_theorem().dataset else ""
     texts = (result.certificate and f"{result.certificate}{hatched}", idle_text(result))
     captions = (
         f"Failure probability. {''.join(f'{text}. ' for text in texts if text)}{held}".rstrip(),

@@ -83,7 +83,10 @@ def export(result: Result | Analysis, to: Format | str, out: str | Path | None =
         require(package, form)
     if out is None and result.path is None:
         raise ConfigError("out", "is needed for a result that has no folder")
-    names = ANALYSIS_FILES if isinstance(result, Analysis) else FILE_NAMES
+    names = ANALYSIS_FILES
+    if isinstance(result, Result):
+        names = FILE_NAMES
+        result = result.with_theorem()
     path = Path(out) if out is not None else Path(result.path or "") / names[form]
     writers = {Format.CSV: write_csv, Format.PARQUET: write_parquet, Format.NETCDF: write_netcdf, Format.MAT: write_mat}
     written = [into_place(path, lambda file: writers[form](result, file))]

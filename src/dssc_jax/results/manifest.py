@@ -7,9 +7,9 @@ from typing import Any
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.files import PARTIAL
-from dssc_jax.design.certification import mark
 from dssc_jax.engine.batching import Layout
 from dssc_jax.results import lock
+from dssc_jax.results.theorem import theorem_mark
 from dssc_jax.study import Described, Study, hash_of
 from dssc_jax.study.code import recorded
 from dssc_jax.study.described import describe
@@ -239,7 +239,10 @@ def about_code(study: Study) -> dict[str, Any]:
     if isinstance(study, Described):
         return {"code": study.code, "described": study.description.model_dump(mode="json")}
     code = recorded(study.table)
-    return {"code": code, "described": describe(study, *mark(study))} if code else {}
+    if not code:
+        return {}
+    certified, reason = theorem_mark(study) or (None, "")
+    return {"code": code, "described": describe(study, certified, reason)}
 
 
 def machinery_differences(old: dict[str, Any], new: dict[str, Any]) -> list[str]:

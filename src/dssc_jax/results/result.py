@@ -11,12 +11,12 @@ import xarray as xr
 from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import Outcome
-from dssc_jax.design import certification
 from dssc_jax.engine.batching import Layout
 from dssc_jax.results import store
 from dssc_jax.results.proofs import SweepProofs, read_proofs
 from dssc_jax.results.schema import variables
 from dssc_jax.results.summary import lines, points
+from dssc_jax.results.theorem import theorem_mark
 from dssc_jax.statistics import CONFIDENCE, DataDriven, FixedCount, Method, Replicated
 from dssc_jax.study import Study
 
@@ -46,15 +46,7 @@ class Result:
 
     @classmethod
     def of(cls, study: Study, dataset: xr.Dataset, manifest: dict[str, Any], path: Path | None = None) -> "Result":
-        """Create a result, including the certificate of Theorem 1 for the study.
-
-        If the theorem applies, the dataset's coordinate ``certified`` is true at each point of the sweep where it holds
-        for the loop without unmodelled dynamics, sensors and sampling, and with a rho that keeps sliding.
-        """
-        certified = certification.mark(study).certified
-        if certified is not None:
-            about = {"long_name": "certified by Theorem 1, without lag and sampling"}
-            dataset = dataset.assign_coords(certified=(tuple(study.axes), certified, about))
+        """Create a result, with the proofs that its folder holds."""
         result = cls(study, dataset, manifest, path)
         proofs = read_proofs(path, study) if path is not None else None
         return result if proofs is None else result.with_proofs(proofs)
@@ -66,6 +58,19 @@ class Result:
         axes = tuple(self.study.axes)
         coordinates = {"proved": (axes, proofs.proved, about), "proved_error": (axes, proofs.error, bound)}
         return Result(self.study, self.dataset.assign_coords(coordinates), self.manifest, self.path)
+
+    def with_theorem(self) -> "Result":
+        """The result with Theorem 1's marks, where the theorem applies: the coordinate ``certified``.
+
+        It is true at each point of the sweep where the theorem holds for the loop without unmodelled dynamics, sensors
+        and sampling, and with a rho that keeps sliding.
+        """
+        mark = None if "certified" in self.dataset else theorem_mark(self.study)
+        if mark is None or mark.certified is None:
+            return self
+        attributes = {"long_name": "certified by Theorem 1, without lag and sampling"}
+        dataset = self.dataset.assign_coords(certified=(tuple(self.study.axes), mark.certified, attributes))
+        return Result(self.study, dataset, self.manifest, self.path)
 
     @property
     def certificate(self) -> str:
@@ -89,11 +94,11 @@ class Result:
     @property
     def theorem(self) -> str:
         """The result of Theorem 1 for the loop, in one line; empty without the functions of Table 1."""
-        if "certified" not in self.dataset:
-            if not certification.in_play(self.study):
-                return ""
-            return f"Theorem 1 does not apply: {certification.mark(self.study).reason}"
-        certified = self.dataset["certified"].values
+        dataset = self.with_theorem().dataset
+        if "certified" not in dataset:
+            mark = theorem_mark(self.study)
+            return f"Theorem 1 does not apply: {mark.reason}" if mark else ""
+        certified = dataset["certified"].values
         if not certified.ndim:
             return f"certified by Theorem 1, {GIVEN}" if certified else "not certified by Theorem 1"
         return f"Theorem 1 certifies {np.count_nonzero(certified)} of {certified.size} points, {GIVEN}"
@@ -105,7 +110,7 @@ class Result:
 
     def at(self, index: Mapping[str, int]) -> "Result":
         """The result at given indices of swept parameters; the others remain dimensions of the dataset."""
-        return Result(self.study, self.dataset.isel(index), self.manifest)
+        return Result(self.study, self.with_theorem().dataset.isel(index), self.manifest)
 
     @property
     def method(self) -> Method:
@@ -128,7 +133,7 @@ class Result:
 
     def points(self, confidence: float = CONFIDENCE) -> Iterator[dict[str, Any]]:
         """The points of :meth:`summary`, one by one, so that few points of a large sweep are in memory at once."""
-        return points(self.study, self.dataset, self.method, confidence)
+        return points(self.study, self.with_theorem().dataset, self.method, confidence)
 
     def lines(self) -> Iterator[str]:
         """:meth:`summary` as JSON, line by line, as written to ``summary.json``."""

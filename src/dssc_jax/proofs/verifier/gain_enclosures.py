@@ -1,12 +1,12 @@
 """The gains of a region of sigma and e, enclosed in balls: the verifier's own rows of Table 2 and of Section V."""
 
 import math
-from typing import Any
 
 from flint import arb
 
-from dssc_jax.proofs.balls import Balls, Rejected, enclosing, larger, require_premise
-from dssc_jax.proofs.table_gains import table_gains
+from dssc_jax.proofs.verifier.balls import Balls, Rejected, interval_ball, maximum, require_premise
+from dssc_jax.proofs.verifier.certificate import Problem
+from dssc_jax.proofs.verifier.table_gains import table_gains
 
 PRECISE = 0.03  # largest excess of a hull over the gains themselves, in widths of the hull
 ROUNDING = 2.0**-40  # and in sizes of the gain
@@ -18,7 +18,7 @@ SMALLEST_REGION = 1e-12  # of the starts
 class PointHull:
     """The hull of the gains at points, which their enclosure cannot be smaller than."""
 
-    def __init__(self, problem: dict[str, Any]) -> None:
+    def __init__(self, problem: Problem) -> None:
         """Without a point."""
         self.problem = problem
         self.ends: dict[str, tuple[float, float]] = {}
@@ -26,7 +26,8 @@ class PointHull:
     def add(self, size: float) -> None:
         """Take in the gains at one |sigma|."""
         for name, ball in gains_at(self.problem, (size, size)).items():
-            value, (low, high) = float(ball.mid()), self.ends.get(name, (math.inf, -math.inf))
+            value = float(ball.mid())
+            low, high = self.ends.get(name, (math.inf, -math.inf))
             self.ends[name] = (min(low, value), max(high, value))
 
     def rooms(self) -> dict[str, float]:
@@ -38,22 +39,23 @@ class PointHull:
 
     def exceeded(self, balls: Balls, rooms: dict[str, float]) -> bool:
         """Whether balls widen the hull by too much."""
-        return not all(
-            ball > self.ends[name][0] - rooms[name] and ball < self.ends[name][1] + rooms[name]
-            for name, ball in balls.items()
-        )
+        for name, ball in balls.items():
+            low, high = self.ends[name]
+            if not (ball > low - rooms[name] and ball < high + rooms[name]):
+                return True
+        return False
 
 
-def enclosed_gains(problem: dict[str, Any], sigma: float, e: float, least: float = 0.0, least_e: float = 0.0) -> Balls:
-    """Balls of the gains for |sigma| and |e| from their least values to a bound.
+def enclosed_gains(problem: Problem, sigma: float, e: float, sigma_from: float = 0.0, e_from: float = 0.0) -> Balls:
+    """Balls of the gains for |sigma| and |e| from their lower ends to a bound.
 
     Of K_P, K_I, K_N, of the sliding condition's gains, and in the conservative form of phi_1/sigma and of what phi_1
-    changes by with e. Table 1's functions depend on e: :func:`dssc_jax.proofs.table_gains.table_gains`.
+    changes by with e. Table 1's functions depend on e: :func:`dssc_jax.proofs.verifier.table_gains.table_gains`.
     """
     if problem["functions"]["kind"] == "vgsta":
-        result = table_gains(problem, sigma, e, least, least_e)
+        result = table_gains(problem, sigma, e, sigma_from, e_from)
     else:
-        result = gains_by_sigma(problem, sigma, least)
+        result = gains_by_sigma(problem, sigma, sigma_from)
     if problem["form"] == "conservative":  # K_P is a mean over a sample, tau_av belongs to its end
         reach = 1 + result["tau_av"] / arb(problem["sample_time"])
         result["slide_p"] = result["k_p"] * reach
@@ -61,37 +63,43 @@ def enclosed_gains(problem: dict[str, Any], sigma: float, e: float, least: float
     return result
 
 
-def gains_by_sigma(problem: dict[str, Any], sigma: float, least: float) -> Balls:
+def gains_by_sigma(problem: Problem, sigma: float, sigma_from: float) -> Balls:
     """Balls of the gains that depend on sigma alone.
 
     The interval of |sigma| is halved in |sigma|^(1/2) where a piece's ball exceeds the hull of the gains at points by
     more than a small share of its width.
     """
-    pieces, points, result, left = [(least, sigma)], PointHull(problem), Balls(), MOST_PIECES
-    for end in (least, sigma):
+    pieces = [(sigma_from, sigma)]
+    points = PointHull(problem)
+    result = Balls()
+    remaining = MOST_PIECES
+    for end in (sigma_from, sigma):
         points.add(end)
     while pieces:
         for piece in pieces:
             points.add(middle_of(piece))
-        rooms, left, after = points.rooms(), left - len(pieces), []
+        rooms = points.rooms()
+        remaining -= len(pieces)
+        halves = []
         for piece in pieces:
-            low, high, middle = *piece, middle_of(piece)
+            low, high = piece
+            middle = middle_of(piece)
             try:
                 balls = gains_at(problem, piece)
             except Rejected:  # too wide a ball, since every point was fine
-                require_premise(left > 0, "P2: the functions cannot be enclosed in the region")
-                after += [(low, middle), (middle, high)]
+                require_premise(remaining > 0, "P2: the functions cannot be enclosed in the region")
+                halves += [(low, middle), (middle, high)]
                 continue
-            if left > 0 and points.exceeded(balls, rooms):
-                after += [(low, middle), (middle, high)]
+            if remaining > 0 and points.exceeded(balls, rooms):
+                halves += [(low, middle), (middle, high)]
                 continue
             for name, ball in balls.items():
                 result[name] = result[name].union(ball) if name in result else ball
-        pieces = after
+        pieces = halves
     return result
 
 
-def enclosed_start_ratio(problem: dict[str, Any], *, integrated: bool) -> arb:
+def enclosed_start_ratio(problem: Problem, *, integrated: bool) -> arb:
     """What the start takes from u_av, over sigma_0, as a ball that holds it for every start.
 
     Seen from sigma_hat = sigma_0, the start ``midpoint`` halves the first T_s phi_2. ``integrated``: the coordinate is
@@ -99,9 +107,10 @@ def enclosed_start_ratio(problem: dict[str, Any], *, integrated: bool) -> arb:
     """
     if problem["start"] == "zero":
         return arb(0)
-    e, speed = (enclosing(*pair) for pair in problem["initial"][:2])
-    least, largest = size_ends(speed + arb(problem["l0"]) * e)
-    gains = enclosed_gains(problem, largest, size_ends(e)[1], least, size_ends(e)[0])
+    e, speed = (interval_ball(*pair) for pair in problem["initial"][:2])
+    sigma_low, sigma_high = size_ends(speed + arb(problem["l0"]) * e)
+    e_low, e_high = size_ends(e)
+    gains = enclosed_gains(problem, sigma_high, e_high, sigma_low, e_low)
     ratio = gains["mean"] if integrated else arb(0)
     if problem["start"] == "midpoint":
         ratio = ratio + arb(problem["sample_time"]) / 2 * gains["k_i"]
@@ -111,24 +120,25 @@ def enclosed_start_ratio(problem: dict[str, Any], *, integrated: bool) -> arb:
 def size_ends(ball: arb) -> tuple[float, float]:
     """Bounds of |x| over a ball, rounded outwards; the larger is positive."""
     size = abs(ball)
-    least, largest = float(size.lower()), float(size.upper())
-    return max(0.0, math.nextafter(least, -math.inf)), max(math.nextafter(largest, math.inf), SMALLEST_REGION)
+    low = math.nextafter(float(size.lower()), -math.inf)
+    high = math.nextafter(float(size.upper()), math.inf)
+    return max(0.0, low), max(high, SMALLEST_REGION)
 
 
-def with_moving_error(problem: dict[str, Any], gains: Balls, moved: float) -> Balls:
+def with_moving_error(problem: Problem, gains: Balls, moved: float) -> Balls:
     """The gains of the increments of u_av, where e changes by at most ``moved`` in a sample.
 
     In the conservative form phi_1(sigma_k, e_k) - phi_1(sigma_k, e_(k-1)) is sigma_k times a gain, which joins T_s K_I.
     """
     if not depends_on_error(problem):
         return gains
-    joins = enclosing(-1.0, 1.0) * abs(gains["by_e"]).upper() * arb(moved)
+    joins = interval_ball(-1.0, 1.0) * abs(gains["by_e"]).upper() * arb(moved)
     t = arb(problem["sample_time"])
     reach = 1 + gains["tau_av"] / t
     return gains | {"k_i": gains["k_i"] + joins / t, "slide_i": gains["slide_i"] + joins * reach}
 
 
-def depends_on_error(problem: dict[str, Any]) -> bool:
+def depends_on_error(problem: Problem) -> bool:
     """Whether phi_1 of the conservative form changes with e."""
     return problem["form"] == "conservative" and bool(problem["functions"].get("kappa_b", 0))
 
@@ -138,77 +148,88 @@ def middle_of(piece: tuple[float, float]) -> float:
     return (0.5 * (piece[0] ** 0.5 + piece[1] ** 0.5)) ** 2
 
 
-def gains_at(problem: dict[str, Any], size: tuple[float, float]) -> Balls:
+def gains_at(problem: Problem, size: tuple[float, float]) -> Balls:
     """The gains for |sigma| in an interval."""
-    product_, tau_m = functions_at(problem, size)
-    t, own = arb(problem["sample_time"]), problem["functions"]
-    proportional = 1 / product_
-    filtered = 1 / arb(own["k_o"]) if "k_o" in own else arb(own["tau_av"]) * proportional  # tau_av K_P
+    k_o_tau_av, tau_m = functions_at(problem, size)
+    t = arb(problem["sample_time"])
+    constants = constants_of(problem)
+    proportional = 1 / k_o_tau_av
+    filtered = 1 / constants["k_o"] if "k_o" in constants else constants["tau_av"] * proportional  # tau_av K_P
     integral = proportional / tau_m  # phi_2/sigma in the conservative form, too
     nominal = problem["nominal"]
     pole = 1 / (tau_m * arb(nominal[1])) if nominal and nominal[2] else arb(0)
-    mean = {"mean": mean_gain(own, size, product_)} if problem["form"] == "conservative" else {}
+    mean = {"mean": mean_gain(problem, size, k_o_tau_av)} if problem["form"] == "conservative" else {}
     return mean | {
         "k_p": proportional,
         "k_i": integral,
         "k_n": pole,
         "slide_p": proportional + filtered / t,
         "slide_i": t * integral + filtered / tau_m,
-        "tau_av": arb(own["tau_av"]) if "tau_av" in own else product_ / arb(own["k_o"]),
+        "tau_av": constants["tau_av"] if "tau_av" in constants else k_o_tau_av / constants["k_o"],
     }
 
 
-def functions_at(problem: dict[str, Any], size: tuple[float, float]) -> tuple[arb, arb]:
+def constants_of(problem: Problem) -> Balls:
+    """The constants of the functions, exact."""
+    return {name: arb(value) for name, value in problem["functions"].items() if name != "kind"}
+
+
+def functions_at(problem: Problem, size: tuple[float, float]) -> tuple[arb, arb]:
     """k_o tau_av and tau_m for |sigma| in an interval: the rows of Table 2 and of Section V."""
-    own = {name: arb(value) for name, value in problem["functions"].items() if name != "kind"}
+    c = constants_of(problem)
     kind = problem["functions"]["kind"]
     low, high = (arb(end).sqrt() for end in size)
     r = low.union(high)
     match kind:
         case "constant":
-            product_, tau_m = own["k_o"] * own["tau_av"], own["tau_m"]
+            k_o_tau_av = c["k_o"] * c["tau_av"]
+            tau_m = c["tau_m"]
         case "sta":
             floor = arb(1e-9)
-            r = larger(low, floor).union(larger(high, floor))
-            product_, tau_m = 2 * r / own["kappa1"], own["kappa1"] / own["kappa2"] * r
+            r = maximum(low, floor).union(maximum(high, floor))
+            k_o_tau_av = 2 * r / c["kappa1"]
+            tau_m = c["kappa1"] / c["kappa2"] * r
         case "approx_sta_1":
-            product_ = 2 * (r + own["delta"]) / own["kappa1"]
-            defect = over_defect(low / own["delta"]).union(over_defect(high / own["delta"]))
-            tau_m = own["kappa1"] / own["kappa2"] * own["delta"] * defect
+            k_o_tau_av = 2 * (r + c["delta"]) / c["kappa1"]
+            defect = ratio_to_defect(low / c["delta"]).union(ratio_to_defect(high / c["delta"]))
+            tau_m = c["kappa1"] / c["kappa2"] * c["delta"] * defect
         case "approx_sta_2":
-            product_ = 2 * (r + own["delta"]) / own["kappa1"]
-            tau_m = own["kappa1"] / own["kappa2"] * (r + own["delta"])
+            k_o_tau_av = 2 * (r + c["delta"]) / c["kappa1"]
+            tau_m = c["kappa1"] / c["kappa2"] * (r + c["delta"])
         case "square_root":
-            product_ = own["kappa_o"] * (r + own["delta_o"]) * own["tau_av"]
-            tau_m = own["kappa_m"] * (r + own["delta_m"])
+            k_o_tau_av = c["kappa_o"] * (r + c["delta_o"]) * c["tau_av"]
+            tau_m = c["kappa_m"] * (r + c["delta_m"])
         case "field":
-            product_ = 2 * r / own["kappa1"] + own["delta"] * own["k_o"]
-            tau_m = own["kappa1"] * r / (2 * own["kappa2"]) + own["delta"]
+            k_o_tau_av = 2 * r / c["kappa1"] + c["delta"] * c["k_o"]
+            tau_m = c["kappa1"] * r / (2 * c["kappa2"]) + c["delta"]
         case _:
             raise Rejected(f"P2: unknown functions '{kind}'")
-    require_premise(bool(product_ > 0) and bool(tau_m > 0), "P2: the functions are not positive in the region")
-    return product_, tau_m
+    require_premise(bool(k_o_tau_av > 0) and bool(tau_m > 0), "P2: the functions are not positive in the region")
+    return k_o_tau_av, tau_m
 
 
-def mean_gain(functions: dict[str, Any], size: tuple[float, float], product_: arb) -> arb:
+def mean_gain(problem: Problem, size: tuple[float, float], k_o_tau_av: arb) -> arb:
     """phi_1/sigma, the mean of K_P over [0, sigma], where k_o tau_av is alpha (r + beta) with r = |sigma|^(1/2)."""
-    own = {name: arb(value) for name, value in functions.items() if name != "kind"}
-    match functions["kind"]:
+    c = constants_of(problem)
+    match problem["functions"]["kind"]:
         case "constant":
-            return 1 / product_
+            return 1 / k_o_tau_av
         case "approx_sta_1" | "approx_sta_2":
-            alpha, beta = 2 / own["kappa1"], own["delta"]
+            alpha = 2 / c["kappa1"]
+            beta = c["delta"]
         case "square_root":
-            alpha, beta = own["kappa_o"] * own["tau_av"], own["delta_o"]
+            alpha = c["kappa_o"] * c["tau_av"]
+            beta = c["delta_o"]
         case "field":
-            alpha, beta = 2 / own["kappa1"], own["delta"] * own["k_o"] * own["kappa1"] / 2
+            alpha = 2 / c["kappa1"]
+            beta = c["delta"] * c["k_o"] * c["kappa1"] / 2
         case kind:
             raise Rejected(f"P2: phi_1 of the functions '{kind}' is not known")
-    low, high = (over_defect(arb(end).sqrt() / beta) for end in size)
+    low, high = (ratio_to_defect(arb(end).sqrt() / beta) for end in size)
     return 2 / (alpha * beta * low.union(high))
 
 
-def over_defect(x: arb) -> arb:
+def ratio_to_defect(x: arb) -> arb:
     """x^2/(x - ln(1 + x)) for x >= 0, with the limit 2 at 0; it rises, so its values at both ends enclose it."""
     if x < arb("1e-12"):  # 2 + 4 x/3 - ..., within [2, 2 + 2 x]
         return arb(2).union(2 + 2 * x)

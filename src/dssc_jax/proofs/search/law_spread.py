@@ -11,14 +11,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.proofs.gains import GAIN_NAMES, MARGIN, GainPoints, Hull, gain_hull, gain_points, with_room
 from dssc_jax.proofs.problem import Interval, ProofProblem
-from dssc_jax.proofs.sampled_loop import functions_of, middle
+from dssc_jax.proofs.search.gains import GAIN_NAMES, MARGIN, GainPoints, Hull, gain_hull, gain_points, with_room
+from dssc_jax.proofs.search.sampled_loop import functions_of, middle
 
 SLOPE_STEPS = 40
 """Steps of the search for a slope; each cuts the interval by a third."""
-ROOT_CELLS, ERROR_CELLS, RATIO_ROOM = 40, 10, 1.05
-"""Cells of |sigma|^(1/2) and of |e| for ratios of slopes, fewer than the verifier's, and what is added to them."""
+ROOT_CELLS = 40
+ERROR_CELLS = 10
+"""Cells of |sigma|^(1/2) and of |e| for ratios of slopes, fewer than the verifier's."""
+RATIO_ROOM = 1.05
+"""Widening of a ratio of slopes."""
 SLOPE_ROUNDING = 1e-12
 """Widening of a largest distance, in sizes of the function."""
 
@@ -53,42 +56,43 @@ def law_spreads(problem: ProofProblem, sigma: float, e: float) -> list[LawSpread
     """The deviations of a region, in each way in which they can be bounded."""
     points = gain_points(problem, sigma, e)
     hull = {name: with_room(column) for name, column in points.columns.items()}
-    half = {name: 0.5 * (high - low) for name, (low, high) in hull.items()}
+    width = {name: 0.5 * (high - low) for name, (low, high) in hull.items()}
     t = problem.sample_time
     if problem.form == "implicit":
         return [
             LawSpread(
                 {name: hull[name] for name in GAIN_NAMES},
-                Deviation(half["k_p"], t * half["k_i"], 0.0),
-                Deviation(0.0, half["k_n"], 0.0),
-                Deviation(half["slide_p"], half["slide_i"], 0.0),
+                Deviation(width["k_p"], t * width["k_i"], 0.0),
+                Deviation(0.0, width["k_n"], 0.0),
+                Deviation(width["slide_p"], width["slide_i"], 0.0),
                 0.0,
             )
         ]
     by_ratio = LawSpread(
         {name: hull["mean" if name == "k_p" else name] for name in GAIN_NAMES},
-        Deviation(0.0, t * half["k_i"], 0.0),
-        Deviation(0.0, half["mean"] + half["k_n"], 0.0),
-        Deviation(0.0, half["mean"] + half["slide_i"], 0.0),
+        Deviation(0.0, t * width["k_i"], 0.0),
+        Deviation(0.0, width["mean"] + width["k_n"], 0.0),
+        Deviation(0.0, width["mean"] + width["slide_i"], 0.0),
         hull["slide_e"][1],
     )
-    return [by_ratio, function_spread(points, by_ratio, half, t)]
+    return [by_ratio, function_spread(points, by_ratio, width, t)]
 
 
-def function_spread(points: GainPoints, by_ratio: LawSpread, half: dict[str, float], t: float) -> LawSpread:
+def function_spread(points: GainPoints, by_ratio: LawSpread, width: dict[str, float], t: float) -> LawSpread:
     """The distances of the functions from the straight lines that are nearest to them."""
-    size, columns = np.abs(points.sigma), points.columns
+    size = np.abs(points.sigma)
+    columns = points.columns
     slopes = {name: nearest_slope(size, columns[name]) for name in ("mean", "k_i", "k_n")}
-    together = columns["mean"] + columns["k_n"]
+    ratio_of_command = columns["mean"] + columns["k_n"]
     first = largest_distance(size, columns["mean"], slopes["mean"])
     second = largest_distance(size, columns["k_i"], slopes["k_i"])
-    both = largest_distance(size, together, slopes["mean"] + slopes["k_n"])
+    command = largest_distance(size, ratio_of_command, slopes["mean"] + slopes["k_n"])
     gains = by_ratio.gains | {name: (slopes[of], slopes[of]) for name, of in SLOPES.items()}
     return LawSpread(
         gains,
         Deviation(0.0, 0.0, t * second),
-        Deviation(0.0, 0.0, both),
-        Deviation(0.0, half["slide_i"], first),
+        Deviation(0.0, 0.0, command),
+        Deviation(0.0, width["slide_i"], first),
         by_ratio.slide_e,
     )
 
@@ -99,16 +103,18 @@ SLOPES = {"k_p": "mean", "k_i": "k_i", "k_n": "k_n"}
 
 def largest_distance(size: np.ndarray, ratio: np.ndarray, slope: float) -> float:
     """The largest |ratio - slope| |sigma|, a little widened."""
-    return (1.0 + MARGIN) * float(np.max(np.abs(ratio - slope) * size)) + SLOPE_ROUNDING * abs(slope) * float(
-        size.max()
-    )
+    distance = float(np.max(np.abs(ratio - slope) * size))
+    rounding = SLOPE_ROUNDING * abs(slope) * float(size.max())
+    return (1.0 + MARGIN) * distance + rounding
 
 
 def nearest_slope(size: np.ndarray, ratio: np.ndarray) -> float:
     """The slope of the straight line through 0 that is nearest to ratio sigma: a convex search over one number."""
-    low, high = float(ratio.min()), float(ratio.max())
+    low = float(ratio.min())
+    high = float(ratio.max())
     for _ in range(SLOPE_STEPS):
-        left, right = low + (high - low) / 3.0, high - (high - low) / 3.0
+        left = low + (high - low) / 3.0
+        right = high - (high - low) / 3.0
         if np.max(np.abs(ratio - left) * size) <= np.max(np.abs(ratio - right) * size):
             high = right
         else:
@@ -126,18 +132,23 @@ def slide_hull(problem: ProofProblem, region: tuple[float, float], change: float
 
     With a constant k_o, tau_av K_P is 1/k_o, times a ratio of slopes of phi_1 at points within a sample.
     """
-    hull, own = gain_hull(problem, *region), problem.functions
-    if problem.form == "implicit" or "k_o" not in own or own["kind"] == "constant":
+    hull = gain_hull(problem, *region)
+    functions = problem.functions
+    if problem.form == "implicit" or "k_o" not in functions or functions["kind"] == "constant":
         return hull["slide_p"]
-    ratio, reach = slope_ratio(problem, region, change, moved), 1.0 / (own["k_o"] * problem.sample_time)
-    low, high = hull["k_p"][0] + reach / ratio, hull["k_p"][1] + reach * ratio
-    return (low, high) if high - low < hull["slide_p"][1] - hull["slide_p"][0] else hull["slide_p"]
+    ratio = slope_ratio(problem, region, change, moved)
+    averaged = 1.0 / (functions["k_o"] * problem.sample_time)
+    low = hull["k_p"][0] + averaged / ratio
+    high = hull["k_p"][1] + averaged * ratio
+    widest = hull["slide_p"]
+    return (low, high) if high - low < widest[1] - widest[0] else widest
 
 
 def slope_ratio(problem: ProofProblem, region: tuple[float, float], change: float, moved: float) -> float:
     """The largest ratio of slopes of phi_1 within a sample, on a grid of cells."""
     sigma, e = region
-    size, errors = sigma * np.linspace(0.0, 1.0, ROOT_CELLS + 1) ** 2, e * np.linspace(0.0, 1.0, ERROR_CELLS + 1)
+    size = sigma * np.linspace(0.0, 1.0, ROOT_CELLS + 1) ** 2
+    errors = e * np.linspace(0.0, 1.0, ERROR_CELLS + 1)
     with jax.enable_x64(True):
         s, x = jnp.meshgrid(jnp.asarray(size), jnp.asarray(errors), indexing="ij")
         k_o, tau_av, _ = functions_of(problem).at(s, x, jnp.float64(problem.l0))
@@ -145,9 +156,9 @@ def slope_ratio(problem: ProofProblem, region: tuple[float, float], change: floa
     cells = int(np.ceil(moved * ERROR_CELLS / e)) if e > 0.0 else 0
     largest = 1.0
     for i in range(ROOT_CELLS):
-        first = max(int(np.searchsorted(size, size[i] - change, side="right")) - 1, 0)
-        last = min(int(np.searchsorted(size, size[i + 1] + change)), ROOT_CELLS)
+        begin = max(int(np.searchsorted(size, size[i] - change, side="right")) - 1, 0)
+        end = min(int(np.searchsorted(size, size[i + 1] + change)), ROOT_CELLS)
         for j in range(ERROR_CELLS):
-            near = slope[first : last + 1, max(j - cells, 0) : j + 2 + cells]
-            largest = max(largest, float(near.max() / near.min()))
+            reached = slope[begin : end + 1, max(j - cells, 0) : j + 2 + cells]
+            largest = max(largest, float(reached.max() / reached.min()))
     return 1.0 + RATIO_ROOM * (largest - 1.0)

@@ -1,8 +1,11 @@
 """Ball arithmetic for the verifier: intervals, and matrices that are positive definite for certain."""
 
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 from flint import arb, arb_mat
+
+from dssc_jax.proofs.verifier.certificate import Interval
 
 Balls = dict[str, arb]
 """Balls by name."""
@@ -37,34 +40,65 @@ def require_premise(holds: bool, reason: str) -> None:
         raise Rejected(reason)
 
 
-def enclosing(low: float, high: float) -> arb:
+def interval_ball(low: float, high: float) -> arb:
     """The smallest ball that contains an interval."""
     return arb(low).union(arb(high))
 
 
-def exact_ends(pair: Any) -> list[arb]:
-    """Both ends of an interval, exact; one if they agree."""
-    low, high = pair
+def exact_ends(interval: Interval) -> list[arb]:
+    """Both ends of an interval, exact; a single number if they agree."""
+    low, high = interval
     return [arb(low)] if low == high else [arb(low), arb(high)]
 
 
-def both(ball: arb) -> tuple[arb, arb]:
+def ball_ends(ball: arb) -> tuple[arb, arb]:
     """Lower and upper end of a ball, exact."""
     return ball.lower(), ball.upper()
 
 
-def larger(a: arb, b: arb) -> arb:
+def maximum(a: arb, b: arb) -> arb:
     """The larger of two exact numbers."""
     return a if a >= b else b
 
 
-def symmetric_ball(rows: list[list[float]]) -> arb_mat:
+def total(terms: Sequence[arb]) -> arb:
+    """The sum."""
+    return sum(terms, arb(0))
+
+
+def identity(n: int) -> arb_mat:
+    """The unit matrix."""
+    return arb_mat([[int(i == j) for j in range(n)] for i in range(n)])
+
+
+def column(matrix: arb_mat, j: int) -> arb_mat:
+    """A column, (n, 1)."""
+    return arb_mat([[row[j]] for row in matrix.tolist()])
+
+
+def matrix_of_columns(columns: Sequence[Sequence[arb]]) -> arb_mat:
+    """The matrix with these columns."""
+    return arb_mat([list(row) for row in zip(*columns, strict=True)])
+
+
+def side_by_side(left: arb_mat, right: arb_mat) -> arb_mat:
+    """Two matrices with the same number of rows, beside each other."""
+    pairs = zip(left.tolist(), right.tolist(), strict=True)
+    return arb_mat([[*row, *added] for row, added in pairs])
+
+
+def quadratic_form(matrix: arb_mat, state: arb_mat) -> arb:
+    """z'Mz of a column z."""
+    return (state.transpose() * matrix * state)[0, 0]
+
+
+def symmetric_matrix(rows: Sequence[Sequence[float]]) -> arb_mat:
     """P, from its upper triangle."""
     n = len(rows)
     return arb_mat([[arb(rows[min(i, j)][max(i, j)]) for j in range(n)] for i in range(n)])
 
 
-def symmetrised(block: list[list[arb]]) -> arb_mat:
+def symmetric_part(block: list[list[arb]]) -> arb_mat:
     """The mean of a matrix and its transpose, both of which contain the same symmetric matrix."""
     n = len(block)
     return arb_mat([[(block[i][j] + block[j][i]) / 2 for j in range(n)] for i in range(n)])
@@ -76,13 +110,14 @@ def approximate_root(matrix: arb_mat) -> arb_mat | None:
     root = [[arb(0)] * n for _ in range(n)]
     for i in range(n):
         for j in range(i + 1):
-            left = matrix[i, j].mid() - sum((root[i][k] * root[j][k] for k in range(j)), arb(0))
-            if i == j:
-                if not left.mid() > 0:
-                    return None
-                root[i][i] = left.mid().sqrt().mid()
-            else:
-                root[i][j] = (left / root[j][j]).mid()
+            known = total([root[i][k] * root[j][k] for k in range(j)])
+            difference = matrix[i, j].mid() - known
+            if i != j:
+                root[i][j] = (difference / root[j][j]).mid()
+                continue
+            if not difference.mid() > 0:
+                return None
+            root[i][i] = difference.mid().sqrt().mid()
     return arb_mat(root)
 
 
@@ -96,12 +131,10 @@ def positive_definite(matrix: arb_mat) -> bool:
     if root is None:
         return False
     inverse = root.inv()
-    near = inverse * matrix * inverse.transpose()
-    n = matrix.nrows()
-    rows = (sum((abs(near[i, j] - (1 if i == j else 0)) for j in range(n)), arb(0)) for i in range(n))
-    return all(row < 1 for row in rows)
+    difference = inverse * matrix * inverse.transpose() - identity(matrix.nrows())
+    return all(total([abs(entry) for entry in row]) < 1 for row in difference.tolist())
 
 
 def bound_in_set(inverse: arb_mat, row: arb_mat) -> arb:
     """Upper bound of |row z| over z'Pz <= 1, from the inverse of P."""
-    return abs((row * inverse * row.transpose())[0, 0]).upper().sqrt().upper()
+    return abs(quadratic_form(inverse, row.transpose())).upper().sqrt().upper()

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 UNIT = 2.0**-52
-"""Twice the relative error of one rounding: the other half covers the rounding of the widened end."""
+"""Twice the relative error of one rounding: the second half covers the rounding of the widened end."""
 LOST_TO_ZERO = 1e-300
 """More than what any rounding to zero loses."""
 
@@ -26,28 +26,28 @@ class Intervals:
     low: np.ndarray
     high: np.ndarray
 
-    def __add__(self, other: "Intervals") -> "Intervals":
+    def __add__(self, right: "Intervals") -> "Intervals":
         """The sum."""
-        return outwards(self.low + other.low, self.high + other.high)
+        return outwards(self.low + right.low, self.high + right.high)
 
-    def __sub__(self, other: "Intervals") -> "Intervals":
+    def __sub__(self, right: "Intervals") -> "Intervals":
         """The difference."""
-        return outwards(self.low - other.high, self.high - other.low)
+        return outwards(self.low - right.high, self.high - right.low)
 
-    def __mul__(self, other: "Intervals") -> "Intervals":
+    def __mul__(self, right: "Intervals") -> "Intervals":
         """The product."""
-        ends = self.low * other.low, self.low * other.high, self.high * other.low, self.high * other.high
+        ends = self.low * right.low, self.low * right.high, self.high * right.low, self.high * right.high
         return outwards(np.minimum.reduce(ends), np.maximum.reduce(ends))
 
-    def __truediv__(self, other: "Intervals") -> "Intervals":
+    def __truediv__(self, right: "Intervals") -> "Intervals":
         """The quotient; NaN where the divisor is not positive."""
-        low = np.where(other.low > 0.0, other.low, np.nan)
-        ends = self.low / low, self.low / other.high, self.high / low, self.high / other.high
+        low = np.where(right.low > 0.0, right.low, np.nan)
+        ends = self.low / low, self.low / right.high, self.high / low, self.high / right.high
         return outwards(np.minimum.reduce(ends), np.maximum.reduce(ends))
 
-    def selected(self, where: np.ndarray) -> "Intervals":
+    def selected(self, mask: np.ndarray) -> "Intervals":
         """Some of the intervals."""
-        return Intervals(self.low[where], self.high[where])
+        return Intervals(self.low[mask], self.high[mask])
 
     def middle(self) -> "Intervals":
         """A point of each."""

@@ -8,15 +8,19 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import cholesky, solve_discrete_lyapunov
 
-from dssc_jax.proofs.sampled_loop import Step
+from dssc_jax.proofs.search.sampled_loop import Step
 
 clarabel: Any = importlib.import_module("clarabel")  # its extension module has no types
 SLACK = 1e-7
 """Smallest eigenvalue that is asked of every scaled matrix, so that rounding P does not spoil the proof."""
 TIGHT = 1e-4
 """Room that is left in every bound, for the same reason."""
-TRIES, FIRST_STEPS, ADDED = 3, 16, 6
-"""Number of coordinates that are tried, of steps in the first program, and of violated ones that join at a time."""
+TRIES = 3
+"""Number of coordinates that are tried."""
+FIRST_STEPS = 16
+"""Number of steps in the first program."""
+ADDED = 6
+"""Number of violated steps that join a program at a time."""
 GAP = 1e-4
 """Accuracy of a program's cost; its inequalities are met as well as Clarabel meets them by default."""
 SOLVED = (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
@@ -57,18 +61,15 @@ class Solution(NamedTuple):
     rate: float
 
 
-def scaling(step: Step, starts: Sequence[np.ndarray], forgets: float) -> np.ndarray | None:
+def scaling(step: Step, starts: Sequence[np.ndarray], decay: float) -> np.ndarray | None:
     """Coordinates z = S x in which what starts and inputs excite has size one; None if the loop is not stable.
 
-    Args:
-        step: One sample at one point.
-        starts: Initial states.
-        forgets: Share of a state that is forgotten within a sample.
+    ``decay`` is the share of a state that is lost within a sample.
     """
     n = step.a.shape[0]
     if np.max(np.abs(np.linalg.eigvals(step.a))) >= 1.0:
         return None
-    columns = np.stack(starts, axis=1) * np.sqrt(forgets)
+    columns = np.stack(starts, axis=1) * np.sqrt(decay)
     spread = step.b @ step.b.T + columns @ columns.T
     noise = spread + 1e-9 * np.trace(spread) * np.eye(n) if np.any(spread) else np.eye(n)
     gramian = solve_discrete_lyapunov(step.a, noise)
@@ -97,18 +98,21 @@ def symmetric_of(values: np.ndarray, n: int) -> np.ndarray:
     return matrix + np.triu(matrix, 1).T
 
 
-def solved(cost: np.ndarray, psd: Sequence[Affine], least: np.ndarray) -> np.ndarray | None:
-    """Minimise cost'x such that every matrix is positive semidefinite and every entry of ``least`` @ [x, 1] >= 0."""
+def minimiser(cost: np.ndarray, matrices: Sequence[Affine], linear: np.ndarray) -> np.ndarray | None:
+    """Minimise cost'x such that every matrix is positive semidefinite and every entry of ``linear`` @ [x, 1] >= 0."""
     count = cost.size
-    blocks, offsets, cones = [-least[:, :-1]], [least[:, -1]], [clarabel.NonnegativeConeT(least.shape[0])]
-    for affine in psd:
+    blocks = [-linear[:, :-1]]
+    offsets = [linear[:, -1]]
+    cones = [clarabel.NonnegativeConeT(linear.shape[0])]
+    for affine in matrices:
         blocks.append(-triangles(affine.slopes))
         offsets.append(triangles(affine.origin)[:, 0])
         cones.append(clarabel.PSDTriangleConeT(affine.origin.shape[0]))
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_iter = 100
-    settings.tol_gap_abs = settings.tol_gap_rel = GAP
+    settings.tol_gap_abs = GAP
+    settings.tol_gap_rel = GAP
     solver = clarabel.DefaultSolver(
         sparse.csc_matrix((count, count)),
         cost,
@@ -158,14 +162,16 @@ def invariant_set(
     Returns:
         None if the program has no solution.
     """
-    a, b = (np.stack([step[i] for step in steps]) for i in (0, 1))
+    a = np.stack([step.a for step in steps])
+    b = np.stack([step.b for step in steps])
     if not (np.isfinite(a).all() and np.isfinite(b).all()):
         return None
-    active, tries = programs.active, 0
+    active = programs.active
+    tries = 0
     first = np.linspace(0, len(steps) - 1, min(FIRST_STEPS, len(steps))).astype(int).tolist()
     active[:] = [i for i in active if i < len(steps)] or first
     while tries < TRIES:
-        solution = solved_set(programs, [steps[i] for i in active], rate, rows, started=started)
+        solution = solve_set(programs, [steps[i] for i in active], rate, rows, started=started)
         if solution is None:
             return None
         slack = decrease_slack(a, b, programs.sample_time, solution)
@@ -182,33 +188,32 @@ def invariant_set(
 def decrease_slack(a: np.ndarray, b: np.ndarray, sample_time: float, solution: Solution) -> np.ndarray:
     """How much V falls more than it has to at every corner, in coordinates in which P is I; floating point.
 
-    Args:
-        a: A of each step, (steps, n, n).
-        b: B of each step, (steps, n, inputs).
-        sample_time: T_s [s].
-        solution: V.
+    ``a`` has the shape (steps, n, n) and ``b`` the shape (steps, n, inputs).
     """
     root = np.linalg.cholesky(solution.p)
     live = solution.multipliers > 0.0
     weights = np.sqrt(sample_time * solution.multipliers[live])
-    n, keep = root.shape[0], 1.0 - sample_time * solution.rate
+    n = root.shape[0]
+    keep = 1.0 - sample_time * solution.rate
     limit = np.diag([*(keep for _ in range(n)), *(1.0 for _ in weights)])
-    both = root.T @ np.concatenate([a @ np.linalg.inv(root).T, b[:, :, live] / weights], axis=2)
-    slack = np.linalg.eigvalsh(limit - both.transpose(0, 2, 1) @ both)[:, 0]
+    scaled = root.T @ np.concatenate([a @ np.linalg.inv(root).T, b[:, :, live] / weights], axis=2)
+    slack = np.linalg.eigvalsh(limit - scaled.transpose(0, 2, 1) @ scaled)[:, 0]
     return np.where(np.any(b[:, :, ~live], axis=(1, 2)), -np.inf, slack)
 
 
-def solved_set(
+def solve_set(
     programs: SetPrograms, steps: Sequence[Step], rate: float, rows: Sequence[Bounded], *, started: bool
 ) -> Solution | None:
     """One program of :func:`invariant_set`."""
     sample_time, starts, scale, spare, _ = programs
     starts = starts if started else []
-    n, inputs, m = scale.shape[0], steps[0].b.shape[1], scale.shape[0] * (scale.shape[0] + 1) // 2
+    n = scale.shape[0]
+    inputs = steps[0].b.shape[1]
+    m = n * (n + 1) // 2
     inverse = np.linalg.inv(scale)
     live = [j for j in range(inputs) if any(np.any(step.b[:, j]) for step in steps)]
-    hard = [one for one in rows if one.weight is not None]
-    soft = [one for one in rows if one.weight is None]
+    hard = [row for row in rows if row.weight is not None]
+    soft = [row for row in rows if row.weight is None]
     first = m + len(live)
     squares = range(first, first + len(hard) + bool(soft))  # of hard rows, and the largest of all soft ones
     count = first + len(squares)
@@ -217,7 +222,8 @@ def solved_set(
 
     def decrease(step: Step) -> Affine:
         a = inverse @ step.a @ scale
-        delta, b = (a - np.eye(n)) / sample_time, inverse @ step.b[:, live] / sample_time
+        delta = (a - np.eye(n)) / sample_time
+        b = inverse @ step.b[:, live] / sample_time
         size = n + len(live)
         slopes = np.zeros((count, size, size))
         moved = basis @ delta
@@ -230,36 +236,44 @@ def solved_set(
             slopes[m + j, n + j, n + j] = 1.0 - spare
         return Affine(-SLACK * np.eye(size), slopes)
 
-    def below(square: int, one: Bounded) -> Affine:
-        origin, slopes = np.zeros((n + 1, n + 1)), np.zeros((count, n + 1, n + 1))
-        origin[:n, n] = origin[n, :n] = one.row @ scale / one.bound
-        slopes[:m, :n, :n], slopes[square, n, n] = basis, 1.0
+    def bound_square(square: int, bounded: Bounded) -> Affine:
+        ratio = bounded.row @ scale / bounded.bound
+        origin = np.zeros((n + 1, n + 1))
+        origin[:n, n] = ratio
+        origin[n, :n] = ratio
+        slopes = np.zeros((count, n + 1, n + 1))
+        slopes[:m, :n, :n] = basis
+        slopes[square, n, n] = 1.0
         return Affine(origin, slopes)
 
-    psd = [decrease(step) for step in steps]
-    psd += [below(square, one) for square, one in zip(squares, hard, strict=False)]
-    psd += [below(squares[-1], one) for one in soft]
-    least = np.zeros((1 + len(starts) + len(live) + len(hard), count + 1))
-    least[0, m:first], least[0, -1] = -1.0, rate * (1.0 - 1e-6)
+    matrices = [decrease(step) for step in steps]
+    matrices += [bound_square(square, bounded) for square, bounded in zip(squares, hard, strict=False)]
+    matrices += [bound_square(squares[-1], bounded) for bounded in soft]
+    linear = np.zeros((1 + len(starts) + len(live) + len(hard), count + 1))
+    linear[0, m:first] = -1.0
+    linear[0, -1] = rate * (1.0 - 1e-6)
     for i, start in enumerate(starts):
         x = inverse @ start
         weights = np.outer(x, x)
         weights = 2.0 * weights - np.diag(np.diag(weights))
-        least[1 + i, :m], least[1 + i, -1] = -weights[np.triu_indices(n)], 1.0 - TIGHT
+        linear[1 + i, :m] = -weights[np.triu_indices(n)]
+        linear[1 + i, -1] = 1.0 - TIGHT
     for j in range(len(live)):
-        least[1 + len(starts) + j, m + j] = 1.0
+        linear[1 + len(starts) + j, m + j] = 1.0
     cost = np.zeros(count)
     cost[first:] = 1.0
-    for j, one in enumerate(hard):  # the set stays within the bounds
-        at = 1 + len(starts) + len(live) + j
-        least[at, first + j], least[at, -1] = -1.0, 1.0 - TIGHT
-        cost[first + j] = one.weight
-    x = solved(cost, psd, least)
+    for j, bounded in enumerate(hard):  # the set stays within the bounds
+        place = 1 + len(starts) + len(live) + j
+        linear[place, first + j] = -1.0
+        linear[place, -1] = 1.0 - TIGHT
+        cost[first + j] = bounded.weight
+    x = minimiser(cost, matrices, linear)
     if x is None:
         return None
     scaled = symmetric_of(x[:m], n)
     p = inverse.T @ scaled @ inverse
-    if np.linalg.eigvalsh(scaled)[0] <= 0.0 or any(largest_in_set(p, one.row) > one.bound for one in hard):
+    exceeded = any(largest_in_set(p, bounded.row) > bounded.bound for bounded in hard)
+    if np.linalg.eigvalsh(scaled)[0] <= 0.0 or exceeded:
         return None  # solved, but not well enough
     multipliers = np.zeros(inputs)
     multipliers[live] = np.maximum(x[m : m + len(live)], 0.0)

@@ -21,7 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import expm
 
-from dssc_jax.proofs.problem import Interval, ProofProblem
+from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS
+from dssc_jax.proofs.problem import Box, Interval, ProofProblem
 
 INNER_STEPS = 16  # of a sample, after each of which its inside is evaluated
 ROOM = 1.02  # widening of a bound, so that the verifier's enclosure fits in
@@ -97,15 +98,17 @@ def state_layout(problem: ProofProblem) -> StateLayout:
     return StateLayout(slice(first, memory), slice(memory, end), end + 2)
 
 
-def signal_sizes(problem: ProofProblem, box: dict[str, Interval]) -> SignalSizes:
+def signal_sizes(problem: ProofProblem, box: Box) -> SignalSizes:
     """What disturbance and reference add up to."""
     speed, acceleration, jerk = problem.reference
     a_n, k_n, _ = problem.nominal or (0.0, np.inf, False)
     plants = list(product(box["k_p"], box["a_p"]))
-    fed, k_low = (problem.nominal is not None) * np.array([1.0, abs(a_n)]) / k_n, box["k_p"][0]
+    fed = (problem.nominal is not None) * np.array([1.0, abs(a_n)]) / k_n
+    k_low = box["k_p"][0]
     pushed = np.array([1.0, max(map(abs, box["a_p"]))]) / k_low
     left = np.max([[abs(1.0 / k_n - 1.0 / k_p), abs(a_n / k_n - a_p / k_p)] for k_p, a_p in plants], axis=0)
-    low, high = np.array([acceleration, speed]), np.array([jerk, acceleration])
+    low = np.array([acceleration, speed])
+    high = np.array([jerk, acceleration])
     return SignalSizes(
         float(problem.level + pushed @ low),
         float(problem.slope + pushed @ high),
@@ -117,28 +120,35 @@ def signal_sizes(problem: ProofProblem, box: dict[str, Interval]) -> SignalSizes
 
 def companion_form(problem: ProofProblem) -> tuple[np.ndarray, np.ndarray, float]:
     """G(mu s) in companion form: coefficients a_0 .. a_(n-1) of the monic denominator, output row, feedthrough."""
-    below = np.array(problem.denominator)
-    above = np.zeros(below.size)
-    above[: len(problem.numerator)] = problem.numerator
-    below, above = below / below[-1], above / below[-1]
-    return below[:-1], above[:-1] - above[-1] * below[:-1], float(above[-1])
+    leading = problem.denominator[-1]
+    denominator = np.array(problem.denominator) / leading
+    numerator = np.zeros(denominator.size)
+    numerator[: len(problem.numerator)] = problem.numerator
+    numerator = numerator / leading
+    output = numerator[:-1] - numerator[-1] * denominator[:-1]
+    return denominator[:-1], output, float(numerator[-1])
 
 
 def held_plant(problem: ProofProblem, a_p: float, rate: float) -> tuple[np.ndarray, np.ndarray]:
     """F and G of chi' = F chi + G U; memories rest between samples."""
-    eta, (zeta, _, n) = len(problem.zero_a), state_layout(problem)
-    f, g = np.zeros((n - 2, n - 2)), np.zeros(n - 2)
-    f[0, 1], f[1, 1] = 1.0, -a_p
+    eta = len(problem.zero_a)
+    zeta, _, n = state_layout(problem)
+    f = np.zeros((n - 2, n - 2))
+    g = np.zeros(n - 2)
+    f[0, 1] = 1.0
+    f[1, 1] = -a_p
     f[1, 2 : 2 + eta] = np.negative(problem.zero_c)
     for i in range(eta - 1):
         f[2 + i, 3 + i] = 1.0
     if eta:
-        f[1 + eta, 1], f[1 + eta, 2 : 2 + eta] = 1.0, np.negative(problem.zero_a)
+        f[1 + eta, 1] = 1.0
+        f[1 + eta, 2 : 2 + eta] = np.negative(problem.zero_a)
     if problem.denominator:
         a, f[1, zeta], g[1] = companion_form(problem)
         for i in range(zeta.start, zeta.stop - 1):
             f[i, i + 1] = rate
-        f[zeta.stop - 1, zeta], g[zeta.stop - 1] = -rate * a, rate
+        f[zeta.stop - 1, zeta] = -rate * a
+        g[zeta.stop - 1] = rate
     else:
         g[1], *f[1, zeta] = problem.delay_weights
     return f, g
@@ -147,17 +157,18 @@ def held_plant(problem: ProofProblem, a_p: float, rate: float) -> tuple[np.ndarr
 @lru_cache(maxsize=256)
 def flow(problem: ProofProblem, a_p: float, rate: float, time: float) -> tuple[np.ndarray, np.ndarray]:
     """exp(F t) and the integral of exp(F t) G over a time."""
-    whole = expm(held_matrix(problem, a_p, rate) * time)
-    return whole[:-1, :-1], whole[:-1, -1]
+    exponential = expm(held_matrix(problem, a_p, rate) * time)
+    return exponential[:-1, :-1], exponential[:-1, -1]
 
 
 def held_matrix(problem: ProofProblem, a_p: float, rate: float) -> np.ndarray:
     """[[F, G], [0, 0]]."""
     f, g = held_plant(problem, a_p, rate)
     size = f.shape[0]
-    whole = np.zeros((size + 1, size + 1))
-    whole[:size, :size], whole[:size, size] = f, g
-    return whole
+    generator = np.zeros((size + 1, size + 1))
+    generator[:size, :size] = f
+    generator[:size, size] = g
+    return generator
 
 
 def sensor_weights(problem: ProofProblem) -> tuple[float, float]:
@@ -179,11 +190,13 @@ def memories_moved(problem: ProofProblem, held: HeldSample) -> HeldSample:
     zeta, memory, _ = state_layout(problem)
     if not problem.denominator:
         for i in range(zeta.start, zeta.stop):
-            phi[i], gamma[i] = np.eye(phi.shape[0])[i - 1] * (i > zeta.start), i == zeta.start
+            phi[i] = np.eye(phi.shape[0])[i - 1] * (i > zeta.start)
+            gamma[i] = i == zeta.start
     kappa, keeps = sensor_weights(problem)
     for i in range(memory.start, memory.stop):
         phi[i] = 0.0
-        phi[i, i], phi[i, i - memory.start] = keeps, kappa * (1.0 - keeps)
+        phi[i, i] = keeps
+        phi[i, i - memory.start] = kappa * (1.0 - keeps)
     return held
 
 
@@ -196,15 +209,16 @@ def control_points(problem: ProofProblem, a_p: float, rates: Interval, degree: i
     low, high = rates
     if low == high:
         return [held_matrices(problem, a_p, low)]
-    half, (_, _, n) = 0.5 * (high - low), state_layout(problem)
-    origin, along = (held_matrix(problem, a_p, rate) * problem.sample_time for rate in (middle(rates), 0.0))
-    along = (origin - along) / middle(rates) * half
-    blocks = expm(np.kron(np.eye(degree + 1), origin) + np.kron(np.eye(degree + 1, k=1), along))
+    n = state_layout(problem).n
+    centre = held_matrix(problem, a_p, middle(rates)) * problem.sample_time
+    origin = held_matrix(problem, a_p, 0.0) * problem.sample_time
+    slope = (centre - origin) / middle(rates) * (0.5 * (high - low))
+    blocks = expm(np.kron(np.eye(degree + 1), centre) + np.kron(np.eye(degree + 1, k=1), slope))
     terms = [blocks[: n - 1, k * (n - 1) : (k + 1) * (n - 1)] for k in range(degree + 1)]
     result = []
     for i in range(degree + 1):
-        whole = np.sum([bernstein_weight(degree, i, k) * term for k, term in enumerate(terms)], axis=0)
-        result.append(memories_moved(problem, HeldSample(whole[:-1, :-1].copy(), whole[:-1, -1].copy())))
+        point = np.sum([bernstein_weight(degree, i, k) * term for k, term in enumerate(terms)], axis=0)
+        result.append(memories_moved(problem, HeldSample(point[:-1, :-1].copy(), point[:-1, -1].copy())))
     return result
 
 
@@ -217,38 +231,41 @@ def bernstein_weight(degree: int, i: int, k: int) -> float:
 def step_of(
     problem: ProofProblem,
     point: LoopPoint,
-    box: dict[str, Interval],
+    box: Box,
     *,
     integrated: bool = False,
     held: HeldSample | None = None,
 ) -> Step:
     """The matrices of one sample, with inputs scaled by their bounds over a box.
 
-    Args:
-        problem: What is to be proved.
-        point: Plant and gains.
-        box: The box that the point is of.
-        integrated: Whether the coordinate is q = v - phi_1(s), and the first gain phi_1/sigma.
-        held: What takes the place of the point's own Phi and Gamma.
+    With ``integrated``, the coordinate is q = v - phi_1(s), and the first gain is phi_1/sigma. ``held`` takes the place
+    of the point's Phi and Gamma.
     """
     zeta, memory, n = state_layout(problem)
-    t, chi, unit, sizes = problem.sample_time, n - 2, np.eye(n), signal_sizes(problem, box)
+    t = problem.sample_time
+    chi = n - 2
+    unit = np.eye(n)
+    sizes = signal_sizes(problem, box)
     phi, gamma = held or held_matrices(problem, point.a_p, point.rate)
     kappa, _ = sensor_weights(problem)
-    e, speed, v, s = unit[0], unit[1], unit[n - 2], unit[n - 1]
+    e, speed, *_, v, s = unit
     if problem.sensor_lag:
         e, speed = (1.0 - kappa) * e + unit[memory.start], (1.0 - kappa) * speed + unit[memory.start + 1]
     sigma = speed + problem.l0 * e
-    new = v + t * point.gains.k_i * sigma + (0.0 if integrated else point.gains.k_p) * (sigma - s)
-    command = -new - (point.gains.k_p if integrated else 0.0) * sigma
+    v_row = v + t * point.gains.k_i * sigma + (0.0 if integrated else point.gains.k_p) * (sigma - s)
+    command = -v_row - (point.gains.k_p if integrated else 0.0) * sigma
     if problem.nominal:
         a_n, k_n, _ = problem.nominal
         command = command - ((a_n - problem.l0) * problem.l0 * e + (problem.l0 - a_n) * sigma) / k_n
         command = command - point.gains.k_n * sigma
-    a, push, jump = np.zeros((n, n)), np.zeros(n), np.zeros(n)
-    a[:chi, :chi], push[:chi] = phi, point.k_p * gamma
+    a = np.zeros((n, n))
+    push = np.zeros(n)
+    jump = np.zeros(n)
+    a[:chi, :chi] = phi
+    push[:chi] = point.k_p * gamma
     a += np.outer(push, command)
-    a[n - 2], a[n - 1] = new, sigma
+    a[n - 2] = v_row
+    a[n - 1] = sigma
     if problem.denominator:
         jump[zeta.start] = point.k_p / companion_form(problem)[0][0]
     else:
@@ -259,14 +276,14 @@ def step_of(
     return Step(a, np.stack(columns, axis=1), np.stack([e, unit[0], sigma, sigma - s]), command, push, jump)
 
 
-def inside_bound(problem: ProofProblem, point: LoopPoint, box: dict[str, Interval]) -> np.ndarray:
+def inside_bound(problem: ProofProblem, point: LoopPoint, box: Box) -> np.ndarray:
     """Bound of theta's components: D T_s^2/2 times the largest |exp(F t) k_p b| in a sample, D that of |d_r'|."""
-    between, _ = flow(problem, point.a_p, point.rate, problem.sample_time / INNER_STEPS)
-    along = [np.eye(between.shape[0])[1]]
+    inner, _ = flow(problem, point.a_p, point.rate, problem.sample_time / INNER_STEPS)
+    states = [np.eye(inner.shape[0])[1]]
     for _ in range(INNER_STEPS):
-        along.append(between @ along[-1])
+        states.append(inner @ states[-1])
     slope = signal_sizes(problem, box).slope
-    return ROOM * 0.5 * slope * problem.sample_time**2 * box["k_p"][1] * np.max(np.abs(along), axis=0)
+    return ROOM * 0.5 * slope * problem.sample_time**2 * box["k_p"][1] * np.max(np.abs(states), axis=0)
 
 
 def interval_ends(interval: Interval) -> tuple[float, ...]:
@@ -279,15 +296,15 @@ def middle(interval: Interval) -> float:
     return 0.5 * (interval[0] + interval[1])
 
 
-def box_middle(box: dict[str, Interval], gains: dict[str, Interval]) -> LoopPoint:
+def box_middle(box: Box, gains: dict[str, Interval]) -> LoopPoint:
     """The middle of plant and gains."""
-    own = LoopGains(*(middle(gains[name]) for name in ("k_p", "k_i", "k_n")))
-    return LoopPoint(middle(box["k_p"]), middle(box["a_p"]), middle(box.get("rate", (0.0, 0.0))), own)
+    centre = LoopGains(*(middle(gains[name]) for name in ("k_p", "k_i", "k_n")))
+    return LoopPoint(middle(box["k_p"]), middle(box["a_p"]), middle(box.get("rate", (0.0, 0.0))), centre)
 
 
 def box_steps(
     problem: ProofProblem,
-    box: dict[str, Interval],
+    box: Box,
     gains: dict[str, Interval],
     degree: int,
     *,
@@ -304,13 +321,10 @@ def box_steps(
                     yield step_of(problem, point, box, integrated=integrated, held=held)
 
 
-def start_corners(problem: ProofProblem, box: dict[str, Interval], ratio: Interval = (0.0, 0.0)) -> list[np.ndarray]:
+def start_corners(problem: ProofProblem, box: Box, ratio: Interval = (0.0, 0.0)) -> list[np.ndarray]:
     """Every corner of the states in which the loop may start: z is affine in the initial state and in each signal.
 
-    Args:
-        problem: What is to be proved.
-        box: Intervals of the uncertain numbers.
-        ratio: Interval of what the start takes from v or q, over sigma (:func:`dssc_jax.proofs.gains.start_ratio`).
+    ``ratio`` is the interval of what the start takes from v or q, over sigma: that of ``gains.start_ratio``.
     """
     zeta, memory, n = state_layout(problem)
     sizes = signal_sizes(problem, box)
@@ -331,14 +345,13 @@ def start_corners(problem: ProofProblem, box: dict[str, Interval], ratio: Interv
                 else:
                     z[zeta] = k_p * level
                 z[memory] = kappa * np.array(plant[:2])[: memory.stop - memory.start]
-                z[n - 2], z[n - 1] = -offset - share * s, s
+                z[n - 2] = -offset - share * s
+                z[n - 1] = s
                 result.append(z)
     return result
 
 
 def functions_of(problem: ProofProblem) -> Any:
     """The state-dependent functions."""
-    from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS
-
-    own = dict(problem.functions)
-    return GAIN_FUNCTIONS[own.pop("kind")].members[None](**own)
+    constants = dict(problem.functions)
+    return GAIN_FUNCTIONS[constants.pop("kind")].members[None](**constants)

@@ -1,7 +1,7 @@
 """Bounds of all signals that imply themselves (P7), searched in floating point as fixed points.
 
 The bounds go in through the gains of their region and through what deviates from the middle loop, and come out through
-its responses. :mod:`dssc_jax.proofs.small_gain` states the inequality and verifies it.
+its responses. :mod:`dssc_jax.proofs.verifier.small_gain` states the inequality and verifies it.
 """
 
 from collections.abc import Sequence
@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 
-from dssc_jax.proofs.gains import start_ratio
-from dssc_jax.proofs.law_spread import Deviation, LawSpread, law_spreads, middle_gains, slide_hull
-from dssc_jax.proofs.problem import Interval, ProofProblem
-from dssc_jax.proofs.sampled_loop import (
+from dssc_jax.proofs.problem import Box, ProofProblem
+from dssc_jax.proofs.search.gains import start_ratio
+from dssc_jax.proofs.search.law_spread import Deviation, LawSpread, law_spreads, middle_gains, slide_hull
+from dssc_jax.proofs.search.sampled_loop import (
     INNER_STEPS,
     Step,
     box_middle,
@@ -30,16 +30,21 @@ from dssc_jax.proofs.sampled_loop import (
 
 CHANGE, SIGMA, ERROR, COMMAND, EQUIVALENT, STATES = range(6)
 """Places of the signals in a list of bounds; the states follow."""
-SIDE, MOST_SAMPLES = 32, 400_000
-"""Root of the number of samples that are summed at a time, and the largest number of samples."""
+SIDE = 32
+"""Root of the number of samples that are summed at a time."""
+MOST_SAMPLES = 400_000
 TAIL_LEFT_OUT = 1e-5
 """Share of a sum at which its tail is left out."""
-ROUNDS, SHRINKINGS = 16, 6
-"""Times that the region may grow from the start's, and shrink towards the residual's."""
+ROUNDS = 16
+"""Times that the region may grow from the start's."""
+SHRINKINGS = 6
+"""Times that the region may shrink towards the residual's."""
 GROWTH = 1.1
 """Room of a region around the bounds that led to it."""
-INFLATION, ENTERED = 1.0 + 2e-4, 1.0001 * (1.0 + 1e-9)
-"""Widening of bounds for what the verifier's balls and tails add, and the multiple of a limit that is entered."""
+INFLATION = 1.0 + 2e-4
+"""Widening of bounds for what the verifier's balls and tails add."""
+ENTERED = 1.0001 * (1.0 + 1e-9)
+"""The multiple of a limit that is entered."""
 STATE_ROOM = 1.02
 """Widening of bounds from which those of the disturbance follow, for enclosures of a sample's inside."""
 SMALLEST_BOUND = 1e-15
@@ -106,33 +111,40 @@ class Map(NamedTuple):
 def responses(a: np.ndarray, rows: np.ndarray, inputs: np.ndarray, starts: np.ndarray) -> Responses | None:
     """The responses of z+ = a z; None if they last too long."""
     n, q, m = a.shape[0], inputs.shape[1], rows.shape[0]
-    near, far = [rows], [np.eye(n)]
+    short = [rows]
+    long = [np.eye(n)]
     jump = np.linalg.matrix_power(a, SIDE)
     for _ in range(SIDE - 1):
-        near, far = [*near, near[-1] @ a], [*far, jump @ far[-1]]
-    value, jumps, jump = np.concatenate(near), np.concatenate(far), jump @ far[-1]
-    forgets = 1.0 - np.max(np.abs(np.linalg.eigvals(jump)))
+        short.append(short[-1] @ a)
+        long.append(jump @ long[-1])
+    block_jump = jump @ long[-1]
+    short_rows = np.concatenate(short)
+    long_jumps = np.concatenate(long)
+    forgotten = 1.0 - np.max(np.abs(np.linalg.eigvals(block_jump)))
     z = np.concatenate([inputs, starts], axis=1)
-    sums, peaks = np.zeros((m, q)), np.zeros((m, starts.shape[1]))
+    sums = np.zeros((m, q))
+    peaks = np.zeros((m, starts.shape[1]))
     for _ in range(MOST_SAMPLES // SIDE**2):
-        now = np.abs(value @ (jumps @ z).reshape(SIDE, n, -1)).reshape(SIDE**2, m, -1)
-        each = now[..., :q].sum(axis=0)
-        sums, peaks = sums + each, np.maximum(peaks, now[..., q:].max(axis=0))
-        if not np.all(np.isfinite(each)):
+        block = np.abs(short_rows @ (long_jumps @ z).reshape(SIDE, n, -1)).reshape(SIDE**2, m, -1)
+        added = block[..., :q].sum(axis=0)
+        sums = sums + added
+        peaks = np.maximum(peaks, block[..., q:].max(axis=0))
+        if not np.all(np.isfinite(added)):
             return None
-        z = jump @ z
-        last = np.abs(rows @ z[:, q:])
-        if np.all(each <= TAIL_LEFT_OUT * forgets * sums) and np.all(last <= np.maximum(1e-3 * peaks, 1e-300)):
+        z = block_jump @ z
+        tails = np.abs(rows @ z[:, q:])
+        if np.all(added <= TAIL_LEFT_OUT * forgotten * sums) and np.all(tails <= np.maximum(1e-3 * peaks, 1e-300)):
             return Responses(sums, peaks.max(axis=1, initial=0.0))
     return None
 
 
-def bounds_map(problem: ProofProblem, box: dict[str, Interval], spread: LawSpread) -> Map | None:
+def bounds_map(problem: ProofProblem, box: Box, spread: LawSpread) -> Map | None:
     """The map of bounds to bounds for a law with such deviations; None if the middle loop is not stable."""
     integrated = problem.form == "conservative"
     point = box_middle(box, spread.gains)
     step = step_of(problem, point, box, integrated=integrated)
-    n, t = step.a.shape[0], problem.sample_time
+    n = step.a.shape[0]
+    t = problem.sample_time
     if np.max(np.abs(np.linalg.eigvals(step.a))) >= 1.0:
         return None
     e, _, sigma, change = step.rows
@@ -143,14 +155,16 @@ def bounds_map(problem: ProofProblem, box: dict[str, Interval], spread: LawSprea
     rows = np.concatenate([[change, sigma, e, step.command, equivalent], np.eye(n)])
     share = (box["k_p"][1] - point.k_p) / point.k_p
     by_v = np.eye(n)[n - 2] - step.push
-    other = t * signal_sizes(problem, box).slope * share * step.jump  # zeta's at other values of k_p
-    inputs = np.concatenate([step.b, other[:, None], by_v[:, None], step.push[:, None], np.eye(n)], axis=1)
+    jump = t * signal_sizes(problem, box).slope * share * step.jump  # zeta's at other values of k_p
+    inputs = np.concatenate([step.b, jump[:, None], by_v[:, None], step.push[:, None], np.eye(n)], axis=1)
     starts = start_corners(problem, box, start_ratio(problem, integrated=integrated))
     result = responses(step.a, rows, inputs, np.stack(starts, axis=1))
     if result is None:
         return None
-    m, w = rows.shape[0], step.b.shape[1] + 1
-    integral, at_once = (deviation_row(each, m) for each in (spread.integral, spread.command))
+    m = rows.shape[0]
+    w = step.b.shape[1] + 1
+    integral = deviation_row(spread.integral, m)
+    at_once = deviation_row(spread.command, m)
     command = np.eye(m + 1)[COMMAND] + integral + at_once
     sizes = np.zeros((2 + n, m + 1))
     sizes[0] = integral
@@ -168,7 +182,7 @@ def deviation_row(deviation: Deviation, signals: int) -> np.ndarray:
     return row
 
 
-def held_deviations(problem: ProofProblem, box: dict[str, Interval], k_p: float, command: np.ndarray) -> np.ndarray:
+def held_deviations(problem: ProofProblem, box: Box, k_p: float, command: np.ndarray) -> np.ndarray:
     """How the bounds act through the deviations of Phi and Gamma from the middle, (n, signals + 1)."""
     n = command.size - 1 - STATES
     result = np.zeros((n, command.size))
@@ -176,11 +190,11 @@ def held_deviations(problem: ProofProblem, box: dict[str, Interval], k_p: float,
     chi = phi.shape[0]
     for a_p in set(box["a_p"]):
         for rate in set(box.get("rate", (0.0, 0.0))):
-            other, moved = held_matrices(problem, a_p, rate)
-            own = np.zeros((n, command.size))
-            own[:chi, STATES : STATES + chi] = np.abs(other - phi)
-            own[:chi] += box["k_p"][1] * np.abs(moved - gamma)[:, None] * command
-            result = np.maximum(result, own)
+            corner_phi, corner_gamma = held_matrices(problem, a_p, rate)
+            deviation = np.zeros((n, command.size))
+            deviation[:chi, STATES : STATES + chi] = np.abs(corner_phi - phi)
+            deviation[:chi] += box["k_p"][1] * np.abs(corner_gamma - gamma)[:, None] * command
+            result = np.maximum(result, deviation)
     return 1.2 * result
 
 
@@ -207,30 +221,30 @@ def decay_of(step: Step) -> tuple[float, np.ndarray]:
     gramian = solve_discrete_lyapunov(step.a / keep, np.eye(n))
     scale = np.linalg.cholesky(0.5 * (gramian + gramian.T))
     inverse = np.linalg.inv(scale)
-    own = solve_discrete_lyapunov((inverse @ step.a @ scale / keep).T, np.eye(n))
-    p = inverse.T @ own @ inverse
+    scaled = solve_discrete_lyapunov((inverse @ step.a @ scale / keep).T, np.eye(n))
+    p = inverse.T @ scaled @ inverse
     return float(1.0 - keep**2), 0.5 * (p + p.T)
 
 
 def allowed_disturbance(
-    problem: ProofProblem, own: ProofProblem, box: dict[str, Interval], by: Map, bounds: np.ndarray
+    problem: ProofProblem, disturbed: ProofProblem, box: Box, by: Map, bounds: np.ndarray
 ) -> ProofProblem:
     """The problem with the largest disturbance that bounds of the signals allow, with k_d1 to k_d5 of (30).
 
-    Args:
-        problem: What is to be proved.
-        own: The same with the level and slope of the disturbance that led to the bounds.
-        box: Intervals of the uncertain numbers.
-        by: The map that led to the bounds.
-        bounds: Of the signals and states.
+    ``disturbed`` is the problem with the level and slope of the disturbance that led to the bounds, ``by`` the map that
+    did.
     """
     k_1, k_2, k_3, k_4, k_5 = problem.by_state
     if not any(problem.by_state):
         return problem
-    e, speed, bend = motion(own, box, motion_sizes(by, bounds))
+    e, speed, bend = motion(disturbed, box, motion_sizes(by, bounds))
     v, a, _ = problem.reference
-    y, y_dot, y_ddot = e + problem.reference_size, speed + v, bend + a
-    s, s_dot, growth = speed + problem.l0 * e, bend + problem.l0 * speed, k_1 * y + k_2 * y_dot + k_3
+    y = e + problem.reference_size
+    y_dot = speed + v
+    y_ddot = bend + a
+    s = speed + problem.l0 * e
+    s_dot = bend + problem.l0 * speed
+    growth = k_1 * y + k_2 * y_dot + k_3
     slope = k_5 * y + k_4 * y_dot + (k_1 * y_dot + k_2 * y_ddot) * s + growth * s_dot
     return replace(problem, level=float(problem.level + k_4 * y + growth * s), slope=float(problem.slope + slope))
 
@@ -240,9 +254,7 @@ def motion_sizes(by: Map, bounds: np.ndarray) -> np.ndarray:
     return STATE_ROOM * np.array([by.command[:-1] @ bounds + by.command[-1], *bounds[STATES:]])
 
 
-def slide_slack(
-    problem: ProofProblem, box: dict[str, Interval], by: Map, bounds: np.ndarray, region: tuple[float, float]
-) -> float:
+def slide_slack(problem: ProofProblem, box: Box, by: Map, bounds: np.ndarray, region: tuple[float, float]) -> float:
     """What the equivalent control deviates by from that of the middle loop."""
     change, sigma, constant = by.spread.slide
     slack = change * bounds[CHANGE] + sigma * bounds[SIGMA] + constant
@@ -256,51 +268,57 @@ def slide_slack(
     return slack + max(high - centre, centre - low) * bounds[CHANGE] + by.spread.slide_e * moved
 
 
-def motion(problem: ProofProblem, box: dict[str, Interval], bounds: np.ndarray) -> tuple[float, float, float]:
+def motion(problem: ProofProblem, box: Box, bounds: np.ndarray) -> tuple[float, float, float]:
     """Bounds of |e|, |e'| and |e''| at all times, from those of the command and the states at the samples."""
-    command, states = bounds[0] * box["k_p"][1], bounds[1:]
-    reached, bend = np.zeros(2), 0.0
+    command = bounds[0] * box["k_p"][1]
+    states = bounds[1:]
+    reached = np.zeros(2)
+    bend = 0.0
     for a_p, rate in product(set(box["a_p"]), set(box.get("rate", (0.0, 0.0)))):
-        whole = np.abs(held_matrix(problem, a_p, rate))
-        chi = whole.shape[0] - 1
+        generator = np.abs(held_matrix(problem, a_p, rate))
+        chi = generator.shape[0] - 1
         largest = np.zeros(chi)
         for part in range(INNER_STEPS + 1):
             phi, gamma = flow(problem, a_p, rate, problem.sample_time * part / INNER_STEPS)
             largest = np.maximum(largest, np.abs(phi) @ states[:chi] + np.abs(gamma) * command)
         pushed = signal_sizes(problem, box).slope * problem.sample_time * box["k_p"][1]
         reached = np.maximum(reached, largest[:2] + 0.5 * problem.sample_time * pushed)
-        bend = max(bend, whole[1, :chi] @ largest + whole[1, chi] * command + pushed)
+        bend = max(bend, generator[1, :chi] @ largest + generator[1, chi] * command + pushed)
     return float(reached[0]), float(reached[1]), float(bend)
 
 
-def from_start(problem: ProofProblem, box: dict[str, Interval]) -> tuple[BoundsStage, ProofProblem] | str:
+def from_start(problem: ProofProblem, box: Box) -> tuple[BoundsStage, ProofProblem] | str:
     """Bounds from the start on, with the disturbance that they allow; or why there are none.
 
     The reasons are ``gain``, ``region`` and ``sliding``.
     """
-    sigma = e = 0.0
-    own = problem
+    sigma = 0.0
+    e = 0.0
+    disturbed = problem
     for _ in range(ROUNDS):
-        started = implied(own, box, (max(sigma, 1e-12), max(e, 1e-12)), SIGMA, started=True)
+        started = implied(disturbed, box, (max(sigma, 1e-12), max(e, 1e-12)), SIGMA, started=True)
         if started is None:
             return "gain"
         result, bounds = started
-        allowed = allowed_disturbance(problem, own, box, result, bounds)
-        within = allowed.level <= own.level and allowed.slope <= own.slope
+        allowed = allowed_disturbance(problem, disturbed, box, result, bounds)
+        within = allowed.level <= disturbed.level and allowed.slope <= disturbed.slope
         if within and INFLATION * bounds[SIGMA] <= sigma and INFLATION * bounds[ERROR] <= e:
-            room = np.inf if problem.rho is None else problem.rho - signal_sizes(own, box).offset
-            if INFLATION * (bounds[EQUIVALENT] + slide_slack(own, box, result, bounds, (sigma, e))) > room:
+            room = np.inf if problem.rho is None else problem.rho - signal_sizes(disturbed, box).offset
+            slack = slide_slack(disturbed, box, result, bounds, (sigma, e))
+            if INFLATION * (bounds[EQUIVALENT] + slack) > room:
                 return "sliding"
-            return bounds_stage(own, (sigma, e), result, bounds), allowed
-        sigma, e = max(sigma, GROWTH * bounds[SIGMA]), max(e, GROWTH * bounds[ERROR])
+            return bounds_stage(disturbed, (sigma, e), result, bounds), allowed
+        sigma = max(sigma, GROWTH * bounds[SIGMA])
+        e = max(e, GROWTH * bounds[ERROR])
         if not within:
-            level, slope = max(own.level, GROWTH * allowed.level), max(own.slope, GROWTH * allowed.slope)
-            own = replace(own, level=level, slope=slope)
+            level = max(disturbed.level, GROWTH * allowed.level)
+            slope = max(disturbed.slope, GROWTH * allowed.slope)
+            disturbed = replace(disturbed, level=level, slope=slope)
     return "region"
 
 
 def implied(
-    problem: ProofProblem, box: dict[str, Interval], region: tuple[float, float], signal: int, *, started: bool
+    problem: ProofProblem, box: Box, region: tuple[float, float], signal: int, *, started: bool
 ) -> tuple[Map, np.ndarray] | None:
     """The bounds that imply themselves with the deviations of a region, as small as can be for one signal."""
     candidates = []
@@ -314,21 +332,18 @@ def implied(
 
 
 def towards_residual(
-    problem: ProofProblem, box: dict[str, Interval], limits: Sequence[float], error: float, allowed: ProofProblem
+    problem: ProofProblem, box: Box, limits: Sequence[float], error: float, allowed: ProofProblem
 ) -> list[BoundsStage]:
     """Stages that follow, from upper limits of |sigma| and |e|, as long as the bound of |e| becomes smaller.
 
-    Args:
-        problem: What is to be proved.
-        box: Intervals of the uncertain numbers.
-        limits: Of |sigma| and |e|.
-        error: The bound of |e| so far.
-        allowed: The problem with the largest disturbance that the bounds so far allow.
+    ``error`` is the bound of |e| so far, ``allowed`` the problem with the largest disturbance that the bounds so far
+    allow.
     """
     stages: list[BoundsStage] = []
     sigma, e = limits
     for _ in range(SHRINKINGS):
-        sigma, e = (max(ENTERED * INFLATION * each, 1e-12) for each in (sigma, e))
+        sigma = max(ENTERED * INFLATION * sigma, 1e-12)
+        e = max(ENTERED * INFLATION * e, 1e-12)
         settled = implied(allowed, box, (sigma, e), ERROR, started=False)
         if settled is None:
             break
@@ -337,5 +352,7 @@ def towards_residual(
             break
         stages.append(bounds_stage(allowed, (sigma, e), result, bounds))
         allowed = allowed_disturbance(problem, allowed, box, result, bounds)
-        sigma, e, error = bounds[SIGMA], bounds[ERROR], bounds[ERROR]
+        sigma = bounds[SIGMA]
+        e = bounds[ERROR]
+        error = e
     return stages

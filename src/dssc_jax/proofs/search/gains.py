@@ -9,25 +9,28 @@ import numpy as np
 
 from dssc_jax.core.signals import Scalar
 from dssc_jax.proofs.problem import Interval, ProofProblem
-from dssc_jax.proofs.sampled_loop import functions_of
+from dssc_jax.proofs.search.sampled_loop import functions_of
 
 GRID = 129
 MARGIN = 0.06
 """Widening of each interval, relative, so that the verifier's enclosures fit in."""
 GAIN_NAMES = ("k_p", "k_i", "k_n", "slide_p", "slide_i")
-MOST_PIECES, PIECE_RATIO = 12, 1.2
-"""Largest number of pieces of a region, and the ratio of the largest to the smallest K_P in one."""
+MOST_PIECES = 12
+"""Largest number of pieces of a region."""
+PIECE_RATIO = 1.2
+"""Ratio of the largest to the smallest K_P in a piece."""
 Hull = dict[str, Interval]
 GainArrays = dict[str, jax.Array]
 
 
-def gain_hull(problem: ProofProblem, sigma: float, e: float, least: float = 0.0, least_e: float = 0.0) -> Hull:
-    """Intervals of the gains for |sigma| and |e| from their least values to a bound.
+def gain_hull(problem: ProofProblem, sigma: float, e: float, sigma_from: float = 0.0, e_from: float = 0.0) -> Hull:
+    """Intervals of the gains for |sigma| and |e| from their lower ends to a bound.
 
     Of K_P, K_I, K_N, and of K_P and T_s K_I times 1 + tau_av/T_s. In the conservative form also of phi_1/sigma
     (``mean``), and of d phi_1/d e times 1 + tau_av/T_s (``slide_e``).
     """
-    return {name: with_room(column) for name, column in gain_points(problem, sigma, e, least, least_e).columns.items()}
+    points = gain_points(problem, sigma, e, sigma_from, e_from)
+    return {name: with_room(column) for name, column in points.columns.items()}
 
 
 class GainPoints(NamedTuple):
@@ -42,24 +45,28 @@ class GainPoints(NamedTuple):
     columns: dict[str, np.ndarray]
 
 
-def gain_points(problem: ProofProblem, sigma: float, e: float, least: float = 0.0, least_e: float = 0.0) -> GainPoints:
+def gain_points(
+    problem: ProofProblem, sigma: float, e: float, sigma_from: float = 0.0, e_from: float = 0.0
+) -> GainPoints:
     """The gains at points of a region."""
-    sizes = np.linspace(np.sqrt(least), np.sqrt(sigma), GRID) ** 2
-    if not least:
+    sizes = np.linspace(np.sqrt(sigma_from), np.sqrt(sigma), GRID) ** 2
+    if not sigma_from:
         sizes[1:] = sigma * np.geomspace(1e-9, 1.0, GRID - 1)
     values = np.concatenate([-sizes[::-1], sizes])
     if problem.functions["kind"] == "vgsta":
-        positive = np.linspace(least_e, e, GRID // 2 + 1)
+        positive = np.linspace(e_from, e, GRID // 2 + 1)
         errors = np.concatenate([-positive[::-1], positive])
     else:
         errors = np.array([e])
-    s, x = (each.ravel() for each in np.meshgrid(values, errors))
+    sigma_grid, error_grid = np.meshgrid(values, errors)
+    s = sigma_grid.ravel()
+    x = error_grid.ravel()
     _, k_n, term = problem.nominal or (0.0, np.inf, False)
     pole = 1.0 / k_n if term else 0.0
     with jax.enable_x64(True):
         numbers = jnp.float64(problem.l0), jnp.float64(problem.sample_time), jnp.float64(pole)
-        of = conservative_gains if problem.form == "conservative" else implicit_gains
-        columns = of(functions_of(problem), jnp.asarray(s), jnp.asarray(x), *numbers)
+        gains = conservative_gains if problem.form == "conservative" else implicit_gains
+        columns = gains(functions_of(problem), jnp.asarray(s), jnp.asarray(x), *numbers)
     return GainPoints(s, {name: np.asarray(column) for name, column in columns.items()})
 
 
@@ -67,7 +74,8 @@ def gain_points(problem: ProofProblem, sigma: float, e: float, least: float = 0.
 def implicit_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar, t: Scalar, pole: Scalar) -> GainArrays:
     """The gains at points (sigma, e) of the implicit form; ``pole`` is 1/k_n where u_n has its term 1/tau_m."""
     k_o, tau_av, tau_m = functions.at(s, e, l0)
-    proportional, reach = 1.0 / (k_o * tau_av), 1.0 + tau_av / t
+    proportional = 1.0 / (k_o * tau_av)
+    reach = 1.0 + tau_av / t
     integral = proportional / tau_m
     values = (proportional, integral, pole / tau_m, reach * proportional, reach * t * integral)
     return dict(zip(GAIN_NAMES, jnp.broadcast_arrays(*values, s)[:-1], strict=True))
@@ -78,14 +86,16 @@ def conservative_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar, t
     """The same of the conservative form: K_P and d phi_1/d e are means over a sample, tau_av belongs to its end."""
     at = functions.at(s, e, l0)
     law = functions.law(s, e, at)
-    own = implicit_gains(functions, s, e, l0, t, pole)
-    reach, integral = 1.0 + at.tau_av / t, law.gain * law.rate
-    low, high = jnp.min(own["k_p"]), jnp.max(own["k_p"])
+    gains = implicit_gains(functions, s, e, l0, t, pole)
+    reach = 1.0 + at.tau_av / t
+    integral = law.gain * law.rate
+    low = jnp.min(gains["k_p"])
+    high = jnp.max(gains["k_p"])
     slide_p = jnp.stack([low * jnp.min(reach), high * jnp.max(reach)])
     mean = jnp.broadcast_to(law.gain, s.shape)
     _, by_e = jax.jvp(lambda x: functions.law(s, x, functions.at(s, x, l0)).gain * s, (e,), (jnp.ones_like(e),))
     largest = jnp.max(jnp.abs(by_e)) * jnp.max(reach)
-    return own | {
+    return gains | {
         "k_i": jnp.broadcast_to(integral, s.shape),
         "slide_i": jnp.broadcast_to(reach * t * integral, s.shape),
         "slide_p": slide_p,
@@ -104,9 +114,9 @@ def start_ratio(problem: ProofProblem, *, integrated: bool) -> Interval:
     if problem.start == "zero":
         return 0.0, 0.0
     ends = [e_dot + problem.l0 * e for e, e_dot in product(*problem.initial[:2])]
-    least, largest = magnitudes_of((min(ends), max(ends)))
-    least_e, largest_e = magnitudes_of(problem.initial[0])
-    hull = gain_hull(problem, max(largest, 1e-9), max(largest_e, 1e-9), least, least_e)
+    sigma_low, sigma_high = magnitudes_of((min(ends), max(ends)))
+    e_low, e_high = magnitudes_of(problem.initial[0])
+    hull = gain_hull(problem, max(sigma_high, 1e-9), max(e_high, 1e-9), sigma_low, e_low)
     low, high = hull["mean"] if integrated else (0.0, 0.0)
     if problem.start == "midpoint":
         low += 0.5 * problem.sample_time * hull["k_i"][0]
@@ -150,6 +160,7 @@ def region_of(problem: ProofProblem, sigma: float, e: float) -> Region:
 
 def with_room(values: np.ndarray) -> Interval:
     """The interval of the values, a little wider; a constant stays one."""
-    low, high = float(values.min()), float(values.max())
+    low = float(values.min())
+    high = float(values.max())
     room = MARGIN * (high - low) + (1e-12 * abs(high) if low < high else 0.0)
     return low - room, high + room

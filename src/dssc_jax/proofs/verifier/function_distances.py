@@ -5,121 +5,119 @@ sigma|, where n is what the nominal control takes through its term 1/tau_m. The 
 piece exceeds what is reached at points by more than a small share.
 """
 
-from typing import Any
-
 import numpy as np
 from flint import arb
 
-from dssc_jax.proofs.balls import Balls, Rejected, larger, require_premise
-from dssc_jax.proofs.gain_enclosures import gains_at, middle_of
-from dssc_jax.proofs.intervals import Intervals, exactly, square_root
-from dssc_jax.proofs.table_gains import first_cells, gains_of, quartered
+from dssc_jax.proofs.verifier.balls import Balls, Rejected, maximum, require_premise, total
+from dssc_jax.proofs.verifier.certificate import Problem
+from dssc_jax.proofs.verifier.gain_enclosures import gains_at, middle_of
+from dssc_jax.proofs.verifier.intervals import Intervals, exactly, square_root
+from dssc_jax.proofs.verifier.table_gains import Cells, first_cells, gains_of
 
 DISTANCE_ROOM = 0.02
 """Largest excess over the distances at points, as a share of them."""
 DISTANCE_ROUNDING = 2.0**-42
 """The same, in sizes of the function."""
-MOST_PIECES, MOST_CELLS = 6000, 200_000
+MOST_PIECES = 6000
+MOST_CELLS = 200_000
 DISTANCES = {"phi_1": ("mean",), "phi_2": ("k_i",), "both": ("mean", "k_n")}
 """The gains of whose sum each is the distance, times |sigma|."""
 
 
-def function_distances(problem: dict[str, Any], sigma: float, e: float, centre: Balls) -> Balls:
+def function_distances(problem: Problem, sigma: float, e: float, centre: Balls) -> Balls:
     """Upper bounds of the distances over a region.
 
-    Args:
-        problem: The certificate's problem, in the conservative form.
-        sigma: Bound of |sigma| [m/s].
-        e: Bound of |e| [m].
-        centre: The slopes, ``mean``, ``k_i`` and ``k_n``, exact numbers.
+    ``centre`` holds the slopes ``mean``, ``k_i`` and ``k_n``, exact numbers.
     """
     if problem["functions"]["kind"] == "vgsta":
         return distances_in_cells(problem, sigma, e, centre)
     at_points = dict.fromkeys(DISTANCES, arb(0))
     result = dict.fromkeys(DISTANCES, arb(0))
     least_rooms = {name: rounding_of(names, centre) * sigma for name, names in DISTANCES.items()}
-    pieces, left = [(0.0, sigma)], MOST_PIECES
+    pieces = [(0.0, sigma)]
+    remaining = MOST_PIECES
     while pieces:
         for low, high in pieces:
             for point in (middle_of((low, high)), high):
                 for name, reached in distances_at(problem, (point, point), centre).items():
-                    at_points[name] = larger(at_points[name], reached.lower())
-        left -= len(pieces)
-        again = []
+                    at_points[name] = maximum(at_points[name], reached.lower())
+        remaining -= len(pieces)
+        halves = []
         for low, high in pieces:
             try:
                 reached = distances_at(problem, (low, high), centre)
             except Rejected:  # too wide a ball, since every point was fine
-                require_premise(left > 0, "P2: the functions cannot be enclosed in the region")
+                require_premise(remaining > 0, "P2: the functions cannot be enclosed in the region")
                 reached = {}
             close = all(
                 reached[name].upper() <= at_points[name] * (1 + DISTANCE_ROOM) + least_rooms[name] for name in reached
             )
-            if not reached or (left > 0 and not close):
+            if not reached or (remaining > 0 and not close):
                 middle = middle_of((low, high))
-                again += [(low, middle), (middle, high)]
+                halves += [(low, middle), (middle, high)]
                 continue
             for name, distance in reached.items():
-                result[name] = larger(result[name], distance.upper())
-        pieces = again
+                result[name] = maximum(result[name], distance.upper())
+        pieces = halves
     return result
 
 
-def distances_at(problem: dict[str, Any], size: tuple[float, float], centre: Balls) -> Balls:
+def distances_at(problem: Problem, size: tuple[float, float], centre: Balls) -> Balls:
     """Balls of the distances for |sigma| in an interval."""
-    gains, largest = gains_at(problem, size), arb(size[1])
+    gains = gains_at(problem, size)
+    largest = arb(size[1])
     result = {}
     for name, names in DISTANCES.items():
-        difference = sum((gains[each] - centre[each] for each in names), arb(0))
+        difference = total([gains[gain] - centre[gain] for gain in names])
         result[name] = abs(difference) * largest
     return result
 
 
-def distances_in_cells(problem: dict[str, Any], sigma: float, e: float, centre: Balls) -> Balls:
+def distances_in_cells(problem: Problem, sigma: float, e: float, centre: Balls) -> Balls:
     """The same of Table 1's functions, which depend on e, too; in float64, rounded outwards."""
     slopes = {name: exactly(float(centre[name])) for name in ("mean", "k_i", "k_n")}
     least_rooms = {name: rounding_of(names, centre) * sigma for name, names in DISTANCES.items()}
-    at_points, result = dict.fromkeys(DISTANCES, 0.0), dict.fromkeys(DISTANCES, 0.0)
-    r, sign, x = first_cells(square_root(0.0, sigma), (0.0, e))
-    left = MOST_CELLS
-    while sign.size:
-        left -= sign.size
-        for name, reached in cell_distances(problem, r.middle(), sign, x.middle(), slopes).items():
+    at_points = dict.fromkeys(DISTANCES, 0.0)
+    result = dict.fromkeys(DISTANCES, 0.0)
+    cells = first_cells(square_root(0.0, sigma), (0.0, e))
+    remaining = MOST_CELLS
+    while cells.sign.size:
+        remaining -= cells.sign.size
+        for name, reached in cell_distances(problem, cells.middles(), slopes).items():
             at_points[name] = max(at_points[name], float(np.max(reached.low)))
-        again = np.zeros(sign.shape, bool)
-        whole = cell_distances(problem, r, sign, x, slopes)
-        for name, reached in whole.items():
-            again |= ~(reached.high <= at_points[name] * (1.0 + DISTANCE_ROOM) + least_rooms[name])
-        if left <= 0:
-            again[:] = False
-        for name, reached in whole.items():
-            kept = reached.high[~again]
+        too_wide = np.zeros(cells.sign.shape, bool)
+        distances = cell_distances(problem, cells, slopes)
+        for name, reached in distances.items():
+            too_wide |= ~(reached.high <= at_points[name] * (1.0 + DISTANCE_ROOM) + least_rooms[name])
+        if remaining <= 0:
+            too_wide[:] = False
+        for name, reached in distances.items():
+            kept = reached.high[~too_wide]
             result[name] = float(np.maximum(result[name], np.max(kept, initial=0.0)))
-        r, sign, x = quartered(r, sign, x, again)
+        cells = cells.quartered(too_wide)
     finite = bool(np.all(np.isfinite(list(result.values()))))
     require_premise(finite, "P2: the functions cannot be enclosed in the region")
     return {name: arb(value) for name, value in result.items()}
 
 
-def cell_distances(
-    problem: dict[str, Any], r: Intervals, sign: np.ndarray, x: Intervals, slopes: dict[str, Intervals]
-) -> dict[str, Intervals]:
+def cell_distances(problem: Problem, cells: Cells, slopes: dict[str, Intervals]) -> dict[str, Intervals]:
     """Intervals of the distances in cells."""
-    gains, size = gains_of(problem, r, sign, x), r * r
+    gains = gains_of(problem, cells)
+    size = cells.root * cells.root
     result = {}
     for name, names in DISTANCES.items():
         difference = gains[names[0]] - slopes[names[0]]
-        for each in names[1:]:
-            difference = difference + (gains[each] - slopes[each])
+        for gain in names[1:]:
+            difference = difference + (gains[gain] - slopes[gain])
         result[name] = magnitude(difference * size)
     return result
 
 
 def magnitude(values: Intervals) -> Intervals:
     """Intervals of |x|."""
-    ends = np.abs(values.low), np.abs(values.high)
+    low, high = np.abs(values.low), np.abs(values.high)
     holds_zero = (values.low <= 0.0) & (values.high >= 0.0)
-    return Intervals(np.where(holds_zero, 0.0, np.minimum(*ends)), np.maximum(*ends))
+    return Intervals(np.where(holds_zero, 0.0, np.minimum(low, high)), np.maximum(low, high))
 
 
 def rounding_of(names: tuple[str, ...], centre: Balls) -> float:

@@ -1,0 +1,1 @@
+"""Search for certificates, in floating point: semidefinite programs and bounds that imply themselves."""

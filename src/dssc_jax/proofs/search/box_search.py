@@ -1,0 +1,169 @@
+"""The search for a proof: boxes of uncertain numbers, and in each a region, a set in it and a residual.
+
+Nothing that is found here counts as proved before :mod:`dssc_jax.proofs.verifier.verdict` has accepted it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.proofs.problem import Box, ProofProblem
+from dssc_jax.proofs.search import fixed_point
+from dssc_jax.proofs.search.fixed_point import BoundsStage, from_start, towards_residual
+from dssc_jax.proofs.search.gains import gain_hull, region_of
+from dssc_jax.proofs.search.programs import (
+    largest_in_set,
+)
+from dssc_jax.proofs.search.sampled_loop import box_middle, signal_sizes, step_of
+from dssc_jax.proofs.search.set_stages import (
+    ENOUGH,
+    INFLATION,
+    RATES,
+    SIGMA,
+    E,
+    SetStage,
+    Setting,
+    excursion,
+    first_set,
+    setting_of,
+    smaller_set,
+)
+
+SHRINKING = 8
+"""Largest number of residual stages."""
+LOOSE = 1.3
+"""A bound of |e| on the way, over what the loop at sigma = e = 0 reaches, from which a set is tried, too."""
+
+
+@dataclass(frozen=True)
+class Proof:
+    """The proof in one box: the first stage holds the start and keeps sliding, the others shrink to the residual.
+
+    Args:
+        box: Intervals of k_p, a_p and 1/mu.
+        stages: The sets, from the region to the residual.
+    """
+
+    box: Box
+    stages: Sequence[SetStage | BoundsStage]
+
+    def to_dict(self) -> dict[str, object]:
+        """As JSON's types."""
+        return asdict(self)
+
+
+class Failure(NamedTuple):
+    """A box without a proof, and the reason, as in ``REASONS`` of :mod:`dssc_jax.proofs.prove`."""
+
+    box: Box
+    reason: str
+
+
+def prove_box(problem: ProofProblem, box: Box) -> Proof | Failure:
+    """Search a proof for every plant of a box: bounds that imply themselves, or else sets to begin with."""
+    if problem.rho is not None and problem.rho <= signal_sizes(problem, box).offset:
+        return Failure(box, "sliding")
+    first = from_start(problem, box)
+    if not isinstance(first, str):
+        stage, allowed = first
+        sigma = stage.bounds[fixed_point.SIGMA]
+        e = stage.bounds[fixed_point.ERROR]
+        proof = Proof(box, [stage, *towards_residual(problem, box, (sigma, e), e, allowed)])
+        return tighter_start(problem, proof)
+    if any(problem.by_state):  # of which the sets know no bound
+        return Failure(box, "sliding" if first == "sliding" else "gain")
+    return proof_by_sets(problem, box)
+
+
+def tighter_start(problem: ProofProblem, proof: Proof) -> Proof:
+    """A proof that begins with a set instead, where bounds of signals are loose on the way and a set does better."""
+    if any(problem.by_state) or (setting := setting_of(problem, proof.box)) is None:
+        return proof
+    first = reached_error(proof.stages[0], setting)
+    if first <= LOOSE * excursion(setting.origin, setting.programs.starts, E):
+        return proof
+    by_sets = proof_by_sets(problem, proof.box)
+    if isinstance(by_sets, Failure) or reached_error(by_sets.stages[0], setting) >= first:
+        return proof
+    return by_sets if smallest_error(by_sets, setting) <= smallest_error(proof, setting) / ENOUGH else proof
+
+
+def reached_error(stage: SetStage | BoundsStage, setting: Setting) -> float:
+    """The bound of |e| at the samples."""
+    if isinstance(stage, BoundsStage):
+        return stage.bounds[fixed_point.ERROR]
+    return largest_in_set(np.array(stage.p), setting.origin.rows[E])
+
+
+def smallest_error(proof: Proof, setting: Setting) -> float:
+    """The smallest bound of |e| that a stage of a proof reaches."""
+    return min(reached_error(stage, setting) for stage in proof.stages)
+
+
+def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
+    """Sets from the start on.
+
+    In the conservative form the coordinate is phi_1 where K_P varies much over the first region, else u_av; and the
+    other one where that does not lead to a proof.
+    """
+    if problem.form == "implicit":
+        return proof_in_coordinate(problem, box, integrated=False)
+    wide = False
+    if (setting := setting_of(problem, box)) is not None:
+        first = [excursion(setting.origin, setting.programs.starts, row) for row in (SIGMA, E)]
+        wide = bool(np.all(np.isfinite(first))) and len(region_of(problem, first[0], first[1]).pieces) > 1
+    result = proof_in_coordinate(problem, box, integrated=wide)
+    if isinstance(result, Failure) and result.reason != "origin":
+        alternative = proof_in_coordinate(problem, box, integrated=not wide)
+        return result if isinstance(alternative, Failure) else alternative
+    return result
+
+
+def proof_in_coordinate(problem: ProofProblem, box: Box, *, integrated: bool) -> Proof | Failure:
+    """Sets from the start to a region in which bounds imply themselves."""
+    if (setting := setting_of(problem, box, integrated=integrated)) is None:
+        return Failure(box, "origin")
+    first = first_set(setting)
+    if isinstance(first, str):
+        return Failure(box, first)
+    stages = [first]
+    for _ in range(SHRINKING):
+        p = np.array(stages[-1].p)
+        sigma = INFLATION * largest_in_set(p, setting.origin.rows[SIGMA])
+        e = INFLATION * largest_in_set(p, setting.origin.rows[E])
+        if residual_stages := towards_residual(problem, box, (sigma, e), e, problem):
+            return Proof(box, [*stages, *residual_stages])
+        shares = RATES if len(stages) == 1 else (stages[-1].rate / setting.speed,)
+        if (smaller := smaller_set(setting, sigma, e, shares)) is None:
+            break
+        stages.append(smaller)
+    return Proof(box, stages)
+
+
+def halves(box: Box, problem: ProofProblem) -> list[Box]:
+    """Both halves of a box along the side whose ends differ most in the loop's eigenvalues at sigma = e = 0."""
+    gains = gain_hull(problem, 1e-9, 1e-9)
+
+    def eigenvalues(box: Box) -> np.ndarray:
+        return np.sort_complex(np.linalg.eigvals(step_of(problem, box_middle(box, gains), box).a))
+
+    def effect(name: str) -> float:
+        low, high = (eigenvalues(box | {name: (end, end)}) for end in box[name])
+        return float(np.abs(high - low).sum())
+
+    name = max(box, key=effect)
+    low, high = box[name]
+    cut = float(np.sqrt(low * high)) if low > 0.0 else 0.5 * (low + high)
+    return [box | {name: (low, cut)}, box | {name: (cut, high)}]
+
+
+def volume(box: Box, problem: ProofProblem) -> float:
+    """Share of the problem's box, with 1/mu on a logarithmic scale."""
+    share = 1.0
+    for name, (low, high) in problem.box.items():
+        if low < high:
+            measure = np.log if name == "rate" else float
+            share *= (measure(box[name][1]) - measure(box[name][0])) / (measure(high) - measure(low))
+    return float(share)

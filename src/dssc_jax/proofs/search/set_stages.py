@@ -1,0 +1,316 @@
+"""Sets {z'Pz <= 1} that are invariant and attract, found by semidefinite programs in one box of plants."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from math import factorial
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.proofs.problem import Box, ProofProblem
+from dssc_jax.proofs.search.fixed_point import responses
+from dssc_jax.proofs.search.gains import Hull, Region, gain_hull, region_of, start_ratio
+from dssc_jax.proofs.search.law_spread import slide_hull
+from dssc_jax.proofs.search.programs import (
+    TIGHT,
+    Bounded,
+    SetPrograms,
+    Solution,
+    invariant_set,
+    largest_in_set,
+    scaling,
+)
+from dssc_jax.proofs.search.sampled_loop import (
+    Step,
+    box_middle,
+    box_steps,
+    middle,
+    signal_sizes,
+    start_corners,
+    step_of,
+)
+
+FIRST_REGION = 1.02
+"""Smallest region that is tried, in sizes of the start."""
+LARGEST_REGION = 30.0
+"""The largest, likewise."""
+MOST_REGIONS = 20
+"""Largest number of regions."""
+CURVE_SHARE = 1e-3
+"""Share of the decay that the remainder of a polynomial in 1/mu may take."""
+MOST_DEGREE = 6
+"""Its largest degree."""
+REGION_ROOM = 1.03
+"""Room around the set that sizes the next region."""
+START_RATES = (0.3, 0.12, 0.04)
+"""Values of lambda that are tried for a set that holds the start; in the loop's slowest decay."""
+RATES = (0.3, 0.6, 0.12, 0.04)
+"""The same for sets that need not hold it."""
+ENOUGH = 0.98
+"""The least improvement that is worth another."""
+ENOUGH_RATES = 2
+"""Number of rates with a set after which no other is tried."""
+INFLATION = 1.001
+"""A set attracts; its trajectories enter this multiple of it in finite time."""
+SPARE = 0.01
+"""Share of the decay that is left to the verifier's balls, for one plant."""
+SPARE_OF_BOXES = 0.1
+"""The same for a box of a_p or mu."""
+CHANGE_ROOM = 8.0
+"""Room of a set for the change of sigma in a sample, over what the loop at sigma = e = 0 reaches."""
+CHANGE_WEIGHT = 1e-3
+"""Weight of that change in the cost."""
+GAIN_ROOM = 1.03
+"""Widening of what phi_1 changes by with e, for the verifier's enclosures."""
+SPEED_ROOM = 1.05
+"""Widening of |e'| at the samples for the time between them."""
+E, TRUE_E, SIGMA, CHANGE = range(4)  # rows of a step
+
+
+@dataclass(frozen=True)
+class SetStage:
+    """A set {z'Pz <= 1} that is invariant while |sigma| and |e| stay within a region.
+
+    Args:
+        sigma: Bound of |sigma| in which the gains are selected [m/s].
+        e: Bound of |e| there [m].
+        level: Bound of |d| [m/s].
+        slope: Bound of |d'| [m/s^2].
+        pieces: Number of pieces of |sigma|, equal in its root, in each of which the gains have their own intervals.
+        degree: Of the polynomial in 1/mu that stands for the held plant.
+        rate: lambda [1/s].
+        multipliers: mu_j of the inputs, with a sum of at most lambda.
+        p: P, row by row.
+        coordinate: What z holds, ``u_av`` or, in the conservative form, ``phi_1`` for q = v - phi_1(s).
+        moved: Bound of the change of e in a sample [m], where phi_1 depends on e.
+        method: The verifier's method.
+    """
+
+    sigma: float
+    e: float
+    level: float
+    slope: float
+    pieces: int
+    degree: int
+    rate: float
+    multipliers: list[float]
+    p: list[list[float]]
+    coordinate: str
+    moved: float
+    method: str = "invariant set"
+
+
+class Setting(NamedTuple):
+    """What the programs of one box share.
+
+    Args:
+        problem: What is to be proved.
+        box: The box.
+        origin: One sample at the box's middle, with the gains at sigma = e = 0.
+        speed: Decay of the slowest mode [1/s].
+        integrated: Whether z holds q = v - phi_1(s) in place of v.
+        programs: Starts, coordinates and precision of the programs.
+    """
+
+    problem: ProofProblem
+    box: Box
+    origin: Step
+    speed: float
+    integrated: bool
+    programs: SetPrograms
+
+    def steps(self, region: Region) -> list[Step]:
+        """One sample at every corner of the box and of the gains in each piece of a region."""
+        steps: list[Step] = []
+        for hull in region.pieces:
+            gains = hull if self.integrated else self.increments(region, hull)
+            steps += box_steps(self.problem, self.box, gains, self.degree, integrated=self.integrated)
+        return steps
+
+    def increments(self, region: Region, hull: Hull) -> Hull:
+        """The gains of the increments of u_av.
+
+        In the conservative form K_P is a mean over a sample, which may have begun in another piece, and K_I holds what
+        phi_1 changes by with e.
+        """
+        if self.problem.form == "implicit":
+            return hull
+        reach = hull["slide_p"][1] / hull["k_p"][1]
+        t = self.problem.sample_time
+        joins = GAIN_ROOM * hull["by_e"][1] * self.moved(region)
+        k_i = hull["k_i"][0] - joins / t, hull["k_i"][1] + joins / t
+        slide_i = hull["slide_i"][0] - joins * reach, hull["slide_i"][1] + joins * reach
+        return hull | {"k_p": region.hull["k_p"], "k_i": k_i, "slide_i": slide_i}
+
+    def moved(self, region: Region) -> float:
+        """Bound of the change of e in a sample, with room for the time between the samples."""
+        return self.problem.sample_time * SPEED_ROOM * (region.sigma + self.problem.l0 * region.e)
+
+    @property
+    def degree(self) -> int:
+        """Degree of the polynomial in 1/mu, such that its remainder is far below what V falls by in a sample."""
+        low, high = self.box.get("rate", (0.0, 0.0))
+        radius = 0.5 * (high - low) * self.problem.sample_time
+        falls = CURVE_SHARE * min(RATES) * self.speed * self.problem.sample_time
+        for degree in range(1, MOST_DEGREE):
+            if radius ** (degree + 1) / factorial(degree + 1) <= falls:
+                return degree
+        return MOST_DEGREE
+
+    def solve(self, steps: list[Step], rows: list[Bounded], share: float, *, started: bool) -> Solution | None:
+        """The set for lambda as a share of the slowest decay."""
+        return invariant_set(self.programs, steps, share * self.speed, rows, started=started)
+
+    def falls(self, steps: list[Step]) -> bool:
+        """Whether any V falls at every step, slowly and without inputs' bounds or starts."""
+        return self.solve(steps, [], min(RATES), started=False) is not None
+
+
+def slide_rows(setting: Setting, region: Region) -> list[Bounded]:
+    """Rows of u_eq - d_r - f at every corner of the gains, with their bound; empty without a bound of the command.
+
+    In the conservative form u_av = q + phi_1(s), of which phi_1(s) - mean s is bounded by itself, and so is what phi_1
+    changes by with e. The change of sigma in a sample stays within a bound of its own.
+    """
+    problem = setting.problem
+    step = setting.origin
+    if problem.rho is None:
+        return []
+    unit = np.eye(step.a.shape[0])
+    hull = region.hull
+    room = problem.rho - signal_sizes(problem, setting.box).offset
+    change = step.rows[CHANGE]
+    sigma = step.rows[SIGMA]
+    held = unit[-2]
+    slide_p = hull["slide_p"]
+    rows = []
+    if setting.integrated:
+        mean = middle(hull["mean"])
+        spreads = [max(abs(end - mean) for end in piece["mean"]) for piece in region.pieces]
+        room -= max(spread * end for spread, end in zip(spreads, region.ends, strict=True))
+        held = held + mean * unit[-1]
+        room -= hull["slide_e"][1] * setting.moved(region)
+    else:
+        hull = setting.increments(region, hull)
+    if problem.form == "conservative":
+        moved = setting.moved(region)
+        largest = CHANGE_ROOM * excursion(step, setting.programs.starts, CHANGE)
+        slide_p = slide_hull(problem, (region.sigma, region.e), largest, moved)
+        rows = [Bounded(change, largest, CHANGE_WEIGHT)] if slide_p != hull["slide_p"] else []
+    corners = product(set(slide_p), set(hull["slide_i"]))
+    return rows + [Bounded(held + p * change + i * sigma, max(room, 0.0), 1.0) for p, i in corners]
+
+
+def decay_rate(step: Step, sample_time: float) -> float:
+    """The slowest decay of one step [1/s]; negative if it grows."""
+    return float(-np.log(np.max(np.abs(np.linalg.eigvals(step.a)))) / sample_time)
+
+
+def setting_of(problem: ProofProblem, box: Box, *, integrated: bool = False) -> Setting | None:
+    """The setting of a box; None if the loop is not stable at sigma = e = 0."""
+    gains = gain_hull(problem, 1e-9, 1e-9)
+    origin = step_of(problem, box_middle(box, gains), box, integrated=integrated)
+    starts = start_corners(problem, box, start_ratio(problem, integrated=integrated))
+    speed = decay_rate(origin, problem.sample_time)
+    if speed <= 0.0 or (scale := scaling(origin, starts, speed * problem.sample_time)) is None:
+        return None
+    point = all(low == high for name, (low, high) in box.items() if name != "k_p")
+    programs = SetPrograms(problem.sample_time, starts, scale, SPARE if point else SPARE_OF_BOXES, [])
+    return Setting(problem, box, origin, speed, integrated, programs)
+
+
+def first_set(setting: Setting) -> SetStage | str:
+    """A set that holds the start and keeps sliding; otherwise the reason why there is none."""
+    excursions = [excursion(setting.origin, setting.programs.starts, row) for row in (SIGMA, E)]
+    if not all(np.isfinite(excursions)):
+        return "region"
+    first = [FIRST_REGION * max(size, 1e-9) for size in excursions]
+    if (solution := held_start(setting, first, slides=True)) is not None:
+        return solution
+    if not setting.falls(setting.steps(region_of(setting.problem, first[0], first[1]))):
+        return "decay"
+    return "region" if setting.problem.rho is None or held_start(setting, first, slides=False) is None else "sliding"
+
+
+def held_start(setting: Setting, first: Sequence[float], *, slides: bool) -> SetStage | None:
+    """A set that holds the start, and stays in a region whose gains it allows.
+
+    Of the sets of a region's gains, the one that exceeds the region by the least sizes the next region.
+
+    ``first`` bounds |sigma| and |e| in the first region; ``slides`` tells whether the set has to keep sliding, too.
+    """
+    rows = setting.origin.rows
+    by_e = setting.problem.functions["kind"] == "vgsta"
+    shares = START_RATES if slides else START_RATES[:1]  # else it is about the reason of a failure
+    limits = np.array(first)
+    for _ in range(MOST_REGIONS):
+        region = region_of(setting.problem, float(limits[0]), float(limits[1]))
+        steps = setting.steps(region)
+        within = [Bounded(rows[SIGMA], region.sigma, None)]
+        if by_e:
+            within.append(Bounded(rows[E], region.e, None))
+        sliding = slide_rows(setting, region) if slides else []
+        if not all(bounded.bound > 0.0 for bounded in sliding):
+            return None
+        if (solution := started_set(setting, steps, [*within, *sliding], shares)) is None:
+            return None
+        sizes = np.array([largest_in_set(solution.p, rows[row]) for row in (SIGMA, E)])
+        if np.all((sizes <= (1.0 - TIGHT) * limits)[: len(within)]):
+            return set_stage(solution, region, setting)
+        limits = REGION_ROOM * sizes
+        if np.any(limits > LARGEST_REGION * np.array(first)):
+            return None
+        shares = [share for share in shares if share * setting.speed <= solution.rate * (1.0 + TIGHT)]
+    return None
+
+
+def started_set(setting: Setting, steps: list[Step], rows: list[Bounded], shares: Sequence[float]) -> Solution | None:
+    """A set that holds the start, with the first rate that allows one; its excursion hardly depends on the rate."""
+    for number, share in enumerate(shares):
+        if (solution := setting.solve(steps, rows, share, started=True)) is not None:
+            return solution
+        if number == 0 and not setting.falls(steps):
+            return None
+    return None
+
+
+def smaller_set(setting: Setting, sigma: float, e: float, shares: Sequence[float] = RATES) -> SetStage | None:
+    """The set with the least |e| that attracts within a region, for some rates; None if it is not worth it."""
+    region = region_of(setting.problem, sigma, e)
+    steps = setting.steps(region)
+    e_row = setting.origin.rows[E]
+    rows = [Bounded(e_row, e, 1.0), Bounded(setting.origin.rows[SIGMA], sigma, 0.05)]
+    solutions: list[Solution] = []
+    for share in shares:
+        if (solution := setting.solve(steps, rows, share, started=False)) is not None:
+            solutions.append(solution)
+        if len(solutions) == ENOUGH_RATES:
+            break
+    best = min(solutions, key=lambda solution: largest_in_set(solution.p, e_row), default=None)
+    if best is None or largest_in_set(best.p, e_row) > ENOUGH * e:
+        return None
+    return set_stage(best, region, setting)
+
+
+def excursion(step: Step, starts: Sequence[np.ndarray], row: int) -> float:
+    """The largest value of a row in the loop at one point, from the starts and under inputs of size one."""
+    response = responses(step.a, step.rows[[row]], step.b, np.stack(starts, axis=1))
+    return np.inf if response is None else float((response.peaks + response.sums.sum(axis=1))[0])
+
+
+def set_stage(result: Solution, region: Region, setting: Setting) -> SetStage:
+    """The stage of a solution; where the gains do not depend on e, its region holds any e of the set."""
+    return SetStage(
+        sigma=region.sigma,
+        e=max(region.e, INFLATION * largest_in_set(result.p, setting.origin.rows[E])),
+        level=setting.problem.level,
+        slope=setting.problem.slope,
+        pieces=len(region.pieces),
+        degree=setting.degree,
+        rate=result.rate,
+        multipliers=result.multipliers.tolist(),
+        p=result.p.tolist(),
+        coordinate="phi_1" if setting.integrated else "u_av",
+        moved=setting.moved(region),
+    )

@@ -1,0 +1,1 @@
+"""Verifier of certificates, in ball arithmetic. It imports nothing of the search."""

@@ -1,0 +1,80 @@
+"""The types of a certificate's content. :mod:`dssc_jax.proofs.verifier.well_formed` checks that a file has them."""
+
+from collections.abc import Mapping, Sequence
+from typing import TypedDict
+
+Interval = Sequence[float]
+Box = Mapping[str, Interval]
+"""Intervals of k_p, a_p and, with a transfer function, of ``rate``, 1/mu."""
+
+
+class Problem(TypedDict):
+    """The loop: the entries of :class:`dssc_jax.proofs.problem.ProofProblem`, which documents them."""
+
+    sample_time: float
+    l0: float
+    form: str
+    functions: Mapping[str, float | str]
+    rho: float | None
+    nominal: tuple[float, float, bool] | None
+    k_p: Interval
+    a_p: Interval
+    zero_a: Sequence[float]
+    zero_c: Sequence[float]
+    numerator: Sequence[float]
+    denominator: Sequence[float]
+    mu: Interval
+    delay: float
+    sensor_lag: float
+    level: float
+    slope: float
+    reference: Sequence[float]
+    initial: Sequence[Interval]
+    start: str
+    by_state: Sequence[float]
+    reference_size: float
+
+
+class Stage(TypedDict):
+    """What the stages of both methods have: a region, bounds of the disturbance, lambda, P and the method."""
+
+    sigma: float
+    e: float
+    level: float
+    slope: float
+    rate: float
+    p: Sequence[Sequence[float]]
+    method: str
+
+
+class SmallGainStage(Stage):
+    """Gains of the middle loop, and bounds of the signals."""
+
+    gains: Sequence[float]
+    bounds: Sequence[float]
+
+
+class InvariantStage(Stage):
+    """Pieces of the region, degree in 1/mu, multipliers, the coordinate of z, and the bound of the change of e."""
+
+    pieces: int
+    degree: int
+    multipliers: Sequence[float]
+    coordinate: str
+    moved: float
+
+
+class BoxProof(TypedDict):
+    """The stages of one box."""
+
+    box: Box
+    stages: Sequence[SmallGainStage | InvariantStage]
+
+
+class Certificate(TypedDict):
+    """A problem, the proofs of its boxes, and whether they cover it."""
+
+    version: int
+    complete: bool
+    problem: Problem
+    proofs: Sequence[BoxProof]

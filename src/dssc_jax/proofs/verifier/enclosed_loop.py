@@ -1,0 +1,185 @@
+"""The sampled loop in sliding, z+ = A z + B w, enclosed in balls: the verifier's own construction."""
+
+from collections.abc import Sequence
+from itertools import product
+from typing import NamedTuple
+
+from flint import arb, arb_mat
+
+from dssc_jax.proofs.verifier.balls import Balls, ball_ends, exact_ends, identity, matrix_of_columns, maximum
+from dssc_jax.proofs.verifier.certificate import Box, Problem
+from dssc_jax.proofs.verifier.held_plant import companion_form, flows, generator_over, memory_weights, state_places
+
+SAMPLE_PIECES = 8  # pieces of a sample on which its inside is enclosed
+
+
+class Corner(NamedTuple):
+    """One sample at a corner: A and the inputs' columns."""
+
+    a: arb_mat
+    b: arb_mat
+
+
+class SignalBounds(NamedTuple):
+    """Bounds of |d_r| [m/s], |d_r'|, |f'| [m/s^2], |d_r + f| [m/s] and its derivative over a box."""
+
+    level: arb
+    slope: arb
+    feed_slope: arb
+    offset: arb
+    offset_slope: arb
+
+
+class SignalRows(NamedTuple):
+    """Rows of e and sigma as they are measured, of sigma - s, of v or q, and of s."""
+
+    e: arb_mat
+    sigma: arb_mat
+    change: arb_mat
+    v: arb_mat
+    s: arb_mat
+
+
+def signal_bounds(problem: Problem, box: Box) -> SignalBounds:
+    """What disturbance and reference add up to: d_r = d - (y_m'' + a_p y_m')/k_p, f = (y_m'' + a_n y_m')/k_n."""
+    level = arb(problem["level"])
+    slope = arb(problem["slope"])
+    speed, acceleration, jerk = map(arb, problem["reference"])
+    a_n = arb(0)
+    inverse_k_n = arb(0)
+    if problem["nominal"]:
+        a_n = arb(problem["nominal"][0])
+        inverse_k_n = 1 / arb(problem["nominal"][1])
+    worst = [arb(0)] * 5
+    for k_p, a_p in product(exact_ends(box["k_p"]), exact_ends(box["a_p"])):  # every bound is largest at a corner
+        ratio = abs(a_p) / k_p
+        by_acceleration = abs(inverse_k_n - 1 / k_p)
+        by_speed = abs(a_n * inverse_k_n - a_p / k_p)
+        bounds = (
+            level + acceleration / k_p + speed * ratio,
+            slope + jerk / k_p + acceleration * ratio,
+            inverse_k_n * (jerk + abs(a_n) * acceleration),
+            level + by_acceleration * acceleration + by_speed * speed,
+            slope + by_acceleration * jerk + by_speed * acceleration,
+        )
+        worst = [maximum(bound.upper(), largest) for bound, largest in zip(bounds, worst, strict=True)]
+    return SignalBounds(*worst)
+
+
+def unit_rows(n: int) -> list[arb_mat]:
+    """The rows of the unit matrix."""
+    return [arb_mat([row]) for row in identity(n).tolist()]
+
+
+def signal_rows(problem: Problem) -> SignalRows:
+    """The rows of the signals."""
+    places = state_places(problem)
+    unit = unit_rows(places.n)
+    e, speed, *_, v, s = unit
+    if places.memory:
+        kappa, _ = memory_weights(problem)
+        e, speed = (unit[i] * (1 - kappa) + unit[place] for i, place in enumerate(places.memory))
+    sigma = speed + e * arb(problem["l0"])
+    return SignalRows(e, sigma, sigma - s, v, s)
+
+
+def sample_corners(
+    problem: Problem, box: Box, vertices: list[arb_mat], gains: Balls, *, integrated: bool
+) -> list[Corner]:
+    """Every corner of plant and gains, the plant's at the vertices that ``held_plant.held_vertices`` gives."""
+    sizes = signal_bounds(problem, box)
+    within_sample = inside_bounds(problem, box, arb(problem["sample_time"]))
+    names = ("mean" if integrated else "k_p", "k_i", "k_n")
+    corners = []
+    for vertex, k_p in product(vertices, exact_ends(box["k_p"])):
+        b = input_columns(problem, k_p, sizes, within_sample)
+        for gain in product(*(ball_ends(gains[name]) for name in names)):
+            corners.append(Corner(sampled(problem, vertex, k_p, gain, integrated=integrated), b))
+    return corners
+
+
+def sampled(problem: Problem, held: arb_mat, k_p: arb, gain: Sequence[arb], *, integrated: bool = False) -> arb_mat:
+    """A at one corner; in the coordinate q = v - phi_1(s), the first gain is phi_1/sigma."""
+    n = state_places(problem).n
+    chi = n - 2
+    v_row, command = control_rows(problem, gain, integrated=integrated)
+    rows = []
+    for i in range(chi):
+        push = k_p * held[i, chi]
+        rows.append([(held[i, j] if j < chi else arb(0)) + push * command[0, j] for j in range(n)])
+    return arb_mat([*rows, *v_row.tolist(), *signal_rows(problem).sigma.tolist()])
+
+
+def control_rows(problem: Problem, gain: Sequence[arb], *, integrated: bool) -> tuple[arb_mat, arb_mat]:
+    """The rows of v+ or q+, without what d_r + f changes by, and of the command plus d_r."""
+    rows = signal_rows(problem)
+    proportional, k_i, k_n = gain
+    v_row = rows.v + rows.sigma * (arb(problem["sample_time"]) * k_i)
+    if integrated:
+        command = -v_row - rows.sigma * proportional
+    else:
+        v_row = v_row + rows.change * proportional
+        command = -v_row
+    if problem["nominal"]:
+        a_n, k = map(arb, problem["nominal"][:2])
+        l0 = arb(problem["l0"])
+        feedback = rows.e * ((a_n - l0) * l0) + rows.sigma * (l0 - a_n)
+        command = command - feedback * (1 / k)
+        command = command - rows.sigma * k_n
+    return v_row, command
+
+
+def zeta_jump(problem: Problem) -> list[arb]:
+    """What a change of k_p d_r by 1 adds to zeta."""
+    zeta = state_places(problem).zeta
+    if problem["denominator"]:
+        return [1 / companion_form(problem).a[0], *(arb(0) for _ in zeta[1:])]
+    return [arb(1) for _ in zeta]
+
+
+def input_columns(problem: Problem, k_p: arb, sizes: SignalBounds, within_sample: list[arb]) -> arb_mat:
+    """Columns of the changes of d_r + f and -f and of theta's components, for inputs of magnitude at most 1."""
+    zeta, memory, n = state_places(problem)
+    t = arb(problem["sample_time"])
+    jump = [k_p * entry for entry in zeta_jump(problem)]
+    feed = [arb(0)] * zeta.start + jump + [arb(0)] * (len(memory) + 2)
+    offset = [*feed[:-2], arb(-1), arb(0)]
+    columns = [[t * sizes.offset_slope * x for x in offset], [t * sizes.feed_slope * x for x in feed]]
+    for j in range(zeta.start):
+        columns.append([within_sample[i] if i == j else arb(0) for i in range(n)])
+    return matrix_of_columns(columns)
+
+
+def inside_bounds(problem: Problem, box: Box, time: arb) -> list[arb]:
+    """Bound of each component of theta: D t^2/2 times the largest |exp(F s)| k_p from d_r to it, for s in [0, t]."""
+    n = state_places(problem).n
+    largest = [arb(0)] * n
+    for flow in flows(generator_over(problem, box), time, SAMPLE_PIECES):
+        for i in range(n - 2):
+            largest[i] = maximum(largest[i], abs(flow[i, 1]).upper())
+    factor = signal_bounds(problem, box).slope * time * time / 2 * arb(box["k_p"][1])
+    return [(factor * size).upper() for size in largest]
+
+
+def start_columns(problem: Problem, box: Box, ratio: arb) -> arb_mat:
+    """Every corner of the starts: z is affine in the initial state, in d_r(0), f(0), k_p d_r(0) and the ratio.
+
+    ``ratio`` is the ball of what the start takes from v or q, over sigma.
+    """
+    memory = state_places(problem).memory
+    sizes = signal_bounds(problem, box)
+    jump = zeta_jump(problem)
+    kappa = memory_weights(problem)[0] if memory else arb(0)
+    pairs = list(product((-sizes.level, sizes.level), (-sizes.offset, sizes.offset)))
+    if not any(problem["reference"]):  # d_r and d_r + f are the same
+        pairs = [(-sizes.level, -sizes.level), (sizes.level, sizes.level)]
+    columns = []
+    for plant in product(*(exact_ends(interval) for interval in problem["initial"])):
+        s = arb(0)
+        if problem["start"] != "zero":
+            s = plant[1] + arb(problem["l0"]) * plant[0]
+        shown = [kappa * plant[i] for i, _ in enumerate(memory)]
+        for (d, offset), k_p, share in product(pairs, exact_ends(box["k_p"]), ball_ends(ratio)):
+            zeta = [k_p * d * entry for entry in jump]
+            columns.append([*plant, *zeta, *shown, -offset - share * s, s])
+    return matrix_of_columns(columns)

@@ -1,0 +1,118 @@
+"""Upper bounds of sums and peaks of impulse responses of z+ = A z: exact states in balls, what is summed in float64.
+
+A block of samples is a grid: sample i LONG + k is row A^k times A^(i LONG) times the block's first state, for i and k
+below ``SIDE``. Both products are rounded. With S and N the magnitudes of the rows row A^k and of the matrices, the
+error of each is at most ``ROUNDED`` times the product of the magnitudes, since n + 4 roundings of 2^-53 each are less;
+so that of both is at most ``TWICE`` ROUNDED S N |z|.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from flint import arb, arb_mat
+
+from dssc_jax.proofs.verifier.balls import column, identity, quadratic_form, side_by_side, total
+
+SIDE = 32
+"""Root of the number of samples of a block."""
+MOST_BLOCKS = 500
+TAIL_SHARE = 2e-5
+"""Share of a sum at which its tail is bounded instead of computed."""
+ROUNDED = 2.0**-44
+TWICE = 2.0 + 2.0**-20
+SUMMED = 1.0 + 2.0**-28
+"""Covers the rounding of the sums themselves, of which there are fewer than 2^22 terms."""
+UNDERFLOW = 1e-290
+
+
+class ResponseBounds(NamedTuple):
+    """Upper bounds.
+
+    Args:
+        sums: Of the sums over k of |row A^k input|, (rows, inputs).
+        peaks: Of the largest |row A^k start| over all k and starts, (rows,).
+    """
+
+    sums: np.ndarray
+    peaks: np.ndarray
+
+
+def middles(matrix: arb_mat) -> np.ndarray:
+    """The middles of the balls, rounded."""
+    return np.array([[float(x.mid()) for x in row] for row in matrix.tolist()])
+
+
+def magnitudes(matrix: arb_mat) -> np.ndarray:
+    """Bounds of the magnitudes, with each ball's radius weighted so that ROUNDED times them covers it, too."""
+    weight = arb(2) ** 60
+    return np.array([[float((abs(x) + weight * x.rad()).upper()) for x in row] for row in matrix.tolist()])
+
+
+def response_bounds(
+    a: arb_mat, rows: arb_mat, inputs: arb_mat, starts: arb_mat, p: arb_mat, decay: arb
+) -> ResponseBounds | None:
+    """Bounds of the responses to inputs and to starts; None if they decay too slowly.
+
+    Args:
+        a: A, (n, n).
+        rows: Rows of the signals, (m, n).
+        inputs: Columns of the inputs, (n, q).
+        starts: Columns of the initial states, (n, s).
+        p: V = z'Pz, which falls by at least the share ``decay`` in a sample, as the caller has shown.
+        decay: Its share.
+    """
+    n, m, q = a.nrows(), rows.nrows(), inputs.ncols()
+    short = stacked(powers(rows, a))
+    jumps = powers(identity(n), a**SIDE)
+    long = stacked(jumps)
+    block_jump = jumps[-1] * a**SIDE
+    short_middles = middles(short)
+    long_middles = middles(long).reshape(SIDE, n, n)
+    long_sizes = np.concatenate(list(magnitudes(long).reshape(SIDE, n, n)), axis=1)
+    error = (ROUNDED * TWICE * magnitudes(short) @ long_sizes).reshape(SIDE, m, SIDE, n)
+    error_sum = SUMMED * error.sum(axis=(0, 2))
+    error_peak = error.max(axis=(0, 2))
+    shadow = rows * p.inv() * rows.transpose()
+    reach = np.array([float(abs(shadow[i, i]).upper().sqrt().upper()) for i in range(m)])
+    norm = total([abs(entry) for row in p.tolist() for entry in row]).sqrt()
+    z = side_by_side(inputs, starts)
+    count = z.ncols()
+    lost = [arb(0)] * count
+    sums = np.zeros((m, q))
+    peaks = np.zeros((m, starts.ncols()))
+    for _ in range(MOST_BLOCKS):
+        for j in range(count):  # go on with exact numbers; V bounds what the difference can still cause
+            lost[j] = lost[j] + norm * max((z[i, j].rad() for i in range(n)), key=float)
+        z = z.mid()
+        state = middles(z)
+        response = np.abs(short_middles @ (long_middles @ state)).reshape(SIDE**2, m, -1)
+        sums += response[..., :q].sum(axis=0) + error_sum @ np.abs(state[:, :q]) + UNDERFLOW
+        largest = response[..., q:].max(axis=0) + error_peak @ np.abs(state[:, q:]) + UNDERFLOW
+        peaks = np.maximum(peaks, largest)
+        z = block_jump * z
+        ends = [(state_size(p, z, j) + lost[j]).upper() for j in range(count)]
+        tail_peaks = reach[:, None] * np.array([float(end) for end in ends])
+        tail_sums = tail_peaks[:, :q] * float((2 / decay).upper())
+        if np.all(tail_sums <= TAIL_SHARE * sums) and np.all(tail_peaks[:, q:] <= np.maximum(peaks, UNDERFLOW)):
+            lost_peaks = reach[:, None] * np.array([float(size.upper()) for size in lost[q:]])
+            peaks = np.maximum(peaks + lost_peaks, tail_peaks[:, q:]).max(axis=1, initial=0.0)
+            return ResponseBounds(SUMMED * (sums + tail_sums), SUMMED * peaks)
+    return None
+
+
+def powers(first: arb_mat, a: arb_mat) -> list[arb_mat]:
+    """The first ``SIDE`` of first, first a, first a^2, ..."""
+    result = [first]
+    for _ in range(SIDE - 1):
+        result.append(result[-1] * a)
+    return result
+
+
+def stacked(parts: list[arb_mat]) -> arb_mat:
+    """Matrices below one another."""
+    return arb_mat([row for part in parts for row in part.tolist()])
+
+
+def state_size(p: arb_mat, z: arb_mat, j: int) -> arb:
+    """Bound of V^(1/2) of a column."""
+    return abs(quadratic_form(p, column(z, j))).upper().sqrt()

@@ -1,0 +1,194 @@
+"""(P3), (P5), (P6): a set {z'Pz <= 1} that is invariant and attracts, for all plants of a box and gains of a region."""
+
+from functools import reduce
+from itertools import pairwise, product
+
+from flint import arb, arb_mat
+
+from dssc_jax.proofs.verifier.balls import (
+    Balls,
+    StageLimits,
+    approximate_root,
+    ball_ends,
+    bound_in_set,
+    column,
+    interval_ball,
+    maximum,
+    positive_definite,
+    quadratic_form,
+    require_premise,
+    symmetric_matrix,
+    symmetric_part,
+    total,
+)
+from dssc_jax.proofs.verifier.certificate import Box, InvariantStage, Problem
+from dssc_jax.proofs.verifier.enclosed_loop import (
+    SAMPLE_PIECES,
+    Corner,
+    control_rows,
+    inside_bounds,
+    sample_corners,
+    signal_bounds,
+    signal_rows,
+    start_columns,
+)
+from dssc_jax.proofs.verifier.gain_enclosures import (
+    depends_on_error,
+    enclosed_gains,
+    enclosed_start_ratio,
+    with_moving_error,
+)
+from dssc_jax.proofs.verifier.held_plant import flows, generator_over, held_vertices
+from dssc_jax.proofs.verifier.slope_ratios import slide_gain
+
+ERROR, SPEED = 0, 1
+"""Places of e and e' among the states."""
+PieceGains = list[tuple[float, Balls]]
+"""The upper end of each piece of |sigma|, and the gains there."""
+
+
+def invariant_bounds(
+    problem: Problem, box: Box, stage: InvariantStage, gains: Balls, started: bool, label: str
+) -> StageLimits:
+    """Show that the stage's set is invariant and attracts.
+
+    Args:
+        problem: The certificate's problem.
+        box: Its box.
+        stage: The stage, whose ``multipliers`` are those of the inputs.
+        gains: Balls of the gains in the stage's region.
+        started: Whether the set has to hold every start and keep sliding.
+        label: The stage's place, for messages.
+    """
+    p = symmetric_matrix(stage["p"])
+    integrated = stage["coordinate"] == "phi_1"
+    if not integrated:
+        gains = with_moving_error(problem, gains, stage["moved"])
+    require_premise(positive_definite(p), f"P2: P is not positive definite in {label}")
+    pieces = piece_gains(problem, stage)
+    if not integrated:
+        pieces = [(high, increment_gains(problem, stage, gains, piece)) for high, piece in pieces]
+    vertices = held_vertices(problem, box, stage["degree"])
+    for _, piece in pieces:
+        corners = sample_corners(problem, box, vertices, piece, integrated=integrated)
+        check_invariance(arb(problem["sample_time"]), stage, p, corners, label)
+    inverse = p.inv()
+    largest_error = largest_between_samples(problem, box, stage, inverse, gains, ERROR)
+    largest_speed = largest_between_samples(problem, box, stage, inverse, gains, SPEED)
+    moved = arb(problem["sample_time"]) * largest_speed if depends_on_error(problem) else arb(0)
+    if started:
+        check_start(problem, box, p, integrated, label)
+        check_sliding(problem, box, stage, inverse, gains, pieces, moved, label)
+    require_premise(not any(problem["by_state"]), f"P8: the set of {label} does not bound what the state adds to d")
+    rows = signal_rows(problem)
+    sigma = bound_in_set(inverse, rows.sigma)
+    e = bound_in_set(inverse, rows.e)
+    return StageLimits(sigma, e, largest_error, arb(0), arb(0), moved)
+
+
+def piece_gains(problem: Problem, stage: InvariantStage) -> PieceGains:
+    """The gains in each piece of |sigma|; the pieces cover the stage's region."""
+    count = stage["pieces"]
+    ends = [stage["sigma"] * (i / count) ** 2 for i in range(count)] + [stage["sigma"]]
+    return [(high, enclosed_gains(problem, high, stage["e"], low)) for low, high in pairwise(ends)]
+
+
+def increment_gains(problem: Problem, stage: InvariantStage, gains: Balls, piece: Balls) -> Balls:
+    """The gains of the increments of u_av in a piece: K_P is a mean over a sample, which may begin in another piece."""
+    increments = with_moving_error(problem, piece, stage["moved"])
+    return increments | {"k_p": gains["k_p"]} if problem["form"] == "conservative" else increments
+
+
+def check_start(problem: Problem, box: Box, p: arb_mat, integrated: bool, label: str) -> None:
+    """(P3) Every start lies in the set."""
+    starts = start_columns(problem, box, enclosed_start_ratio(problem, integrated=integrated))
+    for j in range(starts.ncols()):
+        require_premise(quadratic_form(p, column(starts, j)) <= 1, f"P3: a start lies outside of {label}")
+
+
+def check_sliding(
+    problem: Problem,
+    box: Box,
+    stage: InvariantStage,
+    inverse: arb_mat,
+    gains: Balls,
+    pieces: PieceGains,
+    moved: arb,
+    label: str,
+) -> None:
+    """(P5) |u_eq| <= rho, where u_eq - d_r - f is a row of z that is affine in its gains.
+
+    In the coordinate q, u_av = q + phi_1(s): phi_1(s) is within |mean - middle| |s| of middle s in each piece. By e,
+    phi_1 changes in a sample at most by its slope in e times ``moved``, the bound of the change of e; in the coordinate
+    u_av, K_I holds this.
+    """
+    if problem["rho"] is None:
+        return
+    integrated = stage["coordinate"] == "phi_1"
+    rows = signal_rows(problem)
+    room = arb(problem["rho"]) - signal_bounds(problem, box).offset
+    held = rows.v
+    slide_p = gains["slide_p"]
+    if integrated:
+        middle = gains["mean"].mid()
+        held = held + rows.s * middle
+        distances = [(abs(piece["mean"] - middle) * arb(high)).upper() for high, piece in pieces]
+        room = room - reduce(maximum, distances)
+    if problem["form"] == "conservative":
+        if integrated:
+            room = room - abs(gains["slide_e"]).upper() * moved
+        slide_p = slide_gain(problem, stage, gains, bound_in_set(inverse, rows.change), moved)
+    for by_change, by_sigma in product(ball_ends(slide_p), ball_ends(gains["slide_i"])):
+        row = held + rows.change * by_change + rows.sigma * by_sigma
+        holds = bound_in_set(inverse, row) <= room
+        require_premise(holds, f"P5: the equivalent control may exceed rho in {label}")
+
+
+def check_invariance(t: arb, stage: InvariantStage, p: arb_mat, corners: list[Corner], label: str) -> None:
+    """(P6) V(z+) <= (1 - T lambda) V(z) + T sum of mu_j w_j^2 at every corner, mu_j >= 0 with a sum <= lambda."""
+    rate = arb(stage["rate"])
+    multipliers = [arb(mu) for mu in stage["multipliers"]]
+    require_premise(rate > 0 and t * rate < 1, f"P6: lambda is not in (0, 1/T_s) in {label}")
+    require_premise(all(mu >= 0 for mu in multipliers), f"P6: a multiplier is negative in {label}")
+    require_premise(total(multipliers) <= rate, f"P6: the multipliers exceed lambda in {label}")
+    root = approximate_root(p)  # coordinates in which P is close to I, so that the balls of A stay small
+    assert root is not None
+    to_scaled = root.transpose()
+    from_scaled = to_scaled.inv()
+    scaled_p = from_scaled.transpose() * p * from_scaled
+    keep = scaled_p * (1 - t * rate)
+    for corner in corners:
+        columns = zip(*corner.b.tolist(), strict=True)
+        active = [j for j, entries in enumerate(columns) if not all(entry == 0 for entry in entries)]
+        a = to_scaled * corner.a * from_scaled
+        b = to_scaled * corner.b
+        a_p = a.transpose() * scaled_p
+        decrease = (keep - a_p * a).tolist()
+        cross = (a_p * b).tolist()
+        inputs = b.transpose() * scaled_p * b
+        block = [[*kept, *(-mixed[j] for j in active)] for kept, mixed in zip(decrease, cross, strict=True)]
+        for j in active:
+            weights = [(t * multipliers[j] if i == j else arb(0)) - inputs[j, i] for i in active]
+            block.append([*(-mixed[j] for mixed in cross), *weights])
+        require_premise(positive_definite(symmetric_part(block)), f"P6: the set is not invariant in {label}")
+
+
+def largest_between_samples(
+    problem: Problem, box: Box, stage: InvariantStage, inverse: arb_mat, gains: Balls, place: int
+) -> arb:
+    """Upper bound of |e(t)| or |e'(t)| at all times, while z at the samples is in the set."""
+    integrated = stage["coordinate"] == "phi_1"
+    names = ("mean" if integrated else "k_p", "k_i", "k_n")
+    t = arb(problem["sample_time"])
+    k_p = interval_ball(*box["k_p"])
+    disturbed = inside_bounds(problem, box, t)[place]
+    largest = arb(0)
+    for flow in flows(generator_over(problem, box), t, SAMPLE_PIECES):
+        *states, push = flow.tolist()[place]
+        forced = k_p * push
+        for gain in product(*(ball_ends(gains[name]) for name in names)):
+            _, command = control_rows(problem, gain, integrated=integrated)
+            pairs = zip([*states, arb(0), arb(0)], command.tolist()[0], strict=True)
+            row = arb_mat([[state + forced * entry for state, entry in pairs]])
+            largest = maximum(largest, (bound_in_set(inverse, row) + disturbed).upper())
+    return largest

@@ -1,0 +1,72 @@
+"""How much the slope of phi_1 changes within a sample, enclosed: the sliding condition of a constant k_o needs it.
+
+There tau_av = 1/(k_o g) with g = d phi_1/d sigma belongs to the end of a sample, and K_P is the mean of g over it.
+Their product is 1/k_o, times a ratio of slopes at points that are close to one another.
+"""
+
+import numpy as np
+from flint import arb
+
+from dssc_jax.proofs.verifier.balls import Balls, maximum, require_premise
+from dssc_jax.proofs.verifier.certificate import Problem, Stage
+from dssc_jax.proofs.verifier.gain_enclosures import constants_of, functions_at
+from dssc_jax.proofs.verifier.intervals import Intervals, outwards
+from dssc_jax.proofs.verifier.table_gains import Cells, gains_of
+
+ROOT_CELLS = 64
+ERROR_CELLS = 16
+"""Cells of |sigma|^(1/2) and of |e| in which the end of a sample may lie."""
+
+
+def slide_gain(problem: Problem, stage: Stage, gains: Balls, change: arb, moved: arb) -> arb:
+    """Ball of the gain of sigma - s in the equivalent control: K_P (1 + tau_av/T_s).
+
+    ``gains`` are those of the stage's region; ``change`` and ``moved`` bound the changes of sigma and e in a sample.
+    """
+    kind = problem["functions"]["kind"]
+    constants = constants_of(problem)
+    if problem["form"] == "implicit" or "k_o" not in constants or kind == "constant":
+        return gains["slide_p"]
+    sigma_change = float(change.upper())
+    if kind == "vgsta":
+        ratio = table_ratio(problem, stage["sigma"], stage["e"], sigma_change, float(moved.upper()))
+    else:
+        ratio = ratio_by_sigma(problem, stage["sigma"], sigma_change)
+    ratios = (1 / ratio).union(ratio)
+    gain = gains["k_p"] + ratios / (constants["k_o"] * arb(problem["sample_time"]))
+    return gain if gain.rad() < gains["slide_p"].rad() else gains["slide_p"]
+
+
+def ratio_by_sigma(problem: Problem, sigma: float, change: float) -> arb:
+    """The largest ratio of slopes within a sample, of functions of sigma alone."""
+    ends = (np.sqrt(sigma) * np.arange(ROOT_CELLS + 1) / ROOT_CELLS) ** 2
+    ends[-1] = sigma
+    largest = arb(1)
+    for low, high in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
+        begin = float(np.nextafter(low - change, -np.inf))
+        end = float(np.nextafter(high + change, np.inf))
+        k_o_tau_av, _ = functions_at(problem, (max(0.0, begin), min(sigma, end)))
+        largest = maximum(largest, (k_o_tau_av.upper() / k_o_tau_av.lower()).upper())
+    return largest
+
+
+def table_ratio(problem: Problem, sigma: float, e: float, change: float, moved: float) -> arb:
+    """The same of Table 1's functions, which depend on e, too; in float64, rounded outwards."""
+    size = sigma * (np.arange(ROOT_CELLS + 1) / ROOT_CELLS) ** 2
+    errors = e * np.arange(ERROR_CELLS + 1) / ERROR_CELLS
+    size[-1] = sigma
+    errors[-1] = e
+    size_low, error_low = np.meshgrid(size[:-1], errors[:-1], indexing="ij")
+    size_high, error_high = np.meshgrid(size[1:], errors[1:], indexing="ij")
+    sizes = outwards(size_low.ravel() - change, size_high.ravel() + change)
+    root = outwards(np.sqrt(np.maximum(sizes.low, 0.0)), np.sqrt(np.minimum(sizes.high, sigma)))
+    reached = outwards(error_low.ravel() - moved, error_high.ravel() + moved)
+    cells = Cells(
+        Intervals(np.maximum(root.low, 0.0), root.high),
+        np.ones(root.low.size),
+        Intervals(np.maximum(reached.low, 0.0), np.minimum(reached.high, e)),
+    )
+    slope = gains_of(problem, cells)["k_p"]
+    require_premise(bool(np.all(slope.low > 0.0)), "P2: the functions are not positive in the region")
+    ratio = slope / slope
+    return arb(float(np.max(ratio.high)))

@@ -1,0 +1,255 @@
+"""(P7) Bounds of all signals that imply themselves: responses of one middle loop, and a small gain around it.
+
+At the middle of plant and gains, with c = sigma - s and the command r z,
+
+    z+ = A z + B w + b_v omega_v + b_u omega_u + omega,    |omega_i| <= k_p dGamma_i |command| + sum of dPhi_ij |z_j|.
+
+omega_v is what the law's increment deviates by, omega_u what the command deviates by besides: :func:`law_deviations`
+bounds both. A signal is bounded by the peak of its response to the starts plus the sums of its absolute impulse
+responses times the bounds of the inputs. If that is less than the bound that went in, for every signal, then by
+induction no signal ever exceeds its bound. docs/proofs.md has the proof.
+"""
+
+from typing import NamedTuple
+
+from flint import arb, arb_mat
+
+from dssc_jax.proofs.verifier.balls import (
+    ENTERED,
+    Balls,
+    StageLimits,
+    identity,
+    matrix_of_columns,
+    maximum,
+    positive_definite,
+    require_premise,
+    side_by_side,
+    symmetric_matrix,
+    total,
+)
+from dssc_jax.proofs.verifier.certificate import Box, Problem, SmallGainStage
+from dssc_jax.proofs.verifier.enclosed_loop import (
+    control_rows,
+    input_columns,
+    inside_bounds,
+    sampled,
+    signal_bounds,
+    signal_rows,
+    start_columns,
+    zeta_jump,
+)
+from dssc_jax.proofs.verifier.function_distances import function_distances
+from dssc_jax.proofs.verifier.gain_enclosures import depends_on_error, enclosed_start_ratio
+from dssc_jax.proofs.verifier.held_plant import (
+    flows,
+    generator_over,
+    held_sample,
+    held_spread,
+    state_places,
+)
+from dssc_jax.proofs.verifier.impulse_responses import response_bounds
+from dssc_jax.proofs.verifier.slope_ratios import slide_gain
+from dssc_jax.proofs.verifier.state_dependence import disturbance_by_state, motion_bounds
+
+MIDDLE_GAINS: dict[str, tuple[str, ...]] = {
+    "implicit": ("k_p", "k_i", "k_n", "slide_p", "slide_i"),
+    "conservative": ("mean", "k_i", "k_n", "slide_p", "slide_i"),
+}
+"""Gains of the middle loop, by form; in the conservative one the first is that of phi_1, over sigma."""
+CHANGE, SIGMA, ERROR, COMMAND, EQUIVALENT, STATES = range(6)
+"""Places of the signals in a list of bounds; the states follow."""
+
+
+class MiddleLoop(NamedTuple):
+    """The loop at the middle of plant and gains.
+
+    Args:
+        a: A, (n, n).
+        rows: Rows of the signals, (5 + n, n).
+        w: Columns of the inputs, of magnitude at most 1.
+        deviations: Columns b_v, b_u, and, unless plant and lag are one point, the unit columns.
+        share: Half of k_p's width over its middle.
+        held: Half widths of Phi's entries and, last, of k_p Gamma's at fixed k_p; None for one point.
+    """
+
+    a: arb_mat
+    rows: arb_mat
+    w: arb_mat
+    deviations: arb_mat
+    share: arb
+    held: list[list[arb]] | None
+
+
+class LawDeviations(NamedTuple):
+    """Bounds of what the law deviates by from that of the middle loop.
+
+    Args:
+        integral: Of omega_v, in the increment of v or q.
+        command: Of the command besides, at one k_p.
+        slide: Of the equivalent control, without what deviates by the changes of sigma and e in a sample.
+    """
+
+    integral: arb
+    command: arb
+    slide: arb
+
+
+def middle_loop(problem: Problem, box: Box, centre: Balls) -> MiddleLoop:
+    """The loop of a box at its middle and at these gains."""
+    zeta, _, n = state_places(problem)
+    chi = n - 2
+    t = arb(problem["sample_time"])
+    rows = signal_rows(problem)
+    integrated = problem["form"] == "conservative"
+    middle = {name: ((arb(low) + arb(high)) / 2).mid() for name, (low, high) in box.items()}
+    k_p = middle["k_p"]
+    low, high = map(arb, box["k_p"])
+    gain = [centre[name] for name in MIDDLE_GAINS[problem["form"]][:3]]
+    held = held_sample(problem, middle["a_p"], middle.get("rate", arb(0)))
+    a = sampled(problem, held, k_p, gain, integrated=integrated)
+    _, command = control_rows(problem, gain, integrated=integrated)
+    equivalent = rows.v + rows.change * centre["slide_p"] + rows.sigma * centre["slide_i"]
+    if integrated:
+        equivalent = equivalent + rows.s * centre["mean"]
+    signals = [row.tolist()[0] for row in (rows.change, rows.sigma, rows.e, command, equivalent)]
+    unit = identity(n).tolist()
+    by_command = [k_p * held[i, chi] if i < chi else arb(0) for i in range(n)]
+    by_v = [-x for x in by_command[:chi]] + [arb(1), arb(0)]
+    deviations = [by_v, by_command]
+    spread = None
+    if any(box[name][0] < box[name][1] for name in box if name != "k_p"):
+        spread = [[*row[:chi], (row[chi] * high).upper()] for row in held_spread(problem, box)[:chi]]
+        deviations += unit
+    sizes = signal_bounds(problem, box)
+    inputs = input_columns(problem, k_p, sizes, inside_bounds(problem, box, t))
+    k_p_distance = maximum(high - k_p, k_p - low)
+    jump_distance = [arb(0)] * n  # of zeta at other values of k_p
+    for place, jump in zip(zeta, zeta_jump(problem), strict=True):
+        jump_distance[place] = t * sizes.slope * k_p_distance * jump
+    return MiddleLoop(
+        a,
+        arb_mat([*signals, *unit]),
+        side_by_side(inputs, matrix_of_columns([jump_distance])),
+        matrix_of_columns(deviations),
+        (k_p_distance / k_p).upper(),
+        spread,
+    )
+
+
+def implied_bounds(
+    problem: Problem, box: Box, stage: SmallGainStage, gains: Balls, started: bool, label: str
+) -> StageLimits:
+    """Show that the stage's bounds imply themselves.
+
+    Args:
+        problem: The certificate's problem.
+        box: Its box.
+        stage: The stage, whose ``bounds`` are those of the signals.
+        gains: Balls of the gains in the stage's region; the stage has those of the middle loop.
+        started: Whether the bounds hold from the start on; otherwise of every upper limit.
+        label: The stage's place, for messages.
+    """
+    t = arb(problem["sample_time"])
+    rate = arb(stage["rate"])
+    centre = dict(zip(MIDDLE_GAINS[problem["form"]], map(arb, stage["gains"]), strict=True))
+    loop = middle_loop(problem, box, centre)
+    p = symmetric_matrix(stage["p"])
+    bounds = [arb(bound) for bound in stage["bounds"]]
+    states = bounds[STATES:]
+    require_premise(rate > 0 and t * rate < 1, f"P7: lambda is not in (0, 1/T_s) in {label}")
+    require_premise(positive_definite(p), f"P2: P is not positive definite in {label}")
+    decrease = p * (1 - t * rate) - loop.a.transpose() * p * loop.a
+    require_premise(positive_definite(decrease), f"P7: V does not fall in {label}")
+    inputs = side_by_side(loop.w, loop.deviations)
+    starts = arb_mat(p.nrows(), 0)
+    if started:
+        ratio = enclosed_start_ratio(problem, integrated=problem["form"] == "conservative")
+        starts = start_columns(problem, box, ratio)
+    responses = response_bounds(loop.a, loop.rows, inputs, starts, p, t * rate)
+    require_premise(responses is not None, f"P7: the responses decay too slowly in {label}")
+    assert responses is not None
+    law = law_deviations(problem, stage, gains, centre, bounds)
+    command = bounds[COMMAND] + law.integral + law.command
+    moved = arb(0)
+    if depends_on_error(problem):
+        moved = t * motion_bounds(problem, box, [command, *states])[1]
+    sizes = [arb(1)] * loop.w.ncols() + deviation_sizes(loop, law, command, states)
+    for i, bound in enumerate(bounds):
+        response = total([arb(float(responses.sums[i, j])) * size for j, size in enumerate(sizes)])
+        peak = arb(float(responses.peaks[i])) if started else arb(0)
+        holds = response + peak < bound
+        require_premise(holds, f"P7: the bound of signal {i} does not imply itself in {label}")
+    if started and problem["rho"] is not None:
+        room = arb(problem["rho"]) - signal_bounds(problem, box).offset
+        slack = law.slide + slide_deviation(problem, stage, gains, centre, bounds, moved)
+        require_premise(bounds[EQUIVALENT] + slack <= room, f"P5: the equivalent control may exceed rho in {label}")
+    bend = bend_between_samples(problem, box, states, command)
+    entered = [bound * arb(ENTERED) for bound in (command, *states)]
+    level, slope = disturbance_by_state(problem, box, entered)
+    return StageLimits(bounds[SIGMA], bounds[ERROR], (states[0] + bend).upper(), level, slope, moved)
+
+
+def law_deviations(
+    problem: Problem, stage: SmallGainStage, gains: Balls, centre: Balls, bounds: list[arb]
+) -> LawDeviations:
+    """What the law deviates by, under the stage's bounds.
+
+    In the implicit form the gains K_P, K_I and K_N deviate. In the conservative form the functions phi_1, phi_2 and n
+    of sigma and e do: by the spread of their ratios to sigma, or by their distance from straight lines, whichever is
+    less. Both are affine in the bounds, so that either may stand in P7. ``gains`` are those of the stage's region,
+    ``centre`` those of the middle loop.
+    """
+    t = arb(problem["sample_time"])
+    change = bounds[CHANGE]
+    sigma = bounds[SIGMA]
+    spread = {name: abs(gains[name] - value).upper() for name, value in centre.items()}
+    slide = spread["slide_i"] * sigma
+    if problem["form"] == "implicit":
+        by_v = spread["k_p"] * change + t * spread["k_i"] * sigma
+        return LawDeviations(by_v, spread["k_n"] * sigma, slide)
+    distances = function_distances(problem, stage["sigma"], stage["e"], centre)
+    return LawDeviations(
+        t * minimum(distances["phi_2"], spread["k_i"] * sigma),
+        minimum(distances["both"], (spread["mean"] + spread["k_n"]) * sigma),
+        slide + minimum(distances["phi_1"], spread["mean"] * sigma),
+    )
+
+
+def slide_deviation(
+    problem: Problem, stage: SmallGainStage, gains: Balls, centre: Balls, bounds: list[arb], moved: arb
+) -> arb:
+    """What the equivalent control deviates by, through the changes of sigma and, by ``moved``, of e in a sample."""
+    by_e = abs(gains.get("slide_e", arb(0))).upper()
+    slide_p = slide_gain(problem, stage, gains, bounds[CHANGE], moved)
+    return abs(slide_p - centre["slide_p"]).upper() * bounds[CHANGE] + by_e * moved
+
+
+def minimum(a: arb, b: arb) -> arb:
+    """An upper bound of the smaller of two numbers."""
+    a_end, b_end = a.upper(), b.upper()
+    return a_end if a_end <= b_end else b_end
+
+
+def deviation_sizes(loop: MiddleLoop, law: LawDeviations, command: arb, states: list[arb]) -> list[arb]:
+    """Bounds of omega_v, omega_u and, unless there is one point, of each omega_i; ``command`` bounds the true one."""
+    sizes = [law.integral, law.command + loop.share * command]
+    if loop.held is not None:
+        chi = len(loop.held)
+        for row in loop.held:
+            by_states = total([row[j] * states[j] for j in range(chi)])
+            sizes.append(row[chi] * command + by_states)
+        sizes += [arb(0)] * (len(states) - chi)
+    return sizes
+
+
+def bend_between_samples(problem: Problem, box: Box, states: list[arb], command: arb) -> arb:
+    """How far e can deviate from the straight line between two samples: T_s^2/8 sup |e''|."""
+    chi = state_places(problem).n - 2
+    t = arb(problem["sample_time"])
+    k_p = arb(box["k_p"][1])
+    f = generator_over(problem, box)
+    (flow,) = flows(f, t, 1)
+    second_derivative = (f * flow).tolist()[1]
+    by_states = total([abs(second_derivative[j]) * states[j] for j in range(chi)])
+    disturbed = k_p * signal_bounds(problem, box).slope * t * (1 + t * abs(second_derivative[1]))
+    return t * t / 8 * (by_states + k_p * abs(second_derivative[chi]) * command + disturbed)

@@ -1,0 +1,173 @@
+"""The verifier: a certificate is proved if every inequality holds in ball arithmetic.
+
+It shares no code with the search, only the certificate's numbers. Every number is a ball (`arb` of FLINT) that contains
+the exact one; the floating-point numbers of the certificate are exact. docs/proofs.md states the theorem whose premises
+are checked here, (P0) to (P8).
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from itertools import pairwise, product
+from typing import NamedTuple, cast
+
+from flint import arb, ctx
+
+from dssc_jax.proofs.verifier.balls import ENTERED, Balls, Rejected, StageLimits, require_premise
+from dssc_jax.proofs.verifier.certificate import Box, BoxProof, InvariantStage, Problem, SmallGainStage
+from dssc_jax.proofs.verifier.enclosed_loop import signal_bounds
+from dssc_jax.proofs.verifier.gain_enclosures import enclosed_gains
+from dssc_jax.proofs.verifier.invariant_sets import invariant_bounds
+from dssc_jax.proofs.verifier.small_gain import implied_bounds
+from dssc_jax.proofs.verifier.well_formed import (
+    INVARIANT_SET,
+    SMALL_GAIN,
+    require_certificate,
+    require_problem,
+    require_proof,
+)
+
+PRECISION = 160  # bits
+AnyStage = SmallGainStage | InvariantStage
+
+
+class ProofVerdict(NamedTuple):
+    """The verifier's answer.
+
+    Args:
+        proved: Whether every premise holds.
+        reason: The first premise that could not be shown, with its place; empty if proved.
+        error: Upper bound of |e| [m] at all times, once the loop has settled; infinite if not proved.
+        largest_error: Upper bound of |e| [m] from the start on.
+    """
+
+    proved: bool
+    reason: str
+    error: float
+    largest_error: float
+
+
+@contextmanager
+def ball_precision() -> Iterator[None]:
+    """Set the working precision of all balls."""
+    previous = ctx.prec
+    ctx.prec = PRECISION
+    try:
+        yield
+    finally:
+        ctx.prec = previous
+
+
+def verify_certificate(content: object) -> ProofVerdict:
+    """Verify a certificate: its problem, and the proof of every box. The boxes have to cover the problem's intervals.
+
+    Args:
+        content: The content of a certificate's file.
+    """
+    try:
+        certificate = require_certificate(content)
+        problem = certificate["problem"]
+        require_premise(certificate["complete"], "P1: the certificate itself says that it is not complete")
+        require_cover(problem, [proof["box"] for proof in certificate["proofs"]])
+    except Rejected as rejected:
+        return refusal(rejected)
+    verdicts = [verify_proof(problem, proof) for proof in certificate["proofs"]]
+    for verdict in verdicts:
+        if not verdict.proved:
+            return verdict
+    error = max(verdict.error for verdict in verdicts)
+    largest_error = max(verdict.largest_error for verdict in verdicts)
+    return ProofVerdict(True, "", error, largest_error)
+
+
+def verify_proof(problem_content: object, proof_content: object) -> ProofVerdict:
+    """Verify the proof of one box alone."""
+    with ball_precision():
+        try:
+            problem = require_problem(problem_content)
+            proof = require_proof(problem, proof_content)
+            limits = verified_stages(problem, proof)
+            errors = [rounded_error(stage_limits) for stage_limits in limits]
+            require_premise(all(map(math.isfinite, errors)), "P0: a bound of |e| is not finite, and proves nothing")
+        except Rejected as rejected:
+            return refusal(rejected)
+    return ProofVerdict(True, "", min(errors), errors[0])
+
+
+def rounded_error(limits: StageLimits) -> float:
+    """The bound of |e(t)|, rounded up."""
+    return math.nextafter(float(limits.between), math.inf)
+
+
+def refusal(rejected: Rejected) -> ProofVerdict:
+    """The verdict on a premise that could not be shown."""
+    return ProofVerdict(False, str(rejected), float("inf"), float("inf"))
+
+
+def require_cover(problem: Problem, boxes: Sequence[Box]) -> None:
+    """(P1) The boxes cover the intervals of k_p, a_p and 1/mu: every cell of the grid of all ends lies in one."""
+    intervals = {"k_p": problem["k_p"], "a_p": problem["a_p"]}
+    if problem["denominator"]:
+        low, high = problem["mu"]
+        intervals["rate"] = (1.0 / high, 1.0 / low)
+    require_premise(bool(boxes), "P1: no box")
+    grids = []
+    for name, (low, high) in intervals.items():
+        ends = {end for box in boxes for end in box[name] if low < end < high}
+        grids.append(list(pairwise(sorted({low, high} | ends))) or [(low, high)])
+    for sides in product(*grids):
+        cell = dict(zip(intervals, sides, strict=True))
+        covered = any(is_within(cell, box) for box in boxes)
+        require_premise(covered, f"P1: no box covers {cell}")
+
+
+def is_within(cell: Box, box: Box) -> bool:
+    """Whether a cell lies in a box."""
+    return all(box[name][0] <= low and high <= box[name][1] for name, (low, high) in cell.items())
+
+
+def verified_stages(problem: Problem, proof: BoxProof) -> list[StageLimits]:
+    """Check every stage of a box; return what they show."""
+    box = proof["box"]
+    limits: list[StageLimits] = []
+    for number, stage in enumerate(proof["stages"], 1):
+        label = f"stage {number} of the box {box}"
+        disturbed: Problem = {**problem, "level": stage["level"], "slope": stage["slope"]}
+        if limits:
+            require_region(limits[-1], arb(ENTERED), stage, f"P4: the stage before {label}")
+            require_disturbance(problem, limits[-1], stage, f"P8: the stage before {label}")
+        elif problem["rho"] is not None:
+            exceeds = arb(problem["rho"]) > signal_bounds(disturbed, box).offset
+            require_premise(exceeds, "P5: rho does not exceed what disturbance and reference ask for")
+        gains = enclosed_gains(problem, stage["sigma"], stage["e"])
+        limits.append(limits_of(disturbed, box, stage, gains, started=number == 1, label=label))
+        if number == 1:
+            require_region(limits[0], arb(1), stage, f"P4: {label}")
+            require_disturbance(problem, limits[0], stage, f"P8: {label}")
+    return limits
+
+
+def limits_of(problem: Problem, box: Box, stage: AnyStage, gains: Balls, *, started: bool, label: str) -> StageLimits:
+    """What a stage shows, by its method."""
+    if stage["method"] == SMALL_GAIN:
+        return implied_bounds(problem, box, cast(SmallGainStage, stage), gains, started, label)
+    assert stage["method"] == INVARIANT_SET
+    return invariant_bounds(problem, box, cast(InvariantStage, stage), gains, started, label)
+
+
+def require_disturbance(problem: Problem, limits: StageLimits, stage: AnyStage, subject: str) -> None:
+    """(P8) What was shown allows no larger disturbance, and no steeper one, than a stage takes for granted."""
+    level_holds = arb(problem["level"]) + limits.level <= arb(stage["level"])
+    require_premise(level_holds, f"{subject} allows a disturbance of larger level")
+    slope_holds = arb(problem["slope"]) + limits.slope <= arb(stage["slope"])
+    require_premise(slope_holds, f"{subject} allows a disturbance of larger slope")
+
+
+def require_region(limits: StageLimits, factor: arb, stage: AnyStage, subject: str) -> None:
+    """(P4) What was shown lies in the region of a stage."""
+    sigma, e = stage["sigma"], stage["e"]
+    require_premise(limits.sigma * factor <= arb(sigma), f"{subject} leaves |sigma| <= {sigma}")
+    require_premise(limits.e * factor <= arb(e), f"{subject} leaves |e| <= {e}")
+    if stage.get("coordinate") == "u_av":
+        moved = cast(InvariantStage, stage)["moved"]
+        require_premise(limits.moved * factor <= arb(moved), f"{subject} lets e change by more in a sample")

@@ -1,0 +1,249 @@
+"""(P0) What a certificate has to look like before anything in it is computed with: entries, types, shapes, signs."""
+
+import math
+import sys
+from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
+from typing import Any, cast
+
+from dssc_jax.proofs.verifier.balls import Rejected, require_premise
+from dssc_jax.proofs.verifier.certificate import (
+    BoxProof,
+    Certificate,
+    Interval,
+    InvariantStage,
+    Problem,
+    SmallGainStage,
+)
+
+CONSTANTS = {
+    "constant": ({"k_o", "tau_av", "tau_m"}, False),
+    "sta": ({"kappa1", "kappa2"}, True),
+    "approx_sta_1": ({"kappa1", "kappa2", "delta"}, True),
+    "approx_sta_2": ({"kappa1", "kappa2", "delta"}, True),
+    "square_root": ({"kappa_o", "kappa_m", "delta_o", "delta_m", "tau_av"}, False),
+    "field": ({"k_o", "kappa1", "kappa2", "delta"}, False),
+    "vgsta": (
+        {"phi_a", "phi_b", "kappa_a", "kappa_b", "kappa_c", "kappa_d", "epsilon", "gamma", "delta"},
+        True,
+    ),
+}
+"""Constants of each row of functions, and whether exactly one of k_o and tau_av belongs to them."""
+SMALL_GAIN = "small gain"
+INVARIANT_SET = "invariant set"
+STAGE_TYPES = {SMALL_GAIN: SmallGainStage, INVARIANT_SET: InvariantStage}
+"""Type of a stage, by its method."""
+FORMS = ("implicit", "conservative")
+COORDINATES = ("u_av", "phi_1")
+STARTS = ("zero", "matched", "midpoint")
+MAY_VANISH = {"phi_a", "kappa_a", "kappa_b", "kappa_c", "gamma"}
+SIGNALS = 5
+"""Signals besides the states that a bound belongs to."""
+MIDDLE_COUNT = 5
+"""Gains of a middle loop."""
+MOST_DELAY = 200
+"""Longest delay, in samples."""
+MOST_ORDER = 30
+"""Largest order of G or of the zero dynamics."""
+MOST_WIDE = 10
+"""Largest number of initial states with an interval."""
+MOST_PIECES = 1000
+MOST_DEGREE = 8
+
+
+def require_shape(holds: bool, place: str, rule: str) -> None:
+    """Reject a part that breaks a rule."""
+    require_premise(holds, f"P0: {place} {rule}")
+
+
+def require_entries(table: object, names: AbstractSet[str], place: str) -> dict[str, object]:
+    """A table with exactly these entries; reject anything else."""
+    if not isinstance(table, dict):
+        raise Rejected(f"P0: {place} is no table")
+    missing = sorted(names - table.keys())
+    unknown = sorted(map(str, table.keys() - names))
+    require_shape(not missing, place, f"has no entry {', '.join(missing)}")
+    require_shape(not unknown, place, f"has an unknown entry {', '.join(unknown)[:80]}")
+    return table
+
+
+def require_list(values: object, count: int | None, place: str) -> Sequence[object]:
+    """A list of so many items; reject anything else."""
+    if not isinstance(values, list | tuple):
+        raise Rejected(f"P0: {place} is no list")
+    require_shape(count in (None, len(values)), place, f"has {len(values)} items in place of {count}")
+    return values
+
+
+def require_finite(value: object, place: str) -> float:
+    """A finite number of float64; reject anything else, also text and truth values."""
+    if type(value) is not int and type(value) is not float:
+        raise Rejected(f"P0: {place} is not a finite number")
+    require_shape(abs(value) <= sys.float_info.max and float(value) == value, place, "is not a finite number")
+    return value
+
+
+def require_positive(value: object, place: str) -> None:
+    """Reject anything but a positive finite number."""
+    require_shape(require_finite(value, place) > 0, place, "is not positive")
+
+
+def require_not_negative(value: object, place: str) -> None:
+    """Reject anything but a finite number of at least 0."""
+    require_shape(require_finite(value, place) >= 0, place, "is negative")
+
+
+def require_numbers(values: object, count: int | None, place: str) -> list[float]:
+    """A list of so many finite numbers; reject anything else."""
+    return [require_finite(value, place) for value in require_list(values, count, place)]
+
+
+def require_sizes(values: object, count: int, place: str) -> None:
+    """Reject anything but a list of so many finite numbers of at least 0."""
+    require_shape(all(value >= 0 for value in require_numbers(values, count, place)), place, "is negative")
+
+
+def require_interval(interval: object, place: str) -> Interval:
+    """An interval; reject anything else."""
+    low, high = require_numbers(interval, 2, place)
+    require_shape(low <= high, place, "ends before it begins")
+    return low, high
+
+
+def require_certificate(content: object) -> Certificate:
+    """A problem, its proofs, and what they claim; reject a content with other parts."""
+    certificate = require_entries(content, Certificate.__required_keys__, "the certificate")
+    require_shape(type(certificate["complete"]) is bool, "complete", "is not true or false")
+    problem = require_problem(certificate["problem"])
+    for proof in require_list(certificate["proofs"], None, "proofs"):
+        require_proof(problem, proof)
+    return cast(Certificate, content)
+
+
+def require_problem(content: object) -> Problem:
+    """A loop of the class; reject anything else."""
+    problem: dict[str, Any] = require_entries(content, Problem.__required_keys__, "problem")
+    for name in ("sample_time", "l0"):
+        require_positive(problem[name], name)
+    for name in ("level", "slope", "sensor_lag", "reference_size"):
+        require_not_negative(problem[name], name)
+    for name in ("k_p", "a_p", "mu"):
+        require_interval(problem[name], name)
+    require_shape(problem["k_p"][0] > 0, "k_p", "is not positive")
+    require_unmodelled(problem)
+    require_sizes(problem["by_state"], 5, "by_state")
+    require_sizes(problem["reference"], 3, "reference")
+    by_state = any(problem["by_state"])
+    require_shape(by_state or problem["reference_size"] == 0, "reference_size", "acts on no disturbance")
+    order = len(require_numbers(problem["zero_a"], None, "zero_a"))
+    require_shape(order <= MOST_ORDER, "zero_a", f"has more than {MOST_ORDER} items")
+    require_numbers(problem["zero_c"], order, "zero_c")
+    moves = any(problem["reference"])
+    require_shape(not moves or not (order or problem["sensor_lag"]), "reference", "moves, which is not covered")
+    initial = require_list(problem["initial"], 2 + order, "initial")
+    wide = sum(low < high for low, high in [require_interval(interval, "initial") for interval in initial])
+    require_shape(wide <= MOST_WIDE, "initial", f"has more than {MOST_WIDE} intervals")
+    require_shape(problem["start"] in STARTS, "start", f"is none of {', '.join(STARTS)}")
+    if problem["rho"] is not None:
+        require_positive(problem["rho"], "rho")
+    if problem["nominal"] is not None:
+        require_list(problem["nominal"], 3, "nominal")
+        a, k, predictor_term = problem["nominal"]
+        require_finite(a, "nominal")
+        require_positive(k, "nominal")
+        require_shape(type(predictor_term) is bool, "nominal", "is not true or false")
+    require_functions(problem["functions"], problem["form"])
+    return cast(Problem, content)
+
+
+def require_unmodelled(problem: dict[str, Any]) -> None:
+    """Reject a G(mu s) or a delay that the loop cannot have."""
+    numerator = require_numbers(problem["numerator"], None, "numerator")
+    denominator = require_numbers(problem["denominator"], None, "denominator")
+    delay = require_finite(problem["delay"], "delay")
+    require_shape(0 <= delay <= MOST_DELAY, "delay", f"is not within [0, {MOST_DELAY}]")
+    if not denominator:
+        require_shape(not numerator, "numerator", "has no denominator")
+        require_shape(not any(problem["mu"]), "mu", "belongs to no transfer function")
+        return
+    require_shape(len(denominator) <= MOST_ORDER, "denominator", f"has more than {MOST_ORDER} items")
+    require_shape(len(denominator) > 1 and 0 < len(numerator) <= len(denominator), "numerator", "is not proper")
+    require_shape(numerator[0] == denominator[0] != 0, "numerator", "does not begin like the denominator")
+    require_shape(denominator[-1] != 0, "denominator", "ends with 0")
+    require_shape(not delay, "delay", "comes with a transfer function")
+    require_shape(problem["mu"][0] > 0, "mu", "is not positive")
+
+
+def require_functions(content: object, form: object) -> None:
+    """Reject functions that are no row of the tables, or that the form does not cover."""
+    if not isinstance(content, dict):
+        raise Rejected("P0: functions is no table")
+    kind = content.get("kind")
+    if not isinstance(kind, str) or kind not in CONSTANTS:
+        raise Rejected("P0: functions are unknown")
+    names, has_factor = CONSTANTS[kind]
+    factors = content.keys() & {"k_o", "tau_av"} if has_factor else set()
+    require_shape(len(factors) == has_factor, "functions", "need one of k_o and tau_av")
+    functions = require_entries(content, names | factors | {"kind"}, "functions")
+    for name in names | factors:
+        value = require_finite(functions[name], name)
+        require_shape(value > 0 or (name in MAY_VANISH and value == 0), name, "is not positive")
+    require_shape(form in FORMS, "form", "is neither implicit nor conservative")
+    require_shape(form == "implicit" or kind != "sta", "functions", "are not covered in the conservative form")
+
+
+def require_proof(problem: Problem, content: object) -> BoxProof:
+    """A box and stages of the problem's shapes; reject anything else."""
+    proof = require_entries(content, BoxProof.__required_keys__, "a proof")
+    sides = {"k_p", "a_p", "rate"} if problem["denominator"] else {"k_p", "a_p"}
+    for name, interval in require_entries(proof["box"], sides, "box").items():
+        low, _ = require_interval(interval, f"box.{name}")
+        require_shape(name == "a_p" or low > 0, f"box.{name}", "is not positive")
+    stages = require_list(proof["stages"], None, "stages")
+    require_shape(bool(stages), "stages", "are missing")
+    for stage in stages:
+        require_stage(problem, stage)
+    return cast(BoxProof, content)
+
+
+def require_stage(problem: Problem, content: object) -> None:
+    """Reject a stage of another shape than the problem's."""
+    order = max(len(problem["denominator"]) - 1, math.ceil(problem["delay"])) + 2 * bool(problem["sensor_lag"])
+    eta = len(problem["zero_a"])
+    n = 4 + eta + order
+    if not isinstance(content, dict):
+        raise Rejected("P0: a stage is no table")
+    method = content.get("method")
+    if not isinstance(method, str) or method not in STAGE_TYPES:
+        raise Rejected("P0: method is unknown")
+    stage = require_entries(content, STAGE_TYPES[method].__required_keys__, "a stage")
+    for name in ("sigma", "e", "rate"):
+        require_positive(stage[name], name)
+    for name in ("level", "slope"):
+        require_not_negative(stage[name], name)
+    require_symmetric(stage["p"], n, "p")
+    if method == SMALL_GAIN:
+        require_numbers(stage["gains"], MIDDLE_COUNT, "gains")
+        bounds = require_numbers(stage["bounds"], SIGNALS + n, "bounds")
+        require_shape(all(bound > 0 for bound in bounds), "bounds", "are not positive")
+        return
+    require_numbers(stage["multipliers"], 4 + eta, "multipliers")
+    require_not_negative(stage["moved"], "moved")
+    coordinate = stage["coordinate"]
+    require_shape(coordinate in COORDINATES, "coordinate", f"is none of {', '.join(COORDINATES)}")
+    fits = coordinate == "u_av" or problem["form"] == "conservative"
+    require_shape(fits, "coordinate", "does not belong to the form")
+    require_count(stage["pieces"], MOST_PIECES, "pieces", "is no number of pieces")
+    require_count(stage["degree"], MOST_DEGREE, "degree", "is no degree of a polynomial")
+
+
+def require_count(value: object, limit: int, place: str, rule: str) -> None:
+    """Reject anything but an integer from 1 to a limit."""
+    require_shape(type(value) is int and 1 <= value <= limit, place, rule)
+
+
+def require_symmetric(content: object, n: int, place: str) -> None:
+    """Reject anything but a symmetric matrix of finite numbers, (n, n)."""
+    rows = [require_numbers(row, n, place) for row in require_list(content, n, place)]
+    symmetric = all(rows[i][j] == rows[j][i] for i in range(n) for j in range(i))
+    require_shape(symmetric, place, "is not symmetric")
