@@ -81,9 +81,9 @@ def slider_seconds(page: Page, study: str) -> list[float]:
 def flight_seconds(page: Page, study: dj.Study) -> list[float]:
     """From each click on a draw of a result to its flight; the first one, which compiles, is left out."""
     with tempfile.TemporaryDirectory() as folder:
-        where = Path(folder) / "result"
-        dj.run(study, where)
-        with served(page, str(where)):
+        out = Path(folder) / "result"
+        dj.run(study, out)
+        with served(page, str(out)):
             button = page.locator(".bk-btn", has_text="Random")
             button.click()
             page.get_by_text("stored metrics").wait_for()
@@ -149,7 +149,7 @@ def main() -> None:
         megabytes, opened, scatter, lines = brushing(new_page())
         browser.close()
     table = ["| | median | slowest |", "|---|---|---|"]
-    table += [f"| {what} | {statistics.median(times):.2f} s | {max(times):.2f} s |" for what, times in rows]
+    table += [f"| {label} | {statistics.median(times):.2f} s | {max(times):.2f} s |" for label, times in rows]
     parts = (
         f"Each is measured {MOVES} times, from the key or button to the last figure that it changes. What is compiled "
         "first is left out.",

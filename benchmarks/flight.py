@@ -71,8 +71,8 @@ def written(folder: FlightFolder, place: Path) -> None:
 
 def benches_of(precision: int, samples: int) -> dict[str, tuple[str, list[str]]]:
     """The benches that run so many samples in a precision, with the program that runs each."""
-    every = precision == 32 or samples <= MOST_EMULATED
-    return {label: own for label, own in BENCHES.items() if every or label != EMULATED}
+    emulated = precision == 32 or samples <= MOST_EMULATED
+    return {label: command for label, command in BENCHES.items() if emulated or label != EMULATED}
 
 
 class Feeder(threading.Thread):
@@ -126,27 +126,27 @@ def bits_of_study(name: str, study: dj.Study, draws: int, samples: int) -> Bits:
     return Bits(name, study.config.loop.precision, draws * samples, differing, compared.pop())
 
 
-def bits(draws: int, samples: int, only: str) -> str:
+def bits(draws: int, samples: int, part: str) -> str:
     """Compare every controller and say what differed."""
     measured = [
         bits_of_study(name, study, draws, samples)
         for precision in (64, 32)
         for name, study in studies(precision)
-        if only in name
+        if part in name
     ]
     lines = [f"| {draws:,} draws of {samples:,} samples | " + " | ".join(BENCHES) + " |"]
     lines.append("|---" * (len(BENCHES) + 1) + "|")
     for precision in (64, 32):
-        chosen = [each for each in measured if each.precision == precision]
-        total = sum(each.compared for each in chosen)
+        chosen = [result for result in measured if result.precision == precision]
+        total = sum(result.compared for result in chosen)
         wrong = (
-            f"{sum(each.differing[label] for each in chosen)} of {total:,}"
+            f"{sum(result.differing[label] for result in chosen)} of {total:,}"
             if label in benches_of(precision, draws * samples)
             else "-"
             for label in BENCHES
         )
         lines.append(f"| float{precision}, {len(chosen)} controllers | " + " | ".join(wrong) + " |")
-    names = ", ".join(each.name for each in measured if each.precision == 64)
+    names = ", ".join(result.name for result in measured if result.precision == 64)
     return "\n".join([*lines, "", f"Values that differ, of the values compared. The controllers: {names}."])
 
 
@@ -161,15 +161,15 @@ def cost() -> str:
         with tempfile.TemporaryDirectory() as place:
             folder = FlightFolder(study)
             written(folder, Path(place))
-            (only,) = folder.controllers
-            spent = step_cost(only)
-            slow = sum(spent.operations.get(each, 0) for each in ("div", "sqrt"))
+            (controller,) = folder.controllers
+            spent = step_cost(controller)
+            slow = sum(spent.operations.get(operation, 0) for operation in ("div", "sqrt"))
             stack = subprocess.run(["make", "stack"], cwd=place, check=True, capture_output=True, text=True).stdout
             used = re.findall(r"_step\s+(\d+)", stack)[0]
             ran = subprocess.run(["make", "cycles"], cwd=place, check=True, capture_output=True, text=True).stdout
-            least, mean = re.findall(r"least (\d+), mean (\d+)", ran)[0]
+            fastest, mean = re.findall(r"least (\d+), mean (\d+)", ran)[0]
         row = (name, sum(spent.operations.values()), slow, spent.chain,
-               f"{state_bytes(only)}, {parameter_bytes(only)}", used, f"{least}, {mean}")  # fmt: skip
+               f"{state_bytes(controller)}, {parameter_bytes(controller)}", used, f"{fastest}, {mean}")  # fmt: skip
         lines.append("| " + " | ".join(map(str, row)) + " |")
     return "\n".join(lines)
 
@@ -188,7 +188,7 @@ def hostile(count: int = 1_000_000) -> str:
             match = re.search(r"(\d+) hostile samples.*: (\d+) with a flag, (\d+) with a wrong flag", printed)
             assert match is not None, printed
             print(f"{name}, float{precision}: {printed.strip()}", flush=True)
-            totals = [total + int(own) for total, own in zip(totals, match.groups(), strict=True)]
+            totals = [total + int(count) for total, count in zip(totals, match.groups(), strict=True)]
             controllers += 1
         lines.append(f"| float{precision}, {controllers} controllers | " + " | ".join(f"{n:,}" for n in totals) + " |")
     return "\n".join(lines)
@@ -201,10 +201,10 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=1000)
     parser.add_argument("--samples", type=int, default=10_000)
     parser.add_argument("--only", default="", help="controllers whose name has this part")
-    given = parser.parse_args()
-    for part in given.parts:
+    options = parser.parse_args()
+    for part in options.parts:
         text = (
-            bits(given.draws, given.samples, given.only)
+            bits(options.draws, options.samples, options.only)
             if part == "bits"
             else {"cost": cost, "hostile": hostile}[part]()
         )

@@ -15,11 +15,12 @@ from scipy import interpolate, signal, special, stats
 import dssc_jax as dj
 from benchmarks.page import put
 from dssc_jax.engine.sampling import draw
-from dssc_jax.flight_logs.explanation import FitRefused
 from dssc_jax.flight_logs.fit import fit_log
+from dssc_jax.flight_logs.least_squares import fit_scale
+from dssc_jax.flight_logs.prediction import Prediction
 from dssc_jax.flight_logs.reader import Column, FlightLog
+from dssc_jax.flight_logs.refusals import FitRefused
 from dssc_jax.flight_logs.replay import curves_of_draws
-from dssc_jax.flight_logs.residual import fit_scale
 
 PAGE = Path(__file__).parents[1] / "docs" / "flight.md"
 STD = 0.005  # of white noise, and of correlated noise [m]
@@ -45,7 +46,7 @@ class Case(NamedTuple):
     order: int = 1
 
 
-def every(samples: int) -> Times:
+def regular(samples: int) -> Times:
     """Outputs at every so many samples."""
     return lambda random, duration: SAMPLE_TIME * np.arange(0, round(duration / SAMPLE_TIME), samples)
 
@@ -58,11 +59,11 @@ def irregular(random: np.random.Generator, duration: float) -> np.ndarray:
 
 
 CASES = (
-    Case("every sample, white noise", every(1)),
-    Case("every sample, noise of 0.2 s added", every(1), 0.2),
-    Case("one in 10, white noise", every(10)),
-    Case("one in 10, noise of 0.2 s added", every(10), 0.2),
-    Case("one in 10, noise of 1 s added", every(10), 1.0),
+    Case("every sample, white noise", regular(1)),
+    Case("every sample, noise of 0.2 s added", regular(1), 0.2),
+    Case("one in 10, white noise", regular(10)),
+    Case("one in 10, noise of 0.2 s added", regular(10), 0.2),
+    Case("one in 10, noise of 1 s added", regular(10), 1.0),
     Case("irregular, noise of 1 s added", irregular, 1.0),
     Case("irregular, smooth noise of 0.5 s added", irregular, 0.5, 2),
 )
@@ -118,12 +119,14 @@ def logged_flight(study: dj.Study, case: Case, flight: int, y: np.ndarray, u: np
 
 def covered(study: dj.Study, flights: int, case: Case) -> tuple[dict[str, list[float]], int]:
     """Errors of the estimates by number, in their standard deviations; and how many flights were fitted."""
-    truth, cache, fits = draw(study, np.arange(flights)), {}, 0
+    truth = draw(study, np.arange(flights))
+    predictions: dict[tuple[str, ...], Prediction] = {}
+    fits = 0
     scores: dict[str, list[float]] = {}
     for index, (curve,) in enumerate(curves_of_draws(study.override({"draws": flights}), study.loop.steps)):
         log = logged_flight(study, case, index, np.asarray(curve.y), np.asarray(curve.u_total))
         try:
-            fitted = fit_log(study, log, predictions=cache)
+            fitted = fit_log(study, log, predictions=predictions)
         except FitRefused:
             continue
         fits += 1
@@ -154,8 +157,12 @@ def main() -> None:
         scores, fits = covered(study, flights, case)
         cells = []
         for name in study.laws:
-            own = scores.get(name, [])
-            cells.append(f"{100 * np.mean(inside(own)):.1f} %, {np.sqrt(np.mean(np.square(own))):.2f}" if own else "-")
+            errors = scores.get(name, [])
+            if errors:
+                root_mean_square = np.sqrt(np.mean(np.square(errors)))
+                cells.append(f"{100 * np.mean(inside(errors)):.1f} %, {root_mean_square:.2f}")
+            else:
+                cells.append("-")
         low, high = 100 * stats.binom.ppf([0.025, 0.975], flights, LEVEL) / flights
         chance = f"{fits} of {flights} | {low:.1f} to {high:.1f} %"
         lines.append(f"| {case.label} | {' | '.join(cells)} | {chance} |")

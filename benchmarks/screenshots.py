@@ -30,11 +30,11 @@ def study_page(page: Page) -> None:
         try:
             page.goto(server.stdout.readline().strip())
             page.get_by_text("failure probability").first.wait_for()
-            before = page.get_by_text("failures in").first.inner_text()
+            headline = page.get_by_text("failures in").first.inner_text()
             page.locator(".noUi-handle").nth(NUMBER).focus()
             for _ in range(MOVES):
                 page.keyboard.press("ArrowLeft")
-            page.get_by_text(before).wait_for(state="detached")
+            page.get_by_text(headline).wait_for(state="detached")
             page.wait_for_timeout(3000)
             page.screenshot(path=FIGURES / "explore_study.png")
         finally:
@@ -64,9 +64,9 @@ def draws_page(page: Page) -> None:
 def result_page(page: Page) -> None:
     """A result whose worst and median draws are shown: the worst one pinned."""
     with tempfile.TemporaryDirectory() as folder:
-        where = Path(folder) / "result"
-        dj.run(dj.Study.load("motor").override({"draws": 2000}), where)
-        command = [sys.executable, "-m", "dssc_jax.cli", "explore", str(where), "--no-browser"]
+        out = Path(folder) / "result"
+        dj.run(dj.Study.load("motor").override({"draws": 2000}), out)
+        command = [sys.executable, "-m", "dssc_jax.cli", "explore", str(out), "--no-browser"]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
             assert server.stdout is not None
             try:

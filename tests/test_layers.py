@@ -45,8 +45,7 @@ ALLOWED = {
     "cli/compiling.py": {"TemporaryDirectory"},  # private to the process
     "cli/simulation.py": {"trajectory.to_dataframe().to_csv"},  # into the writer's file
     "exploration/serving.py": {"TemporaryDirectory", "webbrowser.open"},  # private to the process
-    "flight_code/bench_text.py": {"(files('dssc_jax.flight_code') / 'bench.c').read_text"},  # of the package
-    "flight_code/fmu.py": {"(files('dssc_jax.flight_code') / WRAPPER).read_text", "zipfile.ZipFile"},  # in memory
+    "flight_code/fmu.py": {"zipfile.ZipFile"},  # in memory
     "plotting/style.py": {"figure.savefig"},  # into the writer's file
     "report/vector.py": {"draw().savefig"},  # in memory
     "results/analysis_folder.py": {"plain.to_zarr", "xr.open_zarr"},  # with ArrayFiles

@@ -69,12 +69,12 @@ def test_a_slider_by_keyboard(served, tab):
     tab.goto(served.url)
     headline(tab).wait_for()
     page = served.pages[-1]
-    before = headline(tab).inner_text()
+    shown = headline(tab).inner_text()
     slider = next(widget for slider, widget in page.sliders.items() if slider.key == "unmodelled.mu")
     tab.locator(".noUi-handle").nth(list(page.sliders.values()).index(slider)).focus()
     for _ in range(20):
         tab.keyboard.press("ArrowRight")
-    tab.get_by_text(before).wait_for(state="detached")
+    tab.get_by_text(shown).wait_for(state="detached")
     tab.wait_for_timeout(300)
     assert page.wait(60)
     assert page.now.study.leaves()["unmodelled.mu"] == slider.value > 0.02
@@ -97,13 +97,13 @@ def test_two_tabs_are_two_sessions(served, tab, chromium):
     tab.goto(served.url)
     headline(tab).wait_for()
     first = served.pages[-1]
-    other = chromium.new_page()
-    other.goto(served.url)
-    headline(other).wait_for(timeout=PATIENCE)
+    second = chromium.new_page()
+    second.goto(served.url)
+    headline(second).wait_for(timeout=PATIENCE)
     assert served.pages[-1] is not first
-    other.locator(".noUi-handle").nth(0).focus()
-    other.keyboard.press("ArrowRight")
-    other.close()
+    second.locator(".noUi-handle").nth(0).focus()
+    second.keyboard.press("ArrowRight")
+    second.close()
     assert first.positions == first.live.start
     tab.locator(".noUi-handle").nth(5).focus()
     tab.keyboard.press("ArrowRight")
@@ -114,14 +114,14 @@ def test_two_tabs_are_two_sessions(served, tab, chromium):
 
 def test_a_tab_closed_during_a_run(served, tab, chromium):
     """The run ends unseen; another tab is served as before."""
-    other = chromium.new_page()
-    other.goto(served.url)
-    headline(other).wait_for(timeout=PATIENCE)
+    closed = chromium.new_page()
+    closed.goto(served.url)
+    headline(closed).wait_for(timeout=PATIENCE)
     left = served.pages[-1]
-    other.locator(".noUi-handle").nth(0).focus()
+    closed.locator(".noUi-handle").nth(0).focus()
     for _ in range(5):
-        other.keyboard.press("ArrowRight")
-    other.close()
+        closed.keyboard.press("ArrowRight")
+    closed.close()
     assert left.wait(60)
     tab.goto(served.url)
     headline(tab).wait_for()

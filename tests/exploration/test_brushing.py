@@ -27,14 +27,14 @@ def test_every_row_is_its_draw(swept):
     assert len(table.rows) == 6 * 24
     for row in (0, 25, 143):
         at, draw = table.point(row), int(table.draw[row])
-        here = swept.dataset.sel({**at, "draw": draw})
-        assert table.columns["error_max"][row] == here["error_max"]
+        stored = swept.dataset.sel({**at, "draw": draw})
+        assert table.columns["error_max"][row] == stored["error_max"]
         assert table.columns["plant.k_p"][row] == swept.dataset["plant.k_p"].values[draw]
-        assert table.failed[row] == (here["outcome"] != 0)
+        assert table.failed[row] == (stored["outcome"] != 0)
 
 
 def test_a_large_result_is_thinned_and_says_so(swept):
-    table = DrawTable(swept, most=50)
+    table = DrawTable(swept, max_rows=50)
     assert len(table.rows) == 48
     assert "48 of 144 draws are shown" in Brushing(table, "folder").statement()
     assert table.columns["error_max"][1] == DrawTable(swept).columns["error_max"][3]

@@ -16,10 +16,10 @@ from tests.loops import LAGGED
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # the server leaves its socket unclosed
 def test_a_busy_port(capsys):
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", 0))
-        other.listen()
-        port = str(other.getsockname()[1])
+    with socket.socket() as occupant:
+        occupant.bind(("127.0.0.1", 0))
+        occupant.listen()
+        port = str(occupant.getsockname()[1])
         assert guarded(["explore", "motor", "--draws", "4", "--no-browser", "--port", port]) == 2
     assert f"--port: cannot serve at port {port}" in " ".join(capsys.readouterr().err.split())
 

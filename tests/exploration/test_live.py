@@ -5,8 +5,8 @@ import pytest
 from scipy import stats
 
 import dssc_jax as dj
-from dssc_jax.exploration.latest import Latest
 from dssc_jax.exploration.live import FAN_LEVELS, LiveStudy
+from dssc_jax.exploration.page import Worker
 from dssc_jax.runs.recorded_draws import SignalKey
 
 
@@ -20,8 +20,8 @@ def positions(live, **moved):
 
 def test_a_live_run_is_the_ordinary_run(live):
     """Every metric, outcome and drawn value, at the start and elsewhere."""
-    for where in (live.start, positions(live, unmodelled__mu=0.06, controller__rho=4.0)):
-        run = live.run(where)
+    for point in (live.start, positions(live, unmodelled__mu=0.06, controller__rho=4.0)):
+        run = live.run(point)
         result = dj.run(run.study)
         np.testing.assert_array_equal(run.results["outcome"], result.dataset["outcome"].values)
         np.testing.assert_allclose(run.results["error_max"], result.dataset["error_max"].values, rtol=1e-6)
@@ -86,20 +86,20 @@ def test_the_newest_request_counts():
     """Of requests that come while one runs, the last one alone is served, and the running one learns of it."""
     from threading import Event
 
-    latest, begun, go, served = Latest(), Event(), Event(), []
+    worker, begun, go, served = Worker(), Event(), Event(), []
 
     def slow(stale):
         begun.set()
         go.wait(10)
         served.append(("slow", stale()))
 
-    latest.submit(slow)
+    worker.submit(slow)
     assert begun.wait(10)
     for name in ("second", "third"):
-        latest.submit(lambda stale, name=name: served.append((name, stale())))
+        worker.submit(lambda stale, name=name: served.append((name, stale())))
     go.set()
-    assert latest.wait(10)
+    assert worker.wait(10)
     assert served == [("slow", True), ("third", False)]
-    latest.close()
-    latest.submit(lambda stale: pytest.fail("closed"))
-    assert latest.wait(10)
+    worker.close()
+    worker.submit(lambda stale: pytest.fail("closed"))
+    assert worker.wait(10)

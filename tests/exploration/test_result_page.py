@@ -70,9 +70,9 @@ def test_a_vehicle_s_path_is_seen_from_above_and_from_the_side():
     page.pin_draw()
     page.replay(0)
     assert len(page.paths) == 2
-    above = page.sources["xy"].data
-    assert len(above["across"]) == len(above["colour"]) == 2
-    np.testing.assert_array_equal(above["upward"][0], page.flight["y_y"].values)
+    view = page.sources["xy"].data
+    assert len(view["across"]) == len(view["colour"]) == 2
+    np.testing.assert_array_equal(view["upward"][0], page.flight["y_y"].values)
     np.testing.assert_array_equal(page.sources["desired xz"].data["upward"][0], page.flight["z_y_ref"].values)
 
 

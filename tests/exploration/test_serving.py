@@ -88,19 +88,19 @@ def other_paths(server):
     places = ("explore", "explore/ws", "static/js/bokeh.min.js", f"components/{WITNESS}/a/b", "")
     for first in (*wrong, encoded, f".{token}", f"{token};a", f"{token},{token}", f"x/../{token}", f"./{token}"):
         yield from (f"/{first}/{place}" for place in places)
-    behind = ("", "/", "/explore/", "/explore/metadata", "/explore/autoload.js", "/explore?a=b", "/explore/ws?token=a")
-    behind += ("/explore/ws/", "/explore%2fws", "/EXPLORE", "/explore;a", "/explore#a", "/metadata", "/autoload.js")
-    behind += (f"/components/{WITNESS}/a/b", f"/components/{WITNESS}/a", f"/components/{WITNESS}/__file__/b")
-    behind += (f"/explore/components/{WITNESS}/a/b", f"/static/components/{WITNESS}/a/b", f"/Components/{WITNESS}/a/b")
-    behind += ("/rest/session_info", "/liveness", "/admin", "/login", "/logout", "/index.html", "/assets/a.js")
-    behind += (f"/{token}/explore", "//explore", "/./explore", "/x/../explore", "/explore/..", "/explore/../explore")
+    paths = ("", "/", "/explore/", "/explore/metadata", "/explore/autoload.js", "/explore?a=b", "/explore/ws?token=a")
+    paths += ("/explore/ws/", "/explore%2fws", "/EXPLORE", "/explore;a", "/explore#a", "/metadata", "/autoload.js")
+    paths += (f"/components/{WITNESS}/a/b", f"/components/{WITNESS}/a", f"/components/{WITNESS}/__file__/b")
+    paths += (f"/explore/components/{WITNESS}/a/b", f"/static/components/{WITNESS}/a/b", f"/Components/{WITNESS}/a/b")
+    paths += ("/rest/session_info", "/liveness", "/admin", "/login", "/logout", "/index.html", "/assets/a.js")
+    paths += (f"/{token}/explore", "//explore", "/./explore", "/x/../explore", "/explore/..", "/explore/../explore")
     up = ("..", "%2e%2e", "..%2f..", "%2e%2e%2f", "..\\..", "%252e%252e", "....//", "..%c0%af", ".%00.", "..;")
-    behind += tuple(f"/static/{part}/{part}/server.py" for part in up)
-    behind += tuple(f"/static/js/{part}/{part}/{part}/etc/passwd" for part in up)
-    behind += tuple(f"/static/extensions/panel/{part}/io/server.py" for part in up)
-    behind += ("/static/", "/static//etc/passwd", "/static/.hidden", "/static/js/", "/static/js/bokeh.min.js?v=1&a=b")
-    behind += ("/static/js/bokeh.min.js?v=../..", "/static/js/bokeh.min.js%00.png", "/static/js/~root", "/static")
-    yield from (f"/{token}{place}" for place in behind)
+    paths += tuple(f"/static/{part}/{part}/server.py" for part in up)
+    paths += tuple(f"/static/js/{part}/{part}/{part}/etc/passwd" for part in up)
+    paths += tuple(f"/static/extensions/panel/{part}/io/server.py" for part in up)
+    paths += ("/static/", "/static//etc/passwd", "/static/.hidden", "/static/js/", "/static/js/bokeh.min.js?v=1&a=b")
+    paths += ("/static/js/bokeh.min.js?v=../..", "/static/js/bokeh.min.js%00.png", "/static/js/~root", "/static")
+    yield from (f"/{token}{place}" for place in paths)
     yield from ("*", "http://evil.example/", "//")
     yield from (f"http://evil.example/{token}/explore", f"http://127.0.0.1:{port_of(server)}/{token}/explore")
     yield from ("/favicon.ico", "/static/js/bokeh.min.js", "/explore", "/explore/ws", f"/?{token}", f"/#{token}")
@@ -109,7 +109,7 @@ def other_paths(server):
 def foreign(server):
     """Requests that do not come from the page: path, method and headers."""
     page, port = urlsplit(server.url).path, port_of(server)
-    here = ("Host", f"127.0.0.1:{port}")
+    host = ("Host", f"127.0.0.1:{port}")
     origins = ("http://evil.example", f"https://127.0.0.1:{port}", f"http://127.0.0.1:{port + 1}", "null", "file://")
     origins += (
         f"http://127.0.0.1:{port}.evil.example",
@@ -127,14 +127,14 @@ def foreign(server):
         yield page, "GET", [("Host", name)]
         yield f"{page}/ws", "GET", upgrade(server, f"http://{name}", Host=name)
     for origin in origins:
-        yield page, "GET", [here, ("Origin", origin)]
+        yield page, "GET", [host, ("Origin", origin)]
         yield f"{page}/ws", "GET", upgrade(server, origin)
-        yield f"/components/{WITNESS}/a/b", "GET", [here, ("Origin", origin)]
+        yield f"/components/{WITNESS}/a/b", "GET", [host, ("Origin", origin)]
     yield page, "GET", []
-    yield page, "GET", [here, here]
-    yield page, "GET", [here, ("Host", "evil.example")]
-    yield page, "GET", [("Host", "evil.example"), here]
-    yield page, "GET", [here, ("Origin", f"http://127.0.0.1:{port}"), ("Origin", "http://evil.example")]
+    yield page, "GET", [host, host]
+    yield page, "GET", [host, ("Host", "evil.example")]
+    yield page, "GET", [("Host", "evil.example"), host]
+    yield page, "GET", [host, ("Origin", f"http://127.0.0.1:{port}"), ("Origin", "http://evil.example")]
     for path in (f"{page}/ws", "/explore/ws", f"/wrong{page}/ws", "/ws", f"/{server.token}/ws", f"{page}/ws/"):
         yield path, "GET", upgrade(server)
         yield path, "POST", upgrade(server, f"http://127.0.0.1:{port}")
@@ -159,7 +159,7 @@ def test_the_page_has_what_it_needs(served):
     status, body = answer(served, urlsplit(served.url).path)
     assert status == 200
     links = re.findall(rb"""(?:src|href)=["']([^"']+)["']|["']([^"' ]*static/[^"' ]+)["']""", body)
-    addresses = {urlsplit(urljoin(served.url, (one or other).decode())) for one, other in links}
+    addresses = {urlsplit(urljoin(served.url, (linked or named).decode())) for linked, named in links}
     scripts = {address.path for address in addresses if address.path.endswith(".js")}
     assert any(path.endswith("bokeh.min.js") for path in scripts)
     assert any(path.endswith("panel.min.js") for path in scripts)

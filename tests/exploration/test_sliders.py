@@ -24,12 +24,12 @@ LAWS = [
 def test_a_moved_law_moves_its_values(law):
     """Quantiles move as the definition says, whatever the family."""
     level, median, share = np.linspace(0.01, 0.99, 21), 1.7, 0.6
-    before, after = law.quantile(level), law.moved(median, share).quantile(level)
+    original, moved = law.quantile(level), law.moved(median, share).quantile(level)
     if law.kind in LOGARITHMIC:
-        expected = median * (before / law.median) ** share
+        expected = median * (original / law.median) ** share
     else:
-        expected = median + share * (before - law.median)
-    np.testing.assert_allclose(after, expected, rtol=1e-12)
+        expected = median + share * (original - law.median)
+    np.testing.assert_allclose(moved, expected, rtol=1e-12)
 
 
 def test_what_cannot_be_moved():

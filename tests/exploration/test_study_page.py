@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
+from dssc_jax.exploration.actions import Superseded, ending_when, proof
 from dssc_jax.exploration.live import LiveStudy
-from dssc_jax.exploration.questions import Superseded, ending_when, proof
 from dssc_jax.exploration.study_page import StudyPage
 
 
@@ -15,19 +15,19 @@ def page(live, tmp_path):
 
 
 def test_a_move_shows_its_run(page):
-    before = page.now
+    start = page.now
     page.move({"unmodelled.mu": 0.2})
-    assert page.now.probability > before.probability
+    assert page.now.probability > start.probability
     assert f"{int(page.now.failed.sum())} failures in 120 draws" in page.headline.object
     fan = page.fans[0]
-    np.testing.assert_array_equal(fan.now.data["q50"], page.now.fan("y").values[2])
-    np.testing.assert_array_equal(fan.before.data["q50"], before.fan("y").values[2])
+    np.testing.assert_array_equal(fan.current.data["q50"], page.now.fan("y").values[2])
+    np.testing.assert_array_equal(fan.previous.data["q50"], start.fan("y").values[2])
     np.testing.assert_array_equal(fan.draw.data["value"], page.now.signal("y")[page.now.order[0]])
-    assert page.probability.source.data["p"] == [page.now.probability, before.probability]
+    assert page.probability.source.data["p"] == [page.now.probability, start.probability]
 
 
 def test_draws_are_chosen(page):
-    page.which.value = "median draw"
+    page.draw_choice.value = "median draw"
     assert page.draw == page.now.order[60]
     place = 3
     expected = page.draws.failed.data["draw"][place]

@@ -7,8 +7,6 @@ from typing import NamedTuple
 
 import pytest
 
-from dssc_jax.flight_code.names import identifier, prefix
-
 FLAGS = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic", "-ffp-contract=off"]
 
 
@@ -49,9 +47,9 @@ class CompiledController:
         for name, text in folder.texts().items():
             (place / name).write_text(text)
         self.controller = folder.controllers[index]
-        self.name = prefix(folder.study, self.controller)
+        self.name = self.controller.prefix
         library = place / f"{self.name}.so"
-        source = place / f"{identifier(folder.study.name)}_controller.c"
+        source = place / f"{folder.code.name}_controller.c"
         subprocess.run(["cc", *FLAGS, "-fPIC", "-shared", str(source), "-o", str(library), "-lm"], check=True)
         self.library = ctypes.CDLL(str(library))
         number = ctypes.c_float if self.controller.precision == 32 else ctypes.c_double
@@ -61,7 +59,7 @@ class CompiledController:
             fields = [(member, number) for member in members or ("unused",)]
             return type("Structure", (ctypes.Structure,), {"_fields_": fields})
 
-        self.parameters_type = structure([each.name for each in self.controller.parameters])
+        self.parameters_type = structure([parameter.name for parameter in self.controller.parameters])
         self.state_type = structure(self.controller.states)
         self.command_type = structure(("u", "u_n", "u_p"))
         self.telemetry_type = structure(self.controller.infos)

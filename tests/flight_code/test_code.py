@@ -24,7 +24,7 @@ from tests.cli.conftest import last_json
 from tests.flight_code.compiling import made, require
 from tests.test_programs import CONTROLLER_TABLES, DIFFERENTIATOR_TABLES
 
-SAME = r"^0 of (\d+) values differ"
+NO_DIFFERENCE = r"^0 of (\d+) values differ"
 
 
 def table(controller, differentiator=None, precision=64):
@@ -69,7 +69,7 @@ def written(tmp_path, study, draws=8, samples=300):
 
 def values_compared(printed):
     """The number of values that the bench compared, all of them equal."""
-    (count,) = re.findall(SAME, printed, re.MULTILINE)
+    (count,) = re.findall(NO_DIFFERENCE, printed, re.MULTILINE)
     return int(count)
 
 
@@ -89,13 +89,13 @@ def test_same_bits(controller, differentiator, precision, tmp_path):
     require("cc", "make")
     study = dj.Study.from_table(table(controller, differentiator, precision))
     folder = written(tmp_path, study)
-    (only,) = folder.controllers
-    results = 3 + len(only.states) + len(only.infos)
+    (controller,) = folder.controllers
+    results = 3 + len(controller.states) + len(controller.infos)
     assert values_compared(made(tmp_path, "check")) == 8 * 300 * results
 
 
 def test_every_differentiator_is_compared():
-    kinds = {each["kind"] for each in DIFFERENTIATOR_TABLES}
+    kinds = {table["kind"] for table in DIFFERENTIATOR_TABLES}
     assert kinds == set(DIFFERENTIATORS)
 
 
@@ -147,10 +147,10 @@ def test_a_wrong_controller_is_detected(tmp_path):
 @pytest.mark.parametrize("kind", ["dssc", "sta", "pid"])
 def test_numbers_as_inputs_change_no_bit_of_the_analysis(kind):
     """The recorded program has the controller's numbers as inputs; the analysis compiles them in."""
-    controller = next(each for each in CONTROLLER_TABLES if each["kind"] == kind)
+    controller = next(table for table in CONTROLLER_TABLES if table["kind"] == kind)
     study = dj.Study.from_table(table(controller))
     controllers, samples = sampled_controllers(study), 200
-    recorded = [each.rows for each in recorded_draws(study, controllers, 8, samples)]
+    recorded = [draw.rows for draw in recorded_draws(study, controllers, 8, samples)]
     with arithmetic():
         number, index = jax.ShapeDtypeStruct((), np.float64), jax.ShapeDtypeStruct((), np.uint32)
         lane = recording_lane(study, controllers, samples)
@@ -163,11 +163,11 @@ def test_laws_of_gains_vary_between_draws(tmp_path):
     require("cc", "make")
     gains = {"kind": "pi", "k_p": {"uniform": [0.5, 2.0]}, "k_i": 0.5}
     folder = written(tmp_path, dj.Study.from_table(table(gains)))
-    (only,) = folder.controllers
-    assert [each.value for each in only.parameters if each.uncertain] == [1.25]
+    (controller,) = folder.controllers
+    assert [parameter.value for parameter in controller.parameters if parameter.uncertain] == [1.25]
     assert "k_p;  /*" in (tmp_path / "flown_controller.h").read_text()
     assert "1.25, median of its law" in (tmp_path / "flown_controller.h").read_text()
-    drawn = {each.parameters.tobytes() for each in recorded_draws(folder.study, folder.controllers, 8, 2)}
+    drawn = {draw.parameters.tobytes() for draw in recorded_draws(folder.study, folder.controllers, 8, 2)}
     assert len(drawn) == 8
     made(tmp_path, "check")
 
@@ -178,10 +178,10 @@ def test_command(tmp_path, capsys):
     assert guarded(arguments) == 0
     found = last_json(capsys)
     assert found["study"] == "paper-case1"
-    assert [each["channel"] for each in found["channels"]] == ["x", "y", "z", "psi"]
-    assert [each["state_bytes"] for each in found["channels"]] == [24, 24, 24, 32]  # psi keeps its last reading
-    assert all(each["loops"] == 0 for each in found["channels"])
-    assert all(each["chain"] < sum(each["operations"].values()) for each in found["channels"])
+    assert [channel["channel"] for channel in found["channels"]] == ["x", "y", "z", "psi"]
+    assert [channel["state_bytes"] for channel in found["channels"]] == [24, 24, 24, 32]  # psi keeps its last reading
+    assert all(channel["loops"] == 0 for channel in found["channels"])
+    assert all(channel["chain"] < sum(channel["operations"].values()) for channel in found["channels"])
     assert sorted(found["files"]) == sorted(path.name for path in tmp_path.iterdir())
     values_compared(made(tmp_path, "check"))
     assert json.loads(json.dumps(found)) == found

@@ -68,7 +68,7 @@ def opened(tmp_path):
         assert validation.validate_fmu(str(file)) == []
         description = read_model_description(str(file))
         place = fmpy.extract(str(file), unzipdir=str(tmp_path / unit.name))
-        references = {each.name: each.valueReference for each in description.modelVariables}
+        references = {variable.name: variable.valueReference for variable in description.modelVariables}
         return Opened(folder, str(file), place, references, description)
 
     return make
@@ -77,7 +77,7 @@ def opened(tmp_path):
 @contextmanager
 def instance(unit, said=None, name="one"):
     """An instance that is ready for its first step; its messages go to a list."""
-    one = fmi2.FMU2Slave(
+    slave = fmi2.FMU2Slave(
         guid=unit.description.guid,
         unzipDirectory=unit.place,
         modelIdentifier=unit.description.coSimulation.modelIdentifier,
@@ -85,32 +85,32 @@ def instance(unit, said=None, name="one"):
     )
     callbacks = fmi2.fmi2CallbackFunctions()
     log = fmi2.fmi2CallbackLoggerTYPE(
-        lambda environment, who, status, category, message: (said if said is not None else []).append(message.decode())
+        lambda environment, name, status, category, message: (said if said is not None else []).append(message.decode())
     )
     callbacks.logger = log
-    one.instantiate(callbacks=callbacks)
-    one.setupExperiment(startTime=0.0)
-    one.enterInitializationMode()
-    one.exitInitializationMode()
-    yield one
-    one.freeInstance()
+    slave.instantiate(callbacks=callbacks)
+    slave.setupExperiment(startTime=0.0)
+    slave.enterInitializationMode()
+    slave.exitInitializationMode()
+    yield slave
+    slave.freeInstance()
 
 
-def replayed(unit, one, draws):
+def replayed(unit, slave, draws):
     """Commands of the FMU for the recorded signals of one draw, beside the recorded ones; one draw of each channel."""
     controllers, time = unit.folder.controllers, unit.folder.study.loop.sample_time
     for drawn, controller in zip(draws, controllers, strict=True):
-        for each, value in zip(controller.parameters, drawn.parameters, strict=True):
-            one.setReal([unit.references[parameter_name(controller, each)]], [float(value)])
+        for parameter, value in zip(controller.parameters, drawn.parameters, strict=True):
+            slave.setReal([unit.references[parameter_name(controller, parameter)]], [float(value)])
     found = []
     for k in range(len(draws[0].rows)):
         for drawn, controller in zip(draws, controllers, strict=True):
             names = [unit.references[channel_variable(controller, name)] for name in SIGNALS]
-            one.setReal(names, [float(x) for x in drawn.rows[k, :5]])
-        one.doStep(k * time, time)
+            slave.setReal(names, [float(x) for x in drawn.rows[k, :5]])
+        slave.doStep(k * time, time)
         found.append(
             [
-                one.getReal([unit.references[channel_variable(controller, name)] for name in RESULTS])
+                slave.getReal([unit.references[channel_variable(controller, name)] for name in RESULTS])
                 for controller in controllers
             ]
         )
@@ -139,9 +139,9 @@ CASES = {
 def test_same_bits_as_the_analysis(case, opened):
     unit = opened(CASES[case])
     for draws in recorded(unit.folder, 60, draws=2):
-        with instance(unit) as one:
-            found, wanted = replayed(unit, one, draws)
-        assert np.array_equal(found, wanted.astype(float))
+        with instance(unit) as slave:
+            found, expected = replayed(unit, slave, draws)
+        assert np.array_equal(found, expected.astype(float))
 
 
 @needs_library
@@ -167,93 +167,96 @@ def test_sources_compile_with_the_standard_headers(opened):
     cmake.mkdir()
     build_platform_binary(place.place, build_dir=cmake)
     (draws,) = recorded(unit.folder, 20)
-    with instance(place) as one:
-        found, wanted = replayed(place, one, draws)
-    assert np.array_equal(found, wanted)
+    with instance(place) as slave:
+        found, expected = replayed(place, slave, draws)
+    assert np.array_equal(found, expected)
 
 
 @needs_library
 def test_parameters_change_between_steps_and_reset_restores(opened):
     unit = opened(CASES["pid"])
     (draws,) = recorded(unit.folder, 30)
-    with instance(unit) as one:
-        first, wanted = replayed(unit, one, draws)
-        one.reset()
-        one.setupExperiment(startTime=0.0)
-        one.enterInitializationMode()
-        one.exitInitializationMode()
-        again, _ = replayed(unit, one, draws)
-        assert np.array_equal(first, again)
-        assert wanted[-1, 0, 2] == -0.5  # at its lower limit
+    with instance(unit) as slave:
+        first, expected = replayed(unit, slave, draws)
+        slave.reset()
+        slave.setupExperiment(startTime=0.0)
+        slave.enterInitializationMode()
+        slave.exitInitializationMode()
+        second, _ = replayed(unit, slave, draws)
+        assert np.array_equal(first, second)
+        assert expected[-1, 0, 2] == -0.5  # at its lower limit
         low = unit.references["controller.low"]
-        (before,) = one.getReal([low])
-        one.setReal([low], [-0.25])
-        one.doStep(0.30, 0.01)
-        assert one.getReal([unit.references["command.u_p"]]) == [-0.25]
-        one.reset()
-        assert one.getReal([low]) == [before]
+        (previous,) = slave.getReal([low])
+        slave.setReal([low], [-0.25])
+        slave.doStep(0.30, 0.01)
+        assert slave.getReal([unit.references["command.u_p"]]) == [-0.25]
+        slave.reset()
+        assert slave.getReal([low]) == [previous]
 
 
 @needs_library
 def test_two_instances_do_not_meet(opened):
     unit = opened(CASES["pid"])
-    (one_draw,), (other_draw,) = recorded(unit.folder, 30, draws=2)
-    with instance(unit, name="one") as one, instance(unit, name="other") as other:
-        kept = [[], []]
+    (first_draw,), (second_draw,) = recorded(unit.folder, 30, draws=2)
+    with instance(unit, name="first") as first, instance(unit, name="second") as second:
+        commands = [[], []]
         for k in range(30):
-            for which, (each, drawn) in enumerate(((one, one_draw), (other, other_draw))):
-                each.setReal([unit.references[name] for name in SIGNALS], [float(x) for x in drawn.rows[k, :5]])
-                each.doStep(0.01 * k, 0.01)
-                kept[which] += each.getReal([unit.references["command.u_p"]])
-    assert np.array_equal(kept[0], one_draw.rows[:, 7])
-    assert np.array_equal(kept[1], other_draw.rows[:, 7])
+            for place, (slave, drawn) in enumerate(((first, first_draw), (second, second_draw))):
+                slave.setReal([unit.references[name] for name in SIGNALS], [float(x) for x in drawn.rows[k, :5]])
+                slave.doStep(0.01 * k, 0.01)
+                commands[place] += slave.getReal([unit.references["command.u_p"]])
+    assert np.array_equal(commands[0], first_draw.rows[:, 7])
+    assert np.array_equal(commands[1], second_draw.rows[:, 7])
 
 
 @needs_library
 def test_a_saved_state_repeats_the_step(opened):
     unit = opened(CASES["levant and dssc"])
-    with instance(unit) as one:
+    with instance(unit) as slave:
         output = [unit.references["command.u_p"]]
-        one.setReal([unit.references["measurement.y"]], [0.3])
-        one.doStep(0.0, 0.01)
-        kept = one.getFMUState()
+        slave.setReal([unit.references["measurement.y"]], [0.3])
+        slave.doStep(0.0, 0.01)
+        kept = slave.getFMUState()
         assert isinstance(kept, c_void_p)
-        one.doStep(0.01, 0.01)
-        first = one.getReal(output)
-        one.setFMUState(kept)
-        one.doStep(0.01, 0.01)
-        assert one.getReal(output) == first
-        one.freeFMUState(kept)
+        slave.doStep(0.01, 0.01)
+        first = slave.getReal(output)
+        slave.setFMUState(kept)
+        slave.doStep(0.01, 0.01)
+        assert slave.getReal(output) == first
+        slave.freeFMUState(kept)
 
 
 @needs_library
 def test_misuse_is_an_error_with_a_reason(opened):
     unit, said = opened(CASES["pid"]), []
-    with instance(unit, said) as one:
+    with instance(unit, said) as slave:
         wrong = [
-            (lambda: one.doStep(0.0, 0.02), "the communication step is 0.02 s; the controller's sample time is 0.01 s"),
-            (lambda: one.doStep(0.0, float("nan")), "the communication step is nan s"),
-            (lambda: one.setReal([unit.references["command.u"]], [1.0]), "an output cannot be set"),
-            (lambda: one.getReal([999]), "no real variable with the value reference 999"),
-            (lambda: one.getBoolean([0]), "no boolean variable"),
-            (lambda: one.enterInitializationMode(), "enterInitializationMode comes once"),
+            (
+                lambda: slave.doStep(0.0, 0.02),
+                "the communication step is 0.02 s; the controller's sample time is 0.01 s",
+            ),
+            (lambda: slave.doStep(0.0, float("nan")), "the communication step is nan s"),
+            (lambda: slave.setReal([unit.references["command.u"]], [1.0]), "an output cannot be set"),
+            (lambda: slave.getReal([999]), "no real variable with the value reference 999"),
+            (lambda: slave.getBoolean([0]), "no boolean variable"),
+            (lambda: slave.enterInitializationMode(), "enterInitializationMode comes once"),
         ]
         for call, reason in wrong:
             with pytest.raises(FMICallException):
                 call()
             assert reason in said[-1]
-        one.doStep(0.0, 0.01)
+        slave.doStep(0.0, 0.01)
         with pytest.raises(FMICallException):
-            one.doStep(0.02, 0.01)
+            slave.doStep(0.02, 0.01)
         assert "begins at 0.02 s; the controller's next sample is at 0.01 s" in said[-1]
-        one.setReal([unit.references["measurement.y"]], [1e308])
-        one.setReal([unit.references["reference.y"]], [-1e308])
+        slave.setReal([unit.references["measurement.y"]], [1e308])
+        slave.setReal([unit.references["reference.y"]], [-1e308])
         with pytest.raises(FMICallException):
-            one.doStep(0.01, 0.01)
+            slave.doStep(0.01, 0.01)
         assert "the command or the state would not be finite after the sample at 0.01 s" in said[-1]
-        assert one.getInteger([unit.references["flag"]]) == [2]
+        assert slave.getInteger([unit.references["flag"]]) == [2]
         with pytest.raises(FMICallException):
-            one.doStep(0.02, 0.01)
+            slave.doStep(0.02, 0.01)
         assert "reset the FMU" in said[-1]
 
 
@@ -261,28 +264,28 @@ def test_misuse_is_an_error_with_a_reason(opened):
 def test_a_broken_input_holds_command_and_telemetry(opened):
     unit, said = opened(CASES["pid"]), []
     outputs = [place for name, place in unit.references.items() if name.startswith(("command", "telemetry"))]
-    with instance(unit, said) as one:
-        one.setReal([unit.references["measurement.y"]], [0.3])
-        one.doStep(0.0, 0.01)
-        before = one.getReal(outputs)
-        one.setReal([unit.references["measurement.y"]], [float("nan")])
-        one.doStep(0.01, 0.01)
+    with instance(unit, said) as slave:
+        slave.setReal([unit.references["measurement.y"]], [0.3])
+        slave.doStep(0.0, 0.01)
+        held = slave.getReal(outputs)
+        slave.setReal([unit.references["measurement.y"]], [float("nan")])
+        slave.doStep(0.01, 0.01)
         assert "is not finite at 0.01 s: the command is held" in said[-1]
-        assert one.getReal(outputs) == before
-        assert one.getInteger([unit.references["flag"]]) == [1]
-        one.setReal([unit.references["measurement.y"]], [0.3])
-        one.doStep(0.02, 0.01)
-        assert one.getInteger([unit.references["flag"]]) == [0]
-        assert np.isfinite(one.getReal(outputs)).all()
+        assert slave.getReal(outputs) == held
+        assert slave.getInteger([unit.references["flag"]]) == [1]
+        slave.setReal([unit.references["measurement.y"]], [0.3])
+        slave.doStep(0.02, 0.01)
+        assert slave.getInteger([unit.references["flag"]]) == [0]
+        assert np.isfinite(slave.getReal(outputs)).all()
 
 
 @needs_library
 def test_parameters_outside_of_their_ranges_are_refused(opened):
     unit, said = opened(CASES["pid"]), []
-    with instance(unit, said) as one:
-        one.setReal([unit.references["controller.k_p"]], [-1.0])
+    with instance(unit, said) as slave:
+        slave.setReal([unit.references["controller.k_p"]], [-1.0])
         with pytest.raises(FMICallException):
-            one.doStep(0.0, 0.01)
+            slave.doStep(0.0, 0.01)
         assert "the parameter controller.k_p must be finite and >= 0" in said[-1]
 
 
@@ -291,7 +294,7 @@ def test_names_that_xml_escapes(opened):
     units = {"output": "m", "output_meaning": 'a <b> & "c" \u03bc'}
     unit = opened(dj.Study.from_table(table(PID) | {"name": "4.th-study", "units": units}))
     assert unit.description.coSimulation.modelIdentifier == "study_4_th_study"
-    described = {each.name: each.description for each in unit.description.modelVariables}
+    described = {variable.name: variable.description for variable in unit.description.modelVariables}
     assert described["measurement.y"] == 'measured a <b> & "c" \u03bc'
     assert xml_text("one\ntwo \x01") == "one two \ufffd"
 
@@ -317,12 +320,14 @@ def test_command(tmp_path, capsys):
     }
     assert "motor.fmu" in found["files"]
     assert guarded([*arguments, str(tmp_path / "b")]) == 0
-    one, other = ((tmp_path / folder / "motor.fmu").read_bytes() for folder in "ab")
-    assert one == other
+    first, second = ((tmp_path / folder / "motor.fmu").read_bytes() for folder in "ab")
+    assert first == second
     with zipfile.ZipFile(tmp_path / "a" / "motor.fmu") as archive:
         source = archive.read("sources/motor_controller.c").decode()
     assert source == (tmp_path / "a" / "motor_controller.c").read_text()
-    variables = {each.name: each for each in read_model_description(str(tmp_path / "a" / "motor.fmu")).modelVariables}
+    variables = {
+        variable.name: variable for variable in read_model_description(str(tmp_path / "a" / "motor.fmu")).modelVariables
+    }
     gain = variables["controller.k_p"]
     assert (gain.causality, gain.variability, gain.start, gain.unit) == ("parameter", "tunable", "100.0", "V s/rad")
     assert variables["measurement.y"].description == "measured shaft speed"

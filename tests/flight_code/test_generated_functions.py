@@ -11,8 +11,8 @@ import dssc_jax as dj
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Command
+from dssc_jax.flight_code.controller import channel_labels
 from dssc_jax.flight_code.folder import FlightFolder
-from dssc_jax.flight_code.names import channel_words
 from dssc_jax.flight_code.recording import recorded_draws
 from dssc_jax.flight_logs.replay import commanded
 from dssc_jax.lanes.c_names import c_string, member_names, prefix_name
@@ -70,11 +70,11 @@ def test_c_and_replay_agree_for_any_turns_of_the_same_flight(steering):
         "turned": (psi + turns[0], desired + turns[1]),
     }
     flown = {}
-    for name, (measured, wanted) in shapes.items():
+    for name, (measured, goal) in shapes.items():
         compiled.reset()
-        steps = zip(measured, wanted, strict=True)
-        flown[name] = np.array([compiled.step((m, 0.0), (w, 1.2, 0.0)).command[2] for m, w in steps])
-        reference = np.stack([wanted, rate, 0.0 * rate])
+        steps = zip(measured, goal, strict=True)
+        flown[name] = np.array([compiled.step((m, 0.0), (r, 1.2, 0.0)).command[2] for m, r in steps])
+        reference = np.stack([goal, rate, 0.0 * rate])
         replayed = commanded(study, 0, np.stack([measured, 0.0 * rate]), reference)
         assert np.max(np.abs(replayed - flown[name])) < 1e-9
     assert np.max(np.abs(flown["wrapped"] - flown["continuous"])) < 1e-9
@@ -101,8 +101,8 @@ def test_recordings_have_raw_angles(precision, tmp_path):
         assert np.max(np.abs(readings)) <= np.pi + 1e-6
         assert np.sum(np.abs(np.diff(readings)) > 6.0) >= 1
         assert np.max(np.abs(np.diff(recorded.rows[:, 7]))) < 1.0
-    (only,) = folder.controllers
-    assert values_compared(made(tmp_path, "check")) == 2 * 600 * (3 + len(only.states) + len(only.infos))
+    (controller,) = folder.controllers
+    assert values_compared(made(tmp_path, "check")) == 2 * 600 * (3 + len(controller.states) + len(controller.infos))
 
 
 @pytest.fixture(scope="module", params=[PI, DSSC], ids=["pi", "dssc"])
@@ -138,11 +138,11 @@ def test_a_broken_input_destroys_nothing(compiled, place, number):
 
 def test_a_result_that_overflows_destroys_nothing(compiled):
     compiled.reset()
-    before = [compiled.step(*sample) for sample in samples(5)][-1]
+    settled = [compiled.step(*sample) for sample in samples(5)][-1]
     answer = compiled.step((1e308, 0.0), (-1e308, 0.0, 0.0))
     assert answer.flag == 2
-    assert answer.command == before.command
-    assert answer.state == before.state
+    assert answer.command == settled.command
+    assert answer.state == settled.state
 
 
 def test_before_the_first_sample_the_command_is_zero(tmp_path):
@@ -153,7 +153,7 @@ def test_before_the_first_sample_the_command_is_zero(tmp_path):
 
 def test_parameters_are_checked_against_their_ranges(tmp_path):
     compiled = CompiledController(FlightFolder(dj.Study.from_table(table(DSSC))), tmp_path)
-    names = [each.name for each in compiled.controller.parameters]
+    names = [parameter.name for parameter in compiled.controller.parameters]
     header = (tmp_path / "flown_controller.h").read_text()
     assert compiled.check() == 0
     for name, number in (
@@ -163,12 +163,12 @@ def test_parameters_are_checked_against_their_ranges(tmp_path):
         ("l0", math.inf),
         ("functions_kappa1", -1.0),
     ):
-        before = getattr(compiled.memory.parameters, name)
+        original = getattr(compiled.memory.parameters, name)
         setattr(compiled.memory.parameters, name, number)
         found = compiled.check()
         assert names[found - 1] == name
         assert f" {name};  /* {found}: " in header
-        setattr(compiled.memory.parameters, name, before)
+        setattr(compiled.memory.parameters, name, original)
     assert compiled.check() == 0
     assert "> 0" in next(line for line in header.splitlines() if " rho;  /*" in line)
 
@@ -181,23 +181,23 @@ def test_reset_is_a_fresh_start(compiled):
     assert [compiled.step(*sample) for sample in samples(10)] == first
 
 
-@pytest.mark.parametrize("wanted", [0.4, -0.7, 0.0])
-def test_a_start_without_a_bump(compiled, wanted):
+@pytest.mark.parametrize("command", [0.4, -0.7, 0.0])
+def test_a_start_without_a_bump(compiled, command):
     """The first command is the one before, and the next ones go on from it."""
     compiled.reset()
     measurement, reference = (0.12, 0.0), (0.1, 0.0, 0.0)
-    assert compiled.transfer(measurement, reference, wanted) == 0
+    assert compiled.transfer(measurement, reference, command) == 0
     first = compiled.step(measurement, reference)
-    assert first.command[2] == pytest.approx(wanted, abs=1e-9)
-    assert compiled.step(measurement, reference).command[2] == pytest.approx(wanted, abs=0.05)
+    assert first.command[2] == pytest.approx(command, abs=1e-9)
+    assert compiled.step(measurement, reference).command[2] == pytest.approx(command, abs=0.05)
 
 
 def test_a_command_that_cannot_be_carried(compiled, tmp_path):
     measurement, reference = (0.12, 0.0), (0.1, 0.0, 0.0)
     compiled.reset()
-    before = compiled.step(measurement, reference)
+    previous = compiled.step(measurement, reference)
     assert compiled.transfer(measurement, reference, math.nan) == 1
-    assert compiled.state() == before.state
+    assert compiled.state() == previous.state
     limited = {"kind": "pid", "k_p": 1.0, "k_i": 0.5, "low": -0.5, "high": 0.5}
     place = tmp_path / "limited"
     place.mkdir()
@@ -291,8 +291,8 @@ def test_parameters_states_and_telemetry_of_any_name(tmp_path):
     require("cc", "c++", "make")
     study = dj.Study.from_table(table({"kind": "tests.flight_code.test_generated_functions:UGLY_CONTROLLER"}, LEAD))
     folder = written(tmp_path, study)
-    (only,) = folder.controllers
-    assert only.states == ("differentiator_y", "differentiator_velocity", "value_0", "value_1_0")
+    (controller,) = folder.controllers
+    assert controller.states == ("differentiator_y", "differentiator_velocity", "value_0", "value_1_0")
     values_compared(made(tmp_path, "check"))
     values_compared(made(tmp_path, "cpp"))
 
@@ -311,5 +311,5 @@ def test_names():
         "k_p_2",
         "k_p_3",
     ]
-    assert channel_words(("x", "a b", "a_b", "\u00b5")) == ["x", "a_b", "a_b_2", "channel"]
+    assert channel_labels(("x", "a b", "a_b", "\u00b5")) == ["x", "a_b", "a_b_2", "channel"]
     assert c_string('a "b" \\ ??/ \u00b5') == '"a \\"b\\" \\\\ ?\\?/ ?"'

@@ -11,9 +11,8 @@ from scipy import stats
 import dssc_jax as dj
 from dssc_jax.cli import guarded
 from dssc_jax.console.flight import show_log_comparison
-from dssc_jax.flight_logs.comparison import replayed_channel
 from dssc_jax.flight_logs.reader import Column, FlightLog, nearest_values, read_log, samples_within
-from dssc_jax.flight_logs.replay import commanded, curves_of_draws, study_references
+from dssc_jax.flight_logs.replay import commanded, curves_of_draws, replayed_channel, study_references
 from dssc_jax.statistics.exchangeable import largest_departures, rank_p_value
 from tests.cli.conftest import last_json
 from tests.flight_code.test_code import table
@@ -30,7 +29,7 @@ def study():
 def curves(study):
     """Measured output, command and measured derivative of many draws, shape (draws, 3, samples)."""
     drawn = curves_of_draws(study.override({"draws": 400}), 300)
-    return np.array([[each.y, each.u_total, each.y_dot] for (each,) in drawn])
+    return np.array([[curve.y, curve.u_total, curve.y_dot] for (curve,) in drawn])
 
 
 def logged(y, u, y_dot, begin=7.0):
@@ -53,8 +52,8 @@ def p_values(groups):
 
 def test_every_curve_of_a_set_has_another_rank(curves):
     """Medians of all curves, the tested one among them: the p-values of n + 1 curves in turn are all the ranks."""
-    own = curves[:25]
-    turned = [np.concatenate([np.delete(own, i, axis=0), own[i : i + 1]]) for i in range(25)]
+    tested = curves[:25]
+    turned = [np.concatenate([np.delete(tested, i, axis=0), tested[i : i + 1]]) for i in range(25)]
     np.testing.assert_allclose(np.sort(p_values(turned)), np.arange(1, 26) / 25, rtol=1e-12)
 
 
@@ -66,8 +65,8 @@ def test_p_is_uniform_for_flights_of_the_study(curves):
 
 
 def test_departures_by_hand():
-    own = np.array([[[0.0, 1.0]], [[1.0, np.nan]], [[2.0, 3.0]]])
-    statistics, departure = largest_departures(own, np.array([[5.0, np.nan]]))
+    drawn = np.array([[[0.0, 1.0]], [[1.0, np.nan]], [[2.0, 3.0]]])
+    statistics, departure = largest_departures(drawn, np.array([[5.0, np.nan]]))
     np.testing.assert_allclose(
         departure, [[3.5, np.nan]]
     )  # median 1.5, deviations 1.5, 0.5, 0.5, 3.5: their median is 1
@@ -75,7 +74,7 @@ def test_departures_by_hand():
     ended = np.array([[[0.0]], [[np.nan]], [[2.0]]])
     assert largest_departures(ended, np.array([[1.0]]))[0][1] == np.inf
     with pytest.raises(ValueError, match="nothing"):
-        largest_departures(own, np.full((1, 2), np.nan))
+        largest_departures(drawn, np.full((1, 2), np.nan))
 
 
 def test_a_flight_of_the_study(study, curves):
@@ -90,8 +89,8 @@ def test_a_flight_of_the_study(study, curves):
 
 
 def test_another_plant_is_found(study):
-    other = study.override({"plant.k_p": 0.3, "disturbance.value": 0.9})
-    comparison = dj.compare_log(study, flown(other))
+    weak = study.override({"plant.k_p": 0.3, "disturbance.value": 0.9})
+    comparison = dj.compare_log(study, flown(weak))
     answer = comparison.summary()
     assert answer["p_value"] == answer["least_p_value"] == 1 / 60
     assert answer["signals"]["y"]["first_outside"] < 3.0
@@ -109,14 +108,14 @@ def test_a_log_with_gaps_is_compared_where_it_has_values(study, curves):
 
 def test_another_controller_is_found_by_the_replay(study, curves):
     y, u, y_dot = curves[0]
-    other, reference = study.override({"controller.k_i": 0.6}), study_references(study, len(y))[0]
-    difference = commanded(other, 0, np.array([y, y_dot]), reference) - u
+    faster, reference = study.override({"controller.k_i": 0.6}), study_references(study, len(y))[0]
+    difference = commanded(faster, 0, np.array([y, y_dot]), reference) - u
     assert 0.01 < np.abs(difference).max() < 1.0
-    own = {"y": y, "u_total": u}
-    assert "needs y_dot" in replayed_channel(study, 0, own, reference)
-    assert "needs y_dot or y_ref_dot" in replayed_channel(study, 0, own | {"y_ref": y}, reference)
+    signals = {"y": y, "u_total": u}
+    assert "needs y_dot" in replayed_channel(study, 0, signals, reference)
+    assert "needs y_dot or y_ref_dot" in replayed_channel(study, 0, signals | {"y_ref": y}, reference)
     assert "no measured output" in replayed_channel(study, 0, {"u_total": u}, reference)
-    np.testing.assert_allclose(replayed_channel(study, 0, own | {"y_dot": y_dot}, reference), u, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(replayed_channel(study, 0, signals | {"y_dot": y_dot}, reference), u, rtol=0, atol=1e-12)
 
 
 def test_command_with_a_table_of_columns(study, curves, tmp_path, capsys, monkeypatch):
@@ -183,20 +182,20 @@ def test_start_counts_from_the_beginning_of_a_log_of_px4(tmp_path):
     log = read_log(tmp_path / "a.ulg", table=table)
     rows = "\n".join(f"{t},{y}" for t, y in zip(time, values.astype(np.float32), strict=True))
     (tmp_path / "a.csv").write_text(f"t,y\n{rows}\n")
-    same = read_log(tmp_path / "a.csv", table={"start": 0.2})
-    assert log.start == same.start == 0.2
-    np.testing.assert_allclose(log.columns["y"].time, same.columns["y"].time, atol=1e-6)
-    sampled = (nearest_values(own.columns["y"], own.start, DT, 30) for own in (log, same))
+    csv = read_log(tmp_path / "a.csv", table={"start": 0.2})
+    assert log.start == csv.start == 0.2
+    np.testing.assert_allclose(log.columns["y"].time, csv.columns["y"].time, atol=1e-6)
+    sampled = (nearest_values(flight.columns["y"], flight.start, DT, 30) for flight in (log, csv))
     np.testing.assert_allclose(*sampled, rtol=1e-6)
     assert read_log(tmp_path / "a.ulg", table={"signals": {"y": "rate.xyz[1]"}}).start == pytest.approx(0.0)
 
 
 def unspread():
     """A study without laws and without sensors: every draw is the same."""
-    whole = table({"kind": "pi", "k_p": 1.0, "k_i": 0.5})
+    spread = table({"kind": "pi", "k_p": 1.0, "k_i": 0.5})
     plain = {"kind": "normal_form", "k_p": 1.0, "a_p": 1.0, "initial": [0.5, 0.0]}
     quiet = {"sensor": {"kind": "ideal"}, "unmodelled": {"kind": "none"}}
-    return dj.Study.from_table({**whole, **quiet, "plant": plain, "draws": 19})
+    return dj.Study.from_table({**spread, **quiet, "plant": plain, "draws": 19})
 
 
 @pytest.mark.parametrize("deviation", [4e-7, 1e-3, 1e300])
@@ -251,10 +250,10 @@ def test_a_stamp_beyond_all_numbers():
 def test_without_pyulog(tmp_path, monkeypatch):
     original = builtins.__import__
 
-    def refusing(name, *rest, **more):
+    def refusing(name, *arguments, **options):
         if name == "pyulog":
             raise ImportError(name)
-        return original(name, *rest, **more)
+        return original(name, *arguments, **options)
 
     monkeypatch.setattr(builtins, "__import__", refusing)
     with pytest.raises(dj.ConfigError, match=r"needs pyulog: pip install 'dssc_jax\[ulog\]'"):
@@ -262,7 +261,7 @@ def test_without_pyulog(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("content", "given", "message"),
+    ("content", "columns", "message"),
     [
         ("t,a\n0,1\n", {}, "map a column to at least one of y, u_total"),
         ("t,y\n0,1\n", {"signals": {"z": "y"}}, "is no signal of the study"),
@@ -278,10 +277,10 @@ def test_without_pyulog(tmp_path, monkeypatch):
         ("t,y\n0,1e200\n", {"signals": {"y": {"column": "y", "scale": 1e200}}}, "its largest value in the log is inf"),
     ],
 )
-def test_bad_logs(tmp_path, content, given, message):
+def test_bad_logs(tmp_path, content, columns, message):
     (tmp_path / "a.csv").write_text(content)
     with pytest.raises(dj.ConfigError, match=message):
-        read_log(tmp_path / "a.csv", table=given)
+        read_log(tmp_path / "a.csv", table=columns)
 
 
 def test_a_log_outside_of_the_study(study):

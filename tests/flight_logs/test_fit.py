@@ -1,4 +1,4 @@
-"""Laws from a logged flight: independent estimates, coverage, and flights that do not tell."""
+"""Laws from a logged flight: independent estimates, coverage, and flights that identify nothing."""
 
 import tomllib
 
@@ -10,11 +10,11 @@ import dssc_jax as dj
 from benchmarks.flight_fit import CASES, LEVEL, covered, flight_study, inside
 from dssc_jax.cli import guarded
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.flight_logs.explanation import Unexplained, noise_between_neighbours
-from dssc_jax.flight_logs.fit import NotIdentifiable, fit_log
+from dssc_jax.flight_logs.fit import fit_log
+from dssc_jax.flight_logs.least_squares import unseen_minima
 from dssc_jax.flight_logs.reader import Column, FlightLog
+from dssc_jax.flight_logs.refusals import NotIdentifiable, Unexplained, noise_between_neighbours
 from dssc_jax.flight_logs.replay import curves_of_draws
-from dssc_jax.flight_logs.residual import unseen_minima
 from tests.cli.conftest import last_json
 
 DT = 0.02
@@ -99,8 +99,8 @@ def test_intervals_cover_the_truth():
     assert set(scores) == {"plant.k_p", "plant.a_p", "unmodelled.mu", "disturbance.value"}
     for errors in scores.values():
         assert stats.binom.cdf(inside(errors).sum(), len(errors), LEVEL) > 1e-4
-    together = np.concatenate(list(scores.values()))
-    assert stats.binom.cdf(inside(together).sum(), len(together), LEVEL) > 1e-4
+    pooled = np.concatenate(list(scores.values()))
+    assert stats.binom.cdf(inside(pooled).sum(), len(pooled), LEVEL) > 1e-4
 
 
 @pytest.mark.parametrize("case", [4, 5])
@@ -112,9 +112,9 @@ def test_intervals_of_sparse_logs_cover_the_truth(case):
     """
     scores, fits = covered(flight_study(), 12, CASES[case])
     assert fits >= 10
-    together = np.concatenate(list(scores.values()))
-    assert np.mean(np.square(together)) < 1.0 + 4.0 * np.sqrt(2.0 / fits)
-    assert inside(together).mean() > 0.85
+    pooled = np.concatenate(list(scores.values()))
+    assert np.mean(np.square(pooled)) < 1.0 + 4.0 * np.sqrt(2.0 / fits)
+    assert inside(pooled).mean() > 0.85
 
 
 def oscillator(**changes):
@@ -144,10 +144,9 @@ def test_the_best_of_many_minima_is_found():
     k = 200.0
     fitted = fit_log(oscillator(), ringing(k))
     assert fitted.estimates[0] == pytest.approx(k, rel=5e-3)
-    assert len(fitted.others) >= 3
-    assert all(other.ratio > 1.0 for other in fitted.others)
-    starts, here = fitted.starts
-    assert here + sum(other.starts for other in fitted.others) <= starts
+    assert len(fitted.rivals) >= 3
+    assert all(rival.ratio > 1.0 for rival in fitted.rivals)
+    assert fitted.starts_here + sum(rival.starts for rival in fitted.rivals) <= fitted.starts
     assert fitted.summary()["other_minima"][0]["values"].keys() == {"plant.denominator.2"}
 
 
@@ -157,12 +156,12 @@ def test_number_of_unseen_minima():
     assert unseen_minima(8, 6) == np.inf
 
 
-@pytest.mark.parametrize(("wrong", "every"), [("unit", 1), ("sign", 8), ("start", 8)])
-def test_a_residual_that_is_no_noise_is_refused(noisy, wrong, every):
+@pytest.mark.parametrize(("wrong", "stride"), [("unit", 1), ("sign", 8), ("start", 8)])
+def test_a_residual_that_is_no_noise_is_refused(noisy, wrong, stride):
     u, y = noisy
     logged = {"unit": 100.0 * y, "sign": -y, "start": np.roll(y, 50)}[wrong]
     time = DT * np.arange(400)
-    log = FlightLog("flight", {"y": Column(time[::every], logged[::every]), "u_total": Column(time, u)}, 0.0)
+    log = FlightLog("flight", {"y": Column(time[::stride], logged[::stride]), "u_total": Column(time, u)}, 0.0)
     with pytest.raises(Unexplained, match=r"residual of y is .* m rms, noise explains .* Compare the log's columns"):
         fit_log(linear(), log)
 
@@ -193,12 +192,12 @@ def test_readings_between_samples_are_compared_at_their_times():
     u = np.repeat(np.random.default_rng(8).normal(size=40), 10)
     late = 0.4 * DT
     system = np.array([[0.0, 1.0, 0.0], [0.0, -0.8, 1.1], [0.0, 0.0, 0.0]])
-    whole, part = linalg.expm(system * DT), linalg.expm(system * late)
+    full_step, partial_step = linalg.expm(system * DT), linalg.expm(system * late)
     state, y = np.array([0.5, 0.0, 0.0]), []
     for command in u:
         state[2] = command
-        y.append((part @ state)[0])
-        state = whole @ state
+        y.append((partial_step @ state)[0])
+        state = full_step @ state
     time = DT * np.arange(400)
     log = FlightLog("flight", {"y": Column(time + late, np.array(y)), "u_total": Column(time, u)}, 0.0)
     fitted = fit_log(linear(), log)
@@ -217,7 +216,7 @@ def test_an_estimate_outside_its_law_is_told(noisy):
 def test_at_rest_nothing_is_told():
     random = np.random.default_rng(5)
     study = linear(**{"plant": {**linear().table["plant"], "initial": [0.0, 0.0]}})
-    with pytest.raises(NotIdentifiable, match=r"tells none of plant.k_p, plant.a_p"):
+    with pytest.raises(NotIdentifiable, match=r"identifies none of plant.k_p, plant.a_p"):
         fit_log(study, log_of(0.01 * random.normal(size=400), np.zeros(400)))
 
 
@@ -227,7 +226,7 @@ def test_proportional_regressors_are_named():
     study = linear(**{"plant": {**linear().table["plant"], "initial": [0.0, 1.0]}})
     u = 0.5 * np.exp(-0.5 * DT * np.arange(400))  # x' = exp(-(a_p - k_p/2) t), at the samples nearly
     y = output(1.0, 1.0, u, (0.0, 1.0)) + 0.01 * random.normal(size=400)
-    with pytest.raises(NotIdentifiable, match=r"does not tell \+0\.8\d plant.k_p \+0\.5\d plant.a_p"):
+    with pytest.raises(NotIdentifiable, match=r"does not identify \+0\.8\d plant.k_p \+0\.5\d plant.a_p"):
         fit_log(study, log_of(y, u), ["plant.k_p", "plant.a_p"])
 
 
@@ -236,7 +235,7 @@ def test_a_lag_that_nothing_excites():
     u = np.zeros(400)
     y = output(1.0, 1.0, u, (0.5, 0.0)) + 0.01 * np.random.default_rng(7).normal(size=400)
     with pytest.raises(
-        NotIdentifiable, match=r"does not tell unmodelled.mu: the predicted output does not depend on it"
+        NotIdentifiable, match=r"does not identify unmodelled.mu: the predicted output does not depend on it"
     ):
         fit_log(study, log_of(y, u), ["unmodelled.mu"])
 
@@ -244,11 +243,11 @@ def test_a_lag_that_nothing_excites():
 def test_without_commands_the_controller_is_replayed():
     study = linear(draws=4, sensor={"kind": "noisy", "position_std": 0.01, "velocity_std": 0.01})
     ((_,), (curve,)) = list(curves_of_draws(study.override({"draws": 2}), 400))
-    whole = log_of(curve.y, curve.u_total)
-    rate = whole.columns | {"y_dot": Column(DT * np.arange(400), np.asarray(curve.y_dot))}
+    log = log_of(curve.y, curve.u_total)
+    rate = log.columns | {"y_dot": Column(DT * np.arange(400), np.asarray(curve.y_dot))}
     fitted = fit_log(study, FlightLog("flight", {name: rate[name] for name in ("y", "y_dot")}, 0.0))
     assert fitted.replayed == ("",)
-    np.testing.assert_allclose(fitted.estimates, fit_log(study, whole).estimates, rtol=1e-9)
+    np.testing.assert_allclose(fitted.estimates, fit_log(study, log).estimates, rtol=1e-9)
     with pytest.raises(ConfigError, match="has no command u_total, and the controller needs y_dot"):
         fit_log(study, log_of(curve.y))
 
@@ -262,7 +261,7 @@ def test_wrong_numbers():
 
 
 def test_command(tmp_path, capsys, noisy):
-    """The proposal is part of a study file; what is not told is a negative result."""
+    """The proposal is part of a study file; unidentified numbers are a negative result."""
     u, y = noisy
     rows = [f"{DT * k},{a},{b}" for k, (a, b) in enumerate(zip(y, u, strict=True))]
     (tmp_path / "log.csv").write_text("\n".join(["t,y,u_total", *rows]))
@@ -294,7 +293,7 @@ def test_command(tmp_path, capsys, noisy):
     quiet = "\n".join(["t,y,u_total", *(f"{DT * k},0.5,0.0" for k in range(400))])
     (tmp_path / "log.csv").write_text(quiet)
     assert guarded([*arguments, "--number", "plant.k_p"]) == 1
-    assert "does not tell plant.k_p" in capsys.readouterr().out
+    assert "does not identify plant.k_p" in capsys.readouterr().out
     assert guarded([*arguments[:3], "--number", "plant.k_p"]) == 2
 
 

@@ -153,8 +153,8 @@ def fitted_laws(study: "Study", flown: "FlightLog", names: list[str], out: Path 
     """Estimate the numbers, print or write their laws, and say if the flight does not support that."""
     from dssc_jax.console.flight import show_fit
     from dssc_jax.console.terminal import output
-    from dssc_jax.flight_logs.explanation import FitRefused
-    from dssc_jax.flight_logs.fit import NotIdentifiable, fit_log
+    from dssc_jax.flight_logs.fit import fit_log
+    from dssc_jax.flight_logs.refusals import FitRefused, NotIdentifiable
 
     try:
         fitted = fit_log(study, flown, names)

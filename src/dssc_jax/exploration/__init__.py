@@ -34,8 +34,8 @@ def explore(
 ) -> "StudyPage | ResultPage":
     """A page on which a study's numbers are moved, or a result's draws are brushed and seen again.
 
-    Moving a number of a study shows its failures, fans of signals and worst draw anew. A notebook shows the page as the
-    value of a cell. A program moves sliders by ``move``, and a result's draws by ``replay``.
+    A moved number of a study updates its failures, fans of signals and worst draw. A notebook shows the page as the
+    value of a cell. A program moves sliders by ``move``, and shows a result's draws by ``replay``.
 
     Args:
         subject: A study, or the result of a run or a sweep.

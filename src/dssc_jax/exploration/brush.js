@@ -283,3 +283,48 @@ function extentOf(values) {
   const edges = edgesOf(values, 1), margin = 0.04 * (edges[1] - edges[0])
   return [edges[0] - margin, edges[1] + margin]
 }
+
+function showAll(source, ranges, paint) {
+  // Let the axes show all draws.
+  for (const axis of ["x", "y"]) {
+    const [start, end] = extentOf(source.data[axis])
+    ranges[axis].setv({ start: start, end: end })
+  }
+  paint.execute(source)
+}
+
+function changeAxis(source, axis, name, label, bars, labelled) {
+  // Put another column on an axis of the scatter, and its histogram beside it.
+  const values = source.data[name]
+  source.data[axis] = values
+  const edges = edgesOf(values, 40)
+  bars.data = { left: edges.slice(0, -1), right: edges.slice(1), all: histogram(values, edges, values.keys()),
+    brushed: new Array(40).fill(0), failed: new Array(40).fill(0) }
+  for (const shown of labelled) shown.axis_label = label
+}
+
+function countBrushed(source, said, bars, level, note) {
+  // Say how many of the brushed draws fail, and fill the histograms.
+  const indices = chosenDraws(source), failed = source.data.failed, all = indices.length == 0
+  const draws = all ? failed.length : indices.length
+  const failures = counted(failed, all ? failed.keys() : indices)
+  say(describe(failures, draws, exactInterval(failures, draws, level), all) + note, source, said)
+  const failing = (all ? [...failed.keys()] : indices).filter(i => failed[i])
+  for (const axis of ["x", "y"]) {
+    const { left, right } = bars[axis].data, values = source.data[axis]
+    const edges = [...left, right[right.length - 1]]
+    bars[axis].data.brushed = histogram(values, edges, indices)
+    bars[axis].data.failed = histogram(values, edges, failing)
+    bars[axis].change.emit()
+  }
+}
+
+function showClicked(source, command, picked, start, axes) {
+  // Give the command that replays the clicked draw, and tell the program behind the page.
+  const indices = source.selected.indices
+  if (indices.length != 1) return
+  const i = indices[0], draw = source.data.draw[i]
+  const point = axes.map(name => ` --at ${name}=${source.data[name][i]}`).join("")
+  command.text = `draw ${draw} ${source.data.failed[i] ? "fails" : "passes"}: ${start}${draw}${point}`
+  picked.data = { row: [i] }
+}

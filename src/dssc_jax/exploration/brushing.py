@@ -1,4 +1,4 @@
-"""Linked brushing over the draws of a result, in Bokeh: what a brush does happens in the browser, without a program."""
+"""Linked brushing over the draws of a result, in Bokeh; a brush acts in the browser, without a program behind it."""
 
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from bokeh.models import (
     Div,
     LassoSelectTool,
     LayoutDOM,
+    Model,
     Range1d,
     Select,
 )
@@ -28,56 +29,10 @@ SCRIPT = files.read_text(Path(__file__).with_name("brush.js"))
 BINS = 40
 TABLE_WIDTH = 1240  # px
 PICTURE = 500, 640  # rows and columns of the painted scatter
-FEW = 5000  # draws whose marks may be large
+LARGE_MARKS = 5000  # fewer draws have large marks
 LOOKS = {"bright": 0.85, "dim": 0.12}
 """Opacity of the brushed draws, or of all where none is brushed, and of the others."""
 AXIS_NAMES = ("x", "y")
-CHANGE_AXIS = """
-const values = source.data[select.value]
-source.data[axis] = values
-const edges = edgesOf(values, 40)
-bars.data = {left: edges.slice(0, -1), right: edges.slice(1), all: histogram(values, edges, values.keys()),
-  brushed: new Array(40).fill(0), failed: new Array(40).fill(0)}
-for (const shown of shown_axes) shown.axis_label = names[select.value]
-everything.execute(source)
-brush.execute(source)
-"""
-PAINT = "paintDraws(source, picture, ranges, reach, colours)"
-SELECT = "choose(source, show, enclosed(source, cb_obj.geometry), cb_obj.final)"
-CHOOSE = "source.selected.indices = nearestDraw(source, ranges, picture.data.image[0], cb_obj.x, cb_obj.y)"
-SHOW_ALL = """
-for (const axis of ["x", "y"]) {
-  const [start, end] = extentOf(source.data[axis])
-  ranges[axis].setv({start: start, end: end})
-}
-paint.execute(source)
-"""
-BRUSH = """
-const indices = chosenDraws(source), failed = source.data.failed
-const whole = indices.length == 0, chosen = whole ? failed.keys() : indices
-const draws = whole ? failed.length : indices.length
-const failures = counted(failed, whole ? [...chosen] : chosen)
-say(describe(failures, draws, exactInterval(failures, draws, level), whole) + note, source, said)
-for (const [axis, bars] of [["x", x_bars], ["y", y_bars]]) {
-  const values = source.data[axis]
-  const edges = [...bars.data.left, bars.data.right[bars.data.right.length - 1]]
-  bars.data.brushed = histogram(values, edges, indices)
-  bars.data.failed = histogram(values, edges, (whole ? [...failed.keys()] : indices).filter(i => failed[i]))
-  bars.change.emit()
-}
-"""
-SHOW = "for (const part of parts) part.execute(source)"
-SELECTED = "globalThis.brushing.drawn.delete(source); show.execute(source)"
-CLICK = """
-const indices = source.selected.indices
-if (indices.length == 1) {
-  const i = indices[0]
-  const at = axes.map(name => ` --at ${name}=${source.data[name][i]}`).join("")
-  const outcome = source.data.failed[i] ? "fails" : "passes"
-  command.text = `draw ${source.data.draw[i]} ${outcome}: ${start}${source.data.draw[i]}${at}`
-  picked.data = {row: [i]}
-}
-"""
 
 
 class Brushing:
@@ -87,65 +42,58 @@ class Brushing:
         table: The draws.
         folder: The results folder, for the command that replays a clicked draw.
 
-    The source ``picked`` holds the row that was clicked last, for a program behind the page.
+    The source ``picked`` holds the row of the latest click, for a program behind the page.
     """
 
     def __init__(self, table: DrawTable, folder: str) -> None:
         self.table = table
-        self.names = list(table.columns)
         shown = dict(zip(AXIS_NAMES, table.first_axes, strict=True))
         columns = {name: values.astype(np.float32) for name, values in table.columns.items()}
-        self.source = ColumnDataSource(
-            {
-                **columns,
-                **{axis: columns[name] for axis, name in shown.items()},
-                "failed": table.failed.astype(np.uint8),
-                "draw": table.draw.astype(np.int32),
-            },
-            name="draws",
-        )
+        data = {**columns, "failed": table.failed.astype(np.uint8), "draw": table.draw.astype(np.int32)}
+        for axis, name in shown.items():
+            data[axis] = columns[name]
+        self.source = ColumnDataSource(data, name="draws")
         self.picked = ColumnDataSource({"row": []})
-        self.said = Div(text="", disable_math=True, width=TABLE_WIDTH, styles={"font-size": "18px"})
+        self.said = Div(text=self.statement(), disable_math=True, width=TABLE_WIDTH, styles={"font-size": "18px"})
         self.command = Div(text="a click on a draw gives its command", disable_math=True, width=TABLE_WIDTH)
-        self.picture = ColumnDataSource(
-            {"image": [np.zeros(PICTURE, np.uint32)], **{name: [0.0] for name in ("x", "y", "dw", "dh")}}
-        )
-        self.bars = {axis: ColumnDataSource({**self._histogram(shown[axis])}) for axis in AXIS_NAMES}
-        self.labels = {axis: table.label(name) for axis, name in shown.items()}
+        frame = {name: [0.0] for name in ("x", "y", "dw", "dh")}
+        self.picture = ColumnDataSource({"image": [np.zeros(PICTURE, np.uint32)], **frame})
+        self.bars = {axis: ColumnDataSource(self._histogram(name)) for axis, name in shown.items()}
         self.selects = {
-            axis: Select(title=f"{axis} axis", value=name, options=[*self.names], width=300)
+            axis: Select(title=f"{axis} axis", value=name, options=list(table.columns), width=300)
             for axis, name in shown.items()
         }
-        colours = {name: [pixel(colour, alpha) for colour in (BLUE, ORANGE)] for name, alpha in LOOKS.items()}
-        self.parallel = ParallelAxes(table, self.source, SCRIPT, colours)
+        self.colours = {name: [pixel(colour, alpha) for colour in (BLUE, ORANGE)] for name, alpha in LOOKS.items()}
+        self.parallel = ParallelAxes(table, self.source, SCRIPT, self.colours)
         self.map = CellMap(table, self.source, SCRIPT) if table.result.study.axes else None
-        self.scatter = self._scatter()
-        self.histograms = {axis: self._bar_figure(axis) for axis in AXIS_NAMES}
-        self._connect(folder, colours)
-        self.said.text = self.statement()
+        labels = [table.label(name) for name in shown.values()]
+        self.scatter = self._scatter(*labels)
+        self.histograms = [self._bar_figure(axis, label) for axis, label in zip(AXIS_NAMES, labels, strict=True)]
+        self._connect(folder)
 
     @property
     def layout(self) -> LayoutDOM:
         """The page's content."""
-        figures = row(self.scatter, column(*self.histograms.values()))
+        figures = row(self.scatter, column(*self.histograms))
         maps = [self.map.figure] if self.map is not None else []
         return column(self.said, *maps, row(*self.selects.values()), figures, self.command, self.parallel.figure)
 
     @property
     def note(self) -> str:
-        """What the page leaves out."""
+        """A note on draws that the page leaves out."""
         table = self.table
         return "" if table.complete else f"; {len(table.rows):,} of {table.total:,} draws are shown"
 
     def statement(self) -> str:
         """Failures of all draws with their interval, as the page says it before anything is brushed."""
-        failures, draws = int(self.table.failed.sum()), len(self.table.failed)
+        failures = int(self.table.failed.sum())
+        draws = len(self.table.failed)
         interval = FixedCount().interval(self.table.failed, CONFIDENCE)
         probability, low, high = map(rounded_probability, (failures / draws, *interval))
-        interval = f"in [{low}, {high}] (95 % Clopper-Pearson)"
-        return f"all {draws:,} draws, {failures:,} fail: probability {probability} {interval}{self.note}"
+        counts = f"all {draws:,} draws, {failures:,} fail"
+        return f"{counts}: probability {probability} in [{low}, {high}] (95 % Clopper-Pearson){self.note}"
 
-    def _scatter(self) -> figure:
+    def _scatter(self, x_label: str, y_label: str) -> figure:
         """All draws over two columns, painted by the page's script."""
         plot = figure(
             width=720,
@@ -153,8 +101,8 @@ class Brushing:
             tools="pan,wheel_zoom,reset,save",
             x_range=Range1d(),
             y_range=Range1d(),
-            x_axis_label=self.labels["x"],
-            y_axis_label=self.labels["y"],
+            x_axis_label=x_label,
+            y_axis_label=y_label,
         )
         box = BoxSelectTool(continuous=True, renderers=[])
         plot.add_tools(box, LassoSelectTool(continuous=False, renderers=[]))
@@ -163,14 +111,12 @@ class Brushing:
         plot.image_rgba("image", "x", "y", "dw", "dh", source=self.picture, level="glyph")
         return plot
 
-    def _bar_figure(self, axis: str) -> figure:
+    def _bar_figure(self, axis: str, label: str) -> figure:
         """The histogram of an axis: all, brushed, and failures among the brushed."""
-        plot = figure(width=500, height=270, tools="", x_axis_label=self.labels[axis], y_axis_label="draws")
-        looks = (("all", GREY, 0.3), ("brushed", BLUE, 0.6), ("failed", ORANGE, 0.9))
-        for name, colour, alpha in looks:
-            plot.quad(
-                "left", "right", name, 0, source=self.bars[axis], fill_color=colour, fill_alpha=alpha, line_color=None
-            )
+        plot = figure(width=500, height=270, tools="", x_axis_label=label, y_axis_label="draws")
+        bars = self.bars[axis]
+        for name, colour, alpha in (("all", GREY, 0.3), ("brushed", BLUE, 0.6), ("failed", ORANGE, 0.9)):
+            plot.quad("left", "right", name, 0, source=bars, fill_color=colour, fill_alpha=alpha, line_color=None)
         plot.toolbar_location = None
         return plot
 
@@ -179,63 +125,74 @@ class Brushing:
         values = self.table.columns[name]
         finite = np.isfinite(values)
         counts, edges = np.histogram(values[finite], BINS)
-        failed = np.histogram(values[finite & self.table.failed], edges)[0]
+        failed, _ = np.histogram(values[finite & self.table.failed], edges)
         return {"left": edges[:-1], "right": edges[1:], "all": counts, "brushed": np.zeros(BINS), "failed": failed}
 
-    def _connect(self, folder: str, colours: dict[str, list[int]]) -> None:
+    def _callback(self, call: str, **models: object) -> CustomJS:
+        """A callback that calls a function of the script; it knows the draws as ``source``."""
+        return CustomJS(args={"source": self.source, **models}, code=SCRIPT + call)
+
+    def _connect(self, folder: str) -> None:
         """Let brushes, clicks and choices of axes act."""
         start, axes = self.table.replay_commands(folder)
-        brush = CustomJS(
-            args={
-                "source": self.source,
-                "said": self.said,
-                "x_bars": self.bars["x"],
-                "y_bars": self.bars["y"],
-                "level": CONFIDENCE,
-                "note": self.note,
-            },
-            code=SCRIPT + BRUSH,
+        scatter: dict[str, object] = {
+            "picture": self.picture,
+            "ranges": {"x": self.scatter.x_range, "y": self.scatter.y_range},
+        }
+        paint = self._callback(
+            "paintDraws(source, picture, ranges, reach, colours)",
+            **scatter,
+            reach=3 if len(self.table.failed) < LARGE_MARKS else 1,
+            colours=self.colours,
         )
-        click = CustomJS(
-            args={
-                "source": self.source,
-                "command": self.command,
-                "picked": self.picked,
-                "start": start,
-                "axes": axes,
-            },
-            code=CLICK,
+        count = self._callback(
+            "countBrushed(source, said, bars, level, note)",
+            said=self.said,
+            bars=self.bars,
+            level=CONFIDENCE,
+            note=self.note,
         )
-        ranges = {"x": self.scatter.x_range, "y": self.scatter.y_range}
-        drawn = {"source": self.source, "picture": self.picture, "ranges": ranges}
-        reach = 3 if len(self.table.failed) < FEW else 1
-        paint = CustomJS(args={**drawn, "reach": reach, "colours": colours}, code=SCRIPT + PAINT)
-        everything = CustomJS(args={**drawn, "paint": paint}, code=SCRIPT + SHOW_ALL)
-        parts = [paint, brush, self.parallel.paint]
-        show = CustomJS(args={"source": self.source, "parts": parts}, code=SHOW)
-        selected = CustomJS(args={"source": self.source, "show": show}, code=SCRIPT + SELECTED)
-        self.source.selected.js_on_change("indices", selected, click)
-        self.scatter.js_on_event(SelectionGeometry, CustomJS(args={**drawn, "show": show}, code=SCRIPT + SELECT))
+        show_all = self._callback("showAll(source, ranges, paint)", **scatter, paint=paint)
+        parts = [paint, count, self.parallel.paint]
+        show = CustomJS(
+            args={"source": self.source, "parts": parts}, code="for (const part of parts) part.execute(source)"
+        )
+        selected = self._callback("globalThis.brushing.drawn.delete(source); show.execute(source)", show=show)
+        clicked = self._callback(
+            "showClicked(source, command, picked, start, axes)",
+            command=self.command,
+            picked=self.picked,
+            start=start,
+            axes=axes,
+        )
+        self.source.selected.js_on_change("indices", selected, clicked)
         self.parallel.brush(show)
-        self.scatter.js_on_event(Tap, CustomJS(args=drawn, code=SCRIPT + CHOOSE))
-        self.scatter.js_on_event(Reset, everything)
-        for shown in ranges.values():
-            shown.js_on_change("start", paint)
-            shown.js_on_change("end", paint)
-        self.scatter.js_on_change("inner_width", everything)  # when the page is laid out first
-        names = {name: self.table.label(name) for name in self.names}
-        for axis in AXIS_NAMES:
-            args = {
-                "source": self.source,
-                "select": self.selects[axis],
-                "axis": axis,
-                "bars": self.bars[axis],
-                "shown_axes": [getattr(self.scatter, f"{axis}axis")[0], self.histograms[axis].xaxis[0]],
-                "names": names,
-                "brush": brush,
-                "everything": everything,
-            }
-            self.selects[axis].js_on_change("value", CustomJS(args=args, code=SCRIPT + CHANGE_AXIS))
+        enclosed = "choose(source, show, enclosed(source, cb_obj.geometry), cb_obj.final)"
+        self.scatter.js_on_event(SelectionGeometry, self._callback(enclosed, show=show))
+        nearest = "nearestDraw(source, ranges, picture.data.image[0], cb_obj.x, cb_obj.y)"
+        self.scatter.js_on_event(Tap, self._callback(f"source.selected.indices = {nearest}", **scatter))
+        self.scatter.js_on_event(Reset, show_all)
+        self.scatter.js_on_change("inner_width", show_all)  # when the page is laid out first
+        for axis_range in (self.scatter.x_range, self.scatter.y_range):
+            axis_range.js_on_change("start", paint)
+            axis_range.js_on_change("end", paint)
+        names = {name: self.table.label(name) for name in self.table.columns}
+        labelled: list[list[Model]] = [
+            [self.scatter.xaxis[0], self.histograms[0].xaxis[0]],
+            [self.scatter.yaxis[0], self.histograms[1].xaxis[0]],
+        ]
+        for axis, labelled_axes in zip(AXIS_NAMES, labelled, strict=True):
+            change = self._callback(
+                "changeAxis(source, axis, cb_obj.value, names[cb_obj.value], bars, labelled)\n"
+                "show_all.execute(source)\ncount.execute(source)",
+                axis=axis,
+                names=names,
+                bars=self.bars[axis],
+                labelled=labelled_axes,
+                show_all=show_all,
+                count=count,
+            )
+            self.selects[axis].js_on_change("value", change)
 
 
 def pixel(colour: str, alpha: float) -> int:

@@ -11,9 +11,10 @@ from dssc_jax.statistics import CONFIDENCE, clopper_pearson, rounded_probability
 
 WIDTH, HEIGHT = 1240, 300  # px
 MOST_LABELS = 12
-SELECT_CELL = (
-    "choose(source, null, drawsAt(source, names, names.map(name => cells.data[name][cells.selected.indices[0]])), true)"
-)
+SELECT_CELL = """
+const cell = cells.selected.indices[0]
+if (cell != undefined) choose(source, null, drawsAt(source, names, names.map(name => cells.data[name][cell])), true)
+"""
 
 
 class CellMap:
@@ -29,46 +30,37 @@ class CellMap:
 
     def __init__(self, table: DrawTable, source: ColumnDataSource, script: str) -> None:
         axes = table.result.study.axes
-        self.names, self.others = list(axes)[:2], list(axes)[2:]
+        self.names = list(axes)[:2]
+        pooled = list(axes)[2:]
         values = [axes[name] for name in self.names]
-        failed = table.result.failed.transpose(*self.names, *self.others, "draw").values
+        failed = table.result.failed.transpose(*self.names, *pooled, "draw").values
         failed = failed.reshape(*(len(column) for column in values), -1)
         places = np.indices(failed.shape[:-1]).reshape(len(values), -1)
-        failures, draws = failed.sum(-1).reshape(-1), failed.shape[-1]
+        failures = failed.sum(-1).reshape(-1)
+        draws = failed.shape[-1]
         low, high = clopper_pearson(failures, draws, CONFIDENCE).T
-        shown = zip(failures, low, high, strict=True)
-        self.cells = ColumnDataSource(
-            {
-                **{
-                    name: np.asarray(column, np.float32)[place]
-                    for name, column, place in zip(self.names, values, places, strict=True)
-                },
-                **dict(zip("xy", places, strict=False)),
-                "probability": failures / draws,
-                "low": low,
-                "high": high,
-                "said": [
-                    f"{k:,} of {draws:,} draws fail: in [{rounded_probability(a)}, {rounded_probability(b)}]"
-                    for k, a, b in shown
-                ],
-            }
-        )
-        self.figure = self._figure(values)
-        args = {"source": source, "cells": self.cells, "names": self.names}
-        self.cells.selected.js_on_change(
-            "indices", CustomJS(args=args, code=f"{script}if (cells.selected.indices.length) {SELECT_CELL}")
-        )
+        data: dict[str, object] = {"probability": failures / draws, "low": low, "high": high}
+        data["said"] = [
+            f"{count:,} of {draws:,} draws fail: in [{rounded_probability(lower)}, {rounded_probability(upper)}]"
+            for count, lower, upper in zip(failures, low, high, strict=True)
+        ]
+        for name, axis, column, place in zip(self.names, "xy", values, places, strict=False):
+            data[name] = np.asarray(column, np.float32)[place]
+            data[axis] = place
+        self.cells = ColumnDataSource(data)
+        self.figure = self._figure(values, pooled)
+        select = CustomJS(args={"source": source, "cells": self.cells, "names": self.names}, code=script + SELECT_CELL)
+        self.cells.selected.js_on_change("indices", select)
 
-    def _figure(self, values: list[tuple[float, ...]]) -> figure:
+    def _figure(self, values: list[tuple[float, ...]], pooled: list[str]) -> figure:
         """The curve or the map."""
-        tips = [*((name, f"@{{{name}}}") for name in self.names), ("", "@said")]
-        pooled = f", draws of all values of {', '.join(self.others)} together" if self.others else ""
+        note = f", draws of all values of {', '.join(pooled)} together" if pooled else ""
         plot = figure(
             width=WIDTH,
             height=HEIGHT,
             tools="tap,hover,save",
-            tooltips=tips,
-            title=f"failure probability{pooled}; a click brushes the draws of a point",
+            tooltips=[*((name, f"@{{{name}}}") for name in self.names), ("", "@said")],
+            title=f"failure probability{note}; a click brushes the draws of a point",
             x_axis_label=self.names[0],
             y_axis_label=self.names[1] if len(values) > 1 else "failure probability",
         )
@@ -81,17 +73,9 @@ class CellMap:
             plot.segment("x", "low", "x", "high", source=self.cells, color=GREY, line_width=2)
             plot.scatter("x", "probability", source=self.cells, color=BLUE, size=9)
             return plot
-        colours = LinearColorMapper(palette="Cividis256", low=0.0, high=1.0)
-        plot.rect(
-            "x",
-            "y",
-            1.0,
-            1.0,
-            source=self.cells,
-            fill_color=transform("probability", colours),
-            line_color="white",
-            nonselection_fill_alpha=0.4,
-        )
-        plot.add_layout(ColorBar(color_mapper=colours, ticker=BasicTicker(desired_num_ticks=5)), "right")
+        mapper = LinearColorMapper(palette="Cividis256", low=0.0, high=1.0)
+        colours = {"fill_color": transform("probability", mapper), "line_color": "white"}
+        plot.rect("x", "y", 1.0, 1.0, source=self.cells, nonselection_fill_alpha=0.4, **colours)
+        plot.add_layout(ColorBar(color_mapper=mapper, ticker=BasicTicker(desired_num_ticks=5)), "right")
         plot.grid.visible = False
         return plot

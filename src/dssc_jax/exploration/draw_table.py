@@ -17,21 +17,21 @@ class DrawTable:
 
     Args:
         result: The result.
-        most: Most rows; of a larger result, every k-th is taken.
+        max_rows: Largest number of rows; of a larger result, every k-th draw is taken.
     """
 
     result: Result
-    most: int = MOST_ROWS
+    max_rows: int = MOST_ROWS
 
     @property
     def total(self) -> int:
-        """Draws of the whole result, times points of its sweep."""
+        """Number of draws, times points of the sweep."""
         return self.result.failed.size
 
     @cached_property
     def rows(self) -> np.ndarray:
         """Flat positions of the rows in the grid of points and draws."""
-        return np.arange(0, self.total, max(1, -(-self.total // self.most)))
+        return np.arange(0, self.total, max(1, -(-self.total // self.max_rows)))
 
     @property
     def complete(self) -> bool:
@@ -41,12 +41,13 @@ class DrawTable:
     @cached_property
     def columns(self) -> dict[str, np.ndarray]:
         """Swept numbers, drawn numbers and metrics by name, each of shape (rows,); NaN where there is no value."""
-        study, dataset = self.result.study, self.result.dataset
-        names = [*study.axes, *study.laws, *(measure.name for measure in study.measures)]
+        study = self.result.study
+        dataset = self.result.dataset
         grid = dataset["outcome"]
         columns = {}
-        for name in names:
-            column = dataset[name].broadcast_like(grid).transpose(*grid.dims).values.reshape(-1)[self.rows]
+        for name in (*study.axes, *study.laws, *(measure.name for measure in study.measures)):
+            values = dataset[name].broadcast_like(grid).transpose(*grid.dims).values
+            column = values.reshape(-1)[self.rows]
             columns[name] = np.where(np.abs(column) < DRAWABLE, column, np.nan)
         return columns
 

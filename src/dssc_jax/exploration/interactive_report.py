@@ -15,7 +15,7 @@ from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.result import Result
 
 INTERACTIVE = "interactive.html"
-OWN_SCRIPTS_ONLY = (
+CONTENT_POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:; "
     "font-src data:"
 )
@@ -52,9 +52,10 @@ def interactive_html(result: Result | Analysis) -> str:
         raise ConfigError(result.study.name, f"draws of a run or a sweep can be brushed, not those of '{result.kind}'")
     study = result.study
     folder = shlex.quote(str(result.path or f"results/{study.name}"))
+    required = "; ".join(requirement.text for requirement in study.requirements) or "nothing"
     head = Div(
         text=f"<h1>{escape(study.name)}</h1><p>{escape(study.config.description)}</p>"
-        f"<p>required: {escape('; '.join(r.text for r in study.requirements) or 'nothing')}</p>"
+        f"<p>required: {escape(required)}</p>"
         "<p>drag over the points or over the parallel axes to brush, with Shift to add; Escape ends it. "
         "Orange fails, blue passes; a cross or a circle is a draw.</p>",
         disable_math=True,
@@ -62,6 +63,5 @@ def interactive_html(result: Result | Analysis) -> str:
     page = column(head, Brushing(DrawTable(result), folder).layout)
     script, place = components(page)
     library = "\n".join(Resources(mode="inline", components=["bokeh", "bokeh-widgets"]).js_raw)
-    return PAGE.format(
-        policy=OWN_SCRIPTS_ONLY, title=escape(f"{study.name}: draws"), library=library, place=place, script=script
-    )
+    title = escape(f"{study.name}: draws")
+    return PAGE.format(policy=CONTENT_POLICY, title=title, library=library, place=place, script=script)

@@ -3,10 +3,10 @@
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from threading import Lock
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from dssc_jax.closed_loop.requirements import violated, worst_slack
 from dssc_jax.core.signals import Outcome
 from dssc_jax.design import certification
 from dssc_jax.engine.batching import Arrays, drawn
+from dssc_jax.exploration.page import Stale
 from dssc_jax.exploration.sliders import (
     CLOCK_SLIDER,
     Positions,
@@ -31,46 +32,30 @@ from dssc_jax.study.tables import to_toml
 
 FAN_LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)  # of the fans
 DRAWS, VEHICLE_DRAWS = 1000, 64
-BATCH, VEHICLE_BATCH = 256, 16  # draws between two looks whether a newer move has come
-UNNOTICED = 0.3  # s; a shorter run tells of no progress
+BATCH, VEHICLE_BATCH = 256, 16  # draws between two checks for a newer move
+QUIET_SECONDS = 0.3  # a shorter run shows no progress
 PROGRAMS = 6  # compiled programs to keep, one for each sample time
 
-Stale = Callable[[], bool]
-"""Whether a newer request has come."""
-
-Notice = Callable[[str], None]
-"""Called with what is being done."""
+Notice: TypeAlias = Callable[[str], None]
+"""Called with a description of the work in progress."""
 
 
 class Fan(NamedTuple):
-    """Quantiles of a signal over time, of the draws that are still running.
+    """Quantiles of a signal over time, of the draws that are still running."""
 
-    Args:
-        levels: The levels, shape (levels,).
-        values: Shape (levels, samples); NaN where no draw is running.
-        running: Number of draws still running, shape (samples,).
-    """
-
-    levels: tuple[float, ...]
-    values: np.ndarray
-    running: np.ndarray
+    values: np.ndarray  # at FAN_LEVELS, NaN where no draw is running, shape (levels, samples)
+    running: np.ndarray  # number of draws still running, shape (samples,)
 
 
 @dataclass(frozen=True)
 class LiveRun:
-    """All draws of a study at one position of its sliders.
+    """All draws of a study at one position of its sliders."""
 
-    Args:
-        study: The study as it stands, without a sweep; it reproduces this run.
-        results: Metrics, slacks, outcome and signals of every draw.
-        values: Each uncertain number's value in every draw.
-        times: Times of the signals' samples [s].
-    """
-
-    study: Study
-    results: Arrays
-    values: Arrays
-    times: np.ndarray
+    study: Study  # as it stands, without a sweep; it reproduces this run
+    results: Arrays  # metrics, slacks, outcome and signals of every draw
+    values: Arrays  # of the uncertain numbers in every draw
+    times: np.ndarray  # of the signals' samples [s]
+    _fans: dict[str, Fan] = field(default_factory=dict)
 
     @property
     def failed(self) -> np.ndarray:
@@ -96,7 +81,11 @@ class LiveRun:
     @cached_property
     def by_requirement(self) -> list[tuple[str, int]]:
         """Each requirement with the number of draws that violate it."""
-        return [(r.text, int(violated(self.results[r.name]).sum())) for r in self.study.requirements]
+        counts = []
+        for requirement in self.study.requirements:
+            violations = violated(self.results[requirement.name])
+            counts.append((requirement.text, int(violations.sum())))
+        return counts
 
     @property
     def ended_early(self) -> int:
@@ -125,24 +114,15 @@ class LiveRun:
     def fan(self, name: str) -> Fan:
         """Quantiles of a signal over time."""
         if name not in self._fans:
-            self._fans[name] = self._quantiles(name)
+            ordered = np.sort(self.signal(name), axis=0)  # NaN are last
+            running = np.count_nonzero(~np.isnan(ordered), axis=0)
+            rows = np.floor(np.outer(FAN_LEVELS, np.maximum(running - 1, 0))).astype(int)
+            self._fans[name] = Fan(np.take_along_axis(ordered, rows, axis=0), running)
         return self._fans[name]
 
     @cached_property
-    def _fans(self) -> dict[str, Fan]:
-        """Fans that were computed, by signal."""
-        return {}
-
-    def _quantiles(self, name: str) -> Fan:
-        ordered = np.sort(self.signal(name), axis=0)  # NaN are last
-        running = np.count_nonzero(~np.isnan(ordered), axis=0)
-        rows = np.floor(np.outer(FAN_LEVELS, np.maximum(running - 1, 0))).astype(int)
-        values = np.take_along_axis(ordered, rows, axis=0)
-        return Fan(FAN_LEVELS, values, running)
-
-    @cached_property
     def certificate(self) -> str:
-        """What Theorem 1 says of the loop, in one line."""
+        """The verdict of Theorem 1 on the loop, in one line."""
         mark = certification.mark(self.study)
         if mark.certified is None:
             return f"Theorem 1 does not apply: {mark.reason}"
@@ -167,8 +147,10 @@ class LiveStudy:
 
     def __init__(self, study: Study, names: Sequence[str] | None = None, draws: int | None = None) -> None:
         self.vehicle = len(study.loop.channels) > 1
-        own = study.config.draws if study.config.sampling != "random" else None
-        count = draws or own or (VEHICLE_DRAWS if self.vehicle else DRAWS)
+        default = VEHICLE_DRAWS if self.vehicle else DRAWS
+        if study.config.sampling != "random":
+            default = study.config.draws
+        count = draws or default
         self.swept = study.override({"draws": count})
         self.base = self.swept.without_sweep()
         self.sliders: list[Slider] = admitted(self.base, sliders_of(self.swept, names))
@@ -191,29 +173,23 @@ class LiveStudy:
     def run(
         self, positions: Positions, stale: Stale = lambda: False, progress: Notice = lambda _: None
     ) -> LiveRun | None:
-        """Simulate all draws at some positions of the sliders.
-
-        Args:
-            positions: The positions.
-            stale: Asked between two batches.
-            progress: Called with what is being done.
-
-        Returns:
-            The run; None if a newer request has made it stale.
+        """Simulate all draws at positions of the sliders; None if a newer request has made the run stale.
 
         Raises:
             ConfigError: The study is not valid there.
         """
         study = self.at(positions)
         program = self._program(study, progress)
-        batches, count = [], study.config.draws
-        done, start = 0, time.monotonic()
+        count = study.config.draws
+        batches = []
+        done = 0
+        start = time.monotonic()
         for batch in program.batches(study, np.arange(count)):
             batches.append(batch)
             done += len(batch["outcome"])
             if stale():
                 return None
-            if time.monotonic() - start > UNNOTICED:
+            if time.monotonic() - start > QUIET_SECONDS:
                 progress(f"{done:,} of {count:,} draws")
         return LiveRun(study, all_draws(batches), drawn(study, slice(0, count)), program.times)
 
@@ -230,10 +206,10 @@ class LiveStudy:
         with self._compiling:  # tabs share the programs
             if sample_time not in self._programs:
                 progress("compiling")
-                clocked = self.base.override({CLOCK_SLIDER: sample_time})
-                live = live_extents(self.sliders)
+                compiled_study = self.base.override({CLOCK_SLIDER: sample_time})
+                extents = live_extents(self.sliders)
                 batch = VEHICLE_BATCH if self.vehicle else BATCH
-                program = RecordedDraws(clocked, live, recorded_signals(study), lanes=batch)
+                program = RecordedDraws(compiled_study, extents, recorded_signals(study), lanes=batch)
                 program.compile()
                 self._programs[sample_time] = program
                 if len(self._programs) > PROGRAMS:
@@ -243,7 +219,7 @@ class LiveStudy:
 
 
 def error_names(study: Study) -> list[str]:
-    """The error signals of every channel."""
+    """The error signal of every channel."""
     return [f"{channel}_e" if channel else "e" for channel in study.loop.channels]
 
 

@@ -1,16 +1,16 @@
-"""What all pages have in common: work in the background, and a line that tells what is going on."""
+"""What all pages have in common: work in the background, and a line with the status."""
 
+import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, ParamSpec, TypeAlias
 
 import htpy as h
+import numpy as np
 import panel as pn
 from panel.io.document import hold
 from panel.viewable import Viewable
-
-from dssc_jax.exploration.latest import Latest, Work
 
 WORST_DRAW, MEDIAN_DRAW, RANDOM_DRAW = "worst draw", "median draw", "random draw"
 PAGE_STYLE = """
@@ -19,6 +19,70 @@ p.error { color: #a00000; font-weight: 600; }
 p.headline { font-size: 20px; font-weight: 600; margin: 0; }
 p { margin: 2px 0; }
 """
+
+Stale: TypeAlias = Callable[[], bool]
+"""Whether a newer request has come."""
+
+Work: TypeAlias = Callable[[Stale], None]
+
+Arguments = ParamSpec("Arguments")
+
+
+class Worker:
+    """A thread that serves the newest of several requests; an older one may stop when it learns that it is stale.
+
+    The thread starts with the first request and ends with :meth:`close`.
+    """
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._pending: Work | None = None
+        self._number = 0
+        self._closed = False
+        self._busy = False
+        self._thread: threading.Thread | None = None
+
+    def submit(self, work: Work) -> None:
+        """Request some work; it replaces a request that has not begun, and makes the running one stale."""
+        with self._changed:
+            if self._closed:
+                return
+            self._pending = work
+            self._number += 1
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._serve, name="explore", daemon=True)
+                self._thread.start()
+            self._changed.notify_all()
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until no request is pending or running, at most for a timeout [s]; whether that came true."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._pending is None and not self._busy, timeout)
+
+    def close(self) -> None:
+        """Forget pending work, make running work stale, and end the thread after it."""
+        with self._changed:
+            self._closed = True
+            self._pending = None
+            self._number += 1
+            self._changed.notify_all()
+
+    def _serve(self) -> None:
+        while True:
+            with self._changed:
+                self._busy = False
+                self._changed.notify_all()
+                self._changed.wait_for(lambda: self._pending is not None or self._closed)
+                work = self._pending
+                number = self._number
+                if work is None:
+                    return
+                self._pending = None
+                self._busy = True
+            work(partial(self._is_stale, number))
+
+    def _is_stale(self, number: int) -> bool:
+        return self._number != number
 
 
 class Page(ABC):
@@ -30,8 +94,10 @@ class Page(ABC):
     """
 
     def __init__(self, background: bool = False) -> None:
-        self._latest, self._later = (Latest(), Latest()) if background else (None, None)
+        self._worker = Worker() if background else None
+        self._second_worker = Worker() if background else None
         self._document = pn.state.curdoc if background else None
+        self._random = np.random.default_rng(0)
         self.status = html_pane("")
 
     @property
@@ -40,51 +106,62 @@ class Page(ABC):
         """The page for Panel."""
 
     def _repr_mimebundle_(self, *args: Any, **options: Any) -> Any:
-        """How a notebook shows the page."""
+        """The page as the value of a notebook's cell."""
         return self.view._repr_mimebundle_(*args, **options)
+
+    def choose(self, choice: str, order: np.ndarray) -> int:
+        """The worst, the median or a random one of draws that are ordered from the worst to the best."""
+        places = {WORST_DRAW: 0, MEDIAN_DRAW: len(order) // 2}
+        return int(order[places[choice]] if choice in places else self._random.integers(len(order)))
 
     def work(self, task: Work) -> None:
         """Do some work, in the background if the page has one."""
-        if self._latest is None:
-            task(lambda: False)
-        else:
-            self._latest.submit(task)
+        do(task, self._worker)
 
-    def work_later(self, task: Work) -> None:
+    def work_aside(self, task: Work) -> None:
         """Do some work beside which newer work runs at once."""
-        if self._later is None:
-            task(lambda: False)
-        else:
-            self._later.submit(task)
+        do(task, self._second_worker)
 
-    def update(self, act: Callable[..., None], *arguments: Any) -> None:
-        """Change the page, from whatever thread; the browser receives what one call changes at once."""
+    def update(
+        self, change: Callable[Arguments, None], *arguments: Arguments.args, **options: Arguments.kwargs
+    ) -> None:
+        """Change the page, from whatever thread; the browser receives all changes of one call together."""
         if self._document is None:
-            act(*arguments)
+            change(*arguments, **options)
         else:
-            self._document.add_next_tick_callback(partial(self._at_once, act, *arguments))
+            self._document.add_next_tick_callback(partial(self._change, change, *arguments, **options))
 
-    def _at_once(self, act: Callable[..., None], *arguments: Any) -> None:
+    def _change(
+        self, change: Callable[Arguments, None], *arguments: Arguments.args, **options: Arguments.kwargs
+    ) -> None:
         with hold(self._document):
-            act(*arguments)
+            change(*arguments, **options)
 
     def say(self, text: str) -> None:
-        """Tell what is going on."""
+        """Show the status."""
         self.status.object = markup(h.p(role="status")[text])
 
     def complain(self, text: str) -> None:
-        """Tell what went wrong."""
+        """Show an error as the status."""
         self.status.object = markup(h.p(".error", role="alert")[text])
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until nothing is running; see :meth:`dssc_jax.exploration.latest.Latest.wait`."""
-        return all(latest is None or latest.wait(timeout) for latest in (self._latest, self._later))
+        """Wait until nothing is running; see :meth:`Worker.wait`."""
+        return all(worker is None or worker.wait(timeout) for worker in (self._worker, self._second_worker))
 
     def close(self) -> None:
         """End the page's threads."""
-        for latest in (self._latest, self._later):
-            if latest is not None:
-                latest.close()
+        for worker in (self._worker, self._second_worker):
+            if worker is not None:
+                worker.close()
+
+
+def do(task: Work, worker: Worker | None) -> None:
+    """Let a worker do a task; without one, do it at once."""
+    if worker is None:
+        task(lambda: False)
+    else:
+        worker.submit(task)
 
 
 def html_pane(text: str) -> pn.pane.HTML:

@@ -37,18 +37,15 @@ class ParallelAxes:
         self.picture = ColumnDataSource({"image": [np.zeros(LINE_PICTURE, np.uint32)], **frame})
         self.figure = self._figure(table, ends, span)
         lows, highs = (list(side) for side in zip(*ends, strict=True))
-        self.script, self.shown = script, {"source": source, "names": self.names, "lows": lows, "highs": highs}
+        self.script = script
+        self.shown = {"source": source, "names": self.names, "lows": lows, "highs": highs}
         place = {"left": LEFT, "across": span[0], "margin": MARGIN, "most": MOST_LINES, "thinnest": ONE_LINE}
         paint = {**self.shown, "picture": self.picture, "place": place, "colours": colours}
         self.paint = CustomJS(args=paint, code=script + PAINT_LINES)
         self.figure.js_on_change("inner_width", self.paint)  # when the page is laid out first
 
     def brush(self, show: CustomJS) -> None:
-        """Let a box over the axes brush the draws.
-
-        Args:
-            show: Shows the brushed draws on the whole page.
-        """
+        """Let a box over the axes brush the draws; the callback shows them on the page."""
         select = CustomJS(args={**self.shown, "show": show}, code=self.script + SELECT_BETWEEN)
         self.figure.js_on_event(SelectionGeometry, select)
 
@@ -70,15 +67,8 @@ class ParallelAxes:
         plot.segment(places, 0.0, places, 1.0, color=GREY, line_width=1.5)
         for height, side, baseline, up in ((0.0, 0, "top", 3), (1.0, 1, "bottom", -3)):
             text = [f"{end[side]:.4g}" for end in ends]
-            plot.text(
-                places,
-                height,
-                text,
-                y_offset=up,
-                text_align="center",
-                text_baseline=baseline,
-                text_font_size="12px",
-            )
+            position = {"y_offset": up, "text_align": "center", "text_baseline": baseline}
+            plot.text(places, height, text, text_font_size="12px", **position)
         plot.xaxis.ticker = FixedTicker(ticks=places)
         plot.xaxis.major_label_overrides = {
             place: PlainText(text=fitting_label(table.label(name))) for place, name in enumerate(self.names)
@@ -98,12 +88,15 @@ def fitting_label(label: str) -> str:
 def shown_columns(table: DrawTable) -> list[str]:
     """Swept and drawn numbers, then metrics, with the headline metric last."""
     number, metric = table.first_axes
-    others = [name for name in table.columns if name not in (number, metric)]
-    return [*dict.fromkeys((number, *others[: MOST_AXES - 2], metric))]
+    middle = [name for name in table.columns if name not in (number, metric)]
+    return [*dict.fromkeys((number, *middle[: MOST_AXES - 2], metric))]
 
 
 def finite_ends(values: np.ndarray) -> tuple[float, float]:
     """The smallest and the largest finite value, apart from each other."""
     finite = values[np.isfinite(values)]
-    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+    if not finite.size:
+        return -0.5, 0.5
+    low = float(finite.min())
+    high = float(finite.max())
     return (low, high) if low < high else (low - 0.5, low + 0.5)

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from functools import cached_property, partial
-from typing import Any
 
 import htpy as h
 import numpy as np
@@ -15,21 +14,11 @@ from dssc_jax.closed_loop.requirements import worst_slack
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.exploration.brushing import Brushing
 from dssc_jax.exploration.draw_table import DrawTable
-from dssc_jax.exploration.figures import (
-    HEIGHT,
-    WIDTH,
-    drawable,
-    path_frame,
-    quiet_toolbar,
-    seen_paths,
-    shown_signals,
-    signal_title,
-)
-from dssc_jax.exploration.live import Stale
-from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page, html_pane, markup
+from dssc_jax.exploration.figures import drawable, path_figure, seen_paths, shown_signals, signal_figure
+from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page, Stale, html_pane, markup
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, VIOLET
 from dssc_jax.results.result import Result
-from dssc_jax.runs.trajectory import agreement_of, column_attributes, recorder
+from dssc_jax.runs.trajectory import agreement_of, recorder
 from dssc_jax.study import Described
 
 SHOWN_SAMPLES = 1500  # of a flight that is shown
@@ -42,23 +31,22 @@ class ResultPage(Page):
     Args:
         result: A loaded or new result of a run or a sweep.
         background: Whether to simulate in a thread; a served page does.
-        seed: Seed of the choice of random draws.
     """
 
-    def __init__(self, result: Result, background: bool = False, seed: int = 0) -> None:
+    def __init__(self, result: Result, background: bool = False) -> None:
         super().__init__(background)
-        self.result, self.table = result, DrawTable(result)
+        self.result = result
+        self.table = DrawTable(result)
         self.brushing = Brushing(self.table, str(result.path or f"results/{result.study.name}"))
         self.flight: xr.Dataset | None = None
         self.pinned: list[xr.Dataset] = []
         self.key = html_pane("")
-        self._random = np.random.default_rng(seed)
         self.say("click a draw to see its flight")
-        self.choices = {
-            name: pn.widgets.Button(label=name.capitalize()) for name in (WORST_DRAW, MEDIAN_DRAW, RANDOM_DRAW)
-        }
-        for name, button in self.choices.items():
+        self.choices: list[pn.widgets.Button] = []
+        for name in (WORST_DRAW, MEDIAN_DRAW, RANDOM_DRAW):
+            button = pn.widgets.Button(label=name.capitalize())
             button.on_click(lambda _, name=name: self.replay(self.row_of(name)))
+            self.choices.append(button)
         self.pin = pn.widgets.Button(label="Pin this draw", color="primary")
         self.clear = pn.widgets.Button(label="Unpin all")
         self.pin.on_click(lambda _: self.pin_draw())
@@ -66,28 +54,23 @@ class ResultPage(Page):
         self.sources: dict[str, ColumnDataSource] = {}
         self.figures = [self._figure(name) for name in shown_signals(result.study)]
         self.paths = [self._path(*pair) for pair in seen_paths(result.study)]
-        self.brushing.picked.on_change("data", lambda attr, old, new: self._clicked(new))
+        self.brushing.picked.on_change("data", self._clicked)
 
     def _figure(self, name: str) -> figure:
         """One signal of all shown flights; the desired output belongs to the output."""
-        source = self.sources[name] = ColumnDataSource({"t": [], "value": [], "colour": [], "draw": []})
-        plot = figure(
-            width=WIDTH,
-            height=HEIGHT,
-            tools="xpan,xwheel_zoom,box_zoom,reset,save",
-            x_axis_label="time [s]",
-            title=signal_title(column_attributes(name, self.result.study)),
-            sizing_mode="stretch_width",
-        )
+        source = ColumnDataSource({"t": [], "value": [], "colour": [], "draw": []})
+        self.sources[name] = source
+        plot = signal_figure(name, self.result.study)
         plot.multi_line("t", "value", source=source, line_color="colour", line_width=1.5)
-        quiet_toolbar(plot)
         return plot
 
     def _path(self, across: str, upward: str) -> figure:
-        """The paths of a vehicle, seen along one axis; dashed, the desired path of the last draw."""
-        source = self.sources[across + upward] = ColumnDataSource({"across": [], "upward": [], "colour": []})
-        desired = self.sources[f"desired {across}{upward}"] = ColumnDataSource({"across": [], "upward": []})
-        plot = path_frame(across, upward)
+        """The paths of a vehicle, seen along one axis; dashed, the desired path of the present draw."""
+        source = ColumnDataSource({"across": [], "upward": [], "colour": []})
+        desired = ColumnDataSource({"across": [], "upward": []})
+        self.sources[across + upward] = source
+        self.sources[f"desired {across}{upward}"] = desired
+        plot = path_figure(across, upward)
         plot.multi_line("across", "upward", source=desired, line_color=GREY, line_width=1.5, line_dash="dashed")
         plot.multi_line("across", "upward", source=source, line_color="colour", line_width=2)
         return plot
@@ -98,7 +81,7 @@ class ResultPage(Page):
         figures = [pn.pane.Bokeh(plot, sizing_mode="stretch_width") for plot in (*self.paths, *self.figures)]
         return pn.Column(
             pn.pane.Bokeh(self.brushing.layout),
-            pn.Row(*self.choices.values(), self.pin, self.clear),
+            pn.Row(*self.choices, self.pin, self.clear),
             self.status,
             self.key,
             pn.GridBox(*figures, ncols=3, sizing_mode="stretch_width"),
@@ -108,16 +91,16 @@ class ResultPage(Page):
     @cached_property
     def order(self) -> np.ndarray:
         """Rows from the worst to the best, by their smallest slack; ties by the time of an early end."""
-        names = ("outcome", "failed_at", *(r.name for r in self.result.study.requirements))
-        lanes = {name: self.result.dataset[name].values.reshape(-1)[self.table.rows] for name in names}
+        requirements = self.result.study.requirements
+        lanes = {}
+        for name in ("outcome", "failed_at", *(requirement.name for requirement in requirements)):
+            lanes[name] = self.result.dataset[name].values.reshape(-1)[self.table.rows]
         ended = np.nan_to_num(lanes["failed_at"], nan=np.inf)
-        return np.lexsort((ended, worst_slack(self.result.study.requirements, lanes)))
+        return np.lexsort((ended, worst_slack(requirements, lanes)))
 
     def row_of(self, choice: str) -> int:
         """The row of the worst, the median, or a random draw."""
-        count = len(self.order)
-        place = {WORST_DRAW: 0, MEDIAN_DRAW: count // 2}.get(choice)
-        return int(self._random.integers(count) if place is None else self.order[place])
+        return self.choose(choice, self.order)
 
     @cached_property
     def _record(self) -> Callable[[int, dict[str, float]], xr.Dataset]:
@@ -125,16 +108,12 @@ class ResultPage(Page):
         study = self.result.study
         return recorder(study, max(1, study.loop.steps // SHOWN_SAMPLES))
 
-    def _clicked(self, data: dict[str, Any]) -> None:
-        if len(data["row"]):
-            self.replay(int(data["row"][0]))
+    def _clicked(self, attr: str, old: dict[str, list[int]], new: dict[str, list[int]]) -> None:
+        if len(new["row"]):
+            self.replay(int(new["row"][0]))
 
     def replay(self, row: int) -> None:
-        """Simulate the draw of a row again and show its flight.
-
-        Args:
-            row: A row of the table of draws.
-        """
+        """Simulate the draw in a row of the table of draws again, and show its flight."""
         if isinstance(self.result.study, Described):
             self.say("the study's own code is not loaded; open the result with --trust-code to simulate its draws")
             return
@@ -152,7 +131,7 @@ class ResultPage(Page):
         else:
             if not stale():
                 self.update(self.show, run)
-                self.work_later(partial(self._compare, run))
+                self.work_aside(partial(self._compare, run))
 
     def _compare(self, run: xr.Dataset, stale: Stale) -> None:
         """Compare a flight with what is stored.
@@ -170,7 +149,7 @@ class ResultPage(Page):
         self.say(f"{self._name(run)}: {run.attrs['verdict']}; comparing it with what is stored ...")
 
     def _say_agreement(self, run: xr.Dataset) -> None:
-        """Tell how a flight compares with what is stored, while it is the one shown."""
+        """Say how a flight compares with what is stored, while it is the one shown."""
         if run is self.flight:
             self.say(f"{self._name(run)}: {run.attrs['verdict']}; stored metrics: {run.attrs['agreement']}")
 
@@ -193,13 +172,13 @@ class ResultPage(Page):
 
     def _draw(self) -> None:
         """Fill the figures: the present flight is red, each pinned one has a colour of its own."""
-        pinned = [run for run in self.pinned if run is not self.flight]
-        flights = ([self.flight] if self.flight is not None else []) + pinned
+        flights = [run for run in self.pinned if run is not self.flight]
+        if self.flight is not None:
+            flights.insert(0, self.flight)
         colours = list(COLOURS[: len(flights)])
-        names = [
-            h.span(style=f"color: {colour}")[f"\u25a0 {self._name(run)}  "]
-            for run, colour in zip(flights, colours, strict=True)
-        ]
+        names = []
+        for run, colour in zip(flights, colours, strict=True):
+            names.append(h.span(style=f"color: {colour}")[f"\u25a0 {self._name(run)}  "])
         self.key.object = markup(h.p[names])
         for name in shown_signals(self.result.study):
             self.sources[name].data = {
@@ -208,8 +187,16 @@ class ResultPage(Page):
                 "colour": colours,
                 "draw": [run.attrs["draw"] for run in flights],
             }
-        for pair in seen_paths(self.result.study):
-            for prefix, suffix, runs in (("", "y", flights), ("desired ", "y_ref", flights[:1])):
-                lines = [[drawable(run[f"{channel}_{suffix}"].values) for run in runs] for channel in pair]
-                columns: dict[str, Any] = {"across": lines[0], "upward": lines[1]}
-                self.sources[prefix + "".join(pair)].data = columns if prefix else {**columns, "colour": colours}
+        for across, upward in seen_paths(self.result.study):
+            desired = path_lines(flights[:1], f"{across}_y_ref", f"{upward}_y_ref")
+            self.sources[f"desired {across}{upward}"].data = desired
+            paths = path_lines(flights, f"{across}_y", f"{upward}_y")
+            self.sources[across + upward].data = {**paths, "colour": colours}
+
+
+def path_lines(flights: list[xr.Dataset], across: str, upward: str) -> dict[str, list[np.ndarray]]:
+    """Two signals of flights as the columns of a path."""
+    return {
+        "across": [drawable(run[across].values) for run in flights],
+        "upward": [drawable(run[upward].values) for run in flights],
+    }

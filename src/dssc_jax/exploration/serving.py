@@ -12,11 +12,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, Protocol
 
 import panel as pn
 from bokeh.server.server import Server
 from panel.io.resources import DIST_DIR
+from panel.viewable import Viewable
 from tornado.httputil import HTTPServerRequest
 from tornado.routing import Matcher, PathMatches, Rule
 from tornado.web import RequestHandler, StaticFileHandler
@@ -43,6 +44,18 @@ REDIRECT = """<!doctype html>
 """A file that leads a browser to the page."""
 LIFE = 15_000  # ms that a session outlives its closed page
 LARGEST_MESSAGE = 64 * 2**20  # bytes
+
+
+class ServedPage(Protocol):
+    """The page of a session."""
+
+    @property
+    def view(self) -> Viewable:
+        """The page for Panel."""
+        ...
+
+    def close(self) -> None:
+        """End the page."""
 
 
 class Refused(Matcher):
@@ -99,12 +112,12 @@ class PageServer:
     comes from the network.
 
     Args:
-        make: Makes the page of a session: an object with ``view`` and ``close()``.
+        make: Makes the page of a session.
         title: Title of the page.
         port: Port; 0: any free one.
     """
 
-    def __init__(self, make: Callable[[], Any], title: str, port: int = 0) -> None:
+    def __init__(self, make: Callable[[], ServedPage], title: str, port: int = 0) -> None:
         self.token = secrets.token_urlsafe(24)
         self._make = make
         pn.extension()
@@ -164,7 +177,7 @@ class PageServer:
         self._server.stop()
         self._server.io_loop.stop()
 
-    def _session(self) -> Any:
+    def _session(self) -> Viewable:
         """The page of a new session."""
         page = self._make()
         pn.state.on_session_destroyed(lambda _: page.close())

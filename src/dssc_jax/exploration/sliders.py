@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from dssc_jax.study import Study
 from dssc_jax.study.components import Number
 from dssc_jax.study.laws import LOGARITHMIC, MOVABLE, Law
 
-MOST = 14  # sliders of a page that names none
+MOST_SLIDERS = 14  # of a page that names none
 DEFAULT_REACH = 10.0  # a positive number moves between a tenth and ten times its value
 NARROWER = (3.0, 1.5)  # reaches to try where the rules of a model do not admit the widest
 POSITION_COUNT = 81  # positions of a slider
@@ -23,34 +23,24 @@ SAMPLE_TIMES = (0.25, 0.5, 1.0, 2.0, 4.0)  # relative to the study's own
 FIRST = ("controller.functions", "controller", "unmodelled")
 """Parts of the loop whose numbers get sliders first; then uncertain numbers, then all others."""
 
-SliderEnds = tuple[float, float]
-Positions = Mapping["Slider", float]
+SliderEnds: TypeAlias = tuple[float, float]
+Positions: TypeAlias = Mapping["Slider", float]
+Change: TypeAlias = float | dict[str, list[float]]
+"""A new value of a number, or a new law."""
 
 
 class Slider(NamedTuple):
-    """A number that can be moved.
+    """A number that can be moved."""
 
-    Args:
-        name: Dotted name of the number in the study.
-        part: What moves: empty for the number itself, :data:`MEDIAN` or :data:`WIDTH` of its law.
-        meaning: The standard term.
-        unit: SI unit; empty for a width, which is relative to the study's.
-        low: Lowest position.
-        high: Highest position.
-        start: The study's own position.
-        log: Whether the scale is logarithmic.
-        steps: The positions, if only these are possible.
-    """
-
-    name: str
-    part: str
-    meaning: str
-    unit: str
-    low: float
-    high: float
-    start: float
-    log: bool
-    steps: tuple[float, ...] = ()
+    name: str  # dotted name of the number in the study
+    part: str  # empty for the number itself, MEDIAN or WIDTH of its law
+    meaning: str  # the standard term
+    unit: str  # SI unit; empty for a width, which is relative to the study's
+    low: float  # lowest position
+    high: float  # highest position
+    start: float  # the study's own position
+    log: bool  # whether the scale is logarithmic
+    steps: tuple[float, ...] = ()  # the positions, if only these are possible
 
     @property
     def key(self) -> str:
@@ -73,33 +63,34 @@ def sliders_of(study: Study, names: Sequence[str] | None = None) -> list[Slider]
     Raises:
         ConfigError: There is no such number, or it cannot be moved.
     """
-    if names is None:
-        movable = [name for name, number in study.numbers.items() if is_movable(number)]
-        movable = [*study.axes, *sorted(movable, key=lambda name: precedence(study.numbers[name]))]
-        wanted = list(dict.fromkeys([*movable, CLOCK_SLIDER]))
-        made = [slider for name in wanted for slider in sliders_of_number(study, name)]
-        return made if len(made) <= MOST else [*made[: MOST - 1], made[-1]]
-    return [slider for name in dict.fromkeys(names) for slider in required_sliders(study, name)]
+    if names is not None:
+        return [slider for name in dict.fromkeys(names) for slider in required_sliders(study, name)]
+    movable = [number for number in study.numbers.values() if is_movable(number)]
+    ordered = [number.name for number in sorted(movable, key=precedence)]
+    sliders = []
+    for name in dict.fromkeys([*study.axes, *ordered, CLOCK_SLIDER]):
+        sliders += sliders_of_number(study, name)
+    if len(sliders) > MOST_SLIDERS:
+        sliders = [*sliders[: MOST_SLIDERS - 1], sliders[-1]]
+    return sliders
 
 
 def required_sliders(study: Study, name: str) -> list[Slider]:
-    """The sliders of a number that the user named.
-
-    Raises:
-        ConfigError: There is no such number, or it cannot be moved.
-    """
+    """The sliders of a number that the user named."""
     if name != CLOCK_SLIDER and name not in study.numbers:
         raise ConfigError(study.source, f"'{name}' is no number of the loop; {nearest(name, study.numbers)}")
-    made = sliders_of_number(study, name)
-    if not made:
+    sliders = sliders_of_number(study, name)
+    if not sliders:
         raise ConfigError(study.source, f"'{name}' cannot be moved: it is fixed before tracing, or a choice")
-    return made
+    return sliders
 
 
 def precedence(number: Number) -> int:
     """Place of a number in the order of sliders, see :data:`FIRST`."""
-    certain = not isinstance(number.value, Law)
-    return next((i for i, part in enumerate(FIRST) if number.name.startswith(f"{part}.")), len(FIRST) + certain)
+    for place, part in enumerate(FIRST):
+        if number.name.startswith(f"{part}."):
+            return place
+    return len(FIRST) if isinstance(number.value, Law) else len(FIRST) + 1
 
 
 def is_movable(number: Number) -> bool:
@@ -110,32 +101,30 @@ def is_movable(number: Number) -> bool:
 def sliders_of_number(study: Study, name: str) -> list[Slider]:
     """One slider of a number, two of a law; none if it cannot be moved."""
     if name == CLOCK_SLIDER:
-        own = study.loop.sample_time
-        steps = tuple(share * own for share in SAMPLE_TIMES if is_whole(study.config.loop.duration / (share * own)))
-        return [Slider(name, "", "sample time T_s", "s", steps[0], steps[-1], own, True, steps)]
+        return [sample_time_slider(study)]
     number = study.numbers[name]
     if not number.quantity.law:
         return []
     if name in study.axes:
-        values = study.axes[name]
-        low, high, start = min(values), max(values), study_value(study, number)
-        low, high = min(low, start), max(high, start)
-        log = low > 0.0
-        return [slider_at(number, "", low, high, start, log)] if low < high else []
+        start = number.value.median if isinstance(number.value, Law) else float(number.value)
+        low = min(*study.axes[name], start)
+        high = max(*study.axes[name], start)
+        return [slider_at(number, "", low, high, start, low > 0.0)] if low < high else []
     if isinstance(number.value, Law):
         return sliders_of_law(number, number.value)
     low, high, log = extent_around(number.value, number.quantity)
     return [slider_at(number, "", low, high, number.value, log)] if low < number.value <= high else []
 
 
-def study_value(study: Study, number: Number) -> float:
-    """The study's own value of a swept number, or its law's median."""
-    return number.value.median if isinstance(number.value, Law) else float(number.value)
-
-
-def is_whole(count: float) -> bool:
-    """Whether a number of samples is whole."""
-    return count >= 1.0 and abs(count - round(count)) <= 1e-6 * count
+def sample_time_slider(study: Study) -> Slider:
+    """The slider of the sample time, whose positions divide the duration."""
+    start = study.loop.sample_time
+    steps = []
+    for share in SAMPLE_TIMES:
+        count = study.config.loop.duration / (share * start)
+        if count >= 1.0 and abs(count - round(count)) <= 1e-6 * count:
+            steps.append(share * start)
+    return Slider(CLOCK_SLIDER, "", "sample time T_s", "s", steps[0], steps[-1], start, True, tuple(steps))
 
 
 def sliders_of_law(number: Number, law: Law) -> list[Slider]:
@@ -161,11 +150,10 @@ def extent_around(value: float, quantity: Quantity, reach: float = DEFAULT_REACH
     A positive number moves between a ``reach``-th and ``reach`` times its value, zero by one unit, a negative number
     by twice its magnitude; all within the admissible interval.
     """
-    if value > 0.0:
-        low, high, log = value / reach, value * reach, True
-    else:
-        step = 2.0 * abs(value) or 1.0
-        low, high, log = value - step, value + step, False
+    log = value > 0.0
+    step = 2.0 * abs(value) or 1.0
+    low = value / reach if log else value - step
+    high = value * reach if log else value + step
     inside = 1e-3 * (high - low)
     for bound, margin in ((quantity.above, inside), (quantity.at_least, 0.0)):
         if bound is not None and not low >= bound + margin:
@@ -181,7 +169,8 @@ def live_extents(sliders: Iterable[Slider]) -> dict[str, SliderEnds]:
 
     A law's values are arguments anyway, and the sample time is fixed when the program is compiled.
     """
-    return {s.name: (s.low, s.high) for s in sliders if not s.part and s.name != CLOCK_SLIDER}
+    numbers = [slider for slider in sliders if not slider.part and slider.name != CLOCK_SLIDER]
+    return {slider.name: (slider.low, slider.high) for slider in numbers}
 
 
 def admitted(study: Study, sliders: Sequence[Slider]) -> list[Slider]:
@@ -190,16 +179,18 @@ def admitted(study: Study, sliders: Sequence[Slider]) -> list[Slider]:
         return list(sliders)
     kept: list[Slider] = []
     for slider in sliders:
-        shapes = [slider, *(narrowed(study, slider, reach) for reach in NARROWER)] if not slider.part else [slider]
-        fits = (shape for shape in shapes if admits(study, live_extents([*kept, shape])))
-        kept += [fit] if (fit := next(fits, None)) is not None else []
+        candidates = [slider]
+        if not slider.part and slider.name != CLOCK_SLIDER:
+            candidates += [narrow(study, slider, reach) for reach in NARROWER]
+        for candidate in candidates:
+            if admits(study, live_extents([*kept, candidate])):
+                kept.append(candidate)
+                break
     return kept
 
 
-def narrowed(study: Study, slider: Slider, reach: float) -> Slider:
+def narrow(study: Study, slider: Slider, reach: float) -> Slider:
     """A slider of smaller reach."""
-    if slider.name == CLOCK_SLIDER:
-        return slider
     low, high, _ = extent_around(slider.start, study.quantities[slider.name], reach)
     return slider._replace(low=max(low, slider.low), high=min(high, slider.high))
 
@@ -213,13 +204,13 @@ def admits(study: Study, extents: Mapping[str, SliderEnds]) -> bool:
     return True
 
 
-def changes_of(study: Study, positions: Positions) -> dict[str, Any]:
+def changes_of(study: Study, positions: Positions) -> dict[str, Change]:
     """What to override in a study so that it is as its sliders stand; sliders at their start change nothing.
 
     Raises:
         ConfigError: A law cannot be moved there.
     """
-    changes: dict[str, Any] = {}
+    changes: dict[str, Change] = {}
     laws: dict[str, dict[str, float]] = {}
     for slider, position in positions.items():
         if slider.part:
@@ -229,7 +220,8 @@ def changes_of(study: Study, positions: Positions) -> dict[str, Any]:
     for name, parts in laws.items():
         law = study.numbers[name].value
         assert isinstance(law, Law)  # only laws have parts
-        median, share = parts.get(MEDIAN, law.median), parts.get(WIDTH, 1.0)
+        median = parts.get(MEDIAN, law.median)
+        share = parts.get(WIDTH, 1.0)
         if (median, share) != (law.median, 1.0):
             try:
                 moved = law.moved(median, share)
@@ -239,7 +231,7 @@ def changes_of(study: Study, positions: Positions) -> dict[str, Any]:
     return changes
 
 
-def grid(slider: Slider, count: int = POSITION_COUNT) -> tuple[float, ...]:
+def grid(slider: Slider) -> tuple[float, ...]:
     """The positions of a slider: its ends and its start as they are, and others rounded to four significant digits.
 
     No two positions have the same text.
@@ -247,10 +239,9 @@ def grid(slider: Slider, count: int = POSITION_COUNT) -> tuple[float, ...]:
     if slider.steps:
         return slider.steps
     if slider.log:
-        ends = math.log(slider.low), math.log(slider.high)
-        values = [math.exp(value) for value in np.linspace(*ends, count)]
+        values = [math.exp(value) for value in np.linspace(math.log(slider.low), math.log(slider.high), POSITION_COUNT)]
     else:
-        values = np.linspace(slider.low, slider.high, count).tolist()
+        values = np.linspace(slider.low, slider.high, POSITION_COUNT).tolist()
     by_text = {position_text(value): float(position_text(value)) for value in values[1:-1]}
     by_text |= {position_text(value): value for value in (slider.low, slider.high, slider.start)}
     return tuple(sorted(value for value in by_text.values() if slider.low <= value <= slider.high))

@@ -2,13 +2,21 @@
 
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import htpy as h
 import numpy as np
 import panel as pn
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.exploration.actions import (
+    Question,
+    Superseded,
+    differing_draws,
+    ending_when,
+    margins_of,
+    proof,
+    save_study,
+)
 from dssc_jax.exploration.figures import (
     DrawsFigure,
     FanFigure,
@@ -17,10 +25,8 @@ from dssc_jax.exploration.figures import (
     seen_paths,
     shown_signals,
 )
-from dssc_jax.exploration.live import LiveRun, LiveStudy, Stale
-from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page, html_pane, markup
-from dssc_jax.exploration.questions import Question, Superseded, ending_when, margins_of, proof
-from dssc_jax.exploration.saving import differing_draws, save_study
+from dssc_jax.exploration.live import LiveRun, LiveStudy
+from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page, Stale, html_pane, markup
 from dssc_jax.exploration.sliders import WIDTH, Slider, grid, position_text
 
 COLOUR_KEY = "blue: now (median, half and 90 % of the draws); grey: before; red: one draw, chosen here or by a click"
@@ -37,16 +43,15 @@ class StudyPage(Page):
         live: The study with its sliders.
         background: Whether to run in a thread; a served page does.
         folder: Where "save as study" writes.
-        seed: Seed of the choice of random draws.
     """
 
-    def __init__(self, live: LiveStudy, background: bool = False, folder: Path | None = None, seed: int = 0) -> None:
+    def __init__(self, live: LiveStudy, background: bool = False, folder: Path | None = None) -> None:
         super().__init__(background)
-        self.live, self.folder = live, folder or Path.cwd()
+        self.live = live
+        self.folder = folder or Path.cwd()
         self.now: LiveRun | None = None
         self.before: LiveRun | None = None
         self.draw = 0
-        self._random = np.random.default_rng(seed)
         self._moving = False
         self.sliders = {slider: slider_widget(slider) for slider in live.sliders}
         self._make_widgets()
@@ -57,27 +62,27 @@ class StudyPage(Page):
 
     def _make_widgets(self) -> None:
         """Buttons and texts."""
-        self.headline, self.details = html_pane(""), html_pane("")
+        self.headline = html_pane("")
+        self.details = html_pane("")
         self.keep = pn.widgets.Button(label="Compare with this", color="primary")
         self.reset = pn.widgets.Button(label="Reset")
-        self.which = pn.widgets.RadioButtonGroup(
-            label="Draw", options=[WORST_DRAW, MEDIAN_DRAW, RANDOM_DRAW], value=WORST_DRAW
-        )
-        self.over = pn.widgets.Select(label="", options=list(self.live.first.values) or [""], width=220)
-        self.over.param.watch(lambda _: self._choose_draw(), "value")
+        choices = [WORST_DRAW, MEDIAN_DRAW, RANDOM_DRAW]
+        self.draw_choice = pn.widgets.RadioButtonGroup(label="Draw", options=choices, value=WORST_DRAW)
+        self.draw_axis = pn.widgets.Select(label="", options=list(self.live.first.values) or [""], width=220)
+        self.draw_axis.param.watch(lambda _: self._choose_draw(), "value")
         by_name = {slider.name: slider for slider in reversed(self.sliders) if slider.part != WIDTH}
-        self.asked = pn.widgets.Select(label="", options=dict(sorted(by_name.items())), width=220)
+        self.margin_number = pn.widgets.Select(label="", options=dict(sorted(by_name.items())), width=220)
         self.margin = pn.widgets.Button(label="Margin of")
         self.prove = pn.widgets.Button(label="Prove")
         self.answer = html_pane("")
-        self.margin.on_click(lambda _: self.ask_margin(self.asked.value))
+        self.margin.on_click(lambda _: self.ask_margin(self.margin_number.value))
         self.prove.on_click(lambda _: self.ask(proof, "searching for a proof"))
         self.file = pn.widgets.TextInput(label="Save as study", value=f"{self.live.base.name}-explored.toml")
         self.save = pn.widgets.Button(label="Save")
         self.keep.on_click(lambda _: self.compare_with_this())
-        self.reset.on_click(lambda _: self.move({s.key: s.start for s in self.sliders}))
+        self.reset.on_click(lambda _: self.move({slider.key: slider.start for slider in self.sliders}))
         self.save.on_click(lambda _: self.save_as(self.file.value))
-        self.which.param.watch(lambda _: self._choose_draw(), "value")
+        self.draw_choice.param.watch(lambda _: self._choose_draw(), "value")
 
     def _make_figures(self) -> None:
         """The figures; their time axes move together."""
@@ -103,8 +108,8 @@ class StudyPage(Page):
             self.headline,
             probability,
             self.details,
-            pn.Row(self.which, self.over),
-            pn.Row(self.margin, self.asked, self.prove),
+            pn.Row(self.draw_choice, self.draw_axis),
+            pn.Row(self.margin, self.margin_number, self.prove),
             self.answer,
             html_pane(markup(h.p[COLOUR_KEY])),
             pn.GridBox(*figures, ncols=2, sizing_mode="stretch_width"),
@@ -129,26 +134,27 @@ class StudyPage(Page):
             ConfigError: There is no such slider.
         """
         by_key = {slider.key: slider for slider in self.sliders}
-        if unknown := positions.keys() - by_key.keys():
-            raise ConfigError("move", f"'{sorted(unknown)[0]}' is none of the sliders: {', '.join(by_key)}")
+        unknown = sorted(positions.keys() - by_key.keys())
+        if unknown:
+            raise ConfigError("move", f"'{unknown[0]}' is none of the sliders: {', '.join(by_key)}")
         self._moving = True
         try:
             for key, position in positions.items():
-                values = np.asarray(grid(by_key[key]))
-                self.sliders[by_key[key]].value = float(values[np.argmin(np.abs(values - position))])
+                slider = by_key[key]
+                values = np.asarray(grid(slider))
+                self.sliders[slider].value = float(values[np.argmin(np.abs(values - position))])
         finally:
             self._moving = False
         self.start()
 
-    def _moved(self, _: Any) -> None:
+    def _moved(self, _: object) -> None:
         if not self._moving:
             self.start()
 
     def start(self) -> None:
         """Run at the present positions."""
-        positions = self.positions
         self.say("running ...")
-        self.work(partial(self._run, positions))
+        self.work(partial(self._run, self.positions))
 
     def _run(self, positions: dict[Slider, float], stale: Stale) -> None:
         """Simulate, and show the result, or the reason why there is none."""
@@ -170,7 +176,7 @@ class StudyPage(Page):
             self.answer.object = ""
         self.now = run
         self.before = self.before or run
-        self._show(run, self._chosen(run))
+        self._show(run, self.choose(self.draw_choice.value, run.order))
 
     def choose_draw(self, draw: int) -> None:
         """Show a draw of the present run."""
@@ -180,29 +186,24 @@ class StudyPage(Page):
     def _show(self, run: LiveRun, draw: int) -> None:
         """Show a run and one of its draws."""
         self.draw = draw
-        before = self.before if self.before is not run else None
+        previous = self.before if self.before is not run else None
         self.headline.object = markup(h.p(".headline")[run.statement])
-        rows = [
-            h.p[f"{text}: violated by {count:,} of {run.failed.size:,} draws"] for text, count in run.by_requirement
-        ]
-        early = [h.p[f"{run.ended_early:,} draws ended early"]] if run.ended_early else []
-        self.details.object = markup(h.div[rows, early, h.p[run.certificate]])
-        self.probability.show(run, before)
+        lines = [f"{text}: violated by {count:,} of {run.failed.size:,} draws" for text, count in run.by_requirement]
+        if run.ended_early:
+            lines.append(f"{run.ended_early:,} draws ended early")
+        lines.append(run.certificate)
+        self.details.object = markup(h.div[[h.p[line] for line in lines]])
+        self.probability.show(run, previous)
         for fan in self.fans:
-            fan.show(run, before, self.draw)
-        self.draws.show(run, self.over.value, draw)
+            fan.show(run, previous, self.draw)
+        self.draws.show(run, self.draw_axis.value, draw)
         for path in self.paths:
             path.show_draw(run, self.draw)
-        self.say(f"{run.failed.size:,} draws; red: draw {self.draw}{self._outcome(run)}")
+        self._say_draw(run)
 
-    def _outcome(self, run: LiveRun) -> str:
-        return ", which fails" if run.failed[self.draw] else ", which passes"
-
-    def _chosen(self, run: LiveRun) -> int:
-        """The draw that the buttons choose."""
-        order = run.order
-        place = {WORST_DRAW: 0, MEDIAN_DRAW: len(order) // 2}.get(self.which.value)
-        return int(self._random.integers(len(order)) if place is None else order[place])
+    def _say_draw(self, run: LiveRun) -> None:
+        verb = "fails" if run.failed[self.draw] else "passes"
+        self.say(f"{run.failed.size:,} draws; red: draw {self.draw}, which {verb}")
 
     def _choose_draw(self) -> None:
         if self.now is not None:
@@ -212,12 +213,12 @@ class StudyPage(Page):
         """Tell how far a slider's number may go, other numbers as they stand."""
         self.ask(margins_of(slider, self.positions[slider]), f"walking along {slider.name}")
 
-    def ask(self, question: Question, what: str) -> None:
+    def ask(self, question: Question, activity: str) -> None:
         """Answer a question about the present run; a newer move ends the search for the answer."""
         run = self.now
         if run is None:
             return
-        self.say(f"{what} ...")
+        self.say(f"{activity} ...")
 
         def work(stale: Stale) -> None:
             try:
@@ -225,7 +226,7 @@ class StudyPage(Page):
             except Superseded:
                 return
             except Exception as error:  # as of a run: the page goes on
-                self.update(self.complain, f"{what} ended: {error}")
+                self.update(self.complain, f"{activity} ended: {error}")
             else:
                 if not stale():
                     self.update(self.tell, run, text)
@@ -235,7 +236,7 @@ class StudyPage(Page):
     def tell(self, run: LiveRun, text: str) -> None:
         """Show the answer to a question about a run."""
         self.answer.object = markup(h.p(role="status")[text])
-        self.say(f"{run.failed.size:,} draws; red: draw {self.draw}{self._outcome(run)}")
+        self._say_draw(run)
 
     def compare_with_this(self) -> None:
         """Make the present run the one that later ones are compared with."""
@@ -244,11 +245,7 @@ class StudyPage(Page):
             self.show(self.now)
 
     def save_as(self, name: str) -> None:
-        """Write the study that is shown, run it as a study of its own, and tell whether all outcomes agree.
-
-        Args:
-            name: Name of a new file in the page's folder.
-        """
+        """Write the study that is shown as a new file of the page's folder, and compare the outcomes of its run."""
         run = self.now
         if run is None:
             self.complain("nothing to save yet")
@@ -267,8 +264,8 @@ class StudyPage(Page):
             except ConfigError as error:
                 self.update(self.complain, str(error))
                 return
-            same = "the same outcome in every draw" if not count else f"another outcome in {count:,} draws"
-            self.update(self.say, f"saved {path}; {command} gives {same}")
+            verdict = f"another outcome in {count:,} draws" if count else "the same outcome in every draw"
+            self.update(self.say, f"saved {path}; {command} gives {verdict}")
 
         self.work(compare)
 

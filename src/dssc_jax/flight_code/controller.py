@@ -1,6 +1,6 @@
 """The part of a loop that runs on a flight computer, traced by itself: differentiator and controller of one channel."""
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -10,12 +10,12 @@ import numpy as np
 from jax.tree_util import keystr, tree_flatten_with_path
 
 from dssc_jax.closed_loop.control import ControlState, control, initial_control, transfer_control
-from dssc_jax.closed_loop.sample import as_arrays
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import arithmetic
+from dssc_jax.core.numerics import arithmetic, as_arrays
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.core.signals import Command, Measurement, ReferencePoint
-from dssc_jax.lanes.c_names import member_names
+from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar
+from dssc_jax.lanes.c_names import member_names, prefix_name, underscored
+from dssc_jax.lanes.c_operations import c_type
 from dssc_jax.lanes.origins import Origin, translate_with_origins
 from dssc_jax.lanes.program import Program
 from dssc_jax.lanes.unsupported import Unsupported
@@ -25,174 +25,201 @@ FLOWN_SLOTS = ("controller", "differentiator")
 COMMAND = ("u", "u_n", "u_p")
 """The command in its two parts and their sum (11)."""
 
+SAMPLED_SIGNALS = (
+    *(f"measurement.{name}" for name in Measurement._fields),
+    *(f"reference.{name}" for name in ReferencePoint._fields),
+)
+"""The inputs of a controller at each sample."""
+
 
 class Parameter(NamedTuple):
-    """A number of the controller that may be changed in flight.
+    """A number of the controller that may be changed in flight."""
 
-    Args:
-        key: Its name in the study, or its path if the study computes it: the key of :meth:`Study.params`.
-        name: Its name in C.
-        quantity: Unit, meaning and range; None if the study computes it.
-        value: The study's value, or the median of its law.
-        uncertain: Whether the study has a law for it.
-    """
-
-    key: str
-    name: str
-    quantity: Quantity | None
-    value: float
-    uncertain: bool
+    key: str  # its key in Study.params: its name in the study, or its path if the study computes it
+    name: str  # its name in C
+    quantity: Quantity | None  # unit, meaning and range; None if the study computes it
+    value: float  # the study's value, or the median of its law
+    uncertain: bool  # whether the study has a law for it
 
 
-@dataclass(frozen=True)
-class Traced:
-    """A traced function of the controller.
-
-    Args:
-        program: Its program; one input for each parameter, each state (for a step) and each signal, in this order.
-        origins: Where the model computes each value.
-    """
+class TracedFunction(NamedTuple):
+    """A traced function of the controller; its inputs are parameters, states (of a step) and signals, in this order."""
 
     program: Program
-    origins: dict[int, Origin]
+    origins: dict[int, Origin]  # where the model computes each value
 
 
 @dataclass(frozen=True)
 class SampledController:
     """The controller of one channel.
 
-    Args:
-        channel: Name of the channel; empty for a plant with one.
-        index: Its position among the channels.
-        parameters: Its numbers.
-        states: Names of its states.
-        infos: Names of what it reports.
-        start: (parameters, signals) -> states before the first sample.
-        step: (parameters, states, signals) -> states, command, infos.
-        transfer: (parameters, command, signals) -> states whose first step gives the command, and the command that it
-            gives; None if the controller's state cannot carry a command.
-        precision: Bits of a number.
+    ``start`` is (parameters, signals) -> states before the first sample. ``step`` is (parameters, states, signals) ->
+    states, command, telemetry. ``transfer`` is (parameters, command, signals) -> states whose first step gives the
+    command, and the command that it gives; None if the controller's state cannot carry a command.
     """
 
-    channel: str
-    index: int
+    channel: str  # empty for a plant with one
+    index: int  # position of the channel
+    prefix: str  # of its functions and types in C
     parameters: tuple[Parameter, ...]
-    states: tuple[str, ...]
-    infos: tuple[str, ...]
-    start: Traced
-    step: Traced
-    transfer: Traced | None
-    precision: int
+    states: tuple[str, ...]  # names in C
+    infos: tuple[str, ...]  # names of its telemetry in C
+    start: TracedFunction
+    step: TracedFunction
+    transfer: TracedFunction | None
+    precision: int  # bits of a number
 
     @property
     def real(self) -> np.dtype:
         """The type of its numbers."""
         return np.dtype(f"float{self.precision}")
 
+    @property
+    def c_real(self) -> str:
+        """The type of its numbers in C."""
+        return c_type(self.real)
 
-SAMPLED_SIGNALS = (
-    *(f"measurement.{name}" for name in Measurement._fields),
-    *(f"reference.{name}" for name in ReferencePoint._fields),
-)
-"""What a controller gets at each sample."""
+
+@dataclass(frozen=True)
+class FlightCode:
+    """What all files of generated code are written from."""
+
+    study: Study  # without a sweep
+    controllers: list[SampledController]  # one for each channel
+    certificate: str  # the verdict of Theorem 1 on the study, in a sentence
+
+    @property
+    def name(self) -> str:
+        """The study's name as an identifier of C."""
+        return prefix_name(self.study.name)
+
+    @property
+    def precision(self) -> int:
+        """Bits of a number."""
+        return self.study.config.loop.precision
 
 
 def sampled_controllers(study: Study) -> list[SampledController]:
-    """The controllers of a study, one for each channel.
-
-    Raises:
-        ConfigError: A controller contains an operation that has no exact form in C.
-    """
+    """The controllers of a study, one for each channel; refused if an operation has no exact form in C."""
     with arithmetic(study.config.loop.precision):
         return [sampled_controller(study, index) for index in range(len(study.loop.channels))]
 
 
 def sampled_controller(study: Study, index: int) -> SampledController:
     """The controller of a channel by its position."""
-    parameters, loop = parameters_of(study, index), study.loop
-    number: Any = jax.ShapeDtypeStruct((), jnp.result_type(float))
+    loop = study.loop
+    parameters = channel_parameters(study, index)
+    keys = [parameter.key for parameter in parameters]
 
-    def start(numbers: tuple[Any, ...], measurement: Measurement, reference: ReferencePoint) -> Any:
+    def start(numbers: tuple[Scalar, ...], measurement: Measurement, reference: ReferencePoint) -> Any:
         params = study.params(dict(zip(keys, numbers, strict=True)))
         return as_arrays(initial_control(loop, params, index, measurement, reference))
 
-    def step(numbers: tuple[Any, ...], state: ControlState, measurement: Measurement, reference: ReferencePoint) -> Any:
+    def step(
+        numbers: tuple[Scalar, ...], state: ControlState, measurement: Measurement, reference: ReferencePoint
+    ) -> Any:
         params = study.params(dict(zip(keys, numbers, strict=True)))
         after, controlled = control(loop, params, index, state, measurement, reference)
         return as_arrays((after, command_parts(controlled.command), controlled.info))
 
-    def transfer(numbers: tuple[Any, ...], command: Any, measurement: Measurement, reference: ReferencePoint) -> Any:
+    def transfer(
+        numbers: tuple[Scalar, ...], command: Scalar, measurement: Measurement, reference: ReferencePoint
+    ) -> Any:
         params = study.params(dict(zip(keys, numbers, strict=True)))
         state = transfer_control(loop, params, index, measurement, reference, command)
-        assert state is not None  # asked for only where the controller declares it
+        assert state is not None  # traced only if the controller has a transfer
         _, controlled = control(loop, params, index, state, measurement, reference)
         return as_arrays((state, command_parts(controlled.command)))
 
-    keys = [parameter.key for parameter in parameters]
+    number: Any = jax.ShapeDtypeStruct((), jnp.result_type(float))
     numbers = (number,) * len(keys)
-    signals = Measurement(number, number), ReferencePoint(number, number, number)
-    place = f"controller.{loop.channels[index]}".rstrip(".")
-    carries = loop.controller[index].transfer is not None
+    signals = (Measurement(number, number), ReferencePoint(number, number, number))
+    transferred = None
     try:
         start_program, state, start_origins = translate_with_origins(start, numbers, *signals)
         state = jax.tree.map(lambda leaf: number, state)
         step_program, results, step_origins = translate_with_origins(step, numbers, state, *signals)
-        carried = translate_with_origins(transfer, numbers, number, *signals) if carries else None
+        if loop.controller[index].transfer is not None:
+            transfer_program, _, transfer_origins = translate_with_origins(transfer, numbers, number, *signals)
+            transferred = TracedFunction(transfer_program, transfer_origins)
     except Unsupported as problem:
+        place = f"controller.{loop.channels[index]}".rstrip(".")
         raise ConfigError(place, f"has no exact form in C: {problem}") from None
     return SampledController(
         loop.channels[index],
         index,
+        "_".join(filter(None, (prefix_name(study.name), channel_labels(loop.channels)[index]))),
         parameters,
-        leaf_names(state, prefix=("controller",)),
+        leaf_names(state, root="controller"),
         leaf_names(results[2]),
-        Traced(start_program, start_origins),
-        Traced(step_program, step_origins),
-        Traced(carried[0], carried[2]) if carried else None,
+        TracedFunction(start_program, start_origins),
+        TracedFunction(step_program, step_origins),
+        transferred,
         study.config.loop.precision,
     )
 
 
-def command_parts(command: Command) -> tuple[Any, Any, Any]:
+def command_parts(command: Command) -> tuple[Scalar, Scalar, Scalar]:
     """The command in the order of :data:`COMMAND`."""
     return command.robust, command.nominal, command.total
 
 
-def parameters_of(study: Study, index: int) -> tuple[Parameter, ...]:
+def channel_parameters(study: Study, index: int) -> tuple[Parameter, ...]:
     """The numbers of a channel's differentiator and controller, in the order of their fields.
 
     Numbers that decide the shape of the program (choices, counts) stay constants.
     """
     names = {path: name for name, number in study.numbers.items() for path in number.paths}
-    flat, _ = tree_flatten_with_path(study.template, is_leaf=lambda leaf: isinstance(leaf, Law))
+    leaves, _ = tree_flatten_with_path(study.template, is_leaf=lambda leaf: isinstance(leaf, Law))
     parameters: dict[str, Parameter] = {}
-    for path, leaf in flat:
+    for path, leaf in leaves:
         dotted = keystr(path, simple=True, separator=".")
-        slot, place, *rest = dotted.split(".")
+        slot, place, *fields = dotted.split(".")
         if slot not in FLOWN_SLOTS or int(place) != index or not isinstance(leaf, float | Law):
             continue
+        uncertain = isinstance(leaf, Law)
+        value = float(leaf.median) if uncertain else leaf
         number = study.numbers.get(names.get(dotted, ""))
-        if number is not None and not number.quantity.law:
-            continue
-        own = number.name.split(".")[1:] if number is not None else rest
-        own = own[1:] if own and own[0] == study.loop.channels[index] else own
-        label = "_".join([*([] if slot == "controller" else [slot]), *own])
-        value = float(leaf.median) if isinstance(leaf, Law) else leaf
-        key = number.name if number is not None else dotted
-        parameters[key] = Parameter(key, label, number and number.quantity, value, isinstance(leaf, Law))
-    names = member_names(parameter.name for parameter in parameters.values())
-    return tuple(parameter._replace(name=name) for parameter, name in zip(parameters.values(), names, strict=True))
+        key = dotted
+        quantity = None
+        if number is not None:
+            if not number.quantity.law:
+                continue
+            key = number.name
+            quantity = number.quantity
+            fields = number.name.split(".")[1:]
+        if fields and fields[0] == study.loop.channels[index]:
+            fields = fields[1:]
+        if slot != "controller":
+            fields = [slot, *fields]
+        parameters[key] = Parameter(key, "_".join(fields), quantity, value, uncertain)
+    c_names = member_names(parameter.name for parameter in parameters.values())
+    return tuple(parameter._replace(name=name) for parameter, name in zip(parameters.values(), c_names, strict=True))
 
 
-def leaf_names(tree: Any, prefix: tuple[str, ...] = ()) -> tuple[str, ...]:
-    """A name in C for each leaf; a leading part in ``prefix`` is left out."""
+def leaf_names(tree: Any, root: str = "") -> tuple[str, ...]:
+    """A name in C for each leaf of a tree; those below ``root`` do not begin with it."""
     names = []
     for path, _ in tree_flatten_with_path(tree)[0]:
-        parts = keystr(path, simple=True, separator=".").split(".")
-        names.append("_".join(parts[1:] if parts[0] in prefix else parts))
+        fields = keystr(path, simple=True, separator=".").split(".")
+        names.append("_".join(fields[1:] if fields[0] == root else fields))
     return tuple(member_names(names))
 
 
-def numbers_by_key(controllers: list[SampledController]) -> Mapping[str, float]:
-    """The study's value of every number of the controllers."""
-    return {each.key: each.value for controller in controllers for each in controller.parameters}
+def channel_labels(channels: tuple[str, ...]) -> list[str]:
+    """The part of a name in C for each channel; equal ones are numbered, and that of a single channel may be empty."""
+    labels: list[str] = []
+    for channel in channels:
+        base = underscored(channel) or ("channel" if channel else "")
+        label = base
+        count = 2
+        while label in labels:
+            label = f"{base}_{count}"
+            count += 1
+        labels.append(label)
+    return labels
+
+
+def study_values(controllers: Sequence[SampledController]) -> dict[str, float]:
+    """The study's value of every number of the controllers, by key."""
+    return {parameter.key: parameter.value for controller in controllers for parameter in controller.parameters}

@@ -1,5 +1,7 @@
-"""What a step of a controller costs: operations, the longest chain of them, and memory."""
+"""The cost of a controller's step: operations, the longest chain of them, and memory."""
 
+from collections import Counter
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from dssc_jax.flight_code.controller import COMMAND, SampledController
@@ -7,66 +9,71 @@ from dssc_jax.lanes.needed import reachable
 from dssc_jax.lanes.program import Branch, CodeBlock, CodeLoop, Program, Value
 
 FREE = ("input", "constant", "bitcast", "state", "result", "joined", "any")
-"""Values that no instruction of arithmetic computes."""
+"""Operations without an instruction of arithmetic."""
 
 
 class StepCost(NamedTuple):
     """The cost of one step.
 
-    Args:
-        operations: How often each operation occurs on the longest path; of a branch, the side with more.
-        chain: Operations in the longest chain in which each needs the last one's result.
-        loops: Loops, whose turns are not known ahead; their operations are counted once.
+    Of a branch, the side with more operations counts. Operations of a loop count once, because its iterations are not
+    known in advance.
     """
 
-    operations: dict[str, int]
-    chain: int
+    operations: dict[str, int]  # counts by name
+    chain: int  # length of the longest chain of operations, in which each needs the result of the one before
     loops: int
 
 
 def step_cost(controller: SampledController, telemetry: bool = False) -> StepCost:
     """The cost of a step, with or without telemetry."""
     program = controller.step.program
-    count = len(controller.states) + len(COMMAND)
-    return program_cost(
-        Program(program.inputs, program.body, program.outputs if telemetry else program.outputs[:count])
-    )
+    count = len(program.outputs) if telemetry else len(controller.states) + len(COMMAND)
+    return program_cost(Program(program.inputs, program.body, program.outputs[:count]))
 
 
 def program_cost(program: Program) -> StepCost:
     """The cost of a program."""
-    alive = reachable(program)
-    depths: dict[int, int] = {}
-    loops = 0
+    count = OperationCount(program)
+    operations = count.block(program.body, 0)
+    return StepCost(dict(sorted(operations.items())), max(count.depths.values(), default=0), count.loops)
 
-    def visit(block: CodeBlock, outside: int) -> dict[str, int]:
-        """Operations of a block whose values come after ``outside`` others."""
-        nonlocal loops
-        counts: dict[str, int] = {}
+
+class OperationCount:
+    """Counts the operations of a program, and the depth of every value: the length of the longest chain to it."""
+
+    def __init__(self, program: Program) -> None:
+        self.depths: dict[int, int] = {}
+        self.loops = 0
+        self._alive = reachable(program)
+
+    def block(self, block: CodeBlock, start: int) -> Counter[str]:
+        """Operations of a block that begins at a depth."""
+        counts: Counter[str] = Counter()
         for node in block.nodes:
-            if id(node) not in alive:
+            if id(node) not in self._alive:
                 continue
             if isinstance(node, Value):
-                last = max((depths.get(id(operand), 0) for operand in node.operands), default=0)
                 paid = node.operation not in FREE
-                depths[id(node)] = max(last, outside) + paid
+                self.depths[id(node)] = self.deepest(node.operands, start) + paid
                 if paid:
-                    counts[node.operation] = counts.get(node.operation, 0) + 1
-            elif isinstance(node, CodeLoop | Branch):
-                loops += isinstance(node, CodeLoop)
-                read = [node.condition] if isinstance(node, Branch) else node.begin
-                before = max([outside, *(depths.get(id(value), 0) for value in read)])
-                bodies = node.sides if isinstance(node, Branch) else (node.body,)
-                inner = max((visit(body, before) for body in bodies), key=lambda each: sum(each.values()))
-                ends = [*node.values[0], *node.values[1]] if isinstance(node, Branch) else node.then
-                after = max([before, *(depths.get(id(value), 0) for value in ends)])
-                depths.update({id(result): after for result in node.results})
-                for name, number in inner.items():
-                    counts[name] = counts.get(name, 0) + number
+                    counts[node.operation] += 1
+            elif isinstance(node, CodeLoop):
+                self.loops += 1
+                counts += self.block(node.body, self.deepest(node.begin, start))
+                self.finish(node.results, self.deepest([*node.begin, *node.then], start))
+            elif isinstance(node, Branch):
+                depth = self.deepest([node.condition], start)
+                counts += max((self.block(side, depth) for side in node.sides), key=Counter.total)
+                self.finish(node.results, self.deepest([node.condition, *node.values[0], *node.values[1]], start))
         return counts
 
-    counts = visit(program.body, 0)
-    return StepCost(dict(sorted(counts.items())), max(depths.values(), default=0), loops)
+    def deepest(self, values: Iterable[Value], start: int) -> int:
+        """The depth at which all values are known, in a block that begins at a depth."""
+        return max([start, *(self.depths.get(id(value), 0) for value in values)])
+
+    def finish(self, results: Iterable[Value], depth: int) -> None:
+        """Note the depth of the results of a loop or branch."""
+        self.depths.update({id(result): depth for result in results})
 
 
 def state_bytes(controller: SampledController) -> int:

@@ -12,41 +12,33 @@ import io
 import platform
 import shutil
 import zipfile
-from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 
-from dssc_jax.flight_code.controller import SampledController
+from dssc_jax.flight_code.controller import FlightCode
 from dssc_jax.flight_code.fmu_description import description_text
 from dssc_jax.flight_code.fmu_variables import variables_text
-from dssc_jax.flight_code.header_text import header_text
-from dssc_jax.flight_code.names import identifier
-from dssc_jax.flight_code.source_text import source_text
-from dssc_jax.study import Study
+from dssc_jax.flight_code.header import header_text
+from dssc_jax.flight_code.source import source_text
+from dssc_jax.flight_code.template_files import template_text
 
 FMI_PLATFORMS = {("Linux", "x86_64"): "linux64"}
 """Names that FMI 2.0 has for the machines for which a library is built."""
 
 COMPILERS = ("cc", "gcc", "clang")
 LIBRARY_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden")
-WRAPPER, VARIABLES_HEADER = "fmu.c", "fmu_variables.h"
-ANY_TIME = (1980, 1, 1, 0, 0, 0)
+WRAPPER = "fmu.c"
+VARIABLES_HEADER = "fmu_variables.h"
+EARLIEST_TIME = (1980, 1, 1, 0, 0, 0)
 """The earliest time of a zip: the same study makes the same file."""
 
 
 @dataclass(frozen=True)
 class ControllerFmu:
-    """The FMU of a study's controllers.
+    """The FMU of a study's controllers."""
 
-    Args:
-        name: Its model identifier, which is the name of the library.
-        description: The text of ``modelDescription.xml``.
-        sources: The texts of the source files by name.
-    """
-
-    name: str
-    description: str
-    sources: dict[str, str]
+    name: str  # its model identifier, which is the name of the library
+    description: str  # the text of modelDescription.xml
+    sources: dict[str, str]  # texts of the source files by name
 
     @property
     def compiled(self) -> list[str]:
@@ -54,11 +46,7 @@ class ControllerFmu:
         return [name for name in self.sources if name.endswith(".c")]
 
     def archive(self, library: bytes | None = None) -> bytes:
-        """The bytes of the FMU.
-
-        Args:
-            library: The library for this machine; None: the FMU has sources only.
-        """
+        """The bytes of the FMU, with a library for this machine or with sources only."""
         contents = {"modelDescription.xml": self.description.encode()}
         contents |= {f"sources/{name}": text.encode() for name, text in self.sources.items()}
         if library is not None:
@@ -66,31 +54,26 @@ class ControllerFmu:
         buffer = io.BytesIO()
         with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, content in contents.items():
-                entry = zipfile.ZipInfo(name, ANY_TIME)
-                entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
+                entry = zipfile.ZipInfo(name, EARLIEST_TIME)
+                entry.compress_type = zipfile.ZIP_DEFLATED
+                entry.external_attr = 0o644 << 16
                 archive.writestr(entry, content)
         return buffer.getvalue()
 
 
-def controller_fmu(study: Study, controllers: Sequence[SampledController], certificate: str) -> ControllerFmu:
+def controller_fmu(code: FlightCode) -> ControllerFmu:
     """The FMU of a study's controllers, from the same texts as the folder of ``dssc-jax code``."""
-    name = identifier(study.name)
     sources = {
-        f"{name}_controller.h": header_text(study, controllers, certificate),
-        f"{name}_controller.c": source_text(study, controllers, certificate),
-        WRAPPER: (files("dssc_jax.flight_code") / WRAPPER).read_text(encoding="utf-8"),
+        f"{code.name}_controller.h": header_text(code),
+        f"{code.name}_controller.c": source_text(code),
+        WRAPPER: template_text(WRAPPER),
     }
     compiled = [file for file in sources if file.endswith(".c")]
-
-    def texts(guid: str) -> tuple[str, str]:
-        description = description_text(study, controllers, certificate, guid, compiled)
-        return description, variables_text(study, controllers, guid)
-
-    digest = hashlib.sha256("\0".join([*texts(""), *sources.values()]).encode()).hexdigest()
-    description, variables = texts(
-        f"{{{'-'.join((digest[:8], *(digest[i : i + 4] for i in (8, 12, 16)), digest[20:32]))}}}"
-    )
-    return ControllerFmu(name, description, sources | {VARIABLES_HEADER: variables})
+    contents = [description_text(code, "", compiled), variables_text(code, ""), *sources.values()]
+    digest = hashlib.sha256("\0".join(contents).encode()).hexdigest()
+    guid = f"{{{digest[:8]}-{digest[8:12]}-{digest[12:16]}-{digest[16:20]}-{digest[20:32]}}}"
+    sources[VARIABLES_HEADER] = variables_text(code, guid)
+    return ControllerFmu(code.name, description_text(code, guid, compiled), sources)
 
 
 def machine_platform() -> str | None:
@@ -99,15 +82,19 @@ def machine_platform() -> str | None:
 
 
 def compiler() -> str | None:
-    """The compiler that is found first."""
-    return next((path for name in COMPILERS if (path := shutil.which(name))), None)
+    """Path of the first C compiler that is installed."""
+    for name in COMPILERS:
+        path = shutil.which(name)
+        if path is not None:
+            return path
+    return None
 
 
 def no_library_reason() -> str | None:
     """Why no library can be built here; None if one can."""
     if machine_platform() is None:
-        here = f"{platform.system()} {platform.machine()}"
-        return f"libraries are built on {' and '.join(map(' '.join, FMI_PLATFORMS))} only, this is {here}"
+        supported = " and ".join(" ".join(names) for names in FMI_PLATFORMS)
+        return f"libraries are built on {supported} only, this is {platform.system()} {platform.machine()}"
     if compiler() is None:
         return f"no compiler is found ({', '.join(COMPILERS)})"
     return None

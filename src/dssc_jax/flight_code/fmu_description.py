@@ -2,21 +2,20 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from xml.etree import ElementTree
+from xml.sax.saxutils import escape
 
 from dssc_jax.core.units import parse_unit
-from dssc_jax.flight_code.controller import SampledController
+from dssc_jax.flight_code.controller import FlightCode
 from dssc_jax.flight_code.fmu_variables import INPUT, OUTPUT, PARAMETER, FmuVariable, flag_variables, real_variables
-from dssc_jax.flight_code.header_text import not_generated
-from dssc_jax.flight_code.names import identifier
-from dssc_jax.study import Study
+from dssc_jax.flight_code.header import not_generated
+from dssc_jax.flight_code.template_files import fill
 
-BASE: tuple[str, ...] = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+BASE_UNITS: tuple[str, ...] = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 """Base units of FMI."""
 
-DERIVED = {
+DERIVED_UNITS = {
     "N": {"kg": 1, "m": 1, "s": -2},
     "J": {"kg": 1, "m": 2, "s": -2},
     "W": {"kg": 1, "m": 2, "s": -3},
@@ -28,14 +27,19 @@ DERIVED = {
 }
 """Other SI units by base units (SI Brochure, 9th edition, table 4)."""
 
-STRUCTURED = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*")
-FORBIDDEN = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+ROLES = {
+    PARAMETER: {"causality": "parameter", "variability": "tunable", "initial": "exact"},
+    INPUT: {"causality": "input", "variability": "discrete"},
+    OUTPUT: {"causality": "output", "variability": "discrete", "initial": "calculated"},
+}
+STRUCTURED_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*")
+NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that XML 1.0 cannot express at all."""
 
 
 def xml_text(text: str) -> str:
     """The text without what XML cannot express, on one line."""
-    return " ".join(FORBIDDEN.sub("\ufffd", text).split())
+    return " ".join(NO_XML.sub("\ufffd", text).split())
 
 
 def base_exponents(unit: str) -> dict[str, int] | None:
@@ -44,106 +48,82 @@ def base_exponents(unit: str) -> dict[str, int] | None:
         powers = parse_unit(unit)
     except ValueError:
         return None
-    total = dict.fromkeys(BASE, 0)
+    exponents = dict.fromkeys(BASE_UNITS, 0)
     for symbol, power in powers.items():
-        factor = {symbol: 1} if symbol in BASE else DERIVED.get(symbol)
-        if factor is None or power.denominator != 1:
+        factors = {symbol: 1} if symbol in BASE_UNITS else DERIVED_UNITS.get(symbol)
+        if factors is None or power.denominator != 1:
             return None
-        for base, exponent in factor.items():
-            total[base] += exponent * int(power)
-    return {base: exponent for base, exponent in total.items() if exponent}
+        for base, exponent in factors.items():
+            exponents[base] += exponent * int(power)
+    return {base: exponent for base, exponent in exponents.items() if exponent}
 
 
-def description_text(
-    study: Study, controllers: Sequence[SampledController], certificate: str, guid: str, sources: Sequence[str]
-) -> str:
-    """The text of ``modelDescription.xml``.
-
-    Args:
-        study: The study.
-        controllers: Its controllers.
-        certificate: What is certified of the study.
-        guid: Digest that binds the description to the sources.
-        sources: Names of the files to compile.
-    """
-    reals, flags = real_variables(study, controllers), flag_variables(controllers)
-    structured = all(STRUCTURED.fullmatch(each.name) for each in (*reals, *flags))
-    root = ElementTree.Element(
-        "fmiModelDescription",
-        fmiVersion="2.0",
-        modelName=xml_text(study.name),
+def description_text(code: FlightCode, guid: str, sources: Sequence[str]) -> str:
+    """The text of ``modelDescription.xml``; the guid binds it to the sources, of which some files are compiled."""
+    study = code.study
+    reals = real_variables(code)
+    flags = flag_variables(code)
+    variables = [*reals, *flags]
+    structured = all(STRUCTURED_NAME.fullmatch(variable.name) for variable in variables)
+    outputs = [index for index, variable in enumerate(variables, start=1) if variable.causality == OUTPUT]
+    sample_time = study.loop.sample_time
+    description = (
+        f"Sampled controller of the study {study.name}. Step it before the plant: its inputs are the samples at "
+        f"the begin of a step, and its command is the plant's input during that step. {code.certificate} "
+        f"Not generated: {'; '.join(not_generated(study))}."
+    )
+    elements = [variable_element(variable, reference, "Real") for reference, variable in enumerate(reals)]
+    elements += [variable_element(variable, reference, "Integer") for reference, variable in enumerate(flags)]
+    return fill(
+        "modelDescription.xml",
+        study=attribute(study.name),
         guid=guid,
-        description=xml_text(
-            f"Sampled controller of the study {study.name}. Step it before the plant: its inputs are the samples at "
-            f"the begin of a step, and its command is the plant's input during that step. {certificate} "
-            f"Not generated: {'; '.join(not_generated(study))}."
-        ),
-        generationTool=f"dssc_jax {version('dssc_jax')}, study {study.hash}",
-        variableNamingConvention="structured" if structured else "flat",
+        description=attribute(description),
+        tool=f"dssc_jax {version('dssc_jax')}, study {study.hash}",
+        convention="structured" if structured else "flat",
+        name=code.name,
+        files=[element("File", {"name": name}) for name in sources],
+        units=[unit_element(unit) for unit in sorted({xml_text(variable.unit) for variable in reals if variable.unit})],
+        stop_time=repr(sample_time * study.loop.steps),
+        sample_time=repr(sample_time),
+        variables=elements,
+        outputs=[element("Unknown", {"index": str(index), "dependencies": ""}) for index in outputs],
     )
-    simulation = ElementTree.SubElement(
-        root,
-        "CoSimulation",
-        modelIdentifier=identifier(study.name),
-        canHandleVariableCommunicationStepSize="false",
-        canNotUseMemoryManagementFunctions="true",
-        canGetAndSetFMUstate="true",
-    )
-    files = ElementTree.SubElement(simulation, "SourceFiles")
-    for name in sources:
-        ElementTree.SubElement(files, "File", name=name)
-    add_units(root, [each.unit for each in reals])
-    categories = ElementTree.SubElement(root, "LogCategories")
-    for name in ("logStatusWarning", "logStatusError"):
-        ElementTree.SubElement(categories, "Category", name=name)
-    time = study.loop.sample_time
-    ElementTree.SubElement(
-        root, "DefaultExperiment", startTime="0", stopTime=repr(time * study.loop.steps), stepSize=repr(time)
-    )
-    variables = ElementTree.SubElement(root, "ModelVariables")
-    for place, each in enumerate(reals):
-        add_variable(variables, each, place, "Real")
-    for place, each in enumerate(flags):
-        add_variable(variables, each, place, "Integer")
-    structure = ElementTree.SubElement(root, "ModelStructure")
-    computed = [place for place, each in enumerate((*reals, *flags), start=1) if each.causality == OUTPUT]
-    for group in ("Outputs", "InitialUnknowns"):
-        entries = ElementTree.SubElement(structure, group)
-        for place in computed:
-            ElementTree.SubElement(entries, "Unknown", index=str(place), dependencies="")
-    ElementTree.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def attribute(text: str) -> str:
+    """A text as the value of an attribute."""
+    return escape(xml_text(text), {'"': "&quot;"})
+
+
+def element(tag: str, attributes: Mapping[str, str], content: str = "") -> str:
+    """An element, with one element as its content or empty."""
+    pairs = "".join(f' {name}="{attribute(value)}"' for name, value in attributes.items())
+    return f"<{tag}{pairs}>\n  {content}\n</{tag}>" if content else f"<{tag}{pairs} />"
 
 
 def xml_number(number: float) -> str:
-    """A number as XML writes it, without a digit lost."""
-    return repr(float(number)) if math.isfinite(number) else {math.inf: "INF", -math.inf: "-INF"}.get(number, "NaN")
+    """A number in XML, without a digit lost."""
+    if math.isfinite(number):
+        return repr(float(number))
+    return {math.inf: "INF", -math.inf: "-INF"}.get(number, "NaN")
 
 
-def add_units(root: ElementTree.Element, units: Sequence[str]) -> None:
-    """The definitions of the units, each with its base units where they are known."""
-    definitions = ElementTree.SubElement(root, "UnitDefinitions")
-    for unit in sorted({xml_text(unit) for unit in units if unit}):
-        entry = ElementTree.SubElement(definitions, "Unit", name=unit)
-        exponents = base_exponents(unit)
-        if exponents is not None:
-            ElementTree.SubElement(entry, "BaseUnit", {base: str(power) for base, power in exponents.items()})
+def unit_element(unit: str) -> str:
+    """The definition of a unit, with base units where they are known."""
+    exponents = base_exponents(unit)
+    if exponents is None:
+        return element("Unit", {"name": unit})
+    powers = {base: str(power) for base, power in exponents.items()}
+    return element("Unit", {"name": unit}, element("BaseUnit", powers))
 
 
-def add_variable(variables: ElementTree.Element, each: FmuVariable, place: int, kind: str) -> None:
-    """One variable."""
-    roles = {
-        PARAMETER: {"causality": "parameter", "variability": "tunable", "initial": "exact"},
-        INPUT: {"causality": "input", "variability": "discrete"},
-        OUTPUT: {"causality": "output", "variability": "discrete", "initial": "calculated"},
-    }
-    entry = ElementTree.SubElement(
-        variables,
-        "ScalarVariable",
-        {"name": xml_text(each.name), "valueReference": str(place), "description": xml_text(each.meaning)}
-        | roles[each.causality],
-    )
-    numbers = {"start": each.start, "min": each.least, "max": each.most}
-    given = {name: xml_number(number) for name, number in numbers.items() if number is not None}
-    unit = {"unit": xml_text(each.unit)} if each.unit else {}
-    ElementTree.SubElement(entry, kind, unit | given)
+def variable_element(variable: FmuVariable, reference: int, kind: str) -> str:
+    """One variable with its value reference."""
+    attributes = {"name": variable.name, "valueReference": str(reference), "description": variable.meaning}
+    details = {"unit": variable.unit} if variable.unit else {}
+    for name, number in (("start", variable.start), ("min", variable.lower), ("max", variable.upper)):
+        if number is not None:
+            details[name] = xml_number(number)
+    value = element(kind, details)
+    return element("ScalarVariable", attributes | ROLES[variable.causality], value)

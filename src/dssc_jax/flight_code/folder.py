@@ -1,27 +1,28 @@
 """The folder of a study's controller in C: sources, bench, Makefile and recording."""
 
 from collections.abc import Iterable, Iterator
-from typing import Any
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.json_types import Json
 from dssc_jax.design.certification import mark
-from dssc_jax.flight_code.bench_text import bench_source, channels_text, makefile
-from dssc_jax.flight_code.controller import SampledController, sampled_controllers
+from dssc_jax.flight_code.bench import channels_text
+from dssc_jax.flight_code.controller import FlightCode, SampledController, sampled_controllers
 from dssc_jax.flight_code.cost import parameter_bytes, state_bytes, step_cost
 from dssc_jax.flight_code.fmu import ControllerFmu, controller_fmu
-from dssc_jax.flight_code.header_text import header_text, readme_text
-from dssc_jax.flight_code.names import identifier, prefix
+from dssc_jax.flight_code.header import header_text, readme_text
 from dssc_jax.flight_code.recording import recorded_draws, recording
-from dssc_jax.flight_code.source_text import source_text
+from dssc_jax.flight_code.source import source_text
+from dssc_jax.flight_code.template_files import fill, template_text
 from dssc_jax.lanes.unsupported import Unsupported
 from dssc_jax.study import Study
 
-RECORDED_DRAWS, RECORDED_SAMPLES = 32, 2000
-"""Recorded draws, and samples of each, unless others are wanted."""
+RECORDED_DRAWS = 32
+RECORDED_SAMPLES = 2000
+"""Default numbers of recorded draws and of samples of each."""
 
 
-def certificate_of(study: Study) -> str:
-    """What Theorem 1 says of the study, in a sentence."""
+def certificate_sentence(study: Study) -> str:
+    """The verdict of Theorem 1 on the study, in a sentence."""
     verdict = mark(study)
     if verdict.certified is None:
         return f"No certificate: {verdict.reason}."
@@ -43,23 +44,23 @@ class FlightFolder:
     def __init__(self, study: Study) -> None:
         self.study = study.without_sweep()
         self.controllers: list[SampledController] = sampled_controllers(self.study)
-        self.certificate = certificate_of(self.study)
+        self.code = FlightCode(self.study, self.controllers, certificate_sentence(self.study))
 
     def texts(self) -> dict[str, str]:
         """Content of the text files by name."""
-        name, given = identifier(self.study.name), (self.study, self.controllers)
+        name = self.code.name
         return {
-            f"{name}_controller.h": header_text(*given, self.certificate),
-            f"{name}_controller.c": source_text(*given, self.certificate),
-            "bench.c": bench_source(),
-            "bench_channels.h": channels_text(*given),
-            "Makefile": makefile(self.study),
-            "README.md": readme_text(*given, self.certificate),
+            f"{name}_controller.h": header_text(self.code),
+            f"{name}_controller.c": source_text(self.code),
+            "bench.c": template_text("bench.c"),
+            "bench_channels.h": channels_text(self.code),
+            "Makefile": fill("Makefile", name=name),
+            "README.md": readme_text(self.code),
         }
 
     def fmu(self) -> ControllerFmu:
         """The same controllers as an FMU."""
-        return controller_fmu(self.study, self.controllers, self.certificate)
+        return controller_fmu(self.code)
 
     def recording(self, draws: int = RECORDED_DRAWS, samples: int | None = None) -> Iterable[bytes]:
         """The bytes of the recording.
@@ -71,12 +72,12 @@ class FlightFolder:
         Raises:
             ConfigError: The loop has no strict machine code, or a count is not positive.
         """
-        for name, count in (("--draws", draws), ("--samples", samples or 1)):
+        for name, count in (("draws", draws), ("samples", samples or 1)):
             if count < 1:
                 raise ConfigError(name, f"must be >= 1, got {count}")
         count = samples or min(RECORDED_SAMPLES, self.study.loop.steps)
         recorded = recorded_draws(self.study, self.controllers, min(draws, self.study.config.draws), count)
-        return self._guarded(recording(recorded, self.study.config.loop.precision))
+        return self._guarded(recording(recorded, self.code.precision))
 
     def _guarded(self, parts: Iterator[bytes]) -> Iterator[bytes]:
         try:
@@ -84,29 +85,29 @@ class FlightFolder:
         except Unsupported as problem:
             raise ConfigError(self.study.source, f"strict arithmetic cannot express {problem}") from None
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, Json]:
         """For JSON: the channels with their names in C and their cost."""
-        channels = []
-        for each in self.controllers:
-            bare, full = step_cost(each), step_cost(each, telemetry=True)
-            channels.append(
-                {
-                    "channel": each.channel,
-                    "prefix": prefix(self.study, each),
-                    "parameters": {parameter.name: parameter.value for parameter in each.parameters},
-                    "parameter_bytes": parameter_bytes(each),
-                    "state_bytes": state_bytes(each),
-                    "operations": bare.operations,
-                    "operations_with_telemetry": full.operations,
-                    "chain": bare.chain,
-                    "loops": bare.loops,
-                }
-            )
         return {
             "study": self.study.name,
             "hash": self.study.hash,
-            "precision": self.study.config.loop.precision,
+            "precision": self.code.precision,
             "sample_time": self.study.loop.sample_time,
-            "certificate": self.certificate,
-            "channels": channels,
+            "certificate": self.code.certificate,
+            "channels": [channel_summary(controller) for controller in self.controllers],
         }
+
+
+def channel_summary(controller: SampledController) -> dict[str, Json]:
+    """For JSON: a channel's names in C and its cost."""
+    cost = step_cost(controller)
+    return {
+        "channel": controller.channel,
+        "prefix": controller.prefix,
+        "parameters": {parameter.name: parameter.value for parameter in controller.parameters},
+        "parameter_bytes": parameter_bytes(controller),
+        "state_bytes": state_bytes(controller),
+        "operations": cost.operations,
+        "operations_with_telemetry": step_cost(controller, telemetry=True).operations,
+        "chain": cost.chain,
+        "loops": cost.loops,
+    }

@@ -1,13 +1,15 @@
-"""Logged flights: columns of CSV or Parquet files, or topics of PX4's ULog, as the signals of a study's channels."""
+"""Logged flights: CSV, Parquet and PX4's ULog as the signals of a study's channels, and their values at its samples."""
 
 import io
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeGuard
 
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
+from dssc_jax.core.numerics import wrap_angle
+from dssc_jax.study import Study
 from dssc_jax.study.recorded import TIME, record_content, recorded_frame
 
 LOGGED = ("y", "y_dot", "y_ref", "y_ref_dot", "y_ref_ddot", "u_total")
@@ -15,6 +17,8 @@ LOGGED = ("y", "y_dot", "y_ref", "y_ref_dot", "y_ref_ddot", "u_total")
 MICROSECOND = 1e-6  # s
 LARGEST_VALUE = 1e100
 """Times and values of a log; squares and sums of larger ones overflow."""
+ENTRIES = ("signals", "time", "start")
+TIME_ROUNDING = 1e-6  # samples
 
 
 class Column(NamedTuple):
@@ -29,19 +33,20 @@ class Column(NamedTuple):
     value: np.ndarray
 
 
+class SignalSource(NamedTuple):
+    """The column of a signal, and the conversion to the study's unit: value = scale * column + offset."""
+
+    column: str
+    scale: float = 1.0
+    offset: float = 0.0
+
+
 class ColumnMap(NamedTuple):
-    """Where a log has the signals of a study.
+    """The places of a study's signals in a log."""
 
-    Args:
-        signals: For each signal its column, a scale and an offset: value = scale * column + offset.
-        time: The column with the time [s], of a CSV or Parquet file.
-        start: Time of the log at which the study begins [s]; None: the first sample of all signals. Times of a ULog
-            count from its beginning.
-    """
-
-    signals: dict[str, tuple[str, float, float]]
-    time: str = TIME
-    start: float | None = None
+    signals: dict[str, SignalSource]
+    time: str  # the column with the time [s], of a CSV or Parquet file
+    start: float | None  # time of the log at which the study begins [s]; None: the first sample of all signals
 
 
 class FlightLog(NamedTuple):
@@ -58,180 +63,184 @@ class FlightLog(NamedTuple):
     columns: dict[str, Column]
     start: float
 
+    @property
+    def end(self) -> float:
+        """The time of the log's last value [s]."""
+        return float(max(column.time[-1] for column in self.columns.values()))
+
+
+def signal_name(channel: str, name: str) -> str:
+    """The name of a channel's signal."""
+    return f"{channel}_{name}" if channel else name
+
 
 def log_signals(channels: tuple[str, ...]) -> list[str]:
     """The names of all signals that a log may have."""
-    return [f"{channel}_{name}" if channel else name for channel in channels for name in LOGGED]
+    return [signal_name(channel, name) for channel in channels for name in LOGGED]
 
 
-def column_map(table: Mapping[str, Any], channels: tuple[str, ...]) -> ColumnMap:
-    """Check the table of columns.
-
-    Args:
-        table: ``time`` and ``start``, and under ``signals`` for each signal the name of its column, or a table with
-            ``column``, ``scale`` and ``offset``.
-        channels: The study's channels.
-
-    Raises:
-        ConfigError: an entry is unknown or has the wrong type.
-    """
+def column_map(table: Mapping[str, object], channels: tuple[str, ...]) -> ColumnMap:
+    """Check a table of columns, see :func:`read_log`."""
     for name in table:
-        if name not in (fields := ("signals", *ColumnMap._fields[1:])):
-            raise ConfigError(name, f"is no entry of a table of columns; {nearest(name, fields)}")
-    time, start, given = table.get("time", TIME), table.get("start"), table.get("signals", {})
+        if name not in ENTRIES:
+            raise ConfigError(name, f"is no entry of a table of columns; {nearest(name, ENTRIES)}")
+    time = table.get("time", TIME)
     if not isinstance(time, str):
         raise ConfigError("time", f"must be the name of a column, got {time!r}")
+    start = table.get("start")
     if start is not None and not is_finite_number(start):
         raise ConfigError("start", f"must be a finite number of seconds, got {start!r}")
-    if not isinstance(given, Mapping):
-        raise ConfigError("signals", f"must be a table, got {given!r}")
-    known, signals = log_signals(channels), {}
+    entries = table.get("signals", {})
+    if not isinstance(entries, Mapping):
+        raise ConfigError("signals", f"must be a table, got {entries!r}")
+    known = log_signals(channels)
+    signals = {}
     with errors_under("signals"):
-        for name, value in given.items():
+        for name, entry in entries.items():
             if name not in known:
                 raise ConfigError(name, f"is no signal of the study; {nearest(name, known)}")
-            whole = {"column": value} if isinstance(value, str) else value
-            if not isinstance(whole, Mapping) or not set(whole) <= {"column", "scale", "offset"}:
-                raise ConfigError(name, f"must be a column, or a table of column, scale and offset, got {value!r}")
-            scale, offset = whole.get("scale", 1.0), whole.get("offset", 0.0)
-            if not isinstance(whole.get("column"), str):
-                raise ConfigError(f"{name}.column", f"must be the name of a column, got {whole.get('column')!r}")
-            if not is_finite_number(scale) or scale == 0 or not is_finite_number(offset):
-                raise ConfigError(
-                    name, f"scale and offset must be finite and scale not 0, got {scale!r} and {offset!r}"
-                )
-            signals[name] = (whole["column"], float(scale), float(offset))
+            signals[name] = signal_source(name, entry)
     return ColumnMap(signals, time, None if start is None else float(start))
 
 
-def is_finite_number(value: Any) -> bool:
+def signal_source(name: str, entry: object) -> SignalSource:
+    """Check the entry of a signal."""
+    table = {"column": entry} if isinstance(entry, str) else entry
+    if not isinstance(table, Mapping) or not set(table) <= set(SignalSource._fields):
+        raise ConfigError(name, f"must be a column, or a table of column, scale and offset, got {entry!r}")
+    column = table.get("column")
+    if not isinstance(column, str):
+        raise ConfigError(f"{name}.column", f"must be the name of a column, got {column!r}")
+    scale = table.get("scale", 1.0)
+    offset = table.get("offset", 0.0)
+    if not is_finite_number(scale) or scale == 0 or not is_finite_number(offset):
+        raise ConfigError(name, f"scale and offset must be finite and scale not 0, got {scale!r} and {offset!r}")
+    return SignalSource(column, float(scale), float(offset))
+
+
+def is_finite_number(value: object) -> TypeGuard[float]:
     """Whether a value of TOML is a finite number."""
     return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
 
 
-def read_log(path: str | Path, channels: tuple[str, ...] = ("",), table: Mapping[str, Any] | None = None) -> FlightLog:
+def read_log(
+    path: str | Path, channels: tuple[str, ...] = ("",), table: Mapping[str, object] | None = None
+) -> FlightLog:
     """Read a logged flight.
 
     Args:
         path: A CSV or Parquet file, or a ULog of PX4 (``.ulg``), which needs pyulog.
         channels: The study's channels, ``study.loop.channels``.
-        table: The table of columns, see :func:`column_map`; None: those columns that have the signals' own names, as
-            ``dssc-jax simulate --csv`` writes them. A column of a ULog is ``topic.field``, or ``topic:1.field`` for
-            the topic's second instance.
+        table: The table of columns: ``time`` and ``start``, and under ``signals`` for each signal the name of its
+            column, or a table with ``column``, ``scale`` and ``offset``. None: those columns that have the signals'
+            own names, as ``dssc-jax simulate --csv`` writes them. A column of a ULog is ``topic.field``, or
+            ``topic:1.field`` for the topic's second instance.
 
     Raises:
         ConfigError: the file cannot be read, or a column is absent or holds no numbers.
     """
-    file, columns = Path(path), column_map(table or {}, channels)
+    file = Path(path)
+    columns = column_map(table or {}, channels)
     with errors_under(str(file)):
-        ulog = file.suffix.lower() == ".ulg"
-        read = ulog_columns(file, columns) if ulog else table_columns(file, columns, channels)
-        if not any(name.endswith(("y", "u_total")) for name in read):
-            wanted = [name for name in log_signals(channels) if name.endswith(("y", "u_total"))]
-            raise ConfigError("signals", f"map a column to at least one of {', '.join(wanted)}")
-        logged = {}
-        for name, (time, value) in read.items():
-            _, scale, offset = columns.signals.get(name, (name, 1.0, 0.0))
-            good = np.isfinite(time) & np.isfinite(value)
-            if not good.any():
-                raise ConfigError(name, "has no finite value in the log")
-            if np.any(np.diff(time[good]) < 0.0):
-                raise ConfigError(name, "the log's times must not fall from row to row")
-            with np.errstate(over="ignore"):
-                scaled = scale * value[good] + offset
-            for what, numbers in (("time", time[good]), ("value", scaled)):
-                if np.abs(numbers).max() > LARGEST_VALUE:
-                    rule = f"its largest {what} in the log is {np.abs(numbers).max():g}; at most {LARGEST_VALUE:g}"
-                    raise ConfigError(name, f"{rule} is taken")
-            logged[name] = Column(time[good], scaled)
-    first = min(column.time[0] for column in logged.values())
-    return FlightLog(file.name, logged, float(first) if columns.start is None else columns.start)
+        is_ulog = file.suffix.lower() == ".ulg"
+        raw = ulog_columns(file, columns) if is_ulog else table_columns(file, columns, channels)
+        if not any(name.endswith(("y", "u_total")) for name in raw):
+            names = [name for name in log_signals(channels) if name.endswith(("y", "u_total"))]
+            raise ConfigError("signals", f"map a column to at least one of {', '.join(names)}")
+        converted = {}
+        for name, column in raw.items():
+            converted[name] = converted_column(name, column, columns.signals.get(name, SignalSource(name)))
+    first = min(float(column.time[0]) for column in converted.values())
+    return FlightLog(file.name, converted, first if columns.start is None else columns.start)
+
+
+def converted_column(name: str, column: Column, source: SignalSource) -> Column:
+    """The finite values of a column in the study's unit."""
+    finite = np.isfinite(column.time) & np.isfinite(column.value)
+    if not finite.any():
+        raise ConfigError(name, "has no finite value in the log")
+    time = column.time[finite]
+    if np.any(np.diff(time) < 0.0):
+        raise ConfigError(name, "the log's times must not fall from row to row")
+    with np.errstate(over="ignore"):
+        value = source.scale * column.value[finite] + source.offset
+    for label, numbers in (("time", time), ("value", value)):
+        largest = np.abs(numbers).max()
+        if largest > LARGEST_VALUE:
+            raise ConfigError(
+                name, f"its largest {label} in the log is {largest:g}; at most {LARGEST_VALUE:g} is taken"
+            )
+    return Column(time, value)
 
 
 def table_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> dict[str, Column]:
     """The columns of a CSV or Parquet file by the signals' names."""
     frame = recorded_frame(path)
     present = [str(name) for name in frame.columns]
-    names = {name: source for name, (source, _, _) in columns.signals.items()} or {
-        name: name for name in log_signals(channels) if name in present
-    }
-    for field, name in (("time", columns.time), *names.items()):
+    names = {signal: source.column for signal, source in columns.signals.items()}
+    if not names:
+        names = {name: name for name in log_signals(channels) if name in present}
+    for field, name in {"time": columns.time, **names}.items():
         if name not in present:
-            raise ConfigError(
-                field, f"has no column '{name}'; {nearest(name, present)}; --columns FILE gives the names"
-            )
+            rule = f"has no column '{name}'; {nearest(name, present)}; a table of columns gives the names"
+            raise ConfigError(field, rule)
     try:
         time = frame[columns.time].to_numpy(float)
-        return {name: Column(time, frame[source].to_numpy(float)) for name, source in names.items()}
+        return {signal: Column(time, frame[name].to_numpy(float)) for signal, name in names.items()}
     except (TypeError, ValueError) as error:
         raise ConfigError("signals", f"its columns must hold numbers: {error}") from error
 
 
 def ulog_columns(path: Path, columns: ColumnMap) -> dict[str, Column]:
-    """The fields of a ULog's topics by the signals' names; times count from the beginning of the log.
-
-    PX4 stamps every value with the time since its start, and so the beginning of the log.
-    """
+    """The fields of a ULog's topics by the signals' names; times count from the beginning of the log."""
     try:
-        from pyulog import ULog  # few have it, and few need it
+        from pyulog import ULog  # an optional extra
     except ImportError as error:
         raise ConfigError("file", "a log of PX4 needs pyulog: pip install 'dssc_jax[ulog]'") from error
     if not columns.signals:
         raise ConfigError("signals", "a log of PX4 needs a table of columns, such as y = 'topic.field'")
     try:
-        whole = ULog(io.BytesIO(record_content(path)))
-        topics = {f"{one.name}:{one.multi_id}": one.data for one in whole.data_list}
-        begin = float(whole.start_timestamp)
+        log = ULog(io.BytesIO(record_content(path)))
+        topics = {f"{topic.name}:{topic.multi_id}": topic.data for topic in log.data_list}
+        begin = float(log.start_timestamp)
     except ConfigError:
         raise
     except Exception as error:  # pyulog raises errors of many kinds
         raise ConfigError("file", f"cannot be read: {' '.join(str(error).split())}") from error
-    read = {}
-    for name, (source, _, _) in columns.signals.items():
-        topic, _, field = source.partition(".")
+    raw = {}
+    for name, source in columns.signals.items():
+        topic, _, field = source.column.partition(".")
         label = topic if ":" in topic else f"{topic}:0"
         if label not in topics:
             raise ConfigError(f"signals.{name}", f"the log has no topic '{topic}'; {nearest(label, topics)}")
-        if field not in topics[label]:
-            raise ConfigError(
-                f"signals.{name}", f"topic '{topic}' has no field '{field}'; {nearest(field, topics[label])}"
-            )
-        stamps = topics[label]["timestamp"].astype(float) - begin
-        read[name] = Column(MICROSECOND * stamps, topics[label][field].astype(float))
-    return read
+        data = topics[label]
+        if field not in data:
+            raise ConfigError(f"signals.{name}", f"topic '{topic}' has no field '{field}'; {nearest(field, data)}")
+        time = MICROSECOND * (data["timestamp"].astype(float) - begin)
+        raw[name] = Column(time, data[field].astype(float))
+    return raw
+
+
+def samples_within(log: FlightLog, sample_time: float, steps: int) -> int:
+    """Number of the study's samples, of ``steps``, up to the log's last value; 0 if the study begins after it."""
+    return int(np.clip(np.floor((log.end - log.start) / sample_time + 0.5) + 1.0, 0.0, steps))
 
 
 def nearest_rows(column: Column, start: float, sample_time: float, samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """The logged value nearest to each sample instant.
-
-    Args:
-        column: The logged signal.
-        start: Time of the first sample [s].
-        sample_time: T_s [s].
-        samples: Their number.
+    """The logged value nearest to each sample instant, of shape (samples,).
 
     Returns:
-        Positions in the column, and the values' times less the instants, in samples; NaN where they exceed half a
-        sample. Shape (samples,) each.
+        Positions in the column; the values' times less the instants, in samples, NaN where they exceed half a sample.
     """
     instants = start + sample_time * np.arange(samples)
     middles = 0.5 * (column.time[1:] + column.time[:-1])
     rows = np.searchsorted(middles, instants)
     offsets = (column.time[rows] - instants) / sample_time
-    return rows, np.where(np.abs(offsets) <= 0.5 * (1.0 + 1e-6), offsets, np.nan)
+    return rows, np.where(np.abs(offsets) <= 0.5 * (1.0 + TIME_ROUNDING), offsets, np.nan)
 
 
 def nearest_values(column: Column, start: float, sample_time: float, samples: int) -> np.ndarray:
     """The logged value nearest to each sample instant; NaN where none lies within half a sample time.
-
-    Args:
-        column: The logged signal.
-        start: Time of the first sample [s].
-        sample_time: T_s [s].
-        samples: Their number.
-
-    Returns:
-        Shape (samples,).
 
     Example:
         >>> nearest_values(Column(np.array([0.0, 0.11, 0.4]), np.array([1.0, 2.0, 3.0])), 0.0, 0.1, 5)
@@ -242,29 +251,35 @@ def nearest_values(column: Column, start: float, sample_time: float, samples: in
 
 
 def nearest_offsets(column: Column, start: float, sample_time: float, samples: int) -> np.ndarray:
-    """Times of the values of :func:`nearest_values` less the sample instants, in samples.
+    """Times of the values of :func:`nearest_values` less the sample instants, in samples; NaN where there is no value.
 
     A value that is nearest to two instants counts at the first. Offsets within the rounding of times are 0.
-
-    Args:
-        column: The logged signal.
-        start: Time of the first sample [s].
-        sample_time: T_s [s].
-        samples: Their number.
-
-    Returns:
-        Shape (samples,); NaN where there is no value.
     """
     rows, offsets = nearest_rows(column, start, sample_time, samples)
-    repeated = np.concatenate([[False], np.diff(rows) == 0]) & np.concatenate([[False], np.isfinite(offsets[:-1])])
-    return np.where(repeated, np.nan, np.where(np.abs(offsets) < 1e-6, 0.0, offsets))
+    repeated = np.zeros(samples, bool)
+    repeated[1:] = (np.diff(rows) == 0) & np.isfinite(offsets[:-1])
+    rounded = np.where(np.abs(offsets) < TIME_ROUNDING, 0.0, offsets)
+    return np.where(repeated, np.nan, rounded)
 
 
-def last_time(log: FlightLog) -> float:
-    """The time of the log's last value [s]."""
-    return float(max(column.time[-1] for column in log.columns.values()))
+def channel_signals(study: Study, log: FlightLog, index: int, reference: np.ndarray) -> dict[str, np.ndarray]:
+    """The logged signals of a channel at the study's samples, NaN where missing, by their names without the channel.
+
+    An angle is shifted to within pi of the study's reference of shape (samples,).
+    """
+    channel = study.loop.channels[index]
+    signals = {}
+    for name in LOGGED:
+        column = log.columns.get(signal_name(channel, name))
+        if column is not None:
+            signals[name] = nearest_values(column, log.start, study.loop.sample_time, len(reference))
+    if channel in study.loop.plant.angles and "y" in signals:
+        signals["y"] = reference + np.asarray(wrap_angle(signals["y"] - reference))
+    return signals
 
 
-def samples_within(log: FlightLog, sample_time: float, steps: int) -> int:
-    """Number of the study's samples, of ``steps``, up to the log's last value; 0 if the study begins after it."""
-    return int(np.clip(np.floor((last_time(log) - log.start) / sample_time + 0.5) + 1.0, 0.0, steps))
+def forward_filled(values: np.ndarray) -> np.ndarray:
+    """The last known value in place of each missing one; the first known one before it. Shape (samples,)."""
+    known = np.flatnonzero(np.isfinite(values))
+    latest = np.searchsorted(known, np.arange(len(values)), side="right") - 1
+    return values[known[np.maximum(latest, 0)]]

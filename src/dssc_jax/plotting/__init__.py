@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from dssc_jax.core import files
 from dssc_jax.plotting.comparisons import comparison
 from dssc_jax.plotting.draws import distribution, factor, failures
-from dssc_jax.plotting.flight_logs import log_comparison
 from dssc_jax.plotting.indices import sensitivity
 from dssc_jax.plotting.loops import loop_margins
 from dssc_jax.plotting.margins import margin
@@ -38,7 +37,6 @@ __all__ = [
     "failures",
     "falsification",
     "fitted_slope",
-    "log_comparison",
     "loop_margins",
     "margin",
     "probability",

@@ -1,6 +1,6 @@
 """A logged flight over the range of a study's draws."""
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
@@ -9,13 +9,16 @@ from matplotlib.figure import Figure
 
 from dssc_jax.plotting.style import BLUE, DARK, ORANGE, RED, styled, title
 from dssc_jax.plotting.thinning import envelope, thinned
-from dssc_jax.results.analysis import Analysis
+
+if TYPE_CHECKING:
+    from dssc_jax.flight_logs.comparison import LogComparison, SignalFacts
 
 MOST_SIGNALS = 5  # of one figure
+BANDS = (("lowest", "highest", 0.18, "all draws"), ("low", "high", 0.3, "90 % of the draws"))
 
 
 @styled
-def log_comparison(comparison: Analysis) -> Figure:
+def log_comparison(comparison: "LogComparison") -> Figure:
     """Plot the logged signals over the draws, those with the largest departures first, and the test's statistic.
 
     Bands are the range of all draws and the middle 90 % of them at each time.
@@ -23,44 +26,48 @@ def log_comparison(comparison: Analysis) -> Figure:
     Args:
         comparison: The return value of :func:`dssc_jax.compare_log`.
     """
-    data, summary = comparison.dataset, comparison.summary()
-    facts = summary["signals"]
-    shown = sorted(facts, key=lambda name: -(facts[name]["largest_departure"] or np.inf))[:MOST_SIGNALS]
+    data = comparison.dataset
+    facts = {str(name): comparison.of_signal(str(name)) for name in data["signal"].values}
+    names = sorted(facts, key=lambda name: -(facts[name]["largest_departure"] or np.inf))
+    shown = names[:MOST_SIGNALS]
     figure = Figure(figsize=(11.5, 2.5 * len(shown) + 2.6), layout="constrained")
     axes = figure.subplots(len(shown) + 1, 1)
+    handles = {}
     for ax, name in zip(axes, shown, strict=False):
-        over_draws(ax, data.sel(signal=name), name, facts[name])
+        signal_over_draws(ax, data.sel(signal=name), facts[name])
+        ax.set_ylabel(f"{name} [{facts[name]['unit']}]")
+        lines, texts = ax.get_legend_handles_labels()
+        handles |= dict(zip(texts, lines, strict=True))
     for ax in axes[1 : len(shown)]:
         ax.sharex(axes[0])
     axes[len(shown) - 1].set_xlabel("time [s]")
-    handles = {
-        text: line for ax in axes[: len(shown)] for line, text in zip(*ax.get_legend_handles_labels(), strict=True)
-    }
-    place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": 5, "fontsize": 10}
-    axes[0].legend(list(handles.values()), list(handles), frameon=False, **place)
-    statistics_of_curves(axes[-1], data["statistic"].values, summary["p_value"])
-    hidden = (
-        f"; {len(facts) - len(shown)} signals with smaller departures are not shown" if len(facts) > len(shown) else ""
-    )
+    position = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": 5, "fontsize": 10}
+    axes[0].legend(list(handles.values()), list(handles), frameon=False, **position)
+    statistics = data["statistic"].values
+    statistics_of_curves(axes[-1], statistics, comparison.p_value)
+    hidden = len(facts) - len(shown)
+    note = f"; {hidden} signals with smaller departures are not shown" if hidden else ""
     config = comparison.study.config
-    title(figure, f"{config.description or config.name}: {summary['log']} over {summary['draws']} draws{hidden}")
+    name = config.description or config.name
+    title(figure, f"{name}: {comparison.log} over {len(statistics) - 1} draws{note}")
     return figure
 
 
-def over_draws(ax: Axes, own: xr.Dataset, name: str, facts: dict[str, Any]) -> None:
+def signal_over_draws(ax: Axes, signal: xr.Dataset, facts: "SignalFacts") -> None:
     """Draw one signal over the bands of the draws."""
-    time = own["t"].values
-    for low, high, alpha, text in (("lowest", "highest", 0.18, "all draws"), ("low", "high", 0.3, "90 % of the draws")):
-        x, lower, upper = envelope(time, own[low].values, own[high].values)
+    time = signal["t"].values
+    for low, high, alpha, text in BANDS:
+        x, lower, upper = envelope(time, signal[low].values, signal[high].values)
         ax.fill_between(x, lower, upper, color=BLUE, alpha=alpha, linewidth=0.0, label=text)
-    if np.isfinite(own["commanded"].values).any():
-        x, y = thinned(time, own["commanded"].values)
-        ax.plot(x, y, color=ORANGE, linewidth=1.2, label="analysed controller")
-    known = np.isfinite(own["logged"].values)
-    ax.plot(*thinned(time[known], own["logged"].values[known]), color=DARK, linewidth=1.2, label="logged")
-    if facts["first_outside"] is not None:
-        ax.axvline(facts["first_outside"], color=RED, linestyle="--", linewidth=1.2, label="first outside")
-    ax.set_ylabel(f"{name} [{facts['unit']}]")
+    commanded = signal["commanded"].values
+    if np.isfinite(commanded).any():
+        ax.plot(*thinned(time, commanded), color=ORANGE, linewidth=1.2, label="analysed controller")
+    logged = signal["logged"].values
+    known = np.isfinite(logged)
+    ax.plot(*thinned(time[known], logged[known]), color=DARK, linewidth=1.2, label="logged")
+    first_outside = facts["first_outside"]
+    if first_outside is not None:
+        ax.axvline(first_outside, color=RED, linestyle="--", linewidth=1.2, label="first outside")
 
 
 def statistics_of_curves(ax: Axes, statistics: np.ndarray, p_value: float | None) -> None:

@@ -1,0 +1,76 @@
+"""``bench_channels.h``: the controllers as functions of arrays, which the bench calls."""
+
+from dssc_jax.flight_code.controller import COMMAND, FlightCode, SampledController
+from dssc_jax.flight_code.recording import row_names
+from dssc_jax.flight_code.template_files import fill
+from dssc_jax.lanes.c_names import c_string
+
+
+def channels_text(code: FlightCode) -> str:
+    """``bench_channels.h``: functions and names of the channels, and the choice of a channel's functions."""
+    controllers = code.controllers
+    prepare: list[str] = []
+    restart: list[str] = []
+    check: list[str] = []
+    advance: list[str] = []
+    for place, controller in enumerate(controllers):
+        name = controller.prefix
+        case = f"case {place}:"
+        prepare += [case, f"    prepare_{name}(given);", "    break;"]
+        restart += [case, f"    {name}_reset(&controller_of_{name});", "    break;"]
+        check += [case, f"    return {name}_check(&controller_of_{name}.parameters);"]
+        advance += [case, f"    return advance_{name}(row, results, telemetry);"]
+    return fill(
+        "bench_channels.h",
+        study=code.name,
+        real=controllers[0].c_real,
+        precision=str(code.precision),
+        limits="FLT" if code.precision == 32 else "DBL",
+        channels=str(len(controllers)),
+        most_parameters=str(max(1, *(len(controller.parameters) for controller in controllers))),
+        most_results=str(max(len(row_names(controller)) for controller in controllers)),
+        functions="\n\n".join(channel_functions(controller) for controller in controllers),
+        names=[line for controller in controllers for line in name_tables(controller)],
+        shapes=[channel_shape(controller) for controller in controllers],
+        prepare=prepare,
+        restart=restart,
+        check=check,
+        advance=advance,
+    )
+
+
+def channel_functions(controller: SampledController) -> str:
+    """The functions of one channel."""
+    variable = f"controller_of_{controller.prefix}"
+    members = [f"command.{member}" for member in COMMAND]
+    members += [f"{variable}.state.{state}" for state in controller.states]
+    results = [f"results[{place}] = {member};" for place, member in enumerate(members)]
+    if controller.infos:
+        results.append("if (telemetry) {")
+        for place, info in enumerate(controller.infos, start=len(members)):
+            results.append(f"    results[{place}] = seen.{info};")
+        results.append("}")
+    parameters = [
+        f"{variable}.parameters.{parameter.name} = given[{place}];"
+        for place, parameter in enumerate(controller.parameters)
+    ]
+    return fill("bench_channel.h", name=controller.prefix, parameters=parameters, results=results)
+
+
+def name_tables(controller: SampledController) -> list[str]:
+    """The names of results and parameters."""
+    parameters = [parameter.name for parameter in controller.parameters]
+    tables = {"results": row_names(controller), "numbers": parameters or [""]}
+    lines = []
+    for table, names in tables.items():
+        quoted = ", ".join(c_string(name) for name in names)
+        lines.append(f"static const char *const {table}_of_{controller.prefix}[] = {{{quoted}}};")
+    return lines
+
+
+def channel_shape(controller: SampledController) -> str:
+    """The row of a channel in the table of shapes."""
+    name = controller.prefix
+    label = c_string(f"{controller.channel}: " if controller.channel else "")
+    counts = f"{len(controller.parameters)}u, {len(controller.states)}u, {len(row_names(controller))}u"
+    return f"{{{label}, {counts}, results_of_{name}, numbers_of_{name}}},"

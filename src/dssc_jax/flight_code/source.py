@@ -1,0 +1,209 @@
+"""The source of a study's controllers, in C99 that is C++ as well."""
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from dssc_jax.flight_code.controller import (
+    COMMAND,
+    SAMPLED_SIGNALS,
+    FlightCode,
+    Parameter,
+    SampledController,
+    TracedFunction,
+)
+from dssc_jax.flight_code.header import file_comment
+from dssc_jax.flight_code.template_files import fill
+from dssc_jax.lanes.c_operations import c_literal
+from dssc_jax.lanes.c_text import CText
+from dssc_jax.lanes.program import Value
+
+LOCAL_NAMES = {
+    *("controller", "measurement", "reference", "command", "telemetry", "parameters", "p", "before", "state"),
+    *("updated", "computed", "size", "T_s"),
+}
+"""Names in the template files, which no computed variable may have."""
+
+COMPUTED = [f"computed.{member}" for member in COMMAND]
+
+
+class FunctionText(CText):
+    """Writes one function of a controller, with C's expressions of its inputs between parameters and signals."""
+
+    def __init__(
+        self, code: FlightCode, controller: SampledController, traced: TracedFunction, inputs: Sequence[str] = ()
+    ) -> None:
+        sample_time = code.study.loop.sample_time
+        constants = {} if sample_time in (0.5, 1.0, 2.0) else {float(controller.real.type(sample_time)): "T_s"}
+        parameters = [f"p->{parameter.name}" for parameter in controller.parameters]
+        expressions = [*parameters, *inputs, *SAMPLED_SIGNALS]
+        super().__init__(traced.program, traced.origins, expressions, controller.real, LOCAL_NAMES, constants)
+        self.outputs = [output for output in traced.program.outputs if isinstance(output, Value)]
+        self.text = ""
+
+    def assign(self, members: Sequence[str], outputs: Sequence[Value]) -> None:
+        """Assign computed outputs to members."""
+        for member, output in zip(members, outputs, strict=True):
+            self.line(f"{member} = {self.read(output)};")
+
+    def reads(self, name: str) -> bool:
+        """Whether the body reads a variable."""
+        return re.search(rf"\b{name}", "\n".join(self.lines)) is not None
+
+
+def source_text(code: FlightCode) -> str:
+    """The source: the functions of every channel."""
+    functions: list[str] = []
+    helpers: dict[str, None] = {}
+    tables: dict[str, None] = {}
+    subroutines: dict[str, str] = {}
+    for controller in code.controllers:
+        written = [step_function(code, controller)]
+        if controller.states:
+            written.insert(0, start_function(code, controller))
+        if controller.transfer is not None:
+            written.append(transfer_function(code, controller, controller.transfer))
+        functions.append(init_functions(controller))
+        for function in written:
+            functions.append(function.text)
+            helpers |= dict.fromkeys(function.notation.helpers())
+            tables |= dict.fromkeys(function.tables)
+            subroutines |= function.functions
+    first = code.controllers[0]
+    definitions = [*tables, *helpers, *subroutines.values()]
+    if any("T_s" in function for function in functions):
+        sample_time = c_literal(first.real.type(code.study.loop.sample_time), first.real)
+        definitions.insert(0, f"static const {first.c_real} T_s = {sample_time};  /* s */")
+    return fill(
+        "controller.c",
+        comment=file_comment(code),
+        study=code.name,
+        definitions="".join(f"{definition}\n\n" for definition in definitions),
+        real=first.c_real,
+        fabs=absolute_value(first),
+        largest="FLT_MAX" if first.precision == 32 else "DBL_MAX",
+        functions="\n".join(functions),
+    )
+
+
+def absolute_value(controller: SampledController) -> str:
+    """C's function for an absolute value."""
+    return "fabsf" if controller.precision == 32 else "fabs"
+
+
+def finite(members: Sequence[str]) -> str:
+    """The condition that numbers are finite."""
+    return "\n        && ".join(f"is_finite({member})" for member in members)
+
+
+def init_functions(controller: SampledController) -> str:
+    """``init``, ``reset`` and ``check``."""
+    literals = {
+        parameter.name: c_literal(controller.real.type(parameter.value), controller.real)
+        for parameter in controller.parameters
+    }
+    checks = []
+    for number, parameter in enumerate(controller.parameters, start=1):
+        conditions = " && ".join(parameter_conditions(controller.real, parameter))
+        checks += [f"if (!({conditions})) {{", f"    return {number}u;", "}"]
+    literals = literals or {"unused": "0"}
+    return fill(
+        "init.c",
+        name=controller.prefix,
+        parameters=[f"controller->parameters.{name} = {literal};" for name, literal in literals.items()],
+        states=[f"controller->state.{state} = 0;" for state in controller.states or ("unused",)],
+        checks=checks or "(void)parameters;",
+    )
+
+
+def parameter_conditions(real: np.dtype, parameter: Parameter) -> list[str]:
+    """Conditions that an admissible parameter satisfies, and NaN does not."""
+    member = f"parameters->{parameter.name}"
+    conditions = [f"is_finite({member})"]
+    quantity = parameter.quantity
+    if quantity is None:
+        return conditions
+    bounds = {">": quantity.above, ">=": quantity.at_least, "<": quantity.below, "<=": quantity.at_most}
+    for sign, bound in bounds.items():
+        if bound is not None:
+            conditions.append(f"{member} {sign} {c_literal(real.type(bound), real)}")
+    return conditions
+
+
+def parameter_pointer(controller: SampledController, function: FunctionText) -> str:
+    """The declaration of p, if the function's body reads it."""
+    if not function.reads("p->"):
+        return ""
+    return f"const {controller.prefix}_parameters *const p = &controller->parameters;"
+
+
+def start_function(code: FlightCode, controller: SampledController) -> FunctionText:
+    """The state before the first step."""
+    function = FunctionText(code, controller, controller.start)
+    function.compute(function.outputs)
+    function.assign([f"state->{state}" for state in controller.states], function.outputs)
+    unread = [f"(void){name};" for name in ("p", "measurement", "reference") if not function.reads(rf"{name}\b")]
+    function.text = fill("start.c", name=controller.prefix, unread=unread, computation=function.lines)
+    return function
+
+
+def step_function(code: FlightCode, controller: SampledController) -> FunctionText:
+    """One sample. Telemetry is computed only if it is wanted, and nothing is kept unless all is finite."""
+    name = controller.prefix
+    function = FunctionText(code, controller, controller.step, [f"before.{state}" for state in controller.states])
+    updated = [f"updated.{state}" for state in controller.states]
+    count = len(updated) + len(COMMAND)
+    function.compute(function.outputs[:count])
+    function.line("")
+    function.assign([*updated, *COMPUTED], function.outputs[:count])
+    computation = list(function.lines)
+    if controller.infos:
+        function.line("if (telemetry != NULL) {")
+        function.indented(1)
+        function.compute(function.outputs[count:])
+        function.assign([f"telemetry->{info}" for info in controller.infos], function.outputs[count:])
+        function.indented(-1)
+        function.line("}")
+    else:
+        function.line("(void)telemetry;")
+    state_before = [
+        f"{name}_state before = controller->state, updated;",
+        "if (!controller->started) {",
+        f"    {name}_start(&controller->parameters, measurement, reference, &before);",
+        "}",
+    ]
+    function.text = fill(
+        "step.c",
+        name=name,
+        signals_finite=finite(SAMPLED_SIGNALS),
+        state_before=state_before if updated else "",
+        parameters=parameter_pointer(controller, function),
+        computation=computation,
+        results_finite=finite([*COMPUTED, *updated]),
+        state_after="controller->state = updated;" if updated else "",
+        telemetry=function.lines[len(computation) :],
+    )
+    return function
+
+
+def transfer_function(code: FlightCode, controller: SampledController, traced: TracedFunction) -> FunctionText:
+    """The state that carries a command."""
+    function = FunctionText(code, controller, traced, ["command"])
+    updated = [f"updated.{state}" for state in controller.states]
+    function.compute(function.outputs)
+    function.line("")
+    function.assign([*updated, *COMPUTED], function.outputs)
+    tolerance = controller.real.type(np.sqrt(np.finfo(controller.real).eps))
+    function.text = fill(
+        "transfer.c",
+        name=controller.prefix,
+        real=controller.c_real,
+        arguments_finite=finite([*SAMPLED_SIGNALS, "command"]),
+        parameters=parameter_pointer(controller, function),
+        computation=function.lines,
+        results_finite=finite([*updated, *COMPUTED]),
+        fabs=absolute_value(controller),
+        tolerance=c_literal(tolerance, controller.real),
+    )
+    return function

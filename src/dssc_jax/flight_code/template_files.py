@@ -1,0 +1,42 @@
+"""The template files of the generated texts, in the folder ``templates``.
+
+``@{name}`` stands for a text, ``@@`` for an @. A line that is a placeholder alone is replaced by all lines of the text,
+each with the indentation of the placeholder; it is left out if there are none.
+"""
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from string import Template
+
+from dssc_jax.core import files
+
+FOLDER = Path(__file__).with_name("templates")
+LINES = re.compile(r"( *)@\{(\w+)\}")
+
+
+class TextTemplate(Template):
+    """A template with the delimiter @, which is rarer in C and in makefiles than the usual one."""
+
+    delimiter = "@"
+
+
+def template_text(file: str) -> str:
+    """The text of a template file."""
+    return files.read_text(FOLDER / file)
+
+
+def fill(file: str, **values: str | Iterable[str]) -> str:
+    """Fill a template file with a text, or lines, for each placeholder."""
+    texts = {name: value if isinstance(value, str) else "\n".join(value) for name, value in values.items()}
+    filled = []
+    for line in template_text(file).split("\n"):
+        placeholder = LINES.fullmatch(line)
+        if placeholder is None:
+            filled.append(TextTemplate(line).substitute(texts))
+            continue
+        indentation, name = placeholder.groups()
+        if texts[name]:
+            inserted = texts[name].removesuffix("\n").split("\n")
+            filled += [indentation + text if text else "" for text in inserted]
+    return "\n".join(filled)

@@ -1,0 +1,156 @@
+"""The checks that a fit of a logged flight has to pass; the message of a refusal says what is wrong with the flight.
+
+The residual's mean square r^2 consists of the noise's, n^2, and of what the study does not describe. The share of the
+output's variance v that the study leaves unexplained is (r^2 - n^2)/v. The mean square of correlated noise has nearly
+the law of chi squared with as many degrees of freedom as there are independent samples, which gives the share a lower
+confidence limit.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from dssc_jax.flight_logs.least_squares import TINY, FitProblem, MinimumSearch, Readings
+from dssc_jax.flight_logs.prediction import study_noise
+from dssc_jax.statistics.correlated_noise import Noise, independent_samples
+
+MOST_UNEXPLAINED = 0.1  # of the output's variance
+EXPLAINED_CONFIDENCE = 0.95  # that a refused fit leaves more than that
+NOISE_REPLICATES = 16  # of the study's noise
+SINGULAR_INFORMATION = 1e-10  # least eigenvalue of the scaled information matrix
+SMALL_COEFFICIENT = 0.1  # of a number in a combination that a message names
+TIE = 0.95  # level of chi squared below which two minima describe a log equally well
+
+
+class FitRefused(ValueError):
+    """A flight does not support a fit; the message says why."""
+
+
+class NotIdentifiable(FitRefused):
+    """The numbers cannot be identified from the flight; the message says which."""
+
+
+class Unexplained(FitRefused):
+    """The residual is more than noise; the message has the numbers."""
+
+
+class Explained(NamedTuple):
+    """How well the simulated output of a channel describes the log, in the output's unit."""
+
+    residual: float  # root mean square of the residual
+    noise: float  # root mean square of the noise that log and study account for
+    output: float  # standard deviation of the logged output
+    independent: float  # number of independent samples of the residual
+
+    @property
+    def unexplained(self) -> float:
+        """Share of the output's variance that neither the simulated output nor noise explains."""
+        return max(self.residual**2 - self.noise**2, 0.0) / max(self.output**2, TINY)
+
+    @property
+    def least_unexplained(self) -> float:
+        """Lower confidence limit of that share."""
+        largest = float(stats.chi2.ppf(EXPLAINED_CONFIDENCE, self.independent)) / self.independent
+        return max(self.residual**2 / largest - self.noise**2, 0.0) / max(self.output**2, TINY)
+
+
+def noise_between_neighbours(times: np.ndarray, values: np.ndarray) -> float:
+    """Standard deviation of a series about the straight line between each reading's two neighbours.
+
+    White noise of variance 1 has a variance of 1 + a^2 + b^2 there, with the line's weights a and b, by which it is
+    divided. A curved series adds to it.
+    """
+    gaps = np.diff(times)
+    weight = gaps[1:] / (gaps[:-1] + gaps[1:])
+    line = weight * values[:-2] + (1.0 - weight) * values[2:]
+    square = (values[1:-1] - line) ** 2 / (1.0 + weight**2 + (1.0 - weight) ** 2)
+    return float(np.sqrt(np.mean(square)))
+
+
+def explain_channel(readings: Readings, noise: Noise, residual: np.ndarray) -> Explained:
+    """How well a channel is described, by the log's own noise: the smaller one of its output and its residual."""
+    seen = min(noise_between_neighbours(readings.times, series) for series in (readings.values, residual))
+    size = float(np.sqrt(np.mean(residual**2)))
+    independent = independent_samples(noise, readings.times)
+    return Explained(size, min(seen, size), float(np.std(readings.values)), independent)
+
+
+def explain(problem: FitProblem, x: np.ndarray) -> list[Explained]:
+    """How well each channel with readings is described at coordinates; the study's noise counts where it is needed."""
+    results = []
+    for readings, noise, columns in zip(problem.readings, problem.noises, problem.columns(x), strict=True):
+        results.append(explain_channel(readings, noise, columns[:, 0]))
+    if all(result.least_unexplained <= MOST_UNEXPLAINED for result in results):
+        return results
+    added = study_noise(problem.study, problem.names, problem.values(x), problem.log.commands, NOISE_REPLICATES)
+    for place, readings in enumerate(problem.readings):
+        simulated = float(np.sqrt(np.mean(readings.interpolate(added[:, readings.channel]) ** 2)))
+        results[place] = results[place]._replace(noise=max(results[place].noise, simulated))
+    return results
+
+
+def require_explained(channel: str, unit: str, result: Explained) -> None:
+    """Require that the residual of a channel, whose output has a unit, can be noise."""
+    if result.least_unexplained <= MOST_UNEXPLAINED:
+        return
+    name = f"y of {channel}" if channel else "y"
+    raise Unexplained(
+        f"the study does not describe this flight: the residual of {name} is {result.residual:.3g} {unit} rms, "
+        f"noise explains {result.noise:.3g} {unit} of it, and {100 * result.unexplained:.3g} % of the output's "
+        f"variance ({result.output:.3g} {unit})^2 is left unexplained, with {100 * EXPLAINED_CONFIDENCE:g} % "
+        f"confidence at least {100 * result.least_unexplained:.3g} %; at most {100 * MOST_UNEXPLAINED:g} % is "
+        "accepted. Compare the log's columns, units and start with the study, and its initial state; give the study "
+        "what acts on the flight (wind, disturbance, sensor noise), or wider laws"
+    )
+
+
+def combination(names: Sequence[str], direction: np.ndarray) -> str:
+    """A direction in the space of the numbers, in words."""
+    direction = direction * np.sign(direction[np.argmax(np.abs(direction))])
+    terms = [(name, float(x)) for name, x in zip(names, direction, strict=True) if abs(x) >= SMALL_COEFFICIENT]
+    if len(terms) == 1:
+        return terms[0][0]
+    return " ".join(f"{x:+.2f} {name}" for name, x in terms) + ", each in standard deviations of its law"
+
+
+def require_identifiable(names: Sequence[str], information: np.ndarray) -> None:
+    """Require that the flight tells every combination of the numbers better than their laws; information in widths."""
+    diagonal = np.diag(information)
+    for name, entry in zip(names, diagonal, strict=True):
+        if entry <= 1e-24 * max(float(diagonal.max()), TINY) or not math.isfinite(entry):
+            raise NotIdentifiable(f"the flight does not identify {name}: the predicted output does not depend on it")
+    root = np.sqrt(diagonal)
+    values, vectors = np.linalg.eigh(information / np.outer(root, root))
+    if values[0] < SINGULAR_INFORMATION:
+        direction = vectors[:, 0] / root
+        text = combination(names, direction / np.linalg.norm(direction))
+        reason = "the information matrix is singular in this direction"
+        raise NotIdentifiable(f"the flight does not identify {text}: {reason}")
+    values, vectors = np.linalg.eigh(information)
+    if values[0] < 1.0:
+        text = combination(names, vectors[:, 0])
+        raise NotIdentifiable(
+            f"the flight does not identify {text}: the standard deviation along it is {values[0] ** -0.5:.3g} times "
+            "that of the law"
+        )
+
+
+def require_unique_minimum(problem: FitProblem, search: MinimumSearch) -> None:
+    """Require that no other minimum describes the log as well as the best one does."""
+    allowed = float(stats.chi2.ppf(TIE, len(problem.names)))
+    for rival in search.rivals:
+        if rival.cost - search.best.cost <= allowed:
+            best = assignments(problem.named_values(search.best.x))
+            second = assignments(problem.named_values(rival.x))
+            raise NotIdentifiable(
+                f"the flight does not identify the numbers: two minima describe it equally well, at {best} and at "
+                f"{second}; narrow a law to one of them, or fit fewer numbers"
+            )
+
+
+def assignments(values: Mapping[str, float]) -> str:
+    """Values of numbers in words."""
+    return ", ".join(f"{name} = {value:.4g}" for name, value in values.items())
