@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -54,7 +54,8 @@ class Instant(NamedTuple):
 Accumulator: TypeAlias = Any
 """What a metric accumulates: a number, or a NamedTuple of numbers."""
 
-Observed = TypeVar("Observed", Sample, Instant)
+Observed: TypeAlias = Any
+"""What a metric sees: a :class:`Sample` of its channel, or the :class:`Instant` of the vehicle."""
 
 
 class Scope(StrEnum):
@@ -89,7 +90,7 @@ class Metric(NamedTuple):
 
     unit: str
     meaning: str
-    update: Callable[[Accumulator, Any, Window], Accumulator]
+    update: Callable[[Accumulator, Observed, Window], Accumulator]
     value: Callable[[Accumulator, Window, Span], Scalar]
     needs: tuple[str, ...] = ()
     scope: Scope = Scope.CHANNEL

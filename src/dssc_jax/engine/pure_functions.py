@@ -82,7 +82,8 @@ class LaneFunction:
             ConfigError: a number is missing or unknown, or JAX has another precision than the study.
         """
         require_values(self.study, values)
-        return self.compute(dict(values), jnp.asarray(index, jnp.uint32))
+        numbers = {name: jnp.asarray(value) for name, value in values.items()}
+        return self.compute(numbers, jnp.asarray(index, jnp.uint32))
 
     @property
     def example(self) -> tuple[dict[str, np.ndarray], np.ndarray]:
@@ -115,7 +116,7 @@ class Stepper:
         columns = drawn_values(self.study, np.arange(1))
         return {name: column[0] for name, column in columns.items()}, self.key(0)
 
-    def key(self, index: Scalar) -> jax.Array:
+    def key(self, index: jax.Array | int) -> jax.Array:
         """The random key of a draw of the study."""
         return draw_key(self.study.config.seed, index)
 

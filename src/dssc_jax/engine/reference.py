@@ -165,7 +165,7 @@ def sample_counts(study: Study) -> dict[str, float]:
     """The effect of one sample more or less, for each variable that counts samples."""
     clock = study.loop
     sample = {"s": clock.sample_time, "1": 1.0 / clock.steps}
-    samples = dict.fromkeys(("failed_at", "settled_at"), (1.0 + 1e-6) * clock.sample_time)
+    samples: dict[str, float] = dict.fromkeys(("failed_at", "settled_at"), (1.0 + 1e-06) * clock.sample_time)
     for measure in study.measures:
         if measure.metric.counted:
             samples[measure.name] = (1.0 + 1e-6) * sample[measure.metric.unit]

@@ -8,7 +8,7 @@ which DSSC is sampled unless the study says otherwise. ``tunable`` names the two
 approximates. r = |sigma|^(1/2) throughout.
 """
 
-from typing import Annotated, NamedTuple, TypeVar
+from typing import Annotated, NamedTuple, Protocol, TypeVar
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import log_defect, root_abs, sign
@@ -80,7 +80,21 @@ def factors(product: Scalar, tau_m: Scalar, k_o: Scalar | None, tau_av: Scalar |
     return StateFunctions(product / tau_av, tau_av, tau_m)
 
 
-F = TypeVar("F")
+class Factored(Protocol):
+    """Functions of which one factor is given."""
+
+    @property
+    def k_o(self) -> Scalar | None:
+        """Predictor gain, or None."""
+        ...
+
+    @property
+    def tau_av(self) -> Scalar | None:
+        """Averaging time constant, or None."""
+        ...
+
+
+F = TypeVar("F", bound=Factored)
 
 
 def one_factor(gains: F) -> F:
