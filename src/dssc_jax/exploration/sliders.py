@@ -10,7 +10,7 @@ from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.study import Study
 from dssc_jax.study.components import Number
-from dssc_jax.study.laws import LOGARITHMIC, MOVABLE, Law
+from dssc_jax.study.laws import Law
 
 MOST = 14  # sliders of a page that names none
 DEFAULT_REACH = 10.0  # a positive number moves between a tenth and ten times its value
@@ -140,9 +140,9 @@ def is_whole(count: float) -> bool:
 
 def sliders_of_law(number: Number, law: Law) -> list[Slider]:
     """The median and the width of a law; none of a choice."""
-    if law.kind not in MOVABLE:
+    if not law.movable:
         return []
-    log = law.kind in LOGARITHMIC
+    log = law.logarithmic
     low, high, _ = extent_around(law.median, number.quantity)
     if not math.isfinite(law.median) or not low < high:
         return []

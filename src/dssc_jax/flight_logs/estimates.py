@@ -13,7 +13,6 @@ from dssc_jax.flight_logs.residual import fit_scale, unscaled
 from dssc_jax.statistics.correlated_noise import correlation_time
 from dssc_jax.statistics.noise_posterior import Posterior
 from dssc_jax.study import Law, Study
-from dssc_jax.study.laws import LOGARITHMIC
 from dssc_jax.study.tables import enclosing_list, has_dotted, set_dotted, toml_entries
 
 INSIDE = 1e-6  # of the distance from an exclusive bound, that a law stays inside
@@ -116,7 +115,7 @@ class Fitted:
         """The proposed law of a number: normal, within its admissible range, or log-normal."""
         place = self.names.index(name)
         middle, std = float(self.scaled[place]), float(self.deviations[place])
-        if self.study.laws[name].kind in LOGARITHMIC:
+        if self.study.laws[name].logarithmic:
             return Law("lognormal", (middle, std))
         quantity = self.study.numbers[name].quantity
         low, high = middle - LAW_WIDTH * std, middle + LAW_WIDTH * std

@@ -32,7 +32,6 @@ from dssc_jax.flight_logs.residual import (
     best_fit,
 )
 from dssc_jax.study import Study
-from dssc_jax.study.laws import CASES
 
 PLANT_SLOTS = ("plant", "unmodelled", "disturbance", "wind")
 """Parts of a study whose numbers show in the output for given commands."""
@@ -92,12 +91,12 @@ def numbers_to_fit(study: Study, wanted: Sequence[str]) -> list[str]:
     for name in wanted:
         if name not in study.laws:
             raise ConfigError("--number", f"'{name}' has no law in this study; {nearest(name, list(study.laws))}")
-        if study.laws[name].kind in CASES:
+        if not study.laws[name].movable:
             raise ConfigError("--number", f"'{name}' has a law of single cases, which has no derivative")
     names = list(wanted) or [
         name
         for name, law in study.laws.items()
-        if name.split(".")[0] in PLANT_SLOTS and law.kind not in CASES and name.split(".")[-1] not in RANDOM
+        if name.split(".")[0] in PLANT_SLOTS and law.movable and name.split(".")[-1] not in RANDOM
     ]
     if not names:
         raise ConfigError(study.source, f"has no law of {', '.join(PLANT_SLOTS)}: give a number a law to be fitted")

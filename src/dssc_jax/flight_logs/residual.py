@@ -18,7 +18,6 @@ from dssc_jax.flight_logs.prediction import Prediction
 from dssc_jax.statistics.correlated_noise import WHITE, Noise, weighted_products
 from dssc_jax.statistics.noise_posterior import NoiseSearch, Posterior
 from dssc_jax.study import Law, Study
-from dssc_jax.study.laws import LOGARITHMIC
 
 ITERATIONS, FILTERINGS = 40, 5
 LARGEST_STEP = 2.0  # prior standard deviations in one iteration
@@ -34,12 +33,12 @@ DRAWS = 512  # of the channels' noises together
 
 def fit_scale(law: Law, values: Any) -> np.ndarray:
     """Values on the scale of the fit."""
-    return np.log(values) if law.kind in LOGARITHMIC else np.asarray(values, float)
+    return np.log(values) if law.logarithmic else np.asarray(values, float)
 
 
 def unscaled(law: Law, values: Any) -> np.ndarray:
     """The inverse of :func:`fit_scale`."""
-    return np.exp(values) if law.kind in LOGARITHMIC else np.asarray(values, float)
+    return np.exp(values) if law.logarithmic else np.asarray(values, float)
 
 
 def prior_width(law: Law) -> float:
@@ -152,7 +151,7 @@ class FitProblem:
         """Residual and minus its derivative by each coordinate, for each channel with readings, shape (n, 1 + p)."""
         values = self.values(at)
         predicted, slopes = self.predict(values, self.log.commands)
-        chain = self.widths * [x if law.kind in LOGARITHMIC else 1.0 for law, x in zip(self.laws, values, strict=True)]
+        chain = self.widths * [x if law.logarithmic else 1.0 for law, x in zip(self.laws, values, strict=True)]
         columns = []
         for part in self.readings:
             residual = part.values - part.at_times(predicted[part.channel])
