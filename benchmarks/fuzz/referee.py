@@ -82,7 +82,7 @@ class Referee:
             return self.exact(name, params, operands)
         if name in FUNCTIONS and operands[0].dtype.name in MAIN:
             return self.function(name, operands)
-        if plain and name in sums.RULES and not params.get("preferred"):
+        if plain and name in sums.RULES and params.get("preferred") in (None, operands[0].dtype.name):
             value, error, unclear = sums.RULES[name](params, *operands)
             return self.unclear(self.signless(self.within(value, error)), unclear)
         if name == "bitcast":
@@ -180,7 +180,10 @@ class Referee:
         junk = np.array(np.nan if value.dtype.kind == "f" else 77).astype(value.dtype)
         replica = (np.arange(len(value)) * self.replicas // len(value)).reshape(odd.shape)
         finite = np.array(0.7 if value.dtype.kind == "f" else 5).astype(value.dtype)  # a NaN alone would hide others
-        nonsense = ~value if value.dtype == bool else np.where(replica % 4 == 1, junk, finite)
+        if value.dtype == bool:
+            return np.where(places & odd, ~value, value)
+        largest = np.array(np.inf if value.dtype.kind == "f" else np.iinfo(value.dtype).max).astype(value.dtype)
+        nonsense = np.where(replica % 8 == 5, largest, np.where(replica % 4 == 1, junk, finite))
         return np.where(places & odd, nonsense, value)
 
     def bits_of_nan(self, operand: np.ndarray, value: np.ndarray) -> np.ndarray:

@@ -125,5 +125,6 @@ def scattered_error(operands: list[np.ndarray]) -> Any:
 RULES: dict[str, Callable[..., Judged]] = {
     "reduce_sum": reduce_sum, "reduce_prod": reduce_prod, "reduce_max": extreme(np.max), "reduce_min": extreme(np.min),
     **{name: cumulative(name) for name in ("cumsum", "cumprod", "cummax", "cummin")}, "dot_general": dot_general,
+    "reduce": lambda params, x: reduce_sum({"axes": (0,)}, x),
 }  # fmt: skip
 """Operations on arrays of floating-point numbers, batched along the first axis."""

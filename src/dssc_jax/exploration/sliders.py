@@ -10,7 +10,7 @@ from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.study import Study
 from dssc_jax.study.components import Number
-from dssc_jax.study.laws import LOGARITHMIC, MOVABLE, Law
+from dssc_jax.study.laws import Law
 
 MOST_SLIDERS = 14  # of a page that names none
 DEFAULT_REACH = 10.0  # a positive number moves between a tenth and ten times its value
@@ -129,9 +129,9 @@ def sample_time_slider(study: Study) -> Slider:
 
 def sliders_of_law(number: Number, law: Law) -> list[Slider]:
     """The median and the width of a law; none of a choice."""
-    if law.kind not in MOVABLE:
+    if not law.movable:
         return []
-    log = law.kind in LOGARITHMIC
+    log = law.logarithmic
     low, high, _ = extent_around(law.median, number.quantity)
     if not math.isfinite(law.median) or not low < high:
         return []

@@ -15,7 +15,6 @@ from dssc_jax.flight_logs.refusals import Explained
 from dssc_jax.statistics.correlated_noise import correlation_time
 from dssc_jax.statistics.noise_posterior import Posterior
 from dssc_jax.study import Law, Study
-from dssc_jax.study.laws import LOGARITHMIC
 from dssc_jax.study.tables import enclosing_list, has_dotted, set_dotted, toml_entries
 
 BOUND_MARGIN = 1e-6  # of the distance from an exclusive bound, that a law stays inside
@@ -93,7 +92,7 @@ class Fitted:
         place = self.names.index(name)
         mean = float(self.scaled[place])
         std = float(self.deviations[place])
-        if self.study.laws[name].kind in LOGARITHMIC:
+        if self.study.laws[name].logarithmic:
             return Law("lognormal", (mean, std))
         quantity = self.study.numbers[name].quantity
         bounds = (quantity.above, quantity.at_least, quantity.below, quantity.at_most)

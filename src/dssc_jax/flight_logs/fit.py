@@ -43,7 +43,6 @@ from dssc_jax.flight_logs.refusals import (
 )
 from dssc_jax.flight_logs.replay import replayed_channel, study_references
 from dssc_jax.study import Study
-from dssc_jax.study.laws import CASES
 
 PLANT_SLOTS = ("plant", "unmodelled", "disturbance", "wind")
 """Parts of a study whose numbers show in the output for given commands."""
@@ -106,14 +105,14 @@ def numbers_to_fit(study: Study, requested: Sequence[str]) -> list[str]:
     for name in requested:
         if name not in study.laws:
             raise ConfigError("numbers", f"'{name}' has no law in this study; {nearest(name, list(study.laws))}")
-        if study.laws[name].kind in CASES:
+        if not study.laws[name].movable:
             raise ConfigError("numbers", f"'{name}' has a law of single cases, which has no derivative")
     if requested:
         return list(requested)
     names = []
     for name, law in study.laws.items():
         fields = name.split(".")
-        if fields[0] in PLANT_SLOTS and fields[-1] not in RANDOM and law.kind not in CASES:
+        if fields[0] in PLANT_SLOTS and fields[-1] not in RANDOM and law.movable:
             names.append(name)
     if not names:
         raise ConfigError(study.source, f"has no law of {', '.join(PLANT_SLOTS)}: give a number a law to be fitted")

@@ -22,7 +22,6 @@ from dssc_jax.flight_logs.prediction import Prediction
 from dssc_jax.statistics.correlated_noise import WHITE, Noise, weighted_products
 from dssc_jax.statistics.noise_posterior import NoiseSearch, Posterior
 from dssc_jax.study import Law, Study
-from dssc_jax.study.laws import LOGARITHMIC
 
 ITERATIONS = 40  # of Gauss-Newton
 REWEIGHTINGS = 5  # of the residual by its noise
@@ -41,12 +40,12 @@ TINY = 1e-300  # in place of 0 in a denominator
 
 def fit_scale(law: Law, values: np.ndarray | float) -> np.ndarray:
     """Values on the scale of the fit."""
-    return np.log(values) if law.kind in LOGARITHMIC else np.asarray(values, float)
+    return np.log(values) if law.logarithmic else np.asarray(values, float)
 
 
 def from_fit_scale(law: Law, values: np.ndarray | float) -> np.ndarray:
     """The inverse of :func:`fit_scale`."""
-    return np.exp(values) if law.kind in LOGARITHMIC else np.asarray(values, float)
+    return np.exp(values) if law.logarithmic else np.asarray(values, float)
 
 
 def prior_width(law: Law) -> float:
@@ -147,9 +146,7 @@ class FitProblem:
         """Residual r and slopes J at coordinates, for each channel with readings, shape (n, 1 + p)."""
         values = self.values(x)
         predicted, slopes = self.predict(values, self.log.commands)
-        chain = self.widths * [
-            value if law.kind in LOGARITHMIC else 1.0 for law, value in zip(self.laws, values, strict=True)
-        ]
+        chain = self.widths * [value if law.logarithmic else 1.0 for law, value in zip(self.laws, values, strict=True)]
         columns = []
         for readings in self.readings:
             residual = readings.values - readings.interpolate(predicted[readings.channel])

@@ -12,7 +12,6 @@ from dssc_jax.report.diagram import diagram
 from dssc_jax.report.elements import Section, counted, facts, figure, folded, number, scrolled, table, with_unit
 from dssc_jax.report.subject import About, Subject
 from dssc_jax.study import Law, Study
-from dssc_jax.study.laws import LOGARITHMIC
 
 BINS, EACH = 36, 60  # of a density's sketch, and levels in each
 SKETCH = (132, 34)
@@ -67,7 +66,7 @@ def laws(about: About) -> Section | None:
         quantity = study.quantities[name]
         unit = "" if quantity.unit == "1" else f" [{quantity.unit}]"
         what = [h.code[name], h.span(".meaning")[f"{quantity.meaning}{unit}"]]
-        drawn = [sketch(law), law.kind in LOGARITHMIC and h.span(".meaning")["logarithmic axis"]]
+        drawn = [sketch(law), law.logarithmic and h.span(".meaning")["logarithmic axis"]]
         rows.append((what, str(law), drawn, number(middle), f"{number(low)} to {number(high)}"))
     head = ("number", "law", "density", "median", "5 to 95 %")
     caption = f"Laws of the uncertain numbers, {dependence(study)}"
@@ -84,13 +83,13 @@ def sketch(law: Law) -> h.Element:
     """A small plot of a law's density, with a logarithmic axis if the law is logarithmic."""
     values = law.quantile((np.arange(BINS * EACH) + 0.5) / (BINS * EACH))
     low, high = float(values.min()), float(values.max())
-    shown = np.log(values) if law.kind in LOGARITHMIC else values
+    shown = np.log(values) if law.logarithmic else values
     counts, _ = np.histogram(shown, bins=BINS)
     width, height = SKETCH
     step = width / BINS
     tops = height - 1.0 - (height - 4.0) * counts / counts.max()
     outline = "".join(f"V{top:.1f}h{step:.2f}" for top in tops)
-    scale = ", logarithmic axis" if law.kind in LOGARITHMIC else ""
+    scale = ", logarithmic axis" if law.logarithmic else ""
     text = f"density of {law} from {number(low)} to {number(high)}{scale}"
     return h.svg(".sketch", role="img", aria_label=text, viewBox=f"0 0 {width} {height}", width=width, height=height)[
         h.title[text], h.path(d=f"M0 {height - 1}{outline}V{height - 1}z")

@@ -26,6 +26,9 @@ class LawKind:
         rule: The rule that arguments must satisfy, in words, and its test.
         support: Lowest and highest value.
         quantile: Inverse of the distribution function at levels in (0, 1).
+        roles: Which arguments are locations (l) and scales (s), of a lognormal law those of the logarithm; empty:
+            the law can be neither moved nor widened.
+        logarithmic: Whether values spread about the median on a logarithmic scale.
     """
 
     signature: str
@@ -33,6 +36,8 @@ class LawKind:
     rule: tuple[str, Callable[[Arguments], bool]]
     support: Callable[[Arguments], tuple[float, float]]
     quantile: Callable[[Arguments, np.ndarray], np.ndarray]
+    roles: str = ""
+    logarithmic: bool = False
 
 
 def truncated_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
@@ -76,6 +81,7 @@ LAWS: dict[str, LawKind] = {
         ("lo must be below hi", lambda a: a[0] < a[1]),
         lambda a: (a[0], a[1]),
         lambda a, u: a[0] + (a[1] - a[0]) * u,
+        roles="ll",
     ),
     "loguniform": LawKind(
         "[lo, hi]",
@@ -83,6 +89,8 @@ LAWS: dict[str, LawKind] = {
         ("0 < lo < hi must hold", lambda a: 0.0 < a[0] < a[1]),
         lambda a: (a[0], a[1]),
         lambda a, u: np.clip(a[0] * np.exp(np.log(a[1] / a[0]) * u), a[0], a[1]),
+        roles="ll",
+        logarithmic=True,
     ),
     "normal": LawKind(
         "[mean, std]",
@@ -90,6 +98,7 @@ LAWS: dict[str, LawKind] = {
         ("std must be positive", lambda a: a[1] > 0.0),
         lambda a: (-INFINITE, INFINITE),
         lambda a, u: a[0] + a[1] * scipy.special.ndtri(u),
+        roles="ls",
     ),
     "truncated_normal": LawKind(
         "[mean, std, lo, hi]",
@@ -100,6 +109,7 @@ LAWS: dict[str, LawKind] = {
         ),
         lambda a: (a[2], a[3]),
         truncated_quantile,
+        roles="lsll",
     ),
     "lognormal": LawKind(
         "[mean of the logarithm, std of the logarithm]",
@@ -107,6 +117,8 @@ LAWS: dict[str, LawKind] = {
         ("std must be positive", lambda a: a[1] > 0.0),
         lambda a: (math.ulp(0.0), INFINITE),
         lambda a, u: np.exp(a[0] + a[1] * scipy.special.ndtri(u)),
+        roles="ls",
+        logarithmic=True,
     ),
     "beta": LawKind(
         "[a, b] or [a, b, lo, hi]",
@@ -114,6 +126,7 @@ LAWS: dict[str, LawKind] = {
         ("a and b must be positive and lo below hi", lambda a: min(a[:2]) > 0.0 and (len(a) == 2 or a[2] < a[3])),
         lambda a: (a[2], a[3]) if len(a) == 4 else (0.0, 1.0),
         beta_quantile,
+        roles="..ll",
     ),
     "triangular": LawKind(
         "[lo, mode, hi]",
@@ -121,6 +134,7 @@ LAWS: dict[str, LawKind] = {
         ("lo <= mode <= hi and lo < hi must hold", lambda a: a[0] <= a[1] <= a[2] and a[0] < a[2]),
         lambda a: (a[0], a[2]),
         triangular_quantile,
+        roles="lll",
     ),
     "choice": LawKind(
         "[value, value, ...]",
@@ -132,19 +146,6 @@ LAWS: dict[str, LawKind] = {
 }
 
 
-MOVABLE = {
-    "uniform": "ll",
-    "loguniform": "ll",
-    "normal": "ls",
-    "truncated_normal": "lsll",
-    "lognormal": "ls",
-    "beta": "..ll",
-    "triangular": "lll",
-}
-"""Which arguments of a law are locations (l) and scales (s); of a lognormal law, of the logarithm."""
-
-LOGARITHMIC = ("loguniform", "lognormal")
-CASES = ("choice",)
 SPREAD = "spread"
 """The name, in place of a number's dotted name, for widening all laws together."""
 
@@ -160,6 +161,16 @@ class Law:
 
     kind: str
     arguments: tuple[float, ...]
+
+    @property
+    def movable(self) -> bool:
+        """Whether the law can be moved and widened."""
+        return bool(LAWS[self.kind].roles)
+
+    @property
+    def logarithmic(self) -> bool:
+        """Whether values spread about the median on a logarithmic scale."""
+        return LAWS[self.kind].logarithmic
 
     @property
     def support(self) -> tuple[float, float]:
@@ -180,9 +191,9 @@ class Law:
 
         For logarithmic laws, the distance is that of the logarithms.
         """
-        if self.kind in CASES:
+        if not self.movable:
             return np.asarray(values)
-        if self.kind in LOGARITHMIC:
+        if self.logarithmic:
             return self.median * np.power(np.asarray(values) / self.median, share)
         return self.median + share * (np.asarray(values) - self.median)
 
@@ -202,18 +213,18 @@ class Law:
             >>> Law("uniform", (0.0, 2.0)).moved(3.0, 0.5)
             Law(kind='uniform', arguments=(2.5, 3.5))
         """
-        if self.kind not in MOVABLE:
+        if not self.movable:
             raise ValueError(f"a {self.kind} has no width")
-        if not share > 0.0 or (self.kind in LOGARITHMIC and not median > 0.0):
+        if not share > 0.0 or (self.logarithmic and not median > 0.0):
             raise ValueError(f"needs share > 0, and median > 0 on a logarithmic scale, got {share:g} and {median:g}")
         arguments = (*self.arguments, 0.0, 1.0)[:4] if self.kind == "beta" else self.arguments
         old, new, values = self.median, median, np.asarray(arguments, dtype=float)
-        if self.kind in LOGARITHMIC:
+        if self.logarithmic:
             old, new = math.log(old), math.log(new)
         if self.kind == "loguniform":
             values = np.log(values)
         rules = {"l": new + share * (values - old), "s": share * values, ".": values}
-        moved = [float(rules[rule][i]) for i, rule in enumerate(MOVABLE[self.kind])]
+        moved = [float(rules[rule][i]) for i, rule in enumerate(LAWS[self.kind].roles)]
         return Law(self.kind, tuple(np.exp(moved).tolist() if self.kind == "loguniform" else moved))
 
     def __str__(self) -> str:

@@ -17,7 +17,7 @@ from dssc_jax.design.certification import NotCovered
 from dssc_jax.engine.batching import BLOCK, Arrays, Clock, Engine, Layout, drawn, execute
 from dssc_jax.engine.evaluation import Evaluator, require_independent
 from dssc_jax.study import Study
-from dssc_jax.study.laws import CASES, SPREAD
+from dssc_jax.study.laws import SPREAD
 
 
 def margin(
@@ -120,7 +120,7 @@ def require_spread(study: Study, bounds: tuple[float, float]) -> None:
     Raises:
         ConfigError: there is no law, or a draw leaves a number's range.
     """
-    if not any(law.kind not in CASES for law in study.laws.values()):
+    if not any(law.movable for law in study.laws.values()):
         raise ConfigError(SPREAD, "nothing is uncertain that could be widened; give at least one number a law")
     if min(bounds) < 0.0:
         raise ConfigError(SPREAD, f"must be >= 0, got {bounds[0]:g} and {bounds[1]:g}")
