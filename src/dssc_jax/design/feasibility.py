@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import differential_evolution
 
+from dssc_jax.core.bisection import bisect
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.design.bounds import LARGEST, Bounds
 from dssc_jax.design.certificate import certified
@@ -80,10 +81,7 @@ def last_true(holds: Callable[[float], bool], far: float) -> float:
         return float("nan")
     if holds(far):
         return float("inf") if far > 1.0 else 0.0
-    inside, outside = 0.0, float(np.log(far))
-    for _ in range(FACTOR_HALVINGS):
-        middle = 0.5 * (inside + outside)
-        inside, outside = (middle, outside) if holds(float(np.exp(middle))) else (inside, middle)
+    inside, _ = bisect(lambda log: holds(float(np.exp(log))), 0.0, float(np.log(far)), FACTOR_HALVINGS)
     return float(np.exp(inside))
 
 
