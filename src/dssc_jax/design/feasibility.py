@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import differential_evolution
 
+from dssc_jax.core.bisection import bisect
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.design.bounds import LARGEST, Bounds
 from dssc_jax.design.certificate import certified
@@ -81,15 +82,8 @@ def last_true(holds: Callable[[float], bool], end: float) -> float:
         return float("nan")
     if holds(end):
         return float("inf") if end > 1.0 else 0.0
-    low = 0.0
-    high = float(np.log(end))
-    for _ in range(FACTOR_HALVINGS):
-        middle = 0.5 * (low + high)
-        if holds(float(np.exp(middle))):
-            low = middle
-        else:
-            high = middle
-    return float(np.exp(low))
+    inside, _ = bisect(lambda log: holds(float(np.exp(log))), 0.0, float(np.log(end)), FACTOR_HALVINGS)
+    return float(np.exp(inside))
 
 
 class Criterion(StrEnum):

@@ -4,6 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
+from dssc_jax.core.bisection import bisect
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.design.certification import widened
 from dssc_jax.proofs import SWEEP_BOXES
@@ -14,8 +17,8 @@ from dssc_jax.study import Study
 from dssc_jax.study.laws import SPREAD
 
 SAMPLE_TIME = "loop.sample_time"
-NARROWEST_GAP = 0.01
-"""Largest gap between the last proved and the first unproved value, as a share of the range."""
+HALVINGS = 7
+"""Bisections of the range: the gap between the last proved and the first unproved value is less than 1 % of it."""
 
 
 @dataclass(frozen=True)
@@ -86,40 +89,38 @@ def proved_up_to(
         NotCovered: The loop is outside of what a proof covers; the message gives the reason.
         ConfigError: The bounds agree, or a logarithmic scale has a bound that is not positive.
     """
-    safe, end = bounds
-    if safe == end or (log and min(bounds) <= 0.0):
-        raise ConfigError("--over", f"needs two different{' positive' if log else ''} ends, got {safe:g} and {end:g}")
+    safe, far = bounds
+    if safe == far or (log and min(bounds) <= 0.0):
+        raise ConfigError("--over", f"needs two different{' positive' if log else ''} ends, got {safe:g} and {far:g}")
     single = study.without_sweep()
-    values = []
+    proofs: dict[float, tuple[float, Proved]] = {}
 
-    def at(share: float) -> tuple[float, Proved]:
-        value = safe * (end / safe) ** share if log else safe + share * (end - safe)
-        outcome = replace(prove_problem(problem_at(single, name, value), boxes), units=study.units[0])
-        values.append((value, outcome.complete))
+    def proved_at(share: np.ndarray | float) -> bool:
+        """Whether the study is proved at a share of the way from the safe end to the far end."""
+        share = float(share)
+        value = safe * (far / safe) ** share if log else safe + share * (far - safe)
+        proof = replace(prove_problem(problem_at(single, name, value), boxes), units=study.units[0])
+        proofs[share] = (value, proof)
         if progress is not None:
-            progress(len(values), None)
-        return value, outcome
+            progress(len(proofs), None)
+        return proof.complete
 
-    proved, proof = at(0.0)
-    if not proof.complete:
-        return ProvedReach(name, values, None, None, proved, REASONS[proof.failures[0].reason])
-    refused, failure = at(1.0)
-    if failure.complete:
-        return ProvedReach(name, values, failure, refused, None, "")
-    low = 0.0
-    high = 1.0
-    while high - low > NARROWEST_GAP:
-        middle = 0.5 * (low + high)
-        value, outcome = at(middle)
-        if outcome.complete:
-            low = middle
-            proved = value
-            proof = outcome
-        else:
-            high = middle
-            refused = value
-            failure = outcome
-    return ProvedReach(name, values, proof, proved, refused, REASONS[failure.failures[0].reason])
+    inside, outside = 0.0, 1.0
+    if not proved_at(inside):
+        value, proof = proofs[inside]
+        return ProvedReach(name, tried(proofs), None, None, value, REASONS[proof.failures[0].reason])
+    if proved_at(outside):
+        value, proof = proofs[outside]
+        return ProvedReach(name, tried(proofs), proof, value, None, "")
+    inside, outside = map(float, bisect(proved_at, inside, outside, HALVINGS))
+    value, proof = proofs[inside]
+    refused, failure = proofs[outside]
+    return ProvedReach(name, tried(proofs), proof, value, refused, REASONS[failure.failures[0].reason])
+
+
+def tried(proofs: dict[float, tuple[float, Proved]]) -> list[tuple[float, bool]]:
+    """The values that were tried, in order, and whether each is proved."""
+    return [(value, proof.complete) for value, proof in proofs.values()]
 
 
 def problem_at(study: Study, name: str, value: float) -> ProofProblem:

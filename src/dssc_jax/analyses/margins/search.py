@@ -9,13 +9,14 @@ import numpy as np
 
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
 from dssc_jax.closed_loop.requirements import binding_requirement, ended_early, worst_slack
+from dssc_jax.core.bisection import bisect
 from dssc_jax.engine.batching import Arrays
 from dssc_jax.study import Study
 
 CLOCK = "loop.sample_time"
 
-SlackOf = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""(indices of some of the draws, a value for each) -> signed slacks, negative if the draw fails."""
+SlackFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""(indices of draws, a value for each) -> signed slacks, negative if the draw fails."""
 
 
 class Censoring(IntEnum):
@@ -60,7 +61,7 @@ class Walk:
 
 
 class Critical(NamedTuple):
-    """The critical value found for each draw.
+    """The critical value of each draw.
 
     Args:
         value: The critical value; NaN if censored. Shape (n,).
@@ -79,10 +80,10 @@ class Critical(NamedTuple):
 
 
 class FirstViolated:
-    """The requirement that each draw violates first along a walk, from the values that a search tries in any order.
+    """The requirement that each draw violates first along a walk, for values that are tried in any order.
 
-    ``which`` has shape (n,): the index of the requirement; their number for a draw that ended early; -1 without a
-    failure.
+    ``requirement`` has shape (n,): the index of the requirement; the number of requirements for a draw that ended
+    early; -1 without a failure.
 
     Args:
         draws: n.
@@ -90,25 +91,30 @@ class FirstViolated:
     """
 
     def __init__(self, draws: int, start: float) -> None:
-        self.which, self._at, self._start = np.full(draws, -1), np.full(draws, np.inf), start
+        self.start = start
+        self.requirement = np.full(draws, -1)
+        self.distance = np.full(draws, np.inf)
 
-    def slack(self, draws: np.ndarray, values: np.ndarray, at: Study, results: Arrays) -> np.ndarray:
-        """The signed slack of some draws at some values, of which it takes note."""
-        slack, distance = worst_slack(at.requirements, results), np.abs(values - self._start)
-        violated = np.full(len(draws), len(at.requirements))
-        if at.requirements:
-            early = ended_early(results["outcome"])
-            violated = np.where(early, violated, binding_requirement(at.requirements, results))
-        first = (slack < 0.0) & (distance < self._at[draws])
-        self.which[draws[first]], self._at[draws[first]] = violated[first], distance[first]
+    def slack(self, draws: np.ndarray, values: np.ndarray, study: Study, results: Arrays) -> np.ndarray:
+        """The signed slack of draws at values of the walk; records the failures nearest to the start."""
+        requirements = study.requirements
+        slack = worst_slack(requirements, results)
+        distance = np.abs(values - self.start)
+        violated = np.full(len(draws), len(requirements))
+        if requirements:
+            ended = ended_early(results["outcome"])
+            violated = np.where(ended, violated, binding_requirement(requirements, results))
+        nearer = (slack < 0.0) & (distance < self.distance[draws])
+        self.requirement[draws[nearer]] = violated[nearer]
+        self.distance[draws[nearer]] = distance[nearer]
         return slack
 
 
-def search_critical(slack_of: SlackOf, draws: int, walk: Walk, bisections: int = BISECTIONS) -> Critical:
+def search_critical(slack_at: SlackFunction, draws: int, walk: Walk, bisections: int = BISECTIONS) -> Critical:
     """Find the critical values of all draws at once.
 
     Args:
-        slack_of: The signed slack of chosen draws at chosen values.
+        slack_at: The signed slack of draws at values of the walk.
         draws: The number of draws.
         walk: The walk to search.
         bisections: Number of bisections of the grid cell that contains the first failure.
@@ -116,19 +122,20 @@ def search_critical(slack_of: SlackOf, draws: int, walk: Walk, bisections: int =
     Returns:
         Critical values at which the draw passes, with a failure at most a cell/2^bisections further along.
     """
-    everyone = np.arange(draws)
-    slack = np.stack([slack_of(everyone, np.full(draws, value)) for value in walk.grid])
+    indices = np.arange(draws)
+    slack = np.stack([slack_at(indices, np.full(draws, value)) for value in walk.grid])
     passed = slack >= 0.0
-    first = np.where(passed.all(axis=0), walk.points, np.argmin(passed, axis=0))
-    censoring = np.where(first == 0, Censoring.BEFORE, np.where(first == walk.points, Censoring.BEYOND, 0))
-    inside = np.flatnonzero(censoring == Censoring.INSIDE)
-    cells = walk.points - 1
-    good, bad = (first[inside] - 1) / cells, first[inside] / cells
-    for _ in range(bisections if inside.size else 0):
-        middle = 0.5 * (good + bad)
-        ok = slack_of(inside, walk.at(middle)) >= 0.0
-        good, bad = np.where(ok, middle, good), np.where(ok, bad, middle)
+    failure = np.where(passed.all(axis=0), walk.points, np.argmin(passed, axis=0))
+    censoring = np.full(draws, Censoring.INSIDE)
+    censoring[failure == 0] = Censoring.BEFORE
+    censoring[failure == walk.points] = Censoring.BEYOND
     value = np.full(draws, np.nan)
-    value[inside] = walk.at(good)
-    again = passed & (np.arange(walk.points)[:, None] > first)
-    return Critical(value, censoring, np.any(again, axis=0), slack)
+    crossing = np.flatnonzero(censoring == Censoring.INSIDE)
+    if crossing.size:
+        cells = walk.points - 1
+        safe = (failure[crossing] - 1) / cells
+        failing = failure[crossing] / cells
+        safe, _ = bisect(lambda share: slack_at(crossing, walk.at(share)) >= 0.0, safe, failing, bisections)
+        value[crossing] = walk.at(safe)
+    recovered = passed & (np.arange(walk.points)[:, None] > failure)
+    return Critical(value, censoring, np.any(recovered, axis=0), slack)

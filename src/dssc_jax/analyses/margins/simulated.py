@@ -4,13 +4,14 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from dssc_jax.analyses.defaults import BISECTIONS, MOST_BISECTIONS, MOST_POINTS, POINTS
 from dssc_jax.analyses.margins.result import Margins
 from dssc_jax.analyses.margins.search import CLOCK, Critical, FirstViolated, Walk, search_critical
+from dssc_jax.core.bisection import bisect
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.design.certification import NotCovered
@@ -18,6 +19,10 @@ from dssc_jax.engine.batching import BLOCK, Arrays, Clock, Engine, Layout, drawn
 from dssc_jax.engine.evaluation import Evaluator, require_independent
 from dssc_jax.study import Study
 from dssc_jax.study.laws import SPREAD
+
+SPREAD_HALVINGS = 10  # in the search for the largest admissible spread
+CriticalDraws: TypeAlias = tuple[Critical, Arrays]
+"""Critical values of draws, and the drawn numbers by name."""
 
 
 def margin(
@@ -64,11 +69,16 @@ def margin(
         0.0
     """
     require_independent(study, "a margin")
-    study, began, clock = study.without_sweep(), time.perf_counter(), Clock()
+    began = time.perf_counter()
+    study = study.without_sweep()
+    clock = Clock()
     parted = study.config.loop.duration if over == CLOCK else None
-    walk = Walk(*checked_walk(over, bounds, log, points, bisections), log, points, parted)
-    find = over_sample_time if over == CLOCK else over_number
-    critical, values = find(study, over, walk, bisections, clock, progress or (lambda done, total: None))
+    walk = admissible_walk(over, bounds, log, points, bisections, parted)
+    report = progress or (lambda done, total: None)
+    if over == CLOCK:
+        critical, values = sample_time_margins(study, walk, clock, report)
+    else:
+        critical, values = number_margins(study, over, walk, bisections, clock, report)
     times = {"seconds": time.perf_counter() - began, "compile_seconds": clock.compile_seconds}
     criterion = tuple(requirement.text for requirement in study.requirements) or ("the draw stays finite",)
     margins = Margins.of(study, over, walk, critical, values, times, criterion)
@@ -85,10 +95,15 @@ def proof_along(study: Study, walk: Walk, over: str) -> dict[str, Any]:
         return {"over": over, "proved_up_to": None, "statement": f"A proof does not cover the loop: {error}."}
 
 
-def checked_walk(
-    over: str, bounds: tuple[float, float], log: bool, points: int, bisections: int
-) -> tuple[float, float]:
-    """Check the settings of a walk and return its bounds as floats.
+def admissible_walk(
+    over: str,
+    bounds: tuple[float, float],
+    log: bool,
+    points: int,
+    bisections: int,
+    parted: float | None = None,
+) -> Walk:
+    """The walk of a search.
 
     Raises:
         ConfigError: the bounds are equal, not finite, or not positive where they must be, or a count is out of range.
@@ -104,11 +119,11 @@ def checked_walk(
         raise ConfigError("points", f"must be in 2 .. {MOST_POINTS}, got {points}")
     if not 0 <= bisections <= MOST_BISECTIONS:
         raise ConfigError("bisections", f"must be in 0 .. {MOST_BISECTIONS}, got {bisections}")
-    return float(start), float(end)
+    return Walk(float(start), float(end), log, points, parted)
 
 
-def placed(study: Study, over: str) -> Callable[[Arrays, np.ndarray], Arrays]:
-    """The function that puts the values of the walk into each lane's numbers, replacing a law or as spread."""
+def lane_numbers(study: Study, over: str) -> Callable[[Arrays, np.ndarray], Arrays]:
+    """(drawn numbers, values of the walk) -> the numbers of each lane: a value replaces the law, or widens all laws."""
     if over != SPREAD:
         return lambda drawn, values: {**drawn, over: values}
     return lambda drawn, values: {name: study.laws[name].spread(column, values) for name, column in drawn.items()}
@@ -125,84 +140,87 @@ def require_spread(study: Study, bounds: tuple[float, float]) -> None:
     if min(bounds) < 0.0:
         raise ConfigError(SPREAD, f"must be >= 0, got {bounds[0]:g} and {bounds[1]:g}")
     columns = drawn(study, slice(0, study.config.draws))
-    beyond = [text for name, column in columns.items() if (text := out_of_range(study, name, column, max(bounds)))]
-    if beyond:
-        widest = max(bounds)
-        most = widest * largest_share(
-            lambda share: not any(out_of_range(study, *column, share * widest) for column in columns.items())
+    widest = max(bounds)
+    violations = range_violations(study, columns, widest)
+    if violations:
+        share, _ = bisect(
+            lambda share: not range_violations(study, columns, float(share) * widest), 0.0, 1.0, SPREAD_HALVINGS
         )
-        rule = f"{'; '.join(beyond)} at {SPREAD} = {widest:g}; all stay in their ranges up to {SPREAD} = {most:.4g}"
-        raise ConfigError(SPREAD, f"{rule}; loguniform and lognormal laws never reach 0")
+        rule = f"{'; '.join(violations)} at {SPREAD} = {widest:g}"
+        limit = f"all stay in their ranges up to {SPREAD} = {widest * float(share):.4g}"
+        raise ConfigError(SPREAD, f"{rule}; {limit}; loguniform and lognormal laws never reach 0")
 
 
-def out_of_range(study: Study, name: str, column: np.ndarray, spread: float) -> str | None:
-    """How a widened number leaves its range; None if it does not."""
-    widest = study.laws[name].spread(column, spread)
-    low, high = float(widest.min()), float(widest.max())
-    broken = study.quantities[name].violated_by(low, high)
-    return f"{name} {broken}, got [{low:.4g}, {high:.4g}]" if broken else None
+def range_violations(study: Study, columns: Arrays, spread: float) -> list[str]:
+    """The numbers that leave their ranges if the laws are widened, in words."""
+    violations = []
+    for name, column in columns.items():
+        widened = study.laws[name].spread(column, spread)
+        low, high = float(widened.min()), float(widened.max())
+        rule = study.quantities[name].violated_by(low, high)
+        if rule:
+            violations.append(f"{name} {rule}, got [{low:.4g}, {high:.4g}]")
+    return violations
 
 
-def largest_share(holds: Callable[[float], bool]) -> float:
-    """The largest number in [0, 1] up to which a condition holds, rounded down to 1/1024."""
-    low, high = 0, 1024
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if holds(middle / 1024) else (low, middle)
-    return low / 1024
-
-
-def over_number(
+def number_margins(
     study: Study, over: str, walk: Walk, bisections: int, clock: Clock, progress: ProgressCallback
-) -> tuple[Critical, Arrays]:
+) -> CriticalDraws:
     """Critical values of a traced number, and the drawn numbers: one program for all blocks of draws."""
     if over == SPREAD:
         require_spread(study, (walk.start, walk.end))
-    draws, evaluations, place = study.config.draws, walk.points + bisections, placed(study, over)
+    draws = study.config.draws
+    total = (walk.points + bisections) * draws
+    numbers_at = lane_numbers(study, over)
     extents = {} if over == SPREAD else {over: (walk.start, walk.end)}
     evaluator = Evaluator(study, extents, min(draws, BLOCK))
     evaluator.engine.clock = clock
-    parts, columns = [], []
+    blocks: list[CriticalDraws] = []
     for begin in range(0, draws, evaluator.lanes):
         indices = np.arange(begin, min(begin + evaluator.lanes, draws))
         laws = evaluator.drawn(slice(begin, begin + len(indices)))
-        first = FirstViolated(len(indices), walk.start)
+        violated = FirstViolated(len(indices), walk.start)
 
-        def slack_of(which: np.ndarray, values: np.ndarray, indices=indices, laws=laws, first=first) -> np.ndarray:
-            chosen = {name: column[which] for name, column in laws.items()}
-            slack = first.slack(which, values, evaluator.swept, evaluator(indices[which], place(chosen, values)))
-            progress(clock.lanes, evaluations * draws)
+        def slack_at(
+            lanes: np.ndarray, values: np.ndarray, indices=indices, laws=laws, violated=violated
+        ) -> np.ndarray:
+            drawn_numbers = {name: column[lanes] for name, column in laws.items()}
+            results = evaluator(indices[lanes], numbers_at(drawn_numbers, values))
+            slack = violated.slack(lanes, values, evaluator.swept, results)
+            progress(clock.lanes, total)
             return slack
 
-        parts.append(search_critical(slack_of, len(indices), walk, bisections)._replace(violated=first.which))
-        columns.append(laws)
-    joined = {name: np.concatenate([part[name] for part in columns]) for name in columns[0]}
-    return Critical(*(np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True))), joined
+        critical = search_critical(slack_at, len(indices), walk, bisections)
+        blocks.append((critical._replace(violated=violated.requirement), laws))
+    fields = zip(*(critical for critical, _ in blocks), strict=True)
+    critical = Critical(*(np.concatenate(arrays, axis=-1) for arrays in fields))
+    numbers = {name: np.concatenate([laws[name] for _, laws in blocks]) for name in blocks[0][1]}
+    return critical, numbers
 
 
-def over_sample_time(
-    study: Study, over: str, walk: Walk, bisections: int, clock: Clock, progress: ProgressCallback
-) -> tuple[Critical, Arrays]:
+def sample_time_margins(study: Study, walk: Walk, clock: Clock, progress: ProgressCallback) -> CriticalDraws:
     """Critical sample times on the grid: the clock is fixed before tracing, so each value needs a separate program.
 
     Raises:
         ConfigError: two values of the grid fall on the same number of samples.
     """
-    del bisections
     if len(set(walk.grid)) < walk.points:
-        raise ConfigError(over, f"{walk.points} points fall on fewer numbers of samples; take fewer, or wider bounds")
-    studies = {value: study.override({over: float(value)}) for value in walk.grid}  # all checked before the first runs
-    columns: Arrays = {}
-    first = FirstViolated(study.config.draws, walk.start)
+        rule = f"{walk.points} points fall on fewer numbers of samples; take fewer, or wider bounds"
+        raise ConfigError(CLOCK, rule)
+    studies = {value: study.override({CLOCK: float(value)}) for value in walk.grid}  # checks all before the first run
+    numbers: Arrays = {}
+    violated = FirstViolated(study.config.draws, walk.start)
 
-    def slack_of(which: np.ndarray, values: np.ndarray) -> np.ndarray:
-        at = studies[values[0]]
-        layout = Layout.of(at)
-        engine = Engine(at, layout.lanes, clock=clock)
-        parts = list(execute(engine, layout.blocks()))
-        columns.update({name: np.concatenate([part[name] for _, _, part in parts]) for name in at.laws})
-        progress(clock.lanes, len(studies) * len(which))
-        results = {name: np.concatenate([part[name] for _, part, _ in parts]) for name in parts[0][1]}
-        return first.slack(which, values, at, results)
+    def slack_at(draws: np.ndarray, values: np.ndarray) -> np.ndarray:
+        sampled = studies[values[0]]
+        layout = Layout.of(sampled)
+        engine = Engine(sampled, layout.lanes, clock=clock)
+        blocks = list(execute(engine, layout.blocks()))
+        for name in sampled.laws:
+            numbers[name] = np.concatenate([laws[name] for _, _, laws in blocks])
+        progress(clock.lanes, len(studies) * len(draws))
+        results = {name: np.concatenate([block[name] for _, block, _ in blocks]) for name in blocks[0][1]}
+        return violated.slack(draws, values, sampled, results)
 
-    return search_critical(slack_of, study.config.draws, walk, bisections=0)._replace(violated=first.which), columns
+    critical = search_critical(slack_at, study.config.draws, walk, bisections=0)
+    return critical._replace(violated=violated.requirement), numbers

@@ -18,8 +18,8 @@ from dssc_jax.analyses.linearisation.smooth_parts import (
     substituted,
     with_inner_sides,
 )
-from dssc_jax.analyses.margins import Margins, Walk, search_critical
-from dssc_jax.analyses.margins.simulated import checked_walk, placed, require_spread
+from dssc_jax.analyses.margins import Margins, search_critical
+from dssc_jax.analyses.margins.simulated import admissible_walk, lane_numbers, require_spread
 from dssc_jax.analyses.theory.linearised import (
     AtRest,
     at_rest,
@@ -153,13 +153,13 @@ def local_margin(
         ConfigError: the loop has no linearisation, or the number or a bound is not admissible.
     """
     kind, rest, began = Time(kind), at_rest(study), time.perf_counter()
-    walk = Walk(*checked_walk(over, bounds, log, points, bisections), log, points)
+    walk = admissible_walk(over, bounds, log, points, bisections)
     if over in study.quantities and over not in rest.quantities:
         raise ConfigError(over, "has no effect near the origin, where reference and disturbance are neglected")
     if over == SPREAD:
         require_spread(study, bounds)
     swept = rest.override({"sweep": {over: sorted(bounds)} if over != SPREAD else {}})
-    draws, place = study.config.draws, placed(rest, over)
+    draws, place = study.config.draws, lane_numbers(rest, over)
     laws = drawn(swept, slice(0, draws))
     eigenvalues_of, taken = spectrum_with_notes(swept, kind)
 

@@ -1,0 +1,36 @@
+"""Bisection between values at which a condition holds and values at which it does not."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+
+def bisect(
+    holds: Callable[[np.ndarray], bool | np.ndarray],
+    inside: float | np.ndarray,
+    outside: float | np.ndarray,
+    halvings: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Halve intervals, all at once, each towards the end of the range in which its condition holds.
+
+    Args:
+        holds: (the middles of the intervals) -> whether the condition holds at each of them.
+        inside: The ends at which the condition holds; a number, or shape (n,).
+        outside: The ends at which it does not, of the same shape; on either side of ``inside``.
+        halvings: Number of halvings.
+
+    Returns:
+        The ends of the halved intervals: where the condition was seen to hold, and where not.
+
+    Example:
+        >>> inside, outside = bisect(lambda x: x**2 < 2.0, 1.0, 2.0, halvings=20)
+        >>> float(inside) < 2.0**0.5 <= float(outside) < float(inside) + 1e-6
+        True
+    """
+    passed_at, failed_at = np.asarray(inside), np.asarray(outside)
+    for _ in range(halvings):
+        middle = 0.5 * (passed_at + failed_at)
+        passed = holds(middle)
+        passed_at = np.where(passed, middle, passed_at)
+        failed_at = np.where(passed, failed_at, middle)
+    return passed_at, failed_at
