@@ -1,7 +1,7 @@
 """Runs the examples of pages of the documentation, in order: ``python page_examples.py PAGE...``, in an empty folder.
 
 Each page has a folder of its own there. Files named in their first line are written, then every shell and Python block
-runs. Commands run in this process, which imports the package once for all of them; those that are not ours, or use the
+runs; a page's Python blocks share their names. Commands run in this process, which imports the package once for all of them; those that are not ours, or use the
 shell, run in a shell. With ``--apart`` before the pages, each block runs in a process of its own.
 """
 
@@ -54,6 +54,7 @@ def enter(folder: Path) -> None:
 
 def run_page(page: Path, apart: bool) -> None:
     """Run all examples of a page; end with the first that fails."""
+    namespace = {"__name__": "__main__"}
     for number, (language, text) in enumerate(examples(page), 1):
         print(f"--- {page.name}: {text}", flush=True)
         code = 0
@@ -62,7 +63,7 @@ def run_page(page: Path, apart: bool) -> None:
         elif apart:
             code = subprocess.run([sys.executable, "-c", text], check=False).returncode
         else:
-            exec(compile(text, f"example {number}", "exec"), {"__name__": "__main__"})
+            exec(compile(text, f"example {number}", "exec"), namespace)
         if code:
             sys.exit(f"{page.name}: exit code {code}")
 

@@ -10,7 +10,7 @@ import dssc_jax as dj
 from dssc_jax.analyses.falsification.falsify import hunt
 from dssc_jax.analyses.falsification.hunt import Programs
 
-STUDIES = Path(__file__).parents[2] / "studies"
+STUDIES = Path(__file__).parents[3] / "studies"
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from dssc_jax.cli import guarded
 from dssc_jax.closed_loop.requirements import worst_slack
 from dssc_jax.statistics import distance_of_mass, mass_within
 
-CORNER = Path(__file__).parents[2] / "studies" / "falsify_corner.toml"
+CORNER = Path(__file__).parents[3] / "studies" / "falsify_corner.toml"
 LAWS = {"plant.k_p": stats.lognorm(0.15), "plant.a_p": stats.uniform(0.6, 0.8)}
 RANKED = 2.0 * np.sin(np.pi / 6.0 * 0.8)  # of the normal scores, whose ranks have a correlation of 0.8
 CORRELATION = np.array([[1.0, RANKED], [RANKED, 1.0]])
