@@ -1,8 +1,9 @@
 """Runs the examples of pages of the documentation, in order: ``python page_examples.py PAGE...``, in an empty folder.
 
-Each page has a folder of its own there. Files named in their first line are written, then every shell and Python block
-runs; a page's Python blocks share their names. Commands run in this process, which imports the package once for all of them; those that are not ours, or use the
-shell, run in a shell. With ``--apart`` before the pages, each block runs in a process of its own.
+Each page has a folder of its own there. Files named in their first line are written, then every shell and Python
+block runs; a page's Python blocks share their names. Commands run in this process, which imports the package once for
+all of them; those that are not ours, or use the shell, run in a shell. With ``--apart`` before the pages, each block
+runs in a process of its own.
 """
 
 import os

@@ -1,6 +1,7 @@
 """Linked brushing over the draws of a result, in Bokeh; a brush acts in the browser, without a program behind it."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from bokeh.events import Reset, SelectionGeometry, Tap
@@ -120,7 +121,7 @@ class Brushing:
         plot.toolbar_location = None
         return plot
 
-    def _histogram(self, name: str) -> dict[str, np.ndarray]:
+    def _histogram(self, name: str) -> dict[str, Any]:
         """The histogram of a column before anything is brushed."""
         values = self.table.columns[name]
         finite = np.isfinite(values)

@@ -1,5 +1,7 @@
 """Failure probability over a sweep's axes, as a curve or a map; a click on a point brushes its draws."""
 
+from typing import Any
+
 import numpy as np
 from bokeh.models import BasicTicker, ColorBar, ColumnDataSource, CustomJS, FixedTicker, LinearColorMapper
 from bokeh.plotting import figure
@@ -39,7 +41,7 @@ class CellMap:
         failures = failed.sum(-1).reshape(-1)
         draws = failed.shape[-1]
         low, high = clopper_pearson(failures, draws, CONFIDENCE).T
-        data: dict[str, object] = {"probability": failures / draws, "low": low, "high": high}
+        data: dict[str, Any] = {"probability": failures / draws, "low": low, "high": high}
         data["said"] = [
             f"{count:,} of {draws:,} draws fail: in [{rounded_probability(lower)}, {rounded_probability(upper)}]"
             for count, lower, upper in zip(failures, low, high, strict=True)

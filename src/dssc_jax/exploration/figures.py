@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 from bokeh.models import ColumnDataSource, DataRange1d, FactorRange, Model, PlainText, Range, Range1d, Title
@@ -17,7 +18,7 @@ LEVEL_NAMES = ("q5", "q25", "q50", "q75", "q95")
 BANDS = (("q5", "q95", 0.18), ("q25", "q75", 0.35))
 
 
-def page_figure(tools: str, height: int = HEIGHT, **options: object) -> figure:
+def page_figure(tools: str, height: int = HEIGHT, **options: Any) -> figure:
     """A figure as wide as its column, whose tools show under the pointer only."""
     plot = figure(width=WIDTH, height=height, tools=tools, sizing_mode="stretch_width", **options)
     plot.toolbar.logo = None
@@ -25,7 +26,7 @@ def page_figure(tools: str, height: int = HEIGHT, **options: object) -> figure:
     return plot
 
 
-def signal_figure(name: str, study: Study, **options: object) -> figure:
+def signal_figure(name: str, study: Study, **options: Any) -> figure:
     """An empty figure of a signal over time; meaning and unit stand above it, where a long text has room."""
     attributes = column_attributes(name, study)
     unit = attributes["units"]

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import cached_property, partial
+from typing import Any
 
 import htpy as h
 import numpy as np
@@ -190,11 +191,11 @@ class ResultPage(Page):
         for across, upward in seen_paths(self.result.study):
             desired = path_lines(flights[:1], f"{across}_y_ref", f"{upward}_y_ref")
             self.sources[f"desired {across}{upward}"].data = desired
-            paths = path_lines(flights, f"{across}_y", f"{upward}_y")
-            self.sources[across + upward].data = {**paths, "colour": colours}
+            paths = {**path_lines(flights, f"{across}_y", f"{upward}_y"), "colour": colours}
+            self.sources[across + upward].data = paths
 
 
-def path_lines(flights: list[xr.Dataset], across: str, upward: str) -> dict[str, list[np.ndarray]]:
+def path_lines(flights: list[xr.Dataset], across: str, upward: str) -> dict[str, Any]:
     """Two signals of flights as the columns of a path."""
     return {
         "across": [drawable(run[across].values) for run in flights],

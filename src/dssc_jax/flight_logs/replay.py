@@ -76,9 +76,9 @@ def commanded(study: Study, index: int, readings: np.ndarray, references: np.nda
     def commands(signals: tuple[Measurement, ReferencePoint]) -> jax.Array:
         params = study.params(median_values(study))
 
-        def sample(state: ControlState, signals: tuple[Measurement, ReferencePoint]) -> tuple[ControlState, Scalar]:
+        def sample(state: ControlState, signals: tuple[Measurement, ReferencePoint]) -> tuple[ControlState, jax.Array]:
             after, controlled = control(loop, params, index, state, *signals)
-            return as_arrays(after), controlled.command.total
+            return as_arrays(after), jnp.asarray(controlled.command.total)
 
         first = jax.tree.map(lambda column: column[0], signals)
         initial = as_arrays(initial_control(loop, params, index, *first))
@@ -160,7 +160,8 @@ def recorded_lane(study: Study, samples: int, stride: int) -> Callable[[dict[str
             curves = []
             for i, controlled in enumerate(recorded.controlled):
                 reading = near_reference(loop, i, controlled.reading, recorded.references[i])
-                curves.append(ChannelCurves(*as_arrays((*reading, controlled.command.total))))
+                signals = map(jnp.asarray, (reading.y, reading.y_dot, controlled.command.total))
+                curves.append(ChannelCurves(*signals))
             return after, jax.tree.map(lambda x: jnp.where(running, x, jnp.nan), tuple(curves))
 
         return scan_recorded(sample, initial_progress(loop, params, key, ()), samples, stride)[1]
