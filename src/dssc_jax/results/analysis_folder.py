@@ -13,12 +13,9 @@ from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.results.array_files import ArrayFiles
 from dssc_jax.results.digests import sum_of
-from dssc_jax.results.manifest import DATA, SCHEMA, SEAL, SUMMARY, about_code, unsealed, write_json, write_sealed
+from dssc_jax.results.manifest import DATA, SCHEMA, SUMMARY, about_code, unsealed, write_json, write_sealed
 from dssc_jax.study import Study, hash_of, received
 from dssc_jax.study.tables import require_shallow
-
-FIRST_NAMES = {"settings": "how"}
-"""Present names of the description's parts, and their names in files of the first version."""
 
 NEEDED = {"study": dict, "hash": str, "source": str, "settings": dict, "sums": dict}
 """The description's entries besides the dataset, and their types."""
@@ -126,15 +123,6 @@ def sums_of(dataset: xr.Dataset) -> dict[str, str]:
     return sums | {"": hashlib.sha256(about(dataset.attrs).encode()).hexdigest()}
 
 
-def plain_sums_of(dataset: xr.Dataset) -> dict[str, str]:
-    """The digests of a file without a digest for the whole dataset, from before attributes were included."""
-    sums = {}
-    for name, one in dataset.variables.items():
-        head = f"{one.dims} {one.shape} {one.dtype.str}".encode()
-        sums[str(name)] = hashlib.sha256(head + np.ascontiguousarray(one.values).tobytes()).hexdigest()
-    return sums
-
-
 def read_about(folder: Path, kind: str) -> dict[str, Any]:
     """Read and check the description of an analysis.
 
@@ -149,13 +137,10 @@ def read_about(folder: Path, kind: str) -> dict[str, Any]:
         raise ConfigError(str(folder), rule) from error
     except (ValueError, RecursionError) as error:
         raise ConfigError(str(path), f"is damaged, not valid JSON: {error}") from error
-    about = about if isinstance(about, dict) else {}
-    if SEAL in about or "schema" in about:
-        about = unsealed(path, about)
-    about |= {name: about[first] for name, first in FIRST_NAMES.items() if name not in about and first in about}
+    about = unsealed(path, about)
     lacking = [name for name, of in NEEDED.items() if not isinstance(about.get(name), of)]
     if lacking:
-        raise ConfigError(str(path), f"is damaged, or of another version: it has no {', '.join(lacking)}")
+        raise ConfigError(str(path), f"is damaged: it has no {', '.join(lacking)}")
     try:
         require_shallow(about["study"])
     except ConfigError as error:
@@ -177,10 +162,9 @@ def read_analysis(folder: Path, kind: str, trust_code: bool = False) -> Stored:
         ConfigError: it is missing, damaged, or has been altered.
     """
     about = read_about(folder, kind)
-    summed = sums_of if "schema" in about else plain_sums_of
     try:
         dataset = stored_dataset(folder)
-        whole = summed(dataset) == about["sums"]
+        whole = sums_of(dataset) == about["sums"]
         dataset = with_labels(dataset, about.get("labels", {}))
     except Exception as error:  # zarr, its codecs and xarray raise errors of many kinds
         raise ConfigError(str(folder / DATA), f"cannot be read: {' '.join(str(error).split())}") from error

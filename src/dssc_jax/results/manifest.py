@@ -16,9 +16,10 @@ from dssc_jax.study.described import describe
 from dssc_jax.study.laws import is_number
 from dssc_jax.study.tables import require_shallow
 
-SCHEMA, IN_METRES, WITHOUT_DIGESTS = 3, 2, 1
-"""Versions of the folder: the present one; with the units of a plant in metres, whatever the plant; without digests."""
+SCHEMA = 3
+"""Version of a folder of a run or an analysis. No other is read."""
 
+REMEDY = "use the dssc_jax that wrote it, or run its study again into another --out"
 SEAL = "digest"
 DATA, MANIFEST, SUMMARY = "data.zarr", "manifest.json", "summary.json"
 MANIFEST_TABLES = ("study", "layout", "versions", "device", "times")
@@ -44,7 +45,7 @@ def write_sealed(path: Path, content: dict[str, Any]) -> None:
     write_json(path, content | {SEAL: hash_of(content)})
 
 
-def unsealed(path: Path, content: dict[str, Any]) -> dict[str, Any]:
+def unsealed(path: Path, content: Any) -> dict[str, Any]:
     """The content that was passed to :func:`write_sealed`.
 
     Args:
@@ -52,8 +53,13 @@ def unsealed(path: Path, content: dict[str, Any]) -> dict[str, Any]:
         content: Its current content.
 
     Raises:
-        ConfigError: The content does not match its digest.
+        ConfigError: The content has another schema version, or it does not match its digest.
     """
+    if not isinstance(content, dict) or "schema" not in content:
+        raise ConfigError(str(path), f"is damaged, or of another version: it has no schema version; {REMEDY}")
+    if content["schema"] != SCHEMA:
+        rule = f"has schema version {content['schema']!r}, this program reads {SCHEMA}; {REMEDY}"
+        raise ConfigError(str(path), rule)
     inner = dict(content)
     if inner.pop(SEAL, None) != hash_of(inner):
         raise ConfigError(str(path), "is damaged: its content is not the one that its digest was taken of")
@@ -83,16 +89,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         ) from error
     except (ValueError, RecursionError) as error:
         raise ConfigError(str(path), f"is damaged, not valid JSON: {error}") from error
-    if not isinstance(manifest, dict) or "schema" not in manifest:
-        raise ConfigError(str(path), "is damaged: it has no schema version")
-    if manifest["schema"] not in (SCHEMA, IN_METRES, WITHOUT_DIGESTS):
-        raise ConfigError(
-            str(path),
-            f"has schema version {manifest['schema']!r}, this program reads {WITHOUT_DIGESTS} to {SCHEMA}; "
-            "use the dssc_jax that wrote it, or run its study again into another --out",
-        )
-    if manifest["schema"] != WITHOUT_DIGESTS or SEAL in manifest:
-        manifest = unsealed(path, manifest)
+    manifest = unsealed(path, manifest)
     for name in MANIFEST_TABLES:
         if not isinstance(manifest.get(name), dict):
             raise ConfigError(str(path), f"is damaged: {name} is not a table")

@@ -13,13 +13,11 @@ from dssc_jax.results import lock
 from dssc_jax.results.arrays import laid_out, lay_out, require_coordinates, reshape
 from dssc_jax.results.blocks import Chunks, writing
 from dssc_jax.results.digests import DIGESTS, over_all
-from dssc_jax.results.first_schema import read_first_schema
 from dssc_jax.results.manifest import (
     DATA,
     MANIFEST,
     SCHEMA,
     SUMMARY,
-    WITHOUT_DIGESTS,
     occupied,
     read_manifest,
     require_same_machinery,
@@ -104,11 +102,6 @@ class Store:
 
     def _go_on(self, old: dict[str, Any], new: dict[str, Any], more: bool) -> bool:
         """Continue an earlier run; False if that run had not created its store."""
-        if old["schema"] == WITHOUT_DIGESTS:
-            rule = (
-                "was written without digests, by an earlier version: it can be read, and started over without --resume"
-            )
-            raise ConfigError(str(self.folder), rule)
         draws = old["study"].get("draws", 1)
         layout = stored_layout(self.folder, self.study, old, draws)
         if not laid_out(self.folder, self.study, layout):
@@ -212,8 +205,6 @@ def read_dataset(folder: Path, study: Study, manifest: dict[str, Any]) -> xr.Dat
         ConfigError: It is damaged, or its run did not finish.
     """
     layout = stored_layout(folder, study, manifest)
-    if manifest["schema"] == WITHOUT_DIGESTS:
-        return read_first_schema(folder, study, layout)
     chunks = Chunks(folder, study, layout, growing=not manifest.get("complete"))
     chunks.require_all()
     dataset = in_memory(study)
