@@ -25,7 +25,7 @@ from dssc_jax.results.schema import (
 )
 from dssc_jax.study import Study
 
-MEND = "--resume computes again what is not as it was written"
+MEND = "--resume recomputes corrupted blocks"
 EVERY_CHUNK = {"array.write_empty_chunks": True}  # chunks of NaN too, since presence has a meaning
 Extent = tuple[tuple[int, ...], tuple[int, ...]]
 """Shape and chunks of an array."""
@@ -92,13 +92,13 @@ def blank(dtype: str) -> dict[str, Any]:
 def metadata(variable: Variable, extent: Extent) -> dict[str, Any]:
     """All metadata of a variable's array when created."""
     shape, chunks = extent
-    own = {
+    variable_metadata = {
         "shape": shape,
         "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": chunks}},
         "attributes": dict(variable.attributes),
         "dimension_names": variable.dims,
     }
-    return blank(variable.dtype) | own
+    return blank(variable.dtype) | variable_metadata
 
 
 def as_json(content: dict[str, Any]) -> str:
@@ -154,16 +154,17 @@ def checked_arrays(
         ConfigError: One is absent or differs from its creation, or there is an additional one.
     """
     group = open_group(folder, mode)
-    about = zarr.open_group(MemoryStore(), mode="w", zarr_format=3, attributes={**dataset_attributes(study)})
-    if as_json(group.metadata.to_dict()) != as_json(about.metadata.to_dict()):
+    blank_group = zarr.open_group(MemoryStore(), mode="w", zarr_format=3, attributes={**dataset_attributes(study)})
+    if as_json(group.metadata.to_dict()) != as_json(blank_group.metadata.to_dict()):
         raise ConfigError(str(folder / DATA), "is damaged: its attributes are not those that its study lays out")
     actual = {
         name: checked_array(group, folder / DATA / name, variable, array_extent(variable, layout), growing)
         for name, variable in variables(study).items()
     }
-    others = {file.name for file in (folder / DATA).iterdir() if file.is_dir()} - actual.keys() - {*coordinates(study)}
-    if others:
-        raise ConfigError(str(folder / DATA / min(others)), "is damaged: it is no variable of the study")
+    stored = {file.name for file in (folder / DATA).iterdir() if file.is_dir()}
+    unexpected = stored - actual.keys() - coordinates(study).keys()
+    if unexpected:
+        raise ConfigError(str(folder / DATA / min(unexpected)), "is damaged: it is no variable of the study")
     return actual
 
 

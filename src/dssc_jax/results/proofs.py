@@ -43,7 +43,7 @@ class SweepProofs:
         return self._by_axes([point["error"] if point["proved"] else np.nan for point in self.points])
 
     def _by_axes(self, values: list[Any]) -> np.ndarray:
-        return np.array(values).reshape([len(each) for each in self.axes.values()])
+        return np.array(values).reshape([len(axis) for axis in self.axes.values()])
 
     def save(self, folder: str | Path) -> Path:
         """Write the proofs with their certificates into a results folder."""
