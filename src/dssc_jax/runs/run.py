@@ -98,21 +98,22 @@ def run(
     """
     layout = Layout.of(study, block) if block else Layout.of(study)
     if out is None:
-        for given, why in ((cluster, "on a cluster: a folder that every worker can access"), (resume, "to resume")):
-            if given:
-                raise ConfigError("out", f"is needed {why}")
-        return in_one_piece(study, layout, Engine(study, layout.lanes, tile, devices), progress, check)
+        if cluster:
+            raise ConfigError("out", "is needed on a cluster: a folder that every worker can access")
+        if resume:
+            raise ConfigError("out", "is needed to resume")
+        return run_in_memory(study, layout, Engine(study, layout.lanes, tile, devices), progress, check)
     require_startable(Path(out), study, resume)
-    here = ThisProcess(study, tile, devices)
+    this_process = ThisProcess(study, tile, devices)
     if not resume and not cluster:
-        here.start(layout, layout.blocks())
+        this_process.start(layout, layout.blocks())
 
     # xarray and Zarr take as long to import as a small study takes to run: the first block runs meanwhile
     from dssc_jax.results.result import Result
     from dssc_jax.results.store import Store
 
     with ExitStack() as stack:
-        workers: ThisProcess | Cluster = here
+        workers: ThisProcess | Cluster = this_process
         if cluster:
             from dssc_jax.runs.cluster import connected
 
@@ -121,8 +122,8 @@ def run(
         target = stack.enter_context(Store(Path(out), study, manifest, resume))
         if not target.finished:
             advance = LanesDone(progress, target.layout, target.pending)
-            about = workers.fill(target, advance)
-            target.complete(about | about_integration(study, check))
+            entries = workers.fill(target, advance)
+            target.complete(entries | about_integration(study, check))
         result = Result.of(study, *target.read(), Path(out))
         target.summarise(result.lines())
     return result
@@ -174,7 +175,8 @@ class LanesDone:
     """
 
     def __init__(self, progress: ProgressCallback | None, layout: Layout, pending: list[Block]) -> None:
-        self.progress, self.total = progress, math.prod(layout.shape)
+        self.progress = progress
+        self.total = math.prod(layout.shape)
         self.done = self.total - sum(map(lanes_in, pending))
         self(0)
 
@@ -190,18 +192,20 @@ def about_integration(study: Study, check: bool) -> dict[str, Any]:
     return {"integration": integration_error(study).to_dict()} if check else {}
 
 
-def in_one_piece(
+def run_in_memory(
     study: Study, layout: Layout, engine: Engine, progress: ProgressCallback | None, check: bool
 ) -> "Result":
     """Run a study in memory."""
-    began, blocks = time.perf_counter(), layout.blocks()
+    began = time.perf_counter()
+    blocks = layout.blocks()
     computed = execute(engine, blocks)
 
     from dssc_jax.results.result import Result
     from dssc_jax.results.schema import in_memory, put
 
     manifest = about_run(study, layout, computing())
-    dataset, advance = in_memory(study), LanesDone(progress, layout, blocks)
+    dataset = in_memory(study)
+    advance = LanesDone(progress, layout, blocks)
     for box, results, values in computed:
         put(dataset, box, results, values)
         advance(lanes_in(box))

@@ -54,16 +54,18 @@ def run_until(
     require_sequential(study)
     if most < FIRST:
         raise ConfigError(study.source, f"a data-driven stop needs at least {FIRST} draws, its first look, got {most}")
-    whole = study.override({"draws": most})
+    longest = study.override({"draws": most})
     if out is not None:
-        require_same_rule(Path(out), whole, rule, most)
+        require_same_rule(Path(out), longest, rule, most)
     began = time.perf_counter()
-    engine = Engine(whole, min(most, BATCH))
-    batches = execute(engine, [(slice(a, min(a + engine.lanes, most)),) for a in range(0, most, engine.lanes)])
+    engine = Engine(longest, min(most, BATCH))
+    blocks = [(slice(start, min(start + engine.lanes, most)),) for start in range(0, most, engine.lanes)]
+    batches = execute(engine, blocks)
     batches_done: list[Arrays] = []
     failed = np.empty(0, dtype=bool)
     seen: list[dict[str, int]] = []
-    verdict, draws = None, 0
+    verdict = None
+    draws = 0
     for look, draws in enumerate(looks(most), 1):
         while len(failed) < draws:
             _, results, _ = next(batches)
@@ -124,5 +126,5 @@ def require_same_rule(folder: Path, study: Study, rule: Rule, most: int) -> None
     if not same_rule or manifest["study"] | {"draws": most} != study.table:
         raise ConfigError(
             str(folder),
-            "holds something else than this study under this rule; choose another --out",
+            "holds another study, or this study under another stopping rule; choose another --out",
         )

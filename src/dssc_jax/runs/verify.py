@@ -14,7 +14,8 @@ from dssc_jax.results.result import Result
 from dssc_jax.statistics.order import typical_size
 from dssc_jax.study.code import recorded
 
-LANES, MOST_LANES = 16, 16384
+LANES = 16
+MOST_LANES = 16384
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,8 @@ def verify(result: Result, draws: int = LANES, seed: int | None = None) -> Verif
 
 def worst_lane(result: Result, lanes: Lanes, computed: Arrays, compared: Agreement, at: int) -> dict[str, Any]:
     """The value with the largest deviation, and its location."""
-    name, study = str(compared.variable[at]), result.study
+    name = str(compared.variable[at])
+    study = result.study
     point = {axis: values[i[at]] for (axis, values), i in zip(study.axes.items(), lanes, strict=False)}
     stored = stored_lanes(result.dataset, [name], lanes)[name]
     values = {"stored": stored[at].item(), "computed": computed[name][at].item()}
