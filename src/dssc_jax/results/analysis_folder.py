@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +13,7 @@ from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.results.array_files import ArrayFiles
 from dssc_jax.results.digests import sum_of
-from dssc_jax.results.manifest import DATA, SCHEMA, SUMMARY, about_code, unsealed, write_json, write_sealed
+from dssc_jax.results.manifest import DATA, SCHEMA, SUMMARY, Manifest, about_code, unsealed, write_json, write_sealed
 from dssc_jax.study import Study, hash_of, received
 from dssc_jax.study.tables import require_shallow
 
@@ -135,12 +135,12 @@ def sums_of(dataset: xr.Dataset) -> dict[str, str]:
     return sums
 
 
-def attributes_text(attributes: Mapping[Any, Any]) -> str:
+def attributes_text(attributes: Mapping[Hashable, object]) -> str:
     """Attributes as text of a fixed order, for a digest."""
     return json.dumps(attributes, sort_keys=True, default=np.ndarray.tolist)
 
 
-def read_about(folder: Path, kind: str) -> dict[str, Any]:
+def read_about(folder: Path, kind: str) -> Manifest:
     """Read and check the description of an analysis.
 
     Raises:

@@ -1,6 +1,7 @@
 """The Zarr arrays of a results folder: creation for a study, checks against the study, extension."""
 
 import json
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,7 @@ Extent = tuple[tuple[int, ...], tuple[int, ...]]
 """Shape and chunks of an array."""
 
 
-def lay_out(folder: Path, study: Study, layout: Layout) -> dict[str, Any]:
+def lay_out(folder: Path, study: Study, layout: Layout) -> dict[str, zarr.Array]:
     """Create every array of the store, and return those of the variables, which are empty."""
     stored = ArrayFiles(folder / DATA)
     group = zarr.open_group(stored, mode="w", zarr_format=3, attributes={**dataset_attributes(study)})
@@ -101,7 +102,7 @@ def metadata(variable: Variable, extent: Extent) -> dict[str, Any]:
     return blank(variable.dtype) | variable_metadata
 
 
-def as_json(content: dict[str, Any]) -> str:
+def as_json(content: Mapping[str, object]) -> str:
     """Metadata as JSON text, for comparison."""
     return json.dumps(content, sort_keys=True, default=str)
 

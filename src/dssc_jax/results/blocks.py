@@ -7,10 +7,10 @@ the values of its chunks match its digests.
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
+import zarr
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.files import HeldFolder
@@ -68,7 +68,7 @@ class Chunks:
         layout: Layout,
         mode: str = "r",
         growing: bool = False,
-        arrays: dict[str, Any] | None = None,
+        arrays: dict[str, zarr.Array] | None = None,
         held: HeldFolder | None = None,
     ) -> None:
         self.folder = folder
@@ -164,7 +164,9 @@ class Chunks:
         sound = [piece.draws[0] for piece in pieces] == ends[:-1] and ends == sorted({*ends})
         return pieces if sound and ends[-1] <= block[-1].stop else []
 
-    def _altered(self, block: Block, pieces: list[Piece], values: Mapping[str, Any]) -> str:
+    def _altered(
+        self, block: Block, pieces: list[Piece], values: Mapping[str, zarr.Array] | Mapping[str, np.ndarray]
+    ) -> str:
         """The first variable that differs from the written data; empty if there is none.
 
         Args:

@@ -109,7 +109,7 @@ def require(package: str, form: Format) -> None:
         raise ConfigError(f"--to {form}", f"needs {package}: pip install 'dssc_jax[export]'") from None
 
 
-def into_place(path: Path, write: Callable[[IO[bytes]], Any]) -> Path:
+def into_place(path: Path, write: Callable[[IO[bytes]], object]) -> Path:
     """Write a file completely or not at all.
 
     Raises:
@@ -176,7 +176,7 @@ def write_csv(result: Result | Analysis, file: IO[bytes]) -> None:
         piece.to_csv(file, index=False, header=number == 0, lineterminator="\n")
 
 
-def csv_metadata(result: Result | Analysis, name: str) -> dict[str, Any]:
+def csv_metadata(result: Result | Analysis, name: str) -> dict[str, object]:
     """The table's description, as "CSV on the Web" defines it."""
     table = table_of(result)
     described = []
@@ -235,7 +235,7 @@ def write_mat(result: Result | Analysis, file: IO[bytes]) -> None:
     """
     from scipy.io import savemat
 
-    content: dict[str, Any] = {"study": file_provenance(result)}
+    content: dict[str, object] = {"study": file_provenance(result)}
     for name, variable in result.dataset.variables.items():
         values = variable.values if variable.dtype.kind in "fiub" else variable.values.astype(object)
         attributes = {key: str(variable.attrs[key]) for key in ("units", "long_name") if key in variable.attrs}

@@ -40,17 +40,17 @@ EXTENSIBLE = ("random", "sobol")
 """Kinds of sampling in which draw i does not depend on the number of draws."""
 
 
-def write_json(path: Path, content: Any, within: Path | None = None, durable: bool = True) -> None:
+def write_json(path: Path, content: object, within: Path | None = None, durable: bool = True) -> None:
     """Write a JSON file; arguments and errors as for :func:`dssc_jax.core.files.replacing`."""
     files.write_text(path, [json.dumps(content, indent=2), "\n"], within, durable)
 
 
-def write_sealed(path: Path, content: dict[str, Any]) -> None:
+def write_sealed(path: Path, content: dict[str, object]) -> None:
     """Write a JSON file with a digest of its content."""
     write_json(path, content | {SEAL: hash_of(content)})
 
 
-def unsealed(path: Path, content: Any) -> dict[str, Any]:
+def unsealed(path: Path, content: object) -> dict[str, Any]:
     """The content that was passed to :func:`write_sealed`.
 
     Args:
@@ -129,7 +129,7 @@ def require_sound(path: Path, manifest: Manifest) -> None:
         raise ConfigError(str(path), f"is damaged: stopping.look must be a whole number >= 1, got {look!r}")
 
 
-def require_fields(path: Path, name: str, table: Any, fields: tuple[str, ...]) -> None:
+def require_fields(path: Path, name: str, table: object, fields: tuple[str, ...]) -> None:
     """Require a table with these fields.
 
     Raises:
@@ -162,7 +162,7 @@ def stored_layout(folder: Path, study: Study, manifest: Manifest, draws: int | N
     return Layout(grid, tuple(block))
 
 
-def differences(old: Any, new: Any, path: str = "") -> list[str]:
+def differences(old: object, new: object, path: str = "") -> list[str]:
     """Differences between two tables, one line each."""
     if isinstance(old, dict) and isinstance(new, dict):
         lines = []
@@ -238,7 +238,7 @@ def require_same_study(folder: Path, manifest: Manifest, study: Study, resume: b
     )
 
 
-def about_code(study: Study) -> dict[str, Any]:
+def about_code(study: Study) -> Manifest:
     """Manifest entries on the code that a study refers to: files, digests, and descriptions for readers."""
     if isinstance(study, Described):
         return {"code": study.code, "described": study.description.model_dump(mode="json")}
@@ -254,7 +254,7 @@ def machinery_differences(old: Manifest, new: Manifest) -> list[str]:
     return differences(machinery(old), machinery(new))
 
 
-def machinery(manifest: Manifest) -> dict[str, Any]:
+def machinery(manifest: Manifest) -> dict[str, object]:
     """The entries of a manifest that affect a result's last digits."""
     versions = manifest.get("versions", {})
     return {

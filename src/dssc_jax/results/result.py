@@ -74,7 +74,7 @@ class Result:
 
     @property
     def certificate(self) -> str:
-        """What is proved of the loop, and what Theorem 1 says of it, in one line."""
+        """The proofs of the loop and the result of Theorem 1, in one line."""
         return "; ".join(filter(None, (self.proofs, self.theorem)))
 
     @property

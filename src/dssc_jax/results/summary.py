@@ -37,7 +37,7 @@ class Statements(NamedTuple):
     method: Method
     confidence: float
 
-    def shares(self, happened: np.ndarray) -> dict[str, list[Any]]:
+    def shares(self, happened: np.ndarray) -> dict[str, list[object]]:
         """Columns with the frequency of an event, from draws of shape (points, draws)."""
         failures = np.count_nonzero(happened, axis=-1)
         return {
@@ -46,7 +46,7 @@ class Statements(NamedTuple):
             "interval": self.method.interval(happened, self.confidence).tolist(),
         }
 
-    def quantiles(self, values: np.ndarray) -> dict[str, list[Any]]:
+    def quantiles(self, values: np.ndarray) -> dict[str, list[object]]:
         """Columns of quantiles and their intervals, None where infinite, from draws of shape (points, draws)."""
         ordered = ranked(values)
         columns = {}
@@ -90,7 +90,7 @@ def summary_of_batch(
     study: Study,
     lanes: Mapping[str, np.ndarray],
     at: dict[str, list[float]],
-    certified: list[Any],
+    certified: list[bool | None],
     statements: Statements,
 ) -> list[SummaryRow]:
     """Summarise a batch of points.
@@ -178,7 +178,7 @@ def overlaps(violations: Mapping[str, np.ndarray], early: np.ndarray, statements
     return table
 
 
-def rows(columns: Mapping[str, Sequence[Any]]) -> list[SummaryRow]:
+def rows(columns: Mapping[str, Sequence[object]]) -> list[SummaryRow]:
     """Convert columns of a table to rows."""
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
@@ -188,20 +188,20 @@ def side_by_side(parts: Sequence[Sequence[Any]], count: int) -> list[list[Any]]:
     return [[part[i] for part in parts] for i in range(count)]
 
 
-def nullable(values: np.ndarray) -> list[Any]:
+def nullable(values: np.ndarray) -> list[object]:
     """Numbers for JSON, which has no infinity: None if a value is not finite."""
     objects = np.array(values, dtype=object)
     objects[~np.isfinite(values)] = None
     return objects.tolist()
 
 
-def most_violated(point: Mapping[str, Any]) -> str:
+def most_violated(point: SummaryRow) -> str:
     """The requirement violated by most draws of a point, with their number; ``-`` if no draw violates any."""
     worst = max(point["requirements"], key=lambda requirement: requirement["failures"], default=None)
     return f"{worst['name']} ({worst['failures']})" if worst and worst["failures"] else "-"
 
 
-def jsonable(content: Any) -> Any:
+def jsonable(content: object) -> Any:
     """Plain data as JSON has it: arrays become lists; NaN and infinity become None."""
     if isinstance(content, Mapping):
         return {str(name): jsonable(value) for name, value in content.items()}

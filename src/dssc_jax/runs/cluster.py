@@ -23,7 +23,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Block, Engine, Layout, computing, execute, lanes_in
 from dssc_jax.lanes import machine
 from dssc_jax.results.blocks import Chunks
-from dssc_jax.results.manifest import listed, machinery_differences
+from dssc_jax.results.manifest import Manifest, listed, machinery_differences
 from dssc_jax.results.store import Store
 from dssc_jax.study import Study
 from dssc_jax.study.importing import allow_imports
@@ -130,7 +130,7 @@ class Cluster:
     def _workers(self) -> set[str]:
         return set(self.client.nthreads())
 
-    def machinery(self) -> dict[str, Any]:
+    def machinery(self) -> Manifest:
         """Versions, device and compiler settings of the workers, which must agree.
 
         Raises:
@@ -148,7 +148,7 @@ class Cluster:
                 raise ConfigError(OPTION, text)
         return machines[reference]
 
-    def fill(self, target: Store, advance: Callable[[int], None]) -> dict[str, Any]:
+    def fill(self, target: Store, advance: Callable[[int], None]) -> Manifest:
         """Compute the missing blocks of a folder.
 
         Args:
@@ -212,7 +212,7 @@ def block_ranges(blocks: list[Block], workers: int) -> list[list[Block]]:
     return [blocks[i : i + size] for i in range(0, len(blocks), size)]
 
 
-def summed(shares: list[Share], steps: int, seconds: float) -> dict[str, Any]:
+def summed(shares: list[Share], steps: int, seconds: float) -> dict[str, float]:
     """The times of a run: the workers' rates add up, and their compilations run in parallel."""
     lanes, busy = {}, {}
     for share in shares:

@@ -70,14 +70,14 @@ def prove_sweep(
 
 
 def foreign_points(study: Study, certificates: Sequence[dict[str, Any]]) -> list[int]:
-    """Points of a sweep whose certificate is one of another loop, by their number."""
+    """Numbers of the sweep points whose certificate belongs to another loop."""
     problems = (json.loads(json.dumps(problem_of(point).to_dict())) for point in sweep_points(study))
     pairs = enumerate(zip(problems, certificates, strict=True))
     return [i for i, (problem, certificate) in pairs if problem_in(certificate) != problem]
 
 
-def problem_in(certificate: Any) -> Any:
-    """The problem of what should be a certificate; None if it holds none."""
+def problem_in(certificate: object) -> object:
+    """A certificate's problem; None if it has none."""
     return certificate.get("problem") if isinstance(certificate, dict) else None
 
 

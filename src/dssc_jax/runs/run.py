@@ -2,12 +2,12 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import Arrays, Block, Engine, Layout, computing, execute, lanes_in
 from dssc_jax.engine.integration import integration_error
-from dssc_jax.results.manifest import SCHEMA, about_code, require_startable
+from dssc_jax.results.manifest import SCHEMA, Manifest, about_code, require_startable
 from dssc_jax.study import Study
 from dssc_jax.study.correlation import gaussian
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from dssc_jax.runs.cluster import Cluster
 
 
-def about_run(study: Study, layout: Layout, machinery: Mapping[str, Any]) -> dict[str, Any]:
+def about_run(study: Study, layout: Layout, machinery: Manifest) -> Manifest:
     """The manifest before the run: study, versions and machine."""
     return {
         "schema": SCHEMA,
@@ -49,7 +49,7 @@ def about_run(study: Study, layout: Layout, machinery: Mapping[str, Any]) -> dic
     }
 
 
-def about_sampling(study: Study) -> dict[str, Any]:
+def about_sampling(study: Study) -> dict[str, object]:
     """The sampling design and the correlations: rank correlations as given, and those of the normal variables."""
     config = study.config
     return {
@@ -147,7 +147,7 @@ class ThisProcess:
         self.began = time.perf_counter()
         self.computed: Iterator[tuple[Block, Arrays, Arrays]] | None = None
 
-    def machinery(self) -> dict[str, Any]:
+    def machinery(self) -> Manifest:
         """See :func:`dssc_jax.engine.batching.computing`."""
         return computing()
 
@@ -157,7 +157,7 @@ class ThisProcess:
         self.computed = execute(self.engine, blocks)
         return self.computed
 
-    def fill(self, target: "Store", advance: Callable[[int], None]) -> dict[str, Any]:
+    def fill(self, target: "Store", advance: Callable[[int], None]) -> Manifest:
         """Compute the missing blocks of a folder, and return the times for the manifest."""
         for box, results, values in self.computed or self.start(target.layout, target.pending):
             target.write(box, results, values)
@@ -187,7 +187,7 @@ class LanesDone:
             self.progress(self.done, self.total)
 
 
-def about_integration(study: Study, check: bool) -> dict[str, Any]:
+def about_integration(study: Study, check: bool) -> Manifest:
     """The manifest's entry on the error between the samples; empty if it is not to be checked."""
     return {"integration": integration_error(study).to_dict()} if check else {}
 

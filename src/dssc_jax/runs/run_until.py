@@ -2,7 +2,7 @@
 
 import time
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Outcome, ProgressCallback
 from dssc_jax.engine.batching import Arrays, Engine, Layout, computing, drawn, execute
 from dssc_jax.engine.evaluation import require_independent
-from dssc_jax.results.manifest import read_manifest
+from dssc_jax.results.manifest import Manifest, read_manifest
 from dssc_jax.results.result import Result
 from dssc_jax.results.schema import in_memory, put
 from dssc_jax.runs.run import about_integration, about_run
@@ -120,7 +120,7 @@ def require_same_rule(folder: Path, study: Study, rule: Rule, most: int) -> None
     """
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return
-    manifest: dict[str, Any] = read_manifest(folder) if folder.is_dir() else {"study": {}}
+    manifest: Manifest = read_manifest(folder) if folder.is_dir() else {"study": {}}
     stopping = manifest.get("stopping") or {}
     same_rule = (stopping.get("rule"), stopping.get("most")) == (rule.text, most)
     if not same_rule or manifest["study"] | {"draws": most} != study.table:

@@ -1,4 +1,4 @@
-"""Import of a user's own objects, ``package.module:object``, and what to do where it fails."""
+"""Import of a user's objects, ``package.module:object``, with a remedy for each failure."""
 
 import contextlib
 import importlib
@@ -47,7 +47,7 @@ def imported(name: str, place: str) -> Any:
 
 
 def import_failure(module_name: str, error: BaseException) -> str:
-    """Why a module cannot be imported, and what to do about it."""
+    """The reason why a module cannot be imported, and the remedy."""
     if isinstance(error, ModuleNotFoundError) and error.name:
         if f"{module_name}.".startswith(f"{error.name}."):
             return f"there is no module '{error.name}'; {WHERE_MODULES_ARE}"

@@ -27,7 +27,7 @@ def separated(text: str, parts: int) -> str:
 
 
 def toml_hint(text: str, complaint: str) -> str:
-    """The line of a TOML file that does not parse, and the separator that it needs, if that is what is wrong."""
+    """The line of a TOML file that does not parse, and the separator that it lacks, if any."""
     match = re.search(r"at line (\d+)", complaint)
     lines = text.splitlines()
     if match is None or int(match.group(1)) > len(lines):
