@@ -13,7 +13,7 @@ from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.results.array_files import ArrayFiles
 from dssc_jax.results.digests import sum_of
-from dssc_jax.results.manifest import DATA, SCHEMA, SUMMARY, Manifest, about_code, unsealed, write_json, write_sealed
+from dssc_jax.results.manifest import DATA, SCHEMA, SUMMARY, Manifest, code_entries, unsealed, write_json, write_sealed
 from dssc_jax.study import Study, hash_of, received
 from dssc_jax.study.tables import require_shallow
 
@@ -87,12 +87,12 @@ def save(
         "labels": labels,
         "sums": sums,
         "schema": SCHEMA,
-        **about_code(study),
+        **code_entries(study),
     }
     write_sealed(folder / f"{kind}.json", description)
     plain.to_zarr(ArrayFiles(folder / DATA), mode="w", consolidated=False, zarr_format=3)
     write_json(folder / SUMMARY, summary)
-    if read_about(folder, kind)["sums"] != sums or sums_of(stored_dataset(folder)) != sums:
+    if read_description(folder, kind)["sums"] != sums or sums_of(stored_dataset(folder)) != sums:
         raise ConfigError(str(folder), "does not hold what was written; run the analysis again")
     return folder
 
@@ -140,7 +140,7 @@ def attributes_text(attributes: Mapping[Hashable, object]) -> str:
     return json.dumps(attributes, sort_keys=True, default=np.ndarray.tolist)
 
 
-def read_about(folder: Path, kind: str) -> Manifest:
+def read_description(folder: Path, kind: str) -> Manifest:
     """Read and check the description of an analysis.
 
     Raises:
@@ -178,7 +178,7 @@ def read_analysis(folder: Path, kind: str, trust_code: bool = False) -> Stored:
     Raises:
         ConfigError: it is missing, damaged, or has been altered.
     """
-    description = read_about(folder, kind)
+    description = read_description(folder, kind)
     try:
         dataset = stored_dataset(folder)
         intact = sums_of(dataset) == description["sums"]

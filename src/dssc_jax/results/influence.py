@@ -46,10 +46,10 @@ def largest_change(metric: xr.DataArray, axis: str) -> float:
 
 def idle_text(result: Result) -> str:
     """The idle axes in words; empty if every axis matters."""
-    return "; ".join(about_idle(result, name) for name in idle_axes(result))
+    return "; ".join(idle_axis_text(result, name) for name in idle_axes(result))
 
 
-def about_idle(result: Result, axis: str) -> str:
+def idle_axis_text(result: Result, axis: str) -> str:
     """What an idle axis changes, if anything."""
     changes = {measure.name: largest_change(result.dataset[measure.name], axis) for measure in result.study.measures}
     if max(changes.values()) <= IDLE:

@@ -238,7 +238,7 @@ def require_same_study(folder: Path, manifest: Manifest, study: Study, resume: b
     )
 
 
-def about_code(study: Study) -> Manifest:
+def code_entries(study: Study) -> Manifest:
     """Manifest entries on the code that a study refers to: files, digests, and descriptions for readers."""
     if isinstance(study, Described):
         return {"code": study.code, "described": study.description.model_dump(mode="json")}

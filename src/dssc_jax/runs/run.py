@@ -15,7 +15,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import Arrays, Block, Engine, Layout, computing, execute, lanes_in
 from dssc_jax.engine.integration import integration_error
-from dssc_jax.results.manifest import SCHEMA, Manifest, about_code, require_startable
+from dssc_jax.results.manifest import SCHEMA, Manifest, code_entries, require_startable
 from dssc_jax.study import Study
 from dssc_jax.study.correlation import gaussian
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from dssc_jax.runs.cluster import Cluster
 
 
-def about_run(study: Study, layout: Layout, machinery: Manifest) -> Manifest:
+def run_manifest(study: Study, layout: Layout, machinery: Manifest) -> Manifest:
     """The manifest before the run: study, versions and machine."""
     return {
         "schema": SCHEMA,
@@ -33,7 +33,7 @@ def about_run(study: Study, layout: Layout, machinery: Manifest) -> Manifest:
         "source": study.source,
         "hash": study.hash,
         "seed": study.config.seed,
-        "sampling": about_sampling(study),
+        "sampling": sampling_entry(study),
         "precision": study.config.loop.precision,
         "layout": layout.to_dict(),
         "counts": {
@@ -42,14 +42,14 @@ def about_run(study: Study, layout: Layout, machinery: Manifest) -> Manifest:
             "samples": study.loop.steps,
         },
         **machinery,
-        **about_code(study),
+        **code_entries(study),
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "complete": False,
         "times": {},
     }
 
 
-def about_sampling(study: Study) -> dict[str, object]:
+def sampling_entry(study: Study) -> dict[str, object]:
     """The sampling design and the correlations: rank correlations as given, and those of the normal variables."""
     config = study.config
     return {
@@ -118,12 +118,12 @@ def run(
             from dssc_jax.runs.cluster import connected
 
             workers = stack.enter_context(connected(cluster, notify, local))
-        manifest = about_run(study, layout, workers.machinery())
+        manifest = run_manifest(study, layout, workers.machinery())
         target = stack.enter_context(Store(Path(out), study, manifest, resume))
         if not target.finished:
             advance = LanesDone(progress, target.layout, target.pending)
             entries = workers.fill(target, advance)
-            target.complete(entries | about_integration(study, check))
+            target.complete(entries | integration_entry(study, check))
         result = Result.of(study, *target.read(), Path(out))
         target.summarise(result.lines())
     return result
@@ -187,7 +187,7 @@ class LanesDone:
             self.progress(self.done, self.total)
 
 
-def about_integration(study: Study, check: bool) -> Manifest:
+def integration_entry(study: Study, check: bool) -> Manifest:
     """The manifest's entry on the error between the samples; empty if it is not to be checked."""
     return {"integration": integration_error(study).to_dict()} if check else {}
 
@@ -203,11 +203,11 @@ def run_in_memory(
     from dssc_jax.results.result import Result
     from dssc_jax.results.schema import in_memory, put
 
-    manifest = about_run(study, layout, computing())
+    manifest = run_manifest(study, layout, computing())
     dataset = in_memory(study)
     advance = LanesDone(progress, layout, blocks)
     for box, results, values in computed:
         put(dataset, box, results, values)
         advance(lanes_in(box))
-    manifest |= {"complete": True, "times": engine.times(began), **about_integration(study, check)}
+    manifest |= {"complete": True, "times": engine.times(began), **integration_entry(study, check)}
     return Result.of(study, dataset, manifest)

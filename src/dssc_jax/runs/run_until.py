@@ -13,7 +13,7 @@ from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.results.manifest import Manifest, read_manifest
 from dssc_jax.results.result import Result
 from dssc_jax.results.schema import in_memory, put
-from dssc_jax.runs.run import about_integration, about_run
+from dssc_jax.runs.run import integration_entry, run_manifest
 from dssc_jax.statistics import AcceptReject, UntilWidth, looks
 from dssc_jax.statistics.sequential import FIRST
 from dssc_jax.study import Study
@@ -82,10 +82,10 @@ def run_until(
     dataset = in_memory(final)
     joined = {name: np.concatenate([part[name] for part in batches_done])[:draws] for name in batches_done[0]}
     put(dataset, (slice(0, draws),), joined, drawn(final, slice(0, draws)))
-    manifest = about_run(final, Layout.of(final), computing()) | {
+    manifest = run_manifest(final, Layout.of(final), computing()) | {
         "complete": True,
         "times": engine.times(began),
-        **about_integration(final, check),
+        **integration_entry(final, check),
         "stopping": {
             "data_driven": True,
             "rule": rule.text,
