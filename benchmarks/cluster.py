@@ -19,7 +19,7 @@ from dssc_jax.engine.batching import BLOCK, Engine, Layout, computing, execute
 from dssc_jax.results.schema import variables
 from dssc_jax.results.store import Store
 from dssc_jax.runs.cluster import connected
-from dssc_jax.runs.run import about_run
+from dssc_jax.runs.run import run_manifest
 from dssc_jax.study.library import find
 
 PAGE = Path(__file__).parents[1] / "docs" / "cluster.md"
@@ -38,7 +38,7 @@ def blocks(study: dj.Study, folder: Path) -> dict[str, float]:
     layout = Layout.of(study)
     engine = Engine(study, layout.lanes)
     writing = []
-    with Store(folder, study, about_run(study, layout, computing())) as target:
+    with Store(folder, study, run_manifest(study, layout, computing())) as target:
         for box, results, drawn in execute(engine, target.pending):
             began = time.perf_counter()
             target.chunks.write(box, results, drawn)

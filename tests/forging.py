@@ -4,7 +4,7 @@ import json
 
 from dssc_jax.results.blocks import Chunks
 from dssc_jax.results.digests import DIGESTS, over_all
-from dssc_jax.results.manifest import SEAL, WITHOUT_DIGESTS, read_manifest, stored_layout, write_json, write_manifest
+from dssc_jax.results.manifest import SEAL, read_manifest, stored_layout, write_manifest
 from dssc_jax.study import Study
 
 
@@ -24,15 +24,3 @@ def redigested(folder):
         held = {name: chunks.arrays[name][block[-1:] if name in study.laws else block] for name in chunks.arrays}
         chunks.write(block, held, {})
     resealed(folder, **{DIGESTS: over_all(folder, layout)})
-
-
-def without_digests(folder):
-    """The folder as the first version wrote it."""
-    manifest = json.loads((folder / "manifest.json").read_text())
-    for file in (folder / DIGESTS).iterdir():
-        file.unlink()
-    (folder / DIGESTS).rmdir()
-    for array in (folder / "data.zarr").glob("slack_*"):
-        array.rename(array.with_name(array.name.replace("slack_", "margin_")))
-    kept = {name: value for name, value in manifest.items() if name not in (SEAL, DIGESTS)}
-    write_json(folder / "manifest.json", kept | {"schema": WITHOUT_DIGESTS})

@@ -52,11 +52,9 @@ ALLOWED = {
     "results/analysis_folder.py": {"plain.to_zarr", "xr.open_zarr"},  # with ArrayFiles
     "results/arrays.py": {"open_group", "zarr.open_group"},  # with ArrayFiles, or in memory
     "results/export.py": {"data.to_netcdf", "parquet.ParquetWriter", "piece.to_csv", "savemat"},  # the writer's file
-    "results/first_schema.py": {"open_group"},  # with ArrayFiles
     "results/lock.py": {"FileLock"},  # of a file that the writer has checked
     "flight_logs/reader.py": {"ULog"},  # from memory
     "study/recorded.py": {"pd.read_csv", "pd.read_parquet"},  # from memory
-    "analyses/margins/result.py": {"dataset.rename"},  # no file
 }
 """Calls with such a name that stay outside of the writer, by module, each with its reason."""
 

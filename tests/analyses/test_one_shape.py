@@ -14,7 +14,6 @@ import dssc_jax as dj
 from dssc_jax.analyses.loading import KINDS, class_of
 from dssc_jax.cli import guarded
 from dssc_jax.flight_logs.reader import Column
-from dssc_jax.results.analysis_folder import plain_sums_of
 from dssc_jax.results.manifest import write_json, write_sealed
 from tests.loops import LAGGED
 
@@ -177,17 +176,19 @@ def test_another_study_keeps_its_folder(folder, analysis, tmp_path):
         analysis.save(tmp_path)
 
 
-def test_folders_of_the_first_version(study, tmp_path):
-    """Margins and comparisons before parts of their folders got other names."""
-    found = dj.margin(study, **WALK)
-    found.save(tmp_path)
-    about = json.loads((tmp_path / "margin.json").read_text())
-    shutil.rmtree(tmp_path / "data.zarr")
-    dataset = found.dataset.rename(slack="margin")
-    dataset.to_zarr(tmp_path / "data.zarr", consolidated=False, zarr_format=3)
-    first = {name: about[name] for name in ("study", "hash", "source")} | {"how": about["settings"]}
-    write_json(tmp_path / "margin.json", first | {"sums": plain_sums_of(dataset)})
-    assert dj.load(tmp_path).summary() == found.summary()
+def test_a_folder_of_another_schema_is_refused(folder, analysis, tmp_path):
+    shutil.copytree(folder, tmp_path / "old")
+    path = tmp_path / "old" / f"{analysis.kind}.json"
+    about = json.loads(path.read_text())
+    without_version = {name: value for name, value in about.items() if name != "schema"}
+    for content, rule in (
+        (without_version, "it has no schema version"),
+        (about | {"schema": 2}, "has schema version 2, this program reads 3"),
+    ):
+        write_json(path, content)
+        with pytest.raises(dj.ConfigError, match=f"{rule}; use the dssc_jax that wrote it") as caught:
+            dj.load(tmp_path / "old")
+        assert "\n" not in str(caught.value)
 
 
 def test_parts_come_back_too(study, tmp_path):

@@ -1,7 +1,5 @@
 """Units of signals: the algebra, and what a plant's or a study's own units reach."""
 
-import json
-
 import pytest
 
 import dssc_jax as dj
@@ -150,21 +148,3 @@ def test_units_by_channel():
 def test_bad_units_are_refused(shaft, units, complaint):
     with pytest.raises(ConfigError, match=complaint):
         shaft.override({"units": units})
-
-
-def test_a_folder_in_metres_is_still_read(shaft, tmp_path):
-    """As schema 2 wrote it, whose units and meanings did not come from the plant."""
-    from dssc_jax.results.manifest import read_manifest, write_manifest
-
-    dj.run(shaft).save(tmp_path / "old")
-    for file in (tmp_path / "old" / "data.zarr").glob("*/zarr.json"):
-        about = json.loads(file.read_text())
-        if "units" in about["attributes"]:
-            about["attributes"]["units"] = "m"
-        file.write_text(json.dumps(about))
-    with pytest.raises(ConfigError, match="is damaged"):
-        dj.load(tmp_path / "old")
-    manifest = {name: value for name, value in read_manifest(tmp_path / "old").items() if name != "digest"}
-    del manifest["described"]["units"]
-    write_manifest(tmp_path / "old", manifest | {"schema": 2})
-    assert dj.load(tmp_path / "old").study.units == (POSITION,)

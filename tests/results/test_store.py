@@ -1,8 +1,8 @@
 """Results on disk: round trip, resume, damage, and other people's folders."""
 
 import json
+import re
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from dssc_jax.results import store
 from dssc_jax.results.digests import sum_of
 from dssc_jax.results.schema import NOT_COMPUTED
 from tests.conftest import UNCERTAIN
-from tests.forging import redigested, resealed, without_digests
+from tests.forging import redigested, resealed
 
 
 def same(left, right):
@@ -245,7 +245,7 @@ def test_what_was_altered_is_refused_and_mended_or_left_alone(study, stored, kin
     try:
         same(dj.run(study, stored.path, resume=True), stored)
     except ConfigError as error:
-        assert "is damaged" in str(error)  # noqa: PT017  (either end is right)
+        assert re.search("is damaged|has schema version", str(error))  # noqa: PT017  (either end is right)
     else:
         same(dj.load(stored.path), stored)
 
@@ -278,37 +278,26 @@ def test_a_forged_block_does_not_pass_for_the_runs_own(study, stored):
     same(dj.run(study, stored.path), stored)
 
 
-def test_a_folder_without_digests_is_read(study, stored):
-    """As the first version wrote it."""
-    without_digests(stored.path)
-    same(dj.load(stored.path), stored)
-    with pytest.raises(ConfigError, match=r"written without digests, .* started over without --resume"):
-        dj.run(study, stored.path, resume=True)
-    for harm in ("missing chunk", "missing outcome"):
-        DAMAGE[harm](stored.path)
-        with pytest.raises(ConfigError):
-            dj.load(stored.path)
-    same(dj.run(study, stored.path), stored)
-
-
-def test_a_folder_that_the_first_version_wrote_is_read():
-    """Written by dssc_jax 0.1.0 before there were digests, when slacks were called margins."""
-    earlier = dj.load(Path(__file__).with_name("first_schema"))
-    again = dj.run(earlier.study)
-    assert set(earlier.dataset) == set(again.dataset)
-    for name in earlier.study.laws:
-        np.testing.assert_array_equal(earlier.dataset[name], again.dataset[name], err_msg=name)
-    rules = [requirement["text"] for requirement in again.summary()["points"][0]["requirements"]]
-    assert [requirement["text"] for requirement in earlier.summary()["points"][0]["requirements"]] == rules
-
-
 def test_a_loaded_result_is_saved_anew(stored, tmp_path):
-    """In blocks of another size, and with digests although it may have had none."""
+    """In blocks of another size."""
     same(dj.load(stored.save(tmp_path / "again")), stored)
-    without_digests(stored.path)
-    saved = dj.load(stored.path).save(tmp_path / "anew")
-    assert json.loads((saved / "manifest.json").read_text())["schema"] == 3
-    same(dj.load(saved), stored)
+
+
+@pytest.mark.parametrize("version", [1, 2, 4, None])
+def test_a_folder_of_another_schema_is_refused_and_left_alone(study, stored, version):
+    resealed(stored.path, schema=version)
+    before = {file: file.read_bytes() for file in stored.path.rglob("*") if file.is_file()}
+    rule = f"has schema version {version}, this program reads 3" if version else "it has no schema version"
+    message = rf"manifest\.json: .*{rule}; use the dssc_jax that wrote it, or run its study again into another --out"
+    for attempt in (
+        lambda: dj.load(stored.path),
+        lambda: dj.run(study, stored.path),
+        lambda: dj.run(study, stored.path, resume=True),
+    ):
+        with pytest.raises(ConfigError, match=message) as caught:
+            attempt()
+        assert "\n" not in str(caught.value)
+    assert {file: file.read_bytes() for file in stored.path.rglob("*") if file.is_file()} == before
 
 
 def test_the_order_of_bytes_does_not_matter_to_a_digest():

@@ -13,7 +13,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.reference import TOLERANCE, deviations
 from dssc_jax.lanes.lanes import LaneBatch
 from tests.conftest import UNCERTAIN
-from tests.forging import redigested, without_digests
+from tests.forging import redigested
 from tests.results.test_durability import SMALL
 
 
@@ -67,13 +67,6 @@ def test_an_outcome_is_right_or_wrong(copied):
     found = dj.verify(dj.load(copied), draws=200)
     assert not found.verified
     assert found.deviation == np.inf
-
-
-def test_a_result_without_digests_is_told(copied, capsys):
-    without_digests(copied)
-    assert guarded(["verify", str(copied)]) == 0
-    assert "written without digests" in capsys.readouterr().out
-    assert not dj.verify(dj.load(copied)).digests
 
 
 def test_sizes_of_deviations(whole):

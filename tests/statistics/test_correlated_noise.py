@@ -94,8 +94,8 @@ def test_correlation_times_and_independent_samples():
     assert independent_samples(WHITE, times) == 500.0
     noise = FirstOrder(0.9, 1.0)
     squares = np.sum(covariance(noise, times) ** 2)
-    assert independent_samples(noise, times, most=500) == pytest.approx(500.0**2 / squares, rel=1e-9)
-    assert independent_samples(noise, times, most=100) == pytest.approx(500.0**2 / squares, rel=0.05)
+    assert independent_samples(noise, times, limit=500) == pytest.approx(500.0**2 / squares, rel=1e-9)
+    assert independent_samples(noise, times, limit=100) == pytest.approx(500.0**2 / squares, rel=0.05)
 
 
 @pytest.mark.parametrize("every", [1, 10])

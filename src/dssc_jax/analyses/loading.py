@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.results import result as results
 from dssc_jax.results.analysis import Analysis
-from dssc_jax.results.analysis_folder import read_about
+from dssc_jax.results.analysis_folder import read_description
 from dssc_jax.results.manifest import MANIFEST, read_manifest
 from dssc_jax.results.result import Result
 
@@ -60,7 +60,7 @@ def description(folder: Path) -> dict[str, Any]:
         ConfigError: it contains nothing that :func:`load` can read, or it is damaged.
     """
     kind = kind_in(folder)
-    return read_manifest(folder) if kind is None else read_about(folder, kind)
+    return read_manifest(folder) if kind is None else read_description(folder, kind)
 
 
 def load(folder: str | Path, trust_code: bool = False) -> Loaded:

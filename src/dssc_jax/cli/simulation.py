@@ -318,7 +318,7 @@ def finish(
 def complete_result(study: "Study", out: Path) -> "Result | None":
     """The complete result of the same study in a folder, computed with the same software and device; None otherwise."""
     from dssc_jax.engine.batching import computing
-    from dssc_jax.results.manifest import MANIFEST, about_code, machinery_differences, read_manifest
+    from dssc_jax.results.manifest import MANIFEST, code_entries, machinery_differences, read_manifest
 
     if not (out / MANIFEST).exists():
         return None
@@ -328,7 +328,7 @@ def complete_result(study: "Study", out: Path) -> "Result | None":
     try:
         manifest = read_manifest(out)
         same = manifest["hash"] == study.hash and manifest.get("complete") and not manifest.get("stopping")
-        if not same or machinery_differences(manifest, {**computing(), **about_code(study)}):
+        if not same or machinery_differences(manifest, {**computing(), **code_entries(study)}):
             return None
         return Result.of(study, read_dataset(out, study, manifest), manifest, out)
     except ConfigError:  # damaged: it is computed again

@@ -36,8 +36,6 @@ def show_verification(verification: "Verification") -> None:
     console.print(f"computed again by the plain program, {lanes}: the result {verdict}")
     if verification.undecided:
         console.print(f"{verification.undecided} of them amplify rounding so much that they are no evidence")
-    if not verification.digests:
-        console.print("written without digests, by an earlier version: a file that was altered since is not noticed")
     if verification.worst is not None:
         rows = [
             (name, f"{value:.17g}" if isinstance(value, float) else str(value))

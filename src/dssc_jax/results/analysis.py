@@ -111,7 +111,8 @@ class Analysis(ABC):
         """Whether both are equal analyses of the same study."""
         if not isinstance(other, type(self)):
             return NotImplemented
-        own, others = (json.dumps(each.summary(), sort_keys=True) for each in (self, other))
-        return self.study.hash == other.study.hash and own == others and self.dataset.identical(other.dataset)
+        if self.study.hash != other.study.hash or not self.dataset.identical(other.dataset):
+            return False
+        return json.dumps(self.summary(), sort_keys=True) == json.dumps(other.summary(), sort_keys=True)
 
     __hash__ = None  # type: ignore[assignment]

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,12 +13,9 @@ from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.results.array_files import ArrayFiles
 from dssc_jax.results.digests import sum_of
-from dssc_jax.results.manifest import DATA, SCHEMA, SEAL, SUMMARY, about_code, unsealed, write_json, write_sealed
+from dssc_jax.results.manifest import DATA, SCHEMA, SUMMARY, Manifest, code_entries, unsealed, write_json, write_sealed
 from dssc_jax.study import Study, hash_of, received
 from dssc_jax.study.tables import require_shallow
-
-FIRST_NAMES = {"settings": "how"}
-"""Present names of the description's parts, and their names in files of the first version."""
 
 NEEDED = {"study": dict, "hash": str, "source": str, "settings": dict, "sums": dict}
 """The description's entries besides the dataset, and their types."""
@@ -54,10 +51,10 @@ def require_free(folder: Path, kind: str, study: Study) -> None:
     if not path.exists():
         raise ConfigError(str(folder), f"holds something other than a {kind} analysis; nothing was written")
     try:
-        same = json.loads(files.read_text(path))["hash"] == study.hash
+        same_study = json.loads(files.read_text(path))["hash"] == study.hash
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        same = False
-    if not same:
+        same_study = False
+    if not same_study:
         rule = f"holds the {kind} analysis of another study; choose another --out, nothing was written"
         raise ConfigError(str(folder), rule)
 
@@ -81,12 +78,21 @@ def save(
     require_free(folder, kind, study)
     files.make_folder(folder)
     plain, labels = with_codes(dataset)
-    about = {"study": study.table, "hash": study.hash, "source": study.source, "settings": settings, "labels": labels}
-    about |= {"sums": sums_of(plain), "schema": SCHEMA, **about_code(study)}
-    write_sealed(folder / f"{kind}.json", about)
+    sums = sums_of(plain)
+    description = {
+        "study": study.table,
+        "hash": study.hash,
+        "source": study.source,
+        "settings": settings,
+        "labels": labels,
+        "sums": sums,
+        "schema": SCHEMA,
+        **code_entries(study),
+    }
+    write_sealed(folder / f"{kind}.json", description)
     plain.to_zarr(ArrayFiles(folder / DATA), mode="w", consolidated=False, zarr_format=3)
     write_json(folder / SUMMARY, summary)
-    if read_about(folder, kind)["sums"] != about["sums"] or sums_of(stored_dataset(folder)) != about["sums"]:
+    if read_description(folder, kind)["sums"] != sums or sums_of(stored_dataset(folder)) != sums:
         raise ConfigError(str(folder), "does not hold what was written; run the analysis again")
     return folder
 
@@ -99,7 +105,9 @@ def stored_dataset(folder: Path) -> xr.Dataset:
 
 def with_codes(dataset: xr.Dataset) -> tuple[xr.Dataset, dict[str, list[str]]]:
     """Replace text coordinates of a dataset by numbers, since Zarr has no stable text type; also return the text."""
-    labels = {str(name): one.values.tolist() for name, one in dataset.coords.items() if one.dtype.kind in "UO"}
+    labels = {
+        str(name): variable.values.tolist() for name, variable in dataset.coords.items() if variable.dtype.kind in "UO"
+    }
     codes = {}
     for name, texts in labels.items():
         flags = (list(range(len(texts))), " ".join(text.replace(" ", "_") for text in texts))
@@ -119,23 +127,20 @@ def with_labels(dataset: xr.Dataset, labels: Mapping[str, list[str]]) -> xr.Data
 def sums_of(dataset: xr.Dataset) -> dict[str, str]:
     """A digest of each variable and coordinate, including dimensions and attributes; ``""`` is the dataset's own."""
 
-    def about(attributes: Mapping[Any, Any]) -> str:
-        return json.dumps(attributes, sort_keys=True, default=np.ndarray.tolist)
-
-    sums = {str(name): sum_of(one.values, f"{one.dims} {about(one.attrs)}") for name, one in dataset.variables.items()}
-    return sums | {"": hashlib.sha256(about(dataset.attrs).encode()).hexdigest()}
-
-
-def plain_sums_of(dataset: xr.Dataset) -> dict[str, str]:
-    """The digests of a file without a digest for the whole dataset, from before attributes were included."""
     sums = {}
-    for name, one in dataset.variables.items():
-        head = f"{one.dims} {one.shape} {one.dtype.str}".encode()
-        sums[str(name)] = hashlib.sha256(head + np.ascontiguousarray(one.values).tobytes()).hexdigest()
+    for name, variable in dataset.variables.items():
+        context = f"{variable.dims} {attributes_text(variable.attrs)}"
+        sums[str(name)] = sum_of(variable.values, context)
+    sums[""] = hashlib.sha256(attributes_text(dataset.attrs).encode()).hexdigest()
     return sums
 
 
-def read_about(folder: Path, kind: str) -> dict[str, Any]:
+def attributes_text(attributes: Mapping[Hashable, object]) -> str:
+    """Attributes as text of a fixed order, for a digest."""
+    return json.dumps(attributes, sort_keys=True, default=np.ndarray.tolist)
+
+
+def read_description(folder: Path, kind: str) -> Manifest:
     """Read and check the description of an analysis.
 
     Raises:
@@ -143,26 +148,23 @@ def read_about(folder: Path, kind: str) -> dict[str, Any]:
     """
     path = folder / f"{kind}.json"
     try:
-        about = json.loads(files.read_text(path))
+        description = json.loads(files.read_text(path))
     except OSError as error:
         rule = f"holds no {kind} analysis: {path.name} cannot be read ({error.strerror})"
         raise ConfigError(str(folder), rule) from error
     except (ValueError, RecursionError) as error:
         raise ConfigError(str(path), f"is damaged, not valid JSON: {error}") from error
-    about = about if isinstance(about, dict) else {}
-    if SEAL in about or "schema" in about:
-        about = unsealed(path, about)
-    about |= {name: about[first] for name, first in FIRST_NAMES.items() if name not in about and first in about}
-    lacking = [name for name, of in NEEDED.items() if not isinstance(about.get(name), of)]
+    description = unsealed(path, description)
+    lacking = [name for name, expected in NEEDED.items() if not isinstance(description.get(name), expected)]
     if lacking:
-        raise ConfigError(str(path), f"is damaged, or of another version: it has no {', '.join(lacking)}")
+        raise ConfigError(str(path), f"is damaged: it has no {', '.join(lacking)}")
     try:
-        require_shallow(about["study"])
+        require_shallow(description["study"])
     except ConfigError as error:
         raise error.within(str(path)) from None
-    if hash_of(about["study"]) != about["hash"]:
+    if hash_of(description["study"]) != description["hash"]:
         raise ConfigError(str(path), "is damaged: the study in it is not the one that its hash is of")
-    return about
+    return description
 
 
 def read_analysis(folder: Path, kind: str, trust_code: bool = False) -> Stored:
@@ -176,14 +178,13 @@ def read_analysis(folder: Path, kind: str, trust_code: bool = False) -> Stored:
     Raises:
         ConfigError: it is missing, damaged, or has been altered.
     """
-    about = read_about(folder, kind)
-    summed = sums_of if "schema" in about else plain_sums_of
+    description = read_description(folder, kind)
     try:
         dataset = stored_dataset(folder)
-        whole = summed(dataset) == about["sums"]
-        dataset = with_labels(dataset, about.get("labels", {}))
+        intact = sums_of(dataset) == description["sums"]
+        dataset = with_labels(dataset, description.get("labels", {}))
     except Exception as error:  # zarr, its codecs and xarray raise errors of many kinds
         raise ConfigError(str(folder / DATA), f"cannot be read: {' '.join(str(error).split())}") from error
-    if not whole:
+    if not intact:
         raise ConfigError(str(folder / DATA), "is damaged: it does not hold what was written; run the analysis again")
-    return Stored(received(about, about["source"], trust_code), dataset, about["settings"])
+    return Stored(received(description, description["source"], trust_code), dataset, description["settings"])

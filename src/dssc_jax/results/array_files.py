@@ -68,7 +68,8 @@ class ArrayFiles(LocalStore):
         """Write a file."""
         self._check_writable()
         self._ensure_open_sync()
-        path, folder = self.root / key, self.root.parent
+        path = self.root / key
+        folder = self.root.parent
         files.make_folder(path.parent, folder)
         files.write_bytes(path, value.as_numpy_array().data, folder, durable=False)
 
@@ -84,7 +85,8 @@ class ArrayFiles(LocalStore):
     def delete_sync(self, key: str) -> None:
         """Delete a file, or a folder with its content."""
         self._check_writable()
-        path, folder = self.root / key, self.root.parent
+        path = self.root / key
+        folder = self.root.parent
         if path.is_dir() and not path.is_symlink():
             files.delete_tree(path, folder)
         else:

@@ -1,6 +1,7 @@
 """The Zarr arrays of a results folder: creation for a study, checks against the study, extension."""
 
 import json
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from zarr.storage import MemoryStore
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Layout
 from dssc_jax.results.array_files import ArrayFiles
-from dssc_jax.results.manifest import DATA, IN_METRES, read_manifest
+from dssc_jax.results.manifest import DATA
 from dssc_jax.results.schema import (
     NOT_COMPUTED,
     Variable,
@@ -25,13 +26,13 @@ from dssc_jax.results.schema import (
 )
 from dssc_jax.study import Study
 
-MEND = "--resume computes again what is not as it was written"
+MEND = "--resume recomputes corrupted blocks"
 EVERY_CHUNK = {"array.write_empty_chunks": True}  # chunks of NaN too, since presence has a meaning
 Extent = tuple[tuple[int, ...], tuple[int, ...]]
 """Shape and chunks of an array."""
 
 
-def lay_out(folder: Path, study: Study, layout: Layout) -> dict[str, Any]:
+def lay_out(folder: Path, study: Study, layout: Layout) -> dict[str, zarr.Array]:
     """Create every array of the store, and return those of the variables, which are empty."""
     stored = ArrayFiles(folder / DATA)
     group = zarr.open_group(stored, mode="w", zarr_format=3, attributes={**dataset_attributes(study)})
@@ -92,24 +93,18 @@ def blank(dtype: str) -> dict[str, Any]:
 def metadata(variable: Variable, extent: Extent) -> dict[str, Any]:
     """All metadata of a variable's array when created."""
     shape, chunks = extent
-    own = {
+    variable_metadata = {
         "shape": shape,
         "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": chunks}},
         "attributes": dict(variable.attributes),
         "dimension_names": variable.dims,
     }
-    return blank(variable.dtype) | own
+    return blank(variable.dtype) | variable_metadata
 
 
-def as_json(content: dict[str, Any], without: tuple[str, ...] = ()) -> str:
-    """Metadata as JSON text, for comparison, without some of the attributes."""
-    attributes = {name: value for name, value in content["attributes"].items() if name not in without}
-    return json.dumps(content | {"attributes": attributes}, sort_keys=True, default=str)
-
-
-def free_attributes(folder: Path) -> tuple[str, ...]:
-    """Attributes that need not be the study's: units and meanings of a folder from before a plant named its own."""
-    return ("units", "long_name") if read_manifest(folder)["schema"] == IN_METRES else ()
+def as_json(content: Mapping[str, object]) -> str:
+    """Metadata as JSON text, for comparison."""
+    return json.dumps(content, sort_keys=True, default=str)
 
 
 def checked_array(
@@ -118,7 +113,6 @@ def checked_array(
     variable: Variable,
     extent: Extent,
     growing: bool = False,
-    free: tuple[str, ...] = (),
 ) -> zarr.Array:
     """Open one array and require that all its metadata are those of its creation.
 
@@ -128,7 +122,6 @@ def checked_array(
         variable: The variable it contains.
         extent: Its shape and chunks.
         growing: Whether it may have a different number of draws.
-        free: Attributes that may differ.
 
     Raises:
         ConfigError: It is absent or different.
@@ -137,11 +130,11 @@ def checked_array(
     try:
         with zarr.config.set(EVERY_CHUNK):
             array: Any = group[place.name]
-        actual = as_json(array.metadata.to_dict(), free)
+        actual = as_json(array.metadata.to_dict())
         shape = (*shape[:-1], array.shape[-1]) if growing else shape
     except Exception as error:  # zarr has no common base class of its errors
         raise ConfigError(str(place), f"is damaged: {one_line(error)}") from error
-    if actual != as_json(metadata(variable, (shape, chunks)), free):
+    if actual != as_json(metadata(variable, (shape, chunks))):
         raise ConfigError(str(place), "is damaged: its metadata are not those that its study lays out")
     return array
 
@@ -162,17 +155,17 @@ def checked_arrays(
         ConfigError: One is absent or differs from its creation, or there is an additional one.
     """
     group = open_group(folder, mode)
-    about = zarr.open_group(MemoryStore(), mode="w", zarr_format=3, attributes={**dataset_attributes(study)})
-    if as_json(group.metadata.to_dict()) != as_json(about.metadata.to_dict()):
+    blank_group = zarr.open_group(MemoryStore(), mode="w", zarr_format=3, attributes={**dataset_attributes(study)})
+    if as_json(group.metadata.to_dict()) != as_json(blank_group.metadata.to_dict()):
         raise ConfigError(str(folder / DATA), "is damaged: its attributes are not those that its study lays out")
-    free = free_attributes(folder)
     actual = {
-        name: checked_array(group, folder / DATA / name, variable, array_extent(variable, layout), growing, free)
+        name: checked_array(group, folder / DATA / name, variable, array_extent(variable, layout), growing)
         for name, variable in variables(study).items()
     }
-    others = {file.name for file in (folder / DATA).iterdir() if file.is_dir()} - actual.keys() - {*coordinates(study)}
-    if others:
-        raise ConfigError(str(folder / DATA / min(others)), "is damaged: it is no variable of the study")
+    stored = {file.name for file in (folder / DATA).iterdir() if file.is_dir()}
+    unexpected = stored - actual.keys() - coordinates(study).keys()
+    if unexpected:
+        raise ConfigError(str(folder / DATA / min(unexpected)), "is damaged: it is no variable of the study")
     return actual
 
 
@@ -182,18 +175,16 @@ def require_coordinates(folder: Path, study: Study) -> None:
     Raises:
         ConfigError: one is not.
     """
-    group, free = open_group(folder, "r"), free_attributes(folder)
+    group = open_group(folder, "r")
     for name, values in coordinate_values(study).items():
-        if not is_coordinate(group, folder / DATA / name, coordinates(study)[name], values, free):
+        if not is_coordinate(group, folder / DATA / name, coordinates(study)[name], values):
             raise ConfigError(str(folder / DATA / name), f"is damaged: it is not the study's coordinate; {MEND}")
 
 
-def is_coordinate(
-    group: zarr.Group, place: Path, variable: Variable, values: np.ndarray, free: tuple[str, ...] = ()
-) -> bool:
+def is_coordinate(group: zarr.Group, place: Path, variable: Variable, values: np.ndarray) -> bool:
     """Whether a coordinate can be read and has these values."""
     try:
-        array = checked_array(group, place, variable, (values.shape, values.shape), free=free)
+        array = checked_array(group, place, variable, (values.shape, values.shape))
         return np.array_equal(np.asarray(array), values)
     except Exception:  # zarr and its codecs raise errors of many kinds
         return False
@@ -223,7 +214,7 @@ def reshape(folder: Path, study: Study, layout: Layout) -> None:
     group = open_group(folder, mode="r+")
     for name, values in coordinate_values(study).items():
         variable = coordinates(study)[name]
-        if not is_coordinate(group, folder / DATA / name, variable, values, free_attributes(folder)):
+        if not is_coordinate(group, folder / DATA / name, variable, values):
             create(group, name, variable, (values.shape, values.shape), overwrite=True)[...] = values
 
 

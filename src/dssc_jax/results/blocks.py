@@ -7,10 +7,10 @@ the values of its chunks match its digests.
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
+import zarr
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.files import HeldFolder
@@ -68,17 +68,19 @@ class Chunks:
         layout: Layout,
         mode: str = "r",
         growing: bool = False,
-        arrays: dict[str, Any] | None = None,
+        arrays: dict[str, zarr.Array] | None = None,
         held: HeldFolder | None = None,
     ) -> None:
-        self.folder, self.layout = folder, layout
+        self.folder = folder
+        self.layout = layout
         self.arrays = checked_arrays(folder, study, layout, mode, growing) if arrays is None else arrays
         self.drawn = list(study.laws)
         self.held = held
 
     def write(self, block: Block, results: Arrays, drawn: Arrays) -> None:
         """Write a block, or the new end of an extended one, and then its digests."""
-        values, sums = results | drawn, {}
+        values = results | drawn
+        sums = {}
         with writing(self.folder, self.held):
             for name in self._held(block):
                 array = self.arrays[name]
@@ -106,9 +108,11 @@ class Chunks:
             pieces = self._pieces(block)
             if pieces and self._altered(block, pieces, self.arrays):
                 pieces = []
-            rest = rest_of(block, pieces)
-            blocks += [rest] * (lanes_in(rest) > 0)
-            useless += files if not pieces else []
+            remaining = uncovered(block, pieces)
+            if lanes_in(remaining) > 0:
+                blocks.append(remaining)
+            if not pieces:
+                useless += files
         return blocks, useless
 
     def read(self, dataset: xr.Dataset) -> None:
@@ -130,7 +134,7 @@ class Chunks:
             ConfigError: Some are absent, because the run did not finish.
         """
         blocks = self.layout.blocks()
-        missing = sum(lanes_in(rest_of(block, self._pieces(block))) for block in blocks)
+        missing = sum(lanes_in(uncovered(block, self._pieces(block))) for block in blocks)
         if missing:
             raise incomplete(self.folder, missing, sum(map(lanes_in, blocks)))
 
@@ -148,8 +152,8 @@ class Chunks:
         for block in self.layout.blocks():
             altered = self._altered(block, self._pieces(block), values)
             if altered:
-                where, at = str(self.folder / DATA / altered), self.layout.index(block)
-                raise ConfigError(where, f"is damaged: block {at} does not hold what was written; {MEND}")
+                rule = f"is damaged: block {self.layout.index(block)} does not hold what was written; {MEND}"
+                raise ConfigError(str(self.folder / DATA / altered), rule)
         if seal is not None and seal != over_all(self.folder, self.layout):
             raise ConfigError(str(self.folder / DIGESTS), f"is damaged: these are not the run's digests; {MEND}")
 
@@ -160,7 +164,9 @@ class Chunks:
         sound = [piece.draws[0] for piece in pieces] == ends[:-1] and ends == sorted({*ends})
         return pieces if sound and ends[-1] <= block[-1].stop else []
 
-    def _altered(self, block: Block, pieces: list[Piece], values: Mapping[str, Any]) -> str:
+    def _altered(
+        self, block: Block, pieces: list[Piece], values: Mapping[str, zarr.Array] | Mapping[str, np.ndarray]
+    ) -> str:
         """The first variable that differs from the written data; empty if there is none.
 
         Args:
@@ -192,7 +198,7 @@ class Chunks:
         return self.folder / DATA / name / "c" / Path(*map(str, index[-1:] if name in self.drawn else index))
 
 
-def rest_of(block: Block, pieces: list[Piece]) -> Block:
+def uncovered(block: Block, pieces: list[Piece]) -> Block:
     """The part of a block that its digests do not cover."""
     return (*block[:-1], slice(pieces[-1].draws[1] if pieces else block[-1].start, block[-1].stop))
 

@@ -34,15 +34,15 @@ class Piece(NamedTuple):
     sums: dict[str, str]
 
 
-def sum_of(values: np.ndarray, about: str = "") -> str:
+def sum_of(values: np.ndarray, context: str = "") -> str:
     """Digest of an array's shape, type and values, independent of the machine's byte order.
 
     Args:
         values: The array.
-        about: Further text to include in the digest.
+        context: Further text to include in the digest.
     """
     plain = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
-    head = f"{values.shape} {plain.dtype.str} {about}\n"
+    head = f"{values.shape} {plain.dtype.str} {context}\n"
     return hashlib.sha256(head.encode() + plain.tobytes()).hexdigest()
 
 
@@ -72,7 +72,7 @@ def pieces_of(folder: Path, index: Index) -> list[Piece]:
     try:
         if content["block"] != list(index):
             return []
-        pieces = [Piece((int(first), int(last)), dict(sums)) for (first, last), sums in content["pieces"]]
+        pieces = [Piece((int(start), int(stop)), dict(sums)) for (start, stop), sums in content["pieces"]]
     except (TypeError, KeyError, ValueError):
         return []
     return pieces
@@ -80,9 +80,9 @@ def pieces_of(folder: Path, index: Index) -> list[Piece]:
 
 def add_piece(folder: Path, index: Index, piece: Piece) -> None:
     """Write a block's digests: the previous ones, and those of the piece."""
-    before = [other for other in pieces_of(folder, index) if other.draws[1] <= piece.draws[0]]
+    earlier = [stored for stored in pieces_of(folder, index) if stored.draws[1] <= piece.draws[0]]
     files.make_folder(folder / DIGESTS, folder)
-    write_json(file_of(folder, index), {"block": index, "pieces": [*before, piece]}, folder, durable=False)
+    write_json(file_of(folder, index), {"block": index, "pieces": [*earlier, piece]}, folder, durable=False)
 
 
 def over_all(folder: Path, layout: Layout) -> str:

@@ -91,9 +91,9 @@ def export(result: Result | Analysis, to: Format | str, out: str | Path | None =
     writers = {Format.CSV: write_csv, Format.PARQUET: write_parquet, Format.NETCDF: write_netcdf, Format.MAT: write_mat}
     written = [into_place(path, lambda file: writers[form](result, file))]
     if form is Format.CSV:
-        about = path.with_name(f"{path.name}-metadata.json")
+        metadata_file = path.with_name(f"{path.name}-metadata.json")
         content = json.dumps(csv_metadata(result, path.name), indent=2) + "\n"
-        written.append(into_place(about, lambda file: file.write(content.encode())))
+        written.append(into_place(metadata_file, lambda file: file.write(content.encode())))
     return written
 
 
@@ -109,8 +109,8 @@ def require(package: str, form: Format) -> None:
         raise ConfigError(f"--to {form}", f"needs {package}: pip install 'dssc_jax[export]'") from None
 
 
-def into_place(path: Path, write: Callable[[IO[bytes]], Any]) -> Path:
-    """Write a file whole, or not at all.
+def into_place(path: Path, write: Callable[[IO[bytes]], object]) -> Path:
+    """Write a file completely or not at all.
 
     Raises:
         ConfigError: it cannot be written.
@@ -130,8 +130,9 @@ def table_of(result: Result | Analysis) -> Rows:
 
 def table_of_analysis(analysis: Analysis) -> Rows:
     """A row for each index of the analysis' own dimensions."""
-    data, own = analysis.dataset, set(analysis.table)
-    part = data[[name for name, one in data.items() if set(one.dims) <= own]]
+    data = analysis.dataset
+    dimensions = set(analysis.table)
+    part = data[[name for name, variable in data.items() if set(variable.dims) <= dimensions]]
     frame = part.to_dataframe(dim_order=list(analysis.table)).reset_index()
     names = list(map(str, frame.columns))
     columns = {
@@ -155,7 +156,8 @@ def pieces(result: Result, names: list[str]) -> Iterable["pd.DataFrame"]:
     """The table of lanes, in pieces."""
     import pandas as pd
 
-    study, data = result.study, result.dataset
+    study = result.study
+    data = result.dataset
     codes = outcome_codes(study)
     for block in Layout.of(study, TABLE_ROWS).blocks():
         drawn = {name: data[name].values[block[-1]] for name in study.laws}
@@ -174,13 +176,14 @@ def write_csv(result: Result | Analysis, file: IO[bytes]) -> None:
         piece.to_csv(file, index=False, header=number == 0, lineterminator="\n")
 
 
-def csv_metadata(result: Result | Analysis, name: str) -> dict[str, Any]:
+def csv_metadata(result: Result | Analysis, name: str) -> dict[str, object]:
     """The table's description, as "CSV on the Web" defines it."""
-    table, described = table_of(result), []
-    for column, about in table.columns.items():
-        unit = {"schema:unitText": about["units"]} if "units" in about else {}
-        law = {"dc:source": about["law"]} if "law" in about else {}
-        entry = {"name": column, "datatype": table.datatypes[column], "dc:description": about["long_name"]}
+    table = table_of(result)
+    described = []
+    for column, attributes in table.columns.items():
+        unit = {"schema:unitText": attributes["units"]} if "units" in attributes else {}
+        law = {"dc:source": attributes["law"]} if "law" in attributes else {}
+        entry = {"name": column, "datatype": table.datatypes[column], "dc:description": attributes["long_name"]}
         described.append(entry | unit | law)
     return {
         "@context": CSVW,
@@ -203,8 +206,8 @@ def write_parquet(result: Result | Analysis, file: IO[bytes]) -> None:
         for piece in rows.pieces:
             table = pa.Table.from_pandas(piece, preserve_index=False)
             fields = [f.with_metadata({k: str(v) for k, v in rows.columns[f.name].items()}) for f in table.schema]
-            whole = {**(table.schema.metadata or {}), **file_provenance(result)}
-            table = table.cast(pa.schema(fields, metadata=whole))
+            metadata = {**(table.schema.metadata or {}), **file_provenance(result)}
+            table = table.cast(pa.schema(fields, metadata=metadata))
             writer = writer or parquet.ParquetWriter(file, table.schema)
             writer.write_table(table)
     finally:
@@ -215,9 +218,10 @@ def write_parquet(result: Result | Analysis, file: IO[bytes]) -> None:
 def write_netcdf(result: Result | Analysis, file: IO[bytes]) -> None:
     """The dataset, compressed. It is made in memory: HDF5 ends the process where a disk is full."""
     data = result.dataset.copy().assign_attrs(file_provenance(result))
-    for one in data.variables.values():
-        if "flag_values" in one.attrs and one.dtype.kind in "iu":
-            one.attrs["flag_values"] = np.asarray(one.attrs["flag_values"], dtype=one.dtype)  # CF: of its own type
+    for variable in data.variables.values():
+        if "flag_values" in variable.attrs and variable.dtype.kind in "iu":
+            flags = np.asarray(variable.attrs["flag_values"], dtype=variable.dtype)  # CF: of the variable's type
+            variable.attrs["flag_values"] = flags
     memory = io.BytesIO()
     packed = {name: {"zlib": True, "complevel": 4} for name in data.data_vars}
     data.to_netcdf(memory, engine="h5netcdf", encoding=packed)
@@ -231,24 +235,28 @@ def write_mat(result: Result | Analysis, file: IO[bytes]) -> None:
     """
     from scipy.io import savemat
 
-    content: dict[str, Any] = {"study": file_provenance(result)}
-    for name, one in result.dataset.variables.items():
-        values = one.values if one.dtype.kind in "fiub" else one.values.astype(object)
-        about = {key: str(one.attrs[key]) for key in ("units", "long_name") if key in one.attrs}
-        content[matlab_name(str(name), content)] = {"values": values, "dimensions": list(map(str, one.dims)), **about}
+    content: dict[str, object] = {"study": file_provenance(result)}
+    for name, variable in result.dataset.variables.items():
+        values = variable.values if variable.dtype.kind in "fiub" else variable.values.astype(object)
+        attributes = {key: str(variable.attrs[key]) for key in ("units", "long_name") if key in variable.attrs}
+        content[matlab_name(str(name), content)] = {
+            "values": values,
+            "dimensions": list(map(str, variable.dims)),
+            **attributes,
+        }
     savemat(file, content, long_field_names=True, do_compression=True, oned_as="column", appendmat=False)
 
 
 def matlab_name(name: str, taken: Iterable[str]) -> str:
-    """A name that MATLAB takes and that is not taken yet."""
+    """A valid and unused MATLAB name."""
     plain = re.sub(r"\W", "_", name, flags=re.ASCII)[:60]
     plain = plain if plain[:1].isalpha() else f"v{plain}"
-    alike = sum(other == plain or other.startswith(f"{plain}_v") for other in taken)
+    alike = sum(taken_name == plain or taken_name.startswith(f"{plain}_v") for taken_name in taken)
     return f"{plain}_v{alike + 1}" if alike and plain in taken else plain
 
 
 def file_provenance(result: Result | Analysis) -> dict[str, str]:
-    """What makes a file traceable: the study as run, and its hash."""
+    """The study as run and its hash, by which a file can be traced."""
     manifest = {} if isinstance(result, Analysis) else result.manifest
     made = [f"computed with dssc_jax {manifest.get('versions', {}).get('dssc_jax') or version('dssc_jax')}"]
     made += [str(manifest["started"])] if "started" in manifest else []

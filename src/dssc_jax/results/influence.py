@@ -1,4 +1,4 @@
-"""What matters in a result: swept numbers that change nothing, and uncertain numbers by their influence."""
+"""Swept parameters that affect no requirement, and the influence of uncertain parameters on failure."""
 
 import numpy as np
 import xarray as xr
@@ -8,11 +8,12 @@ from dssc_jax.statistics.order import upper_quantiles
 
 IDLE = 0.01  # largest relative change of a metric's quantiles over an axis that counts as none
 SHOWN_QUANTILES = (0.05, 0.5, 0.95)
-BINS, FILLED = 8, 5  # largest number of bins, and least number of draws in each
+BINS = 8  # at most
+FILLED = 5  # draws in a bin, at least
 
 
 def idle_axes(result: Result) -> list[str]:
-    """The swept numbers that change nothing of what is required.
+    """The swept parameters that affect no requirement.
 
     Over such a number every draw keeps its verdict, and no quantile (5, 50, 95 %) of a required metric changes by more
     than 1 %, while the other swept numbers stay where they are. Without requirements, the headline metric counts.
@@ -22,7 +23,7 @@ def idle_axes(result: Result) -> list[str]:
 
 
 def is_idle(result: Result, axis: str) -> bool:
-    """Whether an axis changes nothing of what is required."""
+    """Whether an axis affects no requirement."""
     failed = result.failed
     if bool((failed != failed.isel({axis: 0})).any()):
         return False
@@ -45,17 +46,17 @@ def largest_change(metric: xr.DataArray, axis: str) -> float:
 
 def idle_text(result: Result) -> str:
     """The idle axes in words; empty if every axis matters."""
-    return "; ".join(about_idle(result, name) for name in idle_axes(result))
+    return "; ".join(idle_axis_text(result, name) for name in idle_axes(result))
 
 
-def about_idle(result: Result, axis: str) -> str:
+def idle_axis_text(result: Result, axis: str) -> str:
     """What an idle axis changes, if anything."""
     changes = {measure.name: largest_change(result.dataset[measure.name], axis) for measure in result.study.measures}
     if max(changes.values()) <= IDLE:
         return f"no metric changes over {axis}"
-    most = max(changes, key=lambda name: changes[name])
-    share = f"by {changes[most]:.0%}" if np.isfinite(changes[most]) else "in some draws from finite to infinite"
-    return f"{axis} is idle here: no verdict and no required metric changes over it (most changes {most}, {share})"
+    largest = max(changes, key=lambda name: changes[name])
+    share = f"by {changes[largest]:.0%}" if np.isfinite(changes[largest]) else "in some draws from finite to infinite"
+    return f"{axis} is idle here: no verdict and no required metric changes over it (most changes {largest}, {share})"
 
 
 def groups_of(values: np.ndarray) -> list[np.ndarray]:
@@ -81,9 +82,9 @@ def influence(result: Result, name: str) -> float:
     total = float(np.sum((outcome - outcome.mean()) ** 2))
     if total == 0.0 or len(groups) < 2:
         return 0.0
-    between = sum(len(group) * (outcome[group].mean() - outcome.mean()) ** 2 for group in groups)
+    explained = sum(len(group) * (outcome[group].mean() - outcome.mean()) ** 2 for group in groups)
     chance = (len(groups) - 1) / max(1, outcome.size - 1)
-    return float(max(0.0, between / total - chance))
+    return float(max(0.0, explained / total - chance))
 
 
 def by_influence(result: Result, names: list[str]) -> list[str]:

@@ -11,7 +11,8 @@ from filelock import FileLock, Timeout
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 
-LOCK, HOLDER = ".lock", ".writer.json"
+LOCK = ".lock"
+HOLDER = ".writer.json"
 
 
 def take(folder: Path) -> FileLock:
@@ -32,13 +33,13 @@ def take(folder: Path) -> FileLock:
         raise ConfigError(
             str(folder), f"is being written by {holder(folder)}; wait for it, or choose another --out"
         ) from None
-    about = {
+    process = {
         "process": os.getpid(),
         "host": platform.node(),
         "since": datetime.now(UTC).isoformat(timespec="seconds"),
     }
     try:
-        files.write_text(folder / HOLDER, json.dumps(about) + "\n", durable=False)
+        files.write_text(folder / HOLDER, json.dumps(process) + "\n", durable=False)
     except OSError:
         lock.release()
         raise
@@ -48,7 +49,7 @@ def take(folder: Path) -> FileLock:
 def holder(folder: Path) -> str:
     """Describe the process that last took the lock."""
     try:
-        about = json.loads(files.read_text(folder / HOLDER))
-        return f"process {about['process']} on {about['host']} since {about['since']}"
+        process = json.loads(files.read_text(folder / HOLDER))
+        return f"process {process['process']} on {process['host']} since {process['since']}"
     except (OSError, ValueError, KeyError, TypeError):
         return "another process"

@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
@@ -16,11 +16,17 @@ from dssc_jax.study.described import describe
 from dssc_jax.study.laws import is_number
 from dssc_jax.study.tables import require_shallow
 
-SCHEMA, IN_METRES, WITHOUT_DIGESTS = 3, 2, 1
-"""Versions of the folder: the present one; with the units of a plant in metres, whatever the plant; without digests."""
+Manifest: TypeAlias = dict[str, Any]
+"""The content of a manifest.json, whose fields are checked when it is read."""
 
+SCHEMA = 3
+"""Version of a folder of a run or an analysis. No other is read."""
+
+REMEDY = "use the dssc_jax that wrote it, or run its study again into another --out"
 SEAL = "digest"
-DATA, MANIFEST, SUMMARY = "data.zarr", "manifest.json", "summary.json"
+DATA = "data.zarr"
+MANIFEST = "manifest.json"
+SUMMARY = "summary.json"
 MANIFEST_TABLES = ("study", "layout", "versions", "device", "times")
 TIMES = ("seconds", "compile_seconds", "rate")
 """Timing fields of every finished run."""
@@ -34,17 +40,17 @@ EXTENSIBLE = ("random", "sobol")
 """Kinds of sampling in which draw i does not depend on the number of draws."""
 
 
-def write_json(path: Path, content: Any, within: Path | None = None, durable: bool = True) -> None:
+def write_json(path: Path, content: object, within: Path | None = None, durable: bool = True) -> None:
     """Write a JSON file; arguments and errors as for :func:`dssc_jax.core.files.replacing`."""
     files.write_text(path, [json.dumps(content, indent=2), "\n"], within, durable)
 
 
-def write_sealed(path: Path, content: dict[str, Any]) -> None:
+def write_sealed(path: Path, content: dict[str, object]) -> None:
     """Write a JSON file with a digest of its content."""
     write_json(path, content | {SEAL: hash_of(content)})
 
 
-def unsealed(path: Path, content: dict[str, Any]) -> dict[str, Any]:
+def unsealed(path: Path, content: object) -> dict[str, Any]:
     """The content that was passed to :func:`write_sealed`.
 
     Args:
@@ -52,20 +58,25 @@ def unsealed(path: Path, content: dict[str, Any]) -> dict[str, Any]:
         content: Its current content.
 
     Raises:
-        ConfigError: The content does not match its digest.
+        ConfigError: The content has another schema version, or it does not match its digest.
     """
+    if not isinstance(content, dict) or "schema" not in content:
+        raise ConfigError(str(path), f"is damaged, or of another version: it has no schema version; {REMEDY}")
+    if content["schema"] != SCHEMA:
+        rule = f"has schema version {content['schema']!r}, this program reads {SCHEMA}; {REMEDY}"
+        raise ConfigError(str(path), rule)
     inner = dict(content)
     if inner.pop(SEAL, None) != hash_of(inner):
         raise ConfigError(str(path), "is damaged: its content is not the one that its digest was taken of")
     return inner
 
 
-def write_manifest(folder: Path, manifest: dict[str, Any]) -> None:
+def write_manifest(folder: Path, manifest: Manifest) -> None:
     """Write manifest.json."""
     write_sealed(folder / MANIFEST, manifest)
 
 
-def read_manifest(folder: Path) -> dict[str, Any]:
+def read_manifest(folder: Path) -> Manifest:
     """The manifest of a results folder.
 
     Raises:
@@ -75,24 +86,15 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     try:
         manifest = json.loads(files.read_text(path))
     except OSError as error:
-        others = sorted(other.stem for other in folder.glob("*.json") if other.name != SUMMARY)
-        analysis = others and (folder / DATA).exists()
-        hint = f"; it holds what `{others[0]}` wrote, which dj.load reads" if analysis else ""
+        kinds = sorted(file.stem for file in folder.glob("*.json") if file.name != SUMMARY)
+        analysis = kinds and (folder / DATA).exists()
+        hint = f"; it holds what `{kinds[0]}` wrote, which dj.load reads" if analysis else ""
         raise ConfigError(
             str(folder), f"is not a results folder: {MANIFEST} cannot be read ({error.strerror}){hint}"
         ) from error
     except (ValueError, RecursionError) as error:
         raise ConfigError(str(path), f"is damaged, not valid JSON: {error}") from error
-    if not isinstance(manifest, dict) or "schema" not in manifest:
-        raise ConfigError(str(path), "is damaged: it has no schema version")
-    if manifest["schema"] not in (SCHEMA, IN_METRES, WITHOUT_DIGESTS):
-        raise ConfigError(
-            str(path),
-            f"has schema version {manifest['schema']!r}, this program reads {WITHOUT_DIGESTS} to {SCHEMA}; "
-            "use the dssc_jax that wrote it, or run its study again into another --out",
-        )
-    if manifest["schema"] != WITHOUT_DIGESTS or SEAL in manifest:
-        manifest = unsealed(path, manifest)
+    manifest = unsealed(path, manifest)
     for name in MANIFEST_TABLES:
         if not isinstance(manifest.get(name), dict):
             raise ConfigError(str(path), f"is damaged: {name} is not a table")
@@ -106,7 +108,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     return manifest
 
 
-def require_sound(path: Path, manifest: dict[str, Any]) -> None:
+def require_sound(path: Path, manifest: Manifest) -> None:
     """Require valid fields, of the right types, for everything besides the study that a summary reads from a manifest.
 
     Raises:
@@ -120,14 +122,14 @@ def require_sound(path: Path, manifest: dict[str, Any]) -> None:
         if manifest.get(name) is not None:
             require_fields(path, name, manifest[name], fields)
     code = manifest.get("code", {})
-    if not isinstance(code, dict) or not all(isinstance(about, dict) for about in code.values()):
+    if not isinstance(code, dict) or not all(isinstance(module, dict) for module in code.values()):
         raise ConfigError(str(path), f"is damaged: code must be a table of tables, got {code!r}")
     look = (manifest.get("stopping") or {}).get("look", 1)
     if not isinstance(look, int) or look < 1:
         raise ConfigError(str(path), f"is damaged: stopping.look must be a whole number >= 1, got {look!r}")
 
 
-def require_fields(path: Path, name: str, table: Any, fields: tuple[str, ...]) -> None:
+def require_fields(path: Path, name: str, table: object, fields: tuple[str, ...]) -> None:
     """Require a table with these fields.
 
     Raises:
@@ -137,7 +139,7 @@ def require_fields(path: Path, name: str, table: Any, fields: tuple[str, ...]) -
         raise ConfigError(str(path), f"is damaged: {name} must be a table with {', '.join(fields)}, got {table!r}")
 
 
-def stored_layout(folder: Path, study: Study, manifest: dict[str, Any], draws: int | None = None) -> Layout:
+def stored_layout(folder: Path, study: Study, manifest: Manifest, draws: int | None = None) -> Layout:
     """The study's grid with the blocks given in a manifest.
 
     Args:
@@ -149,17 +151,18 @@ def stored_layout(folder: Path, study: Study, manifest: dict[str, Any], draws: i
     Raises:
         ConfigError: The manifest's layout does not match its study.
     """
-    whole = Layout.of(study).shape
-    expected = [*whole[:-1], whole[-1] if draws is None else draws]
-    shape, block = (manifest["layout"].get(name) for name in ("shape", "block"))
+    grid = Layout.of(study).shape
+    expected = [*grid[:-1], grid[-1] if draws is None else draws]
+    shape = manifest["layout"].get("shape")
+    block = manifest["layout"].get("block")
     sizes = [value for part in (shape, block) if isinstance(part, list) for value in part]
     counts = all(isinstance(value, int) and not isinstance(value, bool) and value > 0 for value in sizes)
     if not counts or shape != expected or not isinstance(block, list) or len(block) != len(expected):
         raise ConfigError(str(folder / MANIFEST), f"is damaged: the layout {manifest['layout']} does not fit the study")
-    return Layout(whole, tuple(block))
+    return Layout(grid, tuple(block))
 
 
-def differences(old: Any, new: Any, path: str = "") -> list[str]:
+def differences(old: object, new: object, path: str = "") -> list[str]:
     """Differences between two tables, one line each."""
     if isinstance(old, dict) and isinstance(new, dict):
         lines = []
@@ -169,13 +172,13 @@ def differences(old: Any, new: Any, path: str = "") -> list[str]:
     return [] if old == new else [f"{path}: {old!r} there, {new!r} here"]
 
 
-def listed(lines: list[str], most: int = 3) -> str:
+def listed(lines: list[str], limit: int = 3) -> str:
     """The first differences in one line."""
-    return "; ".join(lines[:most]) + (f"; and {len(lines) - most} more" if len(lines) > most else "")
+    return "; ".join(lines[:limit]) + (f"; and {len(lines) - limit} more" if len(lines) > limit else "")
 
 
 def occupied(folder: Path) -> bool:
-    """Whether a folder holds more than a run leaves that was killed at its very beginning.
+    """Whether a folder holds anything beyond an aborted start's files.
 
     Raises:
         ConfigError: It is a file.
@@ -199,7 +202,7 @@ def require_startable(folder: Path, study: Study, resume: bool) -> None:
         require_same_study(folder, read_manifest(folder), study, resume)
 
 
-def require_same_study(folder: Path, manifest: dict[str, Any], study: Study, resume: bool) -> bool:
+def require_same_study(folder: Path, manifest: Manifest, study: Study, resume: bool) -> bool:
     """Require that a folder's study is this one; a resumed run may ask for more draws.
 
     Returns:
@@ -208,25 +211,26 @@ def require_same_study(folder: Path, manifest: dict[str, Any], study: Study, res
     Raises:
         ConfigError: The study is different (the message gives the differences), or draws cannot be added.
     """
-    old, new = manifest["study"], study.table
+    old = manifest["study"]
     if resume and manifest.get("stopping"):
         raise ConfigError(str(folder), "ended where its draws decided; that cannot be resumed, start over")
     if manifest["hash"] == study.hash:
         return False
-    lines = differences(old, new)
-    draws, wanted = old.get("draws", 1), study.config.draws
-    if [line.partition(":")[0] for line in lines] == ["draws"] and isinstance(draws, int) and wanted > draws:
+    lines = differences(old, study.table)
+    draws = old.get("draws", 1)
+    requested = study.config.draws
+    if [line.partition(":")[0] for line in lines] == ["draws"] and isinstance(draws, int) and requested > draws:
         if study.config.sampling not in EXTENSIBLE:
             raise ConfigError(
                 str(folder),
                 f"holds {draws} draws of '{study.config.sampling}' sampling, which depend on their number: "
-                f"{wanted} of them are another set; choose another --out, nothing was written",
+                f"{requested} of them are another set; choose another --out, nothing was written",
             )
         if resume:
             return True
         raise ConfigError(
             str(folder),
-            f"holds {draws} draws of this study; add {wanted - draws} with --resume, or choose another --out, "
+            f"holds {draws} draws of this study; add {requested - draws} with --resume, or choose another --out, "
             "nothing was written",
         )
     raise ConfigError(
@@ -234,7 +238,7 @@ def require_same_study(folder: Path, manifest: dict[str, Any], study: Study, res
     )
 
 
-def about_code(study: Study) -> dict[str, Any]:
+def code_entries(study: Study) -> Manifest:
     """Manifest entries on the code that a study refers to: files, digests, and descriptions for readers."""
     if isinstance(study, Described):
         return {"code": study.code, "described": study.description.model_dump(mode="json")}
@@ -245,21 +249,23 @@ def about_code(study: Study) -> dict[str, Any]:
     return {"code": code, "described": describe(study, certified, reason)}
 
 
-def machinery_differences(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
+def machinery_differences(old: Manifest, new: Manifest) -> list[str]:
     """Differences between two manifests that affect a result's last digits: versions, device, compiler, user's code."""
-    there, here = (
-        {
-            "versions": {name: manifest.get("versions", {}).get(name) for name in COMPUTING},
-            "device": manifest.get("device", {}).get("kind"),
-            "compiler": manifest.get("compiler"),
-            "code": {name: about.get("sha256") for name, about in manifest.get("code", {}).items()},
-        }
-        for manifest in (old, new)
-    )
-    return differences(there, here)
+    return differences(machinery(old), machinery(new))
 
 
-def require_same_machinery(folder: Path, old: dict[str, Any], new: dict[str, Any]) -> None:
+def machinery(manifest: Manifest) -> dict[str, object]:
+    """The entries of a manifest that affect a result's last digits."""
+    versions = manifest.get("versions", {})
+    return {
+        "versions": {name: versions.get(name) for name in COMPUTING},
+        "device": manifest.get("device", {}).get("kind"),
+        "compiler": manifest.get("compiler"),
+        "code": {name: module.get("sha256") for name, module in manifest.get("code", {}).items()},
+    }
+
+
+def require_same_machinery(folder: Path, old: Manifest, new: Manifest) -> None:
     """Require that versions, device and compiler settings are those with which a run began.
 
     Raises:

@@ -42,8 +42,8 @@ class SweepProofs:
         """Proved upper bound of |e| [m] once settled, by axes; NaN where the point is not proved."""
         return self._by_axes([point["error"] if point["proved"] else np.nan for point in self.points])
 
-    def _by_axes(self, values: list[Any]) -> np.ndarray:
-        return np.array(values).reshape([len(each) for each in self.axes.values()])
+    def _by_axes(self, values: list[float]) -> np.ndarray:
+        return np.array(values).reshape([len(axis) for axis in self.axes.values()])
 
     def save(self, folder: str | Path) -> Path:
         """Write the proofs with their certificates into a results folder."""

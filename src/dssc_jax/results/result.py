@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -13,9 +12,10 @@ from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import Outcome
 from dssc_jax.engine.batching import Layout
 from dssc_jax.results import store
+from dssc_jax.results.manifest import Manifest
 from dssc_jax.results.proofs import SweepProofs, read_proofs
 from dssc_jax.results.schema import variables
-from dssc_jax.results.summary import lines, points
+from dssc_jax.results.summary import Summary, SummaryRow, lines, points
 from dssc_jax.results.theorem import theorem_mark
 from dssc_jax.statistics import CONFIDENCE, DataDriven, FixedCount, Method, Replicated
 from dssc_jax.study import Study
@@ -41,11 +41,11 @@ class Result:
 
     study: Study
     dataset: xr.Dataset
-    manifest: dict[str, Any] = field(default_factory=dict)
+    manifest: Manifest = field(default_factory=dict)
     path: Path | None = None
 
     @classmethod
-    def of(cls, study: Study, dataset: xr.Dataset, manifest: dict[str, Any], path: Path | None = None) -> "Result":
+    def of(cls, study: Study, dataset: xr.Dataset, manifest: Manifest, path: Path | None = None) -> "Result":
         """Create a result, with the proofs that its folder holds."""
         result = cls(study, dataset, manifest, path)
         proofs = read_proofs(path, study) if path is not None else None
@@ -53,10 +53,10 @@ class Result:
 
     def with_proofs(self, proofs: SweepProofs) -> "Result":
         """The result with what is proved at each point: the coordinates ``proved`` and ``proved_error``."""
-        about = {"long_name": "proved for all plants, with lag and sampling"}
+        attributes = {"long_name": "proved for all plants, with lag and sampling"}
         bound = {"long_name": "proved upper bound of |e| once settled", "units": self.study.units[0].output}
         axes = tuple(self.study.axes)
-        coordinates = {"proved": (axes, proofs.proved, about), "proved_error": (axes, proofs.error, bound)}
+        coordinates = {"proved": (axes, proofs.proved, attributes), "proved_error": (axes, proofs.error, bound)}
         return Result(self.study, self.dataset.assign_coords(coordinates), self.manifest, self.path)
 
     def with_theorem(self) -> "Result":
@@ -74,7 +74,7 @@ class Result:
 
     @property
     def certificate(self) -> str:
-        """What is proved of the loop, and what Theorem 1 says of it, in one line."""
+        """The proofs of the loop and the result of Theorem 1, in one line."""
         return "; ".join(filter(None, (self.proofs, self.theorem)))
 
     @property
@@ -88,8 +88,8 @@ class Result:
     @property
     def integration(self) -> str:
         """The error of integration between the samples in words; empty if it was not checked."""
-        about = self.manifest.get("integration") or {}
-        return about.get("warning") or about.get("text", "")
+        checked = self.manifest.get("integration") or {}
+        return checked.get("warning") or checked.get("text", "")
 
     @property
     def theorem(self) -> str:
@@ -118,7 +118,7 @@ class Result:
         stopping = self.manifest.get("stopping")
         return DataDriven(stopping["look"]) if stopping else interval_method(self.study)
 
-    def summary(self, confidence: float = CONFIDENCE) -> dict[str, Any]:
+    def summary(self, confidence: float = CONFIDENCE) -> Summary:
         """Failures, probability and interval of every sweep point and each requirement; quantiles of the metrics.
 
         ``failures`` of a point counts the draws that fail in any way, that of a requirement all draws that violate it.
@@ -129,17 +129,17 @@ class Result:
         Args:
             confidence: Confidence of each single interval.
         """
-        return self._said(list(self.points(confidence)), confidence)
+        return self._content(list(self.points(confidence)), confidence)
 
-    def points(self, confidence: float = CONFIDENCE) -> Iterator[dict[str, Any]]:
+    def points(self, confidence: float = CONFIDENCE) -> Iterator[SummaryRow]:
         """The points of :meth:`summary`, one by one, so that few points of a large sweep are in memory at once."""
         return points(self.study, self.with_theorem().dataset, self.method, confidence)
 
     def lines(self) -> Iterator[str]:
         """:meth:`summary` as JSON, line by line, as written to ``summary.json``."""
-        return lines(self._said(self.points(), CONFIDENCE))
+        return lines(self._content(self.points(), CONFIDENCE))
 
-    def _said(self, points: Iterable[dict[str, Any]], confidence: float) -> dict[str, Any]:
+    def _content(self, points: Iterable[SummaryRow], confidence: float) -> Summary:
         times = self.manifest.get("times", {})
         return {
             "study": self.study.name,
@@ -211,10 +211,10 @@ def headline_measure(study: Study) -> Measure:
 
     For a study that measures no error it is the first metric.
     """
-    wanted = study.config.plot.metric
+    name = study.config.plot.metric
     by_name = {measure.name: measure for measure in study.measures}
-    if wanted:
-        return by_name[wanted]
+    if name:
+        return by_name[name]
     if study.requirements:
         return study.requirements[0].measure
     return next((by_name[name] for name in ERRORS if name in by_name), study.measures[0])

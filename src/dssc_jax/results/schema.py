@@ -26,14 +26,9 @@ def outcome_codes(study: Study) -> dict[int, str]:
 
     A code gives only the first violated requirement, in the study's order; the slacks show all of them.
     """
-    requirements = {Outcome.REQUIREMENT + i: f"first_violated_{r.label}" for i, r in enumerate(study.requirements)}
+    requirements = {int(Outcome.REQUIREMENT) + i: f"first_violated_{r.label}" for i, r in enumerate(study.requirements)}
     broken = {int(Outcome.SINGULAR_ATTITUDE): "singular_attitude"} if len(study.loop.channels) > 1 else {}
-    return {
-        int(Outcome.OK): "ok",
-        int(Outcome.NON_FINITE): "non_finite",
-        **broken,
-        **{int(k): v for k, v in requirements.items()},
-    }
+    return {int(Outcome.OK): "ok", int(Outcome.NON_FINITE): "non_finite"} | broken | requirements
 
 
 def verdict(study: Study, outcome: int, slacks: Mapping[str, Any]) -> str:
@@ -60,25 +55,25 @@ def variables(study: Study) -> dict[str, Variable]:
     described = {}
     for name, law in study.laws.items():
         quantity = study.quantities[name]
-        about = {"units": quantity.unit, "long_name": quantity.meaning, "law": str(law)}
-        described[name] = Variable(("draw",), "float64", about)
+        attributes = {"units": quantity.unit, "long_name": quantity.meaning, "law": str(law)}
+        described[name] = Variable(("draw",), "float64", attributes)
     for measure in study.measures:
-        about = {"units": measure.unit, "long_name": measure.meaning + measure.window_text}
-        described[measure.name] = Variable(grid, real, about)
+        attributes = {"units": measure.unit, "long_name": measure.meaning + measure.window_text}
+        described[measure.name] = Variable(grid, real, attributes)
     for requirement in study.requirements:
-        about = {"units": requirement.measure.unit, "long_name": f"signed slack of {requirement.text}"}
-        described[requirement.name] = Variable(grid, real, about)
-    about = {"units": "s", "long_name": "time of the first non-finite step (NaN: none)"}
-    described["failed_at"] = Variable(grid, real, about)
+        attributes = {"units": requirement.measure.unit, "long_name": f"signed slack of {requirement.text}"}
+        described[requirement.name] = Variable(grid, real, attributes)
+    attributes = {"units": "s", "long_name": "time of the first non-finite step (NaN: none)"}
+    described["failed_at"] = Variable(grid, real, attributes)
     if study.loop.settled:
-        about = {
+        attributes = {
             "units": "s",
             "long_name": "time from which on it had settled, and was not simulated (NaN: none)",
         }
-        described["settled_at"] = Variable(grid, real, about)
+        described["settled_at"] = Variable(grid, real, attributes)
     codes = outcome_codes(study)
-    about = {"long_name": OUTCOME, "flag_values": list(codes), "flag_meanings": " ".join(codes.values())}
-    described["outcome"] = Variable(grid, "int32", about)
+    attributes = {"long_name": OUTCOME, "flag_values": list(codes), "flag_meanings": " ".join(codes.values())}
+    described["outcome"] = Variable(grid, "int32", attributes)
     return described
 
 
@@ -94,7 +89,7 @@ def coordinates(study: Study) -> dict[str, Variable]:
 
 def coordinate_values(study: Study) -> dict[str, np.ndarray]:
     """Values of :func:`coordinates`."""
-    return {**{k: np.asarray(v) for k, v in study.axes.items()}, "draw": np.arange(study.config.draws)}
+    return {name: np.asarray(values) for name, values in study.axes.items()} | {"draw": np.arange(study.config.draws)}
 
 
 def dataset_attributes(study: Study) -> dict[str, str]:
@@ -112,10 +107,10 @@ def in_memory(study: Study) -> xr.Dataset:
         shape = [sizes[dim] for dim in variable.dims]
         fill = np.nan if variable.dtype.startswith("float") else NOT_COMPUTED
         blank[name] = (variable.dims, np.full(shape, fill, variable.dtype), dict(variable.attributes))
-    about = coordinates(study)
+    described = coordinates(study)
     return xr.Dataset(
         blank,
-        coords={name: ((name,), values, dict(about[name].attributes)) for name, values in coords.items()},
+        coords={name: ((name,), values, dict(described[name].attributes)) for name, values in coords.items()},
         attrs=dataset_attributes(study),
     )
 

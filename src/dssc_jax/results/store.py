@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import xarray as xr
 
@@ -13,13 +12,12 @@ from dssc_jax.results import lock
 from dssc_jax.results.arrays import laid_out, lay_out, require_coordinates, reshape
 from dssc_jax.results.blocks import Chunks, writing
 from dssc_jax.results.digests import DIGESTS, over_all
-from dssc_jax.results.first_schema import read_first_schema
 from dssc_jax.results.manifest import (
     DATA,
     MANIFEST,
     SCHEMA,
     SUMMARY,
-    WITHOUT_DIGESTS,
+    Manifest,
     occupied,
     read_manifest,
     require_same_machinery,
@@ -46,8 +44,9 @@ class Store:
             or it cannot be written.
     """
 
-    def __init__(self, folder: Path, study: Study, manifest: dict[str, Any], resume: bool = False) -> None:
-        self.folder, self.study = folder, study
+    def __init__(self, folder: Path, study: Study, manifest: Manifest, resume: bool = False) -> None:
+        self.folder = folder
+        self.study = study
         self.values: xr.Dataset | None = None  # all blocks, where this process computes them
         require_startable(folder, study, resume)
         with writing(folder):
@@ -61,9 +60,9 @@ class Store:
             raise
         try:
             old = read_manifest(folder) if occupied(folder) else None
-            more = old is not None and require_same_study(folder, old, study, resume)
+            adds_draws = old is not None and require_same_study(folder, old, study, resume)
             with writing(folder):
-                if old is None or not resume or not self._go_on(old, manifest, more):
+                if old is None or not resume or not self._resume(old, manifest, adds_draws):
                     self._begin(manifest)
         except BaseException:
             self.close()
@@ -76,7 +75,7 @@ class Store:
         self.close()
 
     def close(self) -> None:
-        """Release the lock, and let the folder go."""
+        """Release the lock and close the folder."""
         self._lock.release()
         self.held.close()
 
@@ -90,7 +89,7 @@ class Store:
         """The blocks; a resumed run keeps its original layout."""
         return self.chunks.layout
 
-    def _begin(self, manifest: dict[str, Any]) -> None:
+    def _begin(self, manifest: Manifest) -> None:
         for name in (DATA, DIGESTS):
             files.delete_tree(self.folder / name, self.folder)
         files.delete(self.folder / SUMMARY)
@@ -98,27 +97,23 @@ class Store:
         manifest = {name: value for name, value in manifest.items() if name != DIGESTS} | {"schema": SCHEMA}
         write_manifest(self.folder, manifest)  # before the data, so that an interrupted run is known as one
         layout = Layout.from_dict(manifest["layout"])
-        self.manifest, self.pending = manifest, layout.blocks()
+        self.manifest = manifest
+        self.pending = layout.blocks()
         arrays = lay_out(self.folder, self.study, layout)
         self.chunks = Chunks(self.folder, self.study, layout, arrays=arrays, held=self.held)
 
-    def _go_on(self, old: dict[str, Any], new: dict[str, Any], more: bool) -> bool:
+    def _resume(self, old: Manifest, new: Manifest, adds_draws: bool) -> bool:
         """Continue an earlier run; False if that run had not created its store."""
-        if old["schema"] == WITHOUT_DIGESTS:
-            rule = (
-                "was written without digests, by an earlier version: it can be read, and started over without --resume"
-            )
-            raise ConfigError(str(self.folder), rule)
         draws = old["study"].get("draws", 1)
         layout = stored_layout(self.folder, self.study, old, draws)
         if not laid_out(self.folder, self.study, layout):
             return False
-        if more:
+        if adds_draws:
             require_same_machinery(self.folder, old, new)
             self._require_sealed(old, Layout((*layout.shape[:-1], draws), layout.block))
         files.delete_partials(self.folder)
         self.manifest = old
-        if more:
+        if adds_draws:
             self.manifest = new | {"layout": layout.to_dict()}
             write_manifest(self.folder, self.manifest)  # before the arrays grow, for the same reason
             files.delete(self.folder / SUMMARY)
@@ -133,7 +128,7 @@ class Store:
             files.delete(file, self.folder)
         return True
 
-    def _require_sealed(self, manifest: dict[str, Any], layout: Layout) -> None:
+    def _require_sealed(self, manifest: Manifest, layout: Layout) -> None:
         """Require that a finished run still has its final digests."""
         if manifest.get(DIGESTS, over_all(self.folder, layout)) != over_all(self.folder, layout):
             raise ConfigError(str(self.folder / DIGESTS), "is damaged: these are not the run's digests; start over")
@@ -146,15 +141,15 @@ class Store:
         if self.values is not None:
             put(self.values, block, results, drawn)
 
-    def complete(self, about: dict[str, Any]) -> None:
+    def complete(self, entries: Manifest) -> None:
         """Record that every block is complete, with further manifest entries of the finished run.
 
         Raises:
             ConfigError: A block that is read back is not the one that was written; the run is not recorded as complete.
         """
-        self._require_sealed(self.manifest, self.layout)  # what was mended is what had been there
+        self._require_sealed(self.manifest, self.layout)  # recomputed blocks equal the original ones
         self.require_kept()
-        self.manifest = self.manifest | about | {DIGESTS: over_all(self.folder, self.layout), "complete": True}
+        self.manifest = self.manifest | entries | {DIGESTS: over_all(self.folder, self.layout), "complete": True}
         with writing(self.folder, self.held):
             write_manifest(self.folder, self.manifest)
 
@@ -168,11 +163,12 @@ class Store:
         pending, _ = Chunks(self.folder, self.study, self.layout).pending()
         require_coordinates(self.folder, self.study)
         if pending:
-            lost, total = sum(map(lanes_in, pending)), sum(map(lanes_in, self.layout.blocks()))
+            lost = sum(map(lanes_in, pending))
+            total = sum(map(lanes_in, self.layout.blocks()))
             rule = f"is not complete: {lost} of {total} lanes are no longer as they were written; finish with --resume"
             raise ConfigError(str(self.folder), rule)
 
-    def read(self) -> tuple[xr.Dataset, dict[str, Any]]:
+    def read(self) -> tuple[xr.Dataset, Manifest]:
         """Dataset and manifest, once the run is complete.
 
         Raises:
@@ -194,7 +190,7 @@ class Store:
             raise ConfigError(str(self.folder / MANIFEST), "does not hold what was written; finish with --resume")
 
 
-def read_run(folder: Path, trust_code: bool = False) -> tuple[Study, xr.Dataset, dict[str, Any]]:
+def read_run(folder: Path, trust_code: bool = False) -> tuple[Study, xr.Dataset, Manifest]:
     """Study, dataset and manifest of a results folder.
 
     Raises:
@@ -205,15 +201,13 @@ def read_run(folder: Path, trust_code: bool = False) -> tuple[Study, xr.Dataset,
     return study, read_dataset(folder, study, manifest), manifest
 
 
-def read_dataset(folder: Path, study: Study, manifest: dict[str, Any]) -> xr.Dataset:
+def read_dataset(folder: Path, study: Study, manifest: Manifest) -> xr.Dataset:
     """The dataset of a results folder, whose study and manifest are known.
 
     Raises:
         ConfigError: It is damaged, or its run did not finish.
     """
     layout = stored_layout(folder, study, manifest)
-    if manifest["schema"] == WITHOUT_DIGESTS:
-        return read_first_schema(folder, study, layout)
     chunks = Chunks(folder, study, layout, growing=not manifest.get("complete"))
     chunks.require_all()
     dataset = in_memory(study)

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -16,9 +16,14 @@ from dssc_jax.statistics.order import at_rank, quantile_ranks, ranked, upper_qua
 from dssc_jax.study import Study
 
 QUANTILES = (0.05, 0.5, 0.95)
-BATCH_LANES, BATCH_POINTS = 2**20, 4096  # of which a summary is made at once
+BATCH_LANES = 2**20  # summarised at once
+BATCH_POINTS = 4096
 FEW_PAIRS = 3  # of requirements: shown even where no draw violates both
-SummaryRow = dict[str, Any]
+SummaryRow: TypeAlias = dict[str, Any]
+"""Statements about one point, or about one requirement at a point."""
+
+Summary: TypeAlias = dict[str, Any]
+"""A result's summary for JSON; its ``points`` are rows."""
 
 
 class Statements(NamedTuple):
@@ -32,7 +37,7 @@ class Statements(NamedTuple):
     method: Method
     confidence: float
 
-    def shares(self, happened: np.ndarray) -> dict[str, list[Any]]:
+    def shares(self, happened: np.ndarray) -> dict[str, list[object]]:
         """Columns with the frequency of an event, from draws of shape (points, draws)."""
         failures = np.count_nonzero(happened, axis=-1)
         return {
@@ -41,9 +46,10 @@ class Statements(NamedTuple):
             "interval": self.method.interval(happened, self.confidence).tolist(),
         }
 
-    def quantiles(self, values: np.ndarray) -> dict[str, list[Any]]:
+    def quantiles(self, values: np.ndarray) -> dict[str, list[object]]:
         """Columns of quantiles and their intervals, None where infinite, from draws of shape (points, draws)."""
-        ordered, columns = ranked(values), {}
+        ordered = ranked(values)
+        columns = {}
         for level in QUANTILES:
             columns[f"q{100 * level:g}"] = upper_quantile(ordered, level)
             if not isinstance(self.method, Replicated):
@@ -63,7 +69,8 @@ def points(study: Study, dataset: xr.Dataset, method: Method, confidence: float)
         method: The method of the intervals.
         confidence: Confidence of each interval individually.
     """
-    say, draws = Statements(method, confidence), dataset.sizes["draw"]
+    statements = Statements(method, confidence)
+    draws = dataset.sizes["draw"]
     names = ["outcome", *(r.name for r in study.requirements), *(measure.name for measure in study.measures)]
     lanes = {name: dataset[name].transpose(*study.axes, "draw").values.reshape(-1, draws) for name in names}
     count = len(lanes["outcome"])
@@ -73,52 +80,56 @@ def points(study: Study, dataset: xr.Dataset, method: Method, confidence: float)
     certified = dataset["certified"].transpose(*study.axes).values.ravel() if marked else np.full(count, None)
     size = min(max(BATCH_LANES // draws, 1), BATCH_POINTS)
     for first in range(0, count, size):
-        here = slice(first, first + size)
-        own = {name: values[here].tolist() for name, values in at.items()}
-        yield from some_points(study, {name: a[here] for name, a in lanes.items()}, own, certified[here].tolist(), say)
+        batch = slice(first, first + size)
+        swept = {name: values[batch].tolist() for name, values in at.items()}
+        lanes_of_batch = {name: values[batch] for name, values in lanes.items()}
+        yield from summary_of_batch(study, lanes_of_batch, swept, certified[batch].tolist(), statements)
 
 
-def some_points(
-    study: Study, lanes: Mapping[str, np.ndarray], at: dict[str, list[float]], certified: list[Any], say: Statements
+def summary_of_batch(
+    study: Study,
+    lanes: Mapping[str, np.ndarray],
+    at: dict[str, list[float]],
+    certified: list[bool | None],
+    statements: Statements,
 ) -> list[SummaryRow]:
-    """A batch of points.
+    """Summarise a batch of points.
 
     Args:
         study: The study.
         lanes: Outcome, margins and metrics by name, shape (points, draws).
         at: Swept values of each point.
         certified: Whether the theorem certifies each point.
-        say: Method and confidence of the statements.
+        statements: Method and confidence of the statements.
     """
     outcome = lanes["outcome"]
     count, draws = outcome.shape
     early = ended_early(outcome)
     violations = {r.label: violated(lanes[r.name]) for r in study.requirements}
-    pairs = overlaps(violations, early, say)
+    pairs = overlaps(violations, early, statements)
+    shown_pairs = [
+        [pair for pair in point if pair["draws"] or len(pairs) <= FEW_PAIRS] for point in side_by_side(pairs, count)
+    ]
+    outcomes = {}
+    for code, meaning in outcome_codes(study).items():
+        outcomes[meaning] = np.count_nonzero(outcome == code, axis=-1).tolist()
+    metrics = {measure.name: rows(statements.quantiles(lanes[measure.name])) for measure in study.measures}
     return rows(
         {
             **at,
             "draws": [draws] * count,
-            **say.shares(outcome != Outcome.OK),
+            **statements.shares(outcome != Outcome.OK),
             "certified": certified,
             "ended_early": np.count_nonzero(early, axis=-1).tolist(),
-            "requirements": side_by_side(requirements(study, violations, early, say), count),
-            "overlaps": [
-                [each for each in point if each["draws"] or len(pairs) <= FEW_PAIRS]
-                for point in side_by_side(pairs, count)
-            ],
-            "outcomes": rows(
-                {
-                    meaning: np.count_nonzero(outcome == code, axis=-1).tolist()
-                    for code, meaning in outcome_codes(study).items()
-                }
-            ),
-            "metrics": rows({measure.name: rows(say.quantiles(lanes[measure.name])) for measure in study.measures}),
+            "requirements": side_by_side(requirements(study, violations, early, statements), count),
+            "overlaps": shown_pairs,
+            "outcomes": rows(outcomes),
+            "metrics": rows(metrics),
         }
     )
 
 
-def lines(summary: Mapping[str, Any]) -> Iterator[str]:
+def lines(summary: Summary) -> Iterator[str]:
     """A summary as JSON, line by line: each entry and each point (points may be an iterator) has its own line."""
     start = "{"
     for name, value in summary.items():
@@ -136,36 +147,38 @@ def lines(summary: Mapping[str, Any]) -> Iterator[str]:
 
 
 def requirements(
-    study: Study, violations: Mapping[str, np.ndarray], early: np.ndarray, say: Statements
+    study: Study, violations: Mapping[str, np.ndarray], early: np.ndarray, statements: Statements
 ) -> list[list[SummaryRow]]:
     """Each requirement at every point, regardless of the others.
 
     ``alone`` counts the completed draws that violate only this requirement.
     """
-    together = np.sum(list(violations.values()), axis=0)
-    statements = []
+    violations_of_draw = np.sum(list(violations.values()), axis=0)
+    table = []
     for requirement in study.requirements:
         broken = violations[requirement.label]
-        alone = np.count_nonzero(broken & (together == 1) & ~early, axis=-1).tolist()
-        said = {"name": requirement.label, "text": requirement.text}
-        statements.append([said | row for row in rows(say.shares(broken) | {"alone": alone})])
-    return statements
+        alone = np.count_nonzero(broken & (violations_of_draw == 1) & ~early, axis=-1).tolist()
+        head = {"name": requirement.label, "text": requirement.text}
+        columns = statements.shares(broken) | {"alone": alone}
+        table.append([head | row for row in rows(columns)])
+    return table
 
 
-def overlaps(violations: Mapping[str, np.ndarray], early: np.ndarray, say: Statements) -> list[list[SummaryRow]]:
+def overlaps(violations: Mapping[str, np.ndarray], early: np.ndarray, statements: Statements) -> list[list[SummaryRow]]:
     """For every pair of requirements, how often both are violated at every point.
 
     ``draws`` counts the completed draws among them.
     """
-    statements = []
-    for pair in combinations(violations, 2):
-        both = violations[pair[0]] & violations[pair[1]]
-        completed = np.count_nonzero(both & ~early, axis=-1).tolist()
-        statements.append([{"names": list(pair)} | row for row in rows({"draws": completed} | say.shares(both))])
-    return statements
+    table = []
+    for first, second in combinations(violations, 2):
+        joint = violations[first] & violations[second]
+        completed = np.count_nonzero(joint & ~early, axis=-1).tolist()
+        columns = {"draws": completed} | statements.shares(joint)
+        table.append([{"names": [first, second]} | row for row in rows(columns)])
+    return table
 
 
-def rows(columns: Mapping[str, Sequence[Any]]) -> list[SummaryRow]:
+def rows(columns: Mapping[str, Sequence[object]]) -> list[SummaryRow]:
     """Convert columns of a table to rows."""
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
@@ -175,20 +188,20 @@ def side_by_side(parts: Sequence[Sequence[Any]], count: int) -> list[list[Any]]:
     return [[part[i] for part in parts] for i in range(count)]
 
 
-def nullable(values: np.ndarray) -> list[Any]:
+def nullable(values: np.ndarray) -> list[object]:
     """Numbers for JSON, which has no infinity: None if a value is not finite."""
     objects = np.array(values, dtype=object)
     objects[~np.isfinite(values)] = None
     return objects.tolist()
 
 
-def most_violated(point: Mapping[str, Any]) -> str:
+def most_violated(point: SummaryRow) -> str:
     """The requirement violated by most draws of a point, with their number; ``-`` if no draw violates any."""
     worst = max(point["requirements"], key=lambda requirement: requirement["failures"], default=None)
     return f"{worst['name']} ({worst['failures']})" if worst and worst["failures"] else "-"
 
 
-def jsonable(content: Any) -> Any:
+def jsonable(content: object) -> Any:
     """Plain data as JSON has it: arrays become lists; NaN and infinity become None."""
     if isinstance(content, Mapping):
         return {str(name): jsonable(value) for name, value in content.items()}

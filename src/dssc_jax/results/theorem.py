@@ -1,4 +1,4 @@
-"""What Theorem 1 says of a result's study. A result asks where it is shown, never while it is computed."""
+"""Theorem 1 applied to the study of a result, computed when it is shown and never during a run."""
 
 from typing import TYPE_CHECKING
 

@@ -23,7 +23,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Block, Engine, Layout, computing, execute, lanes_in
 from dssc_jax.lanes import machine
 from dssc_jax.results.blocks import Chunks
-from dssc_jax.results.manifest import listed, machinery_differences
+from dssc_jax.results.manifest import Manifest, listed, machinery_differences
 from dssc_jax.results.store import Store
 from dssc_jax.study import Study
 from dssc_jax.study.importing import allow_imports
@@ -35,7 +35,8 @@ CONNECT = 30.0  # s for the scheduler to answer
 DEAF = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"  # Ctrl-C reaches all; the first process ends them
 PATIENCE = 600.0  # s without a worker before giving up: a queue may take its time
 POLL = 1.0  # s between looks at who is there
-TASKS, MOST_BLOCKS = 8, 16  # tasks a worker at least, blocks a task at most
+TASKS = 8  # of a worker, at least
+MOST_BLOCKS = 16  # of a task
 
 
 @dataclass(frozen=True)
@@ -96,12 +97,14 @@ def compute(job: Job, blocks: list[Block]) -> Share:
             engine, chunks = prepared(job)
         except ConfigError as error:
             raise error.within(f"worker {get_worker().address}") from None
-        before = engine.clock.run_seconds
+        seconds_before = engine.clock.run_seconds
         for block, results, drawn in execute(engine, blocks):
             chunks.write(block, results, drawn)
         clock = engine.clock
         lanes = sum(map(lanes_in, blocks))
-        return Share(get_worker().address, lanes, clock.run_seconds - before, clock.compile_seconds, clock.traces)
+        return Share(
+            get_worker().address, lanes, clock.run_seconds - seconds_before, clock.compile_seconds, clock.traces
+        )
 
 
 class Cluster:
@@ -115,15 +118,19 @@ class Cluster:
     """
 
     def __init__(self, client: Any, address: str, notify: Callable[[str], None], local: str | None = None) -> None:
-        self.client, self.address, self.notify, self.local = client, address, notify, local
+        self.client = client
+        self.address = address
+        self.notify = notify
+        self.local = local
         self.lost: list[str] = []
         self._present = self._workers()
-        self._seen = self._looked = time.monotonic()
+        self._looked = time.monotonic()
+        self._seen = self._looked
 
     def _workers(self) -> set[str]:
         return set(self.client.nthreads())
 
-    def machinery(self) -> dict[str, Any]:
+    def machinery(self) -> Manifest:
         """Versions, device and compiler settings of the workers, which must agree.
 
         Raises:
@@ -133,15 +140,15 @@ class Cluster:
             machines = self.client.run(computing)
         except ImportError as error:
             raise ConfigError(OPTION, f"the workers lack this package: {error}") from error
-        (first, here), *others = machines.items()
-        for worker, there in others:
-            differing = machinery_differences(here, there)
+        reference, *other_workers = machines
+        for worker in other_workers:
+            differing = machinery_differences(machines[reference], machines[worker])
             if differing:
-                text = f"workers {first} and {worker} would not give bit-identical results: {listed(differing)}"
+                text = f"workers {reference} and {worker} would not give bit-identical results: {listed(differing)}"
                 raise ConfigError(OPTION, text)
-        return here
+        return machines[reference]
 
-    def fill(self, target: Store, advance: Callable[[int], None]) -> dict[str, Any]:
+    def fill(self, target: Store, advance: Callable[[int], None]) -> Manifest:
         """Compute the missing blocks of a folder.
 
         Args:
@@ -154,15 +161,16 @@ class Cluster:
         Raises:
             ConfigError: The scheduler or all workers are permanently lost, or a worker cannot write.
         """
-        began, study = time.perf_counter(), target.study
+        began = time.perf_counter()
+        study = target.study
         job = Job(json.dumps(study.table), str(target.folder.resolve()), target.layout.block, self.local)
         workers = len(self._present)
         shares = []
         for share in self._done(job, block_ranges(target.pending, workers)):
             shares.append(share)
             advance(share.lanes)
-        about = {"address": self.address, "workers": workers, "lost": self.lost}
-        return {"times": summed(shares, study.loop.steps, time.perf_counter() - began), "cluster": about}
+        times = summed(shares, study.loop.steps, time.perf_counter() - began)
+        return {"times": times, "cluster": {"address": self.address, "workers": workers, "lost": self.lost}}
 
     def _done(self, job: Job, tasks: list[list[Block]]) -> Iterator[Share]:
         distributed = importlib.import_module("distributed")
@@ -183,15 +191,18 @@ class Cluster:
             raise ConfigError(OPTION, f"the scheduler at {self.address} was lost; {GO_ON}") from error
 
     def _look(self) -> None:
-        now, present = time.monotonic(), self._workers()
+        time_of_look = time.monotonic()
+        present = self._workers()
         for worker in sorted(self._present - present):
             self.lost.append(worker)
             self.notify(f"worker {worker} was lost; its unfinished blocks go to others")
         for worker in sorted(present - self._present):
             self.notify(f"worker {worker} joined")
-        self._present, self._looked = present, now
-        self._seen = now if present else self._seen
-        if now > self._seen + PATIENCE:
+        self._present = present
+        self._looked = time_of_look
+        if present:
+            self._seen = time_of_look
+        if time_of_look > self._seen + PATIENCE:
             raise ConfigError(OPTION, f"no worker for {PATIENCE:g} s; {GO_ON}")
 
 
@@ -201,7 +212,7 @@ def block_ranges(blocks: list[Block], workers: int) -> list[list[Block]]:
     return [blocks[i : i + size] for i in range(0, len(blocks), size)]
 
 
-def summed(shares: list[Share], steps: int, seconds: float) -> dict[str, Any]:
+def summed(shares: list[Share], steps: int, seconds: float) -> dict[str, float]:
     """The times of a run: the workers' rates add up, and their compilations run in parallel."""
     lanes, busy = {}, {}
     for share in shares:
@@ -261,16 +272,19 @@ def parsed(address: str) -> int:
 
 def local_cluster(count: int) -> Any:
     """Start processes on this machine, spawned and never forked because JAX has threads, with local access only."""
-    distributed, dask = importlib.import_module("distributed"), importlib.import_module("dask")
+    distributed = importlib.import_module("distributed")
+    dask = importlib.import_module("dask")
     dask.config.set({"distributed.worker.multiprocessing-method": "spawn"})
-    here = {"host": "127.0.0.1", "dashboard": False}
-    quiet = {"silence_logs": logging.CRITICAL}
-    own = [{"env": worker_environment(index, count)} for index in range(count)]
-    common = {**here, **quiet, "nthreads": 1, "memory_limit": 0, "preload": [DEAF]}
+    local_access = {"host": "127.0.0.1", "dashboard": False}
+    common = {**local_access, "silence_logs": logging.CRITICAL, "nthreads": 1, "memory_limit": 0, "preload": [DEAF]}
+    workers = {}
+    for index in range(count):
+        options = {**common, "env": worker_environment(index, count)}
+        workers[index] = {"cls": distributed.Nanny, "options": options}
     return distributed.SpecCluster(
-        scheduler={"cls": distributed.Scheduler, "options": here},
-        workers={i: {"cls": distributed.Nanny, "options": {**common, **options}} for i, options in enumerate(own)},
-        **quiet,
+        scheduler={"cls": distributed.Scheduler, "options": local_access},
+        workers=workers,
+        silence_logs=logging.CRITICAL,
     )
 
 

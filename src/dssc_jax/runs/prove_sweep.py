@@ -48,7 +48,8 @@ def prove_sweep(
     for name, value in (("boxes", boxes), ("processes", 1 if processes is None else processes)):
         if value < 1:
             raise ConfigError(name, f"must be at least 1, got {value}")
-    began, problems = time.perf_counter(), [problem_of(point) for point in sweep_points(study)]
+    began = time.perf_counter()
+    problems = [problem_of(point) for point in sweep_points(study)]
     outcomes: list[PointOutcome] = []
     with ExitStack() as stack:
         if count == 1:
@@ -63,19 +64,20 @@ def prove_sweep(
             outcomes.append(answer)
             if progress is not None:
                 progress(len(outcomes), len(problems))
-    summaries, certificates = ([each[i] for each in outcomes] for i in (0, 1))
+    summaries = [summary for summary, _ in outcomes]
+    certificates = [certificate for _, certificate in outcomes]
     return SweepProofs(study.hash, study.axes, summaries, certificates, time.perf_counter() - began)
 
 
 def foreign_points(study: Study, certificates: Sequence[dict[str, Any]]) -> list[int]:
-    """Points of a sweep whose certificate is one of another loop, by their number."""
+    """Numbers of the sweep points whose certificate belongs to another loop."""
     problems = (json.loads(json.dumps(problem_of(point).to_dict())) for point in sweep_points(study))
     pairs = enumerate(zip(problems, certificates, strict=True))
     return [i for i, (problem, certificate) in pairs if problem_in(certificate) != problem]
 
 
-def problem_in(certificate: Any) -> Any:
-    """The problem of what should be a certificate; None if it holds none."""
+def problem_in(certificate: object) -> object:
+    """A certificate's problem; None if it has none."""
     return certificate.get("problem") if isinstance(certificate, dict) else None
 
 
@@ -97,16 +99,16 @@ def answer_all(connection: Connection, boxes: int) -> None:
 def worker(boxes: int) -> Iterator[Connection]:
     """A process that proves; it is terminated, since an idle one need not end by itself."""
     spawn = multiprocessing.get_context("spawn")
-    ours, theirs = spawn.Pipe()
-    process = spawn.Process(target=answer_all, args=(theirs, boxes), daemon=True)
+    connection, connection_of_worker = spawn.Pipe()
+    process = spawn.Process(target=answer_all, args=(connection_of_worker, boxes), daemon=True)
     process.start()
-    theirs.close()
+    connection_of_worker.close()
     try:
-        yield ours
+        yield connection
     finally:
         process.terminate()
         process.join()
-        ours.close()
+        connection.close()
 
 
 def ask(idle: "SimpleQueue[Connection]", problem: ProofProblem) -> PointOutcome:

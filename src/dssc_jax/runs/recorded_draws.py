@@ -77,13 +77,13 @@ class RecordedDraws:
         values = draw(study, indices)
         fixed = study.leaves()
         for start in range(0, len(indices), self._engine.lanes):
-            here = slice(start, start + self._engine.lanes)
-            count = len(indices[here])
+            batch = slice(start, start + self._engine.lanes)
+            count = len(indices[batch])
             columns = {
-                name: values[name][here] if name in values else np.full(count, fixed[name])
+                name: values[name][batch] if name in values else np.full(count, fixed[name])
                 for name in self._engine.names
             }
-            yield self._masked(evaluate(self._engine, columns, indices[here]))
+            yield self._masked(evaluate(self._engine, columns, indices[batch]))
 
     def _masked(self, results: Arrays) -> Arrays:
         """Signals are NaN from the end of a draw on."""
@@ -98,8 +98,10 @@ class RecordedDraws:
         """The program of a lane."""
 
         def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[Any, Any]:
-            key, judged = draw_key(study.config.seed, index), (study.measures, study.requirements)
-            run, recorded = simulate_recorded(study.loop, study.params(values), key, *judged, self.every)
+            key = draw_key(study.config.seed, index)
+            run, recorded = simulate_recorded(
+                study.loop, study.params(values), key, study.measures, study.requirements, self.every
+            )
             columns = trajectory_columns(study, recorded)
             signals = {SignalKey(name): columns[name] for name in self.signals}
             # JAX would sort the keys of a plain dict, which are not comparable

@@ -2,12 +2,12 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import Arrays, Block, Engine, Layout, computing, execute, lanes_in
 from dssc_jax.engine.integration import integration_error
-from dssc_jax.results.manifest import SCHEMA, about_code, require_startable
+from dssc_jax.results.manifest import SCHEMA, Manifest, code_entries, require_startable
 from dssc_jax.study import Study
 from dssc_jax.study.correlation import gaussian
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from dssc_jax.runs.cluster import Cluster
 
 
-def about_run(study: Study, layout: Layout, machinery: Mapping[str, Any]) -> dict[str, Any]:
+def run_manifest(study: Study, layout: Layout, machinery: Manifest) -> Manifest:
     """The manifest before the run: study, versions and machine."""
     return {
         "schema": SCHEMA,
@@ -33,7 +33,7 @@ def about_run(study: Study, layout: Layout, machinery: Mapping[str, Any]) -> dic
         "source": study.source,
         "hash": study.hash,
         "seed": study.config.seed,
-        "sampling": about_sampling(study),
+        "sampling": sampling_entry(study),
         "precision": study.config.loop.precision,
         "layout": layout.to_dict(),
         "counts": {
@@ -42,14 +42,14 @@ def about_run(study: Study, layout: Layout, machinery: Mapping[str, Any]) -> dic
             "samples": study.loop.steps,
         },
         **machinery,
-        **about_code(study),
+        **code_entries(study),
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "complete": False,
         "times": {},
     }
 
 
-def about_sampling(study: Study) -> dict[str, Any]:
+def sampling_entry(study: Study) -> dict[str, object]:
     """The sampling design and the correlations: rank correlations as given, and those of the normal variables."""
     config = study.config
     return {
@@ -98,31 +98,32 @@ def run(
     """
     layout = Layout.of(study, block) if block else Layout.of(study)
     if out is None:
-        for given, why in ((cluster, "on a cluster: a folder that every worker can access"), (resume, "to resume")):
-            if given:
-                raise ConfigError("out", f"is needed {why}")
-        return in_one_piece(study, layout, Engine(study, layout.lanes, tile, devices), progress, check)
+        if cluster:
+            raise ConfigError("out", "is needed on a cluster: a folder that every worker can access")
+        if resume:
+            raise ConfigError("out", "is needed to resume")
+        return run_in_memory(study, layout, Engine(study, layout.lanes, tile, devices), progress, check)
     require_startable(Path(out), study, resume)
-    here = ThisProcess(study, tile, devices)
+    this_process = ThisProcess(study, tile, devices)
     if not resume and not cluster:
-        here.start(layout, layout.blocks())
+        this_process.start(layout, layout.blocks())
 
     # xarray and Zarr take as long to import as a small study takes to run: the first block runs meanwhile
     from dssc_jax.results.result import Result
     from dssc_jax.results.store import Store
 
     with ExitStack() as stack:
-        workers: ThisProcess | Cluster = here
+        workers: ThisProcess | Cluster = this_process
         if cluster:
             from dssc_jax.runs.cluster import connected
 
             workers = stack.enter_context(connected(cluster, notify, local))
-        manifest = about_run(study, layout, workers.machinery())
+        manifest = run_manifest(study, layout, workers.machinery())
         target = stack.enter_context(Store(Path(out), study, manifest, resume))
         if not target.finished:
             advance = LanesDone(progress, target.layout, target.pending)
-            about = workers.fill(target, advance)
-            target.complete(about | about_integration(study, check))
+            entries = workers.fill(target, advance)
+            target.complete(entries | integration_entry(study, check))
         result = Result.of(study, *target.read(), Path(out))
         target.summarise(result.lines())
     return result
@@ -146,7 +147,7 @@ class ThisProcess:
         self.began = time.perf_counter()
         self.computed: Iterator[tuple[Block, Arrays, Arrays]] | None = None
 
-    def machinery(self) -> dict[str, Any]:
+    def machinery(self) -> Manifest:
         """See :func:`dssc_jax.engine.batching.computing`."""
         return computing()
 
@@ -156,7 +157,7 @@ class ThisProcess:
         self.computed = execute(self.engine, blocks)
         return self.computed
 
-    def fill(self, target: "Store", advance: Callable[[int], None]) -> dict[str, Any]:
+    def fill(self, target: "Store", advance: Callable[[int], None]) -> Manifest:
         """Compute the missing blocks of a folder, and return the times for the manifest."""
         for box, results, values in self.computed or self.start(target.layout, target.pending):
             target.write(box, results, values)
@@ -174,7 +175,8 @@ class LanesDone:
     """
 
     def __init__(self, progress: ProgressCallback | None, layout: Layout, pending: list[Block]) -> None:
-        self.progress, self.total = progress, math.prod(layout.shape)
+        self.progress = progress
+        self.total = math.prod(layout.shape)
         self.done = self.total - sum(map(lanes_in, pending))
         self(0)
 
@@ -185,25 +187,27 @@ class LanesDone:
             self.progress(self.done, self.total)
 
 
-def about_integration(study: Study, check: bool) -> dict[str, Any]:
+def integration_entry(study: Study, check: bool) -> Manifest:
     """The manifest's entry on the error between the samples; empty if it is not to be checked."""
     return {"integration": integration_error(study).to_dict()} if check else {}
 
 
-def in_one_piece(
+def run_in_memory(
     study: Study, layout: Layout, engine: Engine, progress: ProgressCallback | None, check: bool
 ) -> "Result":
     """Run a study in memory."""
-    began, blocks = time.perf_counter(), layout.blocks()
+    began = time.perf_counter()
+    blocks = layout.blocks()
     computed = execute(engine, blocks)
 
     from dssc_jax.results.result import Result
     from dssc_jax.results.schema import in_memory, put
 
-    manifest = about_run(study, layout, computing())
-    dataset, advance = in_memory(study), LanesDone(progress, layout, blocks)
+    manifest = run_manifest(study, layout, computing())
+    dataset = in_memory(study)
+    advance = LanesDone(progress, layout, blocks)
     for box, results, values in computed:
         put(dataset, box, results, values)
         advance(lanes_in(box))
-    manifest |= {"complete": True, "times": engine.times(began), **about_integration(study, check)}
+    manifest |= {"complete": True, "times": engine.times(began), **integration_entry(study, check)}
     return Result.of(study, dataset, manifest)

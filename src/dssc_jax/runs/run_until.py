@@ -2,7 +2,7 @@
 
 import time
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -10,10 +10,10 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Outcome, ProgressCallback
 from dssc_jax.engine.batching import Arrays, Engine, Layout, computing, drawn, execute
 from dssc_jax.engine.evaluation import require_independent
-from dssc_jax.results.manifest import read_manifest
+from dssc_jax.results.manifest import Manifest, read_manifest
 from dssc_jax.results.result import Result
 from dssc_jax.results.schema import in_memory, put
-from dssc_jax.runs.run import about_integration, about_run
+from dssc_jax.runs.run import integration_entry, run_manifest
 from dssc_jax.statistics import AcceptReject, UntilWidth, looks
 from dssc_jax.statistics.sequential import FIRST
 from dssc_jax.study import Study
@@ -54,16 +54,18 @@ def run_until(
     require_sequential(study)
     if most < FIRST:
         raise ConfigError(study.source, f"a data-driven stop needs at least {FIRST} draws, its first look, got {most}")
-    whole = study.override({"draws": most})
+    longest = study.override({"draws": most})
     if out is not None:
-        require_same_rule(Path(out), whole, rule, most)
+        require_same_rule(Path(out), longest, rule, most)
     began = time.perf_counter()
-    engine = Engine(whole, min(most, BATCH))
-    batches = execute(engine, [(slice(a, min(a + engine.lanes, most)),) for a in range(0, most, engine.lanes)])
+    engine = Engine(longest, min(most, BATCH))
+    blocks = [(slice(start, min(start + engine.lanes, most)),) for start in range(0, most, engine.lanes)]
+    batches = execute(engine, blocks)
     batches_done: list[Arrays] = []
     failed = np.empty(0, dtype=bool)
     seen: list[dict[str, int]] = []
-    verdict, draws = None, 0
+    verdict = None
+    draws = 0
     for look, draws in enumerate(looks(most), 1):
         while len(failed) < draws:
             _, results, _ = next(batches)
@@ -80,10 +82,10 @@ def run_until(
     dataset = in_memory(final)
     joined = {name: np.concatenate([part[name] for part in batches_done])[:draws] for name in batches_done[0]}
     put(dataset, (slice(0, draws),), joined, drawn(final, slice(0, draws)))
-    manifest = about_run(final, Layout.of(final), computing()) | {
+    manifest = run_manifest(final, Layout.of(final), computing()) | {
         "complete": True,
         "times": engine.times(began),
-        **about_integration(final, check),
+        **integration_entry(final, check),
         "stopping": {
             "data_driven": True,
             "rule": rule.text,
@@ -118,11 +120,11 @@ def require_same_rule(folder: Path, study: Study, rule: Rule, most: int) -> None
     """
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return
-    manifest: dict[str, Any] = read_manifest(folder) if folder.is_dir() else {"study": {}}
+    manifest: Manifest = read_manifest(folder) if folder.is_dir() else {"study": {}}
     stopping = manifest.get("stopping") or {}
     same_rule = (stopping.get("rule"), stopping.get("most")) == (rule.text, most)
     if not same_rule or manifest["study"] | {"draws": most} != study.table:
         raise ConfigError(
             str(folder),
-            "holds something else than this study under this rule; choose another --out",
+            "holds another study, or this study under another stopping rule; choose another --out",
         )

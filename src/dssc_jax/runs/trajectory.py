@@ -209,7 +209,8 @@ def replay(result: "Result", draw: int, *, point: Mapping[str, float] | None = N
     Raises:
         ConfigError: draw or point is not in the result.
     """
-    study, index = result.study, point_of(result, draw, point)
+    study = result.study
+    index = point_of(result, draw, point)
     exact = {name: study.axes[name][i] for name, i in index.items()}
     trajectory = recorder(study if exact else study.without_sweep(), every, plain=True)(draw, exact)
     compared = agreement_of(result, trajectory)
@@ -245,9 +246,9 @@ def agreement_of(result: "Result", run: xr.Dataset) -> Agreement:
     return agreement(study, result.dataset, (*lanes, np.array([run.attrs["draw"]])), computed)
 
 
-def nearest_index(values: tuple[float, ...], wanted: float | None) -> int:
+def nearest_index(values: tuple[float, ...], requested: float | None) -> int:
     """Index of the value nearest to the requested one; 0 if None is requested."""
-    return 0 if wanted is None else int(np.argmin(np.abs(np.asarray(values) - wanted)))
+    return 0 if requested is None else int(np.argmin(np.abs(np.asarray(values) - requested)))
 
 
 def hardest(result: "Result", draw: int) -> dict[str, int]:

@@ -9,12 +9,13 @@ import numpy as np
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Arrays, Lanes, computing
 from dssc_jax.engine.reference import Agreement, agreement, deviations, recompute, stored_lanes
-from dssc_jax.results.manifest import WITHOUT_DIGESTS, machinery_differences
+from dssc_jax.results.manifest import machinery_differences
 from dssc_jax.results.result import Result
 from dssc_jax.statistics.order import typical_size
 from dssc_jax.study.code import recorded
 
-LANES, MOST_LANES = 16, 16384
+LANES = 16
+MOST_LANES = 16384
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,6 @@ class Verification:
             amplifies rounding so much that none is evidence.
         undecided: Number of lanes that are not evidence.
         otherwise: Differences of versions, device and compiler settings from those of the run.
-        digests: Whether the result has digests, which detect altered files before anything is recomputed.
         single_precision: The effect of float32 for a result in single precision; else None.
     """
 
@@ -57,7 +57,6 @@ class Verification:
     verdict: str
     undecided: int
     otherwise: list[str]
-    digests: bool
     single_precision: SinglePrecision | None = None
 
     @property
@@ -66,8 +65,8 @@ class Verification:
         return self.verdict == "agrees"
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return asdict(self) | {"verified": self.verified}
+        """For JSON. ``digests`` is true: the digests of every result are checked when it is read."""
+        return asdict(self) | {"digests": True, "verified": self.verified}
 
 
 def verify(result: Result, draws: int = LANES, seed: int | None = None) -> Verification:
@@ -104,7 +103,6 @@ def verify(result: Result, draws: int = LANES, seed: int | None = None) -> Verif
         verdict=compared.verdict,
         undecided=int(np.count_nonzero(~compared.decided)),
         otherwise=machinery_differences(result.manifest, computing() | {"code": recorded(result.study.table)}),
-        digests=result.manifest.get("schema") != WITHOUT_DIGESTS,
         single_precision=single_precision(result, lanes, computed)
         if result.study.config.loop.precision == 32
         else None,
@@ -113,7 +111,8 @@ def verify(result: Result, draws: int = LANES, seed: int | None = None) -> Verif
 
 def worst_lane(result: Result, lanes: Lanes, computed: Arrays, compared: Agreement, at: int) -> dict[str, Any]:
     """The value with the largest deviation, and its location."""
-    name, study = str(compared.variable[at]), result.study
+    name = str(compared.variable[at])
+    study = result.study
     point = {axis: values[i[at]] for (axis, values), i in zip(study.axes.items(), lanes, strict=False)}
     stored = stored_lanes(result.dataset, [name], lanes)[name]
     values = {"stored": stored[at].item(), "computed": computed[name][at].item()}

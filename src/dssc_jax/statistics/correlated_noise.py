@@ -98,26 +98,26 @@ Noise = FirstOrder | SecondOrder
 
 
 def correlation_time(noise: Noise) -> float:
-    """The least lag at which the correlated part's correlation is 1/e [s]; 0 for white noise."""
+    """The smallest lag at which the correlated part's correlation is 1/e [s]; 0 for white noise."""
     if noise.share == 0.0:
         return 0.0
     lags = noise.time * np.linspace(0.0, 5.0, 2001)
-    below = noise.correlation(lags) <= math.exp(-1.0)
-    return float(lags[np.argmax(below)])
+    decayed = noise.correlation(lags) <= math.exp(-1.0)
+    return float(lags[np.argmax(decayed)])
 
 
-def independent_samples(noise: Noise, times: np.ndarray, most: int = 800) -> float:
-    """Number of independent samples that would tell the noise's variance as well as the samples at ``times`` do.
+def independent_samples(noise: Noise, times: np.ndarray, limit: int = 800) -> float:
+    """Number of independent samples that determine the noise's variance as precisely as the samples at ``times``.
 
     Args:
         noise: The noise.
         times: Times of observation [s], shape (n,).
-        most: Observations to look at, evenly chosen; the rest counts in proportion.
+        limit: Largest number of observations to use, evenly chosen; all others count in proportion.
     """
     if noise.share == 0.0 or len(times) < 2:
         return float(len(times))
-    every = -(-len(times) // most)
-    lags = times[:, None] - times[None, ::every]
+    stride = -(-len(times) // limit)
+    lags = times[:, None] - times[None, ::stride]
     squares = np.square(noise.share * noise.correlation(lags)).sum() + (1.0 - noise.share**2) * lags.shape[1]
     return float(len(times) * lags.shape[1] / squares)
 
@@ -205,7 +205,8 @@ def misfit(noise: Noise, times: np.ndarray, columns: np.ndarray, floor: float = 
         floor: Least variance.
     """
     products, log_det = weighted_products(noise, times, columns)
-    information, gradient = products[1:, 1:], products[1:, 0]
+    information = products[1:, 1:]
+    gradient = products[1:, 0]
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     shown = values > RANK * max(float(values[-1]), 1e-300) if len(values) else np.zeros(0, bool)

@@ -72,7 +72,8 @@ def largest_departures(curves: np.ndarray, tested: np.ndarray) -> tuple[np.ndarr
     known = np.isfinite(tested)
     if not known.any():
         raise ValueError("nothing of the tested curve is known")
-    statistics, own = np.full(len(curves) + 1, np.nan), np.full(tested.shape, np.nan)
+    statistics = np.full(len(curves) + 1, np.nan)
+    departures_of_tested = np.full(tested.shape, np.nan)
     for signal in np.flatnonzero(spread_signals(curves, tested)):
         at = known[signal]
         distance, size = distances(curves[:, signal, at], tested[signal, at])
@@ -81,8 +82,8 @@ def largest_departures(curves: np.ndarray, tested: np.ndarray) -> tuple[np.ndarr
         scale = np.sqrt(np.mean(spread**2)) or np.sqrt(np.nanmean(finite**2))
         departures = distance / np.maximum(spread, max(FLOOR * scale, LEAST_SPREAD * size))
         statistics = np.fmax(statistics, departures.max(axis=1))
-        own[signal, at] = departures[-1]
-    return statistics, own
+        departures_of_tested[signal, at] = departures[-1]
+    return statistics, departures_of_tested
 
 
 def rank_p_value(statistics: np.ndarray) -> float:

@@ -22,7 +22,8 @@ from dssc_jax.statistics.correlated_noise import WHITE, FirstOrder, Misfit, Nois
 
 WHITE_PRIOR = 0.2  # probability of white noise; the two kinds of correlated noise share the rest
 SHARE_WIDTH = 2.0  # standard deviation of logit c: one deviation either side is 12 to 88 %
-DAMPING_MIDDLE, DAMPING_WIDTH = 1.0, 1.5  # of logit zeta: 14 to 92 %
+DAMPING_MIDDLE = 1.0  # of logit zeta
+DAMPING_WIDTH = 1.5  # standard deviation of logit zeta: 14 to 92 %
 TIME_WIDTHS = 6.0  # standard deviations of log T from the median gap to the whole span
 NOISE_SAMPLES = 64  # of the posterior law of each kind
 FREEDOM = 4.0  # of Student's t, from which they are drawn
@@ -32,7 +33,8 @@ LARGEST_LOGIT = 13.8  # of |logit c|: a share and its complement are at least 1e
 LEAST_GAP = 0.2  # of the median gap: times that lie closer count as this far apart
 LONGEST = 1000.0  # median gaps; longer time constants of the second order are lost in rounding
 ROUNDING_VARIANCE = 10.0  # of the least variance: a residual below it is rounding, and white
-LEAST_DAMPING, MOST_DAMPING = 0.02, 0.98
+LEAST_DAMPING = 0.02
+MOST_DAMPING = 0.98
 
 
 class Candidate(NamedTuple):
@@ -103,8 +105,11 @@ class TimeScale(NamedTuple):
 
     def constant(self, score: float) -> float:
         """The time constant at a standard normal score [s]: log-normal between the gap and the span."""
-        middle, width = 0.5 * math.log(self.gap * self.span), math.log(self.span / self.gap) / TIME_WIDTHS
-        return math.exp(min(max(middle + width * score, math.log(0.1 * self.gap)), math.log(3.0 * self.span)))
+        middle = 0.5 * math.log(self.gap * self.span)
+        width = math.log(self.span / self.gap) / TIME_WIDTHS
+        shortest = math.log(0.1 * self.gap)
+        longest = math.log(3.0 * self.span)
+        return math.exp(min(max(middle + width * score, shortest), longest))
 
 
 def first_order_noise(point: np.ndarray, scale: TimeScale) -> Noise:
@@ -183,7 +188,9 @@ class NoiseSearch:
     """
 
     def __init__(self, times: np.ndarray, columns: np.ndarray, floor: float) -> None:
-        self.times, self.columns, self.floor = spaced(times), columns, floor
+        self.times = spaced(times)
+        self.columns = columns
+        self.floor = floor
         self.white = misfit(WHITE, self.times, columns, floor)
         self.scale = TimeScale(float(np.median(np.diff(self.times))), float(self.times[-1] - self.times[0]))
         self.kinds = NOISE_KINDS if self.white.variance > ROUNDING_VARIANCE * floor else ()
@@ -217,7 +224,8 @@ class NoiseSearch:
     def posterior(self) -> Posterior:
         """All noises that the residual allows, by importance sampling around the modes."""
         noises: list[Noise] = [WHITE]
-        logs, misfits = [math.log(WHITE_PRIOR)], [self.white]
+        logs = [math.log(WHITE_PRIOR)]
+        misfits = [self.white]
         for (kind, _), mode in zip(self.kinds, self.modes, strict=True):
             points, proposed = drawn_points(mode)
             for point, log_proposed in zip(points, proposed, strict=True):

@@ -27,11 +27,15 @@ def first(holds: Callable[[int], bool], start: int = 1) -> int:
     step = 1
     while not holds(start + step):
         step *= 2
-    short, enough = start + step // 2, start + step
-    while enough - short > 1:
-        middle = (short + enough) // 2
-        short, enough = (short, middle) if holds(middle) else (middle, enough)
-    return enough
+    failing = start + step // 2
+    holding = start + step
+    while holding - failing > 1:
+        middle = (failing + holding) // 2
+        if holds(middle):
+            holding = middle
+        else:
+            failing = middle
+    return holding
 
 
 def ranked(values: np.ndarray) -> np.ndarray:

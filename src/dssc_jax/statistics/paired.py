@@ -106,12 +106,12 @@ def difference_interval(
     if np.any(a < 0) or np.any(b < 0) or np.any(a + b > n):
         raise ValueError(f"needs only_a, only_b >= 0 and only_a + only_b <= draws, got {only_a}, {only_b}, {draws}")
     error = 1.0 - confidence
-    differ = clopper_pearson(a + b, n, 1.0 - DISCORDANCE * error)
-    given = clopper_pearson(a, np.maximum(a + b, 1), 1.0 - (1.0 - DISCORDANCE) * error)
-    given = np.where((a + b == 0)[..., None], [0.0, 1.0], given)
-    side = 2.0 * given - 1.0
-    low = np.where(side[..., 0] >= 0.0, differ[..., 0], differ[..., 1]) * side[..., 0]
-    high = np.where(side[..., 1] >= 0.0, differ[..., 1], differ[..., 0]) * side[..., 1]
+    discordant = clopper_pearson(a + b, n, 1.0 - DISCORDANCE * error)
+    only_a_if_discordant = clopper_pearson(a, np.maximum(a + b, 1), 1.0 - (1.0 - DISCORDANCE) * error)
+    only_a_if_discordant = np.where((a + b == 0)[..., None], [0.0, 1.0], only_a_if_discordant)
+    side = 2.0 * only_a_if_discordant - 1.0
+    low = np.where(side[..., 0] >= 0.0, discordant[..., 0], discordant[..., 1]) * side[..., 0]
+    high = np.where(side[..., 1] >= 0.0, discordant[..., 1], discordant[..., 0]) * side[..., 1]
     return np.stack([low, high], axis=-1)
 
 
@@ -154,7 +154,8 @@ def compare_metrics(
     """
     if a.shape != b.shape:
         raise ValueError(f"paired draws have one shape, got {a.shape} and {b.shape}")
-    gone_a, gone_b = ~np.isfinite(a), ~np.isfinite(b)
+    gone_a = ~np.isfinite(a)
+    gone_b = ~np.isfinite(b)
     difference = np.where(gone_a, np.inf, a) - np.where(gone_b, 0.0, b)
     difference = np.where(gone_b, np.where(gone_a, 0.0, -np.inf), difference)
     return MetricDifference(

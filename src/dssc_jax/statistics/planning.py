@@ -62,8 +62,8 @@ def reach_probability(draws: int, error: float, probability: float, confidence: 
     """Probability that both ends of the exact interval lie within ``error`` of the share of failures (binomial sum)."""
     from scipy import stats
 
-    fewest, most = stats.binom.interval(1.0 - NEGLIGIBLE, draws, probability)
-    failures = np.arange(fewest, most + 1)
+    smallest, largest = stats.binom.interval(1.0 - NEGLIGIBLE, draws, probability)
+    failures = np.arange(smallest, largest + 1)
     return float(stats.binom.pmf(failures, draws, probability)[half_length(failures, draws, confidence) <= error].sum())
 
 
@@ -109,8 +109,8 @@ def assured_draws(error: float, probability: float, confidence: float = CONFIDEN
         """Return n_k; near one half the longest interval is that of slightly fewer failures."""
 
         def short(draws: int) -> bool:
-            below = 4 * math.isqrt(draws) if 3 * failures > draws else 0
-            counts = np.arange(max(failures - below, 0), failures + 1)
+            margin = 4 * math.isqrt(draws) if 3 * failures > draws else 0
+            counts = np.arange(max(failures - margin, 0), failures + 1)
             return bool(half_length(counts, draws, confidence).max() <= error)
 
         return first(short, max(2 * failures, 1))
@@ -145,13 +145,13 @@ def plan(error: float, confidence: float = CONFIDENCE, probability: float | None
     ]
     if probability is not None:
         question = f"failure probability, expected at {probability:g} (Clopper-Pearson)"
-        enough = expected_draws(error, probability, confidence)
-        reached = reach_probability(enough, error, probability, confidence)
+        draws = expected_draws(error, probability, confidence)
+        reached = reach_probability(draws, error, probability, confidence)
         interval = f"the {100 * confidence:g} % interval reaches at most {error:g} to either side"
         answers += [
             Answer(
                 f"{question}, at the expected count",
-                enough,
+                draws,
                 f"{interval} if failures come at their expected number: in {100 * reached:.0f} % of all cases",
             ),
             Answer(

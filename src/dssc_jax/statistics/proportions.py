@@ -171,7 +171,8 @@ def replicate_interval(values: np.ndarray, replicates: int, confidence: float = 
     if replicates < 2 or values.shape[-1] % replicates:
         raise ValueError(f"{values.shape[-1]} values cannot be shared out over {replicates} replicates")
     means = values.reshape(*values.shape[:-1], -1, replicates).mean(-2)
-    middle, spread = means.mean(-1), means.std(-1, ddof=1)
+    middle = means.mean(-1)
+    spread = means.std(-1, ddof=1)
     half = special.stdtrit(replicates - 1, 0.5 * (1.0 + confidence)) * spread / math.sqrt(replicates)
     return np.stack([middle - half, middle + half], axis=-1)
 
@@ -222,7 +223,8 @@ def describe_probability(failed: np.ndarray, method: Method = FIXED, confidence:
         method: The method of the interval.
         confidence: Coverage of the interval.
     """
-    failures, draws = int(np.count_nonzero(failed)), failed.size
+    failures = int(np.count_nonzero(failed))
+    draws = failed.size
     low, high = method.interval(failed, confidence)
     level = f"{100 * confidence:g} % {method.name}"
     if failures == 0:

@@ -10,16 +10,18 @@ from dataclasses import dataclass
 
 from dssc_jax.statistics.proportions import CONFIDENCE, clopper_pearson, look_error, require_share
 
-FIRST, RATIO = 100, 1.5  # draws of the first look, and each look's multiple of the one before
+FIRST = 100  # draws of the first look
+RATIO = 1.5  # of a look's draws to those of the look before it
 
 
-def looks(most: int) -> list[int]:
-    """Numbers of draws at the looks: a geometric sequence that ends with ``most``."""
-    numbers, draws = [], FIRST
-    while draws < most:
+def looks(limit: int) -> list[int]:
+    """Numbers of draws at the looks: a geometric sequence that ends with ``limit``."""
+    numbers = []
+    draws = FIRST
+    while draws < limit:
         numbers.append(draws)
         draws = math.ceil(RATIO * draws)
-    return [*numbers, most]
+    return [*numbers, limit]
 
 
 @dataclass(frozen=True)

@@ -87,8 +87,8 @@ def validate_fixed(table: dict[str, Any]) -> StudyTable:
     try:
         return StudyTable.model_validate(table)
     except ValidationError as error:
-        above = [str(part) for part in error.errors()[0]["loc"][:-1]]
-        inside = FIXED_TABLES.get(".".join(above)) or FIXED_TABLES.get("".join(above[:1])) or StudyTable
+        outer = [str(part) for part in error.errors()[0]["loc"][:-1]]
+        inside = FIXED_TABLES.get(".".join(outer)) or FIXED_TABLES.get("".join(outer[:1])) or StudyTable
         raise explain(error, inside.model_fields) from None
 
 
@@ -121,16 +121,16 @@ def parsed_parts(table: dict[str, Any]) -> Parts:
     config = validate_fixed(table)
     plant = parse_whole(config.plant, "plant")
     channels = plant.model.channels or ("",)
-    several = len(channels) > 1
+    has_channels = len(channels) > 1
     units = parse_units(config.units, plant.model, channels)
     wholes = {
         "plant": plant,
         "reference": parse_reference(config.reference, channels, units),
         "wind": parse_winds(config.wind),
     }
-    if not several and wholes["wind"].kind != "none":
+    if not has_channels and wholes["wind"].kind != "none":
         raise ConfigError("wind.kind", f"the plant '{plant.kind}' does not fly; use a disturbance")
-    if not several:
+    if not has_channels:
         wholes["plant"] = with_units(plant, units[0])
     columns = {slot: parse_channels(getattr(config, slot), slot, channels) for slot in PER_CHANNEL}
     columns = {slot: [*map(with_units, column, units)] for slot, column in columns.items()}
@@ -169,14 +169,14 @@ def parse_units(table: dict[str, Any], plant: Plant, channels: tuple[str, ...]) 
     Raises:
         ConfigError: A field is unknown or not valid.
     """
-    own = plant.units or (UNNAMED_UNITS,) * len(channels)
+    units_of_plant = plant.units or (UNNAMED_UNITS,) * len(channels)
     common = {name: value for name, value in table.items() if name not in channels}
     named = []
-    for units, channel in zip(own, channels, strict=True):
+    for units, channel in zip(units_of_plant, channels, strict=True):
         with errors_under(dotted("units", channel if channel in table else "")):
-            given = as_table(table[channel]) if channel in table else {}
+            overrides = as_table(table[channel]) if channel in table else {}
             try:
-                changes = UnitsTable.model_validate(common | given).model_dump(exclude_none=True)
+                changes = UnitsTable.model_validate(common | overrides).model_dump(exclude_none=True)
             except ValidationError as error:
                 raise explain(error, [*UnitsTable.model_fields, *filter(None, channels)]) from None
         named.append(units._replace(**changes))
@@ -254,9 +254,9 @@ def parse_winds(table: dict[str, Any] | list[dict[str, Any]]) -> Component:
         raise ConfigError("wind", "needs at least one [[wind]]")
     parts = []
     for index, part in enumerate(table):
-        component = parse_component(part, REGISTRIES["wind"], f"wind.{index}")
-        own = f"wind.{index}"
-        parts.append(replace(component, numbers=tuple(number.under(own, own) for number in component.numbers)))
+        name = f"wind.{index}"
+        component = parse_component(part, REGISTRIES["wind"], name)
+        parts.append(replace(component, numbers=tuple(number.under(name, name) for number in component.numbers)))
     model = sum_of_winds(tuple(part.model for part in parts))
     numbers = tuple(chain.from_iterable(part.numbers for part in parts))
     return Component(" + ".join(part.kind for part in parts), model, tuple(part.params for part in parts), numbers)
@@ -268,18 +268,19 @@ def parse_reference(table: dict[str, Any], channels: tuple[str, ...], units: tup
     if len(channels) == 1:
         return with_units(parse_whole(table, slot), units[0])
     common = {name: value for name, value in table.items() if name not in channels}
-    whole = parse_component(common, REGISTRIES["trajectory"], slot, default="zero")
+    joint = parse_component(common, REGISTRIES["trajectory"], slot, default="zero")
     named = [channel for channel in channels if channel in table]
     if not named:
-        return replace(whole, numbers=tuple(number.under(slot, slot) for number in whole.numbers))
-    own = {channel: parse_component(table[channel], REFERENCES, dotted(slot, channel)) for channel in named}
-    numbers = [number.under(f"{slot}.joint", slot) for number in whole.numbers]
-    for place, (channel, part) in enumerate(own.items()):
-        theirs = with_units(part, units[channels.index(channel)]).numbers
-        numbers += [number.under(f"{slot}.replaced.{place}", dotted(slot, channel)) for number in theirs]
-    model = replace_channels(whole.model, {channels.index(channel): part.model for channel, part in own.items()})
-    params = ReplacedParams(whole.params, tuple(part.params for part in own.values()))
-    return Component(whole.kind, model, params, tuple(numbers))
+        return replace(joint, numbers=tuple(number.under(slot, slot) for number in joint.numbers))
+    replacements = {channel: parse_component(table[channel], REFERENCES, dotted(slot, channel)) for channel in named}
+    numbers = [number.under(f"{slot}.joint", slot) for number in joint.numbers]
+    for place, (channel, part) in enumerate(replacements.items()):
+        numbers_of_part = with_units(part, units[channels.index(channel)]).numbers
+        numbers += [number.under(f"{slot}.replaced.{place}", dotted(slot, channel)) for number in numbers_of_part]
+    models = {channels.index(channel): part.model for channel, part in replacements.items()}
+    model = replace_channels(joint.model, models)
+    params = ReplacedParams(joint.params, tuple(part.params for part in replacements.values()))
+    return Component(joint.kind, model, params, tuple(numbers))
 
 
 def parse_channels(table: dict[str, Any], slot: str, channels: tuple[str, ...]) -> list[Component]:
@@ -291,10 +292,10 @@ def parse_channels(table: dict[str, Any], slot: str, channels: tuple[str, ...]) 
     components = []
     for index, channel in enumerate(channels):
         own_path = dotted(slot, channel)
-        own = as_table(table.get(channel, {}), own_path) if channel else {}
-        component = parse_component(merged(common, own), REGISTRIES[slot], own_path if own else slot)
+        override = as_table(table.get(channel, {}), own_path) if channel else {}
+        component = parse_component(merged(common, override), REGISTRIES[slot], own_path if override else slot)
         numbers = tuple(
-            number.under(f"{slot}.{index}", own_path if has_dotted(own, number.name) else slot)
+            number.under(f"{slot}.{index}", own_path if has_dotted(override, number.name) else slot)
             for number in component.numbers
         )
         components.append(replace(component, numbers=numbers))
@@ -323,8 +324,9 @@ def traced_fields(loop: Loop, structure: Any, leaves: tuple[Hashable, ...]) -> F
         return isinstance(leaf, jax.ShapeDtypeStruct)
 
     def first(arrays: list[jax.Array]) -> tuple[tuple[Any, ...], Any]:
-        rest = iter(arrays)
-        return first_infos(loop, jax.tree.unflatten(structure, [next(rest) if is_array(x) else x for x in leaves]))
+        remaining = iter(arrays)
+        completed = [next(remaining) if is_array(leaf) else leaf for leaf in leaves]
+        return first_infos(loop, jax.tree.unflatten(structure, completed))
 
     def fields() -> Fields:
         with arithmetic():
@@ -362,8 +364,8 @@ def nearest_number(name: str, config: StudyTable, numbers: Mapping[str, Number])
     table = getattr(config, slot) if slot in REGISTRIES.keys() & StudyTable.model_fields.keys() else None
     if isinstance(table, Mapping) and not any(known.startswith(f"{slot}.") for known in numbers):
         field = name.rpartition(".")[2]
-        others = [kind for kind, entry in REGISTRIES[slot].items() if field in field_specs(params_of(entry))]
-        remedy = f"; for '{others[0]}' add --set {slot}.kind={others[0]} --set {name}=.." if others else ""
+        kinds = [kind for kind, entry in REGISTRIES[slot].items() if field in field_specs(params_of(entry))]
+        remedy = f"; for '{kinds[0]}' add --set {slot}.kind={kinds[0]} --set {name}=.." if kinds else ""
         return f"the study's {slot} is of the kind '{table.get('kind')}', which has no numbers{remedy}"
     return nearest(name, numbers)
 

@@ -13,20 +13,20 @@ NAMING = ("kind", "metric", "names")
 """Keys of a study's tables that may refer to a module's object."""
 
 
-def code_names(table: Mapping[str, Any]) -> tuple[str, ...]:
+def code_names(table: Mapping[str, object]) -> tuple[str, ...]:
     """Every ``module:object`` in a study's table, sorted; the table need not be valid."""
     names: set[str] = set()
     waiting: list[Any] = [table]
     while waiting:
-        here = waiting.pop()
-        if isinstance(here, Mapping):
+        node = waiting.pop()
+        if isinstance(node, Mapping):
             for key in NAMING:
-                value = here.get(key)
+                value = node.get(key)
                 texts = value if isinstance(value, list | tuple) else [value]
                 names.update(text for text in texts if isinstance(text, str) and ":" in text)
-            waiting.extend(here.values())
-        elif isinstance(here, list | tuple):
-            waiting.extend(here)
+            waiting.extend(node.values())
+        elif isinstance(node, list | tuple):
+            waiting.extend(node)
     return tuple(sorted(names))
 
 
@@ -35,10 +35,10 @@ def code_file(name: str) -> Path | None:
 
     The packages above the module are not imported either, as ``importlib.util.find_spec`` of a dotted name would.
     """
-    first, *rest = name.partition(":")[0].split(".")
+    first, *submodules = name.partition(":")[0].split(".")
     try:
         spec = importlib.util.find_spec(first)
-        for part in rest:
+        for part in submodules:
             places = spec.submodule_search_locations if spec else None
             spec = PathFinder.find_spec(part, list(places)) if places else None
     except (ImportError, ValueError):  # no name of a module, or one that says nothing of its file
@@ -46,7 +46,7 @@ def code_file(name: str) -> Path | None:
     return Path(spec.origin) if spec and spec.has_location and spec.origin else None
 
 
-def recorded(table: Mapping[str, Any]) -> dict[str, dict[str, str | None]]:
+def recorded(table: Mapping[str, object]) -> dict[str, dict[str, str | None]]:
     """File and digest of each module that a study refers to, by ``module:object``; for JSON."""
     return {name: digested(code_file(name)) for name in code_names(table)}
 
@@ -58,32 +58,32 @@ def digested(file: Path | None) -> dict[str, str | None]:
     return {"file": str(file), "sha256": hashlib.sha256(files.read_bytes(file)).hexdigest()}
 
 
-def folders_of(then: Any) -> tuple[Path, ...]:
+def folders_of(modules: object) -> tuple[Path, ...]:
     """The folders from which a run imported its modules, as far as :func:`recorded` tells; the top one of packages."""
     paths = []
-    for name, about in then.items() if isinstance(then, Mapping) else ():
-        file = about.get("file") if isinstance(about, Mapping) else None
+    for name, module in modules.items() if isinstance(modules, Mapping) else ():
+        file = module.get("file") if isinstance(module, Mapping) else None
         if isinstance(file, str) and Path(file).is_file():
             depth = name.partition(":")[0].count(".") + (Path(file).name == "__init__.py")
             paths.append(Path(file).parents[depth])
     return tuple(dict.fromkeys(paths))
 
 
-def describe_code(table: Mapping[str, Any], then: Mapping[str, Any] | None = None) -> str:
+def describe_code(table: Mapping[str, object], modules: Mapping[str, object] | None = None) -> str:
     """Describe each piece of code that a study refers to and its file; empty if there is none.
 
     Args:
         table: The study's table.
-        then: The result of :func:`recorded` when the study was run; None: nothing was recorded.
+        modules: The result of :func:`recorded` when the study was run; None: nothing was recorded.
     """
     lines = []
-    for name, now in recorded(table).items():
-        earlier = (then or {}).get(name)
+    for name, present in recorded(table).items():
+        earlier = (modules or {}).get(name)
         known = earlier if isinstance(earlier, Mapping) else {}
-        if now["file"] is None:
+        if present["file"] is None:
             run = f" (the run used {known['file']})" if known.get("file") else ""
             lines.append(f"{name} from no file that is found{run}")
         else:
-            changed = bool(known) and known.get("sha256") != now["sha256"]
-            lines.append(f"{name} from {now['file']}{', changed since the run' * changed}")
+            changed = bool(known) and known.get("sha256") != present["sha256"]
+            lines.append(f"{name} from {present['file']}{', changed since the run' * changed}")
     return "; ".join(lines)

@@ -43,7 +43,8 @@ class Number:
 
     def under(self, path: str, name: str) -> "Number":
         """The number of a part as a number of the whole, which contains the part at ``path`` under ``name``."""
-        return replace(self, name=dotted(name, self.name), paths=tuple(dotted(path, own) for own in self.paths))
+        paths = tuple(dotted(path, path_in_part) for path_in_part in self.paths)
+        return replace(self, name=dotted(name, self.name), paths=paths)
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ def dotted(*parts: str) -> str:
     return ".".join(part for part in parts if part)
 
 
-def parse_number(value: Any, quantity: Quantity) -> float | Law:
+def parse_number(value: object, quantity: Quantity) -> float | Law:
     """Parse a number or a law within the quantity's interval.
 
     Raises:
@@ -83,12 +84,12 @@ def parse_number(value: Any, quantity: Quantity) -> float | Law:
         raise ValueError(f"must be a finite number ({quantity.meaning} [{quantity.unit}]){law}, got {value!r}")
     broken = quantity.violated_by(low, high)
     if broken:
-        given = f"{value!r}" if low == high else f"{parsed}, whose support is [{low:g}, {high:g}]"
-        raise ValueError(f"{quantity.meaning} [{quantity.unit}] {broken}, got {given}")
+        found = f"{value!r}" if low == high else f"{parsed}, whose support is [{low:g}, {high:g}]"
+        raise ValueError(f"{quantity.meaning} [{quantity.unit}] {broken}, got {found}")
     return parsed
 
 
-def parse_numbers(value: Any, quantity: Quantity, depth: int = 1) -> Any:
+def parse_numbers(value: object, quantity: Quantity, depth: int = 1) -> Any:
     """Parse a list of numbers or laws; with depth 2, a list of rows of them."""
     if depth == 0:
         return parse_number(value, quantity)
@@ -98,7 +99,7 @@ def parse_numbers(value: Any, quantity: Quantity, depth: int = 1) -> Any:
     return tuple(parse_numbers(item, quantity, depth - 1) for item in value)
 
 
-def flattened(name: str, value: Any) -> dict[str, Any]:
+def flattened(name: str, value: object) -> dict[str, Any]:
     """The numbers of a list, or of rows, by dotted name; a number alone has the name itself."""
     if not isinstance(value, tuple):
         return {name: value}
@@ -116,9 +117,11 @@ class FieldSpec:
     @property
     def depth(self) -> int:
         """0 for a number, 1 for a list of numbers, 2 for a list of rows."""
-        depth, core = 0, self.core
+        depth = 0
+        core = self.core
         while typing.get_origin(core) is tuple:
-            depth, core = depth + 1, typing.get_args(core)[0]
+            depth += 1
+            core = typing.get_args(core)[0]
         return depth
 
     @property
@@ -164,7 +167,7 @@ def field_specs(params: type) -> dict[str, FieldSpec]:
 def number_type(quantity: Quantity, depth: int, optional: bool) -> Any:
     """The pydantic type of one number, of a list of them, or of a list of rows."""
 
-    def check(value: Any) -> Any:
+    def check(value: object) -> Any:
         return None if value is None and optional else parse_numbers(value, quantity, depth)
 
     return Annotated[Any, BeforeValidator(check)]
@@ -193,9 +196,10 @@ def explain(error: ValidationError, names: typing.Iterable[str]) -> ConfigError:
     A name that is missing only because it is misspelt counts as misspelt.
     """
     errors = error.errors()
-    missing = [str(each["loc"][-1]) for each in errors if each["type"] == "missing"]
-    unknown = [each for each in errors if each["type"] == "extra_forbidden"]
-    first = next((each for each in unknown if get_close_matches(str(each["loc"][-1]), missing)), errors[0])
+    missing = [str(problem["loc"][-1]) for problem in errors if problem["type"] == "missing"]
+    unknown = [problem for problem in errors if problem["type"] == "extra_forbidden"]
+    misspelt = [problem for problem in unknown if get_close_matches(str(problem["loc"][-1]), missing)]
+    first = misspelt[0] if misspelt else errors[0]
     path = ".".join(str(part) for part in first["loc"])
     value = first.get("input")
     match first["type"]:
@@ -214,7 +218,7 @@ def explain(error: ValidationError, names: typing.Iterable[str]) -> ConfigError:
             return ConfigError(path, f"{first['msg'][0].lower()}{first['msg'][1:]}, got {value!r}")
 
 
-def lookup(kind: Any, registry: Registry) -> Entry:
+def lookup(kind: object, registry: Registry) -> Entry:
     """The registry row of a kind, or a user's own model by its name ``package.module:object``."""
     if not isinstance(kind, str):
         raise ConfigError("kind", f"must be a name, got {kind!r}")
@@ -229,8 +233,8 @@ def lookup(kind: Any, registry: Registry) -> Entry:
         return model
     contract = type(next(iter(next(iter(registry.values())).members.values())))
     if not isinstance(model, contract) or (contract is type and not hasattr(model, "_fields")):
-        wanted = "a NamedTuple type" if contract is type else f"a {contract.__name__}"
-        raise ConfigError("kind", f"'{kind}' must be {wanted}, got {type(model).__name__}")
+        expected = "a NamedTuple type" if contract is type else f"a {contract.__name__}"
+        raise ConfigError("kind", f"'{kind}' must be {expected}, got {type(model).__name__}")
     if isinstance(model, Plant):
         require_measure(kind, model)
     return single(model, "a user's own")
@@ -263,7 +267,7 @@ def member_of(entry: Entry, table: dict[str, Any]) -> Any:
     raise ConfigError(entry.option, f"must be one of {', '.join(map(str, valid))}, got {choice!r}; {hint}")
 
 
-def as_table(value: Any, path: str = "") -> dict[str, Any]:
+def as_table(value: object, path: str = "") -> dict[str, Any]:
     """A copy of a table.
 
     Raises:
@@ -274,7 +278,7 @@ def as_table(value: Any, path: str = "") -> dict[str, Any]:
     return dict(value)
 
 
-def parse_component(value: Any, registry: Registry, path: str = "", default: str | None = None) -> Component:
+def parse_component(value: object, registry: Registry, path: str = "", default: str | None = None) -> Component:
     """Parse a table into a model with its parameters.
 
     Args:
@@ -329,7 +333,8 @@ def parse_params(
             numbers[name] = tuple(number.under(name, name) for number in inner)
     plain = {name: item for name, item in table.items() if name not in numbers}
     for name, value in parse_plain(plain, params, defaults, choices).items():
-        fields[name], mark = value, specs[name].mark
+        fields[name] = value
+        mark = specs[name].mark
         if isinstance(mark, Quantity) and value is not None and not mark.data:
             numbers[name] = tuple(Number(path, (path,), mark, item) for path, item in flattened(name, value).items())
     return params(**fields), tuple(number for name in specs for number in numbers.get(name, ()))
@@ -344,7 +349,8 @@ def parse_part(
         ConfigError: As in :func:`parse_params`, with the path within the part.
     """
     slot = spec.mark if isinstance(spec.mark, Slot) else None
-    preset, value = defaults.get(name), table.get(name, {})
+    preset = defaults.get(name)
+    value = table.get(name, {})
     if name not in table and (slot is None or slot.default is None):
         if name not in defaults:
             raise ConfigError("", "is required and missing")
@@ -370,7 +376,8 @@ def parse_plain(
     Raises:
         ConfigError: As in :func:`parse_params`; names that are not fields are unknown.
     """
-    specs, model = field_specs(params), table_model(params)
+    specs = field_specs(params)
+    model = table_model(params)
     given_defaults = {name: defaults[name] for name in model.model_fields if name in defaults}
     values = {name: value.value if isinstance(value, Enum) else value for name, value in given_defaults.items()}
     try:

@@ -53,15 +53,16 @@ def require_correlation(table: Mapping[str, float], laws: Collection[str], swept
     """
     seen: set[frozenset[str]] = set()
     for pair, rank in table.items():
-        place, both = f'correlation."{pair}"', split_pair(pair)
-        for name in both:
+        place = f'correlation."{pair}"'
+        names = split_pair(pair)
+        for name in names:
             if name in swept:
                 raise ConfigError(place, f"'{name}' is swept, and a swept number has no law; take the pair out")
             if name not in laws:
                 raise ConfigError(place, f"'{name}' is no uncertain number of this study; {nearest(name, laws)}")
-        if frozenset(both) in seen:
+        if frozenset(names) in seen:
             raise ConfigError(place, "this pair is given twice")
-        seen.add(frozenset(both))
+        seen.add(frozenset(names))
         if not -1.0 < rank < 1.0:
             raise ConfigError(place, f"a rank correlation must lie in (-1, 1), got {rank:g}")
     if table:

@@ -85,7 +85,7 @@ class Unloaded:
     def __iter__(self) -> Any:
         raise self.error
 
-    def __call__(self, *_: Any) -> Any:
+    def __call__(self, *_: object) -> Any:
         """Raise the error, since nothing can be computed."""
         raise self.error
 
@@ -105,7 +105,7 @@ class Described(Study):
     refusal: ConfigError
 
     @classmethod
-    def of(cls, table: Mapping[str, Any], source: str, code: Any, content: Any) -> "Described":
+    def of(cls, table: Mapping[str, object], source: str, code: dict[str, Any], content: object) -> "Described":
         """Build a study from its table and the result of :func:`describe`.
 
         Raises:
@@ -113,22 +113,24 @@ class Described(Study):
         """
         try:
             description = Description.model_validate(content)
-            numbers, certified = numbers_of(description), np.asarray(description.certified or False, dtype=bool)
+            numbers = numbers_of(description)
+            certified = np.asarray(description.certified or False, dtype=bool)
         except ValueError as error:  # pydantic's is one
             complaint = " ".join(str(error).split())
             raise ConfigError(source, f"is damaged: its description of the study's code: {complaint}") from None
         rule = f"runs code that was not loaded: {describe_code(table, code)}; {FLAG} loads it"
         absent: Any = Unloaded(refusal := ConfigError(source, rule))
-        channels, angles = description.channels, description.angles
+        channels = description.channels
+        angles = description.angles
         plant = Plant(NoParams, absent, absent, absent, absent, channels=channels, angles=angles)
         metres = tuple(ANGLE if name in angles else POSITION for name in channels or ("",))
         units = metres if description.units is None else tuple(ChannelUnits(*texts) for texts in description.units)
         if len(units) != len(metres):
             raise ConfigError(source, "is damaged: its description is not that of its study")
-        own = {
+        metrics_of_user = {
             name: Metric(a.unit, a.meaning, absent, absent, a.needs, a.scope) for name, a in description.metrics.items()
         }
-        known = KNOWN | own
+        known = KNOWN | metrics_of_user
         try:
             config = validate_fixed(dict(table))
             names = available_metrics(description.fields, description.seen, known)
@@ -155,7 +157,7 @@ class Described(Study):
             refusal=refusal,
         )
 
-    def override(self, changes: Mapping[str, Any]) -> Study:
+    def override(self, changes: Mapping[str, object]) -> Study:
         """Always refuse, because other values need the models.
 
         Raises:
@@ -187,11 +189,12 @@ def describe(study: Study, certified: np.ndarray | None, silence: str) -> dict[s
     """
     numbers = {}
     for name, number in study.numbers.items():
-        law, quantity = number.value, number.quantity
+        law = number.value
+        quantity = number.quantity
         value = {law.kind: list(law.arguments)} if isinstance(law, Law) else law
         numbers[name] = {"value": value, "unit": quantity.unit, "meaning": quantity.meaning}
     fields, seen = info_fields(study.loop, study.template)
-    own = {name: metric for name, metric in kinds_of(study.config).items() if name not in KNOWN}
+    metrics_of_user = {name: metric for name, metric in kinds_of(study.config).items() if name not in KNOWN}
     return {
         "channels": list(study.loop.plant.channels),
         "angles": list(study.loop.plant.angles),
@@ -201,28 +204,29 @@ def describe(study: Study, certified: np.ndarray | None, silence: str) -> dict[s
         "seen": list(seen),
         "metrics": {
             name: {"unit": m.unit, "meaning": m.meaning, "needs": list(m.needs), "scope": m.scope.value}
-            for name, m in own.items()
+            for name, m in metrics_of_user.items()
         },
         "certified": None if certified is None else certified.tolist(),
         "silence": silence,
     }
 
 
-def received(about: Mapping[str, Any], source: str, trust_code: bool = False) -> Study:
+def received(manifest: Mapping[str, Any], source: str, trust_code: bool = False) -> Study:
     """The study of a folder, which may come from anyone: the code it refers to is loaded only on request.
 
     Args:
-        about: The folder's manifest: ``study`` and, if that refers to code, ``code`` and ``described``.
+        manifest: The folder's manifest: ``study`` and, if that refers to code, ``code`` and ``described``.
         source: Its location, for messages.
         trust_code: Import the code that the study refers to.
 
     Raises:
         ConfigError: It is not valid, or it refers to code and was written before descriptions were stored.
     """
-    table = about["study"]
+    table = manifest["study"]
     if trust_code or not code_names(table):
         return Study.from_table(table, source)
-    code, content = about.get("code"), about.get("described")
+    code = manifest.get("code")
+    content = manifest.get("described")
     if not isinstance(code, dict) or content is None:
         raise ConfigError(source, f"names code, {describe_code(table)}, and does not describe it; {FLAG} loads it")
     return Described.of(table, source, code, content)

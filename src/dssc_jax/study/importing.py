@@ -1,4 +1,4 @@
-"""Import of a user's own objects, ``package.module:object``, and what to do where it fails."""
+"""Import of a user's objects, ``package.module:object``, with a remedy for each failure."""
 
 import contextlib
 import importlib
@@ -39,7 +39,7 @@ def imported(name: str, place: str) -> Any:
     except (Exception, SystemExit) as error:  # a module's own code may raise anything
         raise ConfigError(place, f"cannot import '{name}': {import_failure(module_name, error)}") from error
     if not hasattr(module, attribute):
-        public = [each for each in vars(module) if not each.startswith("_")]
+        public = [name for name in vars(module) if not name.startswith("_")]
         raise ConfigError(
             place, f"cannot import '{name}': the module has no '{attribute}'; {nearest(attribute, public)}"
         )
@@ -47,13 +47,13 @@ def imported(name: str, place: str) -> Any:
 
 
 def import_failure(module_name: str, error: BaseException) -> str:
-    """Why a module cannot be imported, and what to do about it."""
+    """The reason why a module cannot be imported, and the remedy."""
     if isinstance(error, ModuleNotFoundError) and error.name:
         if f"{module_name}.".startswith(f"{error.name}."):
             return f"there is no module '{error.name}'; {WHERE_MODULES_ARE}"
         return f"the module needs '{error.name}', which is not installed; install it for this Python"
     if isinstance(error, SyntaxError):
         return f"SyntaxError: {error.msg} in line {error.lineno} of {error.filename}"
-    lines = [each for each in traceback.extract_tb(error.__traceback__) if not each.filename.startswith("<frozen")]
-    where = f" in line {lines[-1].lineno} of {lines[-1].filename}" if len(lines) > 1 else ""
-    return f"{type(error).__name__}: {error}{where}"
+    lines = [frame for frame in traceback.extract_tb(error.__traceback__) if not frame.filename.startswith("<frozen")]
+    location = f" in line {lines[-1].lineno} of {lines[-1].filename}" if len(lines) > 1 else ""
+    return f"{type(error).__name__}: {error}{location}"

@@ -6,7 +6,7 @@ A law maps the unit interval to its values, so that random, Sobol and Latin-hype
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 import scipy
@@ -43,13 +43,16 @@ class LawKind:
 def truncated_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
     """Normal (mean a[0], deviation a[1]) truncated to [a[2], a[3]]; above the mean computed from the upper tail."""
     mean, std, low, high = a
-    left, right = (low - mean) / std, (high - mean) / std
+    left = (low - mean) / std
+    right = (high - mean) / std
     if left > 0.0:
-        below, above = scipy.special.ndtr(-right), scipy.special.ndtr(-left)
-        standard = -scipy.special.ndtri(above - u * (above - below))
+        lower = scipy.special.ndtr(-right)
+        upper = scipy.special.ndtr(-left)
+        standard = -scipy.special.ndtri(upper - u * (upper - lower))
     else:
-        below, above = scipy.special.ndtr(left), scipy.special.ndtr(right)
-        standard = scipy.special.ndtri(below + u * (above - below))
+        lower = scipy.special.ndtr(left)
+        upper = scipy.special.ndtr(right)
+        standard = scipy.special.ndtri(lower + u * (upper - lower))
     return np.clip(mean + std * standard, low, high)
 
 
@@ -218,9 +221,12 @@ class Law:
         if not share > 0.0 or (self.logarithmic and not median > 0.0):
             raise ValueError(f"needs share > 0, and median > 0 on a logarithmic scale, got {share:g} and {median:g}")
         arguments = (*self.arguments, 0.0, 1.0)[:4] if self.kind == "beta" else self.arguments
-        old, new, values = self.median, median, np.asarray(arguments, dtype=float)
+        old = self.median
+        new = median
+        values = np.asarray(arguments, dtype=float)
         if self.logarithmic:
-            old, new = math.log(old), math.log(new)
+            old = math.log(old)
+            new = math.log(new)
         if self.kind == "loguniform":
             values = np.log(values)
         rules = {"l": new + share * (values - old), "s": share * values, ".": values}
@@ -231,7 +237,7 @@ class Law:
         return f"{self.kind}({', '.join(f'{value:g}' for value in self.arguments)})"
 
 
-def is_number(value: Any) -> bool:
+def is_number(value: object) -> TypeGuard[int | float]:
     """Whether a value is a finite int or float, and not a bool."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
@@ -241,7 +247,7 @@ def is_number(value: Any) -> bool:
         return False
 
 
-def is_law(value: Any) -> bool:
+def is_law(value: object) -> bool:
     """Whether a value is a table with one known law."""
     return isinstance(value, dict) and len(value) == 1 and next(iter(value)) in LAWS
 

@@ -14,7 +14,7 @@ def study_folders() -> list[Path]:
     """Folders with studies, nearest first."""
     existing: list[Path] = []
     for folder in (Path.cwd() / "studies", PACKAGED, CHECKOUT):
-        if folder.is_dir() and folder.resolve() not in [other.resolve() for other in existing]:
+        if folder.is_dir() and folder.resolve() not in [found.resolve() for found in existing]:
             existing.append(folder)
     return existing
 
@@ -46,8 +46,8 @@ def find(name: str) -> Path:
     if name.replace("-", "_") in known:
         return known[name.replace("-", "_")]
     local = {str(file): file.stem for file in sorted(Path.cwd().glob("*.toml"))}
-    near = difflib.get_close_matches(name, local.values(), n=1, cutoff=0.6)
-    if near:
-        file = next(path for path, stem in local.items() if stem == near[0])
+    similar = difflib.get_close_matches(name, local.values(), n=1, cutoff=0.6)
+    if similar:
+        file = next(path for path, stem in local.items() if stem == similar[0])
         raise ConfigError(name, f"is no file; did you mean '{Path(file).name}'?")
     raise ConfigError(name, f"is neither a file nor the name of a study; {nearest(name, known)}")

@@ -60,7 +60,7 @@ def measured(
     Raises:
         ConfigError: A metric is unknown or not available here, there is none, or a window contains no sample.
     """
-    several = len(channels) > 1
+    has_channels = len(channels) > 1
 
     def measure(name: str, of: str, window: Window) -> Measure:
         kind, channel = names[of]
@@ -79,26 +79,27 @@ def measured(
     base = config.metrics.window
     require_samples(config, base, "metrics.after")
     named = config.metrics.names
-    kinds = default_kinds(several) if named is None else [short(name) for name in named]
+    kinds = default_kinds(has_channels) if named is None else [short(name) for name in named]
     for index, kind in enumerate(kinds):
         if kind not in known:
             raise ConfigError(f"metrics.names.{index}", f"unknown metric '{kind}'; {nearest(kind, known)}")
     measures = {name: measure(name, name, base) for name, (kind, _) in names.items() if kind in kinds}
     requirements = []
     for index, table in enumerate(config.requirement):
-        place, wanted = f"requirement.{index}", short(table.metric)
-        if wanted not in names:
-            if wanted in known and not several:
-                needs = ", ".join(known[wanted].needs)
-                raise ConfigError(f"{place}.metric", f"'{wanted}' needs {needs}, which this loop does not have")
-            raise ConfigError(f"{place}.metric", f"unknown metric '{wanted}'; {nearest(wanted, names)}")
+        place = f"requirement.{index}"
+        metric = short(table.metric)
+        if metric not in names:
+            if metric in known and not has_channels:
+                needs = ", ".join(known[metric].needs)
+                raise ConfigError(f"{place}.metric", f"'{metric}' needs {needs}, which this loop does not have")
+            raise ConfigError(f"{place}.metric", f"unknown metric '{metric}'; {nearest(metric, names)}")
         window = table.window(base)
         require_samples(config, window, f"{place}.after")
-        name = wanted + window.suffix(base)
-        measures.setdefault(name, measure(name, wanted, window))
+        name = metric + window.suffix(base)
+        measures.setdefault(name, measure(name, metric, window))
         requirement = Requirement(measures[name], table.max, table.min)
-        if any(requirement.name == other.name for other in requirements):
-            raise ConfigError(place, f"'{wanted}' is bounded on this side already; keep the stricter one")
+        if any(requirement.name == bounded.name for bounded in requirements):
+            raise ConfigError(place, f"'{metric}' is bounded on this side already; keep the stricter one")
         requirements.append(requirement)
     for requirement in enveloped(config, channels, units):
         measures[requirement.measure.name] = requirement.measure
@@ -138,10 +139,10 @@ def enveloped(config: StudyTable, channels: tuple[str, ...], units: tuple[Channe
         kind = f"envelope_{table.signal}"
         unit, meaning, signal = SIGNALS[table.signal]
         metric = envelope_metric(signal, unit, units[number].named(meaning), table.lower, table.upper)
-        same = sum(r.measure.kind == kind and r.measure.channel == number for r in requirements)
-        name = suffixed(kind, channel) + (f"_{same + 1}" if same else "")
-        whole = replace(config.metrics.window, after=0.0)
-        measure = Measure(name, kind, whole, number, metric, units[number], channel, config.metrics.window)
+        earlier = sum(r.measure.kind == kind and r.measure.channel == number for r in requirements)
+        name = suffixed(kind, channel) + (f"_{earlier + 1}" if earlier else "")
+        window = replace(config.metrics.window, after=0.0)
+        measure = Measure(name, kind, window, number, metric, units[number], channel, config.metrics.window)
         requirements.append(Requirement(measure, minimum=0.0))
     return requirements
 
@@ -153,11 +154,11 @@ def require_samples(config: StudyTable, window: Window, place: str) -> None:
         ConfigError: none does.
     """
     if first_sample(window, config.loop.sample_time) >= config.loop.steps:
-        last = (config.loop.steps - 1) * config.loop.sample_time
-        raise ConfigError(place, f"must be <= the time of the last sample {last:g} s, got {window.after:g}")
+        end = (config.loop.steps - 1) * config.loop.sample_time
+        raise ConfigError(place, f"must be <= the time of the last sample {end:g} s, got {window.after:g}")
 
 
-def default_kinds(several: bool) -> tuple[str, ...]:
+def default_kinds(has_channels: bool) -> tuple[str, ...]:
     """Every metric for one channel; for several the brief list, and those of the vehicle."""
     vehicle = tuple(kind for kind, metric in METRICS.items() if metric.scope is Scope.VEHICLE)
-    return (*BRIEF, *vehicle) if several else tuple(METRICS)
+    return (*BRIEF, *vehicle) if has_channels else tuple(METRICS)

@@ -22,7 +22,7 @@ MOST_COLUMNS = 10_000
 """Columns of a file; a table of more takes minutes to read."""
 
 
-def with_records(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+def with_records(table: Mapping[str, object], folder: Path) -> dict[str, Any]:
     """A study's table with the times and values of each record in place of its file.
 
     Args:
@@ -35,7 +35,7 @@ def with_records(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     return {**table, **{slot: recorded_slot(table[slot], folder, slot) for slot in SLOTS if slot in table}}
 
 
-def recorded_slot(value: Any, folder: Path, slot: str) -> Any:
+def recorded_slot(value: object, folder: Path, slot: str) -> Any:
     """A slot's table, each of its channels' tables, or each table of a list, with records in place of files."""
     if isinstance(value, list):
         return [recorded_slot(part, folder, f"{slot}.{index}") for index, part in enumerate(value)]
@@ -47,24 +47,24 @@ def recorded_slot(value: Any, folder: Path, slot: str) -> Any:
             if isinstance(part, Mapping) and "file" in part:
                 with errors_under(name):
                     channels[name] = inlined(part, folder, slot)
-        whole = inlined(value, folder, slot) if "file" in value else dict(value)
-    return whole | channels
+        inlined_table = inlined(value, folder, slot) if "file" in value else dict(value)
+    return inlined_table | channels
 
 
 def inlined(part: Mapping[str, Any], folder: Path, slot: str) -> dict[str, Any]:
     """A table with the record's times and values in place of ``file``, ``column``, ``columns`` and ``time_column``."""
-    several = SEVERAL.get(slot.partition(".")[0])
-    targets = several or ("value",)
+    components = SEVERAL.get(slot.partition(".")[0])
+    targets = components or ("value",)
     for name in ("time", *targets):
         if name in part:
             raise ConfigError(name, "is given by the file; give a file, or the values themselves")
     for name in ("file", "column", "time_column"):
         if not isinstance(part.get(name, TIME), str):
             raise ConfigError(name, f"must be a text, got {part[name]!r}")
-    if several:
+    if components:
         names = part.get("columns")
-        if not isinstance(names, list) or len(names) != len(several) or not all(isinstance(n, str) for n in names):
-            raise ConfigError("columns", f"must be the file's columns with {', '.join(several)}, got {names!r}")
+        if not isinstance(names, list) or len(names) != len(components) or not all(isinstance(n, str) for n in names):
+            raise ConfigError("columns", f"must be the file's columns with {', '.join(components)}, got {names!r}")
     elif "column" in part:
         names = [part["column"]]
     else:

@@ -17,14 +17,16 @@ from dssc_jax.study.laws import is_number
 STRICT = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
-def finite_number(value: Any) -> float:
+def finite_number(value: object) -> float:
     """A finite number."""
     if not is_number(value):
         raise ValueError(f"must be a finite number, got {value!r}")
     return float(value)
 
 
-LONGEST_UNIT, LONGEST_PHRASE, MOST_POINTS = 40, 60, 64
+LONGEST_UNIT = 40
+LONGEST_PHRASE = 60
+MOST_POINTS = 64
 Phrase = Annotated[str, StringConstraints(pattern=r"^[^\x00-\x1f]+$", max_length=LONGEST_PHRASE)]
 Finite = Annotated[float, BeforeValidator(finite_number)]
 OptionalFinite: Any = Optional[Finite]  # noqa: UP045  (a type at run time)
@@ -126,7 +128,7 @@ class RequirementTable(RequiredWindow):
         return Window.of(self.model_dump(), usual)
 
 
-def unit_text(value: Any) -> str:
+def unit_text(value: object) -> str:
     """A unit as a product of powers.
 
     Raises:
@@ -153,9 +155,9 @@ def parse_points(value: Any) -> tuple[tuple[float, float], ...]:
     if len(value) > MOST_POINTS:
         raise ValueError(f"takes at most {MOST_POINTS} points, got {len(value)}")
     points = tuple((float(t), float(y)) for t, y in value)
-    for before, after in pairwise(points):
-        if after[0] < before[0]:
-            raise ValueError(f"must have rising times, got {after[0]:g} s after {before[0]:g} s")
+    for point, successor in pairwise(points):
+        if successor[0] < point[0]:
+            raise ValueError(f"must have rising times, got {successor[0]:g} s after {point[0]:g} s")
     return points
 
 
@@ -200,11 +202,12 @@ class PlotTable(BaseModel):
     slope: bool = Field(default=False, description="whether to fit a slope in double-logarithmic axes")
 
 
-MOST_VALUES, MOST_LANES = 10**6, 10**9
+MOST_VALUES = 10**6
+MOST_LANES = 10**9
 AXES = ("linspace", "logspace", "values")
 
 
-def parse_axis(value: Any) -> tuple[float, ...]:
+def parse_axis(value: object) -> tuple[float, ...]:
     """Values of a sweep axis: a list, ``{ values = [...] }``, ``{ linspace = [lo, hi, n] }`` or ``logspace``.
 
     Raises:
@@ -235,7 +238,7 @@ def parse_axis(value: Any) -> tuple[float, ...]:
     return tuple(float(item) for item in np.linspace(low, high, count))
 
 
-def parse_range(value: Any) -> tuple[float, float]:
+def parse_range(value: object) -> tuple[float, float]:
     """The interval ``[low, high]`` of a positive number.
 
     Raises:
@@ -248,7 +251,7 @@ def parse_range(value: Any) -> tuple[float, float]:
     return float(value[0]), float(value[1])
 
 
-def parse_free(value: Any) -> tuple[float, float] | float:
+def parse_free(value: object) -> tuple[float, float] | float:
     """A free parameter's interval, or the positive number at which it is fixed."""
     if isinstance(value, list | tuple):
         return parse_range(value)
@@ -369,14 +372,14 @@ class StudyTable(BaseModel):
             if "replicates" in self.model_fields_set:
                 raise ValueError("replicates belong to sampling = 'sobol' or 'lhs'; random draws have none")
             return self
-        share, rest = divmod(self.draws, self.replicates)
-        if self.sampling == "lhs" and (rest or share < 2):
+        share, remainder = divmod(self.draws, self.replicates)
+        if self.sampling == "lhs" and (remainder or share < 2):
             closest = self.replicates * max(2, round(self.draws / self.replicates))
             raise ValueError(
                 f"with sampling = 'lhs' draws must be a multiple of replicates = {self.replicates}, at least two a "
                 f"replicate, got {self.draws}; the nearest is {closest}"
             )
-        if self.sampling == "sobol" and (rest or share < 2 or share & (share - 1)):
+        if self.sampling == "sobol" and (remainder or share < 2 or share & (share - 1)):
             closest = self.replicates * 2 ** max(1, round(math.log2(self.draws / self.replicates)))
             raise ValueError(
                 f"with sampling = 'sobol' draws must be replicates times a power of two, {self.replicates} * 2^m with "

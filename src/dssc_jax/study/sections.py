@@ -15,7 +15,7 @@ MOST_SECTIONS = 3
 
 def with_section(
     error: ConfigError,
-    table: Mapping[str, Any],
+    table: Mapping[str, object],
     fixed: Mapping[str, type[BaseModel]],
     registries: Mapping[str, Registry],
 ) -> ConfigError:
@@ -30,24 +30,24 @@ def with_section(
     section, _, name = error.where.rpartition(".")
     if not error.rule.startswith(UNKNOWN_NAME):
         return error
-    here = f"[{section}]"
-    places = [place for place in sections_of(name, table, fixed, registries) if place != here]
+    header = f"[{section}]"
+    places = [place for place in sections_of(name, table, fixed, registries) if place != header]
     if not places:
         return error
     return ConfigError(error.where, f"{UNKNOWN_NAME} here; '{name}' belongs {' or '.join(places[:MOST_SECTIONS])}")
 
 
 def sections_of(
-    name: str, table: Mapping[str, Any], fixed: Mapping[str, type[BaseModel]], registries: Mapping[str, Registry]
+    name: str, table: Mapping[str, object], fixed: Mapping[str, type[BaseModel]], registries: Mapping[str, Registry]
 ) -> list[str]:
     """Every place in which a study of these kinds may have the name, as the end of a sentence."""
     places = [f"in [{place}]" if place else TOP for place, model in fixed.items() if name in model.model_fields]
     for slot, registry in registries.items():
-        own = table.get(slot)
-        kind = own.get("kind") if isinstance(own, Mapping) else None
+        part = table.get(slot)
+        kind = part.get("kind") if isinstance(part, Mapping) else None
         entries = {kind: registry[kind]} if isinstance(kind, str) and kind in registry else {}
         for entry in entries.values():
-            places += [f"in [{place}]" for place, field in places_in(entry, slot, own) if field == name]
+            places += [f"in [{place}]" for place, field in places_in(entry, slot, part) if field == name]
     if not places:
         places = [
             f'in [{slot}] of kind "{kind}"'
@@ -71,7 +71,7 @@ def places_in(entry: Entry, section: str, table: Any) -> Iterator[tuple[str, str
         yield section, entry.option
 
 
-def fields_in(params: type, section: str, table: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+def fields_in(params: type, section: str, table: Mapping[str, object]) -> Iterator[tuple[str, str]]:
     """Each section of a parameter type, and a field that it may have."""
     for name, spec in field_specs(params).items():
         inner = table.get(name)

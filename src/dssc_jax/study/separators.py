@@ -15,18 +15,19 @@ def separated(text: str, parts: int) -> str:
     match = re.fullmatch(r"\s*([^\s=:]+)\s*[=:\s]\s*(.+?)\s*", text)
     if match is None:
         return ""
-    name, values = match.group(1).replace("/", "."), [part for part in SEPARATORS.split(match.group(2)) if part]
+    name = match.group(1).replace("/", ".")
+    values = [part for part in SEPARATORS.split(match.group(2)) if part]
+    ending = ""
     if values[-1:] == ["log"]:
-        values, ending = values[:-1], [":log"]
-    else:
-        ending = []
+        values = values[:-1]
+        ending = ":log"
     numeric = all(re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", value) for value in values)
-    wanted = f"{name}={':'.join(values)}{''.join(ending)}"
-    return f"; did you mean '{wanted}'?" if numeric and len(values) == parts and wanted != text else ""
+    corrected = f"{name}={':'.join(values)}{ending}"
+    return f"; did you mean '{corrected}'?" if numeric and len(values) == parts and corrected != text else ""
 
 
 def toml_hint(text: str, complaint: str) -> str:
-    """The line of a TOML file that does not parse, and the separator that it needs, if that is what is wrong."""
+    """The line of a TOML file that does not parse, and the separator that it lacks, if any."""
     match = re.search(r"at line (\d+)", complaint)
     lines = text.splitlines()
     if match is None or int(match.group(1)) > len(lines):

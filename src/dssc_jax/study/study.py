@@ -27,7 +27,7 @@ from dssc_jax.study.schema import StudyTable
 from dssc_jax.study.tables import changed, read_toml
 
 
-def hash_of(table: Mapping[str, Any]) -> str:
+def hash_of(table: Mapping[str, object]) -> str:
     """Hash of a study's table."""
     return hashlib.sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()
 
@@ -74,7 +74,7 @@ class Study:
         return cls.from_table(with_records(read_toml(file), file.parent), str(path))
 
     @classmethod
-    def from_table(cls, table: Mapping[str, Any], source: str = "study") -> "Study":
+    def from_table(cls, table: Mapping[str, object], source: str = "study") -> "Study":
         """Build a study from the content of a study file; models it refers to as ``module:object`` are imported.
 
         Raises:
@@ -89,7 +89,7 @@ class Study:
         except ConfigError as error:
             raise error.within(source) from None
 
-    def override(self, changes: Mapping[str, Any]) -> "Study":
+    def override(self, changes: Mapping[str, object]) -> "Study":
         """Return the study with other values, by dotted name: ``{"controller.functions.tau_av": 0.05}``.
 
         Raises:

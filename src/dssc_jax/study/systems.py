@@ -42,7 +42,8 @@ def plant_table(system: Any) -> dict[str, Any]:
         system = system.to_tf()
     if not hasattr(system, "num") or not hasattr(system, "den"):
         raise ConfigError("plant", f"must be a linear system of scipy.signal or control, got {name}")
-    numerator, denominator = coefficients(system.num, name), coefficients(system.den, name)
+    numerator = coefficients(system.num, name)
+    denominator = coefficients(system.den, name)
     if len(numerator) >= len(denominator):
         raise ConfigError("plant", "must have more poles than zeros: a plant does not pass its input to its output")
     return {"kind": "transfer_function", "numerator": numerator, "denominator": denominator}

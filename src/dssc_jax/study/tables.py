@@ -49,7 +49,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     return table
 
 
-def require_shallow(table: Mapping[str, Any]) -> None:
+def require_shallow(table: Mapping[str, object]) -> None:
     """Require that tables and lists are not nested too deeply.
 
     Raises:
@@ -68,12 +68,12 @@ def require_shallow(table: Mapping[str, Any]) -> None:
     raise ConfigError("", f"is nested too deeply, at most {DEEPEST} levels are taken")
 
 
-def to_toml(table: Mapping[str, Any]) -> str:
+def to_toml(table: Mapping[str, object]) -> str:
     """A study's table as the text of a study file."""
     return tomli_w.dumps(dict(table))
 
 
-def inline_toml(value: Any) -> str:
+def inline_toml(value: object) -> str:
     """A value of a study's table as TOML on one line."""
     if isinstance(value, Mapping):
         return f"{{ {', '.join(toml_entry(name, inner) for name, inner in value.items())} }}"
@@ -82,20 +82,20 @@ def inline_toml(value: Any) -> str:
     return toml_entry("x", value).removeprefix("x = ")
 
 
-def toml_entry(name: str, value: Any) -> str:
+def toml_entry(name: str, value: object) -> str:
     """``name = value`` on one line."""
     if isinstance(value, Mapping | list | tuple):
         return f"{tomli_w.dumps({name: 0}).partition(' = ')[0]} = {inline_toml(value)}"
     return tomli_w.dumps({name: value}).strip()
 
 
-def toml_entries(table: Mapping[str, Any], section: str = "") -> str:
+def toml_entries(table: Mapping[str, object], section: str = "") -> str:
     """A table as TOML with one line for each law, list or number, under the header of its section."""
     tables = {name: inner for name, inner in table.items() if isinstance(inner, Mapping) and not is_law(inner)}
     lines = [toml_entry(name, value) for name, value in table.items() if name not in tables]
-    own = "\n".join([*([f"[{section}]"] if section else []), *lines]) + "\n" if lines else ""
-    inner = (toml_entries(each, f"{section}.{name}".lstrip(".")) for name, each in tables.items())
-    return "\n".join(filter(None, [own, *inner]))
+    entries = "\n".join([*([f"[{section}]"] if section else []), *lines]) + "\n" if lines else ""
+    inner = (toml_entries(content, f"{section}.{name}".lstrip(".")) for name, content in tables.items())
+    return "\n".join(filter(None, [entries, *inner]))
 
 
 def is_index(part: str) -> bool:
@@ -103,37 +103,37 @@ def is_index(part: str) -> bool:
     return part.isascii() and part.isdecimal() and len(part) < 10
 
 
-def set_dotted(table: dict[str, Any], name: str, value: Any) -> None:
+def set_dotted(table: dict[str, Any], name: str, value: object) -> None:
     """Set ``table[a][b][c]`` for the name ``a.b.c``; missing tables are created, list items are given by index.
 
     Raises:
         ConfigError: The name passes through a number, or beyond a list's end.
     """
-    first, _, rest = name.partition(".")
-    if first in ("sweep", "correlation") and rest:  # the names in these tables are dotted themselves
+    first, _, remainder = name.partition(".")
+    if first in ("sweep", "correlation") and remainder:  # the names in these tables are dotted themselves
         inner = table.setdefault(first, {})
         if not isinstance(inner, dict):
             raise ConfigError(first, f"must be a table, got {inner!r}")
-        inner[rest] = value
+        inner[remainder] = value
         return
-    *parents, last = name.split(".")
-    here: Any = table
+    *parents, key = name.split(".")
+    container: Any = table
     for part in parents:
-        if isinstance(here, list) and is_index(part) and int(part) < len(here):
-            here = here[int(part)]
-        elif isinstance(here, dict):
-            here = here.setdefault(part, {})
+        if isinstance(container, list) and is_index(part) and int(part) < len(container):
+            container = container[int(part)]
+        elif isinstance(container, dict):
+            container = container.setdefault(part, {})
         else:
             raise ConfigError(name, f"leads nowhere: '{part}' is not in a table")
-    if isinstance(here, list) and is_index(last) and int(last) < len(here):
-        here[int(last)] = value
-    elif isinstance(here, dict):
-        here[last] = value
+    if isinstance(container, list) and is_index(key) and int(key) < len(container):
+        container[int(key)] = value
+    elif isinstance(container, dict):
+        container[key] = value
     else:
-        raise ConfigError(name, f"leads nowhere: '{last}' is not in a table")
+        raise ConfigError(name, f"leads nowhere: '{key}' is not in a table")
 
 
-def changed(table: Mapping[str, Any], changes: Mapping[str, Any], source: str) -> dict[str, Any]:
+def changed(table: Mapping[str, object], changes: Mapping[str, object], source: str) -> dict[str, Any]:
     """A copy of a table from ``source`` with other values, by dotted name.
 
     Raises:
@@ -149,14 +149,14 @@ def changed(table: Mapping[str, Any], changes: Mapping[str, Any], source: str) -
     return copied
 
 
-def merged(common: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    """``common`` overridden by ``own``, table by table; a table of another kind, or a law, replaces the common one."""
+def merged(common: dict[str, Any], override: dict[str, Any]) -> dict[str, Any]:
+    """``common`` with the values of ``override``, table by table; a law or a table of another kind replaces a table."""
     result = dict(common)
-    for name, value in own.items():
-        below = result.get(name)
-        if isinstance(value, dict) and isinstance(below, dict) and not is_law(value) and not is_law(below):
-            same_kind = value.get("kind", below.get("kind")) == below.get("kind")
-            result[name] = merged(below, value) if same_kind else value
+    for name, value in override.items():
+        inherited = result.get(name)
+        if isinstance(value, dict) and isinstance(inherited, dict) and not is_law(value) and not is_law(inherited):
+            same_kind = value.get("kind", inherited.get("kind")) == inherited.get("kind")
+            result[name] = merged(inherited, value) if same_kind else value
         else:
             result[name] = value
     return result
@@ -164,22 +164,22 @@ def merged(common: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
 
 def has_dotted(table: dict[str, Any], name: str) -> bool:
     """Whether a table contains the dotted name, or a part of it that is not a table."""
-    here: Any = table
+    inner: Any = table
     for part in name.split("."):
-        if not isinstance(here, dict):
+        if not isinstance(inner, dict):
             return True
-        if part not in here:
+        if part not in inner:
             return False
-        here = here[part]
+        inner = inner[part]
     return True
 
 
-def enclosing_list(table: Mapping[str, Any], name: str) -> tuple[str, list[Any]] | None:
+def enclosing_list(table: Mapping[str, object], name: str) -> tuple[str, list[Any]] | None:
     """Dotted name and content of the outermost list that contains the dotted name; None if there is none."""
-    here: Any = table
+    inner: Any = table
     parts = name.split(".")
     for place, part in enumerate(parts):
-        if isinstance(here, list):
-            return ".".join(parts[:place]), here
-        here = here.get(part) if isinstance(here, Mapping) else None
+        if isinstance(inner, list):
+            return ".".join(parts[:place]), inner
+        inner = inner.get(part) if isinstance(inner, Mapping) else None
     return None

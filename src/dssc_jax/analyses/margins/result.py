@@ -27,8 +27,6 @@ UNNAMED = {
 """What can be walked besides the loop's own numbers."""
 CONTENT = 0.95  # share of draws that pass up to the lower tolerance limit
 WALKED = ("start", "end", "log", "points", "parted")
-FIRST_MARGIN_NAMES = {"margin": "slack"}
-"""Names of the dataset's variables in files of the first version, and their present names."""
 
 
 @dataclass(eq=False)
@@ -223,7 +221,6 @@ class Margins(Analysis):
     def restored(cls, stored: Stored) -> Self:
         """See :class:`Analysis`."""
         study, dataset, settings = stored
-        dataset = dataset.rename({old: new for old, new in FIRST_MARGIN_NAMES.items() if old in dataset})
         certificate = Reach(**settings["certificate"]) if isinstance(study, Described) else None
         walk, criterion = Walk(**settings["walk"]), tuple(settings["criterion"])
         times, proof = settings["times"], settings.get("proof")
