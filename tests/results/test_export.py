@@ -34,10 +34,10 @@ def is_the_table(table, result):
 
 
 def test_csv(result, tmp_path):
-    data, about = dj.export(result, "csv", tmp_path / "a.csv")
+    data, attributes = dj.export(result, "csv", tmp_path / "a.csv")
     is_the_table(pd.read_csv(data), result)
-    content = json.loads(about.read_text())
-    assert about.name == "a.csv-metadata.json"
+    content = json.loads(attributes.read_text())
+    assert attributes.name == "a.csv-metadata.json"
     assert content["url"] == "a.csv"
     named = {column["name"]: column for column in content["tableSchema"]["columns"]}
     assert list(named) == list(pd.read_csv(data).columns)
@@ -52,8 +52,8 @@ def test_parquet(result, tmp_path, monkeypatch):
     is_the_table(pd.read_parquet(path), result)
     file = parquet.ParquetFile(path)
     assert file.num_row_groups == 6
-    about = file.schema_arrow.field("error_rms").metadata
-    assert (about[b"units"], about[b"long_name"]) == (b"m", b"rms of the output error e")
+    attributes = file.schema_arrow.field("error_rms").metadata
+    assert (attributes[b"units"], attributes[b"long_name"]) == (b"m", b"rms of the output error e")
     assert json.loads(file.schema_arrow.metadata[b"study"]) == result.study.table
 
 
@@ -67,9 +67,9 @@ def test_duckdb_counts_failures(result, tmp_path, form):
 
 
 def test_netcdf(result, tmp_path):
-    before = result.dataset.copy(deep=True)
+    previous = result.dataset.copy(deep=True)
     (path,) = dj.export(result, "netcdf", tmp_path / "a.nc")
-    xr.testing.assert_identical(result.dataset, before)
+    xr.testing.assert_identical(result.dataset, previous)
     with xr.open_dataset(path, engine="h5netcdf", decode_timedelta=False) as found:
         xr.testing.assert_equal(found, result.dataset)
         assert found.attrs["Conventions"].startswith("CF-")

@@ -28,14 +28,14 @@ def study():
 
 
 @pytest.fixture(scope="module")
-def once(study, tmp_path_factory):
+def original(study, tmp_path_factory):
     """The folder that every test gets a copy of."""
     return dj.run(study, tmp_path_factory.mktemp("results") / "once", block=24).path
 
 
 @pytest.fixture
-def stored(once, tmp_path):
-    return dj.load(shutil.copytree(once, tmp_path / "result"))
+def stored(original, tmp_path):
+    return dj.load(shutil.copytree(original, tmp_path / "result"))
 
 
 @pytest.fixture(scope="module")
@@ -52,8 +52,8 @@ def test_a_run_keeps_what_its_folder_holds(study, tmp_path, monkeypatch):
     """Its values are those of the folder, which it need not read; a longer run reads the blocks of the earlier one."""
     with monkeypatch.context() as patch:
         patch.setattr(store, "read_dataset", None)
-        whole = dj.run(study, tmp_path / "run", block=24)
-    assert whole.dataset.identical(dj.load(tmp_path / "run").dataset)
+        result = dj.run(study, tmp_path / "run", block=24)
+    assert result.dataset.identical(dj.load(tmp_path / "run").dataset)
     longer = dj.run(study.override({"draws": 30}), tmp_path / "run", resume=True)
     assert longer.dataset.identical(dj.load(tmp_path / "run").dataset)
     assert not longer.dataset["outcome"].isin(NOT_COMPUTED).any()
@@ -303,5 +303,5 @@ def test_a_folder_of_another_schema_is_refused_and_left_alone(study, stored, ver
 def test_the_order_of_bytes_does_not_matter_to_a_digest():
     values = np.array([[1.0, -0.0], [np.nan, 3.0]])
     assert sum_of(values) == sum_of(values.astype(">f8")) == sum_of(np.asfortranarray(values))
-    others = (values.astype("f4"), values.T, values.reshape(-1), values[::-1], np.abs(values))
-    assert len({sum_of(values), *map(sum_of, others), sum_of(values, "m")}) == 7
+    different = (values.astype("f4"), values.T, values.reshape(-1), values[::-1], np.abs(values))
+    assert len({sum_of(values), *map(sum_of, different), sum_of(values, "m")}) == 7
