@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 from statistics import median
 
@@ -97,6 +98,14 @@ def studies() -> dict[str, dj.Result]:
     return results
 
 
+def first_study() -> None:
+    """The figure of the README's first study."""
+    text = (DOCS.parent / "README.md").read_text()
+    table = tomllib.loads(text.split("```toml\n# servo.toml\n")[1].split("```")[0])
+    study = dj.Study.from_table(table | {"sweep": {"unmodelled.mu": {"linspace": [0.2, 0.8, 31]}}})
+    plotting.write(plotting.sweep(dj.run(study)), FIGURES / "servo.png")
+
+
 def rates(repeats: int = 5) -> dict[int, float]:
     """Draw samples a second of the main study by precision, medians of interleaved runs without compilation."""
     engines = {}
@@ -142,6 +151,7 @@ def main() -> None:
     table = discretisation()
     draw_discretisation(table)
     results = studies()
+    first_study()
     residual = results["residual_scaling"].dataset
     slope, _ = plotting.fitted_slope(residual["controller.functions.phi_b"].values, residual["sigma_max"].values[:, 0])
     speed = rates()
