@@ -104,11 +104,15 @@ class Referee:
         if not units:
             return self.signless(value) if self.fast and value.dtype.name in MAIN else value
         finite = np.logical_and.reduce([np.isfinite(operand) & (operand != 0) for operand in operands])
-        return self.signless(self.disturbed(value, units, finite & ~np.isfinite(value), finite & (value == 0)))
+        value = self.signless(self.disturbed(value, units, finite & ~np.isfinite(value), finite & (value == 0)))
+        if name != "div":
+            return value
+        divisor = np.abs(operands[1])
+        return self.unclear(value, (divisor > 0) & (divisor * np.finfo(value.dtype).max < 1))  # its inverse overflows
 
     def function(self, name: str, operands: list[np.ndarray]) -> np.ndarray:
-        """An elementary function."""
-        operands = list(np.broadcast_arrays(*operands))
+        """An elementary function; the exponent of a power has the type of its base, as JAX converts it."""
+        operands = [operand.astype(operands[0].dtype) for operand in np.broadcast_arrays(*operands)]
         value, beyond = function_value(name, operands, operands[0].dtype)
         value = self.disturbed(value, UNITS.get(name, 2), beyond & np.isinf(value), beyond & (value == 0))
         return self.signless(value) if self.fast else value
