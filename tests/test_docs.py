@@ -79,9 +79,10 @@ def test_examples_of_docstrings(module, monkeypatch):
 
 
 def test_links_lead_somewhere():
-    for page in EVERY:
-        for link in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
-            assert (page.parent / link).exists(), f"{page.name}: {link}"
+    links = [(page, link) for page in EVERY for link in re.findall(r"\]\(([^)#:]+)\)", page.read_text())]
+    assert len(links) > 100
+    for page, link in links:
+        assert (page.parent / link).exists(), f"{page.name}: {link}"
 
 
 def text_of(path):
@@ -91,18 +92,42 @@ def text_of(path):
     return path.read_text()
 
 
+def named_commands(text):
+    """Commands that a text names, and what follows each."""
+    return re.findall(r"\bdssc-jax ([a-z]+(?:-[a-z]+)*)([^`|#\n]*)", text)
+
+
+def named_targets(text):
+    """Targets of make that a text names."""
+    return re.findall(r"(?:`|^ {4}|^(?=make \w+ +#))make (\w+)", text, re.MULTILINE)
+
+
+def named_files(text):
+    """Files of the repository that a text names."""
+    return re.findall(r"\b(?:docs|studies|notebooks|tests|benchmarks)/[\w/]+\.\w+", text)
+
+
 @pytest.mark.parametrize("path", [*EVERY, *NOTEBOOKS], ids=lambda path: path.name)
 def test_what_a_page_names_exists(path):
     """Commands with their options, make's targets, files of the repository."""
     text = text_of(path)
     commands = typer.main.get_command(app).commands
-    for name, rest in re.findall(r"\bdssc-jax ([a-z]+(?:-[a-z]+)*)([^`|#\n]*)", text):
+    for name, rest in named_commands(text):
         options = {flag for option in commands[name].params for flag in option.opts} | {"--help"}
         assert set(re.findall(r"--[a-z-]+", rest)) <= options, f"{name}{rest}"
     targets = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
-    assert set(re.findall(r"(?:`|^ {4}|^(?=make \w+ +#))make (\w+)", text, re.MULTILINE)) <= set(targets)
-    for file in re.findall(r"\b(?:docs|studies|notebooks|tests|benchmarks)/[\w/]+\.\w+", text):
+    assert set(named_targets(text)) <= set(targets)
+    for file in named_files(text):
         assert (ROOT / file).exists(), file
+
+
+def test_the_names_of_pages_are_found():
+    """So that the test above compares something."""
+    texts = [text_of(path) for path in EVERY]
+    assert sum(len(named_commands(text)) for text in texts) > 100
+    assert len({name for text in texts for name, _ in named_commands(text)}) > 15
+    assert sum(len(named_targets(text)) for text in texts) > 15
+    assert sum(len(named_files(text)) for text in texts) > 15
 
 
 @pytest.mark.parametrize("page", PAGES_OF)

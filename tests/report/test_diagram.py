@@ -46,7 +46,9 @@ def test_uncertain_and_swept_numbers_are_marked():
 
 def blocks(drawn):
     """Every block's left, top, right and lower edge."""
-    for found in re.findall(r'<rect class="block" x="(\d+)" y="(\d+)" width="(\d+)" height="(\d+)"', drawn):
+    rectangles = re.findall(r'<rect class="block" x="(\d+)" y="(\d+)" width="(\d+)" height="(\d+)"', drawn)
+    assert len(rectangles) > 2
+    for found in rectangles:
         x, y, width, height = map(int, found)
         yield x, y, x + width, y + height
 
@@ -76,5 +78,7 @@ def test_it_stays_within_its_frame(name):
     for x, y, right, lower in blocks(drawn):
         assert left <= x < right <= left + width
         assert top <= y < lower <= top + height
-    for line in re.findall(r'<text class="line"[^>]*>([^<]*)<', drawn):
+    lines = re.findall(r'<text class="line"[^>]*>([^<]*)<', drawn)
+    assert len(lines) > 2
+    for line in lines:
         assert len(line) <= FITS
