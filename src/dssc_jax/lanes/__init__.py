@@ -1,1 +1,1 @@
-"""How lanes run: translation of JAX's trace, machine code, plain XLA, kernels of a GPU, the cache of programs."""
+"""How lanes run: translation of JAX's trace, machine code, plain XLA, the cache of programs."""

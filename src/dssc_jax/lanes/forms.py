@@ -1,8 +1,7 @@
 """The forms in which a batch of lanes can run, and the choice between them.
 
 On a CPU, lanes run as machine code of this package (:mod:`dssc_jax.lanes.lanes`). What cannot be translated runs as
-plain ``jit(vmap(lane))`` by XLA, with a warning. On a GPU, XLA advances all lanes sample by sample, or a Pallas kernel
-advances each warp of lanes to the end.
+plain ``jit(vmap(lane))`` by XLA, with a warning. On a GPU, XLA advances all lanes sample by sample.
 """
 
 import os
@@ -19,7 +18,7 @@ from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.lanes import machine
 from dssc_jax.lanes.lanes import CompiledLanes, LaneBatch
 from dssc_jax.lanes.plain import PlainBatch, plain_options
-from dssc_jax.lanes.unsupported import Unfit, Unsupported
+from dssc_jax.lanes.unsupported import Unsupported
 
 KERNEL_VARIABLE = "DSSC_JAX_KERNEL"
 Start = Callable[[dict[str, np.ndarray], np.ndarray], Callable[[], tuple[dict[Any, np.ndarray], float]]]
@@ -33,16 +32,12 @@ class Form(StrEnum):
     """How a batch runs.
 
     ``lanes``: machine code for a CPU, in fast arithmetic. ``strict``: the same without contraction, with the same bits
-    on every machine. ``scan``: plain XLA. ``pallas``: kernels of a GPU.
+    on every machine. ``scan``: plain XLA.
     """
 
     LANES = "lanes"
     STRICT = "strict"
     SCAN = "scan"
-    PALLAS = "pallas"
-
-
-AUTO = "auto"
 
 
 class KernelWarning(UserWarning):
@@ -52,7 +47,7 @@ class KernelWarning(UserWarning):
 def requested(choice: str = "") -> str:
     """The requested form, from the argument or the environment.
 
-    Without a request it is ``lanes`` on a CPU and ``scan`` on a GPU. ``auto`` takes the kernel on a GPU if possible.
+    Without a request it is ``lanes`` on a CPU and ``scan`` on a GPU.
 
     Raises:
         ConfigError: There is no such form.
@@ -60,10 +55,8 @@ def requested(choice: str = "") -> str:
     choice = choice or os.environ.get(KERNEL_VARIABLE, "")
     if not choice:
         return Form.LANES if jax.default_backend() == "cpu" else Form.SCAN
-    known = (*Form, AUTO)
-    if choice not in known:
-        names = f"{', '.join(known[:-1])} or {known[-1]}"
-        raise ConfigError("kernel", f"must be {names}, got '{choice}'; {nearest(choice, known)}")
+    if choice not in tuple(Form):
+        raise ConfigError("kernel", f"must be lanes, strict or scan, got '{choice}'; {nearest(choice, tuple(Form))}")
     return choice
 
 
@@ -87,37 +80,19 @@ def compiled(
         devices: Cores of a CPU, or GPUs; None: all.
 
     Raises:
-        Unfit: A kernel was requested, but the program cannot run as one.
+        ConfigError: Strict arithmetic was requested, and cannot express the program.
 
     Warns:
         KernelWarning: The program runs in a slower form.
     """
-    on_cpu = jax.default_backend() == "cpu"
-    if choice in (Form.LANES, Form.STRICT) or (choice == AUTO and on_cpu):
+    if choice in (Form.LANES, Form.STRICT):
         try:
             return LaneBatch(lane, names, devices, strict=choice == Form.STRICT).start
         except Unsupported as problem:
             if choice == Form.STRICT:
                 raise ConfigError("kernel", f"strict arithmetic cannot express {problem}") from None
             slower(f"no machine code for {problem}")
-    if choice == Form.PALLAS:
-        return kernel_batch(lane, names, lanes, tile, devices).start
-    if choice == AUTO and not on_cpu:
-        try:
-            return kernel_batch(lane, names, lanes, tile, devices).start
-        # Our own refusal, JAX's of a primitive or device, Triton's of a program; what else is wrong, the scan meets.
-        except (Unfit, RuntimeError) as error:
-            slower(str(error))
     return PlainBatch(lane, names, lanes, tile, devices).start
-
-
-def kernel_batch(
-    lane: Callable[..., Any], names: Sequence[str], lanes: int, tile: int | None, devices: int | None
-) -> PlainBatch:
-    """The batch as a kernel of a GPU."""
-    from dssc_jax.lanes.kernels import in_registers  # imports Pallas, which a CPU does without
-
-    return PlainBatch(lane, names, lanes, tile, devices, in_registers)
 
 
 def compiled_single(lane: Callable[..., Any], names: Sequence[str], plain: bool = False) -> Callable[..., Any]:

@@ -16,7 +16,6 @@ from dssc_jax.lanes.interface import AXIS
 
 LANES = 512  # of a tile on a CPU, so that calling the kernels of a sample costs little
 TILE_STEP = 16  # every tile is a multiple of it: of 8, a 512-bit vector, the compiler may contract other products
-TileProgram = Callable[[dict[str, jax.Array], jax.Array], Any]
 
 
 def plain_options() -> dict[str, str | bool]:
@@ -37,17 +36,10 @@ class PlainBatch:
         lanes: Most lanes of a batch; smaller ones are padded.
         tile: Lanes of a tile; None: a share of the batch, on a CPU at most :data:`LANES`.
         devices: Devices to use; None: all.
-        form: Changes the batch before it is compiled.
     """
 
     def __init__(
-        self,
-        lane: Callable[..., Any],
-        names: Sequence[str],
-        lanes: int,
-        tile: int | None,
-        devices: int | None,
-        form: Callable[[TileProgram], TileProgram] = lambda batch: batch,
+        self, lane: Callable[..., Any], names: Sequence[str], lanes: int, tile: int | None, devices: int | None
     ) -> None:
         usable = jax.devices()[:devices]
         share = -(-lanes // len(usable))
@@ -56,7 +48,8 @@ class PlainBatch:
         tiles = -(-lanes // self._tile)
         self._tiles = -(-tiles // len(usable)) * len(usable)
         self._real = np.dtype(jnp.result_type(float))
-        batch, mesh = form(jax.vmap(lane, axis_name=AXIS)), Mesh(np.array(usable), ("device",))
+        batch = jax.vmap(lane, axis_name=AXIS)
+        mesh = Mesh(np.array(usable), ("device",))
 
         def part(values: dict[str, jax.Array], index: jax.Array) -> Any:
             return jax.lax.map(lambda tile: batch(*tile), (values, index))

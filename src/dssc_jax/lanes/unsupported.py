@@ -2,8 +2,6 @@
 
 from typing import Any
 
-from dssc_jax.core.errors import ConfigError
-
 
 class Unsupported(Exception):
     """An operation that has no translation.
@@ -21,13 +19,6 @@ class Unsupported(Exception):
         """The same, with the innermost operation that it comes from, and the innermost call by a model."""
         name = self.place or f"'{equation.primitive.name}'"
         return self if " in " in name else Unsupported(self.reason, f"{name}{origin(equation)}")
-
-
-class Unfit(ConfigError):
-    """A program that cannot be a kernel of a GPU."""
-
-    def __init__(self, rule: str) -> None:
-        super().__init__("kernel", f"{rule}; take 'scan'")
 
 
 def origin(equation: Any) -> str:
