@@ -58,8 +58,11 @@ ALLOWED = {
 }
 """Calls with such a name that stay outside of the writer, by module, each with its reason."""
 
-PRINTING = {"cli", "lanes"}
+PRINTING = {"cli"}
 """Layers that may print; ``console`` has consoles for it."""
+
+PRINTING_MODULES = {"lanes/cache/user_cache.py"}
+"""Modules that may print: a process of the cache's own, to its caller."""
 
 ROOT_NAMES = {"__version__"}
 """Names of the package's root that its modules may import; all others are for users."""
@@ -103,7 +106,7 @@ def imported_modules(text):
         yield from (name for name in names if name.split(".")[0] == "dssc_jax")
 
 
-def upward_imports(path, text):
+def forbidden_imports(path, text):
     """Imports of a module's text that the layers do not allow, each with the rule that it breaks."""
     here = layer(path)
     found = []
@@ -126,7 +129,7 @@ def test_every_folder_is_a_layer():
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_imports_go_down(path):
     if layer(path) is not None:
-        assert upward_imports(path, path.read_text()) == []
+        assert forbidden_imports(path, path.read_text()) == []
 
 
 @pytest.mark.parametrize(
@@ -149,8 +152,8 @@ def test_imports_go_down(path):
 def test_a_planted_import_is_found(module, planted):
     path = ROOT / module
     text = path.read_text()
-    assert upward_imports(path, text) == []
-    assert len(upward_imports(path, f"{text}\n{planted}\n")) == 1
+    assert forbidden_imports(path, text) == []
+    assert len(forbidden_imports(path, f"{text}\n{planted}\n")) == 1
 
 
 def foreign_to_verifier(text):
@@ -300,10 +303,12 @@ def test_a_planted_access_is_found(planted):
 def printing(path, text):
     """Calls of print outside of the layers that may."""
     calls = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call)]
-    return [] if layer(path) in PRINTING else [call for call in calls if ast.unparse(call.func) == "print"]
+    if layer(path) in PRINTING or str(path.relative_to(ROOT)) in PRINTING_MODULES:
+        return []
+    return [call for call in calls if ast.unparse(call.func) == "print"]
 
 
 def test_only_the_edge_prints():
     assert [str(path) for path in FILES if printing(path, path.read_text())] == []
-    path = ROOT / "engine" / "sampling.py"
+    path = ROOT / "lanes" / "llvm.py"
     assert len(printing(path, f"{path.read_text()}\nprint(1)\n")) == 1

@@ -16,6 +16,9 @@ from dssc_jax.lanes.cache.user_cache import CACHE_VARIABLE
 
 Work = tuple[list[int], bool]
 REPORT_EVERY = 50
+DONE = "done"
+"""The stage of a unit whose results have come."""
+
 COMMAND = [sys.executable, "-m", "benchmarks.fuzz.worker"]
 
 
@@ -54,16 +57,18 @@ class Crew:
         """Give units to a worker until none is left."""
         worker = started()
         while (unit := self.taken()) is not None:
-            if not self.ran(worker, unit):
+            stage = self.last_stage(worker, unit)
+            if stage != DONE:
                 worker.wait()
-                self.ended(unit, worker.returncode)
+                self.ended(unit, stage, worker.returncode)
                 worker = started()
         assert worker.stdin is not None
         worker.stdin.close()
         worker.wait()
 
-    def ran(self, worker: Any, unit: Work) -> bool:
-        """Whether a worker survived a unit, whose results are then counted."""
+    def last_stage(self, worker: Any, unit: Work) -> str:
+        """The stage in which a worker ended; :data:`DONE` if it survived the unit, whose results are then counted."""
+        stage = ""
         try:
             worker.stdin.write(json.dumps({"seeds": unit[0], "xla": unit[1]}) + "\n")
             worker.stdin.flush()
@@ -71,10 +76,11 @@ class Crew:
                 message = json.loads(line)
                 if "counts" in message:
                     self.count(message)
-                    return True
+                    return DONE
+                stage = message["stage"]
         except BrokenPipeError:
             pass
-        return False
+        return stage
 
     def count(self, message: dict[str, Any]) -> None:
         """Add what a worker found."""
@@ -88,13 +94,26 @@ class Crew:
                 short = {name: self.counts[name] for name in ("programs", "compiled", "fell back", "wrong", "crashed")}
                 print(self.done, "units,", len(self.waiting), "waiting:", short, file=sys.stderr, flush=True)
 
-    def ended(self, unit: Work, code: int) -> None:
-        """A unit that ended its worker: its halves next, or the one program that did it."""
+    def ended(self, unit: Work, stage: str, code: int) -> None:
+        """A unit that ended its worker: its halves next, or the one program that did it.
+
+        A program that ends plain XLA, alone in a process, is not a crash of the lanes. Where XLA only compares, the program
+        runs again without it; a program that fell back has nothing else to run it.
+        """
         seeds, with_xla = unit
+        by_plain_xla = len(seeds) == 1 and stage in ("xla", "fall-back") and ends_xla(seeds[0])
         with self.lock:
             if len(seeds) > 1:
                 half = len(seeds) // 2
                 self.waiting.extendleft([(seeds[half:], with_xla), (seeds[:half], with_xla)])
+                return
+            if by_plain_xla:
+                self.counts["ended by xla"] += 1
+                if stage == "xla":
+                    self.waiting.appendleft((seeds, False))
+                else:
+                    self.counts["programs"] += 1
+                    self.counts["fell back"] += 1
                 return
             self.counts["programs"] += 1
             self.counts["crashed"] += 1
@@ -102,6 +121,13 @@ class Crew:
             shown = text(program) if program else ""
             found = {"kind": "end of the process", "seed": seeds[0], "mode": "", "said": f"exit code {code}"}
             self.findings.append({**found, "program": shown})
+
+
+def ends_xla(seed: int) -> bool:
+    """Whether plain XLA, in a process of its own, ends with a program."""
+    worker = started()
+    told, _ = worker.communicate(json.dumps({"seeds": [seed], "plain": True}) + "\n")
+    return '"survived"' not in told
 
 
 def started() -> Any:

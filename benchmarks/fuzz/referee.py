@@ -187,7 +187,8 @@ class Referee:
         if value.dtype == bool:
             return np.where(places & odd, ~value, value)
         largest = np.array(np.inf if value.dtype.kind == "f" else np.iinfo(value.dtype).max).astype(value.dtype)
-        nonsense = np.where(replica % 8 == 5, largest, np.where(replica % 4 == 1, junk, finite))
+        nonsense = np.select([replica % 8 == 1, replica % 8 == 3, replica % 8 == 5], [junk, finite, largest], 0)
+        nonsense = nonsense.astype(value.dtype)
         return np.where(places & odd, nonsense, value)
 
     def bits_of_nan(self, operand: np.ndarray, value: np.ndarray) -> np.ndarray:

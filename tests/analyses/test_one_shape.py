@@ -189,6 +189,10 @@ def test_a_folder_of_another_schema_is_refused(folder, analysis, tmp_path):
         with pytest.raises(dj.ConfigError, match=f"{rule}; use the dssc_jax that wrote it") as caught:
             dj.load(tmp_path / "old")
         assert "\n" not in str(caught.value)
+        stored = path.read_text()
+        with pytest.raises(dj.ConfigError, match=rule):
+            analysis.save(tmp_path / "old")
+        assert path.read_text() == stored
 
 
 def test_parts_come_back_too(study, tmp_path):

@@ -10,7 +10,7 @@ import dssc_jax as dj
 from dssc_jax.core.integrators import rk4, semi_implicit_euler
 from dssc_jax.core.signals import PlantInput
 from dssc_jax.core.zero_dynamics import ZeroDynamics, companion, is_hurwitz, kharitonov, norm_observer
-from dssc_jax.models.plants.normal_form import NORMAL_FORM, NormalFormState, from_inner_pi
+from dssc_jax.models.plants.normal_form import NORMAL_FORM, NormalFormParams, NormalFormState
 
 OPEN_LOOP = {
     "name": "order",
@@ -97,6 +97,15 @@ def test_semi_implicit_euler_does_not_gain_energy():
 
     assert energy_span(semi_implicit_euler) < 1.2
     assert energy_span(rk4) <= 1.0
+
+
+def from_inner_pi(k_p, k_i):
+    """A velocity loop with a PI inner controller as an instance of the class (Appendix B); k_p [1/s], k_i [1/s^2]."""
+    return NormalFormParams(
+        k_p=k_p,
+        a_p=(k_p**2 - k_i) / k_p,
+        zero_dynamics=ZeroDynamics(a=(k_i / k_p,), c=((k_i / k_p) ** 2,)),
+    )
 
 
 def test_inner_pi_is_an_instance():

@@ -98,3 +98,14 @@ def test_another_precision_than_the_studys_is_refused(study):
     values, index = lane.example
     with jax.enable_x64(False), pytest.raises(ConfigError, match=r"loop.precision: is 64, and JAX computes in 32 bits"):
         lane(values, index)
+
+
+@pytest.mark.parametrize("count", [0, DRAWS + 1])
+def test_only_draws_of_the_study_are_given(study, count):
+    with pytest.raises(ConfigError, match=rf"count: must be in 1 .. {DRAWS}, the draws of the study, got {count}"):
+        dj.lane(study).draws(count)
+
+
+def test_a_segment_has_a_sample(study):
+    with pytest.raises(ConfigError, match="segment: must be at least 1 sample, got 0"):
+        dj.lane(study, segment=0)

@@ -206,3 +206,13 @@ def test_far_angles_have_the_same_bits_for_every_width_and_time(width):
         s = 0.5 * s + (np.sin(1e7 * k) + np.cos(0.1 * k) * np.sin(0.2 * k) + np.tan(0.3 * k)) * np.cos(s * x)
     near = x < 10.0
     np.testing.assert_allclose(found[near], s[near], rtol=1e-9)
+
+
+@pytest.mark.parametrize("function", [lax.exp, lax.exp2])
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_infinity_less_infinity_is_nan_in_fast_arithmetic(function, dtype):
+    """The last product of a power must not be contracted with the difference, which would make it -inf."""
+    x = np.array([np.inf, -np.inf, 1.0], dtype)
+    found = compiled(lambda x: function(x) - jnp.abs(x), x, strict=False)
+    np.testing.assert_array_equal(np.isnan(found), [True, False, False])
+    assert found[1] == -np.inf

@@ -240,7 +240,7 @@ def test_an_indefinite_p_does_not_prove_an_unstable_loop():
                 "controller.discretisation": "conservative",
                 "controller.functions": {"kind": "sta", "kappa1": 4.0, "kappa2": 4.0, "k_o": 20.0},
             },
-            "jumps at its floor; set controller.discretisation = 'implicit'",
+            "needs a finite slope at sigma = 0; set controller.discretisation = 'implicit'",
         ),
         ({"controller.sign_width": 0.1}, "the sign is smoothed"),
         ({"plant.a_p": {"normal": [1.0, 0.1]}}, "has no bounds"),

@@ -1,4 +1,4 @@
-"""A run visits nothing of Theorem 1; a result asks for its certificate where it is shown."""
+"""The simulation visits nothing of Theorem 1; a result asks for its certificate where it is shown."""
 
 import json
 import subprocess

@@ -96,7 +96,9 @@ def compare_log(
     ] = False,
     number: Annotated[
         list[str] | None,
-        typer.Option("--number", metavar="NAME", help="A number to estimate; may be repeated [all that are told]."),
+        typer.Option(
+            "--number", metavar="NAME", help="A number to estimate, repeatable [all that the flight identifies]."
+        ),
     ] = None,
     settings: opt.Set = None,
     draws: opt.Draws = None,
@@ -115,7 +117,7 @@ def compare_log(
     log's columns must have these names, and t. The study's [sweep] is ignored.
 
     With --fit the plant's numbers are estimated instead, and their laws are proposed as TOML. The exit code is 1, with
-    the reason, if the flight does not tell them, or if the study does not describe the flight.
+    the reason, if the flight does not identify them, or if the study does not describe the flight.
     """
     from dssc_jax.console.flight import show_log_comparison
     from dssc_jax.console.terminal import progress_bar

@@ -181,7 +181,7 @@ STEP_RESPONSE: dict[str, Metric] = {
 
 
 def line_at(points: Points, t: Scalar, default: float) -> Scalar:
-    """A bound at t: straight between two points, and ``beyond`` before the first and after the last one."""
+    """A bound at t: straight between two points, and ``default`` before the first and after the last one."""
     early = 4.0 * jnp.finfo(jnp.result_type(float)).eps * jnp.abs(t)
     value: Scalar = default
     for (begin, low), (end, high) in pairwise(points):

@@ -44,11 +44,6 @@ def parts(params: type, place: str) -> dict[str, Registry]:
     return by_slot
 
 
-def default_member(entry: Entry) -> Any:
-    """A model of an entry with default options; options do not change the parameters."""
-    return next(iter(entry.members.values()))
-
-
 def kinds() -> dict[str, dict[str, Any]]:
     """Summary, fields and options of every kind, by table."""
     by_table: dict[str, dict[str, Any]] = {}
@@ -75,7 +70,7 @@ KIND_COLUMNS = ("field", "unit", "meaning", "admissible", "default")
 
 def rows_of(entry: Entry) -> list[tuple[str, str, str, str, str]]:
     """Every field of a kind, with the columns :data:`COLUMNS`; nested fields have dotted names."""
-    params, preset = params_of(entry), getattr(default_member(entry), "defaults", None)
+    params, preset = params_of(entry), getattr(entry.default_member, "defaults", None)
     rows = list(fields(params, "", preset))
     for name, values in options_of(entry).items():
         rows.append((name, "", "option", " | ".join(map(str, values)), text_of(entry.default)))

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.errors import ConfigError, errors_under
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ReferencePoint, Scalar
 
@@ -85,10 +85,8 @@ def columns_as_pieces(time: Values, columns: dict[str, Values], rule: Interpolat
     """The piecewise cubics through several columns with the same times; raises ConfigError."""
     parts = []
     for name, values in columns.items():
-        try:
+        with errors_under("" if len(values) == len(time) else name):
             parts.append(cubic_pieces(time, values, rule))
-        except ConfigError as error:
-            raise error if len(values) == len(time) else error.within_path(name) from None
     return tuple(parts)
 
 

@@ -37,7 +37,7 @@ class Entry(NamedTuple):
         base: The table that the study's own table overrides.
         default_of: ``(table) -> value`` of the option where a part in the table decides on its default; None where
             ``default`` holds for every table.
-        example: A small table of the kind, without ``kind``; tests and documentation take their cases from it.
+        example: A small table of the kind, without ``kind``; tests take their cases from it.
     """
 
     members: dict[Any, Any]

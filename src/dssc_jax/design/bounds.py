@@ -38,7 +38,7 @@ def quantities(kind: type) -> dict[str, Quantity]:
 
 
 def in_range(numbers: tuple[Numeric, ...]) -> Numeric:
-    """Whether every number lies within its quantity's interval and below :data:`MOST`; for arrays, one by one."""
+    """Whether every number lies within its quantity's interval and below :data:`LARGEST`; for arrays, one by one."""
     holds: Numeric = True
     for name, quantity in quantities(type(numbers)).items():
         value = getattr(numbers, name)

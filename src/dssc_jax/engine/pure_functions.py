@@ -14,10 +14,9 @@ import numpy as np
 
 from dssc_jax.closed_loop.sample import LoopState, Recorded, initial_state, step
 from dssc_jax.core.errors import ConfigError, nearest
-from dssc_jax.core.numerics import as_arrays
 from dssc_jax.core.signals import Scalar
-from dssc_jax.engine.batching import Arrays, Lane, lane_of_study
-from dssc_jax.engine.sampling import draw, draw_key
+from dssc_jax.engine.batching import Arrays, Lane, lane_numbers, lane_of_study
+from dssc_jax.engine.sampling import draw_key
 from dssc_jax.study import Study
 
 Values = Mapping[str, Scalar]
@@ -36,7 +35,7 @@ class StepState(NamedTuple):
 
     k: Scalar
     loop: LoopState
-    values: dict[str, Scalar]
+    values: dict[str, jax.Array]
     key: jax.Array
 
 
@@ -49,7 +48,7 @@ def require_values(study: Study, values: Values) -> None:
         if name not in study.numbers:
             raise ConfigError(name, f"is no number of this study; {nearest(name, study.numbers)}")
         if not study.numbers[name].quantity.law:
-            raise ConfigError(name, "decides the form of the program and cannot vary; change it with study.override")
+            raise ConfigError(name, "is fixed before tracing; change it with study.override")
     bits = 8 * jnp.result_type(float).itemsize
     if bits != study.config.loop.precision:
         enabled = study.config.loop.precision == 64
@@ -57,10 +56,15 @@ def require_values(study: Study, values: Values) -> None:
         raise ConfigError("loop.precision", f"{rule}; set jax.config.update('jax_enable_x64', {enabled})")
 
 
+def real_numbers(values: Values) -> dict[str, jax.Array]:
+    """Values as real numbers of the study's precision."""
+    return {name: jnp.asarray(value, jnp.result_type(float)) for name, value in values.items()}
+
+
 def drawn_values(study: Study, indices: np.ndarray) -> Arrays:
     """Values of all uncertain and swept numbers for some draws, shape (n,) each; a swept number has its first value."""
-    swept = {name: np.full(len(indices), axis[0]) for name, axis in study.axes.items()}
-    return {**swept, **draw(study, indices)}
+    first_point = [np.zeros(len(indices), int)] * len(study.axes)
+    return lane_numbers(study, (*first_point, indices))
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,15 +79,14 @@ class LaneFunction:
 
         Args:
             values: The draw's numbers by dotted name: each uncertain or swept one, and any other that shall differ from
-                the study's.
+                the study's. What the study derives from its numbers stays; ``study.override`` derives it again.
             index: Index of the draw, which decides its noise.
 
         Raises:
             ConfigError: a number is missing or unknown, or JAX has another precision than the study.
         """
         require_values(self.study, values)
-        numbers = {name: jnp.asarray(value) for name, value in values.items()}
-        return self.compute(numbers, jnp.asarray(index, jnp.uint32))
+        return self.compute(real_numbers(values), jnp.asarray(index, jnp.uint32))
 
     @property
     def example(self) -> tuple[dict[str, np.ndarray], np.ndarray]:
@@ -98,9 +101,16 @@ class LaneFunction:
             count: Number of draws; None: as many as the study has.
 
         Returns:
-            Values by dotted name, shape (count,) each, and the indices, shape (count,).
+            Values by dotted name, shape (count,) each, and the indices, shape (count,). A swept number has its first
+            value.
+
+        Raises:
+            ConfigError: the study does not have so many draws.
         """
-        indices = np.arange(self.study.config.draws if count is None else count, dtype=np.uint32)
+        draws = self.study.config.draws
+        if count is not None and not 1 <= count <= draws:
+            raise ConfigError("count", f"must be in 1 .. {draws}, the draws of the study, got {count}")
+        indices = np.arange(draws if count is None else count, dtype=np.uint32)
         return drawn_values(self.study, indices), indices
 
 
@@ -131,12 +141,12 @@ class Stepper:
             ConfigError: as for :class:`LaneFunction`.
         """
         require_values(self.study, values)
-        numbers = as_arrays(dict(values))
+        numbers = real_numbers(values)
         loop = initial_state(self.study.loop, self.study.params(numbers), key)
         return StepState(jnp.zeros((), jnp.int32), loop, numbers, key)
 
     def step(self, state: StepState) -> tuple[StepState, Recorded]:
-        """Measure, control, and integrate to the next sample.
+        """Measure, control, and integrate to the next sample; linear parts' transitions are computed at every call.
 
         Returns:
             The next state, and what happened at this sample: signals of each channel (``info.instant.channels``), the
@@ -159,6 +169,9 @@ def lane(study: Study, segment: int | None = None) -> LaneFunction:
         segment: Samples between two checkpoints, which reverse mode stores; it recomputes those between. None: it
             stores every sample.
 
+    Raises:
+        ConfigError: the segment has no sample.
+
     Example:
         >>> import jax
         >>> import dssc_jax as dj
@@ -169,6 +182,8 @@ def lane(study: Study, segment: int | None = None) -> LaneFunction:
         >>> results["error_rms"].shape
         (3,)
     """
+    if segment is not None and segment < 1:
+        raise ConfigError("segment", f"must be at least 1 sample, got {segment}")
     return LaneFunction(study, lane_of_study(study, axis_name=None, segment=segment))
 
 

@@ -59,10 +59,10 @@ def generator(*words: int) -> np.random.Generator:
 
 
 def sobol_points(dimension: int, start: int, end: int, words: Sequence[int]) -> np.ndarray:
-    """Points first .. last - 1, at cell centres, of a Sobol sequence whose scrambling is drawn from ``words``.
+    """Points start .. end - 1, at cell centres, of a Sobol sequence whose scrambling is drawn from ``words``.
 
     Returns:
-        Shape (last - first, dimension).
+        Shape (end - start, dimension).
     """
     from scipy.stats import qmc
 

@@ -30,7 +30,7 @@ SCRIPT = files.read_text(Path(__file__).with_name("brush.js"))
 BINS = 40
 TABLE_WIDTH = 1240  # px
 PICTURE = 500, 640  # rows and columns of the painted scatter
-LARGE_MARKS = 5000  # fewer draws have large marks
+LARGE_MARK_DRAWS = 5000  # fewer draws have large marks
 LOOKS = {"bright": 0.85, "dim": 0.12}
 """Opacity of the brushed draws, or of all where none is brushed, and of the others."""
 AXIS_NAMES = ("x", "y")
@@ -143,7 +143,7 @@ class Brushing:
         paint = self._callback(
             "paintDraws(source, picture, ranges, reach, colours)",
             **scatter,
-            reach=3 if len(self.table.failed) < LARGE_MARKS else 1,
+            reach=3 if len(self.table.failed) < LARGE_MARK_DRAWS else 1,
             colours=self.colours,
         )
         count = self._callback(

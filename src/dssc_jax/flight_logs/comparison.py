@@ -162,7 +162,7 @@ class LogComparison(Analysis):
             largest_departure=None if np.isnan(departure).all() else np.nanmax(departure),
             outside_share=float(outside.sum() / max(known.sum(), 1)),
             first_outside=float(time[outside][0]) if outside.any() else None,
-            outside_to_the_end_since=start_of_end(time[known], outside[known]),
+            outside_to_the_end_since=start_of_last_excursion(time[known], outside[known]),
         )
         difference = signal["commanded"].values - logged
         compared = np.isfinite(difference)
@@ -199,7 +199,7 @@ def root_mean_square(values: np.ndarray) -> float:
     return size * float(np.sqrt(np.mean((values / size) ** 2))) if size > 0.0 else 0.0
 
 
-def start_of_end(time: np.ndarray, outside: np.ndarray) -> float | None:
+def start_of_last_excursion(time: np.ndarray, outside: np.ndarray) -> float | None:
     """Time from which a signal is outside without interruption to its end; None if it ends inside."""
     if not outside.size or not outside[-1]:
         return None

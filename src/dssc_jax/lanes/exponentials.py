@@ -79,17 +79,21 @@ def scaled(x: jax.Array, n: jax.Array) -> jax.Array:
 
 
 def exp(x: jax.Array) -> jax.Array:
-    """e^x."""
+    """e^x.
+
+    Infinity is selected, so that fast arithmetic does not contract the last product with a difference: e^inf - inf is
+    NaN.
+    """
     n, rest = exponential(x)
-    return scaled(1.0 + rest, n)
+    return jnp.where(x == jnp.inf, x, scaled(1.0 + rest, n))
 
 
 def exp2(x: jax.Array) -> jax.Array:
-    """2^x."""
-    x = jnp.clip(x, *BINARY_EXPONENTS[width(x)])
-    n = jnp.round(x)
-    rest = less_one((x - n) * math.log(2.0))
-    return scaled(1.0 + rest, jnp.where(jnp.isnan(n), 0.0, n))
+    """2^x; infinity as in :func:`exp`."""
+    bounded = jnp.clip(x, *BINARY_EXPONENTS[width(x)])
+    n = jnp.round(bounded)
+    rest = less_one((bounded - n) * math.log(2.0))
+    return jnp.where(x == jnp.inf, x, scaled(1.0 + rest, jnp.where(jnp.isnan(n), 0.0, n)))
 
 
 def expm1(x: jax.Array) -> jax.Array:

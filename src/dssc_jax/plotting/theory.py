@@ -60,7 +60,7 @@ def draw_beyond(ax: Axes, oscillations: Mapping[str, xr.Dataset], local: float |
     """Draw amplitudes over the lag's time constant, simulated and predicted."""
     unit = next((f" [{one['amplitude'].attrs['units']}]" for one in oscillations.values()), "")
     for colour, (name, one) in zip(cycle(THEORY_COLOURS), oscillations.items(), strict=False):
-        mu = one["unmodelled.mu"].values
+        mu = one[next(iter(one.dims))].values
         amplitude = np.where(one["amplitude"] > NO_ANSWER * one.attrs["push"], one["amplitude"], np.nan)
         ax.loglog(mu, amplitude, "o", color=colour, label=f"{name}, simulated")
         if not np.isnan(one["predicted"]).all():

@@ -211,7 +211,7 @@ def controller_of(study: Study) -> dict[str, Any]:
         raise NotCovered("the sign is smoothed")
     kind = next(kind for kind, entry in GAIN_FUNCTIONS.items() if isinstance(gains.functions, entry.members[None]))
     if not gains.functions.finite_slope and form == Discretisation.CONSERVATIVE:
-        reason = "in the conservative form, the slope of the standard STA's phi_1 jumps at its floor"
+        reason = "in the conservative form phi_1 needs a finite slope at sigma = 0"
         raise NotCovered(f"{reason}; set controller.discretisation = 'implicit'")
     constants = {name: float(value) for name, value in gains.functions._asdict().items() if value is not None}
     return common | {

@@ -91,7 +91,7 @@ def proved_up_to(
     """
     safe, far = bounds
     if safe == far or (log and min(bounds) <= 0.0):
-        raise ConfigError("--over", f"needs two different{' positive' if log else ''} ends, got {safe:g} and {far:g}")
+        raise ConfigError("over", f"needs two different{' positive' if log else ''} ends, got {safe:g} and {far:g}")
     single = study.without_sweep()
     proofs: dict[float, tuple[float, Proved]] = {}
 

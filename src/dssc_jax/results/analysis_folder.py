@@ -41,7 +41,7 @@ def require_free(folder: Path, kind: str, study: Study) -> None:
     """Require that a folder is absent, empty, or contains an analysis of this kind and study.
 
     Raises:
-        ConfigError: it contains something else, such as a symbolic link.
+        ConfigError: it contains something else, such as a symbolic link, or what cannot be read.
     """
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return
@@ -50,11 +50,7 @@ def require_free(folder: Path, kind: str, study: Study) -> None:
     path = folder / f"{kind}.json"
     if not path.exists():
         raise ConfigError(str(folder), f"holds something other than a {kind} analysis; nothing was written")
-    try:
-        same_study = json.loads(files.read_text(path))["hash"] == study.hash
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        same_study = False
-    if not same_study:
+    if read_description(folder, kind)["hash"] != study.hash:
         rule = f"holds the {kind} analysis of another study; choose another --out, nothing was written"
         raise ConfigError(str(folder), rule)
 

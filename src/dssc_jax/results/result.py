@@ -2,7 +2,9 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
@@ -19,6 +21,9 @@ from dssc_jax.results.summary import Summary, SummaryRow, lines, points
 from dssc_jax.results.theorem import theorem_mark
 from dssc_jax.statistics import CONFIDENCE, DataDriven, FixedCount, Method, Replicated
 from dssc_jax.study import Study
+
+if TYPE_CHECKING:
+    from dssc_jax.design.certification import Mark
 
 ERRORS = ("error_rms", "position_error_rms")  # of a plant of one channel, and of a vehicle
 GIVEN = "without lag and sampling and with a rho that keeps sliding"
@@ -65,12 +70,16 @@ class Result:
         It is true at each point of the sweep where the theorem holds for the loop without unmodelled dynamics, sensors
         and sampling, and with a rho that keeps sliding.
         """
-        mark = None if "certified" in self.dataset else theorem_mark(self.study)
-        if mark is None or mark.certified is None:
+        if "certified" in self.dataset or self._mark is None or self._mark.certified is None:
             return self
         attributes = {"long_name": "certified by Theorem 1, without lag and sampling"}
-        dataset = self.dataset.assign_coords(certified=(tuple(self.study.axes), mark.certified, attributes))
+        dataset = self.dataset.assign_coords(certified=(tuple(self.study.axes), self._mark.certified, attributes))
         return Result(self.study, dataset, self.manifest, self.path)
+
+    @cached_property
+    def _mark(self) -> "Mark | None":
+        """Theorem 1's mark of every point, computed once."""
+        return theorem_mark(self.study)
 
     @property
     def certificate(self) -> str:
@@ -96,8 +105,7 @@ class Result:
         """The result of Theorem 1 for the loop, in one line; empty without the functions of Table 1."""
         dataset = self.with_theorem().dataset
         if "certified" not in dataset:
-            mark = theorem_mark(self.study)
-            return f"Theorem 1 does not apply: {mark.reason}" if mark else ""
+            return f"Theorem 1 does not apply: {self._mark.reason}" if self._mark else ""
         certified = dataset["certified"].values
         if not certified.ndim:
             return f"certified by Theorem 1, {GIVEN}" if certified else "not certified by Theorem 1"

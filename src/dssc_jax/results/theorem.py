@@ -1,4 +1,4 @@
-"""Theorem 1 applied to the study of a result, computed when it is shown and never during a run."""
+"""Theorem 1 applied to the study of a result, computed when the result is shown or summarised."""
 
 from typing import TYPE_CHECKING
 
@@ -20,8 +20,11 @@ def has_table_1(study: Study) -> bool:
         override = common.get(channel)
         if isinstance(override, dict):
             tables.append(merged(common, override))
-    kinds = [(table.get("kind"), table.get("functions", {}).get("kind")) for table in tables]
-    return ("dssc", TABLE_1) in kinds
+    for table in tables:
+        functions = table.get("functions")
+        if table.get("kind") == "dssc" and isinstance(functions, dict) and functions.get("kind") == TABLE_1:
+            return True
+    return False
 
 
 def theorem_mark(study: Study) -> "Mark | None":

@@ -121,16 +121,16 @@ def parsed_parts(table: dict[str, Any]) -> Parts:
     config = validate_fixed(table)
     plant = parse_whole(config.plant, "plant")
     channels = plant.model.channels or ("",)
-    has_channels = len(channels) > 1
+    has_several_channels = len(channels) > 1
     units = parse_units(config.units, plant.model, channels)
     wholes = {
         "plant": plant,
         "reference": parse_reference(config.reference, channels, units),
         "wind": parse_winds(config.wind),
     }
-    if not has_channels and wholes["wind"].kind != "none":
+    if not has_several_channels and wholes["wind"].kind != "none":
         raise ConfigError("wind.kind", f"the plant '{plant.kind}' does not fly; use a disturbance")
-    if not has_channels:
+    if not has_several_channels:
         wholes["plant"] = with_units(plant, units[0])
     columns = {slot: parse_channels(getattr(config, slot), slot, channels) for slot in PER_CHANNEL}
     columns = {slot: [*map(with_units, column, units)] for slot, column in columns.items()}

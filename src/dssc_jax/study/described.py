@@ -50,9 +50,9 @@ class OwnMetric(BaseModel):
 class Description(BaseModel):
     """Information about a study that only the models provide and readers need.
 
-    ``units`` are units and meanings of output and command in each channel; a folder from before a plant named its own
-    has none. ``fields`` are the names in each channel's info, ``seen`` those in the plant's info. ``certified`` and
-    ``silence`` are the results of Theorem 1 at every point of the sweep.
+    ``units`` are units and meanings of output and command in each channel. ``fields`` are the names in each
+    channel's info, ``seen`` those in the plant's info. ``certified`` and ``silence`` are the results of Theorem 1
+    at every point of the sweep.
     """
 
     model_config = NO_EXTRA_FIELDS
@@ -185,7 +185,7 @@ def describe(study: Study, certified: np.ndarray | None, silence: str) -> dict[s
     Args:
         study: The study, with its models.
         certified: Whether Theorem 1 holds at each point of the sweep; None if it does not apply.
-        silence: Why it does not apply.
+        silence: Why it does not apply; empty without the functions of Table 1.
     """
     numbers = {}
     for name, number in study.numbers.items():

@@ -39,7 +39,7 @@ def imported(name: str, place: str) -> Any:
     except (Exception, SystemExit) as error:  # a module's own code may raise anything
         raise ConfigError(place, f"cannot import '{name}': {import_failure(module_name, error)}") from error
     if not hasattr(module, attribute):
-        public = [name for name in vars(module) if not name.startswith("_")]
+        public = [known for known in vars(module) if not known.startswith("_")]
         raise ConfigError(
             place, f"cannot import '{name}': the module has no '{attribute}'; {nearest(attribute, public)}"
         )

@@ -60,7 +60,7 @@ def measured(
     Raises:
         ConfigError: A metric is unknown or not available here, there is none, or a window contains no sample.
     """
-    has_channels = len(channels) > 1
+    has_several_channels = len(channels) > 1
 
     def measure(name: str, of: str, window: Window) -> Measure:
         kind, channel = names[of]
@@ -79,7 +79,7 @@ def measured(
     base = config.metrics.window
     require_samples(config, base, "metrics.after")
     named = config.metrics.names
-    kinds = default_kinds(has_channels) if named is None else [short(name) for name in named]
+    kinds = default_kinds(has_several_channels) if named is None else [short(name) for name in named]
     for index, kind in enumerate(kinds):
         if kind not in known:
             raise ConfigError(f"metrics.names.{index}", f"unknown metric '{kind}'; {nearest(kind, known)}")
@@ -89,7 +89,7 @@ def measured(
         place = f"requirement.{index}"
         metric = short(table.metric)
         if metric not in names:
-            if metric in known and not has_channels:
+            if metric in known and not has_several_channels:
                 needs = ", ".join(known[metric].needs)
                 raise ConfigError(f"{place}.metric", f"'{metric}' needs {needs}, which this loop does not have")
             raise ConfigError(f"{place}.metric", f"unknown metric '{metric}'; {nearest(metric, names)}")
@@ -158,7 +158,7 @@ def require_samples(config: StudyTable, window: Window, place: str) -> None:
         raise ConfigError(place, f"must be <= the time of the last sample {end:g} s, got {window.after:g}")
 
 
-def default_kinds(has_channels: bool) -> tuple[str, ...]:
+def default_kinds(has_several_channels: bool) -> tuple[str, ...]:
     """Every metric for one channel; for several the brief list, and those of the vehicle."""
     vehicle = tuple(kind for kind, metric in METRICS.items() if metric.scope is Scope.VEHICLE)
-    return (*BRIEF, *vehicle) if has_channels else tuple(METRICS)
+    return (*BRIEF, *vehicle) if has_several_channels else tuple(METRICS)

@@ -1,9 +1,13 @@
 """Chattering under a lag of order 2, by describing function and by simulation."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import dssc_jax as dj
+from dssc_jax.analyses.theory.assessment import time_constants
+from dssc_jax.analyses.theory.chattering import time_constant_of
 
 MU = np.geomspace(0.004, 0.02, 5)
 CONTROLLERS = {
@@ -73,3 +77,15 @@ def test_dynamics_that_declare_no_time_constant_are_refused():
     rate_limited = chattering("smc").override({"unmodelled": {"kind": "rate_limit", "rate": 5.0}})
     with pytest.raises(dj.ConfigError, match=r"unmodelled.kind: chattering needs dynamics with a time constant"):
         dj.theory.chattering(rate_limited, [0.1], push=0.1, after=1.0)
+
+
+def test_the_declared_time_constant_is_the_one_that_is_swept():
+    """A part that declares another name than mu is walked over that name, and over no other."""
+    lagging = chattering("smc").override({"unmodelled": {"kind": "lag", "order": 2, "mu": 0.05}})
+    renamed = replace(
+        lagging, loop=replace(lagging.loop, unmodelled=(lagging.loop.unmodelled[0]._replace(time_constant="tau"),))
+    )
+    assert time_constant_of(lagging) == "unmodelled.mu"
+    assert time_constant_of(renamed) == "unmodelled.tau"
+    with pytest.raises(dj.ConfigError, match="over the time constant of the unmodelled dynamics"):
+        time_constants(renamed, "unmodelled.mu", (0.01, 0.1))

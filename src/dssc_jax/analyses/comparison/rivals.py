@@ -152,7 +152,7 @@ def with_limit(study: Study, name: str, table: ControllerTable) -> ControllerTab
     limit = CONTROLLERS[table["kind"]].default_member.limit
     if not limit:
         known = [kind for kind, entry in CONTROLLERS.items() if entry.default_member.limit]
-        raise ConfigError(f"compare.{name}", f"'{table['kind']}' has no limit; {' and '.join(known)} have")
+        raise ConfigError(f"compare.{name}", f"'{table['kind']}' has no limit; these have one: {', '.join(known)}")
     limits = {}
     for channel, gains in zip(study.loop.channels, study.template.controller, strict=True):
         if not isinstance(gains, DsscGains):

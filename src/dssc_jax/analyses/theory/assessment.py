@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from dssc_jax import plotting
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
 from dssc_jax.analyses.margins import Margins, join_margins, margin, margin_settings, part_margins
-from dssc_jax.analyses.theory.chattering import MU, SAMPLES_IN_MU, chattering
+from dssc_jax.analyses.theory.chattering import SAMPLES_IN_MU, chattering, time_constant_of
 from dssc_jax.analyses.theory.linearised import kind_of
 from dssc_jax.analyses.theory.local import Time, local_margin
 from dssc_jax.core.errors import ConfigError
@@ -37,8 +37,9 @@ class Assessment(Analysis):
     Args:
         performance: Simulated margins for the study's requirements; their certificate is the answer of Theorem 1.
         local: Margins of the loop linearised at the origin, sampled and in continuous time.
-        oscillations: Oscillations over a lag's time constant, simulated and by describing function, by controller.
-        edge: Local critical value of a lag's mu, with laws at their medians; None if there is none.
+        oscillations: Oscillations over the time constant of the unmodelled dynamics, simulated and by describing
+            function, by controller.
+        edge: Local critical value of that time constant, with laws at their medians; None if there is none.
         not_covered: The reason why one of the above is missing, by its name.
         seconds: Computing time.
     """
@@ -104,7 +105,7 @@ class Assessment(Analysis):
             "local": {kind.value: distribution_summary(margins) for kind, margins in self.local.items()},
             "edge": self.edge,
             OSCILLATIONS: {
-                name: {"mu": of[MU].values, **{part: of[part].values for part in OSCILLATION}}
+                name: {"mu": of[self.performance.parameter].values, **{part: of[part].values for part in OSCILLATION}}
                 for name, of in self.oscillations.items()
             },
             "not_covered": self.not_covered,
@@ -168,7 +169,7 @@ def assess(
         log: Space the values evenly in the logarithm.
         points: Number of values in the bracketing grid.
         bisections: Number of bisections of the grid cell.
-        rivals: The study with other controllers, whose oscillations over a lag's mu are shown for comparison.
+        rivals: The study with other controllers, whose oscillations are shown for comparison.
         prove: Also prove the sampled loop, as far as a proof is found.
         progress: Called with the lanes done for the simulated margin.
 
@@ -185,7 +186,7 @@ def assess(
             local[kind] = local_margin(study, **walk, kind=kind)
         except ConfigError as error:
             not_covered[kind.value] = error.rule
-    if Time.SAMPLED in local and over == MU:
+    if Time.SAMPLED in local and over == f"unmodelled.{study.loop.unmodelled[0].time_constant}":
         middle = study.override({**{name: law.median for name, law in study.laws.items()}, "draws": 1})
         critical = float(local_margin(middle, **walk).dataset["critical"].values[0])
         edge = None if np.isnan(critical) else critical
@@ -204,13 +205,14 @@ def time_constants(study: Study, over: str, bounds: tuple[float, float]) -> list
     """Time constants within the walk that the clock resolves.
 
     Raises:
-        ConfigError: there are none, or the walk is not over a lag's mu.
+        ConfigError: there are none, or the walk is not over the time constant of the unmodelled dynamics.
     """
-    if over != MU or not study.loop.unmodelled[0].time_constant or len(study.loop.channels) > 1:
-        raise ConfigError(over, "describing functions are of a lag's mu, on a plant of one channel")
+    if len(study.loop.channels) > 1 or over != time_constant_of(study):
+        rule = "oscillations are predicted over the time constant of the unmodelled dynamics, on a plant of one channel"
+        raise ConfigError(over, rule)
     least, most = max(min(bounds), SAMPLES_IN_MU * study.config.loop.sample_time), max(bounds)
     if least >= most:
         raise ConfigError(
-            over, f"the clock would chatter rather than the lag: T_s exceeds {most / SAMPLES_IN_MU:g} s, mu/20"
+            over, f"the clock would chatter rather than the dynamics: T_s exceeds {most / SAMPLES_IN_MU:g} s, mu/20"
         )
     return np.geomspace(least, most, VALUES).tolist()

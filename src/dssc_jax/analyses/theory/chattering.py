@@ -1,4 +1,4 @@
-"""Oscillations over the time constant of a lag: simulated, and predicted if a describing function is known."""
+"""Oscillations over the time constant of unmodelled dynamics: simulated, and predicted by a describing function."""
 
 from collections.abc import Sequence
 
@@ -11,12 +11,24 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.runs import run as running
 from dssc_jax.study import Study
 
-MU = "unmodelled.mu"
-SAMPLES_IN_MU = 20  # samples in the smallest time constant: fewer, and the clock chatters rather than the lag
+SAMPLES_IN_MU = 20  # samples in the smallest time constant: fewer, and the clock chatters rather than the dynamics
+
+
+def time_constant_of(study: Study) -> str:
+    """Name of the number that scales the time of the unmodelled dynamics, as they declare it.
+
+    Raises:
+        ConfigError: they declare none.
+    """
+    field = study.loop.unmodelled[0].time_constant
+    if not field:
+        rule = "chattering needs dynamics with a time constant, such as a lag"
+        raise ConfigError(f"{study.source}: unmodelled.kind", rule)
+    return f"unmodelled.{field}"
 
 
 def chattering(study: Study, values: Sequence[float], *, push: float, after: float) -> xr.Dataset:
-    """Amplitude of sigma that remains after a small push, over the lag's time constant.
+    """Amplitude of sigma that remains after a small push, over the time constant of the unmodelled dynamics.
 
     Apart from the push the loop is at rest, and laws are at their medians.
 
@@ -27,15 +39,13 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
         after: Time after which oscillations have settled or decayed [s].
 
     Returns:
-        Dimension ``unmodelled.mu``; variables ``amplitude``, the largest |sigma| after that time, and ``predicted`` and
-        ``frequency`` by describing function, NaN if there is none.
+        Along the name of the time constant, such as ``unmodelled.mu``: ``amplitude``, the largest |sigma| after that
+        time, and ``predicted`` and ``frequency`` by describing function, NaN if there is none.
 
     Raises:
         ConfigError: the unmodelled dynamics have no time constant, or T_s exceeds a 20th of the smallest mu.
     """
-    if not study.loop.unmodelled[0].time_constant:
-        rule = "chattering needs dynamics with a time constant, such as a lag"
-        raise ConfigError(f"{study.source}: unmodelled.kind", rule)
+    mu = time_constant_of(study)
     if study.config.loop.sample_time > min(values) / SAMPLES_IN_MU * (1 + 1e-9):
         raise ConfigError(
             f"{study.source}: loop.sample_time", f"must be <= {min(values) / SAMPLES_IN_MU:g}, a 20th of mu"
@@ -47,20 +57,20 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
         "draws": 1,
         "requirement": [],
         "metrics": {"after": after, "names": ["sigma_max"]},
-        "sweep": {MU: [float(value) for value in values]},
+        "sweep": {mu: [float(value) for value in values]},
     }
     largest = running.run(rest.override({**middle, **changes})).dataset["sigma_max"].values[:, 0]
     known = study.loop.controller[0].describing is not None
-    cycles = [limit_cycle(rest, {MU: value}) if known else None for value in values]
+    cycles = [limit_cycle(rest, {mu: value}) if known else None for value in values]
     predicted = [(cycle.amplitude, cycle.frequency) if cycle else (np.nan, np.nan) for cycle in cycles]
     amplitude, frequency = np.array(predicted).T
     unit = study.units[0].of("y/s")
     return xr.Dataset(
         {
-            "amplitude": ((MU,), largest, {"units": unit, "long_name": "largest |sigma| of what is left"}),
-            "predicted": ((MU,), amplitude, {"units": unit, "long_name": "amplitude by describing function"}),
-            "frequency": ((MU,), frequency, {"units": "rad/s", "long_name": "frequency by describing function"}),
+            "amplitude": ((mu,), largest, {"units": unit, "long_name": "largest |sigma| of what is left"}),
+            "predicted": ((mu,), amplitude, {"units": unit, "long_name": "amplitude by describing function"}),
+            "frequency": ((mu,), frequency, {"units": "rad/s", "long_name": "frequency by describing function"}),
         },
-        coords={MU: ((MU,), np.asarray(values, float), {"units": "s", "long_name": "time constant mu"})},
+        coords={mu: ((mu,), np.asarray(values, float), {"units": "s", "long_name": "time constant mu"})},
         attrs={"controller": kind_of(study, "controller"), "push": push},
     )

@@ -122,8 +122,8 @@ def synthesised_gains(gains: DsscGains) -> tuple[Scalar, Scalar]:
 
 
 def tunable_functions(gains: DsscGains) -> tuple[str, ...]:
-    """The two usual constants of the state-dependent functions."""
-    return tuple(f"functions.{name}" for name in gains.functions.tunable)
+    """The gains of the state-dependent functions that may be tuned; none of functions that declare none."""
+    return tuple(f"functions.{name}" for name in getattr(gains.functions, "tunable", ()))
 
 
 def constant_gains(gains: DsscGains) -> Table:

@@ -129,7 +129,7 @@ class SampledForm(NamedTuple):
 
 
 def smoothed_remainder(free: Scalar, c: Scalar, rho: Scalar, width: Scalar) -> Scalar:
-    """The rest of ``free`` after u_0: the solution x of x + c rho x/(|x| + width) = free, in closed form.
+    """The remainder of ``free`` after u_0: the solution x of x + c rho x/(|x| + width) = free, in closed form.
 
     Smooth for width > 0; for width 0 it equals free - clip(free, -c rho, c rho).
     """
@@ -143,7 +143,7 @@ def smoothed_remainder(free: Scalar, c: Scalar, rho: Scalar, width: Scalar) -> S
 
 
 def limit_change(unlimited: Scalar, u_av: Scalar, rho: Scalar, c: Scalar, width: Scalar | None) -> Scalar:
-    """The change u_0 - u_av: the wanted one with u_0 in rho Sgn(sigma_tilde+), sigma_tilde+ = c (wanted - change).
+    """The change u_0 - u_av, limited so that u_0 is in rho Sgn(sigma_tilde+), sigma_tilde+ = c (unlimited - change).
 
     The change is clipped instead of u_0, to avoid subtracting numbers of the size of u_av in sliding.
     """

@@ -26,7 +26,7 @@ class SmcGains(NamedTuple):
 class SmcInfo(NamedTuple):
     """Margin K - |u_eq| [m/s] of the sliding condition; u_eq brings sigma to 0 within one sample."""
 
-    sliding_margin: Annotated[Scalar, Quantity("u", "rho - |u_eq|")]
+    sliding_margin: Annotated[Scalar, Quantity("u", "K - |u_eq|")]
 
 
 class NoInfo(NamedTuple):

@@ -125,14 +125,14 @@ def sta_of_dssc(gains: DsscGains) -> dict[str, float]:
     return {"kappa1": float(twisting.kappa1), "kappa2": float(twisting.kappa2), "k_n": nominal_input_gain(gains)}
 
 
-Sampled: TypeAlias = Callable[[Params, TrackingError, Scalar, Scalar], tuple[Scalar, Scalar]]
+IntegralUpdate: TypeAlias = Callable[[Params, TrackingError, Scalar, Scalar], tuple[Scalar, Scalar]]
 """(gains, error, v, T_s) -> w and v+ after the sample."""
 
-Inverse: TypeAlias = Callable[[Params, TrackingError, Scalar, Scalar], Scalar]
+IntegralTransfer: TypeAlias = Callable[[Params, TrackingError, Scalar, Scalar], Scalar]
 """(gains, error, w, T_s) -> the v with which the sample gives w."""
 
 
-def twisting_controller(gains_type: type, sampled: Sampled, inverse: Inverse) -> Controller:
+def twisting_controller(gains_type: type, sampled: IntegralUpdate, inverse: IntegralTransfer) -> Controller:
     """A controller u = w/k_n + u_n whose state is its integral term v, with a limit of u.
 
     Args:

@@ -77,20 +77,6 @@ def prepare(params: NormalFormParams) -> NormalFormParams:
     return params
 
 
-def from_inner_pi(k_p: Scalar, k_i: Scalar) -> NormalFormParams:
-    """A velocity loop with a PI inner controller as an instance of the class (Appendix B).
-
-    Args:
-        k_p: Proportional gain of the inner loop [1/s].
-        k_i: Integral gain of the inner loop [1/s^2].
-    """
-    return NormalFormParams(
-        k_p=k_p,
-        a_p=(k_p**2 - k_i) / k_p,
-        zero_dynamics=ZeroDynamics(a=(k_i / k_p,), c=((k_i / k_p) ** 2,)),
-    )
-
-
 NORMAL_FORM = Plant(
     NormalFormParams,
     init,

@@ -23,8 +23,8 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ReferencePoint, Scalar
 
-SEMI_MAJOR_AXIS = 6378137.0  # a [m] and f of WGS 84 (TR8350.2, table 3.1)
-FLATTENING = 1.0 / 298.257223563
+SEMI_MAJOR_AXIS = 6378137.0  # a [m] of WGS 84 (TR8350.2, table 3.1)
+FLATTENING = 1.0 / 298.257223563  # f of WGS 84 (likewise)
 STANDARD_GRAVITY = 9.80665  # g_n [m/s^2] (3rd CGPM, 1901)
 LATERAL_LIMIT = 0.5 * STANDARD_GRAVITY  # greatest acceleration across the path [m/s^2]: a tilt of 27 degrees (assumed)
 FRAME_RADIUS = 1e4  # reach of the local frame [m] (assumed): the ground is 8 m below the tangent plane there
@@ -195,7 +195,7 @@ def quintics(y: np.ndarray, y_dot: np.ndarray, y_ddot: np.ndarray, step: float) 
 
 
 def at_length(path: CubicSpline, u: np.ndarray, s: np.ndarray, distances: np.ndarray) -> np.ndarray:
-    """The u at which the path has the length ``far`` [m], by Newton's method from the grid (u, s)."""
+    """The u at which the path has the lengths ``distances`` [m], by Newton's method from the grid (u, s)."""
     k = np.clip(np.searchsorted(s, distances, side="right") - 1, 0, len(u) - 2)
     reached = u[k] + (distances - s[k]) / (s[k + 1] - s[k]) * (u[k + 1] - u[k])
     for _ in range(4):

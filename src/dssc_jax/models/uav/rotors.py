@@ -1,4 +1,4 @@
-"""Rotors: places and spins, speeds behind the motors, thrust, moment and gyroscopic torque (1), Appendix A."""
+"""Rotors: speeds behind the motors, thrust, moment and gyroscopic torque (1), Appendix A."""
 
 from typing import NamedTuple
 

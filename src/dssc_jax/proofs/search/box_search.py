@@ -13,9 +13,7 @@ from dssc_jax.proofs.problem import Box, ProofProblem
 from dssc_jax.proofs.search import fixed_point
 from dssc_jax.proofs.search.fixed_point import BoundsStage, from_start, towards_residual
 from dssc_jax.proofs.search.gains import gain_hull, region_of
-from dssc_jax.proofs.search.programs import (
-    largest_in_set,
-)
+from dssc_jax.proofs.search.programs import largest_in_set
 from dssc_jax.proofs.search.sampled_loop import box_middle, signal_sizes, step_of
 from dssc_jax.proofs.search.set_stages import (
     ENOUGH,

@@ -41,7 +41,7 @@ class LawSpread(NamedTuple):
         gains: By name: K_P, in the conservative form phi_1/sigma; K_I, K_N; K_P and T_s K_I times 1 + tau_av/T_s.
         integral: Of the increment of v or q.
         command: Of the command besides.
-        slide: Of the equivalent control; in the conservative form without what :func:`slide_half` bounds.
+        slide: Of the equivalent control; in the conservative form without what :func:`slide_hull` bounds.
         slide_e: What e adds to the equivalent control, over the change of e in a sample.
     """
 

@@ -1,8 +1,8 @@
 """The verifier: a certificate is proved if every inequality holds in ball arithmetic.
 
-It shares no code with the search, only the certificate's numbers. Every number is a ball (`arb` of FLINT) that contains
-the exact one; the floating-point numbers of the certificate are exact. docs/proofs.md states the theorem whose premises
-are checked here, (P0) to (P8).
+It shares no code with the search, only the certificate's numbers. Numbers are balls (`arb` of FLINT) that contain the
+exact ones; sums of impulse responses and Table 1's gains are float64 with a bound of every rounding. The floating-point
+numbers of the certificate are exact. docs/proofs.md states the theorem whose premises are checked here, (P0) to (P8).
 """
 
 import math
@@ -151,7 +151,7 @@ def limits_of(problem: Problem, box: Box, stage: AnyStage, gains: Balls, *, star
     """What a stage shows, by its method."""
     if stage["method"] == SMALL_GAIN:
         return implied_bounds(problem, box, cast(SmallGainStage, stage), gains, started, label)
-    assert stage["method"] == INVARIANT_SET
+    require_premise(stage["method"] == INVARIANT_SET, "P0: the method is unknown")
     return invariant_bounds(problem, box, cast(InvariantStage, stage), gains, started, label)
 
 
