@@ -161,7 +161,7 @@ def cost() -> str:
         with tempfile.TemporaryDirectory() as place:
             folder = FlightFolder(study)
             written(folder, Path(place))
-            (controller,) = folder.controllers
+            (controller,) = folder.code.controllers
             spent = step_cost(controller)
             slow = sum(spent.operations.get(operation, 0) for operation in ("div", "sqrt"))
             stack = subprocess.run(["make", "stack"], cwd=place, check=True, capture_output=True, text=True).stdout

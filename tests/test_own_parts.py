@@ -178,3 +178,19 @@ def test_an_error_in_a_metric_names_the_metric_and_the_line(beside, update, valu
     assert said in caught.value.rule
     assert "\n" not in str(caught.value)
     assert caught.value.rule.endswith(f", in line {line} of {beside / 'own_metrics.py'}")
+
+
+@pytest.mark.parametrize(("info", "rule"), [("()", None), ("{'spring': spring}", "reports a dict as its info")])
+def test_a_controller_may_report_nothing_but_no_other_type(info, rule, tmp_path, monkeypatch):
+    """In every command that reads what a controller reports."""
+    name = f"silent_{'nothing' if rule is None else 'other'}"
+    (tmp_path / f"{name}.py").write_text(SPRING.replace("Info(spring)", info))
+    monkeypatch.syspath_prepend(tmp_path)
+    table = OWN | {"controller": {"kind": f"{name}:SPRING", "l0": 1.0}}
+    if rule is not None:
+        with pytest.raises(ConfigError, match=rf"controller: {rule}"):
+            dj.run(dj.Study.from_table(table))
+        return
+    study = dj.Study.from_table(table)
+    assert "error_rms" in dj.run(study).dataset
+    assert "u" in dj.simulate(study)

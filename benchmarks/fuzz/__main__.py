@@ -47,8 +47,8 @@ def page(counts: Counter[str], operations: Counter[str], minutes: float) -> str:
         "Integers, truth values and strict arithmetic must agree in every bit, elementary functions within the\n"
         f"units in the last place that `benchmarks/fuzz/arithmetic.py` lists. Of {counts['with xla']:,}\n"
         f"programs that plain XLA ran, too, {counts['xla differs']} contradicted the referee, mostly in\n"
-        "indices beyond 31 bits, which XLA truncates, and subnormal numbers, which it sets to 0. Plain XLA alone ended\n"
-        f"its process in {counts['ended by xla']} programs: it divides integer constants by zero while it compiles.\n"
+        "indices beyond 31 bits, which XLA truncates, and subnormal numbers, which it sets to 0. Plain XLA alone\n"
+        f"ended its process in {counts['ended by xla']} programs: as it compiles, it divides integers by zero.\n"
         f"It took {minutes:.0f} minutes."
     )
 

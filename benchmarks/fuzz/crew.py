@@ -97,8 +97,8 @@ class Crew:
     def ended(self, unit: Work, stage: str, code: int) -> None:
         """A unit that ended its worker: its halves next, or the one program that did it.
 
-        A program that ends plain XLA, alone in a process, is not a crash of the lanes. Where XLA only compares, the program
-        runs again without it; a program that fell back has nothing else to run it.
+        A program that ends plain XLA, alone in a process, is not a crash of the lanes. Where XLA only compares, the
+        program runs again without it; a program that fell back has nothing else to run it.
         """
         seeds, with_xla = unit
         by_plain_xla = len(seeds) == 1 and stage in ("xla", "fall-back") and ends_xla(seeds[0])

@@ -40,7 +40,7 @@ def _public_names() -> dict[str, _Place]:
             case ast.ImportFrom(module=str(module), names=aliases):
                 places |= {alias.name: _Place(module, alias.name) for alias in aliases if alias.asname}
             case ast.Assign(targets=[ast.Name(id=name)], value=ast.Name(id=module)):
-                places[name] = places.pop(module)
+                places[name] = _Place(__name__, module)
     return places
 
 

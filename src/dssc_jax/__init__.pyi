@@ -1,7 +1,7 @@
 """The public names of dssc_jax, for type checkers and for ``__init__.py``, which imports a name on its first use."""
 
 from dssc_jax import design as design, report as report
-from dssc_jax import plotting as plotting  # not public: `plot` is
+from dssc_jax import plotting
 from dssc_jax.analyses import theory as theory
 from dssc_jax.analyses.comparison import (
     Comparison as Comparison,

@@ -6,7 +6,7 @@ from scipy import stats
 
 import dssc_jax as dj
 from dssc_jax.exploration.live import FAN_LEVELS, LiveStudy
-from dssc_jax.exploration.page import Worker
+from dssc_jax.exploration.worker import Worker
 from dssc_jax.runs.recorded_draws import SignalKey
 
 

@@ -46,7 +46,7 @@ class CompiledController:
         require("cc")
         for name, text in folder.texts().items():
             (place / name).write_text(text)
-        self.controller = folder.controllers[index]
+        self.controller = folder.code.controllers[index]
         self.name = self.controller.prefix
         library = place / f"{self.name}.so"
         source = place / f"{folder.code.name}_controller.c"

@@ -89,7 +89,7 @@ def test_same_bits(controller, differentiator, precision, tmp_path):
     require("cc", "make")
     study = dj.Study.from_table(table(controller, differentiator, precision))
     folder = written(tmp_path, study)
-    (controller,) = folder.controllers
+    (controller,) = folder.code.controllers
     results = 3 + len(controller.states) + len(controller.infos)
     assert values_compared(made(tmp_path, "check")) == 8 * 300 * results
 
@@ -163,11 +163,11 @@ def test_laws_of_gains_vary_between_draws(tmp_path):
     require("cc", "make")
     gains = {"kind": "pi", "k_p": {"uniform": [0.5, 2.0]}, "k_i": 0.5}
     folder = written(tmp_path, dj.Study.from_table(table(gains)))
-    (controller,) = folder.controllers
+    (controller,) = folder.code.controllers
     assert [parameter.value for parameter in controller.parameters if parameter.uncertain] == [1.25]
     assert "k_p;  /*" in (tmp_path / "flown_controller.h").read_text()
     assert "1.25, median of its law" in (tmp_path / "flown_controller.h").read_text()
-    drawn = {draw.parameters.tobytes() for draw in recorded_draws(folder.study, folder.controllers, 8, 2)}
+    drawn = {draw.parameters.tobytes() for draw in recorded_draws(folder.code.study, folder.code.controllers, 8, 2)}
     assert len(drawn) == 8
     made(tmp_path, "check")
 

@@ -98,7 +98,7 @@ def instance(unit, said=None, name="one"):
 
 def replayed(unit, slave, draws):
     """Commands of the FMU for the recorded signals of one draw, beside the recorded ones; one draw of each channel."""
-    controllers, time = unit.folder.controllers, unit.folder.study.loop.sample_time
+    controllers, time = unit.folder.code.controllers, unit.folder.code.study.loop.sample_time
     for drawn, controller in zip(draws, controllers, strict=True):
         for parameter, value in zip(controller.parameters, drawn.parameters, strict=True):
             slave.setReal([unit.references[parameter_name(controller, parameter)]], [float(value)])
@@ -119,8 +119,8 @@ def replayed(unit, slave, draws):
 
 def recorded(folder, samples, draws=1):
     """Draws, each a list with one record for each channel."""
-    records = list(recorded_draws(folder.study, folder.controllers, draws, samples))
-    count = len(folder.controllers)
+    records = list(recorded_draws(folder.code.study, folder.code.controllers, draws, samples))
+    count = len(folder.code.controllers)
     return [records[i : i + count] for i in range(0, len(records), count)]
 
 
@@ -149,7 +149,7 @@ def test_a_tool_simulates_it(opened):
     """FMPy's own master: what it records after a step is the command of the sample at the step's begin."""
     unit = opened(CASES["pid"])
     ((drawn,),) = recorded(unit.folder, 100)
-    time = unit.folder.study.loop.sample_time * np.arange(100)
+    time = unit.folder.code.study.loop.sample_time * np.arange(100)
     columns = np.rec.fromarrays([time, *drawn.rows[:, :5].T], names=["time", *SIGNALS])
     result = fmpy.simulate_fmu(unit.file, input=columns, output=RESULTS, stop_time=0.99, step_size=0.01)
     assert np.max(np.abs(result["command.u_p"][1:100] - drawn.rows[: len(result["command.u_p"]) - 1, 7])) <= 1e-12

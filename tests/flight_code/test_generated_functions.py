@@ -96,12 +96,12 @@ def test_recordings_have_raw_angles(precision, tmp_path):
     )
     study = dj.Study.from_table(turning)
     folder = written(tmp_path, study, draws=2, samples=600)
-    for recorded in recorded_draws(study, folder.controllers, 2, 600):
+    for recorded in recorded_draws(study, folder.code.controllers, 2, 600):
         readings = recorded.rows[:, 0]
         assert np.max(np.abs(readings)) <= np.pi + 1e-6
         assert np.sum(np.abs(np.diff(readings)) > 6.0) >= 1
         assert np.max(np.abs(np.diff(recorded.rows[:, 7]))) < 1.0
-    (controller,) = folder.controllers
+    (controller,) = folder.code.controllers
     assert values_compared(made(tmp_path, "check")) == 2 * 600 * (3 + len(controller.states) + len(controller.infos))
 
 
@@ -291,7 +291,7 @@ def test_parameters_states_and_telemetry_of_any_name(tmp_path):
     require("cc", "c++", "make")
     study = dj.Study.from_table(table({"kind": "tests.flight_code.test_generated_functions:UGLY_CONTROLLER"}, LEAD))
     folder = written(tmp_path, study)
-    (controller,) = folder.controllers
+    (controller,) = folder.code.controllers
     assert controller.states == ("differentiator_y", "differentiator_velocity", "value_0", "value_1_0")
     values_compared(made(tmp_path, "check"))
     values_compared(made(tmp_path, "cpp"))

@@ -152,7 +152,7 @@ def test_false_certificates_are_rejected():
     coarse = LOOP.override({"loop.sample_time": 0.002})
     box = LOOP.override({"plant.k_p": {"uniform": [0.9, 1.1]}, "plant.a_p": {"uniform": [-1.0, 1.0]}})
     certificates = [json.loads(json.dumps(prove(study, boxes=1).certificate())) for study in (coarse, box)]
-    assert all(verify_certificate(study).proved for study in certificates)
+    assert all(verify_certificate(certificate).proved for certificate in certificates)
     for premise, content in (*falsified(certificates[0]), *falsified_sets(certificates[1])):
         verdict = verify_certificate(content)
         assert not verdict.proved

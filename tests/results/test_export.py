@@ -34,10 +34,10 @@ def is_the_table(table, result):
 
 
 def test_csv(result, tmp_path):
-    data, attributes = dj.export(result, "csv", tmp_path / "a.csv")
+    data, metadata_file = dj.export(result, "csv", tmp_path / "a.csv")
     is_the_table(pd.read_csv(data), result)
-    content = json.loads(attributes.read_text())
-    assert attributes.name == "a.csv-metadata.json"
+    content = json.loads(metadata_file.read_text())
+    assert metadata_file.name == "a.csv-metadata.json"
     assert content["url"] == "a.csv"
     named = {column["name"]: column for column in content["tableSchema"]["columns"]}
     assert list(named) == list(pd.read_csv(data).columns)

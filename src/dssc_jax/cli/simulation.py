@@ -346,7 +346,7 @@ def output_result(result: "Result", out: Path, as_json: bool) -> None:
         print(flush=True)
     else:
         show_result(result)
-    from dssc_jax import plotting
+    import dssc_jax.plotting as plotting
 
     with writing(out):
         figures = plotting.save_all(result, out / "figures")
@@ -380,7 +380,7 @@ def output_trajectory(trajectory: Any, csv: Path | None, figure: Path | None, as
     if csv is not None:
         attempt(csv, lambda: write_table(trajectory, csv))
     if figure is not None:
-        from dssc_jax import plotting
+        import dssc_jax.plotting as plotting
 
         attempt(figure, lambda: plotting.write(plotting.trajectory(trajectory), figure))
     if as_json:

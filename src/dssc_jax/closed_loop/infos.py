@@ -4,6 +4,7 @@ import jax
 
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.sample import as_arrays, control, initial_control, measure
+from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Info, PlantInput
 
 
@@ -26,3 +27,15 @@ def first_infos(loop: Loop, params: LoopParams) -> tuple[tuple[Info, ...], Info]
     zeros = (0.0,) * len(loop.channels)
     wind = loop.wind.value(params.wind, loop.wind.init(params.wind, jax.random.key(0)), 0.0)
     return tuple(infos), loop.mimo_plant.monitor(params.plant, plant, PlantInput(zeros, zeros, wind))
+
+
+def fields_of(info: Info, part: str) -> tuple[str, ...]:
+    """Names of an info's fields.
+
+    Raises:
+        ConfigError: it is neither a NamedTuple nor an empty tuple.
+    """
+    if not hasattr(info, "_fields") and info != ():
+        rule = f"reports a {type(info).__name__} as its info; must be a NamedTuple, or () for nothing to report"
+        raise ConfigError(part, rule)
+    return getattr(info, "_fields", ())

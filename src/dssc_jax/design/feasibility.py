@@ -217,12 +217,12 @@ def infeasible(bounds: Bounds, nearest: Free, goal: DesignGoal) -> str:
     p = synthesise(bounds, nearest)
     e = float(guarantee(p, bounds).e)
     period = float(practice(p, bounds).sample_time_origin)
-    limits = []
+    targets = []
     if np.isfinite(goal.residual):
-        limits.append(f"residual <= {goal.residual:g} m")
+        targets.append(f"residual <= {goal.residual:g} m")
     if goal.sample_time > 0.0:
-        limits.append(f"sample_time >= {goal.sample_time:g} s")
+        targets.append(f"sample_time >= {goal.sample_time:g} s")
     return (
-        f"no design in the ranges has {' and '.join(limits)}; the nearest guarantees |e| <= {e:.4g} m at a sampling "
+        f"no design in the ranges has {' and '.join(targets)}; the nearest guarantees |e| <= {e:.4g} m at a sampling "
         f"period of {period:.4g} s (phi_b = {p.phi_b:.4g}, kappa_c = {p.kappa_c:.4g})"
     )

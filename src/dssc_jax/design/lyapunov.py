@@ -76,8 +76,8 @@ def smallest_of_q(p: Parameters, k_p: Numeric, gain: Numeric, alpha_1: Numeric, 
     )
     off = 2.0 * eps * alpha_1 - alpha_2
     mean = 0.5 * k_q + eps
-    difference = 0.5 * k_q - eps
-    root = (difference**2 + off**2) ** 0.5
+    half_difference = 0.5 * k_q - eps
+    root = (half_difference**2 + off**2) ** 0.5
     large = mean + root  # the smaller eigenvalue as determinant over the larger: no cancellation while that is positive
     positive = large > 0.0
     xp = namespace(large)

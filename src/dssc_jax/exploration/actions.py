@@ -12,8 +12,8 @@ from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.design.certification import NotCovered
 from dssc_jax.exploration.live import LiveRun
-from dssc_jax.exploration.page import Stale
 from dssc_jax.exploration.sliders import Slider
+from dssc_jax.exploration.worker import Stale
 from dssc_jax.runs.run import run
 from dssc_jax.study import Study
 

@@ -14,7 +14,6 @@ from dssc_jax.closed_loop.requirements import violated, worst_slack
 from dssc_jax.core.signals import Outcome
 from dssc_jax.design import certification
 from dssc_jax.engine.batching import Arrays, drawn
-from dssc_jax.exploration.page import Stale
 from dssc_jax.exploration.sliders import (
     CLOCK_SLIDER,
     Positions,
@@ -24,6 +23,7 @@ from dssc_jax.exploration.sliders import (
     live_extents,
     sliders_of,
 )
+from dssc_jax.exploration.worker import Stale
 from dssc_jax.results.result import interval_method
 from dssc_jax.runs.recorded_draws import RecordedDraws, SignalKey, all_draws
 from dssc_jax.statistics import CONFIDENCE, describe_probability

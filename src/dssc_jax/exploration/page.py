@@ -1,16 +1,17 @@
-"""What all pages have in common: work in the background, and a line with the status."""
+"""What all pages have in common: a line with the status, panes of text, and their way to the worker."""
 
-import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import partial
-from typing import Any, ParamSpec, TypeAlias
+from typing import Any, ParamSpec
 
 import htpy as h
 import numpy as np
 import panel as pn
 from panel.io.document import hold
 from panel.viewable import Viewable
+
+from dssc_jax.exploration.worker import Work, Worker
 
 WORST_DRAW, MEDIAN_DRAW, RANDOM_DRAW = "worst draw", "median draw", "random draw"
 PAGE_STYLE = """
@@ -20,69 +21,7 @@ p.headline { font-size: 20px; font-weight: 600; margin: 0; }
 p { margin: 2px 0; }
 """
 
-Stale: TypeAlias = Callable[[], bool]
-"""Whether a newer request has come."""
-
-Work: TypeAlias = Callable[[Stale], None]
-
 Arguments = ParamSpec("Arguments")
-
-
-class Worker:
-    """A thread that serves the newest of several requests; an older one may stop when it learns that it is stale.
-
-    The thread starts with the first request and ends with :meth:`close`.
-    """
-
-    def __init__(self) -> None:
-        self._changed = threading.Condition()
-        self._pending: Work | None = None
-        self._number = 0
-        self._closed = False
-        self._busy = False
-        self._thread: threading.Thread | None = None
-
-    def submit(self, work: Work) -> None:
-        """Request some work; it replaces a request that has not begun, and makes the running one stale."""
-        with self._changed:
-            if self._closed:
-                return
-            self._pending = work
-            self._number += 1
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._serve, name="explore", daemon=True)
-                self._thread.start()
-            self._changed.notify_all()
-
-    def wait(self, timeout: float | None = None) -> bool:
-        """Wait until no request is pending or running, at most for a timeout [s]; whether that came true."""
-        with self._changed:
-            return self._changed.wait_for(lambda: self._pending is None and not self._busy, timeout)
-
-    def close(self) -> None:
-        """Forget pending work, make running work stale, and end the thread after it."""
-        with self._changed:
-            self._closed = True
-            self._pending = None
-            self._number += 1
-            self._changed.notify_all()
-
-    def _serve(self) -> None:
-        while True:
-            with self._changed:
-                self._busy = False
-                self._changed.notify_all()
-                self._changed.wait_for(lambda: self._pending is not None or self._closed)
-                work = self._pending
-                number = self._number
-                if work is None:
-                    return
-                self._pending = None
-                self._busy = True
-            work(partial(self._is_stale, number))
-
-    def _is_stale(self, number: int) -> bool:
-        return self._number != number
 
 
 class Page(ABC):

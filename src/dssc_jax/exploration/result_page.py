@@ -16,7 +16,8 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.exploration.brushing import Brushing
 from dssc_jax.exploration.draw_table import DrawTable
 from dssc_jax.exploration.figures import drawable, path_figure, seen_paths, shown_signals, signal_figure
-from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page, Stale, html_pane, markup
+from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page, html_pane, markup
+from dssc_jax.exploration.worker import Stale
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, VIOLET
 from dssc_jax.results.result import Result
 from dssc_jax.runs.trajectory import agreement_of, recorder

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Protocol
+from typing import Any
 
 import panel as pn
 from bokeh.server.server import Server
@@ -23,6 +23,7 @@ from tornado.routing import Matcher, PathMatches, Rule
 from tornado.web import RequestHandler, StaticFileHandler
 
 from dssc_jax.core import files
+from dssc_jax.exploration.page import Page
 
 LOCAL = "127.0.0.1"
 HOST_NAMES = (LOCAL, "localhost")
@@ -44,18 +45,6 @@ REDIRECT = """<!doctype html>
 """A file that leads a browser to the page."""
 LIFE = 15_000  # ms that a session outlives its closed page
 LARGEST_MESSAGE = 64 * 2**20  # bytes
-
-
-class ServedPage(Protocol):
-    """The page of a session."""
-
-    @property
-    def view(self) -> Viewable:
-        """The page for Panel."""
-        ...
-
-    def close(self) -> None:
-        """End the page."""
 
 
 class Refused(Matcher):
@@ -117,7 +106,7 @@ class PageServer:
         port: Port; 0: any free one.
     """
 
-    def __init__(self, make: Callable[[], ServedPage], title: str, port: int = 0) -> None:
+    def __init__(self, make: Callable[[], Page], title: str, port: int = 0) -> None:
         self.token = secrets.token_urlsafe(24)
         self._make = make
         pn.extension()

@@ -26,8 +26,9 @@ from dssc_jax.exploration.figures import (
     shown_signals,
 )
 from dssc_jax.exploration.live import LiveRun, LiveStudy
-from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page, Stale, html_pane, markup
+from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page, html_pane, markup
 from dssc_jax.exploration.sliders import WIDTH, Slider, grid, position_text
+from dssc_jax.exploration.worker import Stale
 
 COLOUR_KEY = "blue: now (median, half and 90 % of the draws); grey: before; red: one draw, chosen here or by a click"
 SIDE = 330  # px

@@ -42,9 +42,8 @@ class FlightFolder:
     """
 
     def __init__(self, study: Study) -> None:
-        self.study = study.without_sweep()
-        self.controllers: list[SampledController] = sampled_controllers(self.study)
-        self.code = FlightCode(self.study, self.controllers, certificate_sentence(self.study))
+        study = study.without_sweep()
+        self.code = FlightCode(study, sampled_controllers(study), certificate_sentence(study))
 
     def texts(self) -> dict[str, str]:
         """Content of the text files by name."""
@@ -75,25 +74,27 @@ class FlightFolder:
         for name, count in (("draws", draws), ("samples", samples or 1)):
             if count < 1:
                 raise ConfigError(name, f"must be >= 1, got {count}")
-        count = samples or min(RECORDED_SAMPLES, self.study.loop.steps)
-        recorded = recorded_draws(self.study, self.controllers, min(draws, self.study.config.draws), count)
+        count = samples or min(RECORDED_SAMPLES, self.code.study.loop.steps)
+        recorded = recorded_draws(
+            self.code.study, self.code.controllers, min(draws, self.code.study.config.draws), count
+        )
         return self._guarded(recording(recorded, self.code.precision))
 
     def _guarded(self, parts: Iterator[bytes]) -> Iterator[bytes]:
         try:
             yield from parts
         except Unsupported as problem:
-            raise ConfigError(self.study.source, f"strict arithmetic cannot express {problem}") from None
+            raise ConfigError(self.code.study.source, f"strict arithmetic cannot express {problem}") from None
 
     def summary(self) -> dict[str, Json]:
         """For JSON: the channels with their names in C and their cost."""
         return {
-            "study": self.study.name,
-            "hash": self.study.hash,
+            "study": self.code.study.name,
+            "hash": self.code.study.hash,
             "precision": self.code.precision,
-            "sample_time": self.study.loop.sample_time,
+            "sample_time": self.code.study.loop.sample_time,
             "certificate": self.code.certificate,
-            "channels": [channel_summary(controller) for controller in self.controllers],
+            "channels": [channel_summary(controller) for controller in self.code.controllers],
         }
 
 

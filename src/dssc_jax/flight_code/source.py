@@ -48,8 +48,8 @@ class FunctionText(CText):
             self.line(f"{member} = {self.read(output)};")
 
     def reads(self, name: str) -> bool:
-        """Whether the body reads a variable."""
-        return re.search(rf"\b{name}", "\n".join(self.lines)) is not None
+        """Whether the body reads a member of a structure; the words of its comments do not count."""
+        return any(re.search(rf"\b{name}(->|\.)", line.split("/*")[0]) for line in self.lines)
 
 
 def source_text(code: FlightCode) -> str:
@@ -133,7 +133,7 @@ def parameter_conditions(real: np.dtype, parameter: Parameter) -> list[str]:
 
 def parameter_pointer(controller: SampledController, function: FunctionText) -> str:
     """The declaration of p, if the function's body reads it."""
-    if not function.reads("p->"):
+    if not function.reads("p"):
         return ""
     return f"const {controller.prefix}_parameters *const p = &controller->parameters;"
 
@@ -143,7 +143,7 @@ def start_function(code: FlightCode, controller: SampledController) -> FunctionT
     function = FunctionText(code, controller, controller.start)
     function.compute(function.outputs)
     function.assign([f"state->{state}" for state in controller.states], function.outputs)
-    unread = [f"(void){name};" for name in ("p", "measurement", "reference") if not function.reads(rf"{name}\b")]
+    unread = [f"(void){name};" for name in ("p", "measurement", "reference") if not function.reads(name)]
     function.text = fill("start.c", name=controller.prefix, unread=unread, computation=function.lines)
     return function
 

@@ -19,7 +19,9 @@ from dssc_jax.study.tables import enclosing_list, has_dotted, set_dotted, toml_e
 
 BOUND_MARGIN = 1e-6  # of the distance from an exclusive bound, that a law stays inside
 LAW_WIDTH = 5.0  # standard deviations at which a bounded number's law is truncated
-OUTSIDE_LAW = 3.0  # standard deviations of an estimate beyond the middle 99.8 % of its law, from which this is told
+OUTSIDE_LAW = (
+    3.0  # standard deviations of an estimate beyond the middle 99.8 % of its law, from which it is reported as outside
+)
 
 
 class ResidualNoise(NamedTuple):
@@ -68,7 +70,7 @@ class Fitted:
     scaled: np.ndarray  # estimates on the scale of the fit: the logarithm where the law is logarithmic, shape (n,)
     covariance: np.ndarray  # on that scale, shape (n, n)
     noise: dict[str, ResidualNoise]  # of the residual by channel, of those with enough readings
-    kept: dict[str, float]  # unidentified numbers, with the standard deviation that the flight leaves, in the law's
+    kept: dict[str, float]  # unidentified numbers, with the standard deviation from the flight divided by the law's
     samples: int  # of the log that were used
     replayed: tuple[str, ...]  # channels whose commands are those of the analysed controller for the logged outputs
     starts: int  # of the search

@@ -104,9 +104,9 @@ def numbers_to_fit(study: Study, requested: Sequence[str]) -> list[str]:
     """The numbers to estimate; without a request those with laws that show in the output."""
     for name in requested:
         if name not in study.laws:
-            raise ConfigError("numbers", f"'{name}' has no law in this study; {nearest(name, list(study.laws))}")
+            raise ConfigError("names", f"'{name}' has no law in this study; {nearest(name, list(study.laws))}")
         if not study.laws[name].movable:
-            raise ConfigError("numbers", f"'{name}' has a law of single cases, which has no derivative")
+            raise ConfigError("names", f"'{name}' has a law of single cases, which has no derivative")
     if requested:
         return list(requested)
     names = []
@@ -154,7 +154,7 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
 
 
 def unidentified_numbers(problem: FitProblem, search: MinimumSearch) -> dict[str, float]:
-    """Numbers that the flight alone would tell less well than their laws, with their widths in those of the laws."""
+    """Numbers whose standard deviation from this flight is not below that of their law, with the ratio of the two."""
     unidentified = {}
     roots = np.sqrt(np.diag(search.best.equations.information))
     for name, root in zip(problem.names, roots, strict=True):

@@ -71,7 +71,7 @@ def noise_between_neighbours(times: np.ndarray, values: np.ndarray) -> float:
 
 
 def explain_channel(readings: Readings, noise: Noise, residual: np.ndarray) -> Explained:
-    """How well a channel is described, by the log's own noise: the smaller one of its output and its residual."""
+    """How well a channel is described; its noise is the smaller estimate from the output and from the residual."""
     seen = min(noise_between_neighbours(readings.times, series) for series in (readings.values, residual))
     size = float(np.sqrt(np.mean(residual**2)))
     independent = independent_samples(noise, readings.times)
@@ -117,7 +117,7 @@ def combination(names: Sequence[str], direction: np.ndarray) -> str:
 
 
 def require_identifiable(names: Sequence[str], information: np.ndarray) -> None:
-    """Require that the flight tells every combination of the numbers better than their laws; information in widths."""
+    """Require along every direction a standard deviation below that of the laws, in which the information counts."""
     diagonal = np.diag(information)
     for name, entry in zip(names, diagonal, strict=True):
         if entry <= 1e-24 * max(float(diagonal.max()), TINY) or not math.isfinite(entry):

@@ -45,10 +45,10 @@ class ProvedReach:
         """The outcome in one sentence."""
         if self.last is None:
             return f"Not proved at the safe end {self.name} = {self.values[0][0]:g}: {self.reason}."
-        tried = ", each value on its own"
+        apart = ", each value on its own"
         if self.refused is None:
-            return f"Proved up to the end, {self.name} = {self.proved:.4g}{tried}. {self.last.statement()}"
-        sentence = f"Proved up to {self.name} = {self.proved:.4g}{tried}; not at {self.refused:.4g}: {self.reason}."
+            return f"Proved up to the end, {self.name} = {self.proved:.4g}{apart}. {self.last.statement()}"
+        sentence = f"Proved up to {self.name} = {self.proved:.4g}{apart}; not at {self.refused:.4g}: {self.reason}."
         return f"{sentence} {self.last.statement()}"
 
     def summary(self) -> dict[str, Any]:

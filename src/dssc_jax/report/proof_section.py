@@ -3,7 +3,7 @@
 import htpy as h
 import numpy as np
 
-from dssc_jax import plotting
+import dssc_jax.plotting as plotting
 from dssc_jax.plotting.standings import STANDINGS, standing_of
 from dssc_jax.report.elements import Section, counted, figure, folded, number, table
 from dssc_jax.report.subject import Subject

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from dssc_jax import plotting
+import dssc_jax.plotting as plotting
 from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.design import noise_warning
 from dssc_jax.engine.reference import VERDICTS

@@ -13,6 +13,7 @@ from dssc_jax.closed_loop.sample import Recorded
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.quantities import Quantity, quantities_of
+from dssc_jax.core.signals import Info
 from dssc_jax.engine.batching import drawn
 from dssc_jax.engine.reference import Agreement, agreement
 from dssc_jax.engine.sampling import draw_key
@@ -151,13 +152,17 @@ def trajectory_columns(study: Study, recorded: Recorded) -> dict[str, np.ndarray
             "sigma_measured": sample.sigma_measured,
             "u": sample.u,
             "u_total": sample.u_total,
-            **sample.info._asdict(),
+            **info_signals(sample.info),
         }
         columns |= {f"{channel}_{name}" if channel else name: values for name, values in signals.items()}
-    seen = instant.plant._asdict() if hasattr(instant.plant, "_asdict") else {}
-    for name, values in seen.items():
+    for name, values in info_signals(instant.plant).items():
         columns |= tuple_columns(name, values) if isinstance(values, tuple) else {name: values}
     return columns
+
+
+def info_signals(info: Info) -> dict[str, np.ndarray]:
+    """The signals of an info by name; none of an empty tuple."""
+    return info._asdict() if hasattr(info, "_asdict") else {}
 
 
 def tuple_columns(name: str, values: tuple[np.ndarray, ...]) -> dict[str, np.ndarray]:

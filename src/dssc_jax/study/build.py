@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 from pydantic import BaseModel, ValidationError
 
-from dssc_jax.closed_loop.infos import first_infos
+from dssc_jax.closed_loop.infos import fields_of, first_infos
 from dssc_jax.closed_loop.loop import Loop, LoopParams, Settled
 from dssc_jax.closed_loop.metrics import Measure, available_metrics
 from dssc_jax.closed_loop.requirements import Requirement
@@ -331,8 +331,10 @@ def traced_fields(loop: Loop, structure: Any, leaves: tuple[Hashable, ...]) -> F
     def fields() -> Fields:
         with arithmetic():
             controllers, plant = jax.eval_shape(first, [leaf for leaf in leaves if is_array(leaf)])
-        seen = (getattr(info, "_fields", ()) for info in controllers)
-        return dict(zip(loop.channels, seen, strict=True)), getattr(plant, "_fields", ())
+        reported = {
+            channel: fields_of(info, "controller") for channel, info in zip(loop.channels, controllers, strict=True)
+        }
+        return reported, fields_of(plant, "plant")
 
     return remembered("fields", fields, loop, jax.tree.unflatten(structure, leaves))
 

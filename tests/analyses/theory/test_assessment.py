@@ -71,7 +71,7 @@ def test_what_is_not_covered_says_why(study):
     few = study.override({"draws": 4, "loop.duration": 9.0})
     options = {"points": 3, "bisections": 2}
     gain = dj.theory.assess(few, over="plant.k_p", bounds=(1.0, 0.5), **options)
-    assert "lag's mu" in gain.not_covered["oscillations"]
+    assert "time constant of the unmodelled dynamics" in gain.not_covered["oscillations"]
     assert gain.performance.certificate.value == pytest.approx(0.896, abs=0.01)
     assert len(dj.plot.theory(gain.margins, gain.oscillations).axes) == 1
     bias = dj.theory.assess(few, over="disturbance.amplitude", bounds=(0.1, 1.0), **options)

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from dssc_jax import plotting
+import dssc_jax.plotting as plotting
 from dssc_jax.analyses.comparison.rivals import ControllerTable, controller_table, with_own_controllers
 from dssc_jax.analyses.comparison.tuning import Tuning, tuned, with_gains
 from dssc_jax.analyses.defaults import TUNING_DRAWS

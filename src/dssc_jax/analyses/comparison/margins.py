@@ -8,7 +8,7 @@ from typing import Any, Self
 
 from matplotlib.figure import Figure
 
-from dssc_jax import plotting
+import dssc_jax.plotting as plotting
 from dssc_jax.analyses.comparison.compare import require_names, with_controller
 from dssc_jax.analyses.comparison.rivals import ControllerTable, controller_table, with_own_controllers
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS

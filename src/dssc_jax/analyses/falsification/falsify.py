@@ -15,7 +15,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from dssc_jax import plotting
+import dssc_jax.plotting as plotting
 from dssc_jax.analyses.defaults import BUDGET, LEAST_BUDGET, MOST_BUDGET
 from dssc_jax.analyses.falsification.hunt import Hunt, Programs, Seen
 from dssc_jax.analyses.falsification.search_sets import ScoreBall, SearchSet, search_set

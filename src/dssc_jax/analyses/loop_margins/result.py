@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from dssc_jax import plotting
+import dssc_jax.plotting as plotting
 from dssc_jax.analyses.loop_margins.fans import FANS, LEVELS_OF_FAN, fan_of
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.analysis_folder import Stored

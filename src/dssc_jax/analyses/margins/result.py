@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from dssc_jax import plotting
+import dssc_jax.plotting as plotting
 from dssc_jax.analyses.margins.search import CLOCK, Censoring, Critical, Walk
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.design.certification import Reach, reach

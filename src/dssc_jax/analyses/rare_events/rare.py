@@ -9,7 +9,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 from scipy import special
 
-from dssc_jax import plotting
+import dssc_jax.plotting as plotting
 from dssc_jax.analyses.rare_events.splitting import USUAL, Estimate, Plain, Splitting, split
 from dssc_jax.closed_loop.requirements import worst_slack
 from dssc_jax.core.errors import ConfigError

@@ -19,7 +19,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from dssc_jax import plotting
+import dssc_jax.plotting as plotting
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.design.certification import mark

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from dssc_jax import plotting
+import dssc_jax.plotting as plotting
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
 from dssc_jax.analyses.margins import Margins, join_margins, margin, margin_settings, part_margins
 from dssc_jax.analyses.theory.chattering import SAMPLES_IN_MU, chattering, time_constant_of

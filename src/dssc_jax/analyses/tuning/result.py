@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from dssc_jax import plotting
+import dssc_jax.plotting as plotting
 from dssc_jax.analyses.tuning.certified import PREFIX
 from dssc_jax.analyses.tuning.gradients import GradientAgreement
 from dssc_jax.analyses.tuning.plan import OBJECTIVE, PROVED_ERROR, Plan, seed_of

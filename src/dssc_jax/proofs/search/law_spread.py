@@ -56,29 +56,29 @@ def law_spreads(problem: ProofProblem, sigma: float, e: float) -> list[LawSpread
     """The deviations of a region, in each way in which they can be bounded."""
     points = gain_points(problem, sigma, e)
     hull = {name: with_room(column) for name, column in points.columns.items()}
-    width = {name: 0.5 * (high - low) for name, (low, high) in hull.items()}
+    half_width = {name: 0.5 * (high - low) for name, (low, high) in hull.items()}
     t = problem.sample_time
     if problem.form == "implicit":
         return [
             LawSpread(
                 {name: hull[name] for name in GAIN_NAMES},
-                Deviation(width["k_p"], t * width["k_i"], 0.0),
-                Deviation(0.0, width["k_n"], 0.0),
-                Deviation(width["slide_p"], width["slide_i"], 0.0),
+                Deviation(half_width["k_p"], t * half_width["k_i"], 0.0),
+                Deviation(0.0, half_width["k_n"], 0.0),
+                Deviation(half_width["slide_p"], half_width["slide_i"], 0.0),
                 0.0,
             )
         ]
     by_ratio = LawSpread(
         {name: hull["mean" if name == "k_p" else name] for name in GAIN_NAMES},
-        Deviation(0.0, t * width["k_i"], 0.0),
-        Deviation(0.0, width["mean"] + width["k_n"], 0.0),
-        Deviation(0.0, width["mean"] + width["slide_i"], 0.0),
+        Deviation(0.0, t * half_width["k_i"], 0.0),
+        Deviation(0.0, half_width["mean"] + half_width["k_n"], 0.0),
+        Deviation(0.0, half_width["mean"] + half_width["slide_i"], 0.0),
         hull["slide_e"][1],
     )
-    return [by_ratio, function_spread(points, by_ratio, width, t)]
+    return [by_ratio, function_spread(points, by_ratio, half_width, t)]
 
 
-def function_spread(points: GainPoints, by_ratio: LawSpread, width: dict[str, float], t: float) -> LawSpread:
+def function_spread(points: GainPoints, by_ratio: LawSpread, half_width: dict[str, float], t: float) -> LawSpread:
     """The distances of the functions from the straight lines that are nearest to them."""
     size = np.abs(points.sigma)
     columns = points.columns
@@ -92,7 +92,7 @@ def function_spread(points: GainPoints, by_ratio: LawSpread, width: dict[str, fl
         gains,
         Deviation(0.0, 0.0, t * second),
         Deviation(0.0, 0.0, command),
-        Deviation(0.0, width["slide_i"], first),
+        Deviation(0.0, half_width["slide_i"], first),
         by_ratio.slide_e,
     )
 

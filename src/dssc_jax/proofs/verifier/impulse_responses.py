@@ -74,7 +74,7 @@ def response_bounds(
     error_peak = error.max(axis=(0, 2))
     shadow = rows * p.inv() * rows.transpose()
     reach = np.array([float(abs(shadow[i, i]).upper().sqrt().upper()) for i in range(m)])
-    norm = total([abs(entry) for row in p.tolist() for entry in row]).sqrt()
+    largest_in_unit_cube = total([abs(entry) for row in p.tolist() for entry in row]).sqrt()
     z = side_by_side(inputs, starts)
     count = z.ncols()
     lost = [arb(0)] * count
@@ -82,7 +82,7 @@ def response_bounds(
     peaks = np.zeros((m, starts.ncols()))
     for _ in range(MOST_BLOCKS):
         for j in range(count):  # go on with exact numbers; V bounds what the difference can still cause
-            lost[j] = lost[j] + norm * max((z[i, j].rad() for i in range(n)), key=float)
+            lost[j] = lost[j] + largest_in_unit_cube * max((z[i, j].rad() for i in range(n)), key=float)
         z = z.mid()
         state = middles(z)
         response = np.abs(short_middles @ (long_middles @ state)).reshape(SIDE**2, m, -1)

@@ -162,9 +162,9 @@ def check_invariance(t: arb, stage: InvariantStage, p: arb_mat, corners: list[Co
         active = [j for j, entries in enumerate(columns) if not all(entry == 0 for entry in entries)]
         a = to_scaled * corner.a * from_scaled
         b = to_scaled * corner.b
-        a_p = a.transpose() * scaled_p
-        decrease = (keep - a_p * a).tolist()
-        cross = (a_p * b).tolist()
+        transposed_a_p = a.transpose() * scaled_p
+        decrease = (keep - transposed_a_p * a).tolist()
+        cross = (transposed_a_p * b).tolist()
         inputs = b.transpose() * scaled_p * b
         block = [[*kept, *(-mixed[j] for j in active)] for kept, mixed in zip(decrease, cross, strict=True)]
         for j in active:
