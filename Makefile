@@ -16,6 +16,7 @@ test: $(VENV)/test  ## install, and run the tests, in two processes: most of the
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 quick: $(VENV)/test  ## the tests that tell whether another Python or JAX will do: make quick VENV=.venv-next PYTHON=python3.13
+	$(BIN)/python tests/newest_jax.py
 	$(BIN)/python -m pytest -n 2 --dist worksteal $(QUICK)
 
 lint: $(VENV)/test

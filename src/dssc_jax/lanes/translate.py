@@ -243,6 +243,12 @@ def called_program(translator: Translator, equation: JaxprEqn, operands: list[An
     return translator.run(inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ()), operands)
 
 
+def expanded_program(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
+    """The results of an operation that JAX, since 0.12, keeps whole in a trace, such as ``searchsorted``."""
+    shapes = [jax.ShapeDtypeStruct(type_of(atom).shape, type_of(atom).dtype) for atom in equation.invars]
+    return translator.run(jax.make_jaxpr(equation.params["_prim"].expand)(*shapes), operands)
+
+
 def largest_over_lanes(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
     """The maximum over all lanes of truth values, 0 or 1."""
     build, results = translator.build, []
@@ -372,6 +378,7 @@ INLINED = {
     ),
     "closed_call": rule(called_program, None, call_jaxpr=anything),
     "core_call": rule(called_program, None, call_jaxpr=anything),
+    "call_hi_primitive": rule(expanded_program, None, _prim=anything),
     "remat": REMATERIALISED,
     "remat2": REMATERIALISED,
     "checkpoint": REMATERIALISED,
