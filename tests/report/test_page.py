@@ -11,9 +11,11 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.report import elements, html, write
 from dssc_jax.report.page import SECTIONS, STYLE_SHEET
+from dssc_jax.report.proof_section import proofs
 from dssc_jax.report.study_sections import dependence
 from dssc_jax.report.subject import Subject, worst_draws
 from dssc_jax.report.vector import SVG_COLOURS, inline
+from dssc_jax.results.proofs import SweepProofs
 from dssc_jax.study import read_toml
 
 VOID = {"meta", "br", "link", "input", "img", "hr"}
@@ -250,3 +252,20 @@ def test_a_hundred_thousand_draws(ran):
     values = {name: data[name] * np.linspace(0.99, 1.01, 100_000) for name in data if data[name].dtype.kind == "f"}
     big = dj.Result(ran.study, data.assign(values), ran.manifest)
     assert len(html(big, worst=0).encode()) < 5e6
+
+
+def test_proved_bounds_have_the_unit_of_the_output():
+    """A wheel's angle is proved in radians, not in metres."""
+    table = {
+        "name": "wheel",
+        "draws": 4,
+        "loop": {"duration": 1.0, "sample_time": 0.01},
+        "units": {"output": "rad"},
+        "plant": {"kind": "normal_form", "k_p": {"uniform": [0.9, 1.1]}, "initial": [0.1, 0.0]},
+        "controller": {"kind": "pi", "l0": 1.0, "k_p": 4.0, "k_i": 2.0},
+        "sweep": {"controller.k_p": [3.0, 4.0]},
+    }
+    result = dj.run(dj.Study.from_table(table))
+    points = [{"proved": True, "error": 0.01}, {"proved": False, "error": None}]
+    proved = result.with_proofs(SweepProofs(result.study.hash, dict(result.study.axes), points, [{}, {}], 0.0))
+    assert "largest |e| once settled, proved [rad]" in "".join(map(str, proofs(Subject(proved)).body))

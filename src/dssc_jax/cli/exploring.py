@@ -75,7 +75,7 @@ def study_pages(study: "Study", sliders: list[str] | None, draws: int | None) ->
 
     live = LiveStudy(study, sliders, draws)
     say(f"{study.name}: compiling")
-    assert live.first  # compiled once for all pages
+    live.compile()
     return study.name, lambda: StudyPage(live, background=True)
 
 

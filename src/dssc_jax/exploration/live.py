@@ -200,6 +200,10 @@ class LiveStudy:
         assert run is not None  # nothing makes it stale
         return run
 
+    def compile(self) -> None:
+        """Compile the program that all pages share, by the run at the sliders' start."""
+        _ = self.first
+
     def _program(self, study: Study, progress: Notice) -> RecordedDraws:
         """The compiled program for a study's sample time."""
         sample_time = study.loop.sample_time

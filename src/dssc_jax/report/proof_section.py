@@ -35,6 +35,7 @@ def proofs(about: Subject) -> Section | None:
         if proved[at]
     ]
     if rows:
-        listed = table("Proved points", (*axes, "largest |e| once settled, proved [m]"), rows)
+        unit = result.dataset["proved_error"].attrs["units"]
+        listed = table("Proved points", (*axes, f"largest |e| once settled, proved [{unit}]"), rows)
         body.append(folded(f"All {counted(len(rows), 'proved point')}", listed))
     return Section("proofs", "What is proved", body)

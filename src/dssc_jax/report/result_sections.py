@@ -86,7 +86,7 @@ def together(point: dict[str, Any]) -> list[h.Node]:
     text = {each["name"]: each["text"] for each in point["requirements"]}
     rows = [(*(text[name] for name in pair["names"]), f"{pair['draws']:,}") for pair in pairs]
     caption = "Requirements that the same draws violate, without draws that ended early"
-    return [table(caption, ("one", "other", "draws"), rows, words=2)]
+    return [table(caption, ("requirement", "and requirement", "draws"), rows, words=2)]
 
 
 def fails(point: dict[str, Any]) -> tuple[str, str, str]:
@@ -124,8 +124,8 @@ def point_cells(about: Subject, point: dict[str, Any]) -> tuple[h.Node, ...]:
     """A row for a sweep point: its values, failures with interval, the main failure, the median, the certificate."""
     where = (number(point[name]) for name in about.result.study.axes)
     middle = point["metrics"][headline(about.result).name]["q50"]
-    worst_draws_section = [most_violated(point)] if len(point["requirements"]) > 1 else []
-    return *where, *fails(point), *worst_draws_section, number(middle), CERTIFIED_TEXT[point["certified"]]
+    main_failure = [most_violated(point)] if len(point["requirements"]) > 1 else []
+    return *where, *fails(point), *main_failure, number(middle), CERTIFIED_TEXT[point["certified"]]
 
 
 def sweep_section(about: Subject) -> Section | None:
