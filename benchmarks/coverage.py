@@ -15,7 +15,7 @@ from page import put
 from scipy import special, stats
 
 import dssc_jax as dj
-from dssc_jax.analyses.rare_events.splitting import Margin, split
+from dssc_jax.analyses.rare_events.splitting import SlackFunction, split
 from dssc_jax.analyses.sensitivity.outputs import refusal
 from dssc_jax.analyses.sensitivity.sobol import saltelli, sobol_indices
 from dssc_jax.engine.sampling import latin_design, sobol_points
@@ -200,13 +200,13 @@ def four_branch(z: np.ndarray, _: np.ndarray) -> np.ndarray:
     return np.min([bow - x - y, bow + x + y, straight + skew, straight - skew], axis=0)
 
 
-def splitting(p: float, margin: Margin, dimension: int, particles: int, repeats: int) -> Trial:
+def splitting(p: float, margin: SlackFunction, dimension: int, particles: int, repeats: int) -> Trial:
     """The interval over repeats of the splitting estimator."""
     how = dj.Splitting(particles, particles // 2, repeats=repeats)
     return lambda seed: side(split(margin, dimension, (seed,), how).interval(), p)
 
 
-def plane(p: float) -> Margin:
+def plane(p: float) -> SlackFunction:
     """A half space of probability p in three dimensions."""
     distance = stats.norm.isf(p)
     return lambda z, _: distance - z.sum(-1) / np.sqrt(z.shape[-1])
