@@ -134,5 +134,5 @@ def test_a_controller_that_declares_nothing_is_refused_by_name(monkeypatch):
         controller_table(study, "bare_law")
     own = study.override({"controller": {"kind": "bare_law", "l0": 1.0, "kappa1": 1.0, "kappa2": 1.0}})
     assert ranges(own, {}) == {}
-    with pytest.raises(dj.ConfigError, match="'bare_law' has no limit; sta and vgsta have"):
+    with pytest.raises(dj.ConfigError, match="'bare_law' has no limit; these have one: sta, vgsta"):
         controller_table(own, "bare_law_limited")
