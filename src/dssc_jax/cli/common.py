@@ -260,7 +260,7 @@ def output_analysis(
     files: dict[str, Path],
     figures: list[Path],
     as_json: bool,
-    show: Callable[[dict[str, Any], list[Path]], None],
+    show: Callable[[Any, list[Path]], None],
 ) -> None:
     """Print an analysis.
 
@@ -277,7 +277,7 @@ def output_analysis(
     if as_json:
         print(json.dumps(summary, allow_nan=False))
     else:
-        show(summary, [*files.values(), *figures])
+        show(analysis, [*files.values(), *figures])
 
 
 def attempt(path: Path, write: Callable[[], Any]) -> None:

@@ -7,33 +7,41 @@ from typing import Any
 import numpy as np
 from rich.markup import escape
 
-from dssc_jax.console.terminal import number_text, output, show_files, show_pairs, show_table
+from dssc_jax.analyses.comparison import Comparison
+from dssc_jax.analyses.comparison.compare import ComparisonAnswer, ContestAnswer
+from dssc_jax.analyses.rare_events.rare import RareEvent
+from dssc_jax.analyses.sensitivity import Sensitivity
+from dssc_jax.console.terminal import output, show_files, show_pairs, show_table
 
 
-def show_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
+def show_comparison(comparison: Comparison, files: list[Path]) -> None:
     """Print controllers singly and in pairs, with corresponding gains (Table 2) and with tuned gains, if any."""
+    answer = comparison.answer
     console = output()
-    required = "; ".join(summary["requirements"]) or "that the draw stays finite"
-    console.print(f"[bold]{escape(summary['study'])}[/bold]  required: {escape(required)}")
-    for contest, gains in ((summary, "given or corresponding gains"), (summary["tuned"], "tuned gains")):
-        if contest is None:
-            continue
-        metric = summary["headline"]
-        rows = []
-        for name, own in contest["controllers"].items():
-            low, high = own["interval"]
-            share = f"{own['probability']:.4g}" if own["failures"] else f"<= {high:.3g}"
-            counted = f"{own['failures']}/{summary['draws']}"
-            middle = number_text(own["median"].get(metric), ".4g")
-            rows.append((name, counted, share, f"[{low:.3g}, {high:.3g}]", middle))
-        show_table((gains, "failures", "probability", "95 % interval", f"median {metric}"), rows)
-        show_pairs(contest["pairs"], "failure probability, paired", "exact McNemar")
-    if summary["tuned"]:
-        for name, own in summary["tuned"]["controllers"].items():
-            gains = ", ".join(tuned_numbers(summary["controllers"][name]["controller"], own["controller"]))
+    required = "; ".join(answer.requirements) or "that the draw stays finite"
+    console.print(f"[bold]{escape(comparison.study.name)}[/bold]  required: {escape(required)}")
+    show_contest(answer.corresponding, answer, "given or corresponding gains")
+    if answer.tuned:
+        show_contest(answer.tuned.contest, answer, "tuned gains")
+        for name, controller in answer.tuned.contest.controllers.items():
+            untuned = answer.corresponding.controllers[name].controller
+            gains = ", ".join(tuned_numbers(untuned, controller.controller))
             console.print(f"{name} tuned: {gains or 'the given gains stay'}", markup=False, soft_wrap=True)
-        console.print(f"tuning: {escape(summary['tuned']['budget'])}", soft_wrap=True)
+        console.print(f"tuning: {escape(answer.tuned.budget)}", soft_wrap=True)
     show_files(files)
+
+
+def show_contest(contest: ContestAnswer, answer: ComparisonAnswer, gains: str) -> None:
+    """Print one row for each controller and one for each pair."""
+    rows = []
+    for name, controller in contest.controllers.items():
+        low, high = controller.interval
+        share = f"{controller.probability:.4g}" if controller.failures else f"<= {high:.3g}"
+        median = controller.median.get(answer.headline)
+        middle = "none" if median is None or not np.isfinite(median) else f"{median:.4g}"
+        rows.append((name, f"{controller.failures}/{answer.draws}", share, f"[{low:.3g}, {high:.3g}]", middle))
+    show_table((gains, "failures", "probability", "95 % interval", f"median {answer.headline}"), rows)
+    show_pairs(contest.pairs, "failure probability, paired", "exact McNemar")
 
 
 def tuned_numbers(given: Mapping[str, Any], tuned: Mapping[str, Any], path: str = "") -> list[str]:
@@ -47,8 +55,9 @@ def tuned_numbers(given: Mapping[str, Any], tuned: Mapping[str, Any], path: str 
     return numbers
 
 
-def show_sensitivity(summary: Mapping[str, Any], files: list[Path]) -> None:
+def show_sensitivity(sensitivity: Sensitivity, files: list[Path]) -> None:
     """Print what failure and the study's headline metric depend on; the folder has all outputs."""
+    summary = sensitivity.summary()
     console = output()
     console.print(
         f"[bold]{escape(summary['study'])}[/bold]  {summary['title']}, {summary['simulations']} simulations on "
@@ -73,8 +82,9 @@ def interval_text(value: float, low: float, high: float) -> str:
     return f"{value:.3g} [{low:.3g}, {high:.3g}]{'  consistent with 0' if low <= 0.0 else ''}"
 
 
-def show_rare(summary: Mapping[str, Any], files: list[Path]) -> None:
+def show_rare(event: RareEvent, files: list[Path]) -> None:
     """Print the probability of a rare failure, its cost, and where the failures are."""
+    summary = event.summary()
     console = output()
     low, high = summary["interval"]
     level = f"{100 * summary['confidence']:g} % {summary['interval_method']}"

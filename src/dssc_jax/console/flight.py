@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from dssc_jax.console.terminal import output, show_files, show_table
+from dssc_jax.flight_logs.comparison import LogComparison
 
 SIGNIFICANCE = 0.05  # of the test of a log
 
@@ -38,8 +39,9 @@ def show_code(summary: dict[str, Any]) -> None:
         console.print(f"wrote {summary['folder']}/{fmu['file']}, {how}", soft_wrap=True, markup=False)
 
 
-def show_log_comparison(summary: Mapping[str, Any], files: list[Path]) -> None:
+def show_log_comparison(comparison: LogComparison, files: list[Path]) -> None:
     """Print the p-value, each signal's place among the draws, and how the replayed commands differ."""
+    summary = comparison.summary()
     console = output()
     say = partial(console.print, soft_wrap=True, markup=False)
     say(f"{summary['study']}: {summary['log']} over {summary['draws']} draws, {summary['samples']} samples")

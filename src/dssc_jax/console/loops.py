@@ -7,6 +7,7 @@ from typing import Any
 
 from rich.markup import escape
 
+from dssc_jax.analyses.loop_margins import LoopMargins
 from dssc_jax.console.terminal import output, show_files, show_table
 from dssc_jax.statistics import wilks_draws
 
@@ -30,8 +31,9 @@ MARGIN_ROWS: dict[str, tuple[str, Callable[[float], str]]] = {
 """Row of each margin and its text."""
 
 
-def show_loop(summary: Mapping[str, Any], files: list[Path]) -> None:
+def show_loop(margins: LoopMargins, files: list[Path]) -> None:
     """Print the margins of every operating point and break point."""
+    summary = margins.summary()
     console, draws = output(), summary["draws"]
     console.print(f"[bold]{escape(summary['study'])}[/bold]  {draws} draws, T_s = {summary['sample_time']:g} s")
     share, confidence = 100 * summary["share"], 100 * summary["confidence"]

@@ -1,45 +1,44 @@
 """Print the region of two numbers."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from rich.markup import escape
 
+from dssc_jax.analyses.region.safe_region import RegionAnswer, SafeRegion
 from dssc_jax.console.terminal import output, show_files, show_table
 
 
-def show_region(summary: Mapping[str, Any], files: list[Path]) -> None:
+def show_region(region: SafeRegion, files: list[Path]) -> None:
     """Print how many pairs meet the requirements, and what is claimed."""
+    answer = region.answer
     console = output()
-    console.print(f"[bold]{escape(summary['study'])}[/bold]  required: {escape('; '.join(summary['requirements']))}")
-    share, allowed = f"{100 * summary['passing']:g} %", summary["failures_allowed"]
+    console.print(f"[bold]{escape(region.study.name)}[/bold]  required: {escape('; '.join(answer.requirements))}")
+    share = f"{100 * answer.passing:g} %"
     rows = [
-        (f"at least {share} of all plants pass", str(summary["meets"]), f"at most {allowed} failures"),
-        ("undecided", str(summary["undecided"]), ""),
-        (f"fewer than {share} pass", str(summary["fails"]), f"at least {summary['failures_refuting']} failures"),
+        (f"at least {share} of all plants pass", str(answer.meets), f"at most {answer.failures_allowed} failures"),
+        ("undecided", str(answer.undecided), ""),
+        (f"fewer than {share} pass", str(answer.fails), f"at least {answer.failures_refuting} failures"),
     ]
-    lattice = " x ".join(map(str, summary["lattice"]))
-    head = (" and ".join(summary["names"]), "pairs", f"of {summary['draws']} draws")
-    show_table(head, rows, f"{summary['simulated_points']} of {lattice} pairs simulated")
-    show_safe_ranges(summary)
+    lattice = " x ".join(map(str, answer.lattice))
+    head = (" and ".join(answer.names), "pairs", f"of {answer.draws} draws")
+    show_table(head, rows, f"{answer.simulated_points} of {lattice} pairs simulated")
+    show_safe_ranges(answer)
     console.print(
-        f"{100 * summary['confidence']:g} % confidence for all pairs together; nothing is claimed between them",
+        f"{100 * answer.confidence:g} % confidence for all pairs together; nothing is claimed between them",
         markup=False,
     )
-    console.print(f"{summary['certificate']}; it certifies {summary['certified']} pairs", markup=False, soft_wrap=True)
+    console.print(f"{answer.certificate}; it certifies {answer.certified} pairs", markup=False, soft_wrap=True)
     show_files(files)
 
 
-def show_safe_ranges(summary: Mapping[str, Any]) -> None:
+def show_safe_ranges(answer: RegionAnswer) -> None:
     """Print the safe ranges of the second number for some values of the first."""
     first, second = (
-        name if unit in ("", "1") else f"{name} [{unit}]"
-        for name, unit in zip(summary["names"], summary["units"], strict=True)
+        name if unit in ("", "1") else f"{name} [{unit}]" for name, unit in zip(answer.names, answer.units, strict=True)
     )
-    rows = [
-        (f"{row['first']:.4g}", "; ".join(f"{low:.4g} to {high:.4g}" for low, high in row["second"]))
-        for row in summary["safe_ranges"]
-    ]
+    rows = []
+    for line in answer.safe_ranges:
+        ranges = "; ".join(f"{low:.4g} to {high:.4g}" for low, high in line.second)
+        rows.append((f"{line.first:.4g}", ranges))
     if rows:
-        show_table((first, f"safe {second}"), rows, f"pairs at which at least {100 * summary['passing']:g} % pass")
+        show_table((first, f"safe {second}"), rows, f"pairs at which at least {100 * answer.passing:g} % pass")

@@ -2,17 +2,19 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from rich.markup import escape
 
+from dssc_jax.analyses.falsification.falsify import Falsified
+from dssc_jax.analyses.tuning import Tuned
 from dssc_jax.console.terminal import number_text, output, show_files, show_table
 
 ENDED = "ended early"
 
 
-def show_tuning(summary: Mapping[str, Any], files: list[Path]) -> None:
+def show_tuning(tuned: Tuned, files: list[Path]) -> None:
     """Print the tuned numbers and their evaluation on fresh draws."""
+    summary = tuned.summary()
     console = output()
     console.print(f"[bold]{escape(summary['study'])}[/bold]")
     rows = [(name, f"{summary['start'][name]:.6g}", f"{value:.6g}") for name, value in summary["tuned"].items()]
@@ -61,8 +63,9 @@ def likelihood_text(likelihood: Mapping[str, float]) -> str:
     )
 
 
-def show_falsification(summary: Mapping[str, Any], files: list[Path]) -> None:
+def show_falsification(falsified: Falsified, files: list[Path]) -> None:
     """Print the worst draw found and the likeliest failure, with their likelihoods."""
+    summary = falsified.summary()
     console = output()
     required = escape("; ".join(summary["requirements"]))
     console.print(f"[bold]{escape(summary['study'])}[/bold]  required: {required}")

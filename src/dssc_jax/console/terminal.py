@@ -1,11 +1,11 @@
 """Output shared by all commands: tables, progress, plain data for JSON."""
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Protocol
 
 from rich.console import Console
 from rich.markup import escape
@@ -135,13 +135,42 @@ def show_blocks(head: Sequence[str], rows: Sequence[Sequence[str]], title: str |
             console.print(f"  {name:<{width}}  {cell}", markup=False, soft_wrap=True)
 
 
-def show_pairs(pairs: Sequence[Mapping[str, Any]], title: str, test: str) -> None:
+class PairedDifference(Protocol):
+    """The difference of a pair of controllers a, b, with its interval and the test's p-value."""
+
+    @property
+    def a(self) -> str:
+        """One controller."""
+        ...
+
+    @property
+    def b(self) -> str:
+        """The other controller."""
+        ...
+
+    @property
+    def difference(self) -> float:
+        """That of a minus that of b."""
+        ...
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Of the difference."""
+        ...
+
+    @property
+    def p_value(self) -> float:
+        """Of no difference."""
+        ...
+
+
+def show_pairs(pairs: Sequence[PairedDifference], title: str, test: str) -> None:
     """Print the differences of all pairs of controllers, with their intervals and the test's p-values."""
     rows = []
     for pair in pairs:
-        low, high = pair["interval"]
-        difference = f"{pair['difference']:+.4g} in [{low:+.3g}, {high:+.3g}]"
-        rows.append((f"{pair['a']} - {pair['b']}", difference, f"{pair['p_value']:.3g}"))
+        low, high = pair.interval
+        difference = f"{pair.difference:+.4g} in [{low:+.3g}, {high:+.3g}]"
+        rows.append((f"{pair.a} - {pair.b}", difference, f"{pair.p_value:.3g}"))
     show_table((title, "difference, 95 % interval", f"p-value ({test})"), rows)
 
 

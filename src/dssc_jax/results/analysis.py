@@ -4,20 +4,31 @@ import json
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self, TypeVar, get_type_hints
 
 import xarray as xr
 from matplotlib.figure import Figure
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.results.analysis_folder import Stored, read_analysis, save
-from dssc_jax.results.summary import jsonable
+from dssc_jax.results.analysis_folder import read_analysis, save
+from dssc_jax.results.fields import restored_fields, stored_fields
+from dssc_jax.results.summary import JsonObject, jsonable
 from dssc_jax.study import Study
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+STORED_APART = frozenset({"study", "dataset", "path", "integration"})
+"""Fields that are no settings: they have files or entries of their own in the folder."""
 
 
 @dataclass(eq=False)
 class Analysis(ABC):
     """The result of an analysis of a study.
+
+    A kind of analysis is a dataclass with further fields, which are saved by their types, and :attr:`answer`, a frozen
+    dataclass whose fields have units and meanings. Its JSON, its report and its page in the documentation follow from
+    these.
 
     Args:
         study: The study that was analysed.
@@ -37,7 +48,7 @@ class Analysis(ABC):
     study: Study
     dataset: xr.Dataset = field(repr=False)
     path: Path | None = field(default=None, init=False, repr=False)
-    integration: dict[str, Any] | None = field(default=None, init=False, repr=False)
+    integration: JsonObject | None = field(default=None, init=False, repr=False)
 
     @property
     @abstractmethod
@@ -48,27 +59,22 @@ class Analysis(ABC):
     def figure(self) -> Figure:
         """Plot the answer."""
 
+    @property
     @abstractmethod
-    def content(self) -> dict[str, Any]:
-        """The content of :meth:`summary`, still with arrays, infinities and NaN."""
-
-    @abstractmethod
-    def settings(self) -> dict[str, Any]:
-        """What :meth:`restored` needs besides the dataset, for JSON."""
+    def answer(self) -> "DataclassInstance":
+        """The answer: a frozen dataclass whose fields have units and meanings, ``Annotated[..., Quantity(...)]``."""
 
     @classmethod
-    @abstractmethod
-    def restored(cls, stored: Stored) -> Self:
-        """Restore a saved analysis.
+    def answer_type(cls) -> type:
+        """The type of :attr:`answer`."""
+        getter = cls.answer.fget
+        assert getter is not None
+        return get_type_hints(getter)["return"]
 
-        Raises:
-            KeyError, TypeError, ValueError: something is missing or has the wrong type or value.
-        """
-
-    def summary(self) -> dict[str, Any]:
-        """The analysis in plain numbers, for JSON; infinite values and NaN become None."""
+    def summary(self) -> JsonObject:
+        """The answer in plain numbers, for JSON; infinite values and NaN become None."""
         checked = {} if self.integration is None else {"integration": self.integration}
-        return jsonable({"study": self.study.name, **self.content(), **checked})
+        return {"study": self.study.name} | jsonable(self.answer) | checked
 
     def save(self, folder: str | Path) -> Path:
         """Write description, dataset and summary into a folder.
@@ -79,8 +85,8 @@ class Analysis(ABC):
         Raises:
             ConfigError: the folder contains something else.
         """
-        settings = self.settings() | {"integration": self.integration}
-        self.path = save(Path(folder), self.kind, self.study, self.dataset, self.summary(), settings)
+        stored = settings(self) | {"integration": self.integration}
+        self.path = save(Path(folder), self.kind, self.study, self.dataset, self.summary(), stored)
         return self.path
 
     @classmethod
@@ -97,9 +103,10 @@ class Analysis(ABC):
         stored = read_analysis(Path(folder), cls.kind, trust_code)
         integration = stored.settings.pop("integration", None)
         try:
-            analysis = cls.restored(stored)
-        except ConfigError:
-            raise
+            analysis = restored(cls, stored.study, stored.dataset, stored.settings)
+        except ConfigError as error:
+            rule = f"{cls.kind}.json is damaged, or of another version: {error}"
+            raise ConfigError(str(folder), rule) from error
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             rule = f"{cls.kind}.json is damaged, or of another version: {error!r}"
             raise ConfigError(str(folder), rule) from error
@@ -116,3 +123,20 @@ class Analysis(ABC):
         return json.dumps(self.summary(), sort_keys=True) == json.dumps(other.summary(), sort_keys=True)
 
     __hash__ = None  # type: ignore[assignment]
+
+
+Kind = TypeVar("Kind", bound=Analysis)
+
+
+def settings(analysis: Analysis) -> JsonObject:
+    """The fields of an analysis besides study and dataset, as JSON has them."""
+    return stored_fields(analysis, STORED_APART)
+
+
+def restored(kind: type[Kind], study: Study, dataset: xr.Dataset, stored: JsonObject) -> Kind:
+    """The analysis with these :func:`settings`.
+
+    Raises:
+        ConfigError: a setting is missing or has a value of another type; the message names it.
+    """
+    return kind(study, dataset, **restored_fields(kind, stored, STORED_APART))

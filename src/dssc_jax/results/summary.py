@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from itertools import combinations
 from typing import Any, NamedTuple, TypeAlias
 
@@ -10,6 +11,7 @@ import xarray as xr
 
 from dssc_jax.closed_loop.requirements import ended_early, violated
 from dssc_jax.core.signals import Outcome
+from dssc_jax.results.fields import MERGED
 from dssc_jax.results.schema import outcome_codes
 from dssc_jax.statistics import Method, Replicated
 from dssc_jax.statistics.order import at_rank, quantile_ranks, ranked, upper_quantile
@@ -201,8 +203,21 @@ def most_violated(point: SummaryRow) -> str:
     return f"{worst['name']} ({worst['failures']})" if worst and worst["failures"] else "-"
 
 
+JsonObject: TypeAlias = dict[str, Any]
+"""A JSON object: strings, numbers, booleans, None, and lists and objects of these."""
+
+
 def jsonable(content: object) -> Any:
-    """Plain data as JSON has it: arrays become lists; NaN and infinity become None."""
+    """Plain data as JSON has it: dataclasses become objects, arrays lists, NaN and infinity None."""
+    if is_dataclass(content) and not isinstance(content, type):
+        table: JsonObject = {}
+        for field in fields(content):
+            value = jsonable(getattr(content, field.name))
+            if field.metadata.get(MERGED):
+                table |= value
+            else:
+                table[field.name] = value
+        return table
     if isinstance(content, Mapping):
         return {str(name): jsonable(value) for name, value in content.items()}
     if isinstance(content, np.ndarray):

@@ -36,8 +36,8 @@ def found(study):
 
 
 def test_every_controller_runs_alone_as_in_company(study, found):
-    alone = dj.run(study.override({"controller": found.given.tables["sta"]})).dataset
-    together = found.given.dataset.sel(controller="sta")
+    alone = dj.run(study.override({"controller": found.corresponding.tables["sta"]})).dataset
+    together = found.corresponding.dataset.sel(controller="sta")
     for variable in ("error_rms", "command_tv", "outcome", "plant.k_p", "disturbance.value"):
         assert np.array_equal(alone[variable].values, together[variable].values), variable
 
@@ -47,7 +47,7 @@ def test_noise_is_common(study):
     pi = {"kind": "pi", "l0": 1.0, "k_p": 4.0, "k_i": 2.0}
     noisy = study.override({"disturbance": {"kind": "filtered_noise", "std": 0.2, "correlation_time": 0.5}, "draws": 8})
     twins = dj.compare(noisy.override({"compare": {"left": pi, "right": pi}}), ["left", "right"])
-    left, right = (twins.given.dataset["error_rms"].sel(controller=name).values for name in ("left", "right"))
+    left, right = (twins.corresponding.dataset["error_rms"].sel(controller=name).values for name in ("left", "right"))
     assert np.array_equal(left, right)
     assert np.ptp(left) > 0.0
     assert twins.summary()["pairs"][0]["p_value"] == 1.0
@@ -56,7 +56,7 @@ def test_noise_is_common(study):
 def test_pairs(found):
     pairs = found.summary()["pairs"]
     assert [(pair["a"], pair["b"]) for pair in pairs] == [("dssc", "sta")]
-    failed = found.given.dataset["failed"]
+    failed = found.corresponding.dataset["failed"]
     for pair in pairs:
         expected = compare_failures(*(failed.sel(controller=pair[side]).values for side in "ab"))
         assert pair["difference"] == expected.difference
@@ -70,14 +70,14 @@ def test_pairs(found):
 
 def test_the_given_tables_survive_tuning(study, found):
     assert study.table == TABLE
-    assert found.given.tables["dssc"]["functions"]["kappa1"] == 4.0
+    assert found.corresponding.tables["dssc"]["functions"]["kappa1"] == 4.0
 
 
 def test_tuning_gives_every_controller_the_same(study, found):
     assert found.budget == Tuning(candidates=4, draws=8, seed=10)
     assert found.budget.text in found.summary()["tuned"]["budget"]
     for name, gains in (("dssc", ("kappa1", "kappa2")), ("sta", ("kappa1", "kappa2"))):
-        given, best = found.given.tables[name], found.tuned.tables[name]
+        given, best = found.corresponding.tables[name], found.tuned.tables[name]
         given, best = (table.get("functions", table) for table in (given, best))
         for gain in gains:
             assert given[gain] / 10 * (1 - 1e-9) <= best[gain] <= given[gain] * 10 * (1 + 1e-9)
@@ -122,7 +122,7 @@ def test_a_saved_comparison_is_the_same_again(found, tmp_path):
     back = dj.load(tmp_path / "c")
     assert isinstance(back, dj.Comparison)
     assert back.summary() == found.summary()
-    assert back.given.dataset.identical(found.given.dataset)
+    assert back.corresponding.dataset.identical(found.corresponding.dataset)
     assert back.tuned.dataset.identical(found.tuned.dataset)
     assert (back.budget, back.study.hash) == (found.budget, found.study.hash)
 

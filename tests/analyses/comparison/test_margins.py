@@ -23,7 +23,7 @@ def found(study):
 
 
 def test_each_is_the_margin_that_is_found_alone(study, found):
-    table = dj.compare(study.override({"draws": 1}), ["dssc", "pi"]).given.tables["pi"]
+    table = dj.compare(study.override({"draws": 1}), ["dssc", "pi"]).corresponding.tables["pi"]
     alone = dj.margin(study.override({"controller": table}), **WALK)
     assert found.margins["pi"].dataset.identical(alone.dataset)
     drawn = [of.dataset["plant.k_p"].values for of in found.margins.values()]
@@ -31,13 +31,13 @@ def test_each_is_the_margin_that_is_found_alone(study, found):
 
 
 def test_pairs_count_who_goes_further(found):
-    pairs = {(pair["a"], pair["b"]): pair for pair in found.pairs()}
+    pairs = {(pair.a, pair.b): pair for pair in found.pairs()}
     assert set(pairs) == {("dssc", "pi"), ("dssc", "smc"), ("pi", "smc")}
     for (a, b), pair in pairs.items():
         left, right = found.margins[a].reached, found.margins[b].reached
-        assert pair["a_further"] == np.count_nonzero(left > right)
-        assert pair["b_further"] == np.count_nonzero(right > left)
-        assert pair["interval"] == list(compare_failures(left > right, right > left).interval)
+        assert pair.a_further == np.count_nonzero(left > right)
+        assert pair.b_further == np.count_nonzero(right > left)
+        assert pair.interval == compare_failures(left > right, right > left).interval
 
 
 def test_censored_draws_tie_or_are_ranked(found):

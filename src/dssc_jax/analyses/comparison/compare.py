@@ -3,8 +3,9 @@
 import itertools
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Self
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Annotated, NamedTuple, Self
 
 import numpy as np
 import xarray as xr
@@ -15,10 +16,11 @@ from dssc_jax.analyses.comparison.rivals import ControllerTable, controller_tabl
 from dssc_jax.analyses.comparison.tuning import Tuning, tuned, with_gains
 from dssc_jax.analyses.defaults import TUNING_DRAWS
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Outcome, ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.results.analysis import Analysis
-from dssc_jax.results.analysis_folder import Stored
+from dssc_jax.results.fields import MERGED
 from dssc_jax.results.result import headline_measure
 from dssc_jax.runs import run as running
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson, compare_failures, compare_metrics
@@ -26,8 +28,70 @@ from dssc_jax.statistics.order import upper_quantiles
 from dssc_jax.study import Study
 
 
-@dataclass
-class Contest:
+@dataclass(frozen=True)
+class MetricDifference:
+    """The median of a metric's difference between two controllers, draw by draw."""
+
+    difference: Annotated[float, Quantity("that of the metric", "median of that of a minus that of b")]
+    interval: Annotated[tuple[float, float], Quantity("that of the metric", "its interval")]
+
+
+@dataclass(frozen=True)
+class ControllerPair:
+    """Two controllers on the same draws: failure probability of a minus that of b."""
+
+    a: Annotated[str, Quantity("", "one controller")]
+    b: Annotated[str, Quantity("", "the other controller")]
+    draws: Annotated[int, Quantity("1", "number of draws")]
+    only_a: Annotated[int, Quantity("1", "draws on which only a fails")]
+    only_b: Annotated[int, Quantity("1", "draws on which only b fails")]
+    difference: Annotated[float, Quantity("1", "failure probability of a minus that of b")]
+    interval: Annotated[tuple[float, float], Quantity("1", "its interval, for paired draws")]
+    p_value: Annotated[float, Quantity("1", "exact test of McNemar")]
+    metrics: dict[str, MetricDifference]
+
+
+@dataclass(frozen=True)
+class ControllerAnswer:
+    """A controller's failures and its metrics."""
+
+    controller: Annotated[ControllerTable, Quantity("", "its table")]
+    failures: Annotated[int, Quantity("1", "failed draws")]
+    probability: Annotated[float, Quantity("1", "failure probability")]
+    interval: Annotated[tuple[float, float], Quantity("1", "its interval (Clopper-Pearson)")]
+    median: Annotated[dict[str, float], Quantity("that of the metric", "median of each metric")]
+
+
+@dataclass(frozen=True)
+class ContestAnswer:
+    """Controllers on the same draws, singly and in pairs."""
+
+    controllers: dict[str, ControllerAnswer]
+    pairs: list[ControllerPair]
+
+
+@dataclass(frozen=True)
+class TunedContestAnswer:
+    """Controllers with gains that were tuned on equal budgets."""
+
+    budget: Annotated[str, Quantity("", "the budget of each controller")]
+    contest: ContestAnswer = field(metadata={MERGED: True})
+
+
+@dataclass(frozen=True)
+class ComparisonAnswer:
+    """Controllers with the study's gains or those that follow from it, and with tuned gains."""
+
+    draws: Annotated[int, Quantity("1", "number of draws")]
+    confidence: Annotated[float, Quantity("1", "confidence of each interval")]
+    requirements: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]
+    headline: Annotated[str, Quantity("", "the metric that is shown")]
+    corresponding: ContestAnswer = field(metadata={MERGED: True})
+    tuned: TunedContestAnswer | None
+    seconds: Annotated[float, Quantity("s", "computing time")]
+
+
+class Contest(NamedTuple):
     """The results of several controllers on the same draws.
 
     Args:
@@ -46,55 +110,65 @@ class Contest:
             parts.append(running.run(with_controller(study, name, table)).dataset)
             progress()
         first = parts[0]
-        drawn = [name for name in first if all("law" in other.get(name, other["outcome"]).attrs for other in parts)]
-        common = [name for name in first if name not in drawn and all(name in other for other in parts)]
+        drawn = [name for name in first if all("law" in part.get(name, part["outcome"]).attrs for part in parts)]
+        common = [name for name in first if name not in drawn and all(name in part for part in parts)]
         axis = named_axis(list(tables))
-        dataset = xr.concat([other[common] for other in parts], dim=axis, join="exact").assign(first[drawn])
+        dataset = xr.concat([part[common] for part in parts], dim=axis, join="exact").assign(first[drawn])
         failed = dataset["outcome"] != Outcome.OK
         dataset["failed"] = (failed.dims, failed.values, {"long_name": "the draw failed"})
         return cls(tables, dataset)
-
-    def settings(self) -> dict[str, Any]:
-        """What :meth:`stored` needs besides the dataset, for JSON."""
-        return {"tables": self.tables, "variables": [str(name) for name in self.dataset]}
-
-    @classmethod
-    def stored(cls, settings: dict[str, Any], dataset: xr.Dataset) -> "Contest":
-        """Restore a contest from :meth:`settings` and the controllers' part of the dataset."""
-        tables = settings["tables"]
-        return cls(tables, dataset.assign_coords(controller=named_axis(list(tables)))[settings["variables"]])
 
     def metrics(self, study: Study) -> list[str]:
         """The study's metrics that all controllers have."""
         return [measure.name for measure in study.measures if measure.name in self.dataset]
 
-    def pairs(self, study: Study, confidence: float = CONFIDENCE) -> list[dict[str, Any]]:
+    def pairs(self, study: Study, confidence: float = CONFIDENCE) -> list[ControllerPair]:
         """For every pair a, b: failure probability of a minus that of b, and the median of each metric's difference."""
         pairs = []
         for a, b in itertools.combinations(self.tables, 2):
-            left, right = (self.dataset.sel(controller=name) for name in (a, b))
+            left = self.dataset.sel(controller=a)
+            right = self.dataset.sel(controller=b)
             failures = compare_failures(left["failed"].values, right["failed"].values, confidence)
             metrics = {}
             for name in self.metrics(study):
-                difference = compare_metrics(left[name].values, right[name].values, confidence=confidence)
-                metrics[name] = {"difference": difference.difference, "interval": list(difference.interval)}
-            pairs.append({"a": a, "b": b, **failures._asdict(), "metrics": metrics})
+                paired = compare_metrics(left[name].values, right[name].values, confidence=confidence)
+                metrics[name] = MetricDifference(paired.difference, paired.interval)
+            pairs.append(ControllerPair(a, b, **failures._asdict(), metrics=metrics))
         return pairs
 
-    def content(self, study: Study, confidence: float = CONFIDENCE) -> dict[str, Any]:
+    def answer(self, study: Study, confidence: float = CONFIDENCE) -> ContestAnswer:
         """Summarise each controller and each pair."""
         controllers = {}
         for name, table in self.tables.items():
-            own = self.dataset.sel(controller=name)
-            failures, draws = int(own["failed"].sum()), own.sizes["draw"]
-            controllers[name] = {
-                "controller": table,
-                "failures": failures,
-                "probability": failures / draws,
-                "interval": clopper_pearson(failures, draws, confidence),
-                "median": {one: upper_quantiles(own[one].values, [0.5])[0] for one in self.metrics(study)},
-            }
-        return {"controllers": controllers, "pairs": self.pairs(study, confidence)}
+            data = self.dataset.sel(controller=name)
+            failures = int(data["failed"].sum())
+            draws = data.sizes["draw"]
+            medians = {metric: upper_quantiles(data[metric].values, [0.5])[0] for metric in self.metrics(study)}
+            low, high = clopper_pearson(failures, draws, confidence)
+            controllers[name] = ControllerAnswer(table, failures, failures / draws, (low, high), medians)
+        return ContestAnswer(controllers, self.pairs(study, confidence))
+
+
+class ContestPart(NamedTuple):
+    """What a contest holds besides its part of the dataset.
+
+    Args:
+        tables: The ``[controller]`` table of each controller.
+        variables: Its variables of the dataset.
+    """
+
+    tables: dict[str, ControllerTable]
+    variables: tuple[str, ...]
+
+    @classmethod
+    def of(cls, contest: Contest) -> "ContestPart":
+        """The part of a contest."""
+        return cls(contest.tables, tuple(map(str, contest.dataset)))
+
+    def contest(self, dataset: xr.Dataset) -> Contest:
+        """The contest with these controllers' part of the dataset."""
+        named = dataset.assign_coords(controller=named_axis(list(self.tables)))
+        return Contest(self.tables, named[list(self.variables)])
 
 
 def named_axis(names: list[str]) -> xr.DataArray:
@@ -109,8 +183,8 @@ class Comparison(Analysis):
     The dataset has every draw of every controller. Controllers with tuned gains are called NAME_tuned.
 
     Args:
-        given: Results with the gains that the study gives, or that follow from it.
-        tuned: Results with the best gains found within the budget; None if nothing was tuned.
+        corresponding_part: Controllers with the gains that the study gives, or that follow from it.
+        tuned_part: Controllers with the best gains found within the budget; None if nothing was tuned.
         budget: That budget.
         seconds: Computing time.
     """
@@ -119,8 +193,8 @@ class Comparison(Analysis):
     title = "Controllers compared"
     table = ("controller", "draw")
 
-    given: Contest
-    tuned: Contest | None = None
+    corresponding_part: ContestPart
+    tuned_part: ContestPart | None = None
     budget: Tuning | None = None
     seconds: float = 0.0
 
@@ -128,66 +202,62 @@ class Comparison(Analysis):
     def of(
         cls,
         study: Study,
-        given: Contest,
+        corresponding: Contest,
         tuned: Contest | None = None,
         budget: Tuning | None = None,
         seconds: float = 0.0,
     ) -> Self:
         """Combine one or both contests."""
+        part = ContestPart.of(corresponding)
         if tuned is None:
-            return cls(study, given.dataset, given, seconds=seconds)
+            return cls(study, corresponding.dataset, part, seconds=seconds)
         names = named_axis([f"{name}_tuned" for name in tuned.tables])
         dataset = xr.concat(
-            [given.dataset, tuned.dataset.assign_coords(controller=names)],
+            [corresponding.dataset, tuned.dataset.assign_coords(controller=names)],
             dim="controller", data_vars="minimal", coords="minimal", compat="override", join="outer",
         )  # fmt: skip
-        return cls(study, dataset, given, tuned, budget, seconds)
+        return cls(study, dataset, part, ContestPart.of(tuned), budget, seconds)
+
+    @cached_property
+    def corresponding(self) -> Contest:
+        """The contest with the gains that the study gives, or that follow from it."""
+        count = len(self.corresponding_part.tables)
+        return self.corresponding_part.contest(self.dataset.isel(controller=slice(count)))
+
+    @cached_property
+    def tuned(self) -> Contest | None:
+        """The contest with tuned gains; None if nothing was tuned."""
+        if self.tuned_part is None:
+            return None
+        count = len(self.corresponding_part.tables)
+        return self.tuned_part.contest(self.dataset.isel(controller=slice(count, None)))
 
     @property
     def headline(self) -> str:
         """The answer in one line."""
-        failures = self.given.dataset["failed"].sum("draw")
-        counts = (f"{name} {int(failures.sel(controller=name))}" for name in self.given.tables)
-        return f"failures in {self.given.dataset.sizes['draw']:,} draws: {', '.join(counts)}"
+        failures = self.corresponding.dataset["failed"].sum("draw")
+        counts = [f"{name} {int(failures.sel(controller=name))}" for name in self.corresponding.tables]
+        return f"failures in {self.dataset.sizes['draw']:,} draws: {', '.join(counts)}"
 
     def figure(self) -> Figure:
         """Plot the answer."""
         return plotting.comparison(self)
 
-    def content(self) -> dict[str, Any]:
-        """See :class:`Analysis`."""
+    @property
+    def answer(self) -> ComparisonAnswer:
+        """The answer in numbers."""
         tuned = None
         if self.tuned is not None and self.budget is not None:
-            tuned = {"budget": self.budget.text, **self.tuned.content(self.study)}
-        return {
-            "draws": self.study.config.draws,
-            "confidence": CONFIDENCE,
-            "requirements": [requirement.text for requirement in self.study.requirements],
-            "headline": headline_measure(self.study).name,
-            **self.given.content(self.study),
-            "tuned": tuned,
-            "seconds": self.seconds,
-        }
-
-    def settings(self) -> dict[str, Any]:
-        """See :class:`Analysis`."""
-        return {
-            "given": self.given.settings(),
-            "tuned": self.tuned.settings() if self.tuned else None,
-            "budget": asdict(self.budget) if self.budget else None,
-            "seconds": self.seconds,
-        }
-
-    @classmethod
-    def restored(cls, stored: Stored) -> Self:
-        """See :class:`Analysis`."""
-        study, dataset, settings = stored
-        count = len(settings["given"]["tables"])
-        given = Contest.stored(settings["given"], dataset.isel(controller=slice(count)))
-        rest = dataset.isel(controller=slice(count, None))
-        tuned = Contest.stored(settings["tuned"], rest) if settings["tuned"] else None
-        budget = Tuning(**settings["budget"]) if settings["budget"] else None
-        return cls.of(study, given, tuned, budget, settings["seconds"])
+            tuned = TunedContestAnswer(self.budget.text, self.tuned.answer(self.study))
+        return ComparisonAnswer(
+            draws=self.study.config.draws,
+            confidence=CONFIDENCE,
+            requirements=tuple(requirement.text for requirement in self.study.requirements),
+            headline=headline_measure(self.study).name,
+            corresponding=self.corresponding.answer(self.study),
+            tuned=tuned,
+            seconds=self.seconds,
+        )
 
 
 def with_controller(study: Study, name: str, table: ControllerTable) -> Study:
@@ -258,16 +328,15 @@ def compare(
     budget = Tuning.of(study, candidates, tuning_draws) if candidates else None
     if budget and len(study.loop.channels) > 1:
         raise ConfigError("candidates", "a plant of several channels is not tuned here; give the gains, and 0")
-    given = Contest.of(study, tables, step)
+    corresponding = Contest.of(study, tables, step)
     if budget is None:
-        return Comparison.of(study, given, seconds=time.perf_counter() - began)
+        return Comparison.of(study, corresponding, seconds=time.perf_counter() - began)
     better = {}
-    for name, of in studies.items():
+    for name, rival in studies.items():
+        ranges = study.config.compare.get(name, {}).get("tune", {})
         try:
-            better[name] = with_gains(
-                tables[name], tuned(of, budget, study.config.compare.get(name, {}).get("tune", {}))
-            )
+            better[name] = with_gains(tables[name], tuned(rival, budget, ranges))
         except ConfigError as error:
             raise error.within_path(f"compare.{name}") from None
         step()
-    return Comparison.of(study, given, Contest.of(study, better, step), budget, time.perf_counter() - began)
+    return Comparison.of(study, corresponding, Contest.of(study, better, step), budget, time.perf_counter() - began)

@@ -4,7 +4,9 @@ import itertools
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Self
 
 from matplotlib.figure import Figure
 
@@ -12,14 +14,45 @@ import dssc_jax.plotting as plotting
 from dssc_jax.analyses.comparison.compare import require_names, with_controller
 from dssc_jax.analyses.comparison.rivals import ControllerTable, controller_table, with_own_controllers
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
-from dssc_jax.analyses.margins import Margins, join_margins, margin, margin_settings, part_margins
+from dssc_jax.analyses.margins import Margins, join_margins, margin, margin_parts, part_margins
+from dssc_jax.analyses.margins.joined import MarginPart, NamedMargins, median_texts
+from dssc_jax.analyses.margins.result import PARAMETER_UNIT
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.results.analysis import Analysis
-from dssc_jax.results.analysis_folder import Stored
 from dssc_jax.statistics import CONFIDENCE, compare_failures
 from dssc_jax.study import Described, Study
 from dssc_jax.study.code import code_names
+
+
+@dataclass(frozen=True)
+class MarginPair:
+    """Two controllers on the same draws: on which draws one goes further than the other."""
+
+    a: Annotated[str, Quantity("", "one controller")]
+    b: Annotated[str, Quantity("", "the other controller")]
+    a_further: Annotated[int, Quantity("1", "draws on which a goes further")]
+    b_further: Annotated[int, Quantity("1", "draws on which b goes further")]
+    draws: Annotated[int, Quantity("1", "number of draws")]
+    difference: Annotated[float, Quantity("1", "share on which a goes further, minus the share on which b does")]
+    interval: Annotated[tuple[float, float], Quantity("1", "its exact interval")]
+    p_value: Annotated[float, Quantity("1", "exact test for paired draws")]
+
+
+@dataclass(frozen=True)
+class MarginContestAnswer:
+    """The margins of several controllers, singly and in pairs."""
+
+    parameter: Annotated[str, Quantity("", "the number that is varied")]
+    unit: Annotated[str, Quantity("", "its unit")]
+    draws: Annotated[int, Quantity("1", "number of draws")]
+    bounds: Annotated[tuple[float, float], Quantity(PARAMETER_UNIT, "start and end of the walk")]
+    criterion: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]
+    confidence: Annotated[float, Quantity("1", "confidence of each interval")]
+    controllers: dict[str, NamedMargins]
+    pairs: list[MarginPair]
+    seconds: Annotated[float, Quantity("s", "computing time")]
 
 
 @dataclass(eq=False)
@@ -29,7 +62,7 @@ class MarginContest(Analysis):
     The dataset is that of :class:`dssc_jax.analyses.margins.Margins`, with the additional dimension ``controller``.
 
     Args:
-        margins: Margins by controller.
+        parts: The settings of the margins, by controller.
         tables: The ``[controller]`` table of each controller.
         seconds: Computing time.
     """
@@ -38,68 +71,77 @@ class MarginContest(Analysis):
     title = "Robustness margins of several controllers"
     table = ("controller", "draw")
 
-    margins: dict[str, Margins]
+    parts: dict[str, MarginPart]
     tables: dict[str, ControllerTable]
     seconds: float
 
     @classmethod
     def of(cls, study: Study, margins: dict[str, Margins], tables: dict[str, ControllerTable], seconds: float) -> Self:
         """Combine the margins of the controllers."""
-        return cls(study, join_margins(margins, "controller", "controller"), margins, tables, seconds)
+        dataset = join_margins(margins, "controller", "controller")
+        return cls(study, dataset, margin_parts(margins), tables, seconds)
 
-    def pairs(self, confidence: float = CONFIDENCE) -> list[dict[str, Any]]:
+    @classmethod
+    def load(cls, folder: str | Path, trust_code: bool = False) -> Self:
+        """See :class:`Analysis`; the stored controllers may name no code that the stored study does not name."""
+        contest = super().load(folder, trust_code)
+        require_named(contest.study, contest.tables)
+        return contest
+
+    @cached_property
+    def margins(self) -> dict[str, Margins]:
+        """The margins by controller."""
+        return part_margins(self.dataset, "controller", self.parts, self.study_of)
+
+    def study_of(self, controller: str) -> Study:
+        """The study with one of the controllers; the study itself if its code is not loaded."""
+        if isinstance(self.study, Described):
+            return self.study
+        return with_controller(self.study, controller, self.tables[controller])
+
+    def pairs(self, confidence: float = CONFIDENCE) -> list[MarginPair]:
         """For every pair a, b: the share of draws on which a goes further, minus the share on which b does.
 
         Includes the exact interval and test for paired draws. Draws on which both are censored alike are ties.
         """
         pairs = []
         for a, b in itertools.combinations(self.margins, 2):
-            left, right = self.margins[a].reached, self.margins[b].reached
+            left = self.margins[a].reached
+            right = self.margins[b].reached
             paired = compare_failures(left > right, right > left, confidence)
-            further = {"a_further": paired.only_a, "b_further": paired.only_b, "draws": paired.draws}
-            statement = {"difference": paired.difference, "interval": list(paired.interval), "p_value": paired.p_value}
-            pairs.append({"a": a, "b": b, **further, **statement})
+            pair = MarginPair(
+                a, b, paired.only_a, paired.only_b, paired.draws, paired.difference, paired.interval, paired.p_value
+            )
+            pairs.append(pair)
         return pairs
 
     @property
     def headline(self) -> str:
         """The answer in one line."""
-        medians = ((name, margins.median) for name, margins in self.margins.items())
-        values = (f"{name} {'before the start' if value is None else f'{value:.4g}'}" for name, value in medians)
-        return f"median critical {next(iter(self.margins.values())).parameter}: {', '.join(values)}"
+        return f"median critical {self.answer.parameter}: {median_texts(self.margins)}"
 
     def figure(self) -> Figure:
         """Plot the answer."""
         return plotting.theory(self.margins)
 
-    def content(self) -> dict[str, Any]:
-        """See :class:`Analysis`."""
-        first = next(iter(self.margins.values())).summary()
-        return {
-            **{name: first[name] for name in ("parameter", "unit", "draws", "bounds", "criterion")},
-            "confidence": CONFIDENCE,
-            "controllers": {name: margins.summary() for name, margins in self.margins.items()},
-            "pairs": self.pairs(),
-            "seconds": self.seconds,
-        }
-
-    def settings(self) -> dict[str, Any]:
-        """See :class:`Analysis`."""
-        return {"margins": margin_settings(self.margins), "tables": self.tables, "seconds": self.seconds}
-
-    @classmethod
-    def restored(cls, stored: Stored) -> Self:
-        """See :class:`Analysis`."""
-        study, dataset, settings = stored
-        tables = settings["tables"]
-
-        require_named(study, tables)
-
-        def study_of(name: str) -> Study:
-            return study if isinstance(study, Described) else with_controller(study, name, tables[name])
-
-        margins = part_margins(dataset, "controller", settings["margins"], study_of)
-        return cls.of(study, margins, tables, settings["seconds"])
+    @property
+    def answer(self) -> MarginContestAnswer:
+        """The answer in numbers."""
+        first = next(iter(self.margins.values())).answer
+        controllers = {}
+        for name, margins in self.margins.items():
+            controllers[name] = NamedMargins(margins.study.name, margins.answer)
+        return MarginContestAnswer(
+            parameter=first.parameter,
+            unit=first.unit,
+            draws=first.draws,
+            bounds=first.bounds,
+            criterion=first.criterion,
+            confidence=CONFIDENCE,
+            controllers=controllers,
+            pairs=self.pairs(),
+            seconds=self.seconds,
+        )
 
 
 def require_named(study: Study, tables: dict[str, ControllerTable]) -> None:
@@ -146,15 +188,15 @@ def compare_margins(
     study = with_own_controllers(study.without_sweep(), names)
     tables = {name: controller_table(study, name) for name in names}
     studies = {name: with_controller(study, name, table) for name, table in tables.items()}
-    each = (points + bisections) * study.config.draws
+    lanes = (points + bisections) * study.config.draws
     walk = {"over": over, "bounds": bounds, "log": log, "points": points, "bisections": bisections}
     margins: dict[str, Margins] = {}
 
     def advance(done: int, total: int | None) -> None:
         del total
         if progress:
-            progress(len(margins) * each + done, len(names) * each)
+            progress(len(margins) * lanes + done, len(names) * lanes)
 
-    for name, own in studies.items():
-        margins[name] = margin(own, **walk, progress=advance)
+    for name, rival in studies.items():
+        margins[name] = margin(rival, **walk, progress=advance)
     return MarginContest.of(study, margins, tables, time.perf_counter() - began)

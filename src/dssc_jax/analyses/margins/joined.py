@@ -1,13 +1,17 @@
 """Join several margins over one walk into one dataset, and separate them again."""
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import xarray as xr
 
-from dssc_jax.analyses.margins.result import Margins
-from dssc_jax.results.analysis_folder import Stored
+from dssc_jax.analyses.margins.result import MarginAnswer, Margins
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.results.analysis import restored, settings
+from dssc_jax.results.fields import MERGED
+from dssc_jax.results.summary import JsonObject
 from dssc_jax.study import Study
 
 
@@ -21,34 +25,65 @@ def join_margins(margins: Mapping[str, Margins], dimension: str, meaning: str) -
     """
     axis = xr.DataArray(np.array(list(margins)), dims=dimension, name=dimension, attrs={"long_name": meaning})
     return xr.concat(
-        [one.dataset for one in margins.values()],
+        [margin.dataset for margin in margins.values()],
         dim=axis, data_vars="all", coords="minimal", compat="override", join="override", combine_attrs="override",
     )  # fmt: skip
 
 
-def margin_settings(margins: Mapping[str, Margins]) -> dict[str, Any]:
-    """What :func:`part_margins` needs besides the joined dataset, for JSON."""
-    return {
-        name: one.settings()
-        | {"variables": list(map(str, one.dataset)), "slack_unit": one.dataset["slack"].attrs["units"]}
-        for name, one in margins.items()
-    }
+class MarginPart(NamedTuple):
+    """What :func:`part_margins` needs besides the joined dataset.
+
+    Args:
+        settings: The fields of the margins.
+        variables: Their variables of the dataset.
+        slack_unit: The unit of their slack.
+    """
+
+    settings: JsonObject
+    variables: tuple[str, ...]
+    slack_unit: str
+
+
+@dataclass(frozen=True)
+class NamedMargins:
+    """Margins as a part of an answer."""
+
+    study: Annotated[str, Quantity("", "name of the study")]
+    margins: MarginAnswer = field(metadata={MERGED: True})
+
+
+def median_texts(margins: Mapping[str, Margins]) -> str:
+    """Name and median of each of several margins, in one line."""
+    texts = []
+    for name, margin in margins.items():
+        median = margin.median
+        texts.append(f"{name} {'before the start' if median is None else f'{median:.4g}'}")
+    return ", ".join(texts)
+
+
+def margin_parts(margins: Mapping[str, Margins]) -> dict[str, MarginPart]:
+    """What :func:`part_margins` needs besides the joined dataset, by name."""
+    parts = {}
+    for name, margin in margins.items():
+        variables = tuple(map(str, margin.dataset))
+        parts[name] = MarginPart(settings(margin), variables, margin.dataset["slack"].attrs["units"])
+    return parts
 
 
 def part_margins(
-    dataset: xr.Dataset, dimension: str, settings: Mapping[str, Any], study_of: Callable[[str], Study]
+    dataset: xr.Dataset, dimension: str, parts: Mapping[str, MarginPart], study_of: Callable[[str], Study]
 ) -> dict[str, Margins]:
     """Separate joined margins by name.
 
     Args:
         dataset: The return value of :func:`join_margins`.
         dimension: Its dimension of names.
-        settings: The return value of :func:`margin_settings`.
+        parts: The return value of :func:`margin_parts`.
         study_of: The study of each.
     """
     margins = {}
-    for name, own in settings.items():
-        part = dataset.sel({dimension: name}, drop=True)[own["variables"]]
-        part = part.assign(slack=part["slack"].assign_attrs(units=own["slack_unit"]))
-        margins[name] = Margins.restored(Stored(study_of(name), part, own))
+    for name, part in parts.items():
+        data = dataset.sel({dimension: name}, drop=True)[list(part.variables)]
+        data = data.assign(slack=data["slack"].assign_attrs(units=part.slack_unit))
+        margins[name] = restored(Margins, study_of(name), data, part.settings)
     return margins

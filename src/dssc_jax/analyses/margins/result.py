@@ -1,9 +1,8 @@
 """Statistics of the critical values of a study's draws."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any, Self
+from dataclasses import dataclass
+from typing import Annotated, Self
 
 import numpy as np
 import xarray as xr
@@ -14,10 +13,10 @@ from dssc_jax.analyses.margins.search import CLOCK, Censoring, Critical, Walk
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.design.certification import Reach, reach
 from dssc_jax.results.analysis import Analysis
-from dssc_jax.results.analysis_folder import Stored
+from dssc_jax.results.summary import JsonObject
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson
 from dssc_jax.statistics.order import binomial_quantile
-from dssc_jax.study import Described, Study
+from dssc_jax.study import Study
 from dssc_jax.study.laws import SPREAD
 
 UNNAMED = {
@@ -26,7 +25,48 @@ UNNAMED = {
 }
 """What can be walked besides the loop's own numbers."""
 CONTENT = 0.95  # share of draws that pass up to the lower tolerance limit
-WALKED = ("start", "end", "log", "points", "parted")
+PARAMETER_UNIT = "that of the number"
+
+
+@dataclass(frozen=True)
+class Degradation:
+    """Failure probability along the walk, with its simultaneous band."""
+
+    band: Annotated[str, Quantity("", "how the band is computed")]
+    value: Annotated[np.ndarray, Quantity(PARAMETER_UNIT, "values of the walk's grid")]
+    probability: Annotated[np.ndarray, Quantity("1", "failure probability")]
+    lower: Annotated[np.ndarray, Quantity("1", "lower end of the band")]
+    upper: Annotated[np.ndarray, Quantity("1", "upper end of the band")]
+
+
+@dataclass(frozen=True)
+class MarginAnswer:
+    """The critical values of all draws, and their statistics."""
+
+    parameter: Annotated[str, Quantity("", "the number that is varied")]
+    unit: Annotated[str, Quantity("", "its unit")]
+    draws: Annotated[int, Quantity("1", "number of draws")]
+    bounds: Annotated[tuple[float, float], Quantity(PARAMETER_UNIT, "start and end of the walk")]
+    log: Annotated[bool, Quantity("", "whether the walk is even in the logarithm")]
+    criterion: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]
+    critical: Annotated[np.ndarray, Quantity(PARAMETER_UNIT, "critical value of each draw; None if censored")]
+    median: Annotated[float | None, Quantity(PARAMETER_UNIT, "median critical value; None before the start")]
+    lower_tolerance: Annotated[
+        float | None, Quantity(PARAMETER_UNIT, "value up to which the share `content` of all draws passes (Wilks)")
+    ]
+    content: Annotated[float, Quantity("1", "share of draws of the tolerance limit")]
+    confidence: Annotated[float, Quantity("1", "confidence of the tolerance limit and of the band")]
+    censored: Annotated[float, Quantity("1", "share of draws without a critical value between the bounds")]
+    fail_at_start: Annotated[float, Quantity("1", "share of draws that fail at the start")]
+    pass_to_end: Annotated[float, Quantity("1", "share of draws that pass at every value of the grid")]
+    non_monotone: Annotated[float, Quantity("1", "share of draws that pass again beyond a failure")]
+    first_violated: Annotated[dict[str, int], Quantity("1", "draws that violate each requirement first")]
+    certified: Annotated[float | None, Quantity(PARAMETER_UNIT, "last value that Theorem 1 certifies for all draws")]
+    certificate: Annotated[str, Quantity("", "what Theorem 1 says")]
+    proof: Annotated[JsonObject | None, Quantity("", "how far the sampled loop is proved; None if not asked")]
+    degradation: Degradation
+    seconds: Annotated[float, Quantity("s", "computing time")]
+    compile_seconds: Annotated[float, Quantity("s", "compile time within it")]
 
 
 @dataclass(eq=False)
@@ -41,8 +81,9 @@ class Margins(Analysis):
         parameter: The number that is varied.
         walk: The walk from the safe end to the other end.
         criterion: The condition for a draw to pass, in words.
-        times: Total time and compile time in seconds.
-        stored: The range certified by Theorem 1, for a study whose code is not loaded; else computed from the study.
+        certificate: The range of the walk that Theorem 1 certifies, for all draws at once.
+        seconds: Computing time.
+        compile_seconds: Compile time within it.
         proof: How far the sampled loop is proved, as :meth:`dssc_jax.ProvedReach.summary` says it; None if not asked.
     """
 
@@ -53,9 +94,10 @@ class Margins(Analysis):
     parameter: str
     walk: Walk
     criterion: tuple[str, ...]
-    times: dict[str, float] = field(default_factory=dict)
-    stored: Reach | None = None
-    proof: dict[str, Any] | None = None
+    certificate: Reach
+    seconds: float = 0.0
+    compile_seconds: float = 0.0
+    proof: JsonObject | None = None
 
     @classmethod
     def of(
@@ -65,16 +107,17 @@ class Margins(Analysis):
         walk: Walk,
         critical: Critical,
         drawn: Mapping[str, np.ndarray],
-        times: Mapping[str, float],
         criterion: tuple[str, ...],
+        seconds: float,
+        compile_seconds: float = 0.0,
         unit: str = "1",
     ) -> Self:
         """Combine the critical values of a search with the drawn numbers; ``unit`` is the slack's."""
         quantity = study.quantities.get(parameter) or UNNAMED[parameter]
-        about = {"units": quantity.unit, "long_name": quantity.meaning}
+        attributes = {"units": quantity.unit, "long_name": quantity.meaning}
         codes = {"flag_values": [code.value for code in Censoring], "flag_meanings": "before inside beyond"}
         columns = {
-            "critical": (critical.value, {**about, "long_name": f"critical {quantity.meaning}"}),
+            "critical": (critical.value, attributes | {"long_name": f"critical {quantity.meaning}"}),
             "censoring": (critical.censoring, {"long_name": "side of the walk on which the value lies", **codes}),
             "non_monotone": (critical.non_monotone, {"long_name": "passes again beyond a failure"}),
         }
@@ -88,17 +131,13 @@ class Margins(Analysis):
             columns[name] = (values, {"units": law.unit, "long_name": law.meaning})
         index = ("draw", np.arange(study.config.draws), {"long_name": "draw index"})
         data = xr.Dataset(
-            {name: (("draw",), values, attributes) for name, (values, attributes) in columns.items()},
-            coords={"draw": index, "value": (("value",), walk.grid, about)},
+            {name: (("draw",), values, attrs) for name, (values, attrs) in columns.items()},
+            coords={"draw": index, "value": (("value",), walk.grid, attributes)},
             attrs={"title": study.name, "parameter": parameter},
         )
         data["slack"] = (("value", "draw"), critical.slack, {"units": unit, "long_name": "signed slack"})
-        return cls(study, data, parameter, walk, criterion, dict(times))
-
-    @cached_property
-    def certificate(self) -> Reach:
-        """The range of the walk that Theorem 1 certifies, for all draws at once."""
-        return self.stored or reach(self.study, self.parameter, self.walk.grid)
+        certificate = reach(study, parameter, walk.grid)
+        return cls(study, data, parameter, walk, criterion, certificate, seconds, compile_seconds)
 
     @property
     def reached(self) -> np.ndarray:
@@ -175,53 +214,39 @@ class Margins(Analysis):
         """Plot the answer."""
         return plotting.margin(self)
 
-    def content(self) -> dict[str, Any]:
-        """See :class:`Analysis`."""
-        data, curve = self.dataset, self.degradation()
+    @property
+    def answer(self) -> MarginAnswer:
+        """The answer in numbers."""
+        data = self.dataset
+        curve = self.degradation()
         censoring = data["censoring"].values
-        return {
-            "parameter": self.parameter,
-            "unit": data["critical"].attrs["units"],
-            "draws": data.sizes["draw"],
-            "bounds": [self.walk.start, self.walk.end],
-            "log": self.walk.log,
-            "criterion": self.criterion,
-            "critical": data["critical"].values,
-            "median": self.median,
-            "lower_tolerance": self.lower_tolerance(),
-            "content": CONTENT,
-            "confidence": CONFIDENCE,
-            "censored": float(np.mean(censoring != Censoring.INSIDE)),
-            "fail_at_start": float(np.mean(censoring == Censoring.BEFORE)),
-            "pass_to_end": float(np.mean(censoring == Censoring.BEYOND)),
-            "non_monotone": float(data["non_monotone"].mean()),
-            "first_violated": self.first_violated,
-            "certified": self.certificate.value,
-            "certificate": self.certificate.text,
-            "proof": self.proof,
-            "degradation": {
-                "band": curve.attrs["band"],
-                **{name: curve[name].values for name in ("value", "probability", "lower", "upper")},
-            },
-            **self.times,
-        }
-
-    def settings(self) -> dict[str, Any]:
-        """See :class:`Analysis`."""
-        return {
-            "parameter": self.parameter,
-            "walk": {name: getattr(self.walk, name) for name in WALKED},
-            "criterion": list(self.criterion),
-            "times": self.times,
-            "certificate": self.certificate._asdict(),
-            "proof": self.proof,
-        }
-
-    @classmethod
-    def restored(cls, stored: Stored) -> Self:
-        """See :class:`Analysis`."""
-        study, dataset, settings = stored
-        certificate = Reach(**settings["certificate"]) if isinstance(study, Described) else None
-        walk, criterion = Walk(**settings["walk"]), tuple(settings["criterion"])
-        times, proof = settings["times"], settings.get("proof")
-        return cls(study, dataset, settings["parameter"], walk, criterion, times, certificate, proof)
+        return MarginAnswer(
+            parameter=self.parameter,
+            unit=data["critical"].attrs["units"],
+            draws=data.sizes["draw"],
+            bounds=(self.walk.start, self.walk.end),
+            log=self.walk.log,
+            criterion=self.criterion,
+            critical=data["critical"].values,
+            median=self.median,
+            lower_tolerance=self.lower_tolerance(),
+            content=CONTENT,
+            confidence=CONFIDENCE,
+            censored=float(np.mean(censoring != Censoring.INSIDE)),
+            fail_at_start=float(np.mean(censoring == Censoring.BEFORE)),
+            pass_to_end=float(np.mean(censoring == Censoring.BEYOND)),
+            non_monotone=float(data["non_monotone"].mean()),
+            first_violated=self.first_violated,
+            certified=self.certificate.value,
+            certificate=self.certificate.text,
+            proof=self.proof,
+            degradation=Degradation(
+                band=curve.attrs["band"],
+                value=curve["value"].values,
+                probability=curve["probability"].values,
+                lower=curve["lower"].values,
+                upper=curve["upper"].values,
+            ),
+            seconds=self.seconds,
+            compile_seconds=self.compile_seconds,
+        )

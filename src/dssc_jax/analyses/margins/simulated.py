@@ -79,9 +79,9 @@ def margin(
         critical, values = sample_time_margins(study, walk, clock, report)
     else:
         critical, values = number_margins(study, over, walk, bisections, clock, report)
-    times = {"seconds": time.perf_counter() - began, "compile_seconds": clock.compile_seconds}
+    seconds = time.perf_counter() - began
     criterion = tuple(requirement.text for requirement in study.requirements) or ("the draw stays finite",)
-    margins = Margins.of(study, over, walk, critical, values, times, criterion)
+    margins = Margins.of(study, over, walk, critical, values, criterion, seconds, clock.compile_seconds)
     return replace(margins, proof=proof_along(study, walk, over)) if prove else margins
 
 

@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, NamedTuple, Self
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -21,12 +21,12 @@ from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.design.certification import mark
 from dssc_jax.engine.batching import BLOCK
 from dssc_jax.engine.evaluation import Evaluator, require_independent
 from dssc_jax.results.analysis import Analysis
-from dssc_jax.results.analysis_folder import Stored
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson
 from dssc_jax.statistics.order import first
 from dssc_jax.study import Study
@@ -70,6 +70,39 @@ class RegionAxis(NamedTuple):
         return (np.geomspace if self.log else np.linspace)(self.low, self.high, count)
 
 
+@dataclass(frozen=True)
+class SafeRange:
+    """Where the second number is safe, at one value of the first."""
+
+    first: Annotated[float, Quantity("that of the first number", "value of the first number")]
+    second: Annotated[list[tuple[float, float]], Quantity("that of the second number", "ends of each safe range")]
+
+
+@dataclass(frozen=True)
+class RegionAnswer:
+    """How many pairs of the two numbers meet the requirements, and what is claimed."""
+
+    names: Annotated[tuple[str, str], Quantity("", "the two numbers")]
+    units: Annotated[tuple[str, str], Quantity("", "their units")]
+    requirements: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]
+    draws: Annotated[int, Quantity("1", "number of draws at each point")]
+    passing: Annotated[float, Quantity("1", "share of all plants that has to meet the requirements")]
+    confidence: Annotated[float, Quantity("1", "confidence for all points together")]
+    interval_method: Annotated[str, Quantity("", "method of the intervals")]
+    failures_allowed: Annotated[int, Quantity("1", "most failed draws of a point that meets")]
+    failures_refuting: Annotated[int, Quantity("1", "fewest failed draws of a point that fails")]
+    lattice: Annotated[tuple[int, ...], Quantity("1", "values of each number")]
+    simulated_points: Annotated[int, Quantity("1", "points that were simulated")]
+    simulations: Annotated[int, Quantity("1", "number of simulations")]
+    meets: Annotated[int, Quantity("1", "points that meet")]
+    undecided: Annotated[int, Quantity("1", "points that are undecided")]
+    fails: Annotated[int, Quantity("1", "points that fail")]
+    safe_ranges: list[SafeRange]
+    certified: Annotated[int, Quantity("1", "points that Theorem 1 certifies")]
+    certificate: Annotated[str, Quantity("", "what Theorem 1 says")]
+    seconds: Annotated[float, Quantity("s", "computing time")]
+
+
 @dataclass(eq=False)
 class SafeRegion(Analysis):
     """The region of two numbers in which at least 95 % of all plants meet the requirements.
@@ -99,14 +132,15 @@ class SafeRegion(Analysis):
         """Number of lattice points with a verdict."""
         return int(np.count_nonzero(self.dataset["verdict"].values == verdict))
 
-    def safe_ranges(self) -> list[dict[str, Any]]:
+    def safe_ranges(self) -> list[SafeRange]:
         """Between which values of the second number all simulated pairs meet, for some values of the first."""
         first_values, second_values = (self.dataset[name].values for name in self.table)
         rows = []
         for value, column in zip(first_values, self.dataset["verdict"].values, strict=True):
             ends = meeting_ends(column)
             if ends:
-                rows.append({"first": value, "second": [[second_values[k] for k in pair] for pair in ends]})
+                ranges = [(float(second_values[low]), float(second_values[high])) for low, high in ends]
+                rows.append(SafeRange(float(value), ranges))
         chosen = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST_RANGES)).round().astype(int))
         return [rows[k] for k in chosen]
 
@@ -123,40 +157,34 @@ class SafeRegion(Analysis):
         """Plot the answer."""
         return plotting.region(self)
 
-    def content(self) -> dict[str, Any]:
-        """See :class:`Analysis`."""
+    @property
+    def answer(self) -> RegionAnswer:
+        """The answer in numbers."""
         draws = self.study.config.draws
         low, high = thresholds(draws, self.dataset["verdict"].size)
-        return {
-            "names": list(self.names),
-            "units": [self.dataset[name].attrs["units"] for name in self.table],
-            "requirements": [requirement.text for requirement in self.study.requirements] or ["the draw stays finite"],
-            "draws": draws,
-            "passing": PASSING,
-            "confidence": CONFIDENCE,
-            "interval_method": "Clopper-Pearson, simultaneous over all points of the lattice (Bonferroni)",
-            "failures_allowed": low,
-            "failures_refuting": high,
-            "lattice": list(self.dataset["verdict"].shape),
-            "simulated_points": self.dataset["verdict"].size - self.points(PairVerdict.NOT_SIMULATED),
-            "simulations": self.simulations,
-            **{verdict.name.lower(): self.points(verdict) for verdict in PairVerdict if verdict >= 0},
-            "safe_ranges": self.safe_ranges(),
-            "certified": int(self.dataset["certified"].sum()),
-            "certificate": self.certificate,
-            "seconds": self.seconds,
-        }
-
-    def settings(self) -> dict[str, Any]:
-        """See :class:`Analysis`."""
-        own = {name: getattr(self, name) for name in ("simulations", "certificate", "seconds")}
-        return {"names": list(self.names), "log": list(self.log), **own}
-
-    @classmethod
-    def restored(cls, stored: Stored) -> Self:
-        """See :class:`Analysis`."""
-        own = dict(stored.settings)
-        return cls(stored.study, stored.dataset, tuple(own.pop("names")), tuple(own.pop("log")), **own)
+        requirements = tuple(requirement.text for requirement in self.study.requirements)
+        first, second = self.table
+        return RegionAnswer(
+            names=self.names,
+            units=(self.dataset[first].attrs["units"], self.dataset[second].attrs["units"]),
+            requirements=requirements or ("the draw stays finite",),
+            draws=draws,
+            passing=PASSING,
+            confidence=CONFIDENCE,
+            interval_method="Clopper-Pearson, simultaneous over all points of the lattice (Bonferroni)",
+            failures_allowed=low,
+            failures_refuting=high,
+            lattice=self.dataset["verdict"].shape,
+            simulated_points=self.dataset["verdict"].size - self.points(PairVerdict.NOT_SIMULATED),
+            simulations=self.simulations,
+            meets=self.points(PairVerdict.MEETS),
+            undecided=self.points(PairVerdict.UNDECIDED),
+            fails=self.points(PairVerdict.FAILS),
+            safe_ranges=self.safe_ranges(),
+            certified=int(self.dataset["certified"].sum()),
+            certificate=self.certificate,
+            seconds=self.seconds,
+        )
 
 
 def meeting_ends(verdicts: np.ndarray) -> list[tuple[int, int]]:

@@ -2,8 +2,9 @@
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Self
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Annotated, Self
 
 import numpy as np
 import xarray as xr
@@ -11,20 +12,81 @@ from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
-from dssc_jax.analyses.margins import Margins, join_margins, margin, margin_settings, part_margins
+from dssc_jax.analyses.margins import Margins, join_margins, margin, margin_parts, part_margins
+from dssc_jax.analyses.margins.joined import MarginPart, median_texts
+from dssc_jax.analyses.margins.result import PARAMETER_UNIT, MarginAnswer
 from dssc_jax.analyses.theory.chattering import SAMPLES_IN_MU, chattering, time_constant_of
 from dssc_jax.analyses.theory.linearised import kind_of
 from dssc_jax.analyses.theory.local import Time, local_margin
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.results.analysis import Analysis
-from dssc_jax.results.analysis_folder import Stored
+from dssc_jax.results.summary import JsonObject
 from dssc_jax.study import Study
 
-VALUES, PUSH, SETTLED = 9, 1e-3, 0.75  # time constants, initial output [m], share of the duration that is ignored
-PERFORMANCE, OSCILLATIONS = "performance", "oscillations"
+VALUES = 9  # time constants
+PUSH = 1e-3  # initial output [output]
+SETTLED = 0.75  # share of the duration that is ignored
+PERFORMANCE = "performance"
+OSCILLATIONS = "oscillations"
 OSCILLATION = ("amplitude", "predicted", "frequency")
 """Variables of an oscillation's dataset."""
+
+
+@dataclass(frozen=True)
+class TheoremAnswer:
+    """What Theorem 1 says of the number."""
+
+    certified: Annotated[float | None, Quantity(PARAMETER_UNIT, "last value that Theorem 1 certifies for all draws")]
+    text: Annotated[str, Quantity("", "the same in words")]
+
+
+@dataclass(frozen=True)
+class MarginStatistics:
+    """Statistics of the critical values by one method."""
+
+    criterion: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]
+    median: Annotated[float | None, Quantity(PARAMETER_UNIT, "median critical value; None before the start")]
+    lower_tolerance: Annotated[float | None, Quantity(PARAMETER_UNIT, "value up to which the share `content` passes")]
+    content: Annotated[float, Quantity("1", "share of draws of the tolerance limit")]
+    confidence: Annotated[float, Quantity("1", "confidence of the tolerance limit")]
+    fail_at_start: Annotated[float, Quantity("1", "share of draws that fail at the start")]
+    pass_to_end: Annotated[float, Quantity("1", "share of draws that pass at every value of the grid")]
+    non_monotone: Annotated[float, Quantity("1", "share of draws that pass again beyond a failure")]
+
+    @classmethod
+    def of(cls, answer: MarginAnswer) -> Self:
+        """The statistics of margins."""
+        return cls(*(getattr(answer, field.name) for field in fields(cls)))
+
+
+@dataclass(frozen=True)
+class Oscillation:
+    """A controller's oscillation over the time constant of the unmodelled dynamics."""
+
+    mu: Annotated[np.ndarray, Quantity("s", "time constants")]
+    amplitude: Annotated[np.ndarray, Quantity("output/s", "simulated amplitude of sigma")]
+    predicted: Annotated[np.ndarray, Quantity("output/s", "amplitude by the describing function")]
+    frequency: Annotated[np.ndarray, Quantity("rad/s", "frequency by the describing function")]
+
+
+@dataclass(frozen=True)
+class TheoryAnswer:
+    """The margins of one number by theory and by simulation."""
+
+    parameter: Annotated[str, Quantity("", "the number that is varied")]
+    unit: Annotated[str, Quantity("", "its unit")]
+    draws: Annotated[int, Quantity("1", "number of draws")]
+    bounds: Annotated[tuple[float, float], Quantity(PARAMETER_UNIT, "start and end of the walk")]
+    certificate: TheoremAnswer
+    proof: Annotated[JsonObject | None, Quantity("", "how far the sampled loop is proved; None if not asked")]
+    performance: MarginStatistics
+    local: dict[str, MarginStatistics]
+    edge: Annotated[float | None, Quantity("s", "local critical time constant with laws at their medians")]
+    oscillations: dict[str, Oscillation]
+    not_covered: Annotated[dict[str, str], Quantity("", "why a method does not apply, by its name")]
+    seconds: Annotated[float, Quantity("s", "computing time")]
 
 
 @dataclass(eq=False)
@@ -35,10 +97,8 @@ class Assessment(Analysis):
     return value of :func:`chattering` with the additional dimension ``controller``.
 
     Args:
-        performance: Simulated margins for the study's requirements; their certificate is the answer of Theorem 1.
-        local: Margins of the loop linearised at the origin, sampled and in continuous time.
-        oscillations: Oscillations over the time constant of the unmodelled dynamics, simulated and by describing
-            function, by controller.
+        parts: The settings of the margins: ``performance``, ``sampled`` and ``continuous``.
+        oscillating: Attributes of the oscillations' datasets, by controller.
         edge: Local critical value of that time constant, with laws at their medians; None if there is none.
         not_covered: The reason why one of the above is missing, by its name.
         seconds: Computing time.
@@ -48,9 +108,8 @@ class Assessment(Analysis):
     title = "Theory and simulation"
     table = ("margin", "draw")
 
-    performance: Margins
-    local: dict[Time, Margins]
-    oscillations: dict[str, xr.Dataset]
+    parts: dict[str, MarginPart]
+    oscillating: dict[str, JsonObject]
     edge: float | None
     not_covered: dict[str, str]
     seconds: float = 0.0
@@ -66,14 +125,41 @@ class Assessment(Analysis):
         seconds: float,
     ) -> Self:
         """Combine the separate parts of an assessment."""
-        parts = {PERFORMANCE: performance, **{kind.value: margins for kind, margins in local.items()}}
-        dataset = join_margins(parts, "margin", "what the margin is of")
+        margins = {PERFORMANCE: performance, **{kind.value: part for kind, part in local.items()}}
+        dataset = join_margins(margins, "margin", "method of the margin")
         if oscillations:
             names = np.array(list(oscillations))
             axis = xr.DataArray(names, dims="controller", name="controller", attrs={"long_name": "controller"})
-            beyond = xr.concat(list(oscillations.values()), dim=axis, combine_attrs="override")
-            dataset = dataset.merge(beyond, combine_attrs="override")
-        return cls(performance.study, dataset, performance, local, oscillations, edge, not_covered, seconds)
+            joined = xr.concat(list(oscillations.values()), dim=axis, combine_attrs="override")
+            dataset = dataset.merge(joined, combine_attrs="override")
+        attributes = {}
+        for name, oscillation in oscillations.items():
+            attributes[name] = {str(key): value for key, value in oscillation.attrs.items()}
+        return cls(performance.study, dataset, margin_parts(margins), attributes, edge, not_covered, seconds)
+
+    @cached_property
+    def all_margins(self) -> dict[str, Margins]:
+        """Every margin by its name in :attr:`parts`."""
+        return part_margins(self.dataset, "margin", self.parts, lambda _: self.study)
+
+    @property
+    def performance(self) -> Margins:
+        """Simulated margins for the study's requirements; their certificate is the answer of Theorem 1."""
+        return self.all_margins[PERFORMANCE]
+
+    @property
+    def local(self) -> dict[Time, Margins]:
+        """Margins of the loop linearised at the origin, sampled and in continuous time."""
+        return {Time(name): margins for name, margins in self.all_margins.items() if name != PERFORMANCE}
+
+    @cached_property
+    def oscillations(self) -> dict[str, xr.Dataset]:
+        """Oscillations over the time constant, simulated and by describing function, by controller."""
+        oscillations = {}
+        for name, attributes in self.oscillating.items():
+            variables = self.dataset[list(OSCILLATION)].sel(controller=name, drop=True).variables
+            oscillations[name] = xr.Dataset(variables, attrs=attributes)
+        return oscillations
 
     @property
     def margins(self) -> dict[str, Margins]:
@@ -85,62 +171,35 @@ class Assessment(Analysis):
     @property
     def headline(self) -> str:
         """The answer in one line."""
-        parts = {"simulated": self.performance, **{kind.value: margins for kind, margins in self.local.items()}}
-        medians = ((name, margins.median) for name, margins in parts.items())
-        values = (f"{name} {'before the start' if value is None else f'{value:.4g}'}" for name, value in medians)
-        return f"median critical {self.performance.parameter}: {', '.join(values)}"
+        margins = {"simulated": self.performance, **{kind.value: part for kind, part in self.local.items()}}
+        return f"median critical {self.performance.parameter}: {median_texts(margins)}"
 
     def figure(self) -> Figure:
         """Plot the answer."""
         return plotting.theory(self.margins, self.oscillations, self.edge)
 
-    def content(self) -> dict[str, Any]:
-        """See :class:`Analysis`."""
-        own = self.performance.summary()
-        return {
-            **{name: own[name] for name in ("parameter", "unit", "draws", "bounds")},
-            "certificate": {"certified": own["certified"], "text": own["certificate"]},
-            "proof": own["proof"],
-            PERFORMANCE: distribution_summary(self.performance),
-            "local": {kind.value: distribution_summary(margins) for kind, margins in self.local.items()},
-            "edge": self.edge,
-            OSCILLATIONS: {
-                name: {"mu": of[self.performance.parameter].values, **{part: of[part].values for part in OSCILLATION}}
-                for name, of in self.oscillations.items()
-            },
-            "not_covered": self.not_covered,
-            "seconds": self.seconds,
-        }
-
-    def settings(self) -> dict[str, Any]:
-        """See :class:`Analysis`."""
-        local = {kind.value: margins for kind, margins in self.local.items()}
-        return {
-            "margins": margin_settings({PERFORMANCE: self.performance, **local}),
-            OSCILLATIONS: {name: dict(of.attrs) for name, of in self.oscillations.items()},
-            **{name: getattr(self, name) for name in ("edge", "not_covered", "seconds")},
-        }
-
-    @classmethod
-    def restored(cls, stored: Stored) -> Self:
-        """See :class:`Analysis`."""
-        study, dataset, settings = stored
-        margins = part_margins(dataset, "margin", settings["margins"], lambda name: study)
-        performance = margins.pop(PERFORMANCE)
-        oscillations = {
-            name: xr.Dataset(dataset[list(OSCILLATION)].sel(controller=name, drop=True).variables, attrs=about)
-            for name, about in settings[OSCILLATIONS].items()
-        }
-        local = {Time(name): one for name, one in margins.items()}
-        rest = (settings[name] for name in ("edge", "not_covered", "seconds"))
-        return cls.of(performance, local, oscillations, *rest)
-
-
-def distribution_summary(margins: Margins) -> dict[str, Any]:
-    """Summarise a distribution of margins."""
-    summary = margins.summary()
-    names = ("criterion", "median", "lower_tolerance", "content", "confidence")
-    return {name: summary[name] for name in (*names, "fail_at_start", "pass_to_end", "non_monotone")}
+    @property
+    def answer(self) -> TheoryAnswer:
+        """The answer in numbers."""
+        simulated = self.performance.answer
+        oscillations = {}
+        for name, oscillation in self.oscillations.items():
+            columns = {part: oscillation[part].values for part in OSCILLATION}
+            oscillations[name] = Oscillation(oscillation[self.performance.parameter].values, **columns)
+        return TheoryAnswer(
+            parameter=simulated.parameter,
+            unit=simulated.unit,
+            draws=simulated.draws,
+            bounds=simulated.bounds,
+            certificate=TheoremAnswer(simulated.certified, simulated.certificate),
+            proof=simulated.proof,
+            performance=MarginStatistics.of(simulated),
+            local={kind.value: MarginStatistics.of(margins.answer) for kind, margins in self.local.items()},
+            edge=self.edge,
+            oscillations=oscillations,
+            not_covered=self.not_covered,
+            seconds=self.seconds,
+        )
 
 
 def assess(
@@ -180,7 +239,9 @@ def assess(
     walk = {"over": over, "bounds": bounds, "log": log, "points": points, "bisections": bisections}
     performance = margin(study, **walk, prove=prove, progress=progress)
     study = study.without_sweep()
-    local, not_covered, edge = {}, {}, None
+    local = {}
+    not_covered = {}
+    edge = None
     for kind in Time:
         try:
             local[kind] = local_margin(study, **walk, kind=kind)
@@ -210,9 +271,10 @@ def time_constants(study: Study, over: str, bounds: tuple[float, float]) -> list
     if len(study.loop.channels) > 1 or over != time_constant_of(study):
         rule = "oscillations are predicted over the time constant of the unmodelled dynamics, on a plant of one channel"
         raise ConfigError(over, rule)
-    least, most = max(min(bounds), SAMPLES_IN_MU * study.config.loop.sample_time), max(bounds)
-    if least >= most:
+    low = max(min(bounds), SAMPLES_IN_MU * study.config.loop.sample_time)
+    high = max(bounds)
+    if low >= high:
         raise ConfigError(
-            over, f"the clock would chatter rather than the dynamics: T_s exceeds {most / SAMPLES_IN_MU:g} s, mu/20"
+            over, f"the clock would chatter rather than the dynamics: T_s exceeds {high / SAMPLES_IN_MU:g} s, mu/20"
         )
-    return np.geomspace(least, most, VALUES).tolist()
+    return np.geomspace(low, high, VALUES).tolist()
