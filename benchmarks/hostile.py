@@ -22,7 +22,7 @@ from unittest import mock
 import xarray as xr
 
 import dssc_jax as dj
-from dssc_jax.cli import guarded, simulation
+from dssc_jax.cli.main import guarded, simulation
 from dssc_jax.console.environment import machine
 
 ROOT = Path(__file__).parents[1]

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 import typer
 from pydantic import BaseModel
 
-from dssc_jax.cli.common import app
+from dssc_jax.cli.application import app
 from dssc_jax.console.kinds import HEADS, KIND_COLUMNS, registries, rows_of
 from dssc_jax.study.build import FIXED_TABLES
 from dssc_jax.study.laws import LAWS

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import dssc_jax as dj
-from dssc_jax.cli import guarded
+from dssc_jax.cli.main import guarded
 from dssc_jax.report.page import is_current
 from tests.mutations import document
 

@@ -37,7 +37,7 @@ def run(command: str, apart: bool) -> int:
     words = shlex.split(command, comments=True)
     if apart or words[:1] != ["dssc-jax"] or SHELL & set("".join(words)):
         return subprocess.run(["bash", "-euc", command], check=False).returncode
-    from dssc_jax.cli import guarded
+    from dssc_jax.cli.main import guarded
 
     return guarded(words[1:])
 

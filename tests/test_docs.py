@@ -17,7 +17,7 @@ import yaml
 import dssc_jax as dj
 from benchmarks.pages import PAGES as PAGES_OF
 from benchmarks.pages import type_name
-from dssc_jax.cli.common import app
+from dssc_jax.cli.application import app
 from dssc_jax.study.build import FIXED_TABLES
 from tests.page_examples import BLOCK
 

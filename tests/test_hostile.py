@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from benchmarks import hostile
-from dssc_jax.cli import guarded
+from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.study import Study
 from dssc_jax.study.tables import DEEPEST, LARGEST_FILE, read_toml

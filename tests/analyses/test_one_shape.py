@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 import dssc_jax as dj
 from dssc_jax.analyses.loading import KINDS, class_of
-from dssc_jax.cli import guarded
+from dssc_jax.cli.main import guarded
 from dssc_jax.flight_logs.reader import Column
 from dssc_jax.results.manifest import write_json, write_sealed
 from tests.loops import LAGGED

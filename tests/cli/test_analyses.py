@@ -6,7 +6,7 @@ import re
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.cli import guarded
+from dssc_jax.cli.main import guarded
 from tests.cli.conftest import STUDY, last_json
 
 

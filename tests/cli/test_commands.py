@@ -13,8 +13,9 @@ import psutil
 import pytest
 import typer
 
-from dssc_jax.cli import guarded
-from dssc_jax.cli.common import app, parse_over, parse_value
+from dssc_jax.cli.application import app
+from dssc_jax.cli.main import guarded
+from dssc_jax.cli.parsing import parse_over, parse_value
 from tests.cli.conftest import last_json
 from tests.tolerances import ROUNDING
 
@@ -39,7 +40,7 @@ eps_3 = 2.0
 STARTUP = """
 import sys
 from typer.testing import CliRunner
-from dssc_jax.cli import app
+from dssc_jax.cli.application import app
 for arguments in {arguments}:
     result = CliRunner().invoke(app, [*arguments, "--help"])
     assert result.exit_code == 0 and "Usage" in result.output, arguments

@@ -11,7 +11,7 @@ import pytest
 from scipy.io import loadmat
 
 import dssc_jax as dj
-from dssc_jax.cli import guarded
+from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from tests.cli.conftest import last_json
 

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from dssc_jax.cli import guarded
+from dssc_jax.cli.main import guarded
 from dssc_jax.console.kinds import HEADS, kinds, registries, rows_of
 from dssc_jax.study.components import field_specs
 

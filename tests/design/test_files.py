@@ -5,7 +5,7 @@ import tomllib
 
 import pytest
 
-from dssc_jax.cli import guarded
+from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.design import check
 from dssc_jax.design.feasibility import Criterion

@@ -6,7 +6,7 @@ import pytest
 from scipy.special import roots_hermitenorm
 
 import dssc_jax as dj
-from dssc_jax.cli import guarded
+from dssc_jax.cli.main import guarded
 from dssc_jax.design.noise import SAMPLES, mean_rates, noise_drift, noise_warning
 from dssc_jax.models.controllers.gain_functions import SquareRoot
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.cli import guarded
+from dssc_jax.cli.main import guarded
 from dssc_jax.exploration.brushing import Brushing
 from dssc_jax.exploration.draw_table import MOST_ROWS, DrawTable
 from dssc_jax.exploration.interactive_report import interactive_html

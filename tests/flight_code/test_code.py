@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.cli import guarded
+from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Command

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.cli import guarded
-from dssc_jax.cli.compiling import built_library
+from dssc_jax.cli.fmu_library import built_library
+from dssc_jax.cli.main import guarded
 from dssc_jax.core.signals import Measurement, ReferencePoint
 from dssc_jax.flight_code import fmu as fmu_module
 from dssc_jax.flight_code.controller import COMMAND

@@ -9,7 +9,7 @@ import tomli_w
 from scipy import stats
 
 import dssc_jax as dj
-from dssc_jax.cli import guarded
+from dssc_jax.cli.main import guarded
 from dssc_jax.console.flight import show_log_comparison
 from dssc_jax.flight_logs.reader import Column, FlightLog, nearest_values, read_log, samples_within
 from dssc_jax.flight_logs.replay import commanded, curves_of_draws, replayed_channel, study_references

@@ -8,7 +8,7 @@ from scipy import linalg, optimize, signal, stats
 
 import dssc_jax as dj
 from benchmarks.flight_fit import CASES, LEVEL, covered, flight_study, inside
-from dssc_jax.cli import guarded
+from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.fit import fit_log
 from dssc_jax.flight_logs.least_squares import unseen_minima

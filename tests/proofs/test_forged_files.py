@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from flint import arb
 
-from dssc_jax.cli import guarded
+from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.proofs.prove import VERSION, check_certificate, prove
 from dssc_jax.proofs.verifier import small_gain

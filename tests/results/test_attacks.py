@@ -14,7 +14,7 @@ from tests.results.test_durability import SMALL
 
 EXPORT = """
 import sys
-from dssc_jax.cli import guarded
+from dssc_jax.cli.main import guarded
 for _ in range(5):
     assert guarded(["export", sys.argv[1], "--to", "csv", "--out", sys.argv[2]]) == 0
 """
@@ -84,7 +84,7 @@ def test_a_full_disk_leaves_no_part(ground, command, fresh):
 def test_a_full_disk_leaves_no_part_of_a_netcdf_file(ground):
     """HDF5 may end the whole process."""
     child = (
-        "import resource, sys; from dssc_jax.cli import guarded; "
+        "import resource, sys; from dssc_jax.cli.main import guarded; "
         "resource.setrlimit(resource.RLIMIT_FSIZE, (4000, 4000)); "
         "sys.exit(guarded(['export', sys.argv[1], '--to', 'netcdf', '--out', sys.argv[2]]))"
     )

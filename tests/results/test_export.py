@@ -11,7 +11,7 @@ import xarray as xr
 from pyarrow import parquet
 
 import dssc_jax as dj
-from dssc_jax.cli import guarded
+from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from tests.results.test_durability import SMALL
 

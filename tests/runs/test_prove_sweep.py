@@ -9,7 +9,7 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax import plotting
-from dssc_jax.cli import guarded
+from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.plotting.standings import STANDINGS, standing_of
 from dssc_jax.report import html

@@ -8,7 +8,7 @@ import pytest
 import zarr
 
 import dssc_jax as dj
-from dssc_jax.cli import guarded
+from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.reference import TOLERANCE, deviations
 from dssc_jax.lanes.lanes import LaneBatch

@@ -2,8 +2,8 @@
 
 import pytest
 
-from dssc_jax.cli import guarded
-from dssc_jax.cli.common import parse_bounds, parse_over
+from dssc_jax.cli.main import guarded
+from dssc_jax.cli.parsing import parse_over, parse_walk
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.study import Study
 from tests.conftest import UNCERTAIN
@@ -67,9 +67,9 @@ def test_separators_of_an_axis(typed, wanted):
 
 def test_separators_of_bounds():
     with pytest.raises(ConfigError, match=r"did you mean 'plant\.k_p=1e-3:2'"):
-        parse_bounds("plant.k_p=1e-3 to 2")
+        parse_walk("plant.k_p=1e-3 to 2")
     with pytest.raises(ConfigError) as caught:
-        parse_bounds("plant.k_p=high:low")
+        parse_walk("plant.k_p=high:low")
     assert "did you mean" not in str(caught.value)
 
 

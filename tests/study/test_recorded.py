@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.cli import guarded
+from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.study.recorded import recorded_columns
 from dssc_jax.study.tables import to_toml

@@ -24,3 +24,6 @@ ROUNDS = 5
 PARTICLES, MOVES, REPEATS, PLAIN = 200, 5, 20, 4096
 """Splitting: particles of each repeat, moves of a clone at each level, independent repeats, plain draws."""
 LEAST_PARTICLES, LEAST_REPEATS = 10, 10
+
+HALVINGS = 3
+"""Region: how often the cells of the coarse lattice are halved."""

@@ -2,7 +2,7 @@
 
 import sys
 
-from dssc_jax.cli import main
+from dssc_jax.cli.main import main
 
 if __name__ == "__main__":  # the processes of a local cluster import this module too
     if not sys.flags.safe_path:

@@ -12,9 +12,8 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from dssc_jax.core.signals import ProgressCallback
-
 if TYPE_CHECKING:
+    from dssc_jax.core.signals import ProgressCallback
     from dssc_jax.study import Study
 
 
@@ -48,7 +47,7 @@ def announce_compiling(study: "Study", quiet: bool = False) -> None:
 @contextmanager
 def progress_bar(
     study: "Study", quiet: bool, of: str = "draws", early: str = "", compiles: bool = True
-) -> Iterator[ProgressCallback]:
+) -> Iterator["ProgressCallback"]:
     """Show a progress bar with the time left on stderr; with ``quiet`` only if stderr is a terminal.
 
     Args:

@@ -1,11 +1,15 @@
 """Figure of the region of two numbers in which enough of all plants meet the requirements."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from dssc_jax.plotting.style import DARK, GREEN, GREY, RED, named, set_log, styled, title
-from dssc_jax.results.analysis import Analysis
+
+if TYPE_CHECKING:
+    from dssc_jax.analyses.region.safe_region import SafeRegion
 
 COLOURS_OF_VERDICTS = {0: ("at least 95 % pass", GREEN), 1: ("undecided", GREY), 2: ("fewer pass", RED)}
 ENCLOSED = "enclosed by pairs that pass, no claim"
@@ -33,7 +37,7 @@ def enclosed_cells(verdict: np.ndarray) -> np.ndarray:
 
 
 @styled
-def region(safe: Analysis) -> Figure:
+def region(safe: "SafeRegion") -> Figure:
     """Plot the verdict of every simulated pair, what lies between those that pass, and what Theorem 1 certifies.
 
     Args:
@@ -58,7 +62,7 @@ def region(safe: Analysis) -> Figure:
         ax.scatter(x[here], y[here], s=13, color=colour, label=f"{text}: {np.count_nonzero(here)} pairs")
     first, second = summary["names"]
     ax.set(xlabel=named(first, data["first"].attrs), ylabel=named(second, data["second"].attrs))
-    for which, name, log in zip("xy", safe.table, safe.settings()["log"], strict=True):
+    for which, name, log in zip("xy", safe.table, safe.log, strict=True):
         if log:
             set_log(ax, data[name].values, which)
     figure.legend(loc="outside lower center", ncols=2, frameon=False)

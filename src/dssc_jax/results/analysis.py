@@ -104,6 +104,7 @@ class Analysis(ABC):
         integration = stored.settings.pop("integration", None)
         try:
             analysis = restored(cls, stored.study, stored.dataset, stored.settings)
+            _ = analysis.answer  # what is damaged shows here, not where the answer is used
         except ConfigError as error:
             rule = f"{cls.kind}.json is damaged, or of another version: {error}"
             raise ConfigError(str(folder), rule) from error

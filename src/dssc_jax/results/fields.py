@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
-from typing import TYPE_CHECKING, Annotated, NamedTuple, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -42,10 +42,14 @@ def restored_fields(cls: type, stored: Mapping[str, object], without: frozenset[
     """The arguments of a dataclass that :func:`stored_fields` wrote.
 
     Raises:
-        ConfigError: A field is missing or has a value of another type; the message names it.
+        ConfigError: A field is missing, unknown, or has a value of another type; the message names it.
     """
     values = {}
-    for name, hint in field_types(cls, without).items():
+    hints = field_types(cls, without)
+    for name in stored:
+        if name not in hints:
+            raise ConfigError(name, "is no setting of this analysis")
+    for name, hint in hints.items():
         if name not in stored:
             raise ConfigError(name, "is missing")
         try:
@@ -55,7 +59,7 @@ def restored_fields(cls: type, stored: Mapping[str, object], without: frozenset[
     return values
 
 
-def field_types(cls: type, without: frozenset[str]) -> dict[str, object]:
+def field_types(cls: type, without: frozenset[str]) -> dict[str, Any]:
     """The types of a dataclass's fields, by name."""
     hints = get_type_hints(cls, include_extras=True)
     return {field.name: hints[field.name] for field in fields(cls) if field.name not in without}

@@ -130,7 +130,7 @@ def test_a_saved_comparison_is_the_same_again(found, tmp_path):
 def test_a_damaged_comparison_is_told(found, tmp_path):
     found.save(tmp_path)
     about = json.loads((tmp_path / "compare.json").read_text())
-    about["settings"]["given"]["variables"].append("nothing")
+    about["settings"]["corresponding_part"][1].append("nothing")
     write_sealed(tmp_path / "compare.json", {name: about[name] for name in about if name != "digest"})
     with pytest.raises(dj.ConfigError, match="damaged, or of another version"):
         dj.load(tmp_path)

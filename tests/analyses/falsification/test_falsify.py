@@ -106,7 +106,7 @@ def test_bad_input(study, change, options, rule):
 
 def test_command(study, tmp_path, monkeypatch, capsys):
     """falsify, then replay its witness, and simulate it by its own file."""
-    from dssc_jax.cli import guarded
+    from dssc_jax.cli.main import guarded
     from dssc_jax.study.tables import to_toml
 
     monkeypatch.chdir(tmp_path)

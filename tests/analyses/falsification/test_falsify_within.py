@@ -10,7 +10,7 @@ from scipy import stats
 import dssc_jax as dj
 from dssc_jax.analyses.falsification.hunt import Programs
 from dssc_jax.analyses.falsification.search_sets import MOST_SIGMA, search_set
-from dssc_jax.cli import guarded
+from dssc_jax.cli.main import guarded
 from dssc_jax.closed_loop.requirements import worst_slack
 from dssc_jax.statistics import distance_of_mass, mass_within
 

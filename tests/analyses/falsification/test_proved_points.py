@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.cli import guarded
+from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.study.tables import to_toml
 from tests.cli.conftest import last_json

@@ -273,11 +273,11 @@ def inner(content):
         (lambda path: changed(path, lambda all: all["study"].update(seed=5)), "not the one that its hash is of"),
         (
             lambda path: changed(path, lambda all: inner(all).pop("walk")),
-            "damaged, or of another version: KeyError",
+            "damaged, or of another version: walk: is missing",
         ),
         (
-            lambda path: changed(path, lambda all: inner(all)["walk"].update(stop=1.0)),
-            "another version: TypeError",
+            lambda path: changed(path, lambda all: inner(all)["walk"].update(end="far")),
+            "another version: walk: Input should be a valid number",
         ),
         (
             lambda path: changed(path, lambda all: inner(all)["walk"].update(end=2.0), seal=False),

@@ -13,7 +13,7 @@ from dssc_jax.analyses.sensitivity.morris import elementary_effects, screening, 
 from dssc_jax.analyses.sensitivity.outputs import FAILURE, NOISE
 from dssc_jax.analyses.sensitivity.shapley import chained_scores, orders, shapley_effects
 from dssc_jax.analyses.sensitivity.sobol import saltelli
-from dssc_jax.cli import guarded
+from dssc_jax.cli.main import guarded
 from tests.analyses.sensitivity.test_sensitivity import ishigami
 from tests.runs.test_run_until import TABLE
 

@@ -5,7 +5,7 @@ import json
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.cli import guarded
+from dssc_jax.cli.main import guarded
 from dssc_jax.study.tables import to_toml
 from tests.analyses.tuning.cases import SMALL
 

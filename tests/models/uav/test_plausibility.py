@@ -2,7 +2,7 @@
 
 import pytest
 
-from dssc_jax.cli import guarded
+from dssc_jax.cli.main import guarded
 from dssc_jax.models.uav.plausibility import implausible, usual_ranges
 from dssc_jax.models.uav.vehicle import HEXACOPTER, QUADROTOR
 from tests.mutations import document

@@ -20,6 +20,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
+from dssc_jax.analyses.defaults import HALVINGS
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
@@ -32,12 +33,9 @@ from dssc_jax.statistics.order import first
 from dssc_jax.study import Study
 
 PASSING = 0.95  # share of all plants that has to meet the requirements
-COARSE, HALVINGS, MOST_HALVINGS = (
-    8,
-    3,
-    8,
-)  # cells of the coarse lattice in each direction, and how often they are halved
-
+COARSE = 8
+"""Cells of the coarse lattice in each direction."""
+MOST_HALVINGS = 8
 MOST_RANGES = 9  # lines of the lattice whose safe ranges are listed
 
 

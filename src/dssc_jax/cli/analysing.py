@@ -1,0 +1,113 @@
+"""What all commands on analyses do: take a free folder, check, save, draw and print."""
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+from dssc_jax.cli.warnings import checked_integration, warn_of_integration
+from dssc_jax.core import files
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.plotting import save_figure
+from dssc_jax.results.analysis import Analysis
+from dssc_jax.results.analysis_folder import require_free
+from dssc_jax.study import Study
+
+AnalysisKind = TypeVar("AnalysisKind", bound=Analysis)
+
+
+class PrintedOptions(Protocol):
+    """Options that say how an analysis is checked and printed."""
+
+    @property
+    def no_check(self) -> bool:
+        """Whether the error of integration is not checked."""
+        ...
+
+    @property
+    def as_json(self) -> bool:
+        """Whether JSON is printed."""
+        ...
+
+
+def free_folder(study: Study, kind: str, name: str, out: Path | None, *options: object) -> Path:
+    """The folder of an analysis, before anything is computed.
+
+    Args:
+        study: The study.
+        kind: Kind of analysis.
+        name: Name of the usual folder besides the study's.
+        out: The folder that the user names.
+        options: Options that change the question, for the usual folder.
+
+    Raises:
+        ConfigError: the folder holds something else.
+    """
+    folder = out or usual_folder(study, name, *options)
+    require_free(folder, kind, study)
+    return folder
+
+
+def usual_folder(study: Study, command: str, *options: object) -> Path:
+    """results/NAME-COMMAND, followed by the study's hash if an option or an edit has changed the question."""
+    folder = Path("results") / f"{study.name}-{command}"
+    altered = any(option not in (None, []) for option in options)
+    return folder.with_name(f"{folder.name}-{study.hash[:8]}") if altered or is_foreign(folder, study) else folder
+
+
+def is_foreign(folder: Path, study: Study) -> bool:
+    """Whether a folder holds results, and none of this study."""
+    contents = [files.read_text(file, errors="replace") for file in folder.glob("*.json")]
+    return bool(contents) and not any(f'"{study.hash}"' in content for content in contents)
+
+
+def finish(
+    analysis: AnalysisKind,
+    folder: Path,
+    options: PrintedOptions,
+    show: Callable[[AnalysisKind, list[Path]], None],
+    written: Mapping[str, Path] | None = None,
+) -> None:
+    """Check the integration of an analysis, save it with its figure, and print it.
+
+    Args:
+        analysis: The analysis.
+        folder: Its folder.
+        options: Of the command.
+        show: Prints the analysis for people, and the files written.
+        written: Other files written, by their names in the JSON.
+    """
+    print_analysis(analysis, save_analysis(analysis, folder, options), options, show, written or {"result": folder})
+
+
+def save_analysis(analysis: Analysis, folder: Path, options: PrintedOptions) -> list[Path]:
+    """Check the integration of an analysis and save it with its figure; return the figure's files."""
+    if not options.no_check:
+        analysis.integration = checked_integration(analysis.study)
+        warn_of_integration(analysis.integration)
+    analysis.save(folder)
+    return save_figure(analysis.figure(), folder / "figures", analysis.kind)
+
+
+def print_analysis(
+    analysis: AnalysisKind,
+    figures: list[Path],
+    options: PrintedOptions,
+    show: Callable[[AnalysisKind, list[Path]], None],
+    written: Mapping[str, Path],
+) -> None:
+    """Print an analysis; arguments as for :func:`finish`."""
+    if options.as_json:
+        places = {name: str(path) for name, path in written.items()}
+        print(json.dumps(analysis.summary() | places, allow_nan=False))
+    else:
+        show(analysis, [*written.values(), *figures])
+
+
+def attempt(path: Path, write: Callable[[], object]) -> None:
+    """Write a file that the user named; a failure to write is reported as bad input."""
+    try:
+        write()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or " ".join(str(error).split())
+        raise ConfigError(str(path), f"cannot be written: {reason}") from error

@@ -1,0 +1,138 @@
+"""The application: one row for each command, whose options are declared in :mod:`dssc_jax.cli.declarations`.
+
+The command NAME is the function ``run`` of ``dssc_jax.cli.commands.NAME``, which is imported when the command runs:
+so help is fast, and a command loads only what it needs.
+"""
+
+import importlib
+import inspect
+from collections.abc import Callable
+from dataclasses import MISSING, Field, fields
+from importlib.metadata import version
+from typing import Annotated, get_args, get_type_hints
+
+import typer
+from typer.models import ArgumentInfo
+
+from dssc_jax.cli.declarations import (
+    designs,
+    flight,
+    overview,
+    results,
+    robustness,
+    searches,
+    simulation,
+    statistics,
+)
+from dssc_jax.cli.exit_codes import DONE
+from dssc_jax.console.terminal import errors
+from dssc_jax.core.errors import ConfigError
+
+COMMANDS: dict[str, type] = {
+    "run": simulation.Run,
+    "sweep": simulation.Sweep,
+    "simulate": simulation.Simulate,
+    "replay": simulation.Replay,
+    "explore": simulation.Explore,
+    "margin": robustness.Margin,
+    "theory": robustness.Theory,
+    "compare": robustness.Compare,
+    "loop": robustness.Loop,
+    "region": robustness.Region,
+    "tune": searches.Tune,
+    "falsify": searches.Falsify,
+    "plan": statistics.Plan,
+    "sensitivity": statistics.Sensitivity,
+    "rare": statistics.Rare,
+    "verify": results.Verify,
+    "export": results.Export,
+    "report": results.Report,
+    "check": designs.Check,
+    "design": designs.Design,
+    "prove": designs.Prove,
+    "airframe": flight.Airframe,
+    "code": flight.Code,
+    "compare-log": flight.CompareLog,
+    "studies": overview.Studies,
+    "info": overview.Info,
+}
+"""The options of each command, in the order of the help."""
+
+EXTRAS = {"clarabel": "proofs", "flint": "proofs", "panel": "explore", "bokeh": "explore"}
+"""Packages that commands need and a plain installation lacks, by the extra that installs them."""
+
+app = typer.Typer(
+    name="dssc-jax",
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+def print_version(asked: bool) -> None:
+    """Print the version and end."""
+    if asked:
+        print(f"dssc-jax {version('dssc_jax')}")
+        raise typer.Exit(DONE)
+
+
+def silence(asked: bool) -> None:
+    """Show no progress and no notices; errors are still reported."""
+    if asked:
+        errors().quiet = True
+
+
+@app.callback()
+def dssc_jax(
+    show_version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=print_version, help="Print the version and end.")
+    ] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", callback=silence, help="Show no progress and no notices, only errors.")
+    ] = False,
+) -> None:
+    """How much uncertainty does this controller survive, and how do I know?
+
+    Monte Carlo robustness of Dynamic Smooth Sliding Control and its rivals, on study files (TOML).
+    """
+
+
+def command(name: str, options: type) -> Callable[..., int]:
+    """The function that typer calls for a command: its parameters are the fields of the options.
+
+    Args:
+        name: Name of the command.
+        options: The dataclass of its options.
+    """
+
+    def called(**values: object) -> int:
+        try:
+            module = importlib.import_module(f"dssc_jax.cli.commands.{name.replace('-', '_')}")
+        except ModuleNotFoundError as error:
+            if error.name not in EXTRAS:
+                raise
+            raise ConfigError(name, f"needs {error.name}: pip install 'dssc_jax[{EXTRAS[error.name]}]'") from None
+        return module.run(options(**values))
+
+    hints = get_type_hints(options, include_extras=True)
+    parameters = []
+    for field in sorted(fields(options), key=lambda field: place(field, options, hints)):
+        default = inspect.Parameter.empty if field.default is MISSING else field.default
+        keyword = inspect.Parameter.KEYWORD_ONLY
+        parameters.append(inspect.Parameter(field.name, keyword, default=default, annotation=hints[field.name]))
+    called.__signature__ = inspect.Signature(parameters)  # pyright: ignore[reportFunctionMemberAccess]
+    called.__annotations__ = hints
+    called.__doc__ = options.__doc__
+    return called
+
+
+def place(field: "Field[object]", options: type, hints: dict[str, object]) -> int:
+    """Where an option stands in the help: arguments, then the command's options, then those it shares."""
+    if any(isinstance(note, ArgumentInfo) for note in get_args(hints[field.name])):
+        return 0
+    return 1 if field.name in options.__annotations__ else 2
+
+
+for name, options in COMMANDS.items():
+    app.command(name)(command(name, options))

@@ -1,0 +1,21 @@
+"""dssc-jax airframe: a PX4 airframe as the table [plant.vehicle] of a study."""
+
+import json
+
+from dssc_jax.cli.declarations.flight import Airframe
+from dssc_jax.cli.exit_codes import DONE
+from dssc_jax.core import files
+from dssc_jax.core.errors import errors_under
+from dssc_jax.models.uav.airframe import read_airframe
+from dssc_jax.study.tables import to_toml
+
+
+def run(options: Airframe) -> int:
+    """Read the airframe and print its table."""
+    with errors_under(str(options.file)):
+        vehicle, notes = read_airframe(files.read_text(options.file, errors="replace"))
+    if options.as_json:
+        print(json.dumps({"vehicle": vehicle, "notes": notes}))
+    else:
+        print(to_toml({"plant": {"vehicle": vehicle}}) + "".join(f"# {note}\n" for note in notes), end="")
+    return DONE

@@ -1,0 +1,66 @@
+"""dssc-jax explore: a page in the browser on a study or a result."""
+
+from collections.abc import Callable
+from contextlib import nullcontext
+from pathlib import Path
+
+from dssc_jax.cli.declarations.simulation import Explore
+from dssc_jax.cli.exit_codes import DONE
+from dssc_jax.cli.loading import load_study, stored_result
+from dssc_jax.cli.output import say
+from dssc_jax.cli.parsing import parse_changes
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.exploration import require_panel
+from dssc_jax.exploration.live import LiveStudy
+from dssc_jax.exploration.page import Page
+from dssc_jax.exploration.result_page import ResultPage
+from dssc_jax.exploration.serving import PageServer
+from dssc_jax.exploration.study_page import StudyPage
+
+
+def run(options: Explore) -> int:
+    """Serve the page until Ctrl-C."""
+    require_panel()
+    folder = Path(options.subject)
+    if folder.is_dir():
+        require_none("a result", {"--set": options.settings, "--slider": options.sliders, "--draws": options.draws})
+        result = stored_result(folder, options.trust_code, options.allow_local)
+        title = f"{result.study.name}: explore"
+        server = page_server(lambda: ResultPage(result, background=True), title, options.port)
+    else:
+        study = load_study(options.subject, parse_changes(options.settings), options.allow_local)
+        live = LiveStudy(study, options.sliders, options.draws)
+        say(f"{study.name}: compiling")
+        live.compile()
+        title = f"{study.name}: explore"
+        server = page_server(lambda: StudyPage(live, background=True), title, options.port)
+    print(server.url, flush=True)
+    say("the page is served to this machine only; Ctrl-C ends it")
+    with server.opened_in_browser() if options.browser else nullcontext():
+        server.serve()
+    return DONE
+
+
+def require_none(subject: str, options: dict[str, object]) -> None:
+    """Require that options without a meaning here are not given."""
+    for option, value in options.items():
+        if value:
+            raise ConfigError(option, f"has no meaning with {subject}")
+
+
+def page_server(page: Callable[[], Page], title: str, port: int) -> PageServer:
+    """The server of a page.
+
+    Args:
+        page: Makes the page for each visitor.
+        title: Its title.
+        port: The port; 0: any free one.
+
+    Raises:
+        ConfigError: the port cannot be used.
+    """
+    try:
+        return PageServer(page, title, port)
+    except OSError as error:
+        rule = f"cannot serve at port {port} of this machine ({error.strerror}); 0 takes any free one"
+        raise ConfigError("--port", rule) from None

@@ -1,0 +1,151 @@
+"""dssc-jax prove: the sampled loop, with lag; also verifies the certificates in a file."""
+
+import json
+import math
+from pathlib import Path
+
+from dssc_jax.analyses.loading import load
+from dssc_jax.analyses.tuning import Tuned
+from dssc_jax.analyses.tuning.result import PROOF_FILE
+from dssc_jax.cli.analysing import attempt
+from dssc_jax.cli.declarations.designs import Prove
+from dssc_jax.cli.exit_codes import DONE, FAILS
+from dssc_jax.cli.loading import load_study
+from dssc_jax.cli.parsing import parse_changes, parse_walk
+from dssc_jax.console.proofs import show_proof, show_sweep_verdicts, show_verdict
+from dssc_jax.console.terminal import output, progress_bar
+from dssc_jax.core import files
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.design.certification import NotCovered
+from dssc_jax.proofs import BOXES, SWEEP_BOXES
+from dssc_jax.proofs.certificate_text import certificate_content
+from dssc_jax.proofs.prove import Proved, check_certificate, prove
+from dssc_jax.proofs.reach import proved_up_to
+from dssc_jax.proofs.verifier.verdict import ProofVerdict
+from dssc_jax.proofs.words import loop_in_words
+from dssc_jax.results.manifest import MANIFEST
+from dssc_jax.results.result import load_result
+from dssc_jax.results.summary import JsonObject
+from dssc_jax.runs.prove_sweep import foreign_points
+from dssc_jax.study import Described, Study
+
+FOREIGN = "P0: the certificate is that of another loop than the folder's"
+
+
+def run(options: Prove) -> int:
+    """Prove the study's loop, or verify a file of certificates."""
+    if options.study.endswith(".json"):
+        path = Path(options.study)
+        content = read_json(path)
+        if isinstance(content, dict) and "certificates" in content:
+            return verify_sweep(content, path.parent, options.as_json)
+        return verify_certificate(content, path, options.as_json)
+    study = load_study(options.study, parse_changes(options.settings), options.allow_local).without_sweep()
+    if options.over is not None:
+        return prove_over(study, options.over, options)
+    try:
+        proved = prove(study, boxes=options.boxes or BOXES)
+    except NotCovered as error:
+        raise ConfigError(study.source, f"is outside of what a proof covers: {error}") from None
+    write_certificate(proved, options.out)
+    if options.as_json:
+        print(json.dumps(proved.summary(), allow_nan=False))
+    else:
+        show_proof(proved.summary(), options.out)
+    return DONE if proved.complete else FAILS
+
+
+def verify_certificate(content: object, path: Path, as_json: bool) -> int:
+    """Verify the certificate in a file and print the verdict."""
+    verdict = check_certificate(content)
+    problem = content.get("problem", {}) if isinstance(content, dict) else {}
+    if verdict.proved and is_foreign(problem, path):
+        verdict = ProofVerdict(False, FOREIGN, math.inf, math.inf)
+    words = {} if verdict.reason.startswith("P0") else loop_in_words(problem)
+    if as_json:
+        answer = verdict._asdict() if verdict.proved else {"proved": False, "reason": verdict.reason}
+        print(json.dumps(answer | {"loop": words}, allow_nan=False))
+    else:
+        show_verdict(verdict, words)
+    return DONE if verdict.proved else FAILS
+
+
+def is_foreign(problem: JsonObject, path: Path) -> bool:
+    """Whether a certificate's file lies in a tuning's folder, and its problem is not the tuned loop."""
+    if path.name != PROOF_FILE or not (path.parent / f"{Tuned.kind}.json").exists():
+        return False
+    tuned = load(path.parent)
+    if not isinstance(tuned, Tuned) or isinstance(tuned.study, Described):
+        return False
+    return tuned.proved_loop != problem
+
+
+def write_certificate(proved: Proved, out: Path | None) -> None:
+    """Write the certificate, if a file is given."""
+    if out is not None:
+        content = json.dumps(proved.certificate(), indent=1) + "\n"
+        attempt(out, lambda: files.write_text(out, content))
+
+
+def prove_over(study: Study, over: str, options: Prove) -> int:
+    """Find the last value of a number that is proved, write its certificate and print it."""
+    walked = parse_walk(over)
+    boxes = options.boxes or SWEEP_BOXES
+    try:
+        with progress_bar(study, quiet=options.as_json, of="values", compiles=False) as advance:
+            reach = proved_up_to(study, walked.name, walked.bounds, log=options.log, boxes=boxes, progress=advance)
+    except NotCovered as error:
+        raise ConfigError(study.source, f"is outside of what a proof covers: {error}") from None
+    if reach.last is not None:
+        write_certificate(reach.last, options.out)
+    if options.as_json:
+        print(json.dumps(reach.summary(), allow_nan=False))
+    else:
+        output().print(reach.statement(), soft_wrap=True, markup=False)
+    return FAILS if reach.last is None else DONE
+
+
+def verify_sweep(content: JsonObject, folder: Path, as_json: bool) -> int:
+    """Verify the certificates of a sweep's points that are said to be proved.
+
+    In a results folder, each must be a certificate of the folder's own loop at its point.
+    """
+    try:
+        pairs = zip(content["points"], content["certificates"], strict=True)
+        certificates = [certificate for point, certificate in pairs if point["proved"]]
+        study = study_of_folder(folder)
+        foreign = [] if study is None else foreign_points(study, content["certificates"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigError("proofs", f"are damaged: {error!r}") from None
+    reasons = []
+    for certificate in certificates:
+        verdict = check_certificate(certificate)
+        if not verdict.proved:
+            reasons.append(verdict.reason)
+    reasons += [f"P0: the certificate of point {i} is that of another loop than the folder's" for i in foreign]
+    if as_json:
+        counts = {"points": len(content["points"]), "certificates": len(certificates)}
+        print(json.dumps({"proved": not reasons, **counts, "reasons": reasons}, allow_nan=False))
+    else:
+        show_sweep_verdicts(len(content["points"]), len(certificates), reasons)
+    return FAILS if reasons else DONE
+
+
+def study_of_folder(folder: Path) -> Study | None:
+    """The study of a results folder; None if it is none, or if its code is not loaded."""
+    if not (folder / MANIFEST).exists():
+        return None
+    study = load_result(folder).study
+    return None if isinstance(study, Described) else study
+
+
+def read_json(path: Path) -> object:
+    """The content of a file.
+
+    Raises:
+        ConfigError: it cannot be read, or it is no plain JSON.
+    """
+    try:
+        return certificate_content(files.read_text(path))
+    except (OSError, ValueError) as error:
+        raise ConfigError(str(path), f"cannot be read: {error}") from None

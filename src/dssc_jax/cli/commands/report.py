@@ -1,0 +1,57 @@
+"""dssc-jax report: a result, an analysis, or a folder of them as an HTML page."""
+
+import json
+import time
+from pathlib import Path
+
+from dssc_jax.cli.analysing import attempt
+from dssc_jax.cli.declarations.results import Report
+from dssc_jax.cli.exit_codes import DONE
+from dssc_jax.cli.loading import stored_analysis
+from dssc_jax.console.terminal import show_page
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.exploration import require_panel
+from dssc_jax.report import write, write_index
+from dssc_jax.report.page import write_page
+
+
+def run(options: Report) -> int:
+    """Write the page and name it."""
+    if (options.result is None) == (options.index is None):
+        raise ConfigError("report", "takes a results folder, or --index with a folder of them, and not both")
+    if options.result is None:
+        if options.out is not None:
+            raise ConfigError("--out", "applies to one report; the index is written into the folder of results")
+        assert options.index is not None
+        return print_index(options.index, options.as_json)
+    began = time.perf_counter()
+    loaded = stored_analysis(options.result, options.trust_code, options.allow_local)
+    if options.interactive:
+        require_panel()
+        from dssc_jax.exploration.interactive_report import INTERACTIVE, interactive_html  # needs an optional package
+
+        page = options.out or options.result / INTERACTIVE
+        text = interactive_html(loaded)
+        attempt(page, lambda: write_page(text, page, loaded))
+    else:
+        page = options.out or options.result / "report.html"
+        attempt(page, lambda: write(loaded, page, options.worst))
+    size = page.stat().st_size
+    seconds = time.perf_counter() - began
+    if options.as_json:
+        print(json.dumps({"report": str(page), "bytes": size, "seconds": seconds}))
+    else:
+        show_page(page, f"{size / 1e6:.2f} MB in {seconds:.1f} s")
+    return DONE
+
+
+def print_index(root: Path, as_json: bool) -> int:
+    """Write the index of a folder of results and analyses, and show its content."""
+    page, rows = write_index(root, lambda made: None if as_json else show_page(made, "it was missing or out of date"))
+    troubled = sum(bool(row.trouble) for row in rows)
+    if as_json:
+        results = [{**row._asdict(), "folder": str(row.folder)} for row in rows]
+        print(json.dumps({"index": str(page), "results": results}))
+    else:
+        show_page(page, f"{len(rows) - troubled} results, {troubled} that cannot be shown")
+    return DONE

@@ -1,0 +1,61 @@
+"""dssc-jax run: every draw of a study at its own values."""
+
+from pathlib import Path
+
+from dssc_jax.cli.analysing import usual_folder
+from dssc_jax.cli.declarations.simulation import Run
+from dssc_jax.cli.exit_codes import DONE, FAILS
+from dssc_jax.cli.running import computed_result, print_result, require_unset, simulated_study
+from dssc_jax.cli.warnings import warn_of_study
+from dssc_jax.console.terminal import progress_bar
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.runs.run_until import MOST_DRAWS, Rule, run_until
+from dssc_jax.statistics import AcceptReject, UntilWidth
+from dssc_jax.study import Study
+
+
+def run(options: Run) -> int:
+    """Simulate the draws, or as many as a stopping rule asks for, and print the result."""
+    rule = stopping_rule(options.until_width, options.accept, options.reject)
+    study = simulated_study(options).without_sweep()
+    if rule is not None:
+        require_unset("a data-driven stop", draws=options.draws, resume=options.resume or None, cluster=options.cluster)
+        return run_with_rule(study, rule, options)
+    require_unset("a fixed number of draws", max_draws=options.max_draws)
+    out = options.out or usual_folder(study, "run", options.settings, options.draws, options.seed)
+    print_result(computed_result(study, out, options), out, options.as_json)
+    return DONE
+
+
+def stopping_rule(width: float | None, accept: float | None, reject: float | None) -> Rule | None:
+    """The stopping rule given by the options."""
+    if width is accept is reject is None:
+        return None
+    if width is not None and (accept is not None or reject is not None):
+        raise ConfigError("--until-width", "cannot be combined with --accept and --reject")
+    try:
+        if width is not None:
+            return UntilWidth(width)
+        if accept is None or reject is None:
+            raise ConfigError("--accept" if accept is None else "--reject", "is missing; the two go together")
+        return AcceptReject(accept, reject)
+    except ConfigError:
+        raise
+    except ValueError as error:
+        raise ConfigError("--until-width" if width is not None else "--accept", str(error)) from None
+
+
+def run_with_rule(study: Study, rule: Rule, options: Run) -> int:
+    """Make draws until the stopping rule is met."""
+    warn_of_study(study)
+    limit = MOST_DRAWS if options.max_draws is None else options.max_draws
+    out = options.out or folder_of_rule(study, rule, limit)
+    with progress_bar(study, quiet=options.as_json, early="the rule is met") as advance:
+        result = run_until(study, rule, out, most=limit, progress=advance, check=not options.no_check)
+    print_result(result, out, options.as_json)
+    return DONE if result.manifest["stopping"]["verdict"] in ("narrow", "accepted") else FAILS
+
+
+def folder_of_rule(study: Study, rule: Rule, limit: int) -> Path:
+    """The usual folder of a run with a stopping rule."""
+    return usual_folder(study.override({"draws": limit}), f"run-{rule.slug}", limit)

@@ -1,0 +1,58 @@
+"""dssc-jax sweep: every draw of a study at every point of its sweep."""
+
+from pathlib import Path
+
+from dssc_jax.cli.analysing import attempt, usual_folder
+from dssc_jax.cli.declarations.simulation import Sweep
+from dssc_jax.cli.exit_codes import DONE
+from dssc_jax.cli.parsing import parse_overs
+from dssc_jax.cli.proving import require_proofs
+from dssc_jax.cli.running import computed_result, print_result, simulated_study
+from dssc_jax.console.terminal import progress_bar
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.results.result import Result
+from dssc_jax.study import Study
+
+
+def run(options: Sweep) -> int:
+    """Simulate the points, prove them if asked, and print the result."""
+    study = simulated_study(options)
+    if options.over:
+        study = study.override({"sweep": parse_overs(options.over)})
+    if not study.axes:
+        raise ConfigError(study.source, "has no [sweep]; add one, or --over NAME=LO:HI:COUNT")
+    if options.prove:
+        require_provable(study)
+    out = options.out or usual_folder(study, "sweep", options.over, options.settings, options.draws, options.seed)
+    result = computed_result(study, out, options)
+    if options.prove and not result.proofs:
+        result = proved_sweep(result, out, options)
+    print_result(result, out, options.as_json)
+    return DONE
+
+
+def require_provable(study: Study) -> None:
+    """Require that proofs are installed and cover the study's points, before anything is simulated.
+
+    Raises:
+        ConfigError: they do not.
+    """
+    require_proofs()
+    from dssc_jax.design.certification import NotCovered  # needs optional packages, as the two below
+    from dssc_jax.proofs.coverage import problem_of
+    from dssc_jax.runs.prove_sweep import sweep_points
+
+    try:
+        problem_of(next(sweep_points(study)))
+    except NotCovered as error:
+        raise ConfigError(study.source, f"is outside of what a proof covers: {error}") from None
+
+
+def proved_sweep(result: Result, out: Path, options: Sweep) -> Result:
+    """Prove every point of a sweep, and keep the proofs in the results folder."""
+    from dssc_jax.runs.prove_sweep import prove_sweep  # needs optional packages
+
+    with progress_bar(result.study, quiet=options.as_json, of="proofs", compiles=False) as advance:
+        proofs = prove_sweep(result.study, boxes=options.boxes, progress=advance)
+    attempt(out, lambda: proofs.save(out))
+    return result.with_proofs(proofs)

@@ -1,0 +1,53 @@
+"""dssc-jax theory: Theorem 1, linearisation, describing functions and simulation for one number."""
+
+from dssc_jax.analyses.comparison import controller_table, switching_kinds, with_controller
+from dssc_jax.analyses.theory import assess
+from dssc_jax.cli.analysing import finish, free_folder
+from dssc_jax.cli.declarations.robustness import Theory
+from dssc_jax.cli.exit_codes import DONE
+from dssc_jax.cli.loading import study_of
+from dssc_jax.cli.parsing import parse_walk
+from dssc_jax.cli.proving import require_proofs
+from dssc_jax.console.margins import show_theory
+from dssc_jax.console.terminal import progress_bar
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.study import Study
+
+EARLY = "every critical value is found"
+
+
+def run(options: Theory) -> int:
+    """Assess the number, save and print the assessment."""
+    if options.prove:
+        require_proofs()
+    walked = parse_walk(options.over)
+    study = study_of(options).without_sweep()
+    folder = free_folder(
+        study, "theory", f"theory-{walked.name}", options.out, options.settings, options.draws, options.seed
+    )
+    rivals = switching_rivals(study)
+    with progress_bar(study, quiet=options.as_json, of="simulations", early=EARLY) as advance:
+        assessment = assess(
+            study,
+            over=walked.name,
+            bounds=walked.bounds,
+            log=options.log,
+            points=options.points,
+            bisections=options.bisections,
+            rivals=rivals,
+            prove=options.prove,
+            progress=advance,
+        )
+    finish(assessment, folder, options, show_theory)
+    return DONE
+
+
+def switching_rivals(study: Study) -> dict[str, Study]:
+    """The study with each controller that has a describing function, if its gains follow from the study."""
+    rivals = {}
+    for name in switching_kinds():
+        try:
+            rivals[name] = with_controller(study, name, controller_table(study, name))
+        except ConfigError:
+            continue
+    return rivals

@@ -1,0 +1,70 @@
+"""Options of the commands on certificates: check, design, prove."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dssc_jax.cli.declarations.types import Json, Local, Set
+from dssc_jax.proofs import BOXES, SWEEP_BOXES
+
+Latex = Annotated[bool, typer.Option("--latex", help="Print the tables as LaTeX (booktabs).")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """Check a design against Theorem 1: exit 1 where it is not certified.
+
+    Table 1's inequalities must hold strictly over the whole interval of k_p, and phi_b must meet the small-gain
+    condition. Tells each slack, the guaranteed residual and decay rate, and the sampling period that the design needs.
+    """
+
+    design: Annotated[
+        Path, typer.Argument(metavar="DESIGN", help="A design file: [bounds] with [parameters], [free] or [goal].")
+    ]
+    as_json: Json = False
+    as_latex: Latex = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Design:
+    """Find gains with a certificate from bounds.
+
+    [free] fixes free parameters of Table 1; what it leaves open is chosen for the [goal]: without one, for the smallest
+    guaranteed error at a sampling period of 1 ms.
+    """
+
+    bounds: Annotated[Path, typer.Argument(metavar="BOUNDS", help="A file with [bounds]; [free], [goal] as wanted.")]
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write the design file.")] = None
+    as_json: Json = False
+    as_latex: Latex = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prove:
+    """Prove that the sampled loop slides and stays near its reference: exit 1 where it is not proved.
+
+    The proof covers every value of k_p, a_p and mu within the support of their laws and every disturbance within its
+    bounds, with sampling and lag. A verifier in exact ball arithmetic accepts it, or it does not count. A certificate's
+    file is verified from the file alone. With --over, each value is proved on its own, from the safe end LO on, and the
+    last one that is proved is told.
+    """
+
+    study: Annotated[
+        str, typer.Argument(metavar="STUDY", help="A study; or the file of a certificate (.json), to verify it again.")
+    ]
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write the certificate (.json).")] = None
+    boxes: Annotated[
+        int | None,
+        typer.Option(
+            "--boxes", metavar="N", min=1, help=f"Boxes of uncertain numbers [{BOXES}; {SWEEP_BOXES} with --over]."
+        ),
+    ] = None
+    over: Annotated[
+        str | None, typer.Option("--over", metavar="NAME=LO:HI", help="Find the last value that is proved, from LO on.")
+    ] = None
+    log: Annotated[bool, typer.Option("--log", help="Bisect --over on a logarithmic scale.")] = False
+    settings: Set = None
+    as_json: Json = False
+    allow_local: Local = False

@@ -1,0 +1,80 @@
+"""Options of the commands on flight computers and logs: airframe, code, compare-log."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dssc_jax.cli.declarations.types import DrawsOptions, Json, OutputOptions, StudyOptions
+
+
+@dataclass(frozen=True, kw_only=True)
+class Airframe:
+    """Show a PX4 airframe as the table [plant.vehicle] of a study.
+
+    Takes the rotors' places and spins from CA_ROTOR.., and mass, inertia, thrust and lag from SIH_... Comments name
+    what the file does not give.
+    """
+
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="A PX4 airframe script, or a parameter file of a ground station.")
+    ]
+    as_json: Json = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Code(StudyOptions):
+    """Write the sampled controller as C99, with a bench that compares it bit by bit with the analysis.
+
+    Differentiator and controller of every channel come from the functions that the analysis runs. `make -C DIR` replays
+    recorded draws and compares every bit; docs/flight.md tells how to do so for ARM. For float32 give
+    --set loop.precision=32. With --fmu the same source becomes an FMU, with its library if there is a C compiler.
+    """
+
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The folder to write.")]
+    draws: Annotated[int, typer.Option("--draws", metavar="N", min=1, help="Draws to record for the bench.")] = 32
+    samples: Annotated[
+        int | None, typer.Option("--samples", metavar="K", min=1, help="Samples of each draw [all, at most 2000].")
+    ] = None
+    fmu: Annotated[
+        bool, typer.Option("--fmu", help="Write the controller as an FMU for co-simulation (FMI 2.0) beside it.")
+    ] = False
+    as_json: Json = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompareLog(OutputOptions, DrawsOptions):
+    """Is this logged flight one of the flights that were analysed?
+
+    Replays the logged measurements through the analysed controller and compares its commands with the logged ones. Lays
+    the log over the study's draws, tells which signal leaves their range and since when, and gives a p-value that is
+    exact for any time series: the rank of the log among the draws by its largest standardised departure. Signals are y,
+    y_dot, y_ref, y_ref_dot, y_ref_ddot and u_total; those of a channel x are x_y and so on. Without a table, the log's
+    columns must have these names, and t. The study's [sweep] is ignored.
+
+    With --fit the plant's numbers are estimated instead, and their laws are proposed as TOML. The exit code is 1, with
+    the reason, if the flight does not identify them, or if the study does not describe the flight.
+    """
+
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="A CSV or Parquet file, or a ULog of PX4 (.ulg).")]
+    columns: Annotated[
+        Path | None, typer.Option("--columns", metavar="FILE", help="Table of the log's columns, in TOML.")
+    ] = None
+    column: Annotated[
+        list[str] | None,
+        typer.Option("--column", metavar="SIGNAL=COLUMN", help="The column of a signal; may be repeated."),
+    ] = None
+    start: Annotated[
+        float | None,
+        typer.Option("--start", metavar="T", help="Time of the log at which the study begins [its first]."),
+    ] = None
+    fit: Annotated[
+        bool, typer.Option("--fit", help="Estimate numbers that have laws, and propose narrower laws; --out FILE.toml.")
+    ] = False
+    number: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--number", metavar="NAME", help="A number to estimate, repeatable [all that the flight identifies]."
+        ),
+    ] = None

@@ -1,0 +1,59 @@
+"""Options of the commands that search: tune, falsify."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dssc_jax.analyses.defaults import BUDGET, ROUNDS
+from dssc_jax.cli.declarations.types import DrawsOptions, Json, NoCheck, OutputOptions, SeededOptions
+
+Budget = Annotated[
+    int, typer.Option("--budget", metavar="N", help="Simulations of a hunt; one with derivatives counts for several.")
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tune(DrawsOptions):
+    """Tune what the study's [tune] names, by gradient.
+
+    Training draws are descended on, validation draws choose, and the study's own draws, on which nothing was tuned,
+    decide: exit 1 where a limit or requirement is not met on the validation draws, or a hunt still finds a failure.
+    Where [tune] asks for a proof, the folder holds the result's certificate, proof.json, which `prove` verifies.
+    """
+
+    robust: Annotated[
+        bool, typer.Option("--robust", help="Hunt the result's worst case, add it to the draws, tune again.")
+    ] = False
+    rounds: Annotated[int, typer.Option("--rounds", metavar="N", help="Rounds of --robust at most.")] = ROUNDS
+    budget: Budget = BUDGET
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="The tuned study [results/NAME-tune/tuned.toml].")
+    ] = None
+    no_check: NoCheck = False
+    as_json: Json = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Falsify(OutputOptions, SeededOptions):
+    """Hunt the worst draw: within the support of the laws, within K sigma, or within the likeliest share P.
+
+    The distance of a draw in sigma is that of its standard normal scores z from 0, over all uncertain numbers together;
+    scores of correlated numbers are made independent. The worst draw and the likeliest failure found are printed with
+    their distance, relative log density, and the probability of draws at most that far.
+
+    Exit 1 where one fails. The witness is written as a study (witness.toml, for `simulate`) and as a result of that one
+    draw (the folder witness, for `replay`).
+    """
+
+    budget: Budget = BUDGET
+    within_sigma: Annotated[
+        float | None,
+        typer.Option("--within-sigma", metavar="K", help="Only draws within K sigma: |z| <= K, z the laws' scores."),
+    ] = None
+    within_mass: Annotated[
+        float | None,
+        typer.Option("--within-mass", metavar="P", help="Only the likeliest draws that have the probability P."),
+    ] = None
+    search_seed: Annotated[int, typer.Option("--search-seed", metavar="S", min=0, help="Seed of the search.")] = 0

@@ -1,0 +1,64 @@
+"""Options of the commands for statistics: plan, sensitivity, rare."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import typer
+
+from dssc_jax.analyses.defaults import LEAST_REPEATS, MOVES, PARTICLES, PLAIN, REPEATS
+from dssc_jax.cli.declarations.types import DrawsOptions, Json, OutputOptions, SeededOptions
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """How many draws does my question need?
+
+    Answers for a failure probability (Chernoff; Clopper-Pearson, at the expected count and assured), for the worst case
+    and for no failure at all, and for tolerance limits (Wilks).
+    """
+
+    error: Annotated[
+        float, typer.Option("--error", metavar="E", help="Accuracy of a probability, or share beyond a limit.")
+    ] = 0.05
+    confidence: Annotated[float, typer.Option("--confidence", metavar="C", help="Confidence of every statement.")] = (
+        0.95
+    )
+    probability: Annotated[
+        float | None, typer.Option("--probability", metavar="P", help="Failure probability that you expect.")
+    ] = None
+    as_json: Json = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensitivity(OutputOptions, DrawsOptions):
+    """Which uncertain numbers matter, for each metric and for failure?
+
+    sobol: first-order and total indices; shapley: the variance shared out among numbers that may be correlated. The
+    draws, rounded down to a power of two, are the rows of a sample that is simulated about once for each number. If
+    failures are too rare, the answer is the number of rows that they need. morris: a screening of many numbers; the
+    draws are the total number of simulations. All with intervals. The study's [sweep] is ignored.
+    """
+
+    method: Annotated[
+        str, typer.Option("--method", metavar="NAME", help="sobol, shapley (numbers may be correlated) or morris.")
+    ] = "sobol"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rare(OutputOptions, SeededOptions):
+    """A failure probability too small for plain draws.
+
+    Adaptive multilevel splitting on the smallest slack of a requirement: failures are approached level by level. The
+    interval comes from independent repeats; plain draws show where it cannot be right. The study's [sweep] and its
+    number of draws are ignored.
+    """
+
+    particles: Annotated[int, typer.Option("--particles", metavar="N", help="Particles of each repeat.")] = PARTICLES
+    killed: Annotated[
+        int | None, typer.Option("--killed", metavar="K", help="Particles killed at each level [N/2].")
+    ] = None
+    moves: Annotated[int, typer.Option("--moves", metavar="M", help="Steps of a clone at each level.")] = MOVES
+    repeats: Annotated[
+        int, typer.Option("--repeats", metavar="R", help=f"Independent repeats, at least {LEAST_REPEATS}.")
+    ] = REPEATS
+    plain: Annotated[int, typer.Option("--plain", metavar="N", help="Plain draws, which may contradict.")] = PLAIN

@@ -1,0 +1,113 @@
+"""Arguments and options shared by several commands: the types of single ones, and groups of them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dssc_jax.analyses.defaults import BISECTIONS, POINTS
+
+StudyArgument = Annotated[str, typer.Argument(metavar="STUDY", help="A study file, or the name of one of `studies`.")]
+ResultArgument = Annotated[Path, typer.Argument(metavar="RESULT", help="A results folder.")]
+StoredArgument = Annotated[Path, typer.Argument(metavar="FOLDER", help="The folder of a result, or of an analysis.")]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="NAME=VALUE", help="Override a value by dotted name; may be repeated."),
+]
+Draws = Annotated[int | None, typer.Option("--draws", metavar="N", help="Number of draws.")]
+Seed = Annotated[int | None, typer.Option("--seed", metavar="S", help="Seed of the draws.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
+NoCheck = Annotated[bool, typer.Option("--no-check", help="Do not simulate some draws again with twice the substeps.")]
+TrustCode = Annotated[
+    bool, typer.Option("--trust-code", help="Import the `module:object` names of the result's study.")
+]
+Local = Annotated[
+    bool, typer.Option("--allow-local", help="Let `module:object` names also import from the study's own folder.")
+]
+Prove = Annotated[
+    bool, typer.Option("--prove", help="Also prove the sampled loop, as far along the walk as a proof is found.")
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyOptions:
+    """A study and changes of its values."""
+
+    study: StudyArgument
+    settings: Set = None
+    allow_local: Local = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeededOptions(StudyOptions):
+    """A study, changes of its values, and the seed of its draws."""
+
+    seed: Seed = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class DrawsOptions(SeededOptions):
+    """A study, changes of its values, and its draws."""
+
+    draws: Draws = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutputOptions:
+    """The folder of a result, and what is printed."""
+
+    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Results folder [results/NAME-COMMAND].")] = (
+        None
+    )
+    no_check: NoCheck = False
+    as_json: Json = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class StoredOptions:
+    """A stored result, whose study may name code."""
+
+    as_json: Json = False
+    trust_code: TrustCode = False
+    allow_local: Local = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class WalkOptions:
+    """A walk over one number, from its safe end to the other."""
+
+    over: Annotated[
+        str,
+        typer.Option("--over", metavar="NAME=LO:HI", help="The number to walk, from its safe end to the other."),
+    ]
+    log: Annotated[bool, typer.Option("--log", help="Walk evenly in the logarithm.")] = False
+    points: Annotated[int, typer.Option("--points", metavar="N", help="Values of the bracketing grid.")] = POINTS
+    bisections: Annotated[int, typer.Option("--bisections", metavar="N", help="Halvings of a grid's cell.")] = (
+        BISECTIONS
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """How a run treats what its folder holds, and where it computes."""
+
+    resume: Annotated[bool, typer.Option("--resume", help="Keep what an interrupted run of this study finished.")] = (
+        False
+    )
+    fresh: Annotated[bool, typer.Option("--fresh", help="Compute a complete result again.")] = False
+    cluster: Annotated[
+        str | None,
+        typer.Option("--cluster", metavar="ADDRESS", help="Workers: tcp://HOST:PORT of a dask scheduler, or local:N."),
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrajectoryOptions:
+    """The files of a trajectory."""
+
+    csv: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write the trajectory as CSV.")] = None
+    figure: Annotated[Path | None, typer.Option("--figure", metavar="FILE", help="Write a figure (PNG, SVG, PDF).")] = (
+        None
+    )
+    every: Annotated[int, typer.Option("--every", metavar="K", min=1, help="Keep every K-th sample.")] = 1

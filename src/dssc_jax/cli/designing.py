@@ -1,0 +1,48 @@
+"""What the commands check and design share: a design with its certificate."""
+
+import json
+
+from dssc_jax.cli.exit_codes import DONE, FAILS
+from dssc_jax.console.designs import latex, show
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.design import check
+from dssc_jax.design.feasibility import limits
+from dssc_jax.design.files import DesignFile
+from dssc_jax.results.summary import jsonable
+
+
+def require_one_form(as_json: bool, as_latex: bool) -> None:
+    """Require at most one output format on stdout.
+
+    Raises:
+        ConfigError: both are requested.
+    """
+    if as_json and as_latex:
+        raise ConfigError("--latex", "cannot be combined with --json: each is the only output on stdout")
+
+
+def print_design(design: DesignFile, as_json: bool, as_latex: bool) -> int:
+    """Print a design with its certificate; the exit code says whether it is certified."""
+    certificate = check(design.parameters, design.bounds)
+    reach = limits(design.parameters, design.bounds) if certificate.certified else None
+    if as_json:
+        modulation = None
+        if design.modulation:
+            needed = design.modulation.needed_rho(certificate.practice)
+            modulation = {"needed_rho": needed, "first_sliding": design.modulation.first_sliding}
+        content = {
+            "design": design.name,
+            "parameters": design.parameters._asdict(),
+            "free": design.free and design.free._asdict(),
+            "goal": design.goal and design.goal._asdict(),
+            "edges": design.edges,
+            **certificate.to_dict(),
+            "limits": reach and reach._asdict(),
+            "modulation": modulation,
+        }
+        print(json.dumps(jsonable(content), allow_nan=False))
+    elif as_latex:
+        print(latex(design, certificate))
+    else:
+        show(design, certificate, reach)
+    return DONE if certificate.certified else FAILS

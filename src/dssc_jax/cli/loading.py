@@ -1,0 +1,107 @@
+"""Load the study or the result that a command is about, and show which code of its own is about to run."""
+
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+from dssc_jax.analyses.loading import Loaded, description, load
+from dssc_jax.cli.declarations.types import DrawsOptions, SeededOptions, StudyOptions
+from dssc_jax.cli.output import say
+from dssc_jax.cli.parsing import parse_changes
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.results.manifest import Manifest, read_manifest
+from dssc_jax.results.result import Result, load_result
+from dssc_jax.study import Study, read_toml
+from dssc_jax.study.code import describe_code, folders_of
+from dssc_jax.study.importing import allow_imports
+from dssc_jax.study.library import find
+from dssc_jax.study.recorded import with_records
+from dssc_jax.study.tables import changed
+
+
+def study_of(options: StudyOptions) -> Study:
+    """The study of a command, with the changes that its options ask for."""
+    changes: dict[str, object] = dict(parse_changes(options.settings))
+    if isinstance(options, DrawsOptions) and options.draws is not None:
+        changes["draws"] = options.draws
+    if isinstance(options, SeededOptions) and options.seed is not None:
+        changes["seed"] = options.seed
+    return load_study(options.study, changes, options.allow_local)
+
+
+def load_study(name: str, changes: Mapping[str, object], local: bool) -> Study:
+    """Load a study, changed.
+
+    Args:
+        name: A file, or the name of a packaged study.
+        changes: Values by dotted name.
+        local: Let its ``module:object`` names also import from its folder.
+    """
+    path = find(name)
+    if local:
+        allow_imports(path.parent)
+    try:
+        table = with_records(changed(read_toml(path), changes, str(path)), path.parent)
+    except ConfigError as error:
+        raise error.within(str(path)) from None
+    show_code("study", table)
+    return Study.from_table(table, str(path))
+
+
+def spare_gpu_memory() -> None:
+    """Leave a GPU's memory to the worker that computes on it; called before a study is validated, which starts JAX."""
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+
+
+def stored_result(folder: Path, trust_code: bool = False, local: bool = False) -> Result:
+    """Load a stored result, which may be from an untrusted source.
+
+    Args:
+        folder: The results folder.
+        trust_code: Import the code that its study names, after showing which.
+        local: As in :func:`load_study`, for the study file it was made from; only used if its code is trusted.
+    """
+    if trust_code:
+        show_trusted(read_manifest(folder), local)
+    return load_result(folder, trust_code)
+
+
+def stored_analysis(folder: Path, trust_code: bool = False, local: bool = False) -> Loaded:
+    """Load a stored result or analysis; arguments as for :func:`stored_result`."""
+    if trust_code:
+        show_trusted(description(folder), local)
+    return load(folder, trust_code)
+
+
+def show_trusted(manifest: Manifest, local: bool) -> None:
+    """Show which code of a stored study is about to run, and make it importable if requested.
+
+    It may then come from the folder of the study file, or from the folders of the modules that the run used.
+    """
+    if local:
+        for folder in (Path(str(manifest.get("source", ""))).parent, *folders_of(manifest.get("code"))):
+            allow_imports(folder)
+    show_code("result", manifest["study"], manifest.get("code"))
+
+
+def show_code(subject: str, table: Mapping[str, object], recorded: Manifest | None = None) -> None:
+    """Show which code is about to run, and from which files, before it is imported.
+
+    Args:
+        subject: What runs it: a study, a result or a command.
+        table: The table that names it.
+        recorded: The code that a stored result ran.
+    """
+    if names := describe_code(table, recorded):
+        say(f"this {subject} runs code: {names}")
+
+
+def controller_names(text: str) -> list[str]:
+    """Parse the names of ``A,B,..``, and show which code is about to run if some are of one's own."""
+    names = [name.strip() for name in text.split(",")]
+    if any(set(name) & set("; +&") for name in names):
+        wanted = ",".join(re.split(r"[\s,;+&]+", text.strip()))
+        raise ConfigError("--controllers", f"takes names separated by commas; did you mean '{wanted}'?")
+    show_code("command", {"names": names})
+    return names

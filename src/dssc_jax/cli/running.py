@@ -1,0 +1,81 @@
+"""What the commands run and sweep share: a complete result is shown, anything else is computed."""
+
+import sys
+from pathlib import Path
+
+import dssc_jax.plotting as plotting
+from dssc_jax.cli.declarations.simulation import Run, Sweep
+from dssc_jax.cli.loading import spare_gpu_memory, study_of
+from dssc_jax.cli.warnings import warn_of_integration, warn_of_study
+from dssc_jax.console.results import show_figures, show_result
+from dssc_jax.console.terminal import notify, progress_bar
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.engine.batching import computing
+from dssc_jax.results.blocks import writing
+from dssc_jax.results.manifest import MANIFEST, code_entries, machinery_differences, read_manifest
+from dssc_jax.results.result import Result
+from dssc_jax.results.store import read_dataset
+from dssc_jax.runs import run as runs
+from dssc_jax.study import Study
+
+
+def simulated_study(options: Run | Sweep) -> Study:
+    """The study to simulate, here or on a cluster."""
+    if options.cluster:
+        spare_gpu_memory()
+    return study_of(options)
+
+
+def require_unset(purpose: str, **options: object) -> None:
+    """Require that options without a meaning here are not given."""
+    for name, value in options.items():
+        if value is not None:
+            raise ConfigError(f"--{name.replace('_', '-')}", f"has no meaning with {purpose}")
+
+
+def computed_result(study: Study, out: Path, options: Run | Sweep) -> Result:
+    """The result in the folder if it is complete, else that of a run into it."""
+    if not options.fresh and (result := complete_result(study, out)) is not None:
+        notify(f"{out} is complete, computed {result.manifest['started']}; --fresh computes it again")
+        return result
+    warn_of_study(study)
+    folder = str(Path(study.source).resolve().parent) if options.allow_local else None
+    with progress_bar(study, quiet=options.as_json) as advance:
+        return runs.run(
+            study,
+            out,
+            resume=options.resume,
+            progress=advance,
+            cluster=options.cluster,
+            notify=notify,
+            local=folder,
+            check=not options.no_check,
+        )
+
+
+def complete_result(study: Study, out: Path) -> Result | None:
+    """The complete result of the same study in a folder, computed with the same software and device; None otherwise."""
+    if not (out / MANIFEST).exists():
+        return None
+    try:
+        manifest = read_manifest(out)
+        same = manifest["hash"] == study.hash and manifest.get("complete") and not manifest.get("stopping")
+        if not same or machinery_differences(manifest, {**computing(), **code_entries(study)}):
+            return None
+        return Result.of(study, read_dataset(out, study, manifest), manifest, out)
+    except ConfigError:  # damaged: it is computed again
+        return None
+
+
+def print_result(result: Result, out: Path, as_json: bool) -> None:
+    """Print the result, then draw its figures, which take longer."""
+    warn_of_integration(result.manifest.get("integration"))
+    if as_json:
+        sys.stdout.writelines(line.replace("\n", "") for line in result.lines())
+        print(flush=True)
+    else:
+        show_result(result)
+    with writing(out):
+        figures = plotting.save_all(result, out / "figures")
+    if not as_json:
+        show_figures(figures)

@@ -1,0 +1,41 @@
+"""Warnings of a command, on standard error: of noise, of unusual vehicles, of integration."""
+
+from collections.abc import Mapping
+
+from dssc_jax.cli.output import say
+from dssc_jax.design import noise_warning, rate_warning
+from dssc_jax.engine.integration import integration_error
+from dssc_jax.models.uav.plausibility import implausible
+from dssc_jax.models.uav.vehicle import Vehicle
+from dssc_jax.results.summary import JsonObject
+from dssc_jax.study import Described, Study
+
+
+def warn_of_vehicle(study: Study) -> None:
+    """Print a warning for each number of the study's own vehicle that multirotors usually do not have."""
+    if isinstance(study, Described):
+        return
+    vehicle = getattr(study.template.plant, "vehicle", None)
+    table = study.config.plant.get("vehicle")
+    if isinstance(vehicle, Vehicle) and isinstance(table, dict):
+        for text in implausible(vehicle, table):
+            say(f"warning: {text}")
+
+
+def warn_of_study(study: Study) -> None:
+    """Print a warning where noise is predicted to move the loop, where an exact y' flatters it, and of odd vehicles."""
+    warn_of_vehicle(study)
+    for warning in (noise_warning, rate_warning):
+        if text := warning(study):
+            say(f"warning: {text}")
+
+
+def checked_integration(study: Study) -> JsonObject | None:
+    """The error of integration between the samples; None of a study whose code is not imported."""
+    return None if isinstance(study, Described) else integration_error(study).to_dict()
+
+
+def warn_of_integration(checked: Mapping[str, object] | None) -> None:
+    """Print a warning where the error of integration matters."""
+    if checked and checked["warning"]:
+        say(f"warning: {checked['warning']}")
