@@ -22,7 +22,8 @@ from unittest import mock
 import xarray as xr
 
 import dssc_jax as dj
-from dssc_jax.cli.main import guarded, simulation
+from dssc_jax.cli.commands import run
+from dssc_jax.cli.main import guarded
 from dssc_jax.console.environment import machine
 
 ROOT = Path(__file__).parents[1]
@@ -69,7 +70,7 @@ def study_files(count: int, seed: int) -> Tally:
     """Mutated study files, as ``run`` meets them; valid ones stop where the simulation would begin."""
     tally = Tally()
     random = Random(seed)
-    unsimulated = mock.patch.object(simulation, "finish", return_value=0)
+    unsimulated = mock.patch.multiple(run, computed_result=mock.DEFAULT, print_result=mock.DEFAULT)
     with unsimulated, tempfile.TemporaryDirectory() as place:
         path, out = Path(place) / "study.toml", Path(place) / "out"
         for number in range(count):

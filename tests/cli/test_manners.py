@@ -168,11 +168,22 @@ def test_an_edited_study_has_a_folder_of_its_own(study, capsys):
     assert second["draws"] == 21
 
 
-def test_a_run_whose_figures_cannot_be_drawn_is_kept(study):
-    """Their library is imported while lanes run, and fails at once."""
+def test_a_run_whose_figures_cannot_be_drawn_is_kept(study, monkeypatch):
+    """The result is complete before its figures are drawn."""
+
+    def failing(*arguments):
+        raise RuntimeError("no fonts")
+
+    monkeypatch.setattr("dssc_jax.plotting.save_all", failing)
+    with pytest.raises(RuntimeError, match="no fonts"):
+        guarded(["run", str(study), "--out", "kept"])
+    assert json.loads(Path("kept/manifest.json").read_text())["complete"]
+    assert dj.load("kept").dataset.sizes["draw"] == 20
+
+
+def test_a_figure_library_that_does_not_load_ends_a_command_before_it_computes(study):
     command = [sys.executable, "-m", "dssc_jax.cli", "run", str(study), "--out", "kept"]
     done = subprocess.run(command, env={**os.environ, "MPLBACKEND": "nonsense"}, capture_output=True, text=True)
     assert done.returncode != 0
     assert "nonsense" in done.stderr
-    assert json.loads(Path("kept/manifest.json").read_text())["complete"]
-    assert dj.load("kept").dataset.sizes["draw"] == 20
+    assert not Path("kept").exists()

@@ -58,10 +58,12 @@ def run(options: Prove) -> int:
 def verify_certificate(content: object, path: Path, as_json: bool) -> int:
     """Verify the certificate in a file and print the verdict."""
     verdict = check_certificate(content)
-    problem = content.get("problem", {}) if isinstance(content, dict) else {}
-    if verdict.proved and is_foreign(problem, path):
-        verdict = ProofVerdict(False, FOREIGN, math.inf, math.inf)
-    words = {} if verdict.reason.startswith("P0") else loop_in_words(problem)
+    words = {}
+    if isinstance(content, dict) and not verdict.reason.startswith("P0"):  # the problem is well formed
+        if verdict.proved and is_foreign(content["problem"], path):
+            verdict = ProofVerdict(False, FOREIGN, math.inf, math.inf)
+        else:
+            words = loop_in_words(content["problem"])
     if as_json:
         answer = verdict._asdict() if verdict.proved else {"proved": False, "reason": verdict.reason}
         print(json.dumps(answer | {"loop": words}, allow_nan=False))
