@@ -151,9 +151,9 @@ def front(vehicle: Vehicle, kind: str, budget: Budget, reference: np.ndarray) ->
         means = [tuned.verdict.limits[name][2] for name in limits]
         variation = float(np.max(np.array(means) / reference))
         robust = float(np.max(vehicle.variation(tuned.tuned_study, "command_tv")))
-        within = bool(tuned.facts["feasible"])
+        within = bool(tuned.facts.feasible)
         found.append(Trade(share, tuned.verdict.objective[1], variation, robust, lag_margin(tuned.tuned_study), within))
-        print(f"{vehicle.study.name} {kind}: {found[-1]}, {tuned.facts['seconds']:.0f} s, {start}", flush=True)
+        print(f"{vehicle.study.name} {kind}: {found[-1]}, {tuned.facts.seconds:.0f} s, {start}", flush=True)
     return found
 
 
@@ -254,7 +254,7 @@ def descent_lines(budget: Budget, study: dj.Study) -> list[str]:
     return [
         f'`tune_case2` by `optimiser = "adam"`: {steps} steps on the same draws lower the objective by '
         f"{found.verdict.reduction:.1%} in "
-        f"{found.facts['seconds']:.0f} s.",
+        f"{found.facts.seconds:.0f} s.",
         "",
     ]
 

@@ -232,12 +232,14 @@ def tuning_text() -> str:
     parts = []
     for change in ({}, {"tune.over": {}, "tune.aim": "proved_error"}):
         tuned = dj.tune(study.override(change))
-        aimed, moves = tuned.facts["aimed"], tuned.values.items()
+        aimed = tuned.facts.aimed
+        assert aimed is not None
+        moves = tuned.values.items()
         gains = ", ".join(f"{name.split('.')[-1]} {tuned.start[name]:.3g} -> {value:.3g}" for name, value in moves)
         bounds = ", ".join(f"{name} {b:.4g} -> {c:.4g}" for name, (_, b, c) in tuned.verdict.limits.items())
         parts.append(
-            f"* `{aimed['aim']}`: {aimed['start']:.4g} -> {aimed['result']:.4g} by {gains}; on {tuned.verdict.draws} "
-            f"fresh draws mean {bounds}; {tuned.facts['stopped']}; {tuned.facts['seconds']:.0f} s."
+            f"* `{aimed.aim}`: {aimed.start:.4g} -> {aimed.result:.4g} by {gains}; on {tuned.verdict.draws} "
+            f"fresh draws mean {bounds}; {tuned.facts.stopped}; {tuned.facts.seconds:.0f} s."
         )
     table = study.config.tune
     assert table is not None

@@ -11,7 +11,7 @@ from dssc_jax.analyses.comparison import Comparison
 from dssc_jax.analyses.comparison.compare import ComparisonAnswer, ContestAnswer
 from dssc_jax.analyses.rare_events.rare import RareEvent
 from dssc_jax.analyses.sensitivity import Sensitivity
-from dssc_jax.console.terminal import output, show_files, show_pairs, show_table
+from dssc_jax.console.terminal import number_text, output, show_files, show_pairs, show_table
 
 
 def show_comparison(comparison: Comparison, files: list[Path]) -> None:
@@ -37,8 +37,7 @@ def show_contest(contest: ContestAnswer, answer: ComparisonAnswer, gains: str) -
     for name, controller in contest.controllers.items():
         low, high = controller.interval
         share = f"{controller.probability:.4g}" if controller.failures else f"<= {high:.3g}"
-        median = controller.median.get(answer.headline)
-        middle = "none" if median is None or not np.isfinite(median) else f"{median:.4g}"
+        middle = number_text(controller.median.get(answer.headline), ".4g")
         rows.append((name, f"{controller.failures}/{answer.draws}", share, f"[{low:.3g}, {high:.3g}]", middle))
     show_table((gains, "failures", "probability", "95 % interval", f"median {answer.headline}"), rows)
     show_pairs(contest.pairs, "failure probability, paired", "exact McNemar")

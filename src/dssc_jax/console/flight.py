@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from dssc_jax.console.terminal import output, show_files, show_table
-from dssc_jax.flight_logs.comparison import LogComparison
+from dssc_jax.flight_logs.comparison import LogAnswer, LogComparison
 
 SIGNIFICANCE = 0.05  # of the test of a log
 
@@ -41,62 +41,57 @@ def show_code(summary: dict[str, Any]) -> None:
 
 def show_log_comparison(comparison: LogComparison, files: list[Path]) -> None:
     """Print the p-value, each signal's place among the draws, and how the replayed commands differ."""
-    summary = comparison.summary()
-    console = output()
-    say = partial(console.print, soft_wrap=True, markup=False)
-    say(f"{summary['study']}: {summary['log']} over {summary['draws']} draws, {summary['samples']} samples")
+    answer = comparison.answer
+    say = partial(output().print, soft_wrap=True, markup=False)
+    say(f"{comparison.study.name}: {answer.log} over {answer.draws} draws, {answer.samples} samples")
     rows = []
-    for name, own in summary["signals"].items():
-        since = own["outside_to_the_end_since"]
-        rows.append(
-            (
-                f"{name} [{own['unit']}]",
-                plain_number(own["largest_departure"]),
-                f"{100 * own['outside_share']:.3g} %",
-                plain_number(own["first_outside"]),
-                plain_number(since),
-            )
+    for name, signal in answer.signals.items():
+        row = (
+            f"{name} [{signal.unit}]",
+            plain_number(signal.largest_departure),
+            f"{100 * signal.outside_share:.3g} %",
+            plain_number(signal.first_outside),
+            plain_number(signal.outside_to_the_end_since),
         )
-    head = ("signal", "largest departure", "outside the draws", "first at [s]", "to the end since [s]")
-    show_table(head, rows)
-    for name, largest in summary["without_spread"].items():
+        rows.append(row)
+    show_table(("signal", "largest departure", "outside the draws", "first at [s]", "to the end since [s]"), rows)
+    for name, largest in answer.without_spread.items():
         say(
             f"{name} is the same in all draws: its rank among them means nothing; the log differs from them by at "
-            f"most {largest:.4g} {summary['signals'][name]['unit']}"
+            f"most {largest:.4g} {answer.signals[name].unit}"
         )
-    show_rank(summary)
-    for name, own in summary["signals"].items():
-        if "rms_difference" in own:
+    show_rank(answer)
+    for name, signal in answer.signals.items():
+        if signal.replay is not None:
             say(
-                f"replay: the analysed controller's {name} differs by at most {own['largest_difference']:.4g} "
-                f"{own['unit']} (at {own['largest_difference_at']:.4g} s), rms {own['rms_difference']:.4g} "
-                f"of {own['rms_logged']:.4g}"
+                f"replay: the analysed controller's {name} differs by at most {signal.replay.largest_difference:.4g} "
+                f"{signal.unit} (at {signal.replay.largest_difference_at:.4g} s), "
+                f"rms {signal.replay.rms_difference:.4g} of {signal.replay.rms_logged:.4g}"
             )
-    for channel, reason in summary["not_replayed"].items():
+    for channel, reason in answer.not_replayed.items():
         say(f"not replayed{f', {channel}' if channel else ''}: {reason}")
-    for channel, largest in summary["reference_differences"].items():
-        where = f" of {channel}" if channel else ""
-        say(f"the logged reference{where} differs from the study's by at most {largest:.4g}")
+    for channel, largest in answer.reference_differences.items():
+        place = f" of {channel}" if channel else ""
+        say(f"the logged reference{place} differs from the study's by at most {largest:.4g}")
     show_files(files)
 
 
-def show_rank(summary: Mapping[str, Any]) -> None:
+def show_rank(answer: LogAnswer) -> None:
     """Print the p-value and what it says; without one, why."""
     say = partial(output().print, soft_wrap=True, markup=False)
-    p_value = summary["p_value"]
-    if p_value is None:
+    if answer.p_value is None:
         say("no p-value: no law of the study spreads a logged signal; give uncertain numbers or sensors their laws")
         return
     say(
-        f"p = {p_value:.4g}: {summary['draws_at_least_as_extreme']} of {summary['draws']} draws depart "
-        f"as much; most in {summary['decisive_signal']} at {summary['decisive_time']:.4g} s"
+        f"p = {answer.p_value:.4g}: {answer.draws_at_least_as_extreme} of {answer.draws} draws depart "
+        f"as much; most in {answer.decisive_signal} at {answer.decisive_time:.4g} s"
     )
-    if p_value > SIGNIFICANCE:
+    if answer.p_value > SIGNIFICANCE:
         say(f"at the {100 * SIGNIFICANCE:g} % level, nothing in the log contradicts the study")
     else:
         say(f"at the {100 * SIGNIFICANCE:g} % level, the log is not a flight of the study")
-    if summary["least_p_value"] > SIGNIFICANCE:
-        say(f"p cannot be below {summary['least_p_value']:.3g}: take more draws")
+    if answer.least_p_value > SIGNIFICANCE:
+        say(f"p cannot be below {answer.least_p_value:.3g}: take more draws")
 
 
 def show_fit(summary: Mapping[str, Any]) -> None:

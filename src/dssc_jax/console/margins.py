@@ -4,13 +4,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.markup import escape
 
 from dssc_jax.analyses.comparison import MarginContest
 from dssc_jax.analyses.margins.result import CONTENT, MarginAnswer, Margins
 from dssc_jax.analyses.theory import Assessment
-from dssc_jax.console.terminal import output, show_files, show_pairs, show_table
+from dssc_jax.console.terminal import number_text, output, show_files, show_pairs, show_table
 from dssc_jax.statistics import CONFIDENCE, wilks_draws
 
 BEFORE = "before the start"
@@ -108,8 +107,7 @@ def show_theory(assessment: Assessment, files: list[Path]) -> None:
     rows = []
     for name, oscillation in answer.oscillations.items():
         for k in (0, len(oscillation.mu) // 2, -1):
-            predicted = oscillation.predicted[k]
-            text = f"{predicted:.3g}" if np.isfinite(predicted) else "none"
+            text = number_text(oscillation.predicted[k])
             rows.append((name, f"{oscillation.mu[k]:.3g}", f"{oscillation.amplitude[k]:.3g}", text))
     if rows:
         show_table(("oscillation", "mu [s]", "amplitude of sigma [output/s]", "by describing function"), rows)

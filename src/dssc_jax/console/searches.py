@@ -1,12 +1,12 @@
 """Print searches: tuned gains, and the worst draw."""
 
-from collections.abc import Mapping
 from pathlib import Path
 
 from rich.markup import escape
 
-from dssc_jax.analyses.falsification.falsify import Falsified
-from dssc_jax.analyses.tuning import Tuned
+from dssc_jax.analyses.falsification.falsify import Falsified, LikelihoodAnswer
+from dssc_jax.analyses.tuning.result import ObjectiveAnswer, SearchFacts, Tuned
+from dssc_jax.analyses.tuning.verdict import Verdict
 from dssc_jax.console.terminal import number_text, output, show_files, show_table
 
 ENDED = "ended early"
@@ -14,78 +14,96 @@ ENDED = "ended early"
 
 def show_tuning(tuned: Tuned, files: list[Path]) -> None:
     """Print the tuned numbers and their evaluation on fresh draws."""
-    summary = tuned.summary()
+    answer = tuned.answer
     console = output()
-    console.print(f"[bold]{escape(summary['study'])}[/bold]")
-    rows = [(name, f"{summary['start'][name]:.6g}", f"{value:.6g}") for name, value in summary["tuned"].items()]
+    console.print(f"[bold]{escape(tuned.study.name)}[/bold]")
+    rows = [(name, f"{answer.start[name]:.6g}", f"{value:.6g}") for name, value in answer.tuned.items()]
     show_table(("tuned", "start", "result"), rows)
-    verdict = summary["verdict"]
-    (before, after), (low, high) = verdict["objective"], verdict["reduction_interval"]
-    aggregate, level = summary["objective"]["aggregate"], summary["objective"]["level"]
-    name = f"{aggregate} {level:g}" if aggregate == "cvar" else aggregate
-    rows = [(f"objective ({name})", number_text(before, ".5g", ENDED), number_text(after, ".5g", ENDED), "")]
-    for metric, (bound, first, second) in verdict["limits"].items():
-        before, after = (number_text(mean, ".5g", ENDED) for mean in (first, second))
-        rows.append((f"mean {metric}", before, after, f"<= {bound:.5g}"))
-    first, second = verdict["failures"]
-    rows.append(("failed draws", str(first), str(second), ""))
-    show_table((f"on {verdict['draws']} fresh draws", "start", "result", "limit"), rows)
-    reduction, low, high = (number_text(value, ".1%") for value in (verdict["reduction"], low, high))
-    console.print(f"reduction {reduction} in [{low}, {high}] (95 %, bootstrap over draws)")
-    middle, low, high = (number_text(value, "+.4g") for value in verdict["difference"])
-    console.print(f"cost draw by draw, result less start: median {middle} in [{low}, {high}] (95 %, exact)")
-    if summary["gradients"]:
-        console.print(f"gradients: {summary['gradients']['text']}")
-    if summary["certified_points"] is not None:
-        console.print(f"certified: all {summary['certified_points']} points that were visited, by Theorem 1")
-    if (aimed := summary.get("aimed")) is not None:
-        name = "proved bound of |e|" if aimed["over"] is None else f"last proved {aimed['over']}"
-        console.print(f"{name}: {aimed['start']:.4g} at the start, {aimed['result']:.4g} at the result", markup=False)
-    if summary["proved_points"] is not None:
-        console.print(f"proved: all {summary['proved_points']} points that were accepted, with lag and sampling")
-    if summary.get("proof") is not None:
-        console.print(summary["proof"], markup=False, soft_wrap=True)
-    for number, hunt in enumerate(summary["counterexamples"], start=1):
-        slack = number_text(hunt["slack"], ".4g", ENDED)
-        console.print(f"hunt {number}: worst slack {slack} in {hunt['simulations']} simulations")
-    if not summary["feasible"]:
-        missed = number_text(summary["violation"], ".2%", "draws that end early")
-        console.print(f"no point met every limit on the validation draws; the nearest misses by {missed}")
-    console.print(f"{summary['method']}, {summary['stopped']}; {summary['seconds']:.1f} s")
+    show_verdict(answer.verdict.verdict, answer.objective)
+    if answer.gradients:
+        console.print(f"gradients: {answer.gradients.text}")
+    show_search(answer.search)
     show_files(files)
 
 
-def likelihood_text(likelihood: Mapping[str, float]) -> str:
+def show_verdict(verdict: Verdict, objective: ObjectiveAnswer) -> None:
+    """Print start and result on fresh draws."""
+    console = output()
+    name = f"{objective.aggregate} {objective.level:g}" if objective.aggregate == "cvar" else objective.aggregate
+    start, result = verdict.objective
+    rows = [(f"objective ({name})", number_text(start, ".5g", ENDED), number_text(result, ".5g", ENDED), "")]
+    for metric, (bound, start, result) in verdict.limits.items():
+        means = (number_text(start, ".5g", ENDED), number_text(result, ".5g", ENDED))
+        rows.append((f"mean {metric}", *means, f"<= {bound:.5g}"))
+    failed_at_start, failed = verdict.failures
+    rows.append(("failed draws", str(failed_at_start), str(failed), ""))
+    show_table((f"on {verdict.draws} fresh draws", "start", "result", "limit"), rows)
+    low, high = verdict.reduction_interval
+    reduction = number_text(verdict.reduction, ".1%")
+    interval = f"[{number_text(low, '.1%')}, {number_text(high, '.1%')}]"
+    console.print(f"reduction {reduction} in {interval} (95 %, bootstrap over draws)")
+    median, low, high = (number_text(value, "+.4g") for value in verdict.difference)
+    console.print(f"cost draw by draw, result less start: median {median} in [{low}, {high}] (95 %, exact)")
+
+
+def show_search(search: SearchFacts) -> None:
+    """Print what was certified, proved and hunted, and how the search ended."""
+    console = output()
+    if search.certified_points is not None:
+        console.print(f"certified: all {search.certified_points} points that were visited, by Theorem 1")
+    aimed = search.aimed
+    if aimed is not None:
+        name = "proved bound of |e|" if aimed.over is None else f"last proved {aimed.over}"
+        console.print(f"{name}: {aimed.start:.4g} at the start, {aimed.result:.4g} at the result", markup=False)
+    if search.proved_points is not None:
+        console.print(f"proved: all {search.proved_points} points that were accepted, with lag and sampling")
+    if search.proof is not None:
+        console.print(search.proof, markup=False, soft_wrap=True)
+    for number, hunt in enumerate(search.counterexamples, start=1):
+        slack = number_text(hunt.worst.slack, ".4g", ENDED)
+        console.print(f"hunt {number}: worst slack {slack} in {hunt.simulations} simulations")
+    if not search.feasible:
+        missed = number_text(search.violation, ".2%", "draws that end early")
+        console.print(f"no point met every limit on the validation draws; the nearest misses by {missed}")
+    console.print(f"{search.method}, {search.stopped}; {search.seconds:.1f} s")
+
+
+def likelihood_text(likelihood: LikelihoodAnswer) -> str:
     """How likely a draw is, in words."""
     return (
-        f"at {likelihood['distance']:.3g} sigma: log density {likelihood['log_density']:.4g} relative to the mode; "
-        f"{likelihood['mass']:.5g} of all draws lie nearer"
+        f"at {likelihood.distance:.3g} sigma: log density {likelihood.log_density:.4g} relative to the mode; "
+        f"{likelihood.mass:.5g} of all draws lie nearer"
     )
 
 
 def show_falsification(falsified: Falsified, files: list[Path]) -> None:
     """Print the worst draw found and the likeliest failure, with their likelihoods."""
-    summary = falsified.summary()
+    answer = falsified.answer
     console = output()
-    required = escape("; ".join(summary["requirements"]))
-    console.print(f"[bold]{escape(summary['study'])}[/bold]  required: {required}")
-    if within := summary["within"]:
-        console.print(f"searched: within {within['distance']:.4g} sigma, which holds {within['mass']:.5g} of all draws")
-    nearest = summary["nearest_failure"]
-    columns = [summary["witness"], nearest["witness"]] if nearest else [summary["witness"]]
-    rows = [
-        (name, *(f"{column[name]:.6g}" for column in columns), "" if unit == "1" else unit)
-        for name, unit in summary["units"].items()
-    ]
-    show_table((*("number", "worst draw", "likeliest failure")[: 1 + len(columns)], ""), rows)
-    value, rule = summary["worst_value"], summary["worst_requirement"]
-    result = ENDED if value is None else f"{value} where {rule} is required"
-    spent = f"{summary['simulations']} simulations, {summary['seconds']:.1f} s"
-    if summary["failed"]:
-        console.print(f"it fails: {result}; the first failure came after {summary['first_failure']} of {spent}")
+    required = escape("; ".join(answer.requirements))
+    console.print(f"[bold]{escape(falsified.study.name)}[/bold]  required: {required}")
+    within = answer.within
+    if within:
+        console.print(f"searched: within {within.distance:.4g} sigma, which holds {within.mass:.5g} of all draws")
+    nearest = answer.nearest_failure
+    columns = {"worst draw": answer.worst.witness}
+    if nearest:
+        columns["likeliest failure"] = nearest.witness
+    rows = []
+    for name, unit in answer.units.items():
+        values = [f"{column[name]:.6g}" for column in columns.values()]
+        rows.append((name, *values, "" if unit == "1" else unit))
+    show_table(("number", *columns, ""), rows)
+    worst = answer.worst
+    result = ENDED
+    if worst.worst_value is not None:
+        result = f"{worst.worst_value} where {worst.worst_requirement} is required"
+    spent = f"{answer.simulations} simulations, {answer.seconds:.1f} s"
+    if answer.failed:
+        console.print(f"it fails: {result}; the first failure came after {answer.first_failure} of {spent}")
     else:
         console.print(f"no failure was found, which proves nothing; the worst of {spent}: {result}")
-    console.print(f"worst draw {likelihood_text(summary['likelihood'])}", soft_wrap=True)
+    console.print(f"worst draw {likelihood_text(worst.likelihood)}", soft_wrap=True)
     if nearest:
-        console.print(f"likeliest failure found {likelihood_text(nearest['likelihood'])}", soft_wrap=True)
+        console.print(f"likeliest failure found {likelihood_text(nearest.likelihood)}", soft_wrap=True)
     show_files(files)

@@ -1,5 +1,6 @@
 """Output shared by all commands: tables, progress, plain data for JSON."""
 
+import math
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -185,5 +186,5 @@ def show_page(page: Path, note: str) -> None:
 
 
 def number_text(value: float | None, form: str = ".3g", missing: str = "none") -> str:
-    """A number as text, or ``missing`` if there is none."""
-    return missing if value is None else format(value, form)
+    """A number as text, or ``missing`` if there is none or it is not finite."""
+    return missing if value is None or not math.isfinite(value) else format(value, form)

@@ -5,21 +5,22 @@ largest standardised departure over all logged signals and times, and its p-valu
 """
 
 import warnings
-from dataclasses import dataclass
-from typing import Any, NamedTuple, NotRequired, Self, TypedDict
+from dataclasses import dataclass, field
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.flight_logs.figure import log_comparison
 from dssc_jax.flight_logs.reader import FlightLog, channel_signals, samples_within, signal_name
 from dssc_jax.flight_logs.replay import ChannelCurves, curves_of_draws, replayed_channel, study_references
 from dssc_jax.results.analysis import Analysis
-from dssc_jax.results.analysis_folder import Stored
+from dssc_jax.results.fields import MERGED
 from dssc_jax.statistics.exchangeable import largest_departures, rank_p_value
 from dssc_jax.study import Study
 
@@ -30,19 +31,53 @@ SIGNAL_UNITS = {"y": "y", "y_dot": "y/s", "u_total": "u"}
 RANGE_ROUNDING = 1e-9  # of a signal's size: closer to the range of the draws, a value is within it
 
 
-class SignalFacts(TypedDict):
-    """The position of a logged signal in the draws, and the difference of the analysed controller's command from it."""
+@dataclass(frozen=True)
+class ReplayedCommand:
+    """The difference of the analysed controller's command from the logged one, in the signal's unit."""
 
-    unit: str
-    samples: int
-    largest_departure: float | None
-    outside_share: float
-    first_outside: float | None
-    outside_to_the_end_since: float | None
-    largest_difference: NotRequired[float]
-    largest_difference_at: NotRequired[float]
-    rms_difference: NotRequired[float]
-    rms_logged: NotRequired[float]
+    largest_difference: Annotated[float, Quantity("that of the signal", "largest difference")]
+    largest_difference_at: Annotated[float, Quantity("s", "its time")]
+    rms_difference: Annotated[float, Quantity("that of the signal", "root mean square of the difference")]
+    rms_logged: Annotated[float, Quantity("that of the signal", "root mean square of the logged command")]
+
+
+@dataclass(frozen=True)
+class SignalAnswer:
+    """The position of a logged signal in the draws."""
+
+    unit: Annotated[str, Quantity("", "unit of the signal")]
+    samples: Annotated[int, Quantity("1", "logged samples that are compared")]
+    largest_departure: Annotated[float | None, Quantity("1", "largest standardised departure from the draws")]
+    outside_share: Annotated[float, Quantity("1", "share of samples outside the range of the draws")]
+    first_outside: Annotated[float | None, Quantity("s", "first time outside")]
+    outside_to_the_end_since: Annotated[float | None, Quantity("s", "time since which it stays outside")]
+    replay: ReplayedCommand | None = field(metadata={MERGED: True})
+
+
+@dataclass(frozen=True)
+class LogAnswer:
+    """The place of a logged flight among the draws of a study."""
+
+    log: Annotated[str, Quantity("", "name of the log")]
+    start: Annotated[float, Quantity("s", "time of the log at which the study begins")]
+    draws: Annotated[int, Quantity("1", "number of draws")]
+    samples: Annotated[int, Quantity("1", "compared samples")]
+    every: Annotated[int, Quantity("1", "samples from one compared sample to the following one")]
+    p_value: Annotated[float | None, Quantity("1", "p-value for the flight as one more draw")]
+    least_p_value: Annotated[float, Quantity("1", "smallest p-value that so many draws allow")]
+    draws_at_least_as_extreme: Annotated[int, Quantity("1", "draws that depart at least as far")]
+    statistic: Annotated[float | None, Quantity("1", "the log's largest standardised departure")]
+    statistic_of_draws: Annotated[dict[str, float] | None, Quantity("1", "quantiles of that of the draws")]
+    without_spread: Annotated[
+        dict[str, float], Quantity("that of the signal", "largest distance from signals that are the same in all draws")
+    ]
+    decisive_signal: Annotated[str | None, Quantity("", "signal with the largest departure")]
+    decisive_time: Annotated[float | None, Quantity("s", "time of the largest departure")]
+    signals: dict[str, SignalAnswer]
+    not_replayed: Annotated[dict[str, str], Quantity("", "why a channel was not replayed")]
+    reference_differences: Annotated[
+        dict[str, float], Quantity("that of the output", "largest difference of the logged reference from the study's")
+    ]
 
 
 @dataclass(eq=False)
@@ -119,33 +154,36 @@ class LogComparison(Analysis):
         """Plot the answer."""
         return log_comparison(self)
 
-    def content(self) -> dict[str, Any]:
-        """See :class:`Analysis`."""
+    @property
+    def answer(self) -> LogAnswer:
+        """The answer in numbers."""
         statistics = self.dataset["statistic"].values
-        draws = len(statistics) - 1
-        signal, at = self.decisive() or (None, None)
-        return {
-            "log": self.log,
-            "start": self.start,
-            "draws": draws,
-            "samples": self.dataset.sizes["t"],
-            "every": self.every,
-            "p_value": self.p_value,
-            "least_p_value": 1.0 / (draws + 1),
-            "draws_at_least_as_extreme": int(np.count_nonzero(statistics[:-1] >= statistics[-1])),
-            "statistic": None if self.p_value is None else statistics[-1],
-            "statistic_of_draws": {name: np.quantile(statistics[:-1], q) for name, q in DRAWN_LEVELS.items()}
-            if np.isfinite(statistics[:-1]).all()
-            else None,
-            "without_spread": self.without_spread(),
-            "decisive_signal": signal,
-            "decisive_time": at,
-            "signals": {str(name): self.of_signal(str(name)) for name in self.dataset["signal"].values},
-            "not_replayed": self.not_replayed,
-            "reference_differences": self.references,
-        }
+        of_draws = statistics[:-1]
+        draws = len(of_draws)
+        signal, time = self.decisive() or (None, None)
+        quantiles = None
+        if np.isfinite(of_draws).all():
+            quantiles = {name: float(np.quantile(of_draws, level)) for name, level in DRAWN_LEVELS.items()}
+        return LogAnswer(
+            log=self.log,
+            start=self.start,
+            draws=draws,
+            samples=self.dataset.sizes["t"],
+            every=self.every,
+            p_value=self.p_value,
+            least_p_value=1.0 / (draws + 1),
+            draws_at_least_as_extreme=int(np.count_nonzero(of_draws >= statistics[-1])),
+            statistic=None if self.p_value is None else float(statistics[-1]),
+            statistic_of_draws=quantiles,
+            without_spread=self.without_spread(),
+            decisive_signal=signal,
+            decisive_time=time,
+            signals={str(name): self.signal_answer(str(name)) for name in self.dataset["signal"].values},
+            not_replayed=self.not_replayed,
+            reference_differences=self.references,
+        )
 
-    def of_signal(self, name: str) -> SignalFacts:
+    def signal_answer(self, name: str) -> SignalAnswer:
         """The position of a signal in the draws, and the difference of the analysed controller's command from it."""
         signal = self.dataset.sel(signal=name)
         time = self.dataset["t"].values
@@ -156,23 +194,15 @@ class LogComparison(Analysis):
         below_range = logged < signal["lowest"].values - slack
         above_range = logged > signal["highest"].values + slack
         outside = known & (below_range | above_range)
-        facts = SignalFacts(
+        return SignalAnswer(
             unit=self.unit(name),
             samples=int(known.sum()),
-            largest_departure=None if np.isnan(departure).all() else np.nanmax(departure),
+            largest_departure=None if np.isnan(departure).all() else float(np.nanmax(departure)),
             outside_share=float(outside.sum() / max(known.sum(), 1)),
             first_outside=float(time[outside][0]) if outside.any() else None,
             outside_to_the_end_since=start_of_last_excursion(time[known], outside[known]),
+            replay=replayed_command(time, logged, signal["commanded"].values),
         )
-        difference = signal["commanded"].values - logged
-        compared = np.isfinite(difference)
-        if compared.any():
-            largest = np.argmax(np.abs(np.where(compared, difference, 0.0)))
-            facts["largest_difference"] = float(abs(difference[largest]))
-            facts["largest_difference_at"] = float(time[largest])
-            facts["rms_difference"] = root_mean_square(difference[compared])
-            facts["rms_logged"] = root_mean_square(logged[compared])
-        return facts
 
     def unit(self, name: str) -> str:
         """The unit of a signal."""
@@ -182,15 +212,26 @@ class LogComparison(Analysis):
                     return units.of(unit)
         return ""
 
-    def settings(self) -> dict[str, Any]:
-        """See :class:`Analysis`."""
-        names = ("log", "start", "every", "not_replayed", "references")
-        return {name: getattr(self, name) for name in names}
 
-    @classmethod
-    def restored(cls, stored: Stored) -> Self:
-        """See :class:`Analysis`."""
-        return cls(stored.study, stored.dataset, **stored.settings)
+def replayed_command(time: np.ndarray, logged: np.ndarray, commanded: np.ndarray) -> ReplayedCommand | None:
+    """The difference of a replayed command from the logged one; None if no sample has both.
+
+    Args:
+        time: Of the samples [s], shape (samples,).
+        logged: The logged command, NaN where it is missing.
+        commanded: The analysed controller's command, NaN where it is missing.
+    """
+    difference = commanded - logged
+    compared = np.isfinite(difference)
+    if not compared.any():
+        return None
+    largest = int(np.argmax(np.abs(np.where(compared, difference, 0.0))))
+    return ReplayedCommand(
+        largest_difference=float(abs(difference[largest])),
+        largest_difference_at=float(time[largest]),
+        rms_difference=root_mean_square(difference[compared]),
+        rms_logged=root_mean_square(logged[compared]),
+    )
 
 
 def root_mean_square(values: np.ndarray) -> float:

@@ -11,7 +11,7 @@ from dssc_jax.plotting.style import BLUE, DARK, ORANGE, RED, styled, title
 from dssc_jax.plotting.thinning import envelope, thinned
 
 if TYPE_CHECKING:
-    from dssc_jax.flight_logs.comparison import LogComparison, SignalFacts
+    from dssc_jax.flight_logs.comparison import LogComparison, SignalAnswer
 
 MOST_SIGNALS = 5  # of one figure
 BANDS = (("lowest", "highest", 0.18, "all draws"), ("low", "high", 0.3, "90 % of the draws"))
@@ -27,15 +27,15 @@ def log_comparison(comparison: "LogComparison") -> Figure:
         comparison: The return value of :func:`dssc_jax.compare_log`.
     """
     data = comparison.dataset
-    facts = {str(name): comparison.of_signal(str(name)) for name in data["signal"].values}
-    names = sorted(facts, key=lambda name: -(facts[name]["largest_departure"] or np.inf))
+    facts = {str(name): comparison.signal_answer(str(name)) for name in data["signal"].values}
+    names = sorted(facts, key=lambda name: -(facts[name].largest_departure or np.inf))
     shown = names[:MOST_SIGNALS]
     figure = Figure(figsize=(11.5, 2.5 * len(shown) + 2.6), layout="constrained")
     axes = figure.subplots(len(shown) + 1, 1)
     handles = {}
     for ax, name in zip(axes, shown, strict=False):
         signal_over_draws(ax, data.sel(signal=name), facts[name])
-        ax.set_ylabel(f"{name} [{facts[name]['unit']}]")
+        ax.set_ylabel(f"{name} [{facts[name].unit}]")
         lines, texts = ax.get_legend_handles_labels()
         handles |= dict(zip(texts, lines, strict=True))
     for ax in axes[1 : len(shown)]:
@@ -53,7 +53,7 @@ def log_comparison(comparison: "LogComparison") -> Figure:
     return figure
 
 
-def signal_over_draws(ax: Axes, signal: xr.Dataset, facts: "SignalFacts") -> None:
+def signal_over_draws(ax: Axes, signal: xr.Dataset, place: "SignalAnswer") -> None:
     """Draw one signal over the bands of the draws."""
     time = signal["t"].values
     for low, high, alpha, text in BANDS:
@@ -65,7 +65,7 @@ def signal_over_draws(ax: Axes, signal: xr.Dataset, facts: "SignalFacts") -> Non
     logged = signal["logged"].values
     known = np.isfinite(logged)
     ax.plot(*thinned(time[known], logged[known]), color=DARK, linewidth=1.2, label="logged")
-    first_outside = facts["first_outside"]
+    first_outside = place.first_outside
     if first_outside is not None:
         ax.axvline(first_outside, color=RED, linestyle="--", linewidth=1.2, label="first outside")
 

@@ -11,15 +11,15 @@ from matplotlib.figure import Figure
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.results.analysis_folder import read_analysis, save
-from dssc_jax.results.fields import restored_fields, stored_fields
+from dssc_jax.results.fields import STORED_APART, restored_fields, stored_fields
 from dssc_jax.results.summary import JsonObject, jsonable
 from dssc_jax.study import Study
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-STORED_APART = frozenset({"study", "dataset", "path", "integration"})
-"""Fields that are no settings: they have files or entries of their own in the folder."""
+
+APART = {STORED_APART: True}
 
 
 @dataclass(eq=False)
@@ -45,10 +45,10 @@ class Analysis(ABC):
     table: ClassVar[tuple[str, ...]]
     """The dataset's dimensions over which it is one table, with one row for each element."""
 
-    study: Study
-    dataset: xr.Dataset = field(repr=False)
-    path: Path | None = field(default=None, init=False, repr=False)
-    integration: JsonObject | None = field(default=None, init=False, repr=False)
+    study: Study = field(metadata=APART)
+    dataset: xr.Dataset = field(repr=False, metadata=APART)
+    path: Path | None = field(default=None, init=False, repr=False, metadata=APART)
+    integration: JsonObject | None = field(default=None, init=False, repr=False, metadata=APART)
 
     @property
     @abstractmethod
@@ -131,7 +131,7 @@ Kind = TypeVar("Kind", bound=Analysis)
 
 def settings(analysis: Analysis) -> JsonObject:
     """The fields of an analysis besides study and dataset, as JSON has them."""
-    return stored_fields(analysis, STORED_APART)
+    return stored_fields(analysis)
 
 
 def restored(kind: type[Kind], study: Study, dataset: xr.Dataset, stored: JsonObject) -> Kind:
@@ -140,4 +140,4 @@ def restored(kind: type[Kind], study: Study, dataset: xr.Dataset, stored: JsonOb
     Raises:
         ConfigError: a setting is missing or has a value of another type; the message names it.
     """
-    return kind(study, dataset, **restored_fields(kind, stored, STORED_APART))
+    return kind(study, dataset, **restored_fields(kind, stored))

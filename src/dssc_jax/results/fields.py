@@ -12,6 +12,12 @@ from dssc_jax.core.quantities import Quantity
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
+MERGED = "merged"
+"""Key of a field's metadata: its entries, if it is not None, stand beside the other fields in the JSON."""
+
+STORED_APART = "stored apart"
+"""Key of a field's metadata: the field has a file or an entry of its own in the folder."""
+
 
 class FieldMeaning(NamedTuple):
     """A number of an answer.
@@ -27,25 +33,20 @@ class FieldMeaning(NamedTuple):
     meaning: str
 
 
-def stored_fields(analysis: "DataclassInstance", without: frozenset[str]) -> dict[str, object]:
-    """The fields of a dataclass as JSON has them, by name.
-
-    Args:
-        analysis: The instance.
-        without: Fields that are stored elsewhere.
-    """
-    hints = field_types(type(analysis), without)
+def stored_fields(analysis: "DataclassInstance") -> dict[str, object]:
+    """The fields of a dataclass as JSON has them, by name, without those that are stored apart."""
+    hints = field_types(type(analysis))
     return {name: TypeAdapter(hint).dump_python(getattr(analysis, name), mode="json") for name, hint in hints.items()}
 
 
-def restored_fields(cls: type, stored: Mapping[str, object], without: frozenset[str]) -> dict[str, object]:
+def restored_fields(cls: type, stored: Mapping[str, object]) -> dict[str, object]:
     """The arguments of a dataclass that :func:`stored_fields` wrote.
 
     Raises:
         ConfigError: A field is missing, unknown, or has a value of another type; the message names it.
     """
     values = {}
-    hints = field_types(cls, without)
+    hints = field_types(cls)
     for name in stored:
         if name not in hints:
             raise ConfigError(name, "is no setting of this analysis")
@@ -59,10 +60,10 @@ def restored_fields(cls: type, stored: Mapping[str, object], without: frozenset[
     return values
 
 
-def field_types(cls: type, without: frozenset[str]) -> dict[str, Any]:
-    """The types of a dataclass's fields, by name."""
+def field_types(cls: type) -> dict[str, Any]:
+    """The types of a dataclass's fields by name, without those that are stored apart."""
     hints = get_type_hints(cls, include_extras=True)
-    return {field.name: hints[field.name] for field in fields(cls) if field.name not in without}
+    return {field.name: hints[field.name] for field in fields(cls) if not field.metadata.get(STORED_APART)}
 
 
 def field_meanings(cls: type, prefix: str = "") -> Iterator[FieldMeaning]:
@@ -95,7 +96,3 @@ def answer_parts(hint: object) -> Iterator[tuple[type, str]]:
     for argument in get_args(hint):
         for part, inner in answer_parts(argument):
             yield part, place + inner
-
-
-MERGED = "merged"
-"""Key of a field's metadata: the entries of this mapping stand beside the other fields in the JSON."""

@@ -214,7 +214,7 @@ def jsonable(content: object) -> Any:
         for field in fields(content):
             value = jsonable(getattr(content, field.name))
             if field.metadata.get(MERGED):
-                table |= value
+                table |= value or {}
             else:
                 table[field.name] = value
         return table

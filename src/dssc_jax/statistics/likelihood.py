@@ -32,10 +32,6 @@ class Likelihood(NamedTuple):
         """Probability that a draw lies at most this far from the mode."""
         return float(mass_within(self.distance, self.numbers))
 
-    def summary(self) -> dict[str, float]:
-        """All three numbers, for JSON."""
-        return {"distance": self.distance, "log_density": self.log_density, "mass": self.mass}
-
 
 def mass_within(distance: np.ndarray | float, numbers: int) -> np.ndarray:
     """Probability that independent standard normal scores lie within a distance of 0: the law chi^2 at its square."""

@@ -56,8 +56,8 @@ def test_command_line_of_a_proved_margin(tmp_path, capsys):
 def test_a_tuning_accepts_proved_points_only():
     study = LOOP.override({"unmodelled.mu": 0.02, "metrics": {"names": ["error_rms"]}, "tune": TUNE})
     tuned = dj.tune(study.override({"tune.proved": True}))
-    assert tuned.facts["proved_points"] >= 1
-    assert tuned.facts["proof"].startswith("For every plant with k_p in [0.9, 1.1]")
+    assert tuned.facts.proved_points >= 1
+    assert tuned.facts.proof.startswith("For every plant with k_p in [0.9, 1.1]")
     assert dj.prove(tuned.tuned_study).complete
     with pytest.raises(ConfigError, match="the start is infeasible: it is not proved"):
         dj.tune(study.override({"tune.proved": True, "controller.rho": 0.11}))
@@ -102,12 +102,12 @@ def test_a_tuning_lowers_the_proved_bound_of_the_error(tmp_path, capsys, monkeyp
 def test_a_tuning_carries_a_larger_proved_lag():
     study = PROVABLE.override({"tune": AIMED | WALK})
     tuned = dj.tune(study)
-    aimed = tuned.facts["aimed"]
+    aimed = tuned.facts.aimed
     before = dj.proved_up_to(study, "unmodelled.mu", (0.02, 0.3), log=True, boxes=1)
-    assert aimed["result"] > aimed["start"] == before.proved
-    assert dj.prove(tuned.tuned_study.override({"unmodelled.mu": aimed["result"]}), boxes=1).complete
+    assert aimed.result > aimed.start == before.proved
+    assert dj.prove(tuned.tuned_study.override({"unmodelled.mu": aimed.result}), boxes=1).complete
     assert tuned.certificate is not None
-    assert tuned.certificate["problem"]["mu"] == [aimed["result"]] * 2
+    assert tuned.certificate["problem"]["mu"] == [aimed.result] * 2
     assert tuned.certificate["problem"] == tuned.proved_loop
     assert tuned.figure().axes[0].get_ylabel() == "last proved unmodelled.mu [s]"
 

@@ -39,7 +39,7 @@ def test_the_verdict_is_that_of_two_runs(study, tuned):
 
 
 def test_limits_hold_where_the_choice_was_made(tuned):
-    assert tuned.facts["feasible"]
+    assert tuned.facts.feasible
     best = min((r for r in tuned.history if r["validation_violation"] == 0.0), key=lambda r: r["validation"])
     assert tuned.values == pytest.approx({name: best[name] for name in tuned.values}, rel=1e-12)
     assert tuned.met
@@ -116,7 +116,7 @@ def test_certified_iterates(monkeypatch):
 def test_evolution_where_it_is_asked_for(study):
     found = dj.tune(study.override({"tune.optimiser": "differential_evolution", "tune.steps": 5}))
     assert found.gradients is None
-    assert found.facts["method"] == "differential_evolution"
+    assert found.facts.method == "differential_evolution"
     assert found.verdict.reduction > 0.0
 
 
@@ -128,7 +128,7 @@ def test_evolution_where_derivatives_are_useless(study, monkeypatch):
     monkeypatch.setattr(gradients, "DIFFERENCE_NOISE", 0.0)
     found = dj.tune(study.override({"tune.steps": 5}))
     assert found.gradients.useful == 0.0
-    assert found.facts["method"] == "differential_evolution"
+    assert found.facts.method == "differential_evolution"
 
 
 def test_counterexamples(study):
@@ -142,7 +142,7 @@ def test_counterexamples(study):
     few = {"tune.draws": 8, "tune.validation": 8, "tune.steps": 20}
     hard = study.override({"requirement": [{"metric": "error_max", "after": 2.5, "max": 0.25}], **effort, **few})
     found = dj.tune(hard, robust=True, rounds=4, budget=64)
-    slacks = [hunt["slack"] for hunt in found.facts["counterexamples"]]
+    slacks = [hunt.worst.slack for hunt in found.facts.counterexamples]
     assert slacks[0] < 0.0 <= slacks[-1]
     assert found.met
     interval = dj.run(found.tuned_study.override({"draws": 2000})).summary()["points"][0]["interval"]

@@ -8,8 +8,8 @@ loop noise is that of draw 0, and the likelihood leaves it out.
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Self
+from dataclasses import dataclass, field
+from typing import Annotated, Self
 
 import numpy as np
 import xarray as xr
@@ -20,13 +20,54 @@ from dssc_jax.analyses.defaults import BUDGET, LEAST_BUDGET, MOST_BUDGET
 from dssc_jax.analyses.falsification.hunt import Hunt, Programs, Seen
 from dssc_jax.analyses.falsification.search_sets import ScoreBall, SearchSet, search_set
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.results.analysis import Analysis
-from dssc_jax.results.analysis_folder import Stored
+from dssc_jax.results.fields import MERGED
 from dssc_jax.statistics import Likelihood, mass_within
 from dssc_jax.study import Study
 
 DESIGN = ("sampling", "replicates", "correlation")  # settings of a study for all its draws together
+
+
+@dataclass(frozen=True)
+class LikelihoodAnswer:
+    """How likely a draw is."""
+
+    distance: Annotated[float, Quantity("1", "distance from the median draw in standard normal scores")]
+    log_density: Annotated[float, Quantity("1", "logarithm of the scores' density relative to the mode")]
+    mass: Annotated[float, Quantity("1", "probability of a draw at most this far")]
+
+
+@dataclass(frozen=True)
+class PointAnswer:
+    """A simulated draw."""
+
+    slack: Annotated[float, Quantity("1", "slack of the worst requirement, relative to its bound")]
+    worst_requirement: Annotated[str | None, Quantity("", "that requirement; None if the draw ends early")]
+    worst_value: Annotated[str | None, Quantity("", "its metric, with the unit; None if the draw ends early")]
+    witness: Annotated[dict[str, float], Quantity("that of the number", "value of each uncertain number")]
+    likelihood: LikelihoodAnswer
+
+
+@dataclass(frozen=True)
+class FalsifiedAnswer:
+    """The worst draw found, and the likeliest failure."""
+
+    within: LikelihoodAnswer | None
+    requirements: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]
+    failed: Annotated[bool, Quantity("", "whether the worst draw fails")]
+    worst: PointAnswer = field(metadata={MERGED: True})
+    units: Annotated[dict[str, str], Quantity("", "unit of each uncertain number")]
+    nearest_failure: PointAnswer | None
+    simulations: Annotated[int, Quantity("1", "simulations spent")]
+    first_failure: Annotated[int | None, Quantity("1", "simulations until the first failure; None if there was none")]
+    seconds: Annotated[float, Quantity("s", "computing time")]
+
+
+def likelihood_answer(likelihood: Likelihood) -> LikelihoodAnswer:
+    """The numbers of a likelihood."""
+    return LikelihoodAnswer(likelihood.distance, likelihood.log_density, likelihood.mass)
 
 
 @dataclass(eq=False)
@@ -159,43 +200,31 @@ class Falsified(Analysis):
         """Plot the answer."""
         return plotting.falsification(self)
 
-    def content(self) -> dict[str, Any]:
-        """See :class:`Analysis`."""
+    @property
+    def answer(self) -> FalsifiedAnswer:
+        """The answer in numbers."""
         nearest = self.nearest_failure
-        return {
-            "within": None if self.within is None else Likelihood(self.within, len(self.study.laws)).summary(),
-            "requirements": [requirement.text for requirement in self.study.requirements],
-            "failed": self.slack < 0.0,
-            "slack": self.slack,
-            "worst_requirement": self.binding_at(self.worst),
-            "worst_value": self.value_at(self.worst),
-            "witness": self.witness,
-            "units": {name: self.study.quantities[name].unit for name in self.study.laws},
-            "likelihood": self.likelihood.summary(),
-            "nearest_failure": None if nearest is None else self.about(nearest),
-            "simulations": self.simulations,
-            "first_failure": self.first_failure,
-            "seconds": self.seconds,
-        }
+        return FalsifiedAnswer(
+            within=None if self.within is None else likelihood_answer(Likelihood(self.within, len(self.study.laws))),
+            requirements=tuple(requirement.text for requirement in self.study.requirements),
+            failed=self.slack < 0.0,
+            worst=self.point_answer(self.worst),
+            units={name: self.study.quantities[name].unit for name in self.study.laws},
+            nearest_failure=None if nearest is None else self.point_answer(nearest),
+            simulations=self.simulations,
+            first_failure=self.first_failure,
+            seconds=self.seconds,
+        )
 
-    def about(self, point: int) -> dict[str, Any]:
-        """Slack, numbers and likelihood of a point, for JSON."""
-        return {
-            "slack": float(self.dataset["slack"][point]),
-            "worst_requirement": self.binding_at(point),
-            "worst_value": self.value_at(point),
-            "witness": self.numbers_at(point),
-            "likelihood": self.likelihood_at(point).summary(),
-        }
-
-    def settings(self) -> dict[str, Any]:
-        """See :class:`Analysis`."""
-        return {"within": self.within, "seconds": self.seconds}
-
-    @classmethod
-    def restored(cls, stored: Stored) -> Self:
-        """See :class:`Analysis`."""
-        return cls(stored.study, stored.dataset, **stored.settings)
+    def point_answer(self, point: int) -> PointAnswer:
+        """Slack, numbers and likelihood of a point."""
+        return PointAnswer(
+            slack=float(self.dataset["slack"][point]),
+            worst_requirement=self.binding_at(point),
+            worst_value=self.value_at(point),
+            witness=self.numbers_at(point),
+            likelihood=likelihood_answer(self.likelihood_at(point)),
+        )
 
 
 def falsify(

@@ -1,12 +1,15 @@
 """Check whether derivatives predict small changes: against central differences, in the mirror's coordinates."""
 
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from scipy.special import logit
 
 from dssc_jax.analyses.tuning.problem import Problem
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.engine.evaluation import Derivative
+from dssc_jax.results.summary import JsonObject
 
 DIFFERENCE_STEP = 1e-5  # of the differences
 STRIDE, HALF = 0.03, 0.5  # a typical step of a search, and the relative error allowed in predicting its effect
@@ -17,7 +20,8 @@ SHOWN = 5  # disagreements kept
 INSET = 0.05  # share of an interval's logarithm that is left out at both ends
 
 
-class GradientAgreement(NamedTuple):
+@dataclass(frozen=True)
+class GradientAgreement:
     """The result of the comparison.
 
     Args:
@@ -34,16 +38,16 @@ class GradientAgreement(NamedTuple):
         disagreeing: Disagreements away from kinks, worst first: metric, number, point, slopes.
     """
 
-    points: int
-    compared: int
-    kinks: float
-    agreeing: float
-    useful: float
-    predictive: float
-    ended: int
-    finite: bool
-    kinked: dict[str, dict[str, float]]
-    disagreeing: list[dict[str, Any]]
+    points: Annotated[int, Quantity("1", "random points, each with its own draw")]
+    compared: Annotated[int, Quantity("1", "derivatives compared")]
+    kinks: Annotated[float, Quantity("1", "share at which the slopes on the two sides differ")]
+    agreeing: Annotated[float, Quantity("1", "share of the others that agrees to 1e-4")]
+    useful: Annotated[float, Quantity("1", "share of all that agrees")]
+    predictive: Annotated[float, Quantity("1", "share that predicts the effect of a longer step to within a half")]
+    ended: Annotated[int, Quantity("1", "points whose draw ended early")]
+    finite: Annotated[bool, Quantity("", "whether no derivative of a completed draw is NaN or infinite")]
+    kinked: Annotated[dict[str, dict[str, float]], Quantity("1", "share of kinks of each metric along each number")]
+    disagreeing: Annotated[list[JsonObject], Quantity("", "largest disagreements away from kinks")]
 
     @property
     def text(self) -> str:

@@ -1,7 +1,8 @@
 """Optimise a proved number without derivatives: the residual of |e|, or how far along a number the loop is proved."""
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.optimize import minimize
@@ -10,13 +11,15 @@ from dssc_jax.analyses.tuning.plan import PROVED_ERROR, Plan
 from dssc_jax.analyses.tuning.problem import Point, Problem
 from dssc_jax.analyses.tuning.progress import PENALTY, REACH, UNFIT, Search
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
 
 EDGE = 0.5  # length of the first simplex's edges, in the mirror's coordinates
 FINE_EDGE, FINE_SCORE = 0.02, 1e-3  # the search ends where the simplex, and its scores, are so close together
 
 
-class Aimed(NamedTuple):
+@dataclass(frozen=True)
+class Aimed:
     """The comparison of start and result by the proved number.
 
     Args:
@@ -26,10 +29,10 @@ class Aimed(NamedTuple):
         over: The number along which the loop is proved, for ``proved_up_to``.
     """
 
-    aim: str
-    start: float
-    result: float
-    over: str | None
+    aim: Annotated[str, Quantity("", "what was optimised")]
+    start: Annotated[float, Quantity("that of the number", "proved number at the start")]
+    result: Annotated[float, Quantity("that of the number", "proved number of the result")]
+    over: Annotated[str | None, Quantity("", "the number along which the loop is proved")]
 
 
 def score_at(problem: Problem, z: np.ndarray) -> float:
@@ -79,7 +82,8 @@ def compare_proved(plan: Plan, start: dict[str, float], best: dict[str, float]) 
     Raises:
         AssertionError: a point without a proof was accepted.
     """
-    before, after = (plan.aim_at(numbers).value for numbers in (start, best))
+    before = plan.aim_at(start).value
+    after = plan.aim_at(best).value
     assert before is not None
     assert after is not None
     return Aimed(plan.table.aim, before, after, next(iter(plan.table.over), None))

@@ -2,18 +2,20 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Self, get_type_hints
+from typing import Annotated, Any, Self, get_type_hints
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
+from dssc_jax.analyses.falsification.falsify import PointAnswer
 from dssc_jax.analyses.tuning.certified import PREFIX
 from dssc_jax.analyses.tuning.gradients import GradientAgreement
 from dssc_jax.analyses.tuning.plan import OBJECTIVE, PROVED_ERROR, Plan, seed_of
+from dssc_jax.analyses.tuning.proving import Aimed
 from dssc_jax.analyses.tuning.verdict import Verdict
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
@@ -21,8 +23,10 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.design import Free
 from dssc_jax.engine.batching import Arrays
 from dssc_jax.results.analysis import Analysis
-from dssc_jax.results.analysis_folder import Stored
+from dssc_jax.results.fields import MERGED, STORED_APART
 from dssc_jax.results.manifest import write_json
+from dssc_jax.results.summary import JsonObject
+from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.study import Study
 from dssc_jax.study.schema import TuneTable
 from dssc_jax.study.tables import changed
@@ -40,6 +44,80 @@ PROOF_FILE = "proof.json"
 """The result's certificate in its folder; ``dssc-jax prove`` verifies it."""
 
 
+@dataclass(frozen=True)
+class Counterexample:
+    """The worst draw that a search found against a tuned loop."""
+
+    worst: PointAnswer = field(metadata={MERGED: True})
+    simulations: Annotated[int, Quantity("1", "simulations spent")]
+
+
+@dataclass(frozen=True)
+class SearchFacts:
+    """How the search went."""
+
+    method: Annotated[str, Quantity("", "method of the search")]
+    stopped: Annotated[str, Quantity("", "why it ended")]
+    feasible: Annotated[bool, Quantity("", "whether every limit holds on the validation draws")]
+    violation: Annotated[float, Quantity("1", "largest violation of a limit on the validation draws, relative")]
+    shortened: Annotated[int, Quantity("1", "halvings of steps that led to points that are not allowed")]
+    certified_points: Annotated[int | None, Quantity("1", "points certified by Theorem 1; None if not asked")]
+    proved_points: Annotated[int | None, Quantity("1", "points that are proved; None if not asked")]
+    proof: Annotated[str | None, Quantity("", "what is proved of the result; None if not asked")]
+    aimed: Aimed | None
+    counterexamples: tuple[Counterexample, ...]
+    seconds: Annotated[float, Quantity("s", "computing time")]
+
+
+@dataclass(frozen=True)
+class ObjectiveAnswer:
+    """The objective, as the study's ``[tune]`` has it."""
+
+    costs: Annotated[dict[str, float], Quantity("1/that of the metric", "weight of each metric")]
+    aggregate: Annotated[str, Quantity("", "aggregate over the draws")]
+    level: Annotated[float, Quantity("1", "level of the aggregate")]
+
+
+@dataclass(frozen=True)
+class VerdictAnswer:
+    """The evaluation on fresh draws."""
+
+    verdict: Verdict = field(metadata={MERGED: True})
+    within_limits: Annotated[bool, Quantity("", "whether every limit holds on these draws")]
+    confidence: Annotated[float, Quantity("1", "confidence of each interval")]
+
+
+@dataclass(frozen=True)
+class GradientAnswer:
+    """The comparison of derivatives with differences."""
+
+    agreement: GradientAgreement = field(metadata={MERGED: True})
+    text: Annotated[str, Quantity("", "the result in one line")]
+
+
+@dataclass(frozen=True)
+class TuningDraws:
+    """The draws of the search."""
+
+    train: Annotated[int, Quantity("1", "training draws")]
+    validation: Annotated[int, Quantity("1", "validation draws")]
+    seed: Annotated[int, Quantity("1", "their seed")]
+
+
+@dataclass(frozen=True)
+class TunedAnswer:
+    """The tuned numbers, and how they do on fresh draws."""
+
+    objective: ObjectiveAnswer
+    start: Annotated[dict[str, float], Quantity("that of the number", "tuned numbers at the start")]
+    tuned: Annotated[dict[str, float], Quantity("that of the number", "tuned numbers found")]
+    controller: Annotated[JsonObject, Quantity("", "the tuned controller's table")]
+    verdict: VerdictAnswer
+    gradients: GradientAnswer | None
+    draws: TuningDraws
+    search: SearchFacts = field(metadata={MERGED: True})
+
+
 @dataclass(eq=False)
 class Tuned(Analysis):
     """The result of a tuning.
@@ -53,8 +131,7 @@ class Tuned(Analysis):
         numbers: The loop's numbers that follow from them.
         gradients: The comparison of derivatives with differences; None if there was none.
         verdict: The evaluation on fresh draws.
-        facts: Facts of the search: method, why it ended, steps shortened, iterates certified, counterexamples, seconds.
-        certificate: Content of the result's certificate file; None if no proof is required.
+        facts: How the search went.
     """
 
     kind = "tune"
@@ -66,8 +143,9 @@ class Tuned(Analysis):
     numbers: dict[str, float]
     gradients: GradientAgreement | None
     verdict: Verdict
-    facts: dict[str, Any]
-    certificate: dict[str, Any] | None = None
+    facts: SearchFacts
+    certificate: JsonObject | None = field(default=None, init=False, repr=False, metadata={STORED_APART: True})
+    """Content of the result's certificate file; None if no proof is required."""
 
     @property
     def tuned_study(self) -> Study:
@@ -91,11 +169,11 @@ class Tuned(Analysis):
         from dssc_jax.proofs.coverage import problem_of
         from dssc_jax.proofs.reach import problem_at
 
-        aimed = self.facts.get("aimed")
-        if aimed is None or aimed["over"] is None:
+        aimed = self.facts.aimed
+        if aimed is None or aimed.over is None:
             problem = problem_of(self.tuned_study)
         else:
-            problem = problem_at(self.tuned_study, aimed["over"], aimed["result"])
+            problem = problem_at(self.tuned_study, aimed.over, aimed.result)
         return json.loads(json.dumps(problem.to_dict()))
 
     @property
@@ -106,43 +184,38 @@ class Tuned(Analysis):
     @property
     def met(self) -> bool:
         """Whether limits and requirements hold on the validation draws, and the last search found no failure."""
-        hunts = self.facts["counterexamples"]
-        return self.facts["feasible"] and not (hunts and hunts[-1]["slack"] < 0.0)
+        hunts = self.facts.counterexamples
+        return self.facts.feasible and not (hunts and hunts[-1].worst.slack < 0.0)
 
     @property
     def headline(self) -> str:
         """The objective before and after, on fresh draws."""
         before, after = self.verdict.objective
         text = f"objective {before:.4g} to {after:.4g} on {self.verdict.draws:,} fresh draws"
-        if (aimed := self.facts.get("aimed")) is None:
+        aimed = self.facts.aimed
+        if aimed is None:
             return text
-        return f"{aim_quantity(self.study).meaning}: {aimed['start']:.4g} to {aimed['result']:.4g}; {text}"
+        return f"{aim_quantity(self.study).meaning}: {aimed.start:.4g} to {aimed.result:.4g}; {text}"
 
     def figure(self) -> Figure:
         """Plot the search and the fresh draws' costs: :func:`dssc_jax.plotting.tuning`."""
         return plotting.tuning(self)
 
-    def content(self) -> dict[str, Any]:
-        """See :class:`Analysis`."""
+    @property
+    def answer(self) -> TunedAnswer:
+        """The answer in numbers."""
         table = tuned_table(self.study)
-        return {
-            "objective": {"costs": table.objective, "aggregate": table.aggregate, "level": table.level},
-            "start": self.start,
-            "tuned": self.values,
-            "controller": changed(self.study.table, self.numbers, self.study.source)["controller"],
-            "verdict": self.verdict.to_dict(),
-            "gradients": self.gradients and {**self.gradients._asdict(), "text": self.gradients.text},
-            "draws": {"train": table.draws, "validation": table.validation, "seed": seed_of(self.study, table)},
-            **self.facts,
-        }
-
-    def settings(self) -> dict[str, Any]:
-        """See :class:`Analysis`."""
-        return {
-            **{name: getattr(self, name) for name in ("start", "values", "numbers", "facts")},
-            "gradients": self.gradients and self.gradients._asdict(),
-            "verdict": self.verdict._asdict(),
-        }
+        gradients = None if self.gradients is None else GradientAnswer(self.gradients, self.gradients.text)
+        return TunedAnswer(
+            objective=ObjectiveAnswer(table.objective, table.aggregate, table.level),
+            start=self.start,
+            tuned=self.values,
+            controller=changed(self.study.table, self.numbers, self.study.source)["controller"],
+            verdict=VerdictAnswer(self.verdict, self.verdict.within, CONFIDENCE),
+            gradients=gradients,
+            draws=TuningDraws(table.draws, table.validation, seed_of(self.study, table)),
+            search=self.facts,
+        )
 
     def save(self, folder: str | Path) -> Path:
         """See :class:`Analysis`; with the certificate as a file of its own, if there is one."""
@@ -162,15 +235,6 @@ class Tuned(Analysis):
             except (OSError, ValueError) as error:
                 raise ConfigError(str(path), f"is damaged: {error!r}; run the tuning again") from None
         return tuned
-
-    @classmethod
-    def restored(cls, stored: Stored) -> Self:
-        """See :class:`Analysis`."""
-        settings = dict(stored.settings)
-        gradients, verdict = settings.pop("gradients"), settings.pop("verdict")
-        agreement = None if gradients is None else GradientAgreement(**gradients)
-        own = Verdict(**{name: as_tuples(value) for name, value in verdict.items()})
-        return cls(stored.study, stored.dataset, **settings, gradients=agreement, verdict=own)
 
 
 def dataset_of(study: Study, history: Sequence[Mapping[str, Any]], costs: Mapping[str, np.ndarray]) -> xr.Dataset:
@@ -205,10 +269,3 @@ def tuned_table(study: Study) -> TuneTable:
     table = study.config.tune
     assert table is not None
     return table
-
-
-def as_tuples(value: Any) -> Any:
-    """Convert the lists of JSON back to tuples."""
-    if isinstance(value, list):
-        return tuple(map(as_tuples, value))
-    return {name: as_tuples(one) for name, one in value.items()} if isinstance(value, dict) else value

@@ -13,7 +13,7 @@ from dssc_jax.analyses.tuning.plan import EVOLUTION, Plan
 from dssc_jax.analyses.tuning.problem import Problem
 from dssc_jax.analyses.tuning.progress import Search
 from dssc_jax.analyses.tuning.proving import compare_proved, require_proved
-from dssc_jax.analyses.tuning.result import Tuned, dataset_of
+from dssc_jax.analyses.tuning.result import Counterexample, SearchFacts, Tuned, dataset_of
 from dssc_jax.analyses.tuning.search import method_of, search
 from dssc_jax.analyses.tuning.verdict import judge_tuning
 from dssc_jax.core.errors import ConfigError
@@ -60,40 +60,47 @@ def tune(
     if plan.theorem is not None:
         require_certified(plan)
     require_proved(plan)
-    problem, added, hunts = Problem(plan), {}, []
+    problem = Problem(plan)
     outcome, gradients = solve(problem, progress)
-    certified, proved = problem.certified, problem.proved
+    certified = problem.certified
+    proved = problem.proved
+    added: Arrays = {}
+    hunts: list[Counterexample] = []
     while robust:
         tuned = plan.study.override(plan.numbers_at(outcome.best.z))
         worst = falsify(tuned, budget=budget, seed=len(hunts))
-        hunts.append({**worst.about(worst.worst), "simulations": worst.simulations})
+        hunts.append(Counterexample(worst.point_answer(worst.worst), worst.simulations))
         if worst.slack >= 0.0 or len(hunts) == rounds:
             break
         added = joined(added, worst.witness)
         problem = Problem(plan, added)
         outcome, gradients = solve(problem, progress)
-        certified, proved = certified + problem.certified, proved + problem.proved
-    start, numbers = (plan.numbers_at(z) for z in (plan.mirror.origin, outcome.best.z))
+        certified += problem.certified
+        proved += problem.proved
+    start = plan.numbers_at(plan.mirror.origin)
+    numbers = plan.numbers_at(outcome.best.z)
     verdict, costs = judge_tuning(plan, problem.goal, start, numbers)
     proof = plan.proof_of_result(numbers)
-    facts = {
-        "method": method_of(plan, gradients is not None and useful(gradients)),
-        "stopped": outcome.stopped,
-        "feasible": outcome.best.merit.violation == 0.0,
-        "violation": outcome.best.merit.violation,
-        "shortened": outcome.shortened,
-        "certified_points": certified if plan.theorem else None,
-        "proved_points": proved if plan.table.proved else None,
-        "proof": None if proof is None else proof.statement(),
-        "aimed": compare_proved(plan, start, numbers)._asdict() if plan.optimises_proof else None,
-        "counterexamples": hunts,
-        "seconds": time.perf_counter() - began,
-    }
+    facts = SearchFacts(
+        method=method_of(plan, gradients is not None and useful(gradients)),
+        stopped=outcome.stopped,
+        feasible=outcome.best.merit.violation == 0.0,
+        violation=float(outcome.best.merit.violation),
+        shortened=outcome.shortened,
+        certified_points=certified if plan.theorem else None,
+        proved_points=proved if plan.table.proved else None,
+        proof=None if proof is None else proof.statement(),
+        aimed=compare_proved(plan, start, numbers) if plan.optimises_proof else None,
+        counterexamples=tuple(hunts),
+        seconds=time.perf_counter() - began,
+    )
     values = {name: float(value) for name, value in plan.mirror.tuned(outcome.best.z).items()}
     dataset = dataset_of(plan.study, outcome.history, costs)
     certificate = None if proof is None else verified(proof.certificate())
     start_values = dict(plan.mirror.start)
-    return Tuned(plan.study, dataset, start_values, values, numbers, gradients, verdict, facts, certificate)
+    tuned = Tuned(plan.study, dataset, start_values, values, numbers, gradients, verdict, facts)
+    tuned.certificate = certificate
+    return tuned
 
 
 def solve(problem: Problem, progress: ProgressCallback | None) -> tuple[Search, GradientAgreement | None]:

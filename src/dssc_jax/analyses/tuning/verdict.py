@@ -1,22 +1,27 @@
 """Evaluate tuned numbers on fresh draws: start and result on the study's own draws, which the tuning did not use."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.stats import bootstrap
 
 from dssc_jax.analyses.tuning.objective import Goal, weights
 from dssc_jax.analyses.tuning.plan import Plan
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Outcome
 from dssc_jax.engine.batching import Arrays
 from dssc_jax.engine.evaluation import Evaluator
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson, compare_failures, compare_metrics, quantile_interval
 
 RESAMPLES = 2000
+Pair = tuple[float, float]
+Triple = tuple[float, float, float]
 
 
-class Verdict(NamedTuple):
+@dataclass(frozen=True)
+class Verdict:
     """Start and result on the same fresh draws.
 
     Args:
@@ -32,25 +37,23 @@ class Verdict(NamedTuple):
         failure_difference: Exact interval of their paired difference, result minus start, and McNemar's p-value.
     """
 
-    draws: int
-    objective: tuple[float, float]
-    reduction: float
-    reduction_interval: tuple[float, float]
-    quantile: tuple[tuple[float, float], tuple[float, float]]
-    difference: tuple[float, float, float]
-    limits: dict[str, tuple[float, float, float]]
-    failures: tuple[int, int]
-    intervals: tuple[tuple[float, float], tuple[float, float]]
-    failure_difference: tuple[float, float, float]
+    draws: Annotated[int, Quantity("1", "number of fresh draws")]
+    objective: Annotated[Pair, Quantity("1", "aggregate of the costs at the start and of the result")]
+    reduction: Annotated[float, Quantity("1", "1 - result/start")]
+    reduction_interval: Annotated[Pair, Quantity("1", "its bootstrap interval over the draws")]
+    quantile: Annotated[tuple[Pair, Pair], Quantity("1", "interval of the cost's quantile, start and result")]
+    difference: Annotated[Triple, Quantity("1", "median and interval of the cost's difference, result minus start")]
+    limits: Annotated[
+        dict[str, Triple], Quantity("that of the metric", "bound, and the means at the start and of the result")
+    ]
+    failures: Annotated[tuple[int, int], Quantity("1", "failed draws at the start and of the result")]
+    intervals: Annotated[tuple[Pair, Pair], Quantity("1", "intervals of both failure probabilities")]
+    failure_difference: Annotated[Triple, Quantity("1", "interval of their paired difference, and McNemar's p-value")]
 
     @property
     def within(self) -> bool:
         """Whether every limit holds on these draws."""
         return all(after <= bound for bound, _, after in self.limits.values())
-
-    def to_dict(self) -> dict[str, Any]:
-        """The verdict as plain data, for JSON."""
-        return {**self._asdict(), "within_limits": self.within, "confidence": CONFIDENCE}
 
 
 def judge_tuning(
