@@ -57,23 +57,23 @@ def tuned_numbers(given: Mapping[str, Any], tuned: Mapping[str, Any], path: str 
 
 def show_sensitivity(sensitivity: Sensitivity, files: list[Path]) -> None:
     """Print what failure and the study's headline metric depend on; the folder has all outputs."""
-    summary = sensitivity.summary()
+    answer = sensitivity.answer
     console = output()
     console.print(
-        f"[bold]{escape(summary['study'])}[/bold]  {summary['title']}, {summary['simulations']} simulations on "
-        f"{summary['rows']} rows; {100 * summary['confidence']:g} % intervals"
+        f"[bold]{escape(sensitivity.study.name)}[/bold]  {answer.title}, {answer.simulations} simulations on "
+        f"{answer.rows} rows; {100 * answer.confidence:g} % intervals"
     )
-    for name in summary["headline"]:
-        indices = summary["outputs"][name]
-        if indices is None:
-            console.print(f"{name}: no answer; it {summary['reasons'][name]}", markup=False, soft_wrap=True)
+    legends = [measure.legend for measure in answer.quantities.values()]
+    for name in answer.headline:
+        quantities = sensitivity.outputs[name]
+        if quantities is None:
+            console.print(f"{name}: no answer; it {answer.reasons[name]}", markup=False, soft_wrap=True)
             continue
-        main, *_ = summary["quantities"]
-        rows = [
-            (factor, *(interval_text(own[part], *own[f"{part}_interval"]) for part in summary["quantities"]))
-            for factor, own in sorted(indices.items(), key=lambda pair: -pair[1][main])
-        ]
-        show_table((name, *(quantity["legend"] for quantity in summary["quantities"].values())), rows)
+        tables = list(quantities.values())
+        rows = []
+        for index in np.argsort(-tables[0][:, 0], kind="stable"):
+            rows.append((answer.factors[index], *(interval_text(*table[index]) for table in tables)))
+        show_table((name, *legends), rows)
     show_files(files)
 
 
