@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.markup import escape
@@ -43,36 +42,37 @@ def show_contest(contest: ContestAnswer, answer: ComparisonAnswer, gains: str) -
     show_pairs(contest.pairs, "failure probability, paired", "exact McNemar")
 
 
-def tuned_numbers(given: Mapping[str, Any], tuned: Mapping[str, Any], path: str = "") -> list[str]:
+def tuned_numbers(untuned: Mapping[str, object], tuned: Mapping[str, object], path: str = "") -> list[str]:
     """The numbers of a table that tuning has changed, as ``name = number``."""
     numbers = []
     for name, value in tuned.items():
         if isinstance(value, Mapping):
-            numbers += tuned_numbers(given.get(name, {}), value, f"{path}{name}.")
-        elif value != given.get(name):
+            untuned_part = untuned.get(name)
+            numbers += tuned_numbers(untuned_part if isinstance(untuned_part, Mapping) else {}, value, f"{path}{name}.")
+        elif value != untuned.get(name):
             numbers.append(f"{path}{name} = {value:.4g}")
     return numbers
 
 
 def show_sensitivity(sensitivity: Sensitivity, files: list[Path]) -> None:
     """Print what failure and the study's headline metric depend on; the folder has all outputs."""
-    summary = sensitivity.summary()
+    answer = sensitivity.answer
     console = output()
     console.print(
-        f"[bold]{escape(summary['study'])}[/bold]  {summary['title']}, {summary['simulations']} simulations on "
-        f"{summary['rows']} rows; {100 * summary['confidence']:g} % intervals"
+        f"[bold]{escape(sensitivity.study.name)}[/bold]  {answer.title}, {answer.simulations} simulations on "
+        f"{answer.rows} rows; {100 * answer.confidence:g} % intervals"
     )
-    for name in summary["headline"]:
-        indices = summary["outputs"][name]
-        if indices is None:
-            console.print(f"{name}: no answer; it {summary['reasons'][name]}", markup=False, soft_wrap=True)
+    legends = [measure.legend for measure in answer.quantities.values()]
+    for name in answer.headline:
+        quantities = sensitivity.outputs[name]
+        if quantities is None:
+            console.print(f"{name}: no answer; it {answer.reasons[name]}", markup=False, soft_wrap=True)
             continue
-        main, *_ = summary["quantities"]
-        rows = [
-            (factor, *(interval_text(own[part], *own[f"{part}_interval"]) for part in summary["quantities"]))
-            for factor, own in sorted(indices.items(), key=lambda pair: -pair[1][main])
-        ]
-        show_table((name, *(quantity["legend"] for quantity in summary["quantities"].values())), rows)
+        tables = list(quantities.values())
+        rows = []
+        for index in np.argsort(-tables[0][:, 0], kind="stable"):
+            rows.append((answer.factors[index], *(interval_text(*table[index]) for table in tables)))
+        show_table((name, *legends), rows)
     show_files(files)
 
 
@@ -83,41 +83,43 @@ def interval_text(value: float, low: float, high: float) -> str:
 
 def show_rare(event: RareEvent, files: list[Path]) -> None:
     """Print the probability of a rare failure, its cost, and where the failures are."""
-    summary = event.summary()
+    answer = event.answer
+    splitting = answer.splitting
+    plain = answer.plain
     console = output()
-    low, high = summary["interval"]
-    level = f"{100 * summary['confidence']:g} % {summary['interval_method']}"
-    console.print(f"[bold]{escape(summary['study'])}[/bold]  required: {escape('; '.join(summary['requirements']))}")
-    if summary["splitting"]["probability"] == 0.0:
+    low, high = answer.interval
+    level = f"{100 * answer.confidence:g} % {answer.interval_method}"
+    console.print(f"[bold]{escape(event.study.name)}[/bold]  required: {escape('; '.join(answer.requirements))}")
+    if splitting.probability == 0.0:
         console.print("no repeat reached a failure; the splitting then says nothing of its probability", markup=False)
-    plain = summary["plain"]
-    if plain["contradicts"]:
-        below, above = summary["splitting"]["interval"]
+    if plain.contradicts:
+        splitting_low, splitting_high = splitting.interval
         console.print(
-            f"warning: plain draws contradict the splitting, which found {summary['splitting']['probability']:.3g} in "
-            f"[{below:.3g}, {above:.3g}]: it missed a way to failure, or its chains did not mix. The answer is that of "
-            "the plain draws",
+            f"warning: plain draws contradict the splitting, which found {splitting.probability:.3g} in "
+            f"[{splitting_low:.3g}, {splitting_high:.3g}]: it missed a way to failure, or its chains did not mix. "
+            "The answer is that of the plain draws",
             style="bold yellow",
             markup=False,
         )
-    value = f"{summary['probability']:.3g} in [{low:.3g}, {high:.3g}]" if summary["probability"] else f"<= {high:.3g}"
+    value = f"{answer.probability:.3g} in [{low:.3g}, {high:.3g}]" if answer.probability else f"<= {high:.3g}"
     console.print(f"failure probability {value} ({level})", markup=False)
     console.print(
-        f"beside it {plain['failures']:,} of {plain['draws']:,} plain draws failed; a failure that the slack does not "
-        f"lead to may be as probable as {plain['interval'][1]:.3g}",
+        f"beside it {plain.failures:,} of {plain.draws:,} plain draws failed; a failure that the slack does not "
+        f"lead to may be as probable as {plain.interval[1]:.3g}",
         markup=False,
     )
-    if summary["splitting"]["probability"] > 0.0:
+    if splitting.probability > 0.0:
         console.print(
-            f"coefficient of variation {summary['variation']:.2g} by {summary['simulations']:,} simulations; plain "
-            f"draws would take {summary['plain_draws'] or np.inf:,.0f}",
+            f"coefficient of variation {answer.variation:.2g} by {answer.simulations:,} simulations; plain "
+            f"draws would take {answer.plain_draws:,.0f}",
             markup=False,
         )
-        rows = [
-            (name, f"{about['median']:.4g}", *(f"{value:.4g}" for value in about["failing"]))
-            for name, about in summary["where"].items()
-        ]
-        show_table(("number", "median", "failing: 5 %", "median", "95 %"), rows)
-    if summary["in_loop_noise"]:
+        rows = []
+        for name, number in answer.where.items():
+            if number.failing is not None:
+                rows.append((name, f"{number.median:.4g}", *(f"{value:.4g}" for value in number.failing)))
+        if rows:
+            show_table(("number", "median", "failing: 5 %", "median", "95 %"), rows)
+    if answer.in_loop_noise:
         console.print("in-loop noise: half of the moves redraw it; a failure that only rare noise causes costs more")
     show_files(files)

@@ -1,13 +1,13 @@
 """Print classical margins."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from rich.markup import escape
 
 from dssc_jax.analyses.loop_margins import LoopMargins
+from dssc_jax.analyses.loop_margins.result import EQUILIBRIUM, LoopStatistics
 from dssc_jax.console.terminal import output, show_files, show_table
 from dssc_jax.statistics import wilks_draws
 
@@ -33,43 +33,46 @@ MARGIN_ROWS: dict[str, tuple[str, Callable[[float], str]]] = {
 
 def show_loop(margins: LoopMargins, files: list[Path]) -> None:
     """Print the margins of every operating point and break point."""
-    summary = margins.summary()
-    console, draws = output(), summary["draws"]
-    console.print(f"[bold]{escape(summary['study'])}[/bold]  {draws} draws, T_s = {summary['sample_time']:g} s")
-    share, confidence = 100 * summary["share"], 100 * summary["confidence"]
-    needed = wilks_draws(summary["share"], summary["confidence"])
-    head = ("median", f"{share:g} % of all draws, confidence {confidence:g} %", "worst drawn")
-    for point, loops in summary["operating_points"].items():
-        for broken_at, own in loops.items():
-            rows = [
-                (text, *(margin_text(own[name][part], form) for part in ("median", "tolerance_limit", "worst")))
-                for name, (text, form) in MARGIN_ROWS.items()
-            ]
-            where = "at the equilibrium" if point == "equilibrium" else f"at {point}"
-            show_table((f"{broken_at}, {where}: {own['stable']} of {draws} stable", *head), rows)
-            reason = without_margins(own, draws, needed, f"{share:g} % of all draws with {confidence:g} % confidence")
+    answer = margins.answer
+    draws = answer.draws
+    console = output()
+    console.print(f"[bold]{escape(margins.study.name)}[/bold]  {draws} draws, T_s = {answer.sample_time:g} s")
+    share = f"{100 * answer.share:g} % of all draws"
+    confidence = f"{100 * answer.confidence:g} %"
+    needed = wilks_draws(answer.share, answer.confidence)
+    for point, loops in answer.operating_points.items():
+        place = "at the equilibrium" if point == EQUILIBRIUM else f"at {point}"
+        for broken_at, statistics in loops.items():
+            rows = []
+            for name, (text, form) in MARGIN_ROWS.items():
+                margin = statistics.margins[name]
+                numbers = (margin.median, margin.tolerance_limit, margin.worst)
+                rows.append((text, *(margin_text(number, form) for number in numbers)))
+            title = f"{broken_at}, {place}: {statistics.stable} of {draws} stable"
+            show_table((title, "median", f"{share}, confidence {confidence}", "worst drawn"), rows)
+            reason = no_margins_text(statistics, draws, needed, f"{share} with {confidence} confidence")
             if reason:
                 console.print(reason, markup=False, soft_wrap=True)
-    console.print(f"taken where there is no derivative: {summary['taken']}", markup=False, soft_wrap=True)
-    if set(summary["operating_points"]) == {"equilibrium"}:
+    console.print(f"taken where there is no derivative: {answer.taken}", markup=False, soft_wrap=True)
+    if set(answer.operating_points) == {EQUILIBRIUM}:
         console.print("margins hold at rest, where dry friction sticks; --at T1,T2 takes them in motion", markup=False)
     if draws < needed:
         console.print(f"a limit needs at least {needed} draws", markup=False)
     show_files(files)
 
 
-def without_margins(own: Mapping[str, Any], draws: int, needed: int, level: str) -> str:
+def no_margins_text(statistics: LoopStatistics, draws: int, needed: int, level: str) -> str:
     """Why draws at one break point have no margin, and hence no limit may exist; empty if all have."""
     counts = {
-        "the loop is unstable": draws - own["stable"] - own["no_operating_point"],
-        "no operating point": own["no_operating_point"],
+        "the loop is unstable": draws - statistics.stable - statistics.no_operating_point,
+        "no operating point": statistics.no_operating_point,
     }
-    reasons = [f"{count} of {draws} draws without margins: {why}" for why, count in counts.items() if count]
-    if reasons and draws >= needed and own["disk"]["tolerance_limit"] is None:
+    reasons = [f"{count} of {draws} draws without margins: {cause}" for cause, count in counts.items() if count]
+    if reasons and draws >= needed and not math.isfinite(statistics.margins["disk"].tolerance_limit):
         reasons.append(f"hence no finite limit holds for {level}")
     return "; ".join(reasons)
 
 
-def margin_text(value: float | None, form: Callable[[float], str]) -> str:
-    """A margin as text; None stands for an infinite one, or for a loop without margins."""
-    return "-" if value is None else form(value)
+def margin_text(value: float, form: Callable[[float], str]) -> str:
+    """A margin as text; that of a loop without margins is infinite."""
+    return form(value) if math.isfinite(value) else "-"

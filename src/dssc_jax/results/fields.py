@@ -71,7 +71,7 @@ def field_meanings(cls: type, prefix: str = "") -> Iterator[FieldMeaning]:
     hints = get_type_hints(cls, include_extras=True)
     for field in fields(cls):
         hint = hints[field.name]
-        key = prefix if field.metadata.get(MERGED) else f"{prefix}{field.name}"
+        key = prefix.removesuffix(".") if field.metadata.get(MERGED) else f"{prefix}{field.name}"
         if get_origin(hint) is Annotated:
             inner, *notes = get_args(hint)
             for note in notes:

@@ -1,12 +1,14 @@
 """Adaptive multilevel splitting against exact laws and plain draws."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
 
 import dssc_jax as dj
 from dssc_jax.analyses.rare_events.rare import RareEvent
-from dssc_jax.analyses.rare_events.splitting import split
+from dssc_jax.analyses.rare_events.splitting import Plain, split
 from dssc_jax.closed_loop.requirements import worst_slack
 from dssc_jax.console.analyses import show_rare
 from dssc_jax.core.signals import Outcome
@@ -106,7 +108,8 @@ def test_a_contradiction_is_told(capsys):
     study = dj.Study.from_table(TABLE).override({"plant.a_p": 1.0})
     estimate = split(hidden, 1, (0,), dj.Splitting(particles=60, killed=30, repeats=10))
     assert estimate.contradicted
-    content = RareEvent.of(study, dj.Splitting(), estimate, False).summary()
+    event = RareEvent.of(study, dj.Splitting(), estimate, False)
+    content = event.summary()
     assert content["plain"] == {
         "draws": 4096,
         "failures": estimate.plain.failures,
@@ -116,7 +119,7 @@ def test_a_contradiction_is_told(capsys):
     assert content["interval"] == content["plain"]["interval"]
     assert content["interval_method"] == "Clopper-Pearson, 4,096 plain draws"
     assert content["splitting"]["probability"] < 1e-5
-    show_rare(content, [])
+    show_rare(event, [])
     shown = " ".join(capsys.readouterr().out.split())
     assert "warning: plain draws contradict the splitting" in shown
     low, high = estimate.plain.interval()
@@ -137,7 +140,7 @@ def test_a_study_agrees_with_plain_draws():
     engine = Engine(study, 100)
     count = min(100, len(found.estimate.noise))
     again = evaluate(
-        engine, {name: values[:count] for name, values in found.where.items()}, found.estimate.noise[:count]
+        engine, {name: values[:count] for name, values in found.failing_values.items()}, found.estimate.noise[:count]
     )
     assert np.all(worst_slack(study.requirements, again) < 0.0)
 
@@ -167,3 +170,17 @@ def test_what_is_refused(changes, message):
 def test_bad_spending(bad):
     with pytest.raises(dj.ConfigError, match="needs"):
         dj.Splitting(**bad)
+
+
+def test_a_contradiction_without_a_failed_plain_draw_has_no_table_of_failures(capsys):
+    study = dj.Study.from_table(TABLE).override({"plant.a_p": 1.0})
+    settings = dj.Splitting(particles=60, killed=30, repeats=10)
+    likely = split(lambda z, _: 1.0 - z[:, 0], 1, (0,), settings)
+    estimate = replace(likely, plain=Plain(4096, np.empty((0, 1))))
+    assert estimate.contradicted
+    event = RareEvent.of(study, settings, estimate, False)
+    assert event.answer.where["plant.k_p"].failing is None
+    show_rare(event, [])
+    shown = capsys.readouterr().out
+    assert "0 of 4,096 plain draws failed" in shown
+    assert "failing: 5 %" not in shown

@@ -117,7 +117,7 @@ def test_a_study_with_a_rare_failure(capsys):
     assert content["outputs"][FAILURE] is None
     assert content["reasons"][FAILURE] == found.reasons[FAILURE]
     assert content["reasons"]["error_max"] == "does not vary"
-    show_sensitivity(found.summary(), [])
+    show_sensitivity(found, [])
     assert f"failure: no answer; it {found.reasons[FAILURE]}" in " ".join(capsys.readouterr().out.split())
     (text,) = dj.plot.sensitivity(found).axes[0].texts
     assert " ".join(text.get_text().split()) == f"no answer; it {found.reasons[FAILURE]}"

@@ -15,7 +15,7 @@ from dssc_jax.analyses.loop_margins.response import (
     own_grid,
     response_of,
 )
-from dssc_jax.analyses.loop_margins.result import LoopAnswer, LoopMargins, Status, margins_dataset
+from dssc_jax.analyses.loop_margins.result import BrokenLoop, LoopMargins, Status, margins_dataset
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
@@ -110,7 +110,7 @@ def parts_of(study: Study, operating: Operating) -> dict[str, Part]:
     return parts
 
 
-def answer_of(part: Part, reached: np.ndarray, common: np.ndarray, sample_time: float) -> LoopAnswer | None:
+def answer_of(part: Part, reached: np.ndarray, common: np.ndarray, sample_time: float) -> BrokenLoop | None:
     """Margins and frequency response at one break point; None if the signal there has no effect.
 
     Args:
@@ -135,4 +135,4 @@ def answer_of(part: Part, reached: np.ndarray, common: np.ndarray, sample_time: 
         margins = classical_margins(response_of(a[stable], b[stable], c[stable]), own, sample_time)
         for field, values in margins._asdict().items():
             columns[field][status == Status.STABLE] = values
-    return LoopAnswer(columns, status, g, opened)
+    return BrokenLoop(columns, status, g, opened)

@@ -1,9 +1,9 @@
 """Classical margins of all draws: their statistics, figure and folder."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any, NamedTuple, Self
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.loop_margins.fans import FANS, LEVELS_OF_FAN, fan_of
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.results.analysis import Analysis
-from dssc_jax.results.analysis_folder import Stored
+from dssc_jax.results.fields import MERGED
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson, quantile_interval, tolerance_limits
 from dssc_jax.statistics.order import upper_quantiles
 from dssc_jax.study import Study
@@ -20,6 +21,7 @@ from dssc_jax.study import Study
 EQUILIBRIUM = "equilibrium"
 SHARE_WITHIN = 0.95  # of all draws, within the tolerance limit
 LINES = 60  # draws whose frequency responses are stored
+MARGIN_UNIT = "that of the margin"
 
 
 class Status(IntEnum):
@@ -58,7 +60,7 @@ MARGIN_KINDS = {
 """What is computed for every draw, operating point and break point."""
 
 
-class LoopAnswer(NamedTuple):
+class BrokenLoop(NamedTuple):
     """Margins of all draws at one break point and one operating point.
 
     Args:
@@ -72,6 +74,45 @@ class LoopAnswer(NamedTuple):
     status: np.ndarray
     response: np.ndarray
     poles: np.ndarray
+
+
+@dataclass(frozen=True)
+class MarginStatistics:
+    """A margin over all draws, at one break point and one operating point."""
+
+    unit: Annotated[str, Quantity("", "its unit")]
+    median: Annotated[float, Quantity(MARGIN_UNIT, "median; None: infinite, or the loop is unstable")]
+    median_interval: Annotated[tuple[float, float], Quantity(MARGIN_UNIT, "its interval")]
+    worst: Annotated[float, Quantity(MARGIN_UNIT, "worst of all draws; None: a loop is unstable, or all are infinite")]
+    tolerance_limit: Annotated[float, Quantity(MARGIN_UNIT, "limit that holds for the share of all draws (Wilks)")]
+    side: Annotated[str, Quantity("", "side of the limit: lower if large margins are good, upper if small ones are")]
+
+
+@dataclass(frozen=True)
+class LoopStatistics:
+    """The draws at one break point and one operating point."""
+
+    stable: Annotated[int, Quantity("1", "draws with a stable loop")]
+    stable_interval: Annotated[tuple[float, float], Quantity("1", "interval of their share of all draws")]
+    no_operating_point: Annotated[int, Quantity("1", "draws without an operating point")]
+    margins: dict[str, MarginStatistics] = field(metadata={MERGED: True})
+
+
+@dataclass(frozen=True)
+class LoopMarginsAnswer:
+    """Classical margins over all draws, at every operating point and break point."""
+
+    draws: Annotated[int, Quantity("1", "number of draws")]
+    sample_time: Annotated[float, Quantity("s", "sample time T_s")]
+    share: Annotated[float, Quantity("1", "share of all draws for which a tolerance limit holds")]
+    confidence: Annotated[float, Quantity("1", "confidence of each limit and interval")]
+    limits: Annotated[str, Quantity("", "how the limits are computed")]
+    taken: Annotated[str, Quantity("", "what is taken for parts of the loop without a derivative")]
+    loops: Annotated[dict[str, LoopStatistics], Quantity("", "by break point, at the first operating point")]
+    operating_points: Annotated[
+        dict[str, dict[str, LoopStatistics]], Quantity("", "by operating point and break point")
+    ]
+    seconds: Annotated[float, Quantity("s", "computing time")]
 
 
 @dataclass(eq=False)
@@ -99,32 +140,25 @@ class LoopMargins(Analysis):
 
     def values(self, name: str, point: str, loop: str) -> np.ndarray:
         """A margin of every draw; a draw without margins has the worst value. Shape (draws,)."""
-        own = self.dataset.sel(operating_point=point, loop=loop)
+        data = self.dataset.sel(operating_point=point, loop=loop)
         worst = -np.inf if MARGIN_KINDS[name].side == "lower" else np.inf
-        values = np.where(own["status"].values == Status.STABLE, own[name].values, worst)
+        values = np.where(data["status"].values == Status.STABLE, data[name].values, worst)
         return np.where(np.isnan(values), np.inf, values)  # stable, and never with this crossing
 
-    def statistics(self, point: str, loop: str) -> dict[str, Any]:
+    def statistics(self, point: str, loop: str) -> LoopStatistics:
         """Quantiles of every margin with exact limits at one break point."""
         status = self.dataset["status"].sel(operating_point=point, loop=loop).values
         stable = int(np.count_nonzero(status == Status.STABLE))
-        summary: dict[str, Any] = {
-            "stable": stable,
-            "stable_interval": clopper_pearson(stable, len(status))[0:2],
-            "no_operating_point": int(np.count_nonzero(status == Status.NO_OPERATING_POINT)),
-        }
-        for name, about in MARGIN_KINDS.items():
-            values = self.values(name, point, loop)
-            limits = tolerance_limits(values, SHARE_WITHIN, CONFIDENCE, about.side)
-            summary[name] = {
-                "unit": about.unit,
-                "median": float(upper_quantiles(values, [0.5])[0]),
-                "median_interval": quantile_interval(values, 0.5),
-                "worst": float(values.min() if about.side == "lower" else values.max()),
-                "tolerance_limit": limits[0] if about.side == "lower" else limits[1],
-                "side": about.side,
-            }
-        return summary
+        low, high = clopper_pearson(stable, len(status))
+        margins = {}
+        for name, kind in MARGIN_KINDS.items():
+            margins[name] = margin_statistics(self.values(name, point, loop), kind)
+        return LoopStatistics(
+            stable=stable,
+            stable_interval=(low, high),
+            no_operating_point=int(np.count_nonzero(status == Status.NO_OPERATING_POINT)),
+            margins=margins,
+        )
 
     @property
     def points(self) -> list[str]:
@@ -140,51 +174,58 @@ class LoopMargins(Analysis):
     def headline(self) -> str:
         """The answer in one line."""
         first = self.loops[0]
-        smallest = [self.statistics(point, first) for point in self.points]
-        own = min(smallest, key=lambda each: each["disk"]["tolerance_limit"])
-        phase, delay = own["phase"], own["delay"]
+        statistics = [self.statistics(point, first) for point in self.points]
+        worst = min(statistics, key=lambda point: point.margins["disk"].tolerance_limit)
+        phase = worst.margins["phase"]
+        delay = worst.margins["delay"]
         draws = self.dataset.sizes["draw"]
-        if not np.isfinite(phase["tolerance_limit"]) or not np.isfinite(delay["tolerance_limit"]):
-            return f"broken at {first}: {own['stable']} of {draws} linearised loops are stable"
+        if not np.isfinite(phase.tolerance_limit) or not np.isfinite(delay.tolerance_limit):
+            return f"broken at {first}: {worst.stable} of {draws} linearised loops are stable"
         return (
-            f"broken at {first}: phase margin {np.degrees(phase['median']):.3g} deg, delay margin "
-            f"{delay['median']:.3g} s (medians); 95 % of all draws have at least "
-            f"{np.degrees(phase['tolerance_limit']):.3g} deg and {delay['tolerance_limit']:.3g} s"
+            f"broken at {first}: phase margin {np.degrees(phase.median):.3g} deg, delay margin "
+            f"{delay.median:.3g} s (medians); 95 % of all draws have at least "
+            f"{np.degrees(phase.tolerance_limit):.3g} deg and {delay.tolerance_limit:.3g} s"
         )
 
     def figure(self) -> Figure:
         """Plot the answer."""
         return plotting.loop_margins(self)
 
-    def content(self) -> dict[str, Any]:
-        """See :class:`Analysis`."""
-        every = {point: {loop: self.statistics(point, loop) for loop in self.loops} for point in self.points}
-        return {
-            "draws": self.dataset.sizes["draw"],
-            "sample_time": self.study.config.loop.sample_time,
-            "share": SHARE_WITHIN,
-            "confidence": CONFIDENCE,
-            "limits": "Wilks; each limit holds with this confidence for itself",
-            "taken": "; ".join(self.taken) or "none; every part has a derivative",
-            "loops": every[self.points[0]],
-            "operating_points": every,
-            "seconds": self.seconds,
-        }
+    @property
+    def answer(self) -> LoopMarginsAnswer:
+        """The answer in numbers."""
+        operating_points = {}
+        for point in self.points:
+            operating_points[point] = {loop: self.statistics(point, loop) for loop in self.loops}
+        return LoopMarginsAnswer(
+            draws=self.dataset.sizes["draw"],
+            sample_time=self.study.config.loop.sample_time,
+            share=SHARE_WITHIN,
+            confidence=CONFIDENCE,
+            limits="Wilks; each limit holds with this confidence for itself",
+            taken="; ".join(self.taken) or "none; every part has a derivative",
+            loops=operating_points[self.points[0]],
+            operating_points=operating_points,
+            seconds=self.seconds,
+        )
 
-    def settings(self) -> dict[str, Any]:
-        """See :class:`Analysis`."""
-        return {"times": list(self.times), "taken": list(self.taken), "seconds": self.seconds}
 
-    @classmethod
-    def restored(cls, stored: Stored) -> Self:
-        """See :class:`Analysis`."""
-        settings = stored.settings
-        times, taken = tuple(settings["times"]), tuple(settings["taken"])
-        return cls(stored.study, stored.dataset, times, taken, settings["seconds"])
+def margin_statistics(values: np.ndarray, kind: MarginKind) -> MarginStatistics:
+    """The statistics of a margin of every draw, with infinite values for draws without one; shape (draws,)."""
+    lower, upper = tolerance_limits(values, SHARE_WITHIN, CONFIDENCE, kind.side)
+    large_is_good = kind.side == "lower"
+    return MarginStatistics(
+        unit=kind.unit,
+        median=float(upper_quantiles(values, [0.5])[0]),
+        median_interval=quantile_interval(values, 0.5),
+        worst=float(values.min() if large_is_good else values.max()),
+        tolerance_limit=lower if large_is_good else upper,
+        side=kind.side,
+    )
 
 
 def margins_dataset(
-    study: Study, answers: Mapping[str, Mapping[str, LoopAnswer]], frequencies: np.ndarray
+    study: Study, answers: Mapping[str, Mapping[str, BrokenLoop]], frequencies: np.ndarray
 ) -> xr.Dataset:
     """The dataset of :class:`LoopMargins`.
 
@@ -194,34 +235,37 @@ def margins_dataset(
         frequencies: Of the responses [rad/s].
     """
     points = list(answers)
-    loops = list(dict.fromkeys(loop for own in answers.values() for loop in own))
-    draws, shape = study.config.draws, (len(points), len(loops))
-    blank = LoopAnswer(
+    loops = list(dict.fromkeys(loop for by_loop in answers.values() for loop in by_loop))
+    draws = study.config.draws
+    shape = (len(points), len(loops))
+    blank = BrokenLoop(
         {name: np.full(draws, np.nan) for name in MARGIN_KINDS},
         np.full(draws, Status.NO_OPERATING_POINT.value),
         np.full((draws, frequencies.size), np.nan, complex),
         np.full((draws, 0), np.nan, complex),
     )
-    every = [answers[point].get(loop, blank) for point in points for loop in loops]
-    angles = frequencies * study.config.loop.sample_time
-    columns: dict[str, Any] = {}
-    for name, about in MARGIN_KINDS.items():
-        values = np.stack([one.margins[name] for one in every]).reshape(*shape, draws)
-        columns[name] = (LoopMargins.table, values, {"units": about.unit, "long_name": about.meaning})
+    broken_loops = []
+    for point in points:
+        broken_loops += [answers[point].get(loop, blank) for loop in loops]
+    columns: dict[str, tuple[tuple[str, ...], np.ndarray, Mapping[str, object]]] = {}
+    for name, kind in MARGIN_KINDS.items():
+        values = np.stack([broken.margins[name] for broken in broken_loops]).reshape(*shape, draws)
+        columns[name] = (LoopMargins.table, values, {"units": kind.unit, "long_name": kind.meaning})
     flags = {"flag_values": [s.value for s in Status], "flag_meanings": " ".join(s.name.lower() for s in Status)}
-    status = np.stack([one.status for one in every]).reshape(*shape, draws)
+    status = np.stack([broken.status for broken in broken_loops]).reshape(*shape, draws)
     columns["status"] = (LoopMargins.table, status, {"long_name": "whether the loop has margins", **flags})
+    angles = frequencies * study.config.loop.sample_time
     with np.errstate(all="ignore"):
-        fans = [fan_of(one.response, one.poles, angles) for one in every]
-        shown = np.stack([(-one.response / (1.0 + one.response))[:LINES] for one in every])
+        fans = [fan_of(broken.response, broken.poles, angles) for broken in broken_loops]
+        shown = np.stack([(-broken.response / (1.0 + broken.response))[:LINES] for broken in broken_loops])
     for name, (unit, meaning) in FANS.items():
         values = np.stack([fan[name] for fan in fans]).reshape(*shape, len(LEVELS_OF_FAN), -1)
         dims = (*LoopMargins.table[:2], "level", "frequency")
         columns[name] = (dims, values, {"units": unit, "long_name": f"{meaning}, quantile over the draws"})
-    for name, part in (("loop_real", shown.real), ("loop_imaginary", shown.imag)):
+    for name, part in (("real", np.real(shown)), ("imaginary", np.imag(shown))):
         values = part.reshape(*shape, -1, frequencies.size)
-        meaning = f"{name.removeprefix('loop_')} part of the loop transfer function L"
-        columns[name] = ((*LoopMargins.table[:2], "line", "frequency"), values, {"units": "1", "long_name": meaning})
+        attributes = {"units": "1", "long_name": f"{name} part of the loop transfer function L"}
+        columns[f"loop_{name}"] = ((*LoopMargins.table[:2], "line", "frequency"), values, attributes)
     coords = {
         "operating_point": ("operating_point", np.array(points), {"long_name": "where the loop is linearised"}),
         "loop": ("loop", np.array(loops), {"long_name": "where the loop is broken"}),

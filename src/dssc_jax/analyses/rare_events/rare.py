@@ -1,8 +1,8 @@
 """A failure probability that is too small for plain draws, by splitting on the worst requirement's slack."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Self
+from typing import Annotated, Self
 
 import numpy as np
 import xarray as xr
@@ -13,15 +13,73 @@ import dssc_jax.plotting as plotting
 from dssc_jax.analyses.rare_events.splitting import USUAL, Estimate, Plain, Splitting, split
 from dssc_jax.closed_loop.requirements import worst_slack
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import Arrays, Engine, evaluate, is_noisy
 from dssc_jax.engine.sampling import inside, values_at
 from dssc_jax.results.analysis import Analysis
-from dssc_jax.results.analysis_folder import Stored
+from dssc_jax.results.fields import MERGED
 from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.study import Study
 
 QUANTILE_LEVELS = (0.05, 0.5, 0.95)
+
+
+@dataclass(frozen=True)
+class SplittingProbability:
+    """The failure probability from the repeats of the splitting alone."""
+
+    probability: Annotated[float, Quantity("1", "failure probability")]
+    interval: Annotated[tuple[float, float], Quantity("1", "its interval")]
+
+
+@dataclass(frozen=True)
+class PlainFailures:
+    """The failures of the plain draws."""
+
+    draws: Annotated[int, Quantity("1", "number of plain draws")]
+    failures: Annotated[int, Quantity("1", "plain draws that failed")]
+    interval: Annotated[tuple[float, float], Quantity("1", "interval of the failure probability (Clopper-Pearson)")]
+    contradicts: Annotated[bool, Quantity("", "whether this interval and that of the splitting are disjoint")]
+
+
+@dataclass(frozen=True)
+class FailingRange:
+    """Where a number lies at failures."""
+
+    median: Annotated[float, Quantity("that of the number", "median of its law")]
+    failing: Annotated[np.ndarray | None, Quantity("that of the number", "5 %, 50 % and 95 % quantile at failures")]
+
+
+@dataclass(frozen=True)
+class SplittingSettings:
+    """How the splitting was run."""
+
+    particles: Annotated[int, Quantity("1", "particles of each repeat")]
+    killed: Annotated[int, Quantity("1", "particles that a level replaces")]
+    moves: Annotated[int, Quantity("1", "moves of each clone at a level")]
+    repeats: Annotated[int, Quantity("1", "number of independent repeats")]
+
+
+@dataclass(frozen=True)
+class RareAnswer:
+    """A rare failure's probability, its cost, and where the failures are."""
+
+    requirements: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]
+    probability: Annotated[float, Quantity("1", "failure probability")]
+    interval: Annotated[tuple[float, float], Quantity("1", "its interval")]
+    interval_method: Annotated[str, Quantity("", "method of the interval")]
+    confidence: Annotated[float, Quantity("1", "confidence of each interval")]
+    splitting: SplittingProbability
+    plain: PlainFailures
+    variation: Annotated[float, Quantity("1", "coefficient of variation of the splitting; None: no failure reached")]
+    simulations: Annotated[int, Quantity("1", "number of simulations of the splitting")]
+    plain_draws: Annotated[float, Quantity("1", "plain draws that would give this variation; None: infinitely many")]
+    estimates: Annotated[np.ndarray, Quantity("1", "failure probability from each repeat")]
+    levels: Annotated[np.ndarray, Quantity("1", "levels that each repeat passed")]
+    in_loop_noise: Annotated[bool, Quantity("", "whether the loop has in-loop noise")]
+    where: dict[str, FailingRange]
+    settings: SplittingSettings = field(metadata={MERGED: True})
 
 
 @dataclass(eq=False)
@@ -77,7 +135,8 @@ class RareEvent(Analysis):
     @cached_property
     def estimate(self) -> Estimate:
         """The probability and how it was estimated."""
-        data, plain = self.dataset, self.dataset["plain"].values
+        data = self.dataset
+        plain = data["plain"].values
         return Estimate(
             estimates=data["estimate"].values,
             levels=data["levels"].values,
@@ -88,7 +147,7 @@ class RareEvent(Analysis):
         )
 
     @property
-    def where(self) -> Arrays:
+    def failing_values(self) -> Arrays:
         """Values of each uncertain number at failures: those of the plain draws if they answer, else the particles'."""
         chosen = self.dataset["plain"].values != self.estimate.answered
         return {name: self.dataset[name].values[chosen] for name in self.study.laws}
@@ -105,47 +164,33 @@ class RareEvent(Analysis):
         """Plot the answer."""
         return plotting.rare(self)
 
-    def content(self) -> dict[str, Any]:
-        """See :class:`Analysis`."""
-        estimate, plain = self.estimate, self.estimate.plain
-        return {
-            "requirements": [requirement.text for requirement in self.study.requirements],
-            "probability": estimate.probability,
-            "interval": estimate.interval(),
-            "interval_method": estimate.method,
-            "confidence": CONFIDENCE,
-            "splitting": {"probability": estimate.mean, "interval": estimate.mean_interval()},
-            "plain": {
-                "draws": plain.draws,
-                "failures": plain.failures,
-                "interval": plain.interval(),
-                "contradicts": estimate.contradicted,
-            },
-            "variation": estimate.variation,
-            "simulations": estimate.simulations,
-            "plain_draws": estimate.plain_draws,
-            "estimates": estimate.estimates,
-            "levels": estimate.levels,
-            "in_loop_noise": self.noisy,
-            "where": {
-                name: {
-                    "median": self.study.laws[name].median,
-                    "failing": np.quantile(values, QUANTILE_LEVELS) if len(values) else None,
-                }
-                for name, values in self.where.items()
-            },
-            **{name: getattr(self.splitting, name) for name in ("particles", "killed", "moves", "repeats")},
-        }
-
-    def settings(self) -> dict[str, Any]:
-        """See :class:`Analysis`."""
-        return {"splitting": asdict(self.splitting), "simulations": self.simulations, "noisy": self.noisy}
-
-    @classmethod
-    def restored(cls, stored: Stored) -> Self:
-        """See :class:`Analysis`."""
-        study, dataset, settings = stored
-        return cls(study, dataset, Splitting(**settings["splitting"]), settings["simulations"], settings["noisy"])
+    @property
+    def answer(self) -> RareAnswer:
+        """The answer in numbers."""
+        estimate = self.estimate
+        plain = estimate.plain
+        ranges = {}
+        for name, values in self.failing_values.items():
+            quantiles = np.quantile(values, QUANTILE_LEVELS) if len(values) else None
+            ranges[name] = FailingRange(self.study.laws[name].median, quantiles)
+        splitting = self.splitting
+        return RareAnswer(
+            requirements=tuple(requirement.text for requirement in self.study.requirements),
+            probability=estimate.probability,
+            interval=estimate.interval(),
+            interval_method=estimate.method,
+            confidence=CONFIDENCE,
+            splitting=SplittingProbability(estimate.mean, estimate.mean_interval()),
+            plain=PlainFailures(plain.draws, plain.failures, plain.interval(), estimate.contradicted),
+            variation=estimate.variation,
+            simulations=estimate.simulations,
+            plain_draws=estimate.plain_draws,
+            estimates=estimate.estimates,
+            levels=estimate.levels,
+            in_loop_noise=self.noisy,
+            where=ranges,
+            settings=SplittingSettings(splitting.particles, splitting.killed, splitting.moves, splitting.repeats),
+        )
 
 
 def rare(study: Study, splitting: Splitting = USUAL, progress: ProgressCallback | None = None) -> RareEvent:

@@ -26,7 +26,8 @@ from dssc_jax.statistics import CONFIDENCE, clopper_pearson, lognormal_interval
 SlackFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Slacks, shape (n,), of points (n, d) in standard normal space with noise indices (n,); negative: failure."""
 
-FIRST_STEP, LEAST_STEP = 0.7, 0.02  # size of a move in standard normal space; it adapts to what is accepted
+FIRST_STEP = 0.7  # size of a move in standard normal space; it adapts to what is accepted
+SMALLEST_STEP = 0.02
 ACCEPTED = 0.35  # share of moves to accept
 REFRESHED = 0.5  # share of moves that redraw the in-loop noise
 MOST_LEVELS = 100_000
@@ -94,6 +95,30 @@ class Repeat:
     levels: int = 0
     dead: bool = False
 
+    @property
+    def failing(self) -> np.ndarray:
+        """Which particles fail, shape (N,)."""
+        return self.slacks < 0.0
+
+    @property
+    def answer(self) -> float:
+        """The repeat's failure probability."""
+        return 0.0 if self.dead else self.estimate * float(self.failing.mean())
+
+
+class Clones(NamedTuple):
+    """The particles of a repeat that a level has replaced by clones.
+
+    Args:
+        repeat: The repeat.
+        level: The level, below which they have to stay.
+        places: Their indices in the population, shape (clones,).
+    """
+
+    repeat: Repeat
+    level: float
+    places: np.ndarray
+
 
 class Plain(NamedTuple):
     """Plain independent draws in addition to the splitting.
@@ -159,8 +184,8 @@ class Estimate:
     def contradicted(self) -> bool:
         """Whether the plain draws' interval and that of the repeats are disjoint."""
         low, high = self.mean_interval()
-        below, above = self.plain.interval()
-        return above < low or high < below
+        plain_low, plain_high = self.plain.interval()
+        return plain_high < low or high < plain_low
 
     @property
     def answered(self) -> bool:
@@ -200,7 +225,7 @@ class Estimate:
         return (1.0 - p) / (p * self.variation**2) if p > 0.0 and self.variation > 0.0 else np.inf
 
 
-def split(slack: SlackFunction, dimension: int, words: Sequence[int], splitting: Splitting = USUAL) -> Estimate:
+def split(slack: SlackFunction, dimension: int, seeds: Sequence[int], splitting: Splitting = USUAL) -> Estimate:
     """Run adaptive multilevel splitting, and additional plain draws.
 
     All repeats advance together, so that slacks are computed in large batches.
@@ -208,7 +233,7 @@ def split(slack: SlackFunction, dimension: int, words: Sequence[int], splitting:
     Args:
         slack: Computes the slacks; -inf if there is none.
         dimension: d of the standard normal space.
-        words: Seeds of the random numbers.
+        seeds: Of the random numbers.
         splitting: The settings.
 
     Reference:
@@ -217,26 +242,29 @@ def split(slack: SlackFunction, dimension: int, words: Sequence[int], splitting:
         I. Papaioannou et al., Probabilistic Engineering Mechanics 41 (2015) 89-103.
     """
     counter = Counter(slack)
-    repeats = [started(generator(*words, index), dimension, splitting, counter) for index in range(splitting.repeats)]
+    repeats = [started(generator(*seeds, index), dimension, splitting, counter) for index in range(splitting.repeats)]
     for repeat, slacks in zip(repeats, np.split(counter.of(repeats, slice(None)), splitting.repeats), strict=True):
         repeat.slacks = slacks
     for _ in range(MOST_LEVELS):
-        moving = [(repeat, *raised(repeat, splitting)) for repeat in repeats if not done(repeat, splitting)]
-        moving = [(repeat, level, clones) for repeat, level, clones in moving if len(clones)]
+        moving = []
+        for repeat in repeats:
+            if not done(repeat, splitting):
+                clones = raised(repeat, splitting)
+                if clones is not None:
+                    moving.append(clones)
         if not moving:
             break
         for _ in range(splitting.moves):
             move(moving, counter)
-    failing = [repeat.slacks < 0.0 for repeat in repeats]
     simulations = counter.simulations
-    points = generator(*words, stream("plain")).standard_normal((splitting.plain, dimension))
+    points = generator(*seeds, stream("plain")).standard_normal((splitting.plain, dimension))
     plain = Plain(splitting.plain, points[counter(points, counter.fresh(splitting.plain)) < 0.0])
     return Estimate(
-        estimates=np.array([0.0 if r.dead else r.estimate * f.mean() for r, f in zip(repeats, failing, strict=True)]),
+        estimates=np.array([repeat.answer for repeat in repeats]),
         levels=np.array([repeat.levels for repeat in repeats]),
         simulations=simulations,
-        points=np.concatenate([repeat.points[f] for repeat, f in zip(repeats, failing, strict=True)]),
-        noise=np.concatenate([repeat.noise[f] for repeat, f in zip(repeats, failing, strict=True)]),
+        points=np.concatenate([repeat.points[repeat.failing] for repeat in repeats]),
+        noise=np.concatenate([repeat.noise[repeat.failing] for repeat in repeats]),
         plain=plain,
     )
 
@@ -245,7 +273,9 @@ class Counter:
     """Computes slacks, counts the evaluations, and provides fresh noise indices."""
 
     def __init__(self, slack: SlackFunction) -> None:
-        self.slack, self.simulations, self.indices = slack, 0, 0
+        self.slack = slack
+        self.simulations = 0
+        self.indices = 0
 
     def fresh(self, count: int) -> np.ndarray:
         """Noise indices that no particle has used."""
@@ -278,50 +308,50 @@ def done(repeat: Repeat, splitting: Splitting) -> bool:
     return repeat.dead or bool(np.partition(repeat.slacks, -splitting.killed)[-splitting.killed] < 0.0)
 
 
-def raised(repeat: Repeat, splitting: Splitting) -> tuple[float, np.ndarray]:
-    """The next level, and the particles that clones of the others replace.
+def raised(repeat: Repeat, splitting: Splitting) -> Clones | None:
+    """Raise a repeat to its next level, at which clones replace the particles that do not pass.
 
     Ties die together. Particles that already fail are never killed, so the level is at least 0: at the last level, the
     particles that do not fail die.
 
     Returns:
-        The level, which clones must stay below, and the clones' positions; none if no particle survives.
+        The clones; None if no particle survives.
     """
     level = float(np.partition(repeat.slacks, -splitting.killed)[-splitting.killed])
     dying = repeat.slacks >= level
     survivors = np.flatnonzero(~dying)
     if not len(survivors):
         repeat.dead = True
-        return level, survivors
+        return None
     clones = np.flatnonzero(dying)
     parents = repeat.rng.choice(survivors, len(clones))
     repeat.estimate *= len(survivors) / len(repeat.slacks)
     repeat.levels += 1
     for values in (repeat.points, repeat.noise, repeat.slacks):
         values[clones] = values[parents]
-    return level, clones
+    return Clones(repeat, level, clones)
 
 
-def move(moving: list[tuple[Repeat, float, np.ndarray]], counter: Counter) -> None:
+def move(moving: list[Clones], counter: Counter) -> None:
     """Make one step of every clone's chain: z' = sqrt(1 - s^2) z + s xi, accepted below the level.
 
     The step s adapts to the acceptance rate, separately in each repeat. It adapts slowly if few particles move, since a
     step that depends on the last move of the same particle would change the limit distribution of the chain.
     """
-    proposals, indices = [], []
+    proposals = []
+    indices = []
     for repeat, _, clones in moving:
         fresh = repeat.rng.standard_normal((len(clones), repeat.points.shape[1]))
         proposals.append(np.sqrt(1.0 - repeat.step**2) * repeat.points[clones] + repeat.step * fresh)
         redrawn = repeat.rng.random(len(clones)) < REFRESHED
         indices.append(np.where(redrawn, counter.fresh(len(clones)), repeat.noise[clones]))
     slacks = counter(np.concatenate(proposals), np.concatenate(indices))
-    ends = np.cumsum([len(clones) for *_, clones in moving])[:-1]
-    for (repeat, level, clones), points, noise, reached in zip(
-        moving, proposals, indices, np.split(slacks, ends), strict=True
-    ):
+    ends = np.cumsum([len(points) for points in proposals])[:-1]
+    batches = zip(moving, proposals, indices, np.split(slacks, ends), strict=True)
+    for (repeat, level, clones), points, noise, reached in batches:
         accepted = reached < level
         repeat.points[clones[accepted]] = points[accepted]
         repeat.noise[clones[accepted]] = noise[accepted]
         repeat.slacks[clones[accepted]] = reached[accepted]
         weight = len(clones) / len(repeat.slacks)
-        repeat.step = float(np.clip(repeat.step * np.exp(weight * (accepted.mean() - ACCEPTED)), LEAST_STEP, 1.0))
+        repeat.step = float(np.clip(repeat.step * np.exp(weight * (accepted.mean() - ACCEPTED)), SMALLEST_STEP, 1.0))

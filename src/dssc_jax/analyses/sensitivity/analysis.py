@@ -56,12 +56,12 @@ def sensitivity(
         if progress:
             progress(len(results) * design.rows, count)
     outputs: dict[str, tuple[np.ndarray, ...] | None] = {}
-    reasons, missing = {}, {}
-    for name in [measure.name for measure in study.measures] + [FAILURE]:
-        values = np.stack([output_of(each, name) for each in results])
+    reasons = {}
+    missing = {}
+    for name in [*(measure.name for measure in study.measures), FAILURE]:
+        values = np.stack([output_of(result, name) for result in results])
         missing[name] = int(np.count_nonzero(~np.isfinite(values)))
-        lacking = f"has no value on {missing[name]:,} simulations" if missing[name] else None
-        reason = lacking or design.refusal(values)
+        reason = f"has no value on {missing[name]:,} simulations" if missing[name] else design.refusal(values)
         outputs[name] = None if reason else design.quantities(values)
         if reason:
             reasons[name] = reason

@@ -26,18 +26,18 @@ GRID_LEVELS = 4  # of a factor: the middles of quarters of its probability
 FEWEST = 10  # trajectories, for intervals of some use
 
 
-def trajectories(count: int, factors: int, words: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+def trajectories(count: int, factors: int, seeds: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Random trajectories through the grid of levels.
 
     Args:
         count: Number of trajectories.
         factors: Number of factors.
-        words: Of the random generator.
+        seeds: Of the random generator.
 
     Returns:
         Levels, shape (factors + 1, count, factors), and the order in which the factors move, shape (count, factors).
     """
-    rng = generator(*words)
+    rng = generator(*seeds)
     order = rng.permuted(np.tile(np.arange(factors), (count, 1)), axis=1)
     start = rng.integers(GRID_LEVELS, size=(count, factors))
     moved = (start + GRID_LEVELS // 2) % GRID_LEVELS
@@ -77,14 +77,19 @@ def screening(effects: np.ndarray, confidence: float) -> tuple[np.ndarray, np.nd
     sizes = np.abs(effects)
     spread = effects.std(1, ddof=1)
     squares = (effects - effects.mean(1, keepdims=True)) ** 2
-    without = ((count - 1) * spread[:, None] ** 2 - squares * count / (count - 1)) / (count - 2)
-    parts = (count - 1) * np.sqrt(np.maximum(without, 0.0))  # sigma without one trajectory, (n - 1) times
-    pairs = ((sizes.mean(1), reach * sizes.std(1, ddof=1)), (spread, reach * parts.std(1, ddof=1)))
-    size, spread = (np.stack([one, np.maximum(one - half, 0.0), one + half], axis=1) for one, half in pairs)
+    reduced = ((count - 1) * spread[:, None] ** 2 - squares * count / (count - 1)) / (count - 2)
+    parts = (count - 1) * np.sqrt(np.maximum(reduced, 0.0))  # sigma without one trajectory, (n - 1) times
+    size_table = with_interval(sizes.mean(1), reach * sizes.std(1, ddof=1))
+    spread_table = with_interval(spread, reach * parts.std(1, ddof=1))
     if np.all(np.isin(sizes, (0.0, 1.0))):
-        size[:, 1:] = clopper_pearson(np.count_nonzero(sizes, axis=1), count, confidence)
-        spread[:, 2] = np.sqrt(size[:, 2])
-    return size, spread
+        size_table[:, 1:] = clopper_pearson(np.count_nonzero(sizes, axis=1), count, confidence)
+        spread_table[:, 2] = np.sqrt(size_table[:, 2])
+    return size_table, spread_table
+
+
+def with_interval(estimate: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """Estimates of a number that is not negative, with an interval of this half length; shape (factors, 3)."""
+    return np.stack([estimate, np.maximum(estimate - half, 0.0), estimate + half], axis=1)
 
 
 def morris_design(study: Study, noisy: bool, confidence: float) -> RowDesign:

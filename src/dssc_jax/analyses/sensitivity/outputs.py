@@ -1,7 +1,7 @@
 """A design of simulations for a sensitivity analysis, and whether an output's samples say enough.
 
-In-loop noise is one more factor: rows with their own draw indices and rows with others differ in it. So the noise has
-its own part, and its effect is not charged to the uncertain numbers.
+In-loop noise is one more factor: rows with different draw indices differ in it. So the noise has a part of the variance
+to itself, and its effect is not charged to the uncertain numbers.
 """
 
 import math
@@ -19,8 +19,8 @@ NOISE = "in-loop noise"
 FAILURE = "failure"
 REPLICATES = 8
 SMALLEST = 256  # rows
-LEAST = 20  # rows that must carry an output's variance; with fewer an interval of 95 % is of length 0.6 or more
-WANTED = 30  # what a refusal plans for, so that the next run is not refused by chance
+FEWEST_ROWS = 20  # rows that must carry an output's variance; with fewer an interval of 95 % is of length 0.6 or more
+PLANNED_ROWS = 30  # what a refusal plans for, so that the next run is not refused by chance
 
 
 class RowSample(NamedTuple):
@@ -74,10 +74,11 @@ def refusal(f_a: np.ndarray, f_b: np.ndarray) -> str | None:
     """
     if np.ptp([f_a, f_b]) == 0.0:
         return "does not vary"
-    rows, carried = len(f_a), carrying(f_a, f_b)
-    if carried < LEAST:
-        enough = 2 ** math.ceil(math.log2(rows * WANTED / carried))
-        return f"needs {enough:,} rows: about {carried:.2g} of {rows:,} rows carry its variance, {LEAST} have to"
+    rows = len(f_a)
+    carried = carrying(f_a, f_b)
+    if carried < FEWEST_ROWS:
+        needed = 2 ** math.ceil(math.log2(rows * PLANNED_ROWS / carried))
+        return f"needs {needed:,} rows: about {carried:.2g} of {rows:,} rows carry its variance, {FEWEST_ROWS} have to"
     return None
 
 
@@ -100,8 +101,12 @@ def row_count(study: Study) -> int:
     return rows
 
 
-def require_uncorrelated(study: Study, what: str) -> None:
+def require_uncorrelated(study: Study, purpose: str) -> None:
     """Require numbers that are not correlated.
+
+    Args:
+        study: The study.
+        purpose: Why, as the beginning of the refusal's sentence.
 
     Raises:
         ConfigError: some are.
@@ -109,6 +114,6 @@ def require_uncorrelated(study: Study, what: str) -> None:
     if study.correlated:
         raise ConfigError(
             study.source,
-            f"{what} independent inputs, but {', '.join(study.correlated)} are correlated: use --method shapley, "
+            f"{purpose} independent inputs, but {', '.join(study.correlated)} are correlated: use --method shapley, "
             "leave them fixed, or make them independent with --set correlation={}",
         )

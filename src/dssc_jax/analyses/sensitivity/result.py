@@ -1,8 +1,8 @@
 """The result of a sensitivity analysis: for every output and factor, a few quantities with their intervals."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Self
+from typing import Annotated, NamedTuple, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -10,43 +10,90 @@ from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.sensitivity.outputs import FAILURE
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.results.analysis import Analysis
-from dssc_jax.results.analysis_folder import Stored
 from dssc_jax.results.result import headline_measure
 from dssc_jax.study import Study
 
 ENDS = {"": "", "_low": ", lower end of its interval", "_high": ", upper end of its interval"}
 """Suffixes of a quantity and of the ends of its interval in the dataset."""
+OUTPUT_UNIT = "that of the output"
 
 
-class SensitivityMeasure(NamedTuple):
-    """What a method tells of a factor.
+@dataclass(frozen=True)
+class SobolFactor:
+    """Sobol indices of a factor, not clipped: below 0 means about 0."""
 
-    Args:
-        meaning: In a few words.
-        legend: Text for tables and figures.
-        share: Whether it is a share of the output's variance; otherwise it has the output's unit.
-    """
+    first: Annotated[float, Quantity("1", "first-order index")]
+    first_interval: Annotated[tuple[float, float], Quantity("1", "its interval")]
+    total: Annotated[float, Quantity("1", "total index")]
+    total_interval: Annotated[tuple[float, float], Quantity("1", "its interval")]
 
-    meaning: str
-    legend: str
-    share: bool = True
+
+@dataclass(frozen=True)
+class ShapleyFactor:
+    """Shapley effect of a factor."""
+
+    effect: Annotated[float, Quantity("1", "Shapley effect: share of the variance")]
+    effect_interval: Annotated[tuple[float, float], Quantity("1", "its interval")]
+
+
+@dataclass(frozen=True)
+class MorrisFactor:
+    """Elementary effects of a factor."""
+
+    size: Annotated[float, Quantity(OUTPUT_UNIT, "mu*: mean size of an elementary effect")]
+    size_interval: Annotated[tuple[float, float], Quantity(OUTPUT_UNIT, "its interval")]
+    spread: Annotated[float, Quantity(OUTPUT_UNIT, "sigma: spread of the elementary effects")]
+    spread_interval: Annotated[tuple[float, float], Quantity(OUTPUT_UNIT, "its interval")]
+
+
+Factor: TypeAlias = SobolFactor | ShapleyFactor | MorrisFactor
+
+
+@dataclass(frozen=True)
+class SensitivityMeasure:
+    """A quantity of a factor, in words."""
+
+    meaning: Annotated[str, Quantity("", "in a few words")]
+    legend: Annotated[str, Quantity("", "text for tables and figures")]
+    share: Annotated[bool, Quantity("", "whether it is a share of the variance")] = True
 
 
 class SensitivityMethod(NamedTuple):
-    """How a result was computed, in words.
+    """A method, in words.
 
     Args:
         title: What the quantities are called together.
         quantities: By name.
+        factor: (estimate and interval of each quantity) -> the answer of a factor.
         ranking: The quantity that says what matters most.
         interval: Name of the intervals.
     """
 
     title: str
     quantities: dict[str, SensitivityMeasure]
+    factor: Callable[..., Factor]
     ranking: str
     interval: str
+
+
+@dataclass(frozen=True)
+class SensitivityAnswer:
+    """Which uncertain numbers every output depends on."""
+
+    method: Annotated[str, Quantity("", "name of the method")]
+    title: Annotated[str, Quantity("", "what its quantities are called together")]
+    rows: Annotated[int, Quantity("1", "number of rows of the design; of trajectories with Morris screening")]
+    simulations: Annotated[int, Quantity("1", "number of simulations")]
+    confidence: Annotated[float, Quantity("1", "confidence of each interval")]
+    interval_method: Annotated[str, Quantity("", "method of the intervals")]
+    factors: Annotated[tuple[str, ...], Quantity("", "the uncertain numbers, then the in-loop noise if there is any")]
+    quantities: dict[str, SensitivityMeasure]
+    headline: Annotated[list[str], Quantity("", "the outputs that are shown")]
+    reasons: Annotated[dict[str, str], Quantity("", "why an output has no quantities")]
+    missing: Annotated[dict[str, int], Quantity("1", "simulations without a value of each output")]
+    outputs: Annotated[dict[str, dict[str, Factor] | None], Quantity("", "by output and factor; None: no quantities")]
 
 
 @dataclass(eq=False)
@@ -77,9 +124,9 @@ class Sensitivity(Analysis):
     confidence: float
 
     @property
-    def words(self) -> SensitivityMethod:
+    def description(self) -> SensitivityMethod:
         """The method in words."""
-        return WORDS[self.method]
+        return DESCRIPTIONS[self.method]
 
     @property
     def factors(self) -> tuple[str, ...]:
@@ -95,76 +142,75 @@ class Sensitivity(Analysis):
         names = map(str, self.dataset["output"].values)
         return {name: None if name in self.reasons else self._quantities(name) for name in names}
 
-    def _quantities(self, name: str) -> dict[str, np.ndarray]:
-        own = self.dataset.sel(output=name)
-        return {part: np.stack([own[part + end].values for end in ENDS], axis=-1) for part in self.words.quantities}
+    def _quantities(self, output: str) -> dict[str, np.ndarray]:
+        data = self.dataset.sel(output=output)
+        quantities = {}
+        for name in self.description.quantities:
+            quantities[name] = np.stack([data[name + end].values for end in ENDS], axis=-1)
+        return quantities
 
     @property
     def headline(self) -> str:
         """The answer in one line."""
-        name = next((one for one in shown_outputs(self.study) if one not in self.reasons), None)
-        if name is None:
+        shown = [name for name in shown_outputs(self.study) if name not in self.reasons]
+        if not shown:
             return f"nothing to tell of {FAILURE}; it {self.reasons[FAILURE]}"
-        ranking = self.words.ranking
-        values = self.dataset[ranking].sel(output=name)
+        ranking = self.description.ranking
+        values = self.dataset[ranking].sel(output=shown[0])
         first = int(np.argmax(values.values))
-        meaning = self.words.quantities[ranking].meaning
-        return f"{name} depends most on {self.factors[first]}: {meaning} {float(values[first]):.3g}"
+        meaning = self.description.quantities[ranking].meaning
+        return f"{shown[0]} depends most on {self.factors[first]}: {meaning} {float(values[first]):.3g}"
 
     def figure(self) -> Figure:
         """Plot the answer."""
         return plotting.sensitivity(self)
 
-    def content(self) -> dict[str, Any]:
-        """See :class:`Analysis`."""
-        outputs: dict[str, Any] = {}
-        for name, parts in self.outputs.items():
-            outputs[name] = parts and {
-                factor: {
-                    key: number
-                    for part, values in parts.items()
-                    for key, number in ((part, values[i, 0]), (f"{part}_interval", values[i, 1:]))
-                }
-                for i, factor in enumerate(self.factors)
-            }
-        return {
-            "method": self.method,
-            "title": self.words.title,
-            "rows": self.rows,
-            "simulations": self.simulations,
-            "confidence": self.confidence,
-            "interval_method": self.words.interval,
-            "factors": self.factors,
-            "quantities": {name: quantity._asdict() for name, quantity in self.words.quantities.items()},
-            "headline": shown_outputs(self.study),
-            "reasons": self.reasons,
-            "missing": dict(zip(self.outputs, self.dataset["missing"].values.tolist(), strict=True)),
-            "outputs": outputs,
-        }
+    @property
+    def answer(self) -> SensitivityAnswer:
+        """The answer in numbers."""
+        outputs = {}
+        for name, quantities in self.outputs.items():
+            outputs[name] = None if quantities is None else self._factor_answers(quantities)
+        return SensitivityAnswer(
+            method=self.method,
+            title=self.description.title,
+            rows=self.rows,
+            simulations=self.simulations,
+            confidence=self.confidence,
+            interval_method=self.description.interval,
+            factors=self.factors,
+            quantities=self.description.quantities,
+            headline=shown_outputs(self.study),
+            reasons=self.reasons,
+            missing=dict(zip(outputs, self.dataset["missing"].values.tolist(), strict=True)),
+            outputs=outputs,
+        )
 
-    def settings(self) -> dict[str, Any]:
-        """See :class:`Analysis`."""
-        return {name: getattr(self, name) for name in ("method", "rows", "simulations", "reasons", "confidence")}
-
-    @classmethod
-    def restored(cls, stored: Stored) -> Self:
-        """See :class:`Analysis`."""
-        return cls(stored.study, stored.dataset, **stored.settings)
+    def _factor_answers(self, quantities: Mapping[str, np.ndarray]) -> dict[str, Factor]:
+        answers = {}
+        for factor, estimates in zip(self.factors, np.stack(list(quantities.values()), axis=1), strict=True):
+            numbers = []
+            for estimate, low, high in estimates.tolist():
+                numbers += [estimate, (low, high)]
+            answers[factor] = self.description.factor(*numbers)
+        return answers
 
 
-WORDS = {
+DESCRIPTIONS = {
     "sobol": SensitivityMethod(
         "Sobol indices",
         {
             "first": SensitivityMeasure("first-order index", "first order: alone"),
             "total": SensitivityMeasure("total index", "total: with all interactions"),
         },
+        SobolFactor,
         "total",
         "Student's t over Sobol replicates",
     ),
     "shapley": SensitivityMethod(
         "Shapley effects",
         {"effect": SensitivityMeasure("Shapley effect", "Shapley effect: share of the variance")},
+        ShapleyFactor,
         "effect",
         "Student's t over Sobol replicates",
     ),
@@ -174,6 +220,7 @@ WORDS = {
             "size": SensitivityMeasure("mean size of an elementary effect", "mu*: mean size of an effect", share=False),
             "spread": SensitivityMeasure("spread of the elementary effects", "sigma: their spread", share=False),
         },
+        MorrisFactor,
         "size",
         "Student's t over trajectories, Clopper-Pearson for failure",
     ),
@@ -190,18 +237,18 @@ def sensitivity_dataset(
     """Store the quantities of each output in a dataset: see :class:`Sensitivity`."""
     blank = np.full((len(factors), len(ENDS)), np.nan)
     columns = {}
-    for place, (part, quantity) in enumerate(WORDS[method].quantities.items()):
-        values = np.stack([own[place] if own else blank for own in outputs.values()])
+    for place, (name, measure) in enumerate(DESCRIPTIONS[method].quantities.items()):
+        values = np.stack([quantities[place] if quantities else blank for quantities in outputs.values()])
+        unit = "1" if measure.share else "the output's"
         for end, (suffix, side) in enumerate(ENDS.items()):
-            about = {"units": "1" if quantity.share else "the output's", "long_name": quantity.meaning + side}
-            columns[part + suffix] = (("output", "factor"), values[..., end], about)
-    about = {"units": "1", "long_name": "simulations without a value"}
-    columns["missing"] = (("output",), np.array(list(missing.values())), about)
-    names: Mapping[str, tuple[Sequence[str], str]] = {
-        "output": (list(outputs), "metric, or failure"),
-        "factor": (list(factors), "uncertain number, or noise"),
+            attributes = {"units": unit, "long_name": measure.meaning + side}
+            columns[name + suffix] = (("output", "factor"), values[..., end], attributes)
+    counts = np.array(list(missing.values()))
+    columns["missing"] = (("output",), counts, {"units": "1", "long_name": "simulations without a value"})
+    coords = {
+        "output": ("output", np.array(list(outputs)), {"long_name": "metric, or failure"}),
+        "factor": ("factor", np.array(list(factors)), {"long_name": "uncertain number, or noise"}),
     }
-    coords = {name: (name, np.array(values), {"long_name": text}) for name, (values, text) in names.items()}
     return xr.Dataset(columns, coords=coords, attrs={"title": study.name})
 
 

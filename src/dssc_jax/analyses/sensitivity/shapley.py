@@ -27,30 +27,31 @@ from dssc_jax.statistics import CONFIDENCE, replicate_interval, unseen
 from dssc_jax.study import Study
 
 
-def orders(rows: int, factors: int, words: tuple[int, ...]) -> np.ndarray:
+def orders(rows: int, factors: int, seeds: tuple[int, ...]) -> np.ndarray:
     """A random order of the factors for each row, shape (rows, factors); in each replicate every second is reversed."""
-    free = generator(*words).permuted(np.tile(np.arange(factors), (rows // 2, 1)), axis=1)
+    free = generator(*seeds).permuted(np.tile(np.arange(factors), (rows // 2, 1)), axis=1)
     pairs = np.stack([free.reshape(-1, REPLICATES, factors), free[:, ::-1].reshape(-1, REPLICATES, factors)], axis=1)
     return pairs.reshape(rows, factors)
 
 
-def chained_scores(correlation: np.ndarray, own: np.ndarray, other: np.ndarray, order: np.ndarray) -> np.ndarray:
+def chained_scores(correlation: np.ndarray, first: np.ndarray, second: np.ndarray, order: np.ndarray) -> np.ndarray:
     """Correlated normal scores of the chained simulations.
 
     Args:
         correlation: Correlation of the scores, shape (factors, factors).
-        own: Independent normal scores of the first point, shape (rows, factors).
-        other: Those of the second point.
+        first: Independent normal scores of the first point, shape (rows, factors).
+        second: Those of the second point.
         order: The order in which the factors become known, shape (rows, factors).
 
     Returns:
         Shape (factors + 1, rows, factors); the k-th shares the first k factors of the order with the last.
     """
     factors = order.shape[1]
-    factor = np.linalg.cholesky(correlation[order[:, :, None], order[:, None, :]])
-    mine, theirs = (np.take_along_axis(scores, order, axis=1) for scores in (own, other))
+    cholesky = np.linalg.cholesky(correlation[order[:, :, None], order[:, None, :]])
+    first_in_order = np.take_along_axis(first, order, axis=1)
+    second_in_order = np.take_along_axis(second, order, axis=1)
     known = np.arange(factors) < np.arange(factors + 1)[:, None]
-    mixed = np.einsum("rij,krj->kri", factor, np.where(known[:, None, :], mine, theirs))
+    mixed = np.einsum("rij,krj->kri", cholesky, np.where(known[:, None, :], first_in_order, second_in_order))
     scores = np.empty_like(mixed)
     np.put_along_axis(scores, np.broadcast_to(order, mixed.shape), mixed, axis=2)
     return scores
@@ -82,6 +83,11 @@ def shapley_effects(values: np.ndarray, order: np.ndarray, confidence: float = C
     return np.concatenate([effects, effects - half, effects + half], axis=1)
 
 
+def normal_scores(points: np.ndarray, noisy: bool) -> np.ndarray:
+    """Normal scores of points of the unit cube, with a column of 0 for the in-loop noise; shape (rows, factors)."""
+    return np.pad(special.ndtri(inside(points)), ((0, 0), (0, int(noisy))))
+
+
 def shapley_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
     """The design of Shapley effects: the chained simulations of every row.
 
@@ -93,16 +99,15 @@ def shapley_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
     Raises:
         ConfigError: there are too few draws.
     """
-    rows, laws = row_count(study), len(study.laws)
-    words = (study.config.seed, stream("shapley"))
-    order = orders(rows, laws + noisy, words)
+    rows = row_count(study)
+    laws = len(study.laws)
+    seeds = (study.config.seed, stream("shapley"))
+    order = orders(rows, laws + noisy, seeds)
     correlation = np.eye(laws + noisy)
     matrix = mixing(study)
     correlation[:laws, :laws] = matrix @ matrix.T
-    own, other = (
-        np.pad(special.ndtri(inside(points)), ((0, 0), (0, int(noisy)))) for points in saltelli(rows, laws, words)
-    )
-    chain = chained_scores(correlation, own, other, order)
+    first, second = saltelli(rows, laws, seeds)
+    chain = chained_scores(correlation, normal_scores(first, noisy), normal_scores(second, noisy), order)
     levels = inside(special.ndtr(chain[..., :laws]))
     indices = np.tile(np.arange(rows), (len(chain), 1))
     if noisy:

@@ -37,12 +37,12 @@ class Indices(NamedTuple):
     total: np.ndarray
 
 
-def saltelli(rows: int, factors: int, words: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+def saltelli(rows: int, factors: int, seeds: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """The samples A and B, shape (rows, factors) each: the halves of a scrambled Sobol sequence's coordinates.
 
     Row i belongs to replicate i mod R. Each replicate is scrambled independently.
     """
-    nets = [sobol_points(2 * factors, 0, rows // REPLICATES, (*words, r)) for r in range(REPLICATES)]
+    nets = [sobol_points(2 * factors, 0, rows // REPLICATES, (*seeds, r)) for r in range(REPLICATES)]
     points = np.stack(nets, axis=1).reshape(rows, 2 * factors)
     return points[:, :factors], points[:, factors:]
 
@@ -67,7 +67,9 @@ def sobol_indices(f_a: np.ndarray, f_b: np.ndarray, f_ab: np.ndarray, confidence
     """
     carried = carrying(f_a, f_b)
     middle = 0.5 * (f_a.mean() + f_b.mean())
-    f_a, f_b, f_ab = f_a - middle, f_b - middle, f_ab - middle
+    f_a = f_a - middle
+    f_b = f_b - middle
+    f_ab = f_ab - middle
     variance = 0.5 * (f_a**2 + f_b**2)
     shares = np.concatenate([f_b * f_ab, 0.5 * (f_a - f_ab) ** 2])  # a row's share of each numerator
     if carried**2 / len(f_a) >= JOINT:
@@ -92,12 +94,12 @@ def controlled(
     """
     controls = np.stack([f_a * f_b, 0.5 * (f_ab**2 - f_a**2), 0.5 * (f_a**2 - f_b**2)], axis=1)
     target = share - variance * (share.mean() / variance.mean())
-    of = controls.reshape(-1, REPLICATES, 3)
-    squares = np.einsum("nri,nrj->rij", of, of)
-    products = np.einsum("nri,nr->ri", of, target.reshape(-1, REPLICATES))
+    replicates = controls.reshape(-1, REPLICATES, 3)
+    squares = np.einsum("nri,nrj->rij", replicates, replicates)
+    products = np.einsum("nri,nr->ri", replicates, target.reshape(-1, REPLICATES))
     inverse = np.linalg.pinv(squares.sum(0) - squares, rcond=SINGULAR, hermitian=True)
     coefficients = np.einsum("rij,rj->ri", inverse, products.sum(0) - products)
-    return share - np.einsum("nri,ri->nr", of, coefficients).reshape(-1)
+    return share - np.einsum("nri,ri->nr", replicates, coefficients).reshape(-1)
 
 
 def sobol_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
@@ -112,16 +114,18 @@ def sobol_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
         ConfigError: inputs are correlated, or there are too few draws.
     """
     require_uncorrelated(study, "Sobol indices divide up the variance of")
-    rows, factors = row_count(study), len(study.laws)
+    rows = row_count(study)
+    factors = len(study.laws)
     a, b = map(inside, saltelli(rows, factors, (study.config.seed, stream("saltelli"))))
-    own, others = np.arange(rows), np.arange(rows, 2 * rows)
-    samples = [RowSample(a, own), RowSample(b, others)]
+    indices_a = np.arange(rows)
+    indices_b = np.arange(rows, 2 * rows)
+    samples = [RowSample(a, indices_a), RowSample(b, indices_b)]
     for column in range(factors):
         mixed = a.copy()
         mixed[:, column] = b[:, column]
-        samples.append(RowSample(mixed, own))
+        samples.append(RowSample(mixed, indices_a))
     if noisy:
-        samples.append(RowSample(a, others))
+        samples.append(RowSample(a, indices_b))
     return RowDesign(
         rows,
         samples,
