@@ -213,7 +213,7 @@ def test_without_spread_there_is_no_rank(deviation, capsys):
     assert summary["without_spread"]["y"] == pytest.approx(deviation, rel=1e-3)
     assert "all draws are the same" in answer.headline
     assert answer.figure() is not None
-    show_log_comparison(summary, [])
+    show_log_comparison(answer, [])
     printed = capsys.readouterr().out
     assert "y is the same in all draws" in printed
     assert "no p-value" in printed
