@@ -35,8 +35,8 @@ DUTY = {
 def margins_of(table, **options):
     """Gain margin, phase margin [deg] and what was taken."""
     found = dj.loop_margins(dj.Study.from_table(table), **options)
-    own = found.statistics(found.points[0], "input")
-    return own["gain_upper"]["worst"], np.degrees(own["phase"]["worst"]), found.taken
+    margins = found.statistics(found.points[0], "input").margins
+    return margins["gain_upper"].worst, np.degrees(margins["phase"].worst), found.taken
 
 
 def margins_by_hand():
