@@ -1,4 +1,4 @@
-"""What the parts of a loop are at an operating point: smooth, at a corner, beyond it, or not what they declare.
+"""Classify the parts of a loop at an operating point: smooth, at a corner, beyond it, or not as they declare.
 
 Each part is a function of its own state and inputs. It is pushed to both sides at two sizes, and the effect is compared
 with its derivative. Where there is one, the deviation shrinks with the push; at a corner or a jump it does not. A
@@ -189,7 +189,7 @@ def slopes_of(
 
 
 def examination(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
-    """Find what every part is at the operating points of many draws.
+    """Classify every part at the operating points of many draws.
 
     Args:
         lane: The loop of a draw, in which parts that are smooth nowhere have been replaced.
@@ -293,7 +293,7 @@ def pushes(points: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def finding(place: LoopPart, pushed: Slopes[np.ndarray], memory: int, pattern: np.ndarray) -> np.ndarray:
-    """What one part is at the operating points: a :class:`Finding` of each draw, shape (n,).
+    """Classify one part at the operating points: a :class:`Finding` of each draw, shape (n,).
 
     Args:
         place: The part.

@@ -1,7 +1,7 @@
-"""Parts of a loop that are about to be linearised: what they declare, and what is taken for them.
+"""Parts of a loop that are linearised, with their declarations and their substitutes.
 
 Every part declares where it is smooth, and an undeclared one is refused. A part that is smooth nowhere is replaced by
-the substitute that it states, or refused. :mod:`dssc_jax.analyses.linearisation.part_slopes` finds what a part is at an
+the substitute that it states, or refused. :mod:`dssc_jax.analyses.linearisation.part_slopes` classifies a part at an
 operating point. At a corner the substitute for its inner side replaces the part.
 """
 
@@ -67,7 +67,7 @@ class LoopPart(NamedTuple):
 
 
 class Finding(IntEnum):
-    """What a part is at an operating point."""
+    """Class of a part at an operating point: with a derivative, on a boundary, falsely declared, or beyond a boundary."""
 
     SMOOTH = 0
     CORNER = 1
@@ -130,7 +130,7 @@ def declared_place(study: Study, slot: str, index: int, part: Part, params: Para
 
 
 def stated(places: Sequence[LoopPart]) -> list[str]:
-    """What is taken for the parts that are smooth nowhere, in words."""
+    """Notes on the substitutes of the parts that are smooth nowhere."""
     return list(dict.fromkeys(f"{place.label} {place.smoothness.meaning}" for place in places if place.replaced))
 
 
@@ -205,7 +205,7 @@ def require_smooth_there(study: Study, places: Sequence[LoopPart], findings: np.
         findings: A :class:`Finding` for each of them, shape (n, places).
 
     Returns:
-        What is taken for the parts that lie at a corner or beyond it, in words, with the number of operating points.
+        Notes on the parts that lie at a corner or beyond it, each with the number of operating points.
 
     Raises:
         ConfigError: a part has no derivative there; either it lies on one of its boundaries, or it declares falsely.

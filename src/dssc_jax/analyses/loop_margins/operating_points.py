@@ -165,7 +165,7 @@ def linearisation(study: Study, places: tuple[LoopPart, ...], resting: bool) -> 
 
 
 def corner_notes(study: Study, places: tuple[LoopPart, ...], findings: np.ndarray, point: str) -> tuple[str, ...]:
-    """What is taken for parts that lie at a corner, in words.
+    """Notes on the parts that lie at a corner, whose substitutes are taken.
 
     Args:
         study: The study.
