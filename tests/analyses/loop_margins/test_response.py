@@ -6,7 +6,7 @@ import control
 import numpy as np
 import pytest
 
-from dssc_jax.analyses.loop_margins import classical_margins, common_grid, own_grid, response_of
+from dssc_jax.analyses.loop_margins import classical_margins, common_grid, grid_with_poles, response_of
 
 SAMPLE_TIME, LOOPS = 0.05, 100
 
@@ -34,7 +34,7 @@ def margins_of(a, b, c):
     """Of L = c (z - a)^-1 b: the added signal w gives u = -c x, x+ = (a - b c) x + b w."""
     closed = a - np.outer(b, c)
     poles = np.linalg.eigvals(closed)[None]
-    grid = own_grid(common_grid(poles), np.concatenate([poles, np.linalg.eigvals(a)[None]], axis=1))
+    grid = grid_with_poles(common_grid(poles), np.concatenate([poles, np.linalg.eigvals(a)[None]], axis=1))
     found = classical_margins(response_of(closed[None], b[None], -c[None]), grid, SAMPLE_TIME)
     return type(found)(*(float(value[0]) for value in found))
 
@@ -104,6 +104,6 @@ def test_loops_with_different_numbers_of_crossings_have_finite_phases():
     poles = np.linalg.eigvals(a)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        both = classical_margins(response_of(a, b, c), own_grid(common_grid(poles), poles), SAMPLE_TIME)
+        both = classical_margins(response_of(a, b, c), grid_with_poles(common_grid(poles), poles), SAMPLE_TIME)
     np.testing.assert_allclose(both.phase[0], 0.5 * np.pi - np.arcsin(0.25), rtol=1e-9)
     assert np.isfinite(both.delay).all()

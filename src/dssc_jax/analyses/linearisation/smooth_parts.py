@@ -1,29 +1,32 @@
-"""Parts of a loop that are about to be linearised: what they declare, and what is taken for them.
+"""Parts of a loop that are linearised, with their declarations and their substitutes.
 
 Every part declares where it is smooth, and an undeclared one is refused. A part that is smooth nowhere is replaced by
-the substitute that it states, or refused. :mod:`dssc_jax.analyses.linearisation.part_slopes` finds what a part is at an
+the substitute that it states, or refused. :mod:`dssc_jax.analyses.linearisation.part_slopes` classifies a part at an
 operating point. At a corner the substitute for its inner side replaces the part.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.closed_loop.loop import Loop, LoopParams
-from dssc_jax.core.contracts import Controller, Differentiator, Sensor, Unmodelled
+from dssc_jax.core.contracts import Controller, Differentiator, Disturbance, Plant, Sensor, Unmodelled
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.signals import Scalar
+from dssc_jax.core.signals import Params, Scalar
 from dssc_jax.core.smoothness import SmoothExtent, Smoothness, declared_smoothness
 from dssc_jax.study import Study
 
 CHANNEL_SLOTS = ("sensor", "differentiator", "controller", "unmodelled")
 DISTURBANCE = "disturbance"
-PART_FUNCTIONS = {
+Part: TypeAlias = Plant | Controller | Sensor | Differentiator | Unmodelled | Disturbance
+"""A model that is linearised."""
+
+PART_FUNCTIONS: dict[type, tuple[str, ...]] = {
     Controller: ("init", "step"),
     Sensor: ("init", "step"),
     Differentiator: ("init", "step"),
@@ -52,7 +55,7 @@ class LoopPart(NamedTuple):
         """Whether its substitute is always taken."""
         return self.smoothness.extent == SmoothExtent.NOWHERE
 
-    def substitute(self, params: Any) -> tuple[Any, Any]:
+    def substitute(self, params: Params) -> tuple[Part, Params]:
         """The part that is differentiated in its place, and the parameters of that."""
         assert self.smoothness.substitute is not None  # held where places are declared
         return self.smoothness.substitute(params)
@@ -64,7 +67,7 @@ class LoopPart(NamedTuple):
 
 
 class Finding(IntEnum):
-    """What a part is at an operating point."""
+    """Class of a part at an operating point: with a derivative, on a boundary, falsely declared, or beyond a boundary."""
 
     SMOOTH = 0
     CORNER = 1
@@ -75,8 +78,8 @@ class Finding(IntEnum):
 class Chosen(NamedTuple):
     """Parameters of a part and of its substitute, and whether the substitute is taken."""
 
-    part: Any
-    substitute: Any
+    part: Params
+    substitute: Params
     taken: Scalar
 
     @property
@@ -95,17 +98,18 @@ def declared_places(study: Study, moving: bool) -> tuple[LoopPart, ...]:
     Raises:
         ConfigError: a part declares nothing, or that it is smooth nowhere without a substitute.
     """
-    loop, template = study.loop, study.template
+    loop = study.loop
+    template = study.template
     slots = (*CHANNEL_SLOTS, DISTURBANCE) if moving else CHANNEL_SLOTS
     places = [declared_place(study, "plant", 0, loop.plant, template.plant)]
     for slot in slots:
         for index in range(len(loop.channels)):
-            part, params = getattr(loop, slot)[index], getattr(template, slot)[index]
-            places.append(declared_place(study, slot, index, part, params))
+            part = getattr(loop, slot)[index]
+            places.append(declared_place(study, slot, index, part, getattr(template, slot)[index]))
     return tuple(places)
 
 
-def declared_place(study: Study, slot: str, index: int, part: Any, params: Any) -> LoopPart:
+def declared_place(study: Study, slot: str, index: int, part: Part, params: Params) -> LoopPart:
     """A part with its declaration.
 
     Raises:
@@ -114,34 +118,37 @@ def declared_place(study: Study, slot: str, index: int, part: Any, params: Any) 
     channel = study.loop.channels[index] if slot != "plant" else ""
     table = getattr(study.config, slot)
     kind = table.get(channel, {}).get("kind", table["kind"]) if channel else table["kind"]
-    where = f"{study.source}: {slot}{'.' if channel else ''}{channel}.kind"
+    path = f"{study.source}: {slot}{'.' if channel else ''}{channel}.kind"
     try:
         smoothness = declared_smoothness(part, params)
     except ConfigError as error:
-        raise ConfigError(where, f"'{kind}' {error.rule}") from None
+        raise ConfigError(path, f"'{kind}' {error.rule}") from None
     if smoothness.extent == SmoothExtent.NOWHERE and smoothness.substitute is None:
-        raise ConfigError(where, f"'{kind}' {smoothness.meaning}")
+        raise ConfigError(path, f"'{kind}' {smoothness.meaning}")
     label = f"{slot} '{kind}'" if not channel else f"{slot} '{kind}' of {channel}"
     return LoopPart(slot, index, label, smoothness)
 
 
 def stated(places: Sequence[LoopPart]) -> list[str]:
-    """What is taken for the parts that are smooth nowhere, in words."""
+    """Notes on the substitutes of the parts that are smooth nowhere."""
     return list(dict.fromkeys(f"{place.label} {place.smoothness.meaning}" for place in places if place.replaced))
 
 
-def part_of(loop: Loop, params: LoopParams, place: LoopPart) -> tuple[Any, Any]:
+def part_of(loop: Loop, params: LoopParams, place: LoopPart) -> tuple[Part, Params]:
     """The part in a place, and its parameters."""
     if place.slot == "plant":
         return loop.mimo_plant, params.plant
     return getattr(loop, place.slot)[place.channel], getattr(params, place.slot)[place.channel]
 
 
-def with_part(loop: Loop, params: LoopParams, place: LoopPart, part: Any, own: Any) -> tuple[Loop, LoopParams]:
+def with_part(
+    loop: Loop, params: LoopParams, place: LoopPart, part: Part, part_params: Params
+) -> tuple[Loop, LoopParams]:
     """The loop with another part in a channel's place."""
-    models, values = list(getattr(loop, place.slot)), list(getattr(params, place.slot))
+    models = list(getattr(loop, place.slot))
+    values = list(getattr(params, place.slot))
     models[place.channel] = part
-    values[place.channel] = own
+    values[place.channel] = part_params
     return replace(loop, **{place.slot: tuple(models)}), params._replace(**{place.slot: tuple(values)})
 
 
@@ -149,8 +156,8 @@ def substituted(loop: Loop, params: LoopParams, places: Sequence[LoopPart]) -> t
     """The loop in which parts that are smooth nowhere are replaced by their substitutes."""
     for place in places:
         if place.replaced:
-            _, own = part_of(loop, params, place)
-            loop, params = with_part(loop, params, place, *place.substitute(own))
+            _, part_params = part_of(loop, params, place)
+            loop, params = with_part(loop, params, place, *place.substitute(part_params))
     return loop, params
 
 
@@ -167,26 +174,26 @@ def with_inner_sides(
     """
     for place, finding in zip(places, findings, strict=True):
         if place.inner:
-            part, own = part_of(loop, params, place)
-            substitute, inner = place.substitute(own)
-            both = Chosen(own, inner, finding == Finding.CORNER)
-            loop, params = with_part(loop, params, place, choice(part, substitute), both)
+            part, part_params = part_of(loop, params, place)
+            substitute, substitute_params = place.substitute(part_params)
+            chosen = Chosen(part_params, substitute_params, finding == Finding.CORNER)
+            loop, params = with_part(loop, params, place, choice(part, substitute), chosen)
     return loop, params
 
 
-def choice(part: Any, substitute: Any) -> Any:
+def choice(part: Part, substitute: Part) -> Part:
     """A part that is one of two, as its parameters :class:`Chosen` decide."""
 
-    def choosing(name: str) -> Callable[..., Any]:
-        def run(params: Chosen, *arguments: Any) -> Any:
+    def choosing(name: str) -> Callable[..., object]:
+        def run(params: Chosen, *arguments: object) -> object:
             inner = getattr(substitute, name)(params.substitute, *arguments)
             outer = getattr(part, name)(params.part, *arguments)
-            return jax.tree.map(lambda taken, left: jnp.where(params.taken, taken, left), inner, outer)
+            return jax.tree.map(lambda a, b: jnp.where(params.taken, a, b), inner, outer)
 
         return run
 
-    functions = [name for name in PART_FUNCTIONS[type(part)] if getattr(part, name) is not None]
-    return part._replace(**{name: choosing(name) for name in functions})
+    names = [name for name in PART_FUNCTIONS[type(part)] if getattr(part, name) is not None]
+    return part._replace(**{name: choosing(name) for name in names})
 
 
 def require_smooth_there(study: Study, places: Sequence[LoopPart], findings: np.ndarray) -> dict[str, int]:
@@ -198,16 +205,17 @@ def require_smooth_there(study: Study, places: Sequence[LoopPart], findings: np.
         findings: A :class:`Finding` for each of them, shape (n, places).
 
     Returns:
-        What is taken for the parts that lie at a corner or beyond it, in words, with the number of operating points.
+        Notes on the parts that lie at a corner or beyond it, each with the number of operating points.
 
     Raises:
         ConfigError: a part has no derivative there; either it lies on one of its boundaries, or it declares falsely.
     """
-    notes, draws = {}, len(findings)
-    for place, own in zip(places, findings.T, strict=True):
-        defects, corners, beyond = (
-            int(np.count_nonzero(own == finding)) for finding in (Finding.DEFECT, Finding.CORNER, Finding.BEYOND)
-        )
+    notes = {}
+    draws = len(findings)
+    for place, column in zip(places, findings.T, strict=True):
+        defects = int(np.count_nonzero(column == Finding.DEFECT))
+        corners = int(np.count_nonzero(column == Finding.CORNER))
+        outside = int(np.count_nonzero(column == Finding.BEYOND))
         meaning = place.smoothness.meaning
         boundary = meaning.partition(";")[0]
         if defects and place.smoothness.extent == SmoothExtent.PIECEWISE:
@@ -225,6 +233,6 @@ def require_smooth_there(study: Study, places: Sequence[LoopPart], findings: np.
             )
         if corners:
             notes[f"{place.label} lies on {meaning}"] = corners
-        if beyond:
-            notes[f"{place.label} lies beyond {boundary}, where deviations do not pass"] = beyond
+        if outside:
+            notes[f"{place.label} lies beyond {boundary}, where deviations do not pass"] = outside
     return notes

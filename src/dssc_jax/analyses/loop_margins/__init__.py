@@ -5,7 +5,7 @@ from dssc_jax.analyses.loop_margins.response import (
     ClassicalMargins,
     classical_margins,
     common_grid,
-    own_grid,
+    grid_with_poles,
     response_of,
 )
 from dssc_jax.analyses.loop_margins.result import LoopMargins, Status
@@ -16,7 +16,7 @@ __all__ = [
     "Status",
     "classical_margins",
     "common_grid",
+    "grid_with_poles",
     "loop_margins",
-    "own_grid",
     "response_of",
 ]

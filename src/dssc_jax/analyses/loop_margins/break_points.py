@@ -8,7 +8,7 @@ signal before the sum is read. The loop transfer function at that place follows 
 from collections.abc import Callable
 from dataclasses import replace
 from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,7 @@ from jax.flatten_util import ravel_pytree
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.sample import initial_state, measure, step
 from dssc_jax.core.contracts import NoParams, Reference, Sensor
-from dssc_jax.core.signals import Measurement, ReferencePoint, Scalar
+from dssc_jax.core.signals import Measurement, Params, ReferencePoint, Scalar, State
 from dssc_jax.models.disturbances import NO_DISTURBANCE
 from dssc_jax.models.wind import NO_WIND
 
@@ -35,19 +35,21 @@ class BreakPoint(StrEnum):
 
 
 class WithAdded(NamedTuple):
-    """Parameters of a model, and the signal added to its input."""
+    """Parameters of a sensor, and the measurement added to its input."""
 
-    own: Any
-    added: Any
+    params: Params
+    added: Measurement
 
 
 def with_added_measurement(sensor: Sensor) -> Sensor:
     """A sensor whose input is the plant's measurement and an added one."""
 
-    def sense(p: WithAdded, z: Any, m: Measurement, key: jax.Array, t: Scalar, dt: Scalar) -> tuple[Any, Measurement]:
-        return sensor.step(p.own, z, Measurement(m.y + p.added.y, m.y_dot + p.added.y_dot), key, t, dt)
+    def sense(
+        p: WithAdded, z: State, m: Measurement, key: jax.Array, t: Scalar, dt: Scalar
+    ) -> tuple[State, Measurement]:
+        return sensor.step(p.params, z, Measurement(m.y + p.added.y, m.y_dot + p.added.y_dot), key, t, dt)
 
-    return Sensor(WithAdded, lambda p, m, key: sensor.init(p.own, m, key), sense)
+    return Sensor(WithAdded, lambda p, m, key: sensor.init(p.params, m, key), sense)
 
 
 def undisturbed(loop: Loop, params: LoopParams) -> tuple[Loop, LoopParams]:
@@ -62,14 +64,20 @@ def undisturbed(loop: Loop, params: LoopParams) -> tuple[Loop, LoopParams]:
         start = measure(loop, params, loop.plant.init(params.plant), origin)
         desired = tuple(ReferencePoint(m.y, 0.0, 0.0) for m in start)
     fixed = Reference(NoParams, lambda params, t: desired if len(desired) > 1 else ReferencePoint(0.0, 0.0, 0.0))
-    quiet = tuple(
-        own._replace(**{name: 0.0 for name in getattr(own, "_fields", ()) if name.endswith("_std")})
-        for own in params.sensor
+    undisturbed_loop = replace(loop, reference=fixed, wind=NO_WIND, disturbance=tuple(NO_DISTURBANCE for _ in channels))
+    undisturbed_params = params._replace(
+        reference=NoParams(),
+        wind=NoParams(),
+        sensor=tuple(map(without_noise, params.sensor)),
+        disturbance=tuple(NoParams() for _ in channels),
     )
-    disturbances = tuple(NO_DISTURBANCE for _ in channels)
-    rest = replace(loop, reference=fixed, wind=NO_WIND, disturbance=disturbances)
-    none = tuple(NoParams() for _ in channels)
-    return rest, params._replace(reference=NoParams(), wind=NoParams(), sensor=quiet, disturbance=none)
+    return undisturbed_loop, undisturbed_params
+
+
+def without_noise(sensor: Params) -> Params:
+    """The parameters of a sensor with every standard deviation 0."""
+    deviations = [name for name in getattr(sensor, "_fields", ()) if name.endswith("_std")]
+    return sensor._replace(**dict.fromkeys(deviations, 0.0))
 
 
 def sample_map(
@@ -88,24 +96,18 @@ def sample_map(
         :func:`start_state`; break points are in the order of :func:`break_points`.
     """
     _, unravel = ravel_pytree(initial_state(loop, params, key))
-    opened = replace(
-        loop,
-        sensor=tuple(map(with_added_measurement, loop.sensor)),
-    )
+    opened = replace(loop, sensor=tuple(map(with_added_measurement, loop.sensor)))
 
     def sample(state: jax.Array, added: jax.Array) -> tuple[jax.Array, jax.Array]:
         signals = added.reshape(len(loop.channels), len(BreakPoint))
-        with_inputs = params._replace(
-            sensor=tuple(
-                WithAdded(own, Measurement(signals[i, 1], signals[i, 2])) for i, own in enumerate(params.sensor)
-            ),
-        )
-        commands = tuple(signals[:, 0])
-        after, recorded = step(opened, with_inputs, key, unravel(state), k, added=commands)
-        read = [
-            (sample.u_total, measurement.y, measurement.y_dot)
-            for sample, measurement in zip(recorded.instant.channels, recorded.measurements, strict=True)
-        ]
+        sensors = []
+        for i, sensor in enumerate(params.sensor):
+            sensors.append(WithAdded(sensor, Measurement(signals[i, 1], signals[i, 2])))
+        with_inputs = params._replace(sensor=tuple(sensors))
+        after, recorded = step(opened, with_inputs, key, unravel(state), k, added=tuple(signals[:, 0]))
+        read = []
+        for sample, measurement in zip(recorded.instant.channels, recorded.measurements, strict=True):
+            read.append((sample.u_total, measurement.y, measurement.y_dot))
         return ravel_pytree(after)[0], jnp.asarray(read).reshape(-1)
 
     return sample

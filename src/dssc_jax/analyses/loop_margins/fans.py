@@ -5,7 +5,6 @@ import numpy as np
 LEVELS_OF_FAN = (0.05, 0.5, 0.95)
 TURN = 2.0 * np.pi
 
-
 FANS = {
     "loop_gain": ("1", "magnitude of L"),
     "loop_phase": ("rad", "phase of L"),
@@ -24,14 +23,13 @@ def fan_of(response: np.ndarray, poles: np.ndarray, angles: np.ndarray) -> dict[
         angles: omega T_s, shape (frequencies,).
     """
     known = np.all(np.isfinite(response), axis=1)
-    response, poles = response[known], poles[known]
+    response = response[known]
     if not len(response):
         return {name: np.full((len(LEVELS_OF_FAN), response.shape[1]), np.nan) for name in FANS}
     loop = -response / (1.0 + response)
-    phase = joint_phase(loop, poles, angles)
     columns = {
         "loop_gain": np.abs(loop),
-        "loop_phase": phase,
+        "loop_phase": joint_phase(loop, poles[known], angles),
         "sensitivity": np.abs(1.0 + response),
         "complementary": np.abs(response),
     }
@@ -55,10 +53,10 @@ def joint_phase(loop: np.ndarray, poles: np.ndarray, angles: np.ndarray) -> np.n
     phase = np.unwrap(np.angle(loop * np.exp(1j * turned)), axis=1) - turned
     with np.errstate(divide="ignore"):
         distance = np.median(np.abs(np.log(np.abs(loop))), axis=0)
-    there = phase[:, np.argmin(distance)]
-    middle = np.angle(np.mean(np.exp(1j * there)))
+    crossing = phase[:, np.argmin(distance)]
+    middle = np.angle(np.mean(np.exp(1j * crossing)))
     middle -= TURN * np.ceil(middle / TURN - 0.25)  # within (-3 pi/2, pi/2], around an integrator's
-    phase -= TURN * np.round((there - middle) / TURN)[:, None]
+    phase -= TURN * np.round((crossing - middle) / TURN)[:, None]
     median = np.median(phase, axis=0)
     return phase - TURN * np.round((phase - median) / TURN)
 
@@ -70,11 +68,12 @@ def pole_phase(poles: np.ndarray, angles: np.ndarray) -> np.ndarray:
         poles: Shape (draws, states).
         angles: theta, shape (angles,).
     """
-    z, total = np.exp(1j * angles), np.zeros((len(poles), angles.size))
+    z = np.exp(1j * angles)
+    total = np.zeros((len(poles), angles.size))
     for column in poles.T:
         p = column[:, None]
         inside = np.abs(p) <= 1.0
-        within = angles + np.angle(1.0 - p / z)
-        beyond = np.angle(-p) + np.angle(1.0 - z / np.where(inside, 2.0, p))
-        total += np.where(inside, within, beyond)
+        phase_inside = angles + np.angle(1.0 - p / z)
+        phase_outside = np.angle(-p) + np.angle(1.0 - z / np.where(inside, 2.0, p))
+        total += np.where(inside, phase_inside, phase_outside)
     return total

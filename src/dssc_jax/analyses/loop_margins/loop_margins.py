@@ -12,7 +12,7 @@ from dssc_jax.analyses.loop_margins.response import (
     ClassicalMargins,
     classical_margins,
     common_grid,
-    own_grid,
+    grid_with_poles,
     response_of,
 )
 from dssc_jax.analyses.loop_margins.result import BrokenLoop, LoopMargins, Status, margins_dataset
@@ -51,25 +51,32 @@ def loop_margins(study: Study, *, times: Sequence[float] = (), progress: Progres
         True
     """
     require_independent(study, "a tolerance limit")
-    study, began = study.without_sweep(), time.perf_counter()
-    study_at, taken = operation(study, tuple(times))
-    taken = (*taken, *(text for operating in study_at.values() for text in operating.taken))
-    sample_time, answers = study.config.loop.sample_time, {}
-    parts = {name: parts_of(study, operating) for name, operating in study_at.items()}
+    began = time.perf_counter()
+    study = study.without_sweep()
+    operating_points, taken = operation(study, tuple(times))
+    for operating in operating_points.values():
+        taken += operating.taken
+    parts = {name: parts_of(study, operating) for name, operating in operating_points.items()}
     if not any(parts.values()):
         raise ConfigError(
             study.source,
             "no break point has an effect: the loop is open at its operating points; see --at, or the limits",
         )
-    common = common_grid(np.concatenate([part.poles.ravel() for own in parts.values() for part in own.values()]))
-    for count, (name, own) in enumerate(parts.items(), start=1):
-        own_answers = {
-            point: answer_of(part, study_at[name].reached, common, sample_time) for point, part in own.items()
-        }
-        answers[name] = {point: answer for point, answer in own_answers.items() if answer is not None}
+    poles = []
+    for by_loop in parts.values():
+        poles += [part.poles.ravel() for part in by_loop.values()]
+    common = common_grid(np.concatenate(poles))
+    sample_time = study.config.loop.sample_time
+    broken_loops: dict[str, dict[str, BrokenLoop]] = {}
+    for count, (name, operating) in enumerate(operating_points.items(), start=1):
+        broken_loops[name] = {}
+        for loop, part in parts[name].items():
+            broken = broken_loop(part, operating.reached, common, sample_time)
+            if broken is not None:
+                broken_loops[name][loop] = broken
         if progress:
             progress(count * study.config.draws, len(parts) * study.config.draws)
-    dataset = margins_dataset(study, answers, common / sample_time)
+    dataset = margins_dataset(study, broken_loops, common / sample_time)
     return LoopMargins(study, dataset, tuple(map(float, times)), taken, time.perf_counter() - began)
 
 
@@ -99,18 +106,20 @@ class Part(NamedTuple):
 
 def parts_of(study: Study, operating: Operating) -> dict[str, Part]:
     """The part of the loop that matters at each break point; one without effect is left out."""
-    matrices, reached = operating.matrices, operating.reached
+    matrices = operating.matrices
+    reached = operating.reached
     parts = {}
     for point, name in enumerate(break_points(study.loop)):
         kept = in_loop(matrices, reached, point)
         if kept.size:
             a = matrices.a[np.ix_(reached, kept, kept)]
-            b, c = matrices.b[reached][:, kept, point], matrices.c[reached][:, point, kept]
+            b = matrices.b[reached][:, kept, point]
+            c = matrices.c[reached][:, point, kept]
             parts[name] = Part(a, b, c, np.linalg.eigvals(a))
     return parts
 
 
-def answer_of(part: Part, reached: np.ndarray, common: np.ndarray, sample_time: float) -> BrokenLoop | None:
+def broken_loop(part: Part, reached: np.ndarray, common: np.ndarray, sample_time: float) -> BrokenLoop | None:
     """Margins and frequency response at one break point; None if the signal there has no effect.
 
     Args:
@@ -131,8 +140,8 @@ def answer_of(part: Part, reached: np.ndarray, common: np.ndarray, sample_time: 
     status[reached] = np.where(stable, Status.STABLE.value, Status.UNSTABLE.value)
     columns = {field: np.full(len(reached), np.nan) for field in ClassicalMargins._fields}
     if stable.any():
-        own = own_grid(common, np.concatenate([poles, opened[reached]], axis=1)[stable])
-        margins = classical_margins(response_of(a[stable], b[stable], c[stable]), own, sample_time)
+        angles = grid_with_poles(common, np.concatenate([poles, opened[reached]], axis=1)[stable])
+        margins = classical_margins(response_of(a[stable], b[stable], c[stable]), angles, sample_time)
         for field, values in margins._asdict().items():
             columns[field][status == Status.STABLE] = values
     return BrokenLoop(columns, status, g, opened)

@@ -27,10 +27,11 @@ from dssc_jax.engine.sampling import draw_key
 from dssc_jax.lanes.plain import plain_options
 from dssc_jax.study import Study
 
-LANES_TOGETHER = 2048  # derivatives that are computed at once
-NEWTON_STEPS_OF_REST, AT_REST = 30, 1e-9  # largest change of the state by a sample, relative to 1 + |state|
-PUSH, SMOOTH_WITHIN = 1e-7, 0.2  # size of a test of smoothness, and the largest relative deviation from the derivative
-
+BATCH_LANES = 2048  # derivatives that are computed at once
+NEWTON_STEPS = 30  # towards an equilibrium
+EQUILIBRIUM_TOLERANCE = 1e-9  # largest change of the state by a sample, relative to 1 + |state|
+PUSH = 1e-7  # size of a test of smoothness
+PUSH_TOLERANCE = 0.2  # largest deviation of its effect from that of the derivative, relative to the latter
 
 LoopWithParams = tuple[Loop, LoopParams]
 
@@ -92,17 +93,18 @@ def operation(study: Study, times: tuple[float, ...]) -> Operation:
     return Operation(points, tuple(stated(places)))
 
 
-def lane_loop(study: Study, places: tuple[LoopPart, ...], rest: bool) -> LaneLoop:
+def lane_loop(study: Study, places: tuple[LoopPart, ...], resting: bool) -> LaneLoop:
     """The loop of a draw as :func:`linearised_loop` gives it, with the draw's random key."""
-    return lambda values, index: (*linearised_loop(study, values, places, rest), draw_key(study.config.seed, index))
+    return lambda values, index: (*linearised_loop(study, values, places, resting), draw_key(study.config.seed, index))
 
 
 def linearised_loop(
-    study: Study, values: dict[str, jax.Array], places: tuple[LoopPart, ...], rest: bool
+    study: Study, values: dict[str, jax.Array], places: tuple[LoopPart, ...], resting: bool
 ) -> LoopWithParams:
     """The loop of one draw as it is linearised: without disturbances at rest, with the substitutes of its parts."""
-    loop, params = study.loop, study.params(values)
-    if rest:
+    loop = study.loop
+    params = study.params(values)
+    if resting:
         loop, params = undisturbed(loop, params)
     return substituted(loop, params, places)
 
@@ -115,14 +117,14 @@ def at_origin(study: Study) -> Study:
     return study.override({"plant.initial": [0.0] * len(initial)})
 
 
-def linearisation(study: Study, places: tuple[LoopPart, ...], rest: bool) -> Linearisation:
+def linearisation(study: Study, places: tuple[LoopPart, ...], resting: bool) -> Linearisation:
     """The compiled linearisation of a study; without disturbances for a loop at rest.
 
     A lane is one draw and one direction: one derivative a lane compiles and runs far faster than all in one.
     """
     points = len(break_points(study.loop))
 
-    def one(
+    def derivative(
         values: dict[str, jax.Array],
         index: jax.Array,
         state: jax.Array,
@@ -130,58 +132,63 @@ def linearisation(study: Study, places: tuple[LoopPart, ...], rest: bool) -> Lin
         k: jax.Array,
         findings: jax.Array,
     ) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
-        loop, params = with_inner_sides(*linearised_loop(study, values, places, rest), places, findings)
+        loop, params = with_inner_sides(*linearised_loop(study, values, places, resting), places, findings)
         sample = sample_map(loop, params, draw_key(study.config.seed, index), k)
         at = (state, jnp.zeros(points, state.dtype))
         return jax.jvp(sample, at, (direction[:-points], direction[-points:]))
 
-    program = jax.jit(jax.vmap(one, in_axes=(0, 0, 0, 0, None, 0)), compiler_options=plain_options())
+    program = jax.jit(jax.vmap(derivative, in_axes=(0, 0, 0, 0, None, 0)), compiler_options=plain_options())
 
-    def of(values: Arrays, indices: np.ndarray, states: np.ndarray, k: int, findings: np.ndarray) -> StateMatrices:
-        (count, order), directions = states.shape, np.eye(states.shape[1] + points)
-        size = len(directions)
+    def linearise(
+        values: Arrays, indices: np.ndarray, states: np.ndarray, k: int, findings: np.ndarray
+    ) -> StateMatrices:
+        count, order = states.shape
+        size = order + points
+        directions = np.eye(size)
         parts = []
-        for first in range(0, count * size, LANES_TOGETHER):
-            lane = np.minimum(np.arange(first, first + LANES_TOGETHER), count * size - 1)
+        for first in range(0, count * size, BATCH_LANES):
+            lane = np.minimum(np.arange(first, first + BATCH_LANES), count * size - 1)
             draw, direction = np.divmod(lane, size)
-            own = {name: column[draw] for name, column in values.items()}
+            drawn_values = {name: column[draw] for name, column in values.items()}
             with arithmetic():
-                lanes = indices[draw], states[draw], directions[direction]
-                (after, _), slopes = program(own, *lanes, k, findings[draw])
+                (after, _), slopes = program(
+                    drawn_values, indices[draw], states[draw], directions[direction], k, findings[draw]
+                )
                 parts.append([np.asarray(part) for part in (after, *slopes)])
-        after, state_slopes, signal_slopes = (np.concatenate(each)[: count * size] for each in zip(*parts, strict=True))
+        joined = [np.concatenate(part)[: count * size] for part in zip(*parts, strict=True)]
+        after, state_slopes, signal_slopes = joined
         a = state_slopes.reshape(count, size, order).swapaxes(1, 2)
         c = signal_slopes.reshape(count, size, points).swapaxes(1, 2)
         return StateMatrices(after.reshape(count, size, order)[:, 0], a[..., :order], a[..., order:], c[..., :order])
 
-    return of
+    return linearise
 
 
-def corner_notes(study: Study, places: tuple[LoopPart, ...], findings: np.ndarray, where: str) -> tuple[str, ...]:
-    """What is taken for parts that lie at a corner, in words.
+def corner_notes(study: Study, places: tuple[LoopPart, ...], findings: np.ndarray, point: str) -> tuple[str, ...]:
+    """Notes on the parts that lie at a corner, whose substitutes are taken.
 
     Args:
         study: The study.
         places: The parts.
         findings: At the operating points, shape (n, parts).
-        where: Name of these operating points.
+        point: Name of the operating point.
 
     Raises:
         ConfigError: a part has no derivative at one of them.
     """
     notes = require_smooth_there(study, places, findings)
-    return tuple(f"{text} ({where}: {count} of {len(findings)} draws)" for text, count in notes.items())
+    return tuple(f"{text} ({point}: {count} of {len(findings)} draws)" for text, count in notes.items())
 
 
 def resting_starts(study: Study, values: Arrays, indices: np.ndarray, places: tuple[LoopPart, ...]) -> np.ndarray:
     """The state at t = 0 of every draw of the undisturbed loop, shape (n, states)."""
 
-    def one(lane: tuple[dict[str, jax.Array], jax.Array]) -> jax.Array:
-        loop, params = linearised_loop(study, lane[0], places, rest=True)
-        return start_state(loop, params, draw_key(study.config.seed, lane[1]))
+    def start(values: dict[str, jax.Array], index: jax.Array) -> jax.Array:
+        loop, params = linearised_loop(study, values, places, resting=True)
+        return start_state(loop, params, draw_key(study.config.seed, index))
 
     with arithmetic():
-        return np.asarray(jax.jit(jax.vmap(one), compiler_options=plain_options())((values, indices)))
+        return np.asarray(jax.jit(jax.vmap(start), compiler_options=plain_options())(values, indices))
 
 
 def equilibrium(study: Study, places: tuple[LoopPart, ...]) -> Operating:
@@ -193,39 +200,44 @@ def equilibrium(study: Study, places: tuple[LoopPart, ...]) -> Operating:
         ConfigError: no draw has an equilibrium, or the loop is not smooth there.
     """
     study = at_origin(study)
-    indices, values = np.arange(study.config.draws), drawn(study, slice(0, study.config.draws))
-    of = linearisation(study, places, rest=True)
+    indices = np.arange(study.config.draws)
+    values = drawn(study, slice(0, study.config.draws))
+    linearise = linearisation(study, places, resting=True)
     states = resting_starts(study, values, indices, places)
     smooth = np.full((study.config.draws, len(places)), Finding.SMOOTH.value)
     trial = 0
     while True:
-        matrices = of(values, indices, states, 1, smooth)
+        matrices = linearise(values, indices, states, 1, smooth)
         move = matrices.after - states
         finite = np.all(np.isfinite(matrices.a), axis=(1, 2)) & np.all(np.isfinite(move), axis=1)
         felt = closure(np.any(matrices.c[finite], axis=(0, 1)), np.any(matrices.a[finite], axis=0))
-        still = np.max(np.abs(move) * felt / (1.0 + np.abs(states)), axis=1) <= AT_REST
-        wrong = finite & ~still
-        if not wrong.any() or trial == NEWTON_STEPS_OF_REST:
+        settled = np.max(np.abs(move) * felt / (1.0 + np.abs(states)), axis=1) <= EQUILIBRIUM_TOLERANCE
+        moving = finite & ~settled
+        if not moving.any() or trial == NEWTON_STEPS:
             break
         trial += 1
-        own = np.ix_(wrong, felt, felt)
-        slopes = np.eye(int(np.count_nonzero(felt))) - matrices.a[own]
-        moves = [np.linalg.lstsq(m, r)[0] for m, r in zip(slopes, move[np.ix_(wrong, felt)], strict=True)]
+        felt_moves = move[np.ix_(moving, felt)]
+        slopes = np.eye(int(np.count_nonzero(felt))) - matrices.a[np.ix_(moving, felt, felt)]
+        steps = [np.linalg.lstsq(slope, residual)[0] for slope, residual in zip(slopes, felt_moves, strict=True)]
         states = states.copy()
-        states[np.ix_(wrong, felt)] += np.stack(moves)
-    if not still.any():
+        states[np.ix_(moving, felt)] += np.stack(steps)
+    if not settled.any():
         raise ConfigError(
             study.source, "no draw has an equilibrium at a constant reference; linearise along the flight"
         )
-    findings = examination(lane_loop(study, places, rest=True), places)(values, indices, states, 1)
-    taken = corner_notes(study, places, findings[still], EQUILIBRIUM)
+    findings = examination(lane_loop(study, places, resting=True), places)(values, indices, states, 1)
+    taken = corner_notes(study, places, findings[settled], EQUILIBRIUM)
     cornered = np.any(findings == Finding.CORNER, axis=1)
-    plain = still & ~cornered
+    plain = settled & ~cornered
+
+    def after(pushed: np.ndarray) -> np.ndarray:
+        return linearise(values, indices, pushed, 1, smooth).after
+
     if plain.any():
-        require_derivative(study, lambda at: of(values, indices, at, 1, smooth).after, states, matrices, plain, felt)
+        require_derivative(study, after, states, matrices, plain, felt)
     if cornered.any():
-        matrices = of(values, indices, states, 1, findings)
-    return Operating(matrices, still, taken)
+        matrices = linearise(values, indices, states, 1, findings)
+    return Operating(matrices, settled, taken)
 
 
 def closure(begin: np.ndarray, influences: np.ndarray) -> np.ndarray:
@@ -246,7 +258,7 @@ def require_derivative(
     after: Callable[[np.ndarray], np.ndarray],
     states: np.ndarray,
     matrices: StateMatrices,
-    still: np.ndarray,
+    plain: np.ndarray,
     felt: np.ndarray,
 ) -> None:
     """Require that a small push of the equilibrium has the effect that the derivative predicts.
@@ -256,7 +268,7 @@ def require_derivative(
         after: (states of shape (n, states)) -> the states after one sample.
         states: The equilibria, shape (n, states).
         matrices: Their derivatives.
-        still: Which draws have an equilibrium and no part at a corner, shape (n,).
+        plain: Which draws have an equilibrium and no part at a corner, shape (n,).
         felt: The states on which the loop's signals depend, which alone are pushed and compared; shape (states,).
 
     Raises:
@@ -267,8 +279,8 @@ def require_derivative(
         predicted = np.einsum("nij,nj->ni", matrices.a, side)
         actual = after(states + side) - matrices.after
         excess = np.max(np.abs(actual - predicted) * felt, axis=1) / np.max(np.abs(predicted), axis=1, initial=PUSH)
-        worst = np.max(excess[still])
-        if not worst <= SMOOTH_WITHIN:
+        worst = np.max(excess[plain])
+        if not worst <= PUSH_TOLERANCE:
             raise ConfigError(
                 study.source,
                 f"has no linearisation at its equilibrium: the effect of a deviation of {PUSH:g} differs by "
@@ -287,20 +299,22 @@ def along(study: Study, times: tuple[float, ...], places: tuple[LoopPart, ...]) 
     if sorted(set(samples)) != list(samples) or samples[0] < 0 or samples[-1] >= study.loop.steps:
         rule = f"must ascend within [0, {study.config.loop.duration:g}) s, got {', '.join(f'{t:g}' for t in times)}"
         raise ConfigError("times", rule)
-    indices, values = np.arange(study.config.draws), drawn(study, slice(0, study.config.draws))
-    flown = states_before(study, values, indices, samples)
-    of, examine = linearisation(study, places, rest=False), examination(lane_loop(study, places, rest=False), places)
+    indices = np.arange(study.config.draws)
+    values = drawn(study, slice(0, study.config.draws))
+    flown = flown_states(study, values, indices, samples)
+    linearise = linearisation(study, places, resting=False)
+    examine = examination(lane_loop(study, places, resting=False), places)
     operating = {}
-    for place, (t, k) in enumerate(zip(times, samples, strict=True)):
-        findings = examine(values, indices, flown[place], k)
-        matrices = of(values, indices, flown[place], k, findings)
-        finite = np.all(np.isfinite(flown[place]), axis=1) & np.all(np.isfinite(matrices.a), axis=(1, 2))
+    for t, k, states in zip(times, samples, flown, strict=True):
+        findings = examine(values, indices, states, k)
+        matrices = linearise(values, indices, states, k, findings)
+        finite = np.all(np.isfinite(states), axis=1) & np.all(np.isfinite(matrices.a), axis=(1, 2))
         name = f"t = {t:g} s"
         operating[name] = Operating(matrices, finite, corner_notes(study, places, findings[finite], name))
     return operating
 
 
-def states_before(study: Study, values: Arrays, indices: np.ndarray, samples: tuple[int, ...]) -> list[np.ndarray]:
+def flown_states(study: Study, values: Arrays, indices: np.ndarray, samples: tuple[int, ...]) -> list[np.ndarray]:
     """The states of all draws before the given samples, each of shape (n, states).
 
     The time loop runs on the host: compiling one of a vehicle takes minutes, and its steps take seconds.

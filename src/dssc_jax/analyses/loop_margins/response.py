@@ -19,9 +19,11 @@ from typing import NamedTuple
 import numpy as np
 
 FREQUENCIES = 240  # of the common grid
-BELOW, DECADES = 0.03, 6.0  # first frequency relative to the slowest pole; largest span below the Nyquist frequency
-ROOT_STEPS, PEAK_STEPS = 14, 24
-LEAST_FACTOR = 1e-6  # smallest gain factor that counts as a crossing, above the rounding of a large loop gain
+FIRST_FREQUENCY = 0.03  # of the common grid, relative to the slowest pole
+DECADES = 6.0  # largest span below the Nyquist frequency
+ROOT_STEPS = 14
+PEAK_STEPS = 24
+SMALLEST_FACTOR = 1e-6  # smallest gain factor that counts as a crossing, above the rounding of a large loop gain
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 HALF_POWER = 0.5  # |T|^2 at the bandwidth
 
@@ -83,20 +85,20 @@ def common_grid(poles: np.ndarray, count: int = FREQUENCIES) -> np.ndarray:
         poles: Closed-loop eigenvalues of all loops, any shape.
         count: Number of angles.
     """
-    rates = np.abs(np.log(poles[np.abs(poles) > LEAST_FACTOR].astype(complex)))
+    rates = np.abs(np.log(poles[np.abs(poles) > SMALLEST_FACTOR].astype(complex)))
     slowest = rates[rates > 10.0**-DECADES].min(initial=1.0)
-    return np.geomspace(max(BELOW * slowest, np.pi * 10.0**-DECADES), np.pi * (1.0 - 1e-9), count)
+    return np.geomspace(max(FIRST_FREQUENCY * slowest, np.pi * 10.0**-DECADES), np.pi * (1.0 - 1e-9), count)
 
 
-def own_grid(common: np.ndarray, poles: np.ndarray) -> np.ndarray:
+def grid_with_poles(common: np.ndarray, poles: np.ndarray) -> np.ndarray:
     """The common angles of n loops with 0, pi and those of each loop's own poles, ascending; shape (n, m).
 
     A pole above the real axis adds its damped frequency, any other one its natural frequency.
     """
     ends = np.concatenate([[0.0], common, [np.pi]])
     natural = np.abs(np.log(np.where(poles == 0.0, -1.0, poles).astype(complex)))
-    own = np.where(np.imag(poles) > 0.0, np.angle(poles), np.minimum(natural, np.pi))
-    return np.sort(np.concatenate([np.broadcast_to(ends, (len(poles), ends.size)), own], axis=1))
+    pole_angles = np.where(np.imag(poles) > 0.0, np.angle(poles), np.minimum(natural, np.pi))
+    return np.sort(np.concatenate([np.broadcast_to(ends, (len(poles), ends.size)), pole_angles], axis=1))
 
 
 def with_touching(function: Response, angles: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -105,28 +107,32 @@ def with_touching(function: Response, angles: np.ndarray, values: np.ndarray) ->
     Returns:
         The ascending angles and the function there, shape (n, m + r).
     """
-    size, before, after = np.abs(values[:, 1:-1]), np.abs(values[:, :-2]), np.abs(values[:, 2:])
-    same = (values[:, :-2] * values[:, 1:-1] > 0.0) & (values[:, 1:-1] * values[:, 2:] > 0.0)
-    places, nearest = chosen(same & (size <= before) & (size <= after))
+    left = values[:, :-2]
+    middle = values[:, 1:-1]
+    right = values[:, 2:]
+    size = np.abs(middle)
+    same_sign = (left * middle > 0.0) & (middle * right > 0.0)
+    places, nearest = chosen(same_sign & (size <= np.abs(left)) & (size <= np.abs(right)))
     if not places.shape[1]:
         return angles, values
     columns = []
     for column in range(places.shape[1]):
         at = places[:, column : column + 1]
-        low, high = (np.take_along_axis(angles, at + k, 1) for k in (0, 2))
+        low = np.take_along_axis(angles, at, 1)
+        high = np.take_along_axis(angles, at + 2, 1)
         sign = np.sign(np.take_along_axis(values, at + 1, 1))
         columns.append(golden(lambda theta, sign=sign: -sign * function(theta), low, high)[0])
     fresh = np.where(nearest, np.concatenate(columns, axis=1), np.take_along_axis(angles, places + 1, 1))
-    everything = np.concatenate([angles, fresh], axis=1)
-    order = np.argsort(everything, axis=1, kind="stable")
-    both = np.concatenate([values, function(fresh)], axis=1)
-    return np.take_along_axis(everything, order, 1), np.take_along_axis(both, order, 1)
+    all_angles = np.concatenate([angles, fresh], axis=1)
+    all_values = np.concatenate([values, function(fresh)], axis=1)
+    order = np.argsort(all_angles, axis=1, kind="stable")
+    return np.take_along_axis(all_angles, order, 1), np.take_along_axis(all_values, order, 1)
 
 
 def chosen(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Column indices of the true entries of each row, padded to one length, and which of them are not padding."""
-    most = int(mask.sum(axis=1).max(initial=0))
-    places = np.argsort(~mask, axis=1, kind="stable")[:, :most]
+    length = int(mask.sum(axis=1).max(initial=0))
+    places = np.argsort(~mask, axis=1, kind="stable")[:, :length]
     return places, np.take_along_axis(mask, places, 1)
 
 
@@ -146,8 +152,10 @@ def roots(function: Response, angles: np.ndarray, values: np.ndarray) -> tuple[n
     results = np.empty(places.shape)
     for column in range(places.shape[1]):
         at = places[:, column : column + 1]
-        low, high = (np.take_along_axis(angles, at + k, 1) for k in (0, 1))
-        f_low, f_high = (np.take_along_axis(values, at + k, 1) for k in (0, 1))
+        low = np.take_along_axis(angles, at, 1)
+        high = np.take_along_axis(angles, at + 1, 1)
+        f_low = np.take_along_axis(values, at, 1)
+        f_high = np.take_along_axis(values, at + 1, 1)
         for _ in range(ROOT_STEPS):
             difference = f_high - f_low
             middle = np.where(
@@ -155,26 +163,33 @@ def roots(function: Response, angles: np.ndarray, values: np.ndarray) -> tuple[n
             )
             middle = np.clip(middle, np.minimum(low, high), np.maximum(low, high))
             f_middle = function(middle)
-            beyond = f_middle * f_high < 0.0
-            low = np.where(beyond, high, low)
-            f_low = np.where(beyond, f_high, 0.5 * f_low)
-            high, f_high = middle, f_middle
+            crossing = f_middle * f_high < 0.0  # between the middle and the high end
+            low = np.where(crossing, high, low)
+            f_low = np.where(crossing, f_high, 0.5 * f_low)
+            high = middle
+            f_high = f_middle
         results[:, column] = high[:, 0]
     return results, crossed
 
 
 def golden(function: Response, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The largest value of a real function with one peak in [low, high], and its place; shape (n, 1)."""
-    left, right = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
-    f_left, f_right = function(left), function(right)
+    left = high - GOLDEN * (high - low)
+    right = low + GOLDEN * (high - low)
+    f_left = function(left)
+    f_right = function(right)
     for _ in range(PEAK_STEPS):
         rising = f_right > f_left
-        low, high = np.where(rising, left, low), np.where(rising, high, right)
-        kept, f_kept = np.where(rising, right, left), np.where(rising, f_right, f_left)
+        low = np.where(rising, left, low)
+        high = np.where(rising, high, right)
+        kept = np.where(rising, right, left)
+        f_kept = np.where(rising, f_right, f_left)
         fresh = np.where(rising, low + GOLDEN * (high - low), high - GOLDEN * (high - low))
         f_fresh = function(fresh)
-        left, right = np.where(rising, kept, fresh), np.where(rising, fresh, kept)
-        f_left, f_right = np.where(rising, f_kept, f_fresh), np.where(rising, f_fresh, f_kept)
+        left = np.where(rising, kept, fresh)
+        right = np.where(rising, fresh, kept)
+        f_left = np.where(rising, f_kept, f_fresh)
+        f_right = np.where(rising, f_fresh, f_kept)
     better = f_right > f_left
     return np.where(better, right, left), np.where(better, f_right, f_left)
 
@@ -202,12 +217,13 @@ def classical_margins(respond: Response, angles: np.ndarray, sample_time: float)
     lag = np.angle(at / (1.0 + at))  # of -L: the phase that is left to -180 degrees
     size = np.where(crossed, np.abs(lag), np.inf)
     delays = np.where(crossed, np.mod(lag, 2.0 * np.pi) * sample_time / np.where(crossed, crossings, 1.0), np.inf)
-    phase, crossover = np.full(len(g), np.inf), np.full(len(g), np.nan)
+    phase = np.full(len(g), np.inf)
+    crossover = np.full(len(g), np.nan)
     if size.shape[1]:
         nearest = np.argmin(size, axis=1)[:, None]
         phase = np.take_along_axis(size, nearest, 1)[:, 0]
-        where = np.take_along_axis(crossings, nearest, 1)[:, 0] / sample_time
-        crossover = np.where(np.isfinite(phase), where, np.nan)
+        frequency = np.take_along_axis(crossings, nearest, 1)[:, 0] / sample_time
+        crossover = np.where(np.isfinite(phase), frequency, np.nan)
 
     def largest(offset: float) -> np.ndarray:
         return refined_peak(lambda theta: np.abs(respond(theta) + offset), angles, np.abs(g + offset))
@@ -231,7 +247,7 @@ def gain_margins(respond: Response, angles: np.ndarray, g: np.ndarray) -> tuple[
     at = np.real(respond(crossings)) if crossings.size else np.empty(crossings.shape)
     with np.errstate(all="ignore"):
         factors = 1.0 + 1.0 / np.concatenate([np.where(crossed, at, np.nan), np.real(g)[:, [0, -1]]], axis=1)
-    counts = np.isfinite(factors) & (factors > LEAST_FACTOR) & (factors < 1.0 / LEAST_FACTOR)
+    counts = np.isfinite(factors) & (factors > SMALLEST_FACTOR) & (factors < 1.0 / SMALLEST_FACTOR)
     upper = np.where(counts & (factors > 1.0), factors, np.inf).min(axis=1)
     lower = np.where(counts & (factors < 1.0), factors, 0.0).max(axis=1)
     return upper, lower
@@ -241,6 +257,6 @@ def bandwidth(respond: Response, angles: np.ndarray, g: np.ndarray) -> np.ndarra
     """Angle beyond which abs(T) stays below 1/sqrt(2), shape (n,)."""
     excess = np.abs(g) ** 2 - HALF_POWER
     crossings, crossed = roots(lambda theta: np.abs(respond(theta)) ** 2 - HALF_POWER, angles, excess)
-    last = np.where(crossed, crossings, -np.inf).max(axis=1, initial=-np.inf)
-    last = np.where(excess[:, -1] > 0.0, np.inf, last)
-    return np.where(np.isneginf(last), np.nan, last)
+    largest = np.where(crossed, crossings, -np.inf).max(axis=1, initial=-np.inf)
+    largest = np.where(excess[:, -1] > 0.0, np.inf, largest)
+    return np.where(np.isneginf(largest), np.nan, largest)

@@ -57,7 +57,7 @@ MARGIN_KINDS = {
     "crossover": MarginKind("rad/s", "gain crossover frequency", "lower"),
     "bandwidth": MarginKind("rad/s", "bandwidth of T", "lower"),
 }
-"""What is computed for every draw, operating point and break point."""
+"""The margins of every draw, operating point and break point."""
 
 
 class BrokenLoop(NamedTuple):

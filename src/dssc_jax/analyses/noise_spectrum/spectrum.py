@@ -8,7 +8,7 @@ from dssc_jax.core.errors import ConfigError, nearest
 
 SEGMENT = 1024
 """Samples of a segment of Welch's method."""
-LEAST_SEGMENTS = 4
+FEWEST_SEGMENTS = 4
 
 
 def noise_spectrum(run: xr.Dataset, channel: str = "", after: float = 0.0) -> xr.Dataset:
@@ -39,28 +39,31 @@ def noise_spectrum(run: xr.Dataset, channel: str = "", after: float = 0.0) -> xr
     kept = run.where(run["t"] >= after, drop=True)
     noise = (kept[f"{prefix}sigma_measured"] - kept[f"{prefix}sigma"]).values
     command = kept[f"{prefix}u"].values
-    if noise.size < LEAST_SEGMENTS * SEGMENT or not np.all(np.isfinite(command)):
-        rule = f"needs {LEAST_SEGMENTS * SEGMENT:,} finite samples after {after:g} s"
+    if noise.size < FEWEST_SEGMENTS * SEGMENT or not np.all(np.isfinite(command)):
+        rule = f"needs {FEWEST_SEGMENTS * SEGMENT:,} finite samples after {after:g} s"
         raise ConfigError("run", f"{rule}, got {np.count_nonzero(np.isfinite(command)):,}")
     if not np.any(noise):
         raise ConfigError("run", "the measurement is exact; give the study a noisy sensor")
     rate = 1.0 / float(run["t"][1] - run["t"][0])
-    frequency, of_noise = signal.welch(noise, rate, nperseg=SEGMENT)
-    _, of_command = signal.welch(command, rate, nperseg=SEGMENT)
-    _, cross = signal.csd(noise, command, rate, nperseg=SEGMENT)
-    frequency, of_noise, of_command, cross = (each[1:] for each in (frequency, of_noise, of_command, cross))
-    gain = np.abs(cross) / of_noise
+    frequency, noise_density = signal.welch(noise, rate, nperseg=SEGMENT)
+    _, command_density = signal.welch(command, rate, nperseg=SEGMENT)
+    _, cross_density = signal.csd(noise, command, rate, nperseg=SEGMENT)
+    frequency = frequency[1:]
+    noise_density = noise_density[1:]
+    command_density = command_density[1:]
+    cross = np.abs(cross_density[1:])
+    gain = cross / noise_density
     columns = {
-        "noise": (of_noise, "m^2/s^2/Hz", "spectral density of the error of the measured sigma"),
-        "command": (of_command, "m^2/s^2/Hz", "spectral density of the robust command u"),
+        "noise": (noise_density, "m^2/s^2/Hz", "spectral density of the error of the measured sigma"),
+        "command": (command_density, "m^2/s^2/Hz", "spectral density of the robust command u"),
         "gain": (gain, "1", "gain from the error of the measured sigma to u"),
-        "coherence": (np.abs(cross) ** 2 / (of_noise * of_command), "1", "share of u that the noise explains"),
+        "coherence": (cross**2 / (noise_density * command_density), "1", "share of u that the noise explains"),
     }
+    variables = {}
+    for name, (values, unit, meaning) in columns.items():
+        variables[name] = (("frequency",), values, {"units": unit, "long_name": meaning})
     return xr.Dataset(
-        {
-            name: (("frequency",), values, {"units": unit, "long_name": text})
-            for name, (values, unit, text) in columns.items()
-        },
+        variables,
         coords={"frequency": (("frequency",), frequency, {"units": "Hz", "long_name": "frequency"})},
-        attrs={"amplification": float(np.sqrt(np.sum(gain**2 * of_noise) / np.sum(of_noise)))},
+        attrs={"amplification": float(np.sqrt(np.sum(gain**2 * noise_density) / np.sum(noise_density)))},
     )

@@ -45,7 +45,7 @@ class PlainFailures:
 
 @dataclass(frozen=True)
 class FailingRange:
-    """Where a number lies at failures."""
+    """Range of a number at failures."""
 
     median: Annotated[float, Quantity("that of the number", "median of its law")]
     failing: Annotated[np.ndarray | None, Quantity("that of the number", "5 %, 50 % and 95 % quantile at failures")]
@@ -53,7 +53,7 @@ class FailingRange:
 
 @dataclass(frozen=True)
 class SplittingSettings:
-    """How the splitting was run."""
+    """Settings of the splitting."""
 
     particles: Annotated[int, Quantity("1", "particles of each repeat")]
     killed: Annotated[int, Quantity("1", "particles that a level replaces")]
