@@ -67,7 +67,7 @@ class LoopPart(NamedTuple):
 
 
 class Finding(IntEnum):
-    """Class of a part at an operating point: with a derivative, on a boundary, falsely declared, or beyond a boundary."""
+    """Class of a part at an operating point: with a derivative, on a boundary, falsely declared, or beyond one."""
 
     SMOOTH = 0
     CORNER = 1
