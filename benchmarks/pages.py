@@ -12,8 +12,10 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 import typer
 from pydantic import BaseModel
 
+from dssc_jax.analyses.loading import KINDS, class_of
 from dssc_jax.cli.application import app
 from dssc_jax.console.kinds import HEADS, KIND_COLUMNS, registries, rows_of
+from dssc_jax.results.fields import field_meanings
 from dssc_jax.study.build import FIXED_TABLES
 from dssc_jax.study.laws import LAWS
 from dssc_jax.study.measuring import KNOWN
@@ -112,8 +114,17 @@ def commands() -> str:
                 flags = ", ".join(f"`{flag}`" for flag in option.opts)
                 rows.append((flags, option.metavar or "", getattr(option, "help", "") or ""))
         lines += table(("option", "value", "meaning"), rows)
+        for kind in ANSWERS.get(name, (name,)):
+            if kind in KINDS:
+                case = "" if kind == name else f" of several controllers (`{kind}`)"
+                lines += [f"Numbers{case} of `--json`, and of summary.json in the folder:", ""]
+                meanings = field_meanings(class_of(kind).answer_type())
+                lines += table(("key", "unit", "meaning"), ((f"`{key}`", unit, text) for key, unit, text in meanings))
     return "\n".join(lines).rstrip() + "\n"
 
+
+ANSWERS = {"margin": ("margin", "margins")}
+"""Kinds of analysis that a command makes, where it is not the one of its name."""
 
 PAGES = {"study-file.md": study_file, "commands.md": commands}
 

@@ -14,6 +14,7 @@ import dssc_jax as dj
 from dssc_jax.analyses.loading import KINDS, class_of
 from dssc_jax.cli.main import guarded
 from dssc_jax.flight_logs.reader import Column
+from dssc_jax.results.fields import field_meanings
 from dssc_jax.results.manifest import write_json, write_sealed
 from tests.loops import LAGGED
 
@@ -92,6 +93,13 @@ def test_variables_tell_what_they_are(analysis):
     for name, one in analysis.dataset.variables.items():
         assert one.attrs.get("long_name"), name
         assert one.dtype.kind != "f" or "units" in one.attrs, name
+
+
+def test_each_number_of_the_answer_has_a_meaning(analysis):
+    meanings = list(field_meanings(type(analysis).answer_type()))
+    top = {meaning.key.partition(".")[0].removesuffix("[]") for meaning in meanings}
+    assert top == analysis.summary().keys() - {"study", "integration"}
+    assert all(meaning.meaning for meaning in meanings)
 
 
 def test_it_draws_itself(analysis):
