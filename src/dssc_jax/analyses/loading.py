@@ -49,8 +49,8 @@ def kind_in(folder: Path) -> str | None:
             return kind
     names = " or ".join(f"{name}.json" for name in KINDS)
     answers = sorted(file.name for file in folder.glob("*.json"))
-    others = f"; what it has is plain JSON: {', '.join(answers)}" if answers else ""
-    raise ConfigError(str(folder), f"is not a results folder: it has no {MANIFEST} or {names}{others}")
+    remark = f"; what it has is plain JSON: {', '.join(answers)}" if answers else ""
+    raise ConfigError(str(folder), f"is not a results folder: it has no {MANIFEST} or {names}{remark}")
 
 
 def description(folder: Path) -> dict[str, Any]:

@@ -58,8 +58,9 @@ def with_own_controllers(study: Study, names: Iterable[str]) -> Study:
 
     So a stored comparison tells, like any study, which code it refers to.
     """
-    own = study.config.controller
-    missing = [name for name in names if ":" in name and name != own["kind"] and name not in study.config.compare]
+    controller = study.config.controller
+    known = {controller["kind"], *study.config.compare}
+    missing = [name for name in names if ":" in name and name not in known]
     if not missing:
         return study
     tables = {name: {"kind": name, **common_gains(study, name)} for name in missing}
@@ -68,13 +69,17 @@ def with_own_controllers(study: Study, names: Iterable[str]) -> Study:
 
 def common_gains(study: Study, name: str) -> ControllerTable:
     """Error pole and nominal control of the study, as far as a controller of one's own has these gains."""
-    own = study.config.controller
+    controller = study.config.controller
     with errors_under(f"compare.{name}"):
         fields = field_specs(next(iter(lookup(name, CONTROLLERS).members.values())).params)
     common = [key for key in ("l0", "nominal") if key in fields]
-    tables = {"": own, **{channel: own[channel] for channel in study.loop.channels if channel in own}}
-    kept = {place: {key: table[key] for key in common if key in table} for place, table in tables.items()}
-    return {**kept.pop(""), **{channel: table for channel, table in kept.items() if table}}
+    gains = {key: controller[key] for key in common if key in controller}
+    for channel in study.loop.channels:
+        table = controller.get(channel, {})
+        of_channel = {key: table[key] for key in common if key in table}
+        if of_channel:
+            gains[channel] = of_channel
+    return gains
 
 
 def controller_table(study: Study, name: str) -> ControllerTable:
@@ -89,20 +94,20 @@ def controller_table(study: Study, name: str) -> ControllerTable:
     Raises:
         ConfigError: there is no such controller, or its gains do not follow from the study's own.
     """
-    own = study.config.controller
-    given = study.config.compare.get(name)
-    if given is not None:
-        table = {key: value for key, value in given.items() if key != "tune"}
-        return merged(own, table) if table.get("kind", own["kind"]) == own["kind"] else table
-    if name == own["kind"]:
-        return dict(own)
+    controller = study.config.controller
+    chosen = study.config.compare.get(name)
+    if chosen is not None:
+        table = {key: value for key, value in chosen.items() if key != "tune"}
+        return merged(controller, table) if table.get("kind", controller["kind"]) == controller["kind"] else table
+    if name == controller["kind"]:
+        return dict(controller)
     names = rival_names()
     if name not in names:
         raise ConfigError(
             f"compare.{name}", f"there is no such controller; {nearest(name, [*names, *study.config.compare])}"
         )
     rival = names[name]
-    table = dict(own) if rival.kind == own["kind"] else derived(study, name, rival.kind)
+    table = dict(controller) if rival.kind == controller["kind"] else derived(study, name, rival.kind)
     if rival.limited:
         return with_limit(study, name, table)
     return {**table, "discretisation": rival.form} if rival.form else table
@@ -114,12 +119,12 @@ def derived(study: Study, name: str, kind: str) -> ControllerTable:
     Raises:
         ConfigError: its gains do not follow from the study's own.
     """
-    own = study.config.controller
+    controller = study.config.controller
     from_dssc = CONTROLLERS[kind].default_member.from_dssc
     if from_dssc is None or not all(isinstance(gains, DsscGains) for gains in study.template.controller):
-        raise ConfigError(f"compare.{name}", f"cannot be derived from '{own['kind']}'; give [compare.{name}]")
+        raise ConfigError(f"compare.{name}", f"cannot be derived from '{controller['kind']}'; give [compare.{name}]")
     channels = study.loop.channels
-    common = {key: value for key, value in own.items() if key not in channels}
+    common = {key: value for key, value in controller.items() if key not in channels}
     tables = {}
     for channel, gains in zip(channels, study.template.controller, strict=True):
         try:
@@ -127,7 +132,7 @@ def derived(study: Study, name: str, kind: str) -> ControllerTable:
                 table = {"kind": kind, **from_dssc(plain(gains))}
         except ConfigError as error:
             raise ConfigError(f"compare.{name}", f"{error.rule}; give [compare.{name}]") from None
-        laid = merged(common, own.get(channel, {})) if channel else common
+        laid = merged(common, controller.get(channel, {})) if channel else common
         tables[channel] = table | {key: laid[key] for key in ("l0", "nominal") if key in laid}
     return tables.get("", {"kind": kind, **tables})
 

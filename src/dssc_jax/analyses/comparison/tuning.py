@@ -59,19 +59,19 @@ class Tuning:
         )
 
 
-def ranges(study: Study, given: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
+def ranges(study: Study, requested: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
     """The tuned numbers of the study's controller, by dotted name, and their ranges.
 
     Args:
         study: The study with this controller.
-        given: ``[compare.NAME.tune]``: ranges by the gains' names within the controller. The remaining ones of the
+        requested: ``[compare.NAME.tune]``: ranges by the gains' names within the controller. The remaining ones of the
             controller's usual gains (``tunable``) range from a tenth to ten times their value.
 
     Raises:
         ConfigError: a range is not valid.
     """
     extents = {}
-    for name, extent in given.items():
+    for name, extent in requested.items():
         numbers = isinstance(extent, list) and len(extent) == 2 and all(is_number(value) for value in extent)
         if not numbers or not 0.0 < extent[0] < extent[1]:
             raise ConfigError(f"tune.{name}", f"must be [lo, hi] with 0 < lo < hi, got {extent!r}")
@@ -88,18 +88,18 @@ def ranges(study: Study, given: Mapping[str, Any]) -> dict[str, tuple[float, flo
     }
 
 
-def tuned(study: Study, budget: Tuning, given: Mapping[str, Any]) -> dict[str, float]:
+def tuned(study: Study, budget: Tuning, requested: Mapping[str, Any]) -> dict[str, float]:
     """Find the best gains within a budget, by dotted name.
 
     Args:
         study: The study with the controller to tune.
         budget: Candidates and draws.
-        given: See :func:`ranges`.
+        requested: See :func:`ranges`.
 
     Raises:
         ConfigError: there is nothing to tune, or a range is not admissible.
     """
-    extents = ranges(study, given)
+    extents = ranges(study, requested)
     if not extents:
         raise ConfigError("tune", "no gain of this controller has a range; give [compare.NAME.tune]")
     trial = study.without_sweep().override({"seed": budget.seed, "draws": budget.draws + RUNOFF})
@@ -150,9 +150,9 @@ def candidate_points(study: Study, extents: Mapping[str, tuple[float, float]], b
     columns = np.exp(np.log(low) + unit.T * np.log(high / low))
     leaves = study.leaves()
     for column, name in zip(columns, extents, strict=True):
-        own = leaves.get(name)
-        if isinstance(own, float):
-            column[0] = own
+        gain = leaves.get(name)
+        if isinstance(gain, float):
+            column[0] = gain
     return dict(zip(extents, np.clip(columns, low, high), strict=True))
 
 

@@ -17,7 +17,7 @@ from dssc_jax.study import Study
 EXPLORED, CLIMBED = 0.25, 0.5  # shares of the budget; evolution gets what is left
 STARTS, CLIMB = 8, 12  # largest number of climbs, and least number of steps of each
 STRIDE, LONGER, SHORTER = 0.25, 1.5, 0.3  # first step of a climb, and its factors after success and failure
-MEMBERS_EACH = 4  # of the evolution, for each coordinate
+MEMBERS_PER_COORDINATE = 4  # of the evolution, for each coordinate
 
 
 class Programs(NamedTuple):
@@ -43,7 +43,7 @@ def spread(budget: int) -> int:
 
 def members(budget: int, size: int) -> int:
     """Number of members of the evolution, such that several generations fit the budget."""
-    return max(8, min(MEMBERS_EACH * size, budget // 20))
+    return max(8, min(MEMBERS_PER_COORDINATE * size, budget // 20))
 
 
 def climbers(budget: int, size: int) -> int:
@@ -97,16 +97,16 @@ class Hunt:
         """Number of uncertain numbers."""
         return self.region.size
 
-    def simulate(self, points: np.ndarray, evaluator: Evaluator, each: int = 1) -> tuple[np.ndarray, Arrays]:
-        """Slacks and results of points; ``each`` is the number of simulations that one point costs."""
+    def simulate(self, points: np.ndarray, evaluator: Evaluator, cost: int = 1) -> tuple[np.ndarray, Arrays]:
+        """Slacks and results of points; ``cost`` is the number of simulations that one point costs."""
         results = evaluator(np.zeros(len(points), dtype=int), self.region.values(points))
         self.requirements = self.requirements or add_sizes(self.programs.study.requirements, results)
         slacks, binding = worst_slack(self.requirements, results), binding_requirement(self.requirements, results)
-        each_slack = np.array([results[requirement.name] for requirement in self.requirements])
-        distances = np.take_along_axis(each_slack, binding[None], 0)[0]
-        spent = self.spent + each * np.arange(1, len(points) + 1)
+        all_slacks = np.array([results[requirement.name] for requirement in self.requirements])
+        distances = np.take_along_axis(all_slacks, binding[None], 0)[0]
+        spent = self.spent + cost * np.arange(1, len(points) + 1)
         self.seen.append(Seen(points, slacks, binding, distances, spent))
-        self.spent += each * len(points)
+        self.spent += cost * len(points)
         self.worst = min(self.worst, float(slacks.min()))
         if self.progress:
             self.progress(min(self.spent, self.budget), self.budget)
@@ -129,22 +129,22 @@ class Hunt:
         for index, point in enumerate(points):
             if len(chosen) == count:
                 break
-            if all(self.region.apart(point, points[other]) for other in chosen):
+            if all(self.region.separate(point, points[earlier]) for earlier in chosen):
                 chosen.append(index)
-        rest = [index for index in range(len(points)) if index not in chosen]
-        return points[[*chosen, *rest][:count]]
+        remaining = [index for index in range(len(points)) if index not in chosen]
+        return points[[*chosen, *remaining][:count]]
 
     def climb(self) -> None:
         """Run projected gradient descents of the slack simultaneously, each with its own step length."""
-        each, room, evaluator = 1 + self.size, int(CLIMBED * self.budget), self.programs.steep
+        cost, room, evaluator = 1 + self.size, int(CLIMBED * self.budget), self.programs.steep
         points = self.starts(climbers(self.budget, self.size))
-        if len(points) * each > room:
+        if len(points) * cost > room:
             return
-        best, results = self.simulate(points, evaluator, each)
+        best, results = self.simulate(points, evaluator, cost)
         slopes, stride = self.slopes(points, results), np.full(len(points), STRIDE)
-        for _ in range(room // (each * len(points)) - 1):
+        for _ in range(room // (cost * len(points)) - 1):
             trial = self.region.descended(points, slopes, stride)
-            slacks, results = self.simulate(trial, evaluator, each)
+            slacks, results = self.simulate(trial, evaluator, cost)
             better = slacks < best
             points = np.where(better[:, None], trial, points)
             slopes = np.where(better[:, None], self.slopes(trial, results), slopes)

@@ -64,7 +64,7 @@ class SearchSet(ABC):
         """One projected step against the slopes; ``stride``, shape (n,), is relative to the set's size."""
 
     @abstractmethod
-    def apart(self, point: np.ndarray, other: np.ndarray) -> bool:
+    def separate(self, point: np.ndarray, start: np.ndarray) -> bool:
         """Whether two points are far enough apart to start a search from both."""
 
     def values(self, points: np.ndarray) -> Arrays:
@@ -114,9 +114,9 @@ class Support(SearchSet):
         largest = np.max(np.abs(slopes), axis=1, keepdims=True)
         return self.projected(points - stride[:, None] * slopes / np.where(largest > 0.0, largest, 1.0))
 
-    def apart(self, point: np.ndarray, other: np.ndarray) -> bool:
+    def separate(self, point: np.ndarray, start: np.ndarray) -> bool:
         """See :class:`SearchSet`."""
-        return bool(np.max(np.abs(point - other)) > LEVEL_GAP)
+        return bool(np.max(np.abs(point - start)) > LEVEL_GAP)
 
 
 @dataclass(frozen=True)
@@ -172,9 +172,9 @@ class ScoreBall(SearchSet):
         scale = self.radius * stride / np.where(lengths > 0.0, lengths, 1.0)
         return self.projected(points - scale[:, None] * slopes)
 
-    def apart(self, point: np.ndarray, other: np.ndarray) -> bool:
+    def separate(self, point: np.ndarray, start: np.ndarray) -> bool:
         """See :class:`SearchSet`."""
-        return bool(np.linalg.norm(point - other) > SCORE_GAP * self.radius)
+        return bool(np.linalg.norm(point - start) > SCORE_GAP * self.radius)
 
 
 def search_set(study: Study, sigma: float | None = None, mass: float | None = None) -> SearchSet:

@@ -196,8 +196,8 @@ class Margins(Analysis):
         if "violated_first" not in self.dataset:
             return {}
         names = [*(requirement.text for requirement in self.study.requirements), "ended early"]
-        which = self.dataset["violated_first"].values
-        counts = {name: int(np.count_nonzero(which == index)) for index, name in enumerate(names)}
+        violated = self.dataset["violated_first"].values
+        counts = {name: int(np.count_nonzero(violated == index)) for index, name in enumerate(names)}
         return dict(sorted(((name, n) for name, n in counts.items() if n), key=lambda pair: -pair[1]))
 
     @property

@@ -299,9 +299,9 @@ class Lattice:
         if not fresh:
             return
         draws = self.study.config.draws
-        pairs = [np.array([self.axes[k][point[k]] for point in fresh]) for k in (0, 1)]
         values = {name: np.tile(column, len(fresh)) for name, column in self.drawn.items()}
-        values |= {axis.name: np.repeat(own, draws) for axis, own in zip(self.over, pairs, strict=True)}
+        for axis, lattice, places in zip(self.over, self.axes, zip(*fresh, strict=True), strict=True):
+            values[axis.name] = np.repeat(lattice[list(places)], draws)
         indices = np.tile(np.arange(draws), len(fresh))
         results = self.evaluator(indices, values)
         failed = results["outcome"].reshape(len(fresh), draws) != 0
@@ -324,10 +324,11 @@ class Lattice:
 
     def mixed_cells(self, stride: int) -> list[tuple[int, int]]:
         """Lower corners of the cells whose corners have been simulated and differ."""
-        verdicts, last = self.verdicts(), len(self.failures) - 1
+        verdicts = self.verdicts()
+        end = len(self.failures) - 1
         cells = []
-        for i in range(0, last, stride):
-            for j in range(0, last, stride):
+        for i in range(0, end, stride):
+            for j in range(0, end, stride):
                 corners = verdicts[i : i + stride + 1 : stride, j : j + stride + 1 : stride]
                 if corners.min() >= 0 and corners.min() < corners.max():
                     cells.append((i, j))
@@ -335,22 +336,23 @@ class Lattice:
 
     def close(self, stride: int) -> None:
         """Simulate the cells beside every side whose ends differ, until the boundary closes or leaves the lattice."""
-        last = len(self.failures) - 1
+        end = len(self.failures) - 1
         while True:
-            verdicts, wanted = self.verdicts(), set()
+            verdicts = self.verdicts()
+            points: set[tuple[int, int]] = set()
             for i, j in np.argwhere(verdicts >= 0)[:, :].tolist():
                 if i % stride or j % stride:
                     continue
                 for a, b in ((stride, 0), (0, stride)):
-                    if max(i + a, j + b) > last or not 0 <= verdicts[i + a, j + b] != verdicts[i, j]:
+                    if max(i + a, j + b) > end or not 0 <= verdicts[i + a, j + b] != verdicts[i, j]:
                         continue
                     for side in (-stride, stride):
                         p, q = (i, j + side) if a else (i + side, j)
-                        if 0 <= p <= last and 0 <= q <= last:
-                            wanted |= {(p, q), (p + a, q + b)}
-            if not any(self.failures[point] < 0 for point in wanted):
+                        if 0 <= p <= end and 0 <= q <= end:
+                            points |= {(p, q), (p + a, q + b)}
+            if not any(self.failures[point] < 0 for point in points):
                 return
-            self.simulate(wanted)
+            self.simulate(points)
 
     def dataset(self, certified: np.ndarray) -> xr.Dataset:
         """The dataset of :class:`SafeRegion`."""
@@ -365,14 +367,15 @@ class Lattice:
         }
         coords = {}
         for dimension, axis, values in zip(SafeRegion.table, self.over, self.axes, strict=True):
-            about = self.study.quantities[axis.name]
-            coords[dimension] = (dimension, values, {"units": about.unit, "long_name": about.meaning})
+            quantity = self.study.quantities[axis.name]
+            coords[dimension] = (dimension, values, {"units": quantity.unit, "long_name": quantity.meaning})
         return xr.Dataset(columns, coords=coords, attrs={"title": self.study.name})
 
 
 def certified_points(study: Study, over: tuple[RegionAxis, RegionAxis], lattice: Lattice) -> tuple[np.ndarray, str]:
     """Which points Theorem 1 certifies, for all draws at once, and what it says; shape (count, count)."""
-    swept = study.override({"sweep": {axis.name: own.tolist() for axis, own in zip(over, lattice.axes, strict=True)}})
+    sweep = {axis.name: values.tolist() for axis, values in zip(over, lattice.axes, strict=True)}
+    swept = study.override({"sweep": sweep})
     certified, reason = mark(swept)
     if certified is None:
         return np.zeros(lattice.failures.shape, bool), f"Theorem 1 does not apply: {reason}"

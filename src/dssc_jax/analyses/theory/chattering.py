@@ -50,8 +50,8 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
         raise ConfigError(
             f"{study.source}: loop.sample_time", f"must be <= {min(values) / SAMPLES_IN_MU:g}, a 20th of mu"
         )
-    rest = at_rest(study)
-    middle = {name: law.median for name, law in rest.laws.items()}
+    resting = at_rest(study)
+    middle = {name: law.median for name, law in resting.laws.items()}
     changes = {
         "plant.initial": [push, 0.0],
         "draws": 1,
@@ -59,9 +59,9 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
         "metrics": {"after": after, "names": ["sigma_max"]},
         "sweep": {mu: [float(value) for value in values]},
     }
-    largest = running.run(rest.override({**middle, **changes})).dataset["sigma_max"].values[:, 0]
+    largest = running.run(resting.override({**middle, **changes})).dataset["sigma_max"].values[:, 0]
     known = study.loop.controller[0].describing is not None
-    cycles = [limit_cycle(rest, {mu: value}) if known else None for value in values]
+    cycles = [limit_cycle(resting, {mu: value}) if known else None for value in values]
     predicted = [(cycle.amplitude, cycle.frequency) if cycle else (np.nan, np.nan) for cycle in cycles]
     amplitude, frequency = np.array(predicted).T
     unit = study.units[0].of("y/s")

@@ -48,19 +48,19 @@ def limit_cycle(study: Study, point: Mapping[str, float] | None = None) -> Limit
         ConfigError: the law's describing function is not known, or the unmodelled dynamics have no form in continuous
             time.
     """
-    rest = at_rest(study)
-    describing = rest.loop.controller[0].describing
+    resting = at_rest(study)
+    describing = resting.loop.controller[0].describing
     if describing is None:
         raise ConfigError(
             f"{study.source}: controller.kind",
-            f"the describing function of '{kind_of(rest, 'controller')}' is not known",
+            f"the describing function of '{kind_of(resting, 'controller')}' is not known",
         )
-    require_continuous_dynamics(rest, rest.loop.unmodelled[0])
-    values = {**medians(rest), **(point or {})}
+    require_continuous_dynamics(resting, resting.loop.unmodelled[0])
+    values = {**medians(resting), **(point or {})}
     with jax.enable_x64(True):
-        opened = jax.jit(lambda lane: open_loop(rest.loop, rest.params(lane)), compiler_options=plain_options())
+        opened = jax.jit(lambda lane: open_loop(resting.loop, resting.params(lane)), compiler_options=plain_options())
         response = jax.tree.map(np.asarray, opened(values))
-    balance = describing(rest.params(values).controller[0])
+    balance = describing(resting.params(values).controller[0])
     return solve_balance(response, balance)
 
 

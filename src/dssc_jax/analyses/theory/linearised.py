@@ -96,14 +96,14 @@ def open_loop(loop: Loop, params: LoopParams) -> Linearised:
     """
     gains = params.controller[0]
     model, dynamics = loop.unmodelled[0], params.unmodelled[0]
-    rest, unravel = ravel_pytree(loop.plant.init(params.plant))
+    resting, unravel = ravel_pytree(loop.plant.init(params.plant))
     order = len(model.init(dynamics))
 
     def sigma_of(x: jax.Array) -> Scalar:
         return tracking_error(loop.plant.measure(params.plant, unravel(x), QUIET), ORIGIN, gains.l0).sigma
 
     def derivative(state: jax.Array, u: Scalar) -> jax.Array:
-        x, z = state[: rest.size], tuple(state[rest.size :])
+        x, z = state[: resting.size], tuple(state[resting.size :])
         error = tracking_error(loop.plant.measure(params.plant, unravel(x), QUIET), ORIGIN, gains.l0)
         total = u + nominal_control(gains.nominal, gains.l0, error, ORIGIN, predictor_pole_at_rest(gains))
         _, slope = jax.jvp(lambda dt: model.step(dynamics, z, total, dt), (0.0,), (1.0,))
@@ -111,9 +111,9 @@ def open_loop(loop: Loop, params: LoopParams) -> Linearised:
         rate = loop.plant.derivative(params.plant, unravel(x), PlantInput(reaching, 0.0), 0.0)
         return jnp.concatenate([ravel_pytree(rate)[0], jnp.array(slope)])
 
-    origin = jnp.zeros(rest.size + order)
+    origin = jnp.zeros(resting.size + order)
     a, b = jax.jacfwd(derivative, argnums=(0, 1))(origin, 0.0)
-    c = jax.grad(lambda state: sigma_of(state[: rest.size]))(origin)
+    c = jax.grad(lambda state: sigma_of(state[: resting.size]))(origin)
     return Linearised(a, b, c)
 
 
@@ -158,9 +158,9 @@ def first_sample(loop: Loop, params: LoopParams) -> LoopState:
 def linearised_at_rest(loop: Loop, params: LoopParams) -> AtRest:
     """The derivative of the loop's step after its first sample."""
     key = jax.random.key(0)
-    rest, unravel = ravel_pytree(first_sample(loop, params))
+    resting, unravel = ravel_pytree(first_sample(loop, params))
 
     def after(state: jax.Array) -> jax.Array:
         return ravel_pytree(step(loop, params, key, unravel(state), 1)[0])[0]
 
-    return AtRest(jax.jacfwd(after)(rest), jnp.max(jnp.abs(after(rest) - rest), initial=0.0))
+    return AtRest(jax.jacfwd(after)(resting), jnp.max(jnp.abs(after(resting) - resting), initial=0.0))

@@ -152,19 +152,19 @@ def local_margin(
     Raises:
         ConfigError: the loop has no linearisation, or the number or a bound is not admissible.
     """
-    kind, rest, began = Time(kind), at_rest(study), time.perf_counter()
+    kind, resting, began = Time(kind), at_rest(study), time.perf_counter()
     walk = admissible_walk(over, bounds, log, points, bisections)
-    if over in study.quantities and over not in rest.quantities:
+    if over in study.quantities and over not in resting.quantities:
         raise ConfigError(over, "has no effect near the origin, where reference and disturbance are neglected")
     if over == SPREAD:
         require_spread(study, bounds)
-    swept = rest.override({"sweep": {over: sorted(bounds)} if over != SPREAD else {}})
-    draws, place = study.config.draws, lane_numbers(rest, over)
+    swept = resting.override({"sweep": {over: sorted(bounds)} if over != SPREAD else {}})
+    draws, place = study.config.draws, lane_numbers(resting, over)
     laws = drawn(swept, slice(0, draws))
     eigenvalues_of, taken = spectrum_with_notes(swept, kind)
 
-    def decay(which: np.ndarray, values: np.ndarray) -> np.ndarray:
-        eigenvalues = eigenvalues_of(place({name: column[which] for name, column in laws.items()}, values))
+    def decay(lanes: np.ndarray, values: np.ndarray) -> np.ndarray:
+        eigenvalues = eigenvalues_of(place({name: column[lanes] for name, column in laws.items()}, values))
         if kind == Time.CONTINUOUS:
             return -np.max(np.real(eigenvalues), axis=-1)
         return -np.log(np.max(np.abs(eigenvalues), axis=-1)) / swept.loop.sample_time

@@ -64,21 +64,21 @@ class Theorem:
 
     def free(self, tuned: Mapping[str, Any]) -> Free:
         """The free parameters, varied and fixed."""
-        own = {name.removeprefix(PREFIX): value for name, value in tuned.items() if name.startswith(PREFIX)}
-        return Free(**{**self.fixed, **own})
+        varied = {name.removeprefix(PREFIX): value for name, value in tuned.items() if name.startswith(PREFIX)}
+        return Free(**{**self.fixed, **varied})
 
     def expand(self, tuned: Mapping[str, Any]) -> dict[str, Any]:
         """The loop's numbers: the certified design, and the other tuned numbers."""
         free = self.free(tuned)
         _, bounds = self.at({dotted_name("l0"): free.l0})  # of which those of the nominal control depend on l0
         parameters = design(bounds, free)
-        others = {name: value for name, value in tuned.items() if not name.startswith(PREFIX)}
-        return others | {dotted_name(name): value for name, value in parameters._asdict().items()}
+        numbers = {name: value for name, value in tuned.items() if not name.startswith(PREFIX)}
+        return numbers | {dotted_name(name): value for name, value in parameters._asdict().items()}
 
     def at(self, numbers: Mapping[str, Any]) -> tuple[Parameters, Bounds]:
         """Parameters and bounds at the loop's numbers as simulated; numbers not given are the study's."""
-        own = {name: numbers[long] for long, name in NUMBERS.items() if long in numbers}
-        parameters = self.parameters._replace(**own)
+        changed = {name: numbers[long] for long, name in NUMBERS.items() if long in numbers}
+        parameters = self.parameters._replace(**changed)
         return parameters, certification.bounds_of(self.study.loop, self.ends, parameters)
 
     def certificate(self, numbers: Mapping[str, float]) -> Certificate:
@@ -101,8 +101,8 @@ class Theorem:
         excess = {}
         for name, value, bound in rows:
             known = jnp.isfinite(bound)
-            least = jnp.where(known, bound, 0.0)
-            missed = ((1.0 + slack) * least - value) / (jnp.abs(least) + jnp.abs(value))
+            limit = jnp.where(known, bound, 0.0)
+            missed = ((1.0 + slack) * limit - value) / (jnp.abs(limit) + jnp.abs(value))
             excess[SLACK + name] = jnp.where(known, missed, 1.0)
         return excess
 

@@ -76,22 +76,22 @@ def descend(problem: Problem, first: tuple[Point, Point], progress: ProgressCall
     optimiser = optax.chain(optax.clip_by_global_norm(1.0), getattr(optax, table.optimiser)(rate))
     multipliers = Multipliers(abs(first[0].merit.objective) or 1.0)
     rng = np.random.default_rng(problem.plan.seed)
-    search, here, waited = Search(first[1]), first[0], 0
+    search, iterate, waited = Search(first[1]), first[0], 0
     search.look(problem, 0, *first)
     with jax.enable_x64(True):
-        state = optimiser.init(here.z)
+        state = optimiser.init(iterate.z)
     for step in range(1, table.steps + 1):
         if table.smoothing is not None:
             problem.width = falling(table.smoothing, (step - 1) / table.steps)
         with jax.enable_x64(True):
-            change, state = optimiser.update(multipliers.gradient(here), state, here.z)
+            change, state = optimiser.update(multipliers.gradient(iterate), state, iterate.z)
         batch = rng.choice(problem.train, table.batch, replace=False) if table.batch else problem.train
-        here, halvings = reached_box(problem, here, np.asarray(change), batch, CLIFF * multipliers.scale)
+        iterate, halvings = reached_box(problem, iterate, np.asarray(change), batch, CLIFF * multipliers.scale)
         search.shortened += halvings
         if step % UPDATE == 0 or step == table.steps:
-            validation = problem.seen(here.z)
-            multipliers.move(here, validation)
-            better = search.look(problem, step, here, validation)
+            validation = problem.seen(iterate.z)
+            multipliers.move(iterate, validation)
+            better = search.look(problem, step, iterate, validation)
             waited = 0 if better else waited + 1
         if progress:
             progress(step, table.steps)
@@ -106,13 +106,15 @@ def falling(first: float, done: float) -> float:
     return first * FINEST ** (done / (1.0 - EXACT)) if done < 1.0 - EXACT else 0.0
 
 
-def reached_box(problem: Problem, here: Point, change: np.ndarray, batch: np.ndarray, leap: float) -> tuple[Point, int]:
+def reached_box(
+    problem: Problem, iterate: Point, change: np.ndarray, batch: np.ndarray, leap: float
+) -> tuple[Point, int]:
     """The point after a step, halved until the point is allowed; if none is, the same point again."""
-    highest, farthest = here.merit.objective + leap, max(here.merit.violation, SWERVE)
+    highest, farthest = iterate.merit.objective + leap, max(iterate.merit.violation, SWERVE)
     for halvings in range(HALVINGS):
-        after = here.z + change * 0.5**halvings
+        after = iterate.z + change * 0.5**halvings
         if problem.allowed(after):
             point = problem.at(after, batch)
             if point.merit.objective <= highest and point.merit.violation <= farthest:
                 return point, halvings
-    return problem.at(here.z, batch), HALVINGS
+    return problem.at(iterate.z, batch), HALVINGS

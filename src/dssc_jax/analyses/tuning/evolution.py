@@ -33,8 +33,8 @@ def evolve(problem: Problem, first: tuple[Point, Point], progress: ProgressCallb
         results = problem.results(z, problem.train, evaluator)
         values = np.empty(len(z))
         for i in range(len(z)):
-            own = {name: array[i * lanes : (i + 1) * lanes] for name, array in results.items()}
-            merit = goal.merit(own, (), len(problem.extra))
+            part = {name: array[i * lanes : (i + 1) * lanes] for name, array in results.items()}
+            merit = goal.merit(part, (), len(problem.extra))
             fit = not merit.ended and problem.allowed(z[i])
             values[i] = merit.objective / scale + PENALTY * merit.violation if fit else UNFIT
         return values

@@ -88,16 +88,16 @@ class DerivativePair(NamedTuple):
         """Disagreements away from kinks, the largest relative difference first."""
         places = np.argwhere(~self.agree & ~self.kink)
         scale = np.maximum(np.abs(self.exact), np.abs(self.central))
-        apart = np.abs(self.exact - self.central) / np.where(scale > 0.0, scale, 1.0)
-        ranked = sorted(places.tolist(), key=lambda place: -np.nan_to_num(apart[tuple(place)], nan=np.inf))
+        distance = np.abs(self.exact - self.central) / np.where(scale > 0.0, scale, 1.0)
+        ranked = sorted(places.tolist(), key=lambda place: -np.nan_to_num(distance[tuple(place)], nan=np.inf))
         return [tuple(place) for place in ranked[:SHOWN]]
 
 
-def compare_derivatives(exact: np.ndarray, value: np.ndarray, above: np.ndarray, below: np.ndarray) -> DerivativePair:
+def compare_derivatives(exact: np.ndarray, value: np.ndarray, ahead: np.ndarray, behind: np.ndarray) -> DerivativePair:
     """Compare derivatives with the differences on both sides and the rounded values; any shape, the same for all."""
     noise = DIFFERENCE_NOISE * np.abs(value)
-    central, larger = 0.5 * (above + below), np.maximum(np.abs(above), np.abs(below))
-    kink = np.abs(above - below) > KINK * larger + noise
+    central, larger = 0.5 * (ahead + behind), np.maximum(np.abs(ahead), np.abs(behind))
+    kink = np.abs(ahead - behind) > KINK * larger + noise
     agree = np.abs(exact - central) <= AGREEMENT * np.maximum(np.abs(exact), np.abs(central)) + noise
     return DerivativePair(exact, central, kink, agree)
 
@@ -116,9 +116,9 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgr
     mirror, size = problem.plan.mirror, len(problem.plan.mirror.names)
     centre = logit(rng.uniform(INSET, 1.0 - INSET, (points, size)))
     draws = rng.choice(problem.train, points)
-    one = np.eye(size)
+    axes = np.eye(size)
     shifts = np.concatenate(
-        [np.zeros((1, size)), DIFFERENCE_STEP * one, -DIFFERENCE_STEP * one, STRIDE * one, -STRIDE * one]
+        [np.zeros((1, size)), DIFFERENCE_STEP * axes, -DIFFERENCE_STEP * axes, STRIDE * axes, -STRIDE * axes]
     )
     z = (centre + shifts[:, None, :]).reshape(-1, size)
     lanes = {name: np.tile(column[draws], len(shifts)) for name, column in problem.laws.items()}
@@ -126,29 +126,30 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgr
     results = problem.flat(np.tile(draws, len(shifts)), lanes)
     steep = problem.steep(draws, {name: column[:points] for name, column in lanes.items()})
     chain = mirror.slopes(centre)
-    exact, value, above, below, long = [], [], [], [], []
+    exact, value, ahead, behind, long = [], [], [], [], []
     for name in problem.plan.measures:
         table = results[name].reshape(len(shifts), points)
         rows = [steep[Derivative(name, of)][:, None] * chain[of] for of in problem.names]
         exact.append(np.sum(rows, axis=0))
         value.append(np.repeat(table[0][:, None], size, axis=1))
-        higher, lower, far, near = table[1:].reshape(4, size, points)
-        above.append((higher - table[0]).T / DIFFERENCE_STEP)
-        below.append((table[0] - lower).T / DIFFERENCE_STEP)
-        long.append((far - near).T / (2.0 * STRIDE))
+        higher, lower, forward, backward = table[1:].reshape(4, size, points)
+        ahead.append((higher - table[0]).T / DIFFERENCE_STEP)
+        behind.append((table[0] - lower).T / DIFFERENCE_STEP)
+        long.append((forward - backward).T / (2.0 * STRIDE))
     lasted = np.isfinite(results["failed_at"].reshape(len(shifts), points)).sum(0) == 0
-    exact, value, above, below, long = (np.stack(parts)[:, lasted] for parts in (exact, value, above, below, long))
-    comparison = compare_derivatives(exact, value, above, below)
+    exact, value, ahead, behind, long = (np.stack(parts)[:, lasted] for parts in (exact, value, ahead, behind, long))
+    comparison = compare_derivatives(exact, value, ahead, behind)
     room = HALF * np.maximum(np.abs(exact), np.abs(long)) + DIFFERENCE_NOISE * np.abs(value)
     predictive = np.abs(exact - long) <= room
-    metrics, where = list(problem.plan.measures), np.flatnonzero(lasted)
-    share = np.mean(comparison.kink, axis=1) if len(where) else np.zeros((len(metrics), size))
+    metrics = list(problem.plan.measures)
+    finished = int(np.count_nonzero(lasted))
+    share = np.mean(comparison.kink, axis=1) if finished else np.zeros((len(metrics), size))
     at = {name: column[lasted] for name, column in mirror.tuned(centre).items()}
     return GradientAgreement(
         points=points,
         compared=comparison.exact.size,
         predictive=float(np.mean(predictive)) if predictive.size else 0.0,
-        ended=points - len(where),
+        ended=points - finished,
         kinked={
             m: dict(zip(mirror.names, map(float, row), strict=True)) for m, row in zip(metrics, share, strict=True)
         },

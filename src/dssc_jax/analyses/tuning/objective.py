@@ -123,8 +123,8 @@ class Goal:
         if self.requirements:
             excess[REQUIREMENTS], slopes[REQUIREMENTS] = self._missed(drawn, numbers)
             if added:
-                last = {name: array[count:] for name, array in results.items()}
-                excess[COUNTEREXAMPLES], slopes[COUNTEREXAMPLES] = self._missed(last, numbers)
+                counterexamples = {name: array[count:] for name, array in results.items()}
+                excess[COUNTEREXAMPLES], slopes[COUNTEREXAMPLES] = self._missed(counterexamples, numbers)
         gradient = {of: float(share @ self._slope(drawn, of)) for of in numbers}
         return Merit(float(share @ costs), gradient, excess, slopes, 0)
 

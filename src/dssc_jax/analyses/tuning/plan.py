@@ -180,8 +180,8 @@ class Plan:
     def trial(self) -> Study:
         """The study used for training: with other draws, and only the metrics needed."""
         bare = {measure.name for measure in self.study.measures}
-        own = {requirement.measure.name for requirement in self.study.requirements}
-        kinds = {self._written(measure) for name, measure in self.measures.items() if name in bare - own}
+        required = {requirement.measure.name for requirement in self.study.requirements}
+        kinds = {self._written(measure) for name, measure in self.measures.items() if name in bare - required}
         kept = self.study.config.metrics.window.entries()
         draws = self.table.draws + self.table.validation
         changes: dict[str, Any] = {"seed": self.seed, "draws": draws, "plot": {}}
@@ -265,8 +265,8 @@ def require_metrics(study: Study, table: TuneTable) -> None:
         ConfigError: one does not, or there is nothing to minimise.
     """
     names = [measure.name for measure in study.measures]
-    for place, wanted in (("objective", table.objective), ("limits", table.limits)):
-        for name in wanted:
+    for place, metrics in (("objective", table.objective), ("limits", table.limits)):
+        for name in metrics:
             if name not in names:
                 rule = f"is no metric of this study; {nearest(name, names)}; add others to metrics.names"
                 raise ConfigError(f"tune.{place}.{name}", rule)
@@ -281,12 +281,12 @@ def require_room(study: Study, table: TuneTable) -> None:
         ConfigError: a metric must be above one number and below a smaller one.
     """
     required = [(r.measure.name, r.minimum, r.maximum) for r in study.requirements]
-    most = [("requirement", name, high) for name, _, high in required if high is not None]
-    most += [(f"tune.limits.{name}", name, bound) for name, bound in table.limits.items() if isinstance(bound, float)]
-    for place, name, high in most:
-        least = max((low for other, low, _ in required if other == name and low is not None), default=high)
-        if least > high:
-            raise ConfigError(place, f"no value of {name} is >= {least:g} and <= {high:g}: nothing can satisfy both")
+    limits = [("requirement", name, high) for name, _, high in required if high is not None]
+    limits += [(f"tune.limits.{name}", name, bound) for name, bound in table.limits.items() if isinstance(bound, float)]
+    for place, name, high in limits:
+        floor = max((low for metric, low, _ in required if metric == name and low is not None), default=high)
+        if floor > high:
+            raise ConfigError(place, f"no value of {name} is >= {floor:g} and <= {high:g}: nothing can satisfy both")
 
 
 def require_sign(study: Study) -> None:

@@ -93,8 +93,8 @@ class Problem:
 
     def goal_on(self, draws: np.ndarray) -> Goal:
         """The goal on some of the draws: a limit relative to the start uses the start's value on the same draws."""
-        given = self.plan.table.limits.items()
-        limits = {n: float(np.mean(self.before[n][draws])) if bound == "start" else float(bound) for n, bound in given}
+        bounds = self.plan.table.limits.items()
+        limits = {n: float(np.mean(self.before[n][draws])) if bound == "start" else float(bound) for n, bound in bounds}
         return replace(self.goal, limits=limits)
 
     def results(self, z: np.ndarray, draws: np.ndarray, evaluator: Evaluator | None = None) -> Arrays:

@@ -48,7 +48,7 @@ class Iteration:
     Args:
         problem: The problem, initialised.
         search: The results so far.
-        here: The present iterate.
+        iterate: The present iterate.
         progress: Called after each step.
         done: Number of steps done.
         gaps: Increase of each limit's headroom.
@@ -56,7 +56,7 @@ class Iteration:
 
     problem: Problem
     search: Search
-    here: Point
+    iterate: Point
     progress: ProgressCallback | None
     done: int = 0
     gaps: dict[str, float] = field(default_factory=dict)
@@ -64,8 +64,8 @@ class Iteration:
     _waited: int = 0
 
     def __post_init__(self) -> None:
-        self.names = list(self.here.merit.excess)
-        self.scale = abs(self.here.merit.objective) or 1.0
+        self.names = list(self.iterate.merit.excess)
+        self.scale = abs(self.iterate.merit.objective) or 1.0
 
     def at(self, x: np.ndarray) -> tuple[Point, bool]:
         """A point, and whether it is allowed."""
@@ -88,8 +88,8 @@ class Iteration:
             Waited: there was no improvement for too long.
         """
         point = self.at(x)[0]
-        if not np.array_equal(point.z, self.here.z):
-            self.done, self.here, table = self.done + 1, point, self.problem.plan.table
+        if not np.array_equal(point.z, self.iterate.z):
+            self.done, self.iterate, table = self.done + 1, point, self.problem.plan.table
             better = self.search.look(self.problem, self.done, point, self.problem.seen(point.z))
             self._waited = 0 if better else self._waited + 1
             if self.progress:
@@ -101,20 +101,20 @@ class Iteration:
     def room(self, x: np.ndarray) -> np.ndarray:
         """The distance to every limit, less its headroom, plus the largest excess."""
         excess = self.at(x)[0].merit.excess
-        own = [excess.get(name, 1.0) + headroom(name) + self.gaps.get(name, 0.0) for name in self.names]
-        return x[-1] - np.array(own)
+        excesses = [excess.get(name, 1.0) + headroom(name) + self.gaps.get(name, 0.0) for name in self.names]
+        return x[-1] - np.array(excesses)
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
         """Derivatives of the room, shape (limits, n + 1)."""
         rows = self.at(x)[0].slopes
-        own = np.array([rows.get(name, np.zeros(len(x) - 1)) for name in self.names])
-        return np.hstack([-own, np.ones((len(own), 1))])
+        slopes = np.array([rows.get(name, np.zeros(len(x) - 1)) for name in self.names])
+        return np.hstack([-slopes, np.ones((len(slopes), 1))])
 
     def go(self, steps: int) -> None:
         """Run one stage, until the given total number of steps."""
         self._points.clear()
         self._waited, table = 0, self.problem.plan.table
-        begin = np.append(np.clip(self.here.z, -REACH, REACH), 0.0)
+        begin = np.append(np.clip(self.iterate.z, -REACH, REACH), 0.0)
         begin[-1] = max([0.0, *-self.room(begin)])
         limits = {"type": "ineq", "fun": self.room, "jac": self.slopes}
         try:
@@ -130,7 +130,7 @@ class Iteration:
 
     def widen(self) -> bool:
         """Increase the headroom of limits that only the validation draws exceed; return whether there are any."""
-        validation, own = self.problem.seen(self.here.z).merit, self.here.merit.excess
+        validation, excesses = self.problem.seen(self.iterate.z).merit, self.iterate.merit.excess
         if not validation.ended:
-            self.gaps = {name: max(0.0, excess - own[name]) for name, excess in validation.excess.items()}
+            self.gaps = {name: max(0.0, excess - excesses[name]) for name, excess in validation.excess.items()}
         return not validation.ended and validation.violation > 0.0

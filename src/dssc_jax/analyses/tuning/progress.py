@@ -49,10 +49,10 @@ class Search:
             row[problem.plan.table.aim] = problem.plan.aim_at(problem.plan.numbers_at(train.z)).value
         tuned = problem.plan.mirror.tuned(train.z)
         self.history.append(row | {name: float(value) for name, value in tuned.items()})
-        own = rank(validation, score)
-        better = own < self.lowest
+        placed = rank(validation, score)
+        better = placed < self.lowest
         if better or step == 0:
-            self.best, self.lowest = validation, own
+            self.best, self.lowest = validation, placed
         return better
 
 

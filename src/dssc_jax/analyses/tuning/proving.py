@@ -53,15 +53,15 @@ def prove_better(problem: Problem, first: tuple[Point, Point], progress: Progres
         J. A. Nelder, R. Mead, "A simplex method for function minimization", The Computer Journal 7 (1965) 308-313.
     """
     origin, steps = first[0].z, problem.plan.table.steps
-    search, done, least = Search(first[1]), 0, math.inf
+    search, done, lowest = Search(first[1]), 0, math.inf
 
     def cost(z: np.ndarray) -> float:
-        nonlocal done, least
+        nonlocal done, lowest
         train = first[0] if np.array_equal(z, origin) else problem.seen(z, problem.train)
         score = score_at(problem, z) if not train.merit.ended and problem.allowed(z) else math.inf
         total = score + PENALTY * train.merit.violation if math.isfinite(score) else UNFIT
-        if total < least:
-            least = total
+        if total < lowest:
+            lowest = total
             search.look(problem, done, train, first[1] if done == 0 else problem.seen(z), score)
         done += 1
         if progress:
@@ -82,11 +82,11 @@ def compare_proved(plan: Plan, start: dict[str, float], best: dict[str, float]) 
     Raises:
         AssertionError: a point without a proof was accepted.
     """
-    before = plan.aim_at(start).value
+    first = plan.aim_at(start).value
     after = plan.aim_at(best).value
-    assert before is not None
+    assert first is not None
     assert after is not None
-    return Aimed(plan.table.aim, before, after, next(iter(plan.table.over), None))
+    return Aimed(plan.table.aim, first, after, next(iter(plan.table.over), None))
 
 
 def require_proved(plan: Plan) -> None:
@@ -103,10 +103,10 @@ def require_proved(plan: Plan) -> None:
     if plan.optimises_proof:
         outcome = plan.aim_at(numbers)
         if outcome.value is None:
-            where = "".join(f" at the safe end {name} = {low:g}" for name, (low, _) in plan.table.over.items())
-            raise infeasible_start(plan, "tune.aim", f"it is not proved{where}", outcome.reason)
+            place = "".join(f" at the safe end {name} = {low:g}" for name, (low, _) in plan.table.over.items())
+            raise infeasible_start(plan, "tune.aim", f"it is not proved{place}", outcome.reason)
 
 
-def infeasible_start(plan: Plan, place: str, what: str, reason: str) -> ConfigError:
+def infeasible_start(plan: Plan, place: str, missing: str, reason: str) -> ConfigError:
     """The error of a start that is not proved."""
-    return ConfigError(plan.study.source, f"{place}: the start is infeasible: {what}: {reason}")
+    return ConfigError(plan.study.source, f"{place}: the start is infeasible: {missing}: {reason}")

@@ -160,7 +160,8 @@ class Tuned(Analysis):
     @property
     def history(self) -> list[dict[str, Any]]:
         """A row for each evaluation on validation draws."""
-        columns = {str(name): one.values.tolist() for name, one in self.dataset.items() if one.dims == ("look",)}
+        looks = self.dataset[[name for name, variable in self.dataset.items() if variable.dims == ("look",)]]
+        columns = {str(name): variable.values.tolist() for name, variable in looks.items()}
         return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
     @property
@@ -190,8 +191,8 @@ class Tuned(Analysis):
     @property
     def headline(self) -> str:
         """The objective before and after, on fresh draws."""
-        before, after = self.verdict.objective
-        text = f"objective {before:.4g} to {after:.4g} on {self.verdict.draws:,} fresh draws"
+        start, result = self.verdict.objective
+        text = f"objective {start:.4g} to {result:.4g} on {self.verdict.draws:,} fresh draws"
         aimed = self.facts.aimed
         if aimed is None:
             return text
@@ -248,8 +249,8 @@ def dataset_of(study: Study, history: Sequence[Mapping[str, Any]], costs: Mappin
     for name, values in costs.items():
         columns[COST + name] = ("draw", values, Quantity("1", f"cost of a draw, {name}"))
     described = {
-        name: (dimension, values, {"units": about.unit, "long_name": about.meaning})
-        for name, (dimension, values, about) in columns.items()
+        name: (dimension, values, {"units": quantity.unit, "long_name": quantity.meaning})
+        for name, (dimension, values, quantity) in columns.items()
     }
     return xr.Dataset(described, attrs={"title": study.name})
 

@@ -53,7 +53,7 @@ class Verdict:
     @property
     def within(self) -> bool:
         """Whether every limit holds on these draws."""
-        return all(after <= bound for bound, _, after in self.limits.values())
+        return all(results <= bound for bound, _, results in self.limits.values())
 
 
 def judge_tuning(
@@ -74,25 +74,27 @@ def judge_tuning(
     evaluator = Evaluator(study, {name: (start[name], start[name]) for name in start}, min(study.config.draws, 4096))
     indices = np.arange(study.config.draws)
     laws = evaluator.drawn(slice(0, len(indices)))
-    before, after = (
-        evaluator(indices, {**laws, **{name: np.full(len(indices), value) for name, value in numbers.items()}})
-        for numbers in (start, best)
-    )
-    costs = {"start": goal.cost(before), "tuned": goal.cost(after)}
-    return compare_objectives(plan, goal, before, after), costs
+
+    def simulated(numbers: Mapping[str, float]) -> Arrays:
+        return evaluator(indices, laws | {name: np.full(len(indices), value) for name, value in numbers.items()})
+
+    start_results = simulated(start)
+    results = simulated(best)
+    costs = {"start": goal.cost(start_results), "tuned": goal.cost(results)}
+    return compare_objectives(plan, goal, start_results, results), costs
 
 
-def compare_objectives(plan: Plan, goal: Goal, before: Arrays, after: Arrays) -> Verdict:
+def compare_objectives(plan: Plan, goal: Goal, start_results: Arrays, results: Arrays) -> Verdict:
     """Create the verdict from the results at the start and at the end."""
-    costs = goal.cost(before), goal.cost(after)
+    costs = goal.cost(start_results), goal.cost(results)
     objective = goal.value(costs[0]), goal.value(costs[1])
     level = goal.level if goal.aggregate == "cvar" else 0.5
     paired = compare_metrics(costs[1], costs[0])
-    failed = [np.asarray(results["outcome"] != Outcome.OK) for results in (before, after)]
+    failed = [np.asarray(results["outcome"] != Outcome.OK) for results in (start_results, results)]
     failures = compare_failures(failed[1], failed[0])
     limits = {}
     for name, bound in plan.table.limits.items():
-        means = float(np.mean(before[name])), float(np.mean(after[name]))
+        means = float(np.mean(start_results[name])), float(np.mean(results[name]))
         limits[name] = (means[0] if bound == "start" else float(bound), *means)
     counts = tuple(int(np.count_nonzero(part)) for part in failed)
     ends = [tuple(clopper_pearson(count, failures.draws).tolist()) for count in counts]
@@ -110,9 +112,9 @@ def compare_objectives(plan: Plan, goal: Goal, before: Arrays, after: Arrays) ->
     )
 
 
-def reduction_interval(goal: Goal, before: np.ndarray, after: np.ndarray) -> tuple[float, float]:
+def reduction_interval(goal: Goal, start: np.ndarray, tuned: np.ndarray) -> tuple[float, float]:
     """Percentile bootstrap of 1 - result/start over the draws, with pairs kept together."""
-    if not (np.isfinite(before).all() and np.isfinite(after).all()):
+    if not (np.isfinite(start).all() and np.isfinite(tuned).all()):
         return float("nan"), float("nan")
 
     def reduction(first: np.ndarray, second: np.ndarray) -> float:
@@ -120,7 +122,7 @@ def reduction_interval(goal: Goal, before: np.ndarray, after: np.ndarray) -> tup
         return 1.0 - b / a
 
     interval = bootstrap(
-        (before, after), reduction, paired=True, vectorized=False, n_resamples=RESAMPLES,
+        (start, tuned), reduction, paired=True, vectorized=False, n_resamples=RESAMPLES,
         confidence_level=CONFIDENCE, method="percentile", rng=0,
     ).confidence_interval  # fmt: skip
     return float(interval.low), float(interval.high)
