@@ -62,8 +62,9 @@ def save_all(result: Result, folder: Path) -> list[Path]:
     Returns:
         The files written.
     """
-    figure = sweep(result) if result.study.axes else failures(result)
-    return save_figure(figure, folder, "sweep" if result.study.axes else "failures")
+    if result.study.axes:
+        return save_figure(sweep(result), folder, "sweep")
+    return save_figure(failures(result), folder, "failures")
 
 
 def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
@@ -78,6 +79,7 @@ def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
         The files written.
     """
     files.make_folder(folder, folder.parent)
-    png, svg = folder / f"{name}.png", folder / f"{name}.svg"
+    png = folder / f"{name}.png"
+    svg = folder / f"{name}.svg"
     write_png_and_svg(figure, png, svg, folder.parent)
     return [png, svg]
