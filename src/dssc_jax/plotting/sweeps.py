@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from typing import TypeAlias
 
 import numpy as np
-import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -14,18 +13,14 @@ from matplotlib.ticker import PercentFormatter
 from matplotlib.typing import LineStyleType
 
 from dssc_jax.closed_loop.metrics import Measure
-from dssc_jax.plotting.cells import OUTLINE, capped_limits, cell_edges, contour, map_top, needs_bitmap
+from dssc_jax.plotting.cells import OUTLINE, capped_limits, contour, map_top, needs_bitmap
+from dssc_jax.plotting.curves import probability_curve, typical_curve
 from dssc_jax.plotting.draws import metric_bounds
 from dssc_jax.plotting.standings import standing_colours, standing_keys, standing_of
 from dssc_jax.plotting.style import (
-    BLUE,
-    GREEN,
     GREY,
     PANEL,
-    RED,
     SLIDE,
-    Direction,
-    fit_probability,
     is_log,
     label,
     named,
@@ -35,7 +30,14 @@ from dssc_jax.plotting.style import (
     styled,
     title,
 )
-from dssc_jax.plotting.thinning import envelope, thinned
+from dssc_jax.plotting.sweep_marks import (
+    CERTIFIED,
+    STUDY_VALUE,
+    certified_region,
+    free_axes,
+    mark_study_value,
+    reaches_study_value,
+)
 from dssc_jax.results.influence import idle_text
 from dssc_jax.results.result import Result, measure_named
 from dssc_jax.statistics.order import upper_quantiles
@@ -43,14 +45,10 @@ from dssc_jax.statistics.order import upper_quantiles
 LineKey: TypeAlias = tuple[str, LineStyleType]
 """Legend entry of a white line on a map: meaning and style."""
 
-MOST_MARKED_POINTS = 200
 MAP_PANEL = (PANEL[0], PANEL[1] + 0.8)  # inches
-CERTIFIED = "Theorem 1: without lag and sampling"
-PROVED = "proved, with lag and sampling"
 HALF: LineKey = ("half of the draws fail", "-")
 BOUND: LineKey = ("95 % upper bound of the probability at 5 %", "--")
 AT_LIMIT: LineKey = ("the median at its limit", "-")
-STUDY_VALUE = "the study's own value"
 
 
 @styled
@@ -191,11 +189,6 @@ def typical(result: Result, ax: Axes | None = None, metric: str | None = None) -
     return figure
 
 
-def free_axes(result: Result) -> list[str]:
-    """The swept parameters that are still dimensions of the dataset."""
-    return [name for name in result.study.axes if name in result.dataset.dims]
-
-
 def held_to_two(result: Result) -> Result:
     """The result over its first two axes with several values; the others are held at their first value.
 
@@ -214,99 +207,6 @@ def held(result: Result) -> str:
     """The swept parameters that a figure holds at one value, for its title."""
     fixed = [name for name in result.study.axes if name not in result.dataset.dims]
     return "".join(f"; {name} = {result.dataset[name].item():g}" for name in fixed)
-
-
-def typical_curve(ax: Axes, result: Result, measure: Measure, axis: str) -> None:
-    """Draw a metric's quantiles along one axis."""
-    x = result.dataset[axis].values
-    low, middle, high = quantiles(result, measure)
-    name = "simulated"
-    if result.study.config.draws > 1:
-        name = "median"
-        fill_band(ax, x, low, high, BLUE, "5 to 95 % of draws")
-    ax.plot(*thinned(x, middle), point_markers(x), color=BLUE, label=name)
-    if len(x) > 1:
-        ax.set_xlim(x.min(), x.max())
-    if not np.isfinite(middle).any():
-        ax.text(0.5, 0.5, "no finite median", transform=ax.transAxes, ha="center")
-    for limit in metric_bounds(result, measure):
-        ax.axhline(limit, color=RED, linestyle="--", label="required")
-    set_scale(ax, middle[np.isfinite(middle)], "y")
-    if result.study.config.plot.slope and len(x) > 1 and is_power(x) and is_power(middle):
-        add_slope(ax, x, middle)
-    ax.set_ylabel(label(result.dataset[measure.name].attrs))
-    finish_curve(ax, result, axis)
-
-
-def fill_band(ax: Axes, x: np.ndarray, low: np.ndarray, high: np.ndarray, colour: str, text: str) -> None:
-    """Fill a band along one axis."""
-    points, lower, upper = envelope(x, low, high)
-    ax.fill_between(points, lower, upper, color=colour, alpha=0.2, linewidth=0.0, label=text)
-
-
-def probability_curve(ax: Axes, result: Result, axis: str) -> None:
-    """Draw the failure probability with its interval along one axis."""
-    x = result.dataset[axis].values
-    failed = result.failed.values
-    interval = result.method.interval(failed)
-    fill_band(ax, x, interval[:, 0], interval[:, 1], RED, f"95 % {result.method.name}")
-    ax.plot(*thinned(x, failed.mean(-1)), point_markers(x), color=RED, label="failed draws")
-    ax.set_ylabel("failure probability")
-    fit_probability(ax, float(interval.max()))
-    finish_curve(ax, result, axis)
-
-
-def point_markers(x: np.ndarray) -> str:
-    """The style of a curve: a dot at each point if they can be distinguished."""
-    return "o-" if len(x) <= MOST_MARKED_POINTS else "-"
-
-
-def finish_curve(ax: Axes, result: Result, axis: str) -> None:
-    """Add what all curves show: certified and proved stretches, the study's own value, scale and labels of the axis."""
-    x = result.dataset[axis].values
-    set_scale(ax, x)
-    certified = certified_region(result)
-    if certified is not None:
-        mark_certified(ax, x, certified.values)
-    if "proved" in result.dataset:
-        mark_proved(ax, x, result.dataset["proved"].values)
-    mark_study_value(ax, result, axis, "x")
-    ax.set_xlabel(named(axis, result.dataset[axis].attrs))
-    ax.legend(frameon=False)
-
-
-def stretches(inside: np.ndarray) -> list[tuple[int, int]]:
-    """First index, and index after the last, of every stretch of true values; shape (n,).
-
-    Example:
-        >>> stretches(np.array([True, True, False, True]))
-        [(0, 2), (3, 4)]
-    """
-    changes = np.flatnonzero(np.diff(inside, prepend=False, append=False))
-    return [(int(begin), int(end)) for begin, end in changes.reshape(-1, 2)]
-
-
-def mark_certified(ax: Axes, x: np.ndarray, certified: np.ndarray) -> None:
-    """Hatch the certified stretches, and show the axis to the edges of its first and last cell."""
-    edges = cell_edges(x, is_log(x))
-    text: str | None = CERTIFIED  # of the first stretch only
-    for begin, end in stretches(certified):
-        low = float(edges[begin])
-        high = float(edges[end])
-        ax.axvspan(low, high, fc="none", ec=GREEN, hatch="//", linewidth=0.0, label=text)
-        text = None
-    ax.set_xlim(edges[0], edges[-1])
-
-
-def mark_proved(ax: Axes, x: np.ndarray, proved: np.ndarray) -> None:
-    """Mark the proved stretches by a bar along the axis."""
-    edges = cell_edges(x, is_log(x))
-    along_axis = ax.get_xaxis_transform()
-    text: str | None = PROVED  # of the first stretch only
-    for begin, end in stretches(proved):
-        ends = edges[[begin, end]]
-        ax.plot(ends, [0.0, 0.0], transform=along_axis, color=GREEN, linewidth=7.0, label=text, zorder=0)
-        text = None
 
 
 def probability_map(ax: Axes, result: Result, down: str, across: str) -> None:
@@ -395,66 +295,3 @@ def map_keys(result: Result, keys: Sequence[LineKey]) -> list[Line2D | Patch]:
     if certified_region(result) is not None:
         handles.append(Patch(facecolor=GREY, edgecolor="white", hatch="//", linewidth=0.0, label=CERTIFIED))
     return handles
-
-
-def certified_region(result: Result) -> xr.DataArray | None:
-    """Where Theorem 1 certifies the loop, over the axes still free; None if it certifies no point."""
-    dataset = result.with_theorem().dataset
-    if "certified" not in dataset or not dataset["certified"].any():
-        return None
-    return dataset["certified"].astype(bool)
-
-
-def quantiles(result: Result, measure: Measure) -> np.ndarray:
-    """5 %, 50 % and 95 % quantiles over draws, shape (3, axes...); draws without a value count as infinite."""
-    return upper_quantiles(result.dataset[measure.name].values, (0.05, 0.5, 0.95))
-
-
-def study_value(result: Result, name: str) -> float | None:
-    """The study's own value of a swept number; None if it is a law."""
-    value = result.study.leaves().get(name)
-    return value if isinstance(value, float) else None
-
-
-def reaches_study_value(result: Result, name: str) -> bool:
-    """Whether an axis includes the study's own value of its number."""
-    value = study_value(result, name)
-    axis = result.study.axes[name]
-    return value is not None and min(axis) <= value <= max(axis)
-
-
-def mark_study_value(ax: Axes, result: Result, name: str, direction: Direction, on_map: bool = False) -> None:
-    """Draw a dotted line at the study's own value of a swept number, if the axis reaches it.
-
-    Args:
-        ax: Axes to draw into.
-        result: A sweep.
-        name: The swept number.
-        direction: The axis along which the number grows.
-        on_map: Draw it white with a dark rim and without a legend entry, rather than grey with one.
-    """
-    value = study_value(result, name)
-    if value is None or not reaches_study_value(result, name):
-        return
-    draw = ax.axvline if direction == "x" else ax.axhline
-    if on_map:
-        draw(value, color="white", linestyle=":", linewidth=2.0, path_effects=OUTLINE)
-    else:
-        draw(value, color=GREY, linestyle=":", linewidth=2.0, label=STUDY_VALUE)
-
-
-def is_power(values: np.ndarray) -> bool:
-    """Whether the values have logarithms."""
-    return bool(np.isfinite(values).all() and (values > 0).all())
-
-
-def fitted_slope(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Fit slope and intercept of log y against log x by least squares."""
-    slope, intercept = np.polyfit(np.log(x), np.log(y), 1)
-    return float(slope), float(intercept)
-
-
-def add_slope(ax: Axes, x: np.ndarray, y: np.ndarray) -> None:
-    """Draw the fitted power law."""
-    slope, intercept = fitted_slope(x, y)
-    ax.plot(x, np.exp(intercept) * x**slope, color=GREY, linestyle="--", label=f"fitted slope {slope:.2f}")
