@@ -214,7 +214,8 @@ def block_ranges(blocks: list[Block], workers: int) -> list[list[Block]]:
 
 def summed(shares: list[Share], steps: int, seconds: float) -> dict[str, float]:
     """The times of a run: the workers' rates add up, and their compilations run in parallel."""
-    lanes, busy = {}, {}
+    lanes: dict[str, int] = {}
+    busy: dict[str, float] = {}
     for share in shares:
         lanes[share.worker] = lanes.get(share.worker, 0) + share.lanes
         busy[share.worker] = busy.get(share.worker, 0.0) + share.seconds
