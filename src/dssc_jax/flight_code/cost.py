@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from dssc_jax.flight_code.controller import COMMAND, SampledController
-from dssc_jax.lanes.needed import reachable
+from dssc_jax.lanes.passes.liveness import reachable
 from dssc_jax.lanes.program import Branch, CodeBlock, CodeLoop, Program, Value
 
 FREE = ("input", "constant", "bitcast", "state", "result", "joined", "any")

@@ -6,13 +6,13 @@ from typing import Any, NamedTuple
 
 import jax
 
-from dssc_jax.lanes import machine
 from dssc_jax.lanes.interface import Signature
-from dssc_jax.lanes.llvm import module_text
-from dssc_jax.lanes.needed import operation_counts
-from dssc_jax.lanes.opposites import join_opposites
+from dssc_jax.lanes.llvm import machine
+from dssc_jax.lanes.llvm.module_text import module_text
+from dssc_jax.lanes.passes.liveness import operation_counts
+from dssc_jax.lanes.passes.negated_states import join_opposites
 from dssc_jax.lanes.program import Program, Recording
-from dssc_jax.lanes.translate import translate
+from dssc_jax.lanes.tracing.translate import translate
 
 
 class Packing(NamedTuple):
@@ -22,8 +22,8 @@ class Packing(NamedTuple):
         below: The packing is for programs of fewer operations.
         vectors: Hardware vectors that make a vector of lanes: more hide the time that an operation takes, fewer leave
             the state in registers.
-        window: See :func:`dssc_jax.lanes.order.ordered`. A processor looks that far ahead, too; where many vectors
-            share the registers, operations that come early cost more than they gain.
+        window: See :func:`dssc_jax.lanes.passes.scheduling.ordered`. A processor looks that far ahead, too; where many
+            vectors share the registers, operations that come early cost more than they gain.
     """
 
     below: float
