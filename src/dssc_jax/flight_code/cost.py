@@ -60,7 +60,7 @@ class OperationCount:
             elif isinstance(node, CodeLoop):
                 self.loops += 1
                 counts += self.block(node.body, self.deepest(node.begin, start))
-                self.finish(node.results, self.deepest([*node.begin, *node.then], start))
+                self.finish(node.results, self.deepest([*node.begin, *node.following], start))
             elif isinstance(node, Branch):
                 depth = self.deepest([node.condition], start)
                 counts += max((self.block(side, depth) for side in node.sides), key=Counter.total)

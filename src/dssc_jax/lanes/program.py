@@ -90,8 +90,8 @@ class CodeLoop:
     guard: Value | None
     begin: list[Value]
     states: list[Value] = field(default_factory=list)
-    then: list[Value] = field(default_factory=list)
-    again: Value | None = None
+    following: list[Value] = field(default_factory=list)
+    proceed: Value | None = None
     results: list[Value] = field(default_factory=list)
 
 
@@ -193,8 +193,8 @@ def read_by(node: Any) -> list[Value]:
         case Branch():
             return [node.condition, *node.values[0], *node.values[1]]
         case CodeLoop():
-            ends = [value for value in (node.guard, node.again) if value is not None]
-            return [*node.begin, *node.then, *ends]
+            ends = [value for value in (node.guard, node.proceed) if value is not None]
+            return [*node.begin, *node.following, *ends]
     raise TypeError(node)
 
 
@@ -254,9 +254,9 @@ class Builder:
         self.here = loop.body
         return loop
 
-    def close(self, loop: CodeLoop, then: Sequence[Value], again: Value) -> list[Value]:
+    def close(self, loop: CodeLoop, following: Sequence[Value], proceed: Value) -> list[Value]:
         """Leave a loop and return its results."""
-        loop.then, loop.again = list(then), again
+        loop.following, loop.proceed = list(following), proceed
         self.here = loop.body.parent or loop.body
         self.here.nodes.append(loop)
         loop.results = [
@@ -359,15 +359,15 @@ def simplified(operation: str, operands: Sequence[Value], dtype: np.dtype) -> Va
         if first.operation == "constant":
             return operands[1] if first.detail else operands[2]
     if operation in ("and", "or"):
-        for one, other in (operands, operands[::-1]):
-            if one is other or (
-                one.operation == "constant" and one.dtype == BOOL and one.detail == (operation == "and")
+        for left, right in (operands, operands[::-1]):
+            if left is right or (
+                left.operation == "constant" and left.dtype == BOOL and left.detail == (operation == "and")
             ):
-                return other
+                return right
     if operation == "mul":
-        for one, other in (operands, operands[::-1]):
-            if one.operation == "constant" and one.detail == 1:
-                return other
+        for left, right in (operands, operands[::-1]):
+            if left.operation == "constant" and left.detail == 1:
+                return right
     return None
 
 

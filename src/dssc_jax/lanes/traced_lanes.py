@@ -19,14 +19,14 @@ class Packing(NamedTuple):
     """How the program of a lane becomes that of a vector of lanes.
 
     Args:
-        below: The packing is for programs of fewer operations.
+        operations: The packing is for programs of fewer operations.
         vectors: Hardware vectors that make a vector of lanes: more hide the time that an operation takes, fewer leave
             the state in registers.
         window: See :func:`dssc_jax.lanes.passes.scheduling.ordered`. A processor looks that far ahead, too; where many
             vectors share the registers, operations that come early cost more than they gain.
     """
 
-    below: float
+    operations: float
     vectors: int
     window: int
 
@@ -57,7 +57,9 @@ class TracedLanes:
         packing = best_packing(self.program)
         width = width or packing.vectors * machine.vector_bits() // number_bits(self.program)
         self.text = module_text(self.program, width, strict, packing.window)
-        outputs = ((each.dtype, each.length if isinstance(each, Recording) else None) for each in self.program.outputs)
+        outputs = []
+        for output in self.program.outputs:
+            outputs.append((output.dtype, output.length if isinstance(output, Recording) else None))
         empty = jax.tree.map(lambda _: 0, results)
         code = machine.code_name(self.text)
         self.signature = Signature(width, tuple(self.program.inputs), tuple(outputs), empty, code)
@@ -68,7 +70,7 @@ def best_packing(program: Program) -> Packing:
     counts = operation_counts(program)
     random = counts.get("xor", 0) > MANY_XORS
     packings = RANDOM_PACKINGS if random else PACKINGS[max(machine.vector_bits(), 256)]
-    return next(packing for packing in packings if sum(counts.values()) < packing.below)
+    return next(packing for packing in packings if sum(counts.values()) < packing.operations)
 
 
 def number_bits(program: Program) -> int:

@@ -143,9 +143,9 @@ def c_literal(number: Any, dtype: np.dtype) -> str:
     return f"{text}{suffix}"
 
 
-def bracketed(text: str, precedence: int, least: int) -> str:
+def bracketed(text: str, precedence: int, surrounding: int) -> str:
     """An expression, in brackets if it binds less than required."""
-    return text if precedence >= least else f"({text})"
+    return text if precedence >= surrounding else f"({text})"
 
 
 class Notation:
@@ -201,10 +201,10 @@ class Notation:
         if operation == "any":
             return operands[0]
         if operation == "select":
-            condition, first, second = (bracketed(*operand, least=OR) for operand in operands)
+            condition, first, second = (bracketed(*operand, surrounding=OR) for operand in operands)
             return f"{condition} ? {first} : {second}", TERNARY
         if operation == "rarely":
-            condition, usual = (bracketed(*operand, least=OR) for operand in operands[:2])
+            condition, usual = (bracketed(*operand, surrounding=OR) for operand in operands[:2])
             arguments = ", ".join(text for text, _ in operands[2:])
             return f"{condition} ? {value.detail.name}({arguments}) : {usual}", TERNARY
         if operation == "convert":
@@ -215,25 +215,25 @@ class Notation:
             return self.floating(value, operands)
         if source == BOOL and operation in LOGIC:
             sign, precedence = LOGIC[operation]
-            first, second = (bracketed(*operand, least=UNARY) for operand in operands)
+            first, second = (bracketed(*operand, surrounding=UNARY) for operand in operands)
             return f"{first} {sign} {second}", precedence
         if dtype == BOOL:
             if operation not in SIGNS:
                 raise Unsupported(f"'{operation}' of truth values in C")
             sign, precedence = SIGNS[operation]
-            first, second = (bracketed(*operand, least=SHIFT) for operand in operands)
+            first, second = (bracketed(*operand, surrounding=SHIFT) for operand in operands)
             return f"{first} {sign} {second}", precedence
-        return self.whole(value, operands)
+        return self.integer(value, operands)
 
     def floating(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
         """An operation of floating-point numbers."""
         operation, single, real = value.operation, value.dtype.itemsize == 4, value.dtype
         if operation in SIGNS:
             sign, precedence = SIGNS[operation]
-            left = bracketed(*operands[0], least=precedence)
-            return f"{left} {sign} {bracketed(*operands[1], least=precedence + 1)}", precedence
+            left = bracketed(*operands[0], surrounding=precedence)
+            return f"{left} {sign} {bracketed(*operands[1], surrounding=precedence + 1)}", precedence
         if operation == "neg":
-            return f"-{bracketed(*operands[0], least=ATOM)}", UNARY
+            return f"-{bracketed(*operands[0], surrounding=ATOM)}", UNARY
         if operation in ("max", "min"):
             first, second = operands
             return f"{self.need(operation + 'imum', real=real)}({first[0]}, {second[0]})", ATOM
@@ -246,7 +246,7 @@ class Notation:
             return f"{library[operation]}{'f' if single else ''}({arguments})", ATOM
         raise Unsupported(f"'{operation}' of floating-point numbers in C")
 
-    def whole(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
+    def integer(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
         """An operation of integers."""
         operation, dtype = value.operation, value.dtype
         texts = [text for text, _ in operands]
@@ -275,14 +275,14 @@ class Notation:
                 raise Unsupported(f"conversion of {source} to {dtype} in C")
             return f"{self.need('truncated', dtype, source)}({text})", ATOM
         if source == BOOL:
-            one, zero = (c_literal(dtype.type(number), dtype) for number in (1, 0))
-            return f"{bracketed(*operand, least=OR)} ? {one} : {zero}", TERNARY
+            unit, zero = (c_literal(dtype.type(number), dtype) for number in (1, 0))
+            return f"{bracketed(*operand, surrounding=OR)} ? {unit} : {zero}", TERNARY
         wraps = source.kind in "iu" and (dtype.itemsize < source.itemsize or (dtype.itemsize == source.itemsize
                                                                               and source.kind == "u"))  # fmt: skip
         if dtype.kind == "i" and wraps:  # C leaves it to the compiler
             unsigned = f"(uint{8 * dtype.itemsize}_t)"
-            return f"{self.need('signed', dtype)}({unsigned}{bracketed(*operand, least=UNARY)})", ATOM
-        return f"({c_type(dtype)}){bracketed(*operand, least=UNARY)}", UNARY
+            return f"{self.need('signed', dtype)}({unsigned}{bracketed(*operand, surrounding=UNARY)})", ATOM
+        return f"({c_type(dtype)}){bracketed(*operand, surrounding=UNARY)}", UNARY
 
     def same_bits(self, source: np.dtype, dtype: np.dtype, operand: tuple[str, int]) -> tuple[str, int]:
         """The same bits as another type."""
@@ -299,5 +299,5 @@ class Notation:
         if source.kind == "u" and dtype.kind == "i":
             return f"{self.need('signed', dtype)}({operand[0]})", ATOM
         if source.kind == "i" and dtype.kind == "u":
-            return f"({c_type(dtype)}){bracketed(*operand, least=UNARY)}", UNARY
+            return f"({c_type(dtype)}){bracketed(*operand, surrounding=UNARY)}", UNARY
         raise Unsupported(f"the bits of {source} as {dtype} in C")

@@ -113,9 +113,9 @@ class CText:
             for text in comment(f"{name}{summary}"):
                 self.line(text)
 
-    def _variable(self, wanted: str) -> str:
+    def _variable(self, name: str) -> str:
         """A new name like the wanted one."""
-        base = underscored(wanted) or "part"
+        base = underscored(name) or "part"
         base = f"part_{base}" if base[0].isdigit() else base
         name, count = base, 1
         while name in self._taken or (count == 1 and (base == "part" or is_known(base))):
@@ -134,16 +134,16 @@ class CText:
         for i in kept:
             self.line(f"{c_type(loop.states[i].dtype)} {names[i]} = {self.read(loop.begin[i])};")
             self._written[id(loop.states[i])] = self._written[id(loop.results[i])] = names[i], ATOM
-        again = self._variable("again")
-        self.line(f"bool {again} = {'true' if loop.guard is None else self.read(loop.guard)};")
-        self.line(f"while ({again}) {{")
+        proceed = self._variable("again")
+        self.line(f"bool {proceed} = {'true' if loop.guard is None else self.read(loop.guard)};")
+        self.line(f"while ({proceed}) {{")
         self.indented(1)
         self._block(loop.body, alive)
         after = {i: self._variable("next") for i in kept}
         for i in kept:
-            self.line(f"const {c_type(loop.states[i].dtype)} {after[i]} = {self.read(loop.then[i])};")
-        assert loop.again is not None
-        self.line(f"{again} = {self.read(loop.again)};")
+            self.line(f"const {c_type(loop.states[i].dtype)} {after[i]} = {self.read(loop.following[i])};")
+        assert loop.proceed is not None
+        self.line(f"{proceed} = {self.read(loop.proceed)};")
         for i in kept:
             self.line(f"{names[i]} = {after[i]};")
         self.indented(-1)
@@ -202,7 +202,7 @@ class CText:
         (result,) = program.outputs
         assert isinstance(result, Value)
         text.compute([result])
-        arguments = [f"{c_type(dtype)} {each}" for dtype, each in zip(program.inputs, inputs, strict=True)]
+        arguments = [f"{c_type(dtype)} {argument}" for dtype, argument in zip(program.inputs, inputs, strict=True)]
         head = f"static {c_type(result.dtype)} {name}({', '.join(arguments)})  /* of an argument that is rare */"
         self.functions[name] = "\n".join([head, "{", *text.lines, f"    return {text.read(result)};", "}"])
         self.tables += text.tables
@@ -215,8 +215,8 @@ class CText:
         name = f"{self._prefix}table_{len(self.tables) + 1}"
         numbers = ", ".join(c_literal(number, value.dtype) for number in table)
         self.tables.append(f"static const {c_type(value.dtype)} {name}[{table.size}] = {{{numbers}}};")
-        last = table.size - 1
-        return f"{name}[(uint32_t)({index}) < {last}u ? (uint32_t)({index}) : {last}u]"
+        end = table.size - 1
+        return f"{name}[(uint32_t)({index}) < {end}u ? (uint32_t)({index}) : {end}u]"
 
 
 def comment(text: str) -> list[str]:

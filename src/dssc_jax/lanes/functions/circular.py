@@ -64,9 +64,9 @@ def usual(x: jax.Array) -> Reduced:
     turns = raised - ROUNDER[bits]
     angle, excess = x, jnp.zeros_like(x)
     for part in HALF_PI[bits]:
-        after = angle - turns * part
-        excess = excess + (turns * part - (angle - after))
-        angle = after
+        low = angle - turns * part
+        excess = excess + (turns * part - (angle - low))
+        angle = low
     return Reduced(jax.lax.bitcast_convert_type(raised, f"int{bits}"), angle, excess)
 
 
@@ -89,9 +89,9 @@ def high_product(x: jax.Array, y: jax.Array) -> jax.Array:
     return x_high * y_high + (across >> word(32)) + (along >> word(32)) + (middle >> word(32))
 
 
-def following_bits(before: jax.Array, after: jax.Array, shift: jax.Array) -> jax.Array:
+def following_bits(high: jax.Array, low: jax.Array, shift: jax.Array) -> jax.Array:
     """The 64 bits that begin ``shift`` bits after the beginning of two words."""
-    return before << shift | (after >> word(1)) >> (word(63) - shift)
+    return high << shift | (low >> word(1)) >> (word(63) - shift)
 
 
 def real(x: jax.Array, scale: float) -> jax.Array:
@@ -99,7 +99,7 @@ def real(x: jax.Array, scale: float) -> jax.Array:
     return x.astype(jnp.int64).astype(jnp.float64) * scale
 
 
-def far(x: jax.Array) -> Reduced:
+def reduced_far(x: jax.Array) -> Reduced:
     """The reduction of a float64 number of any size, at least 2^-9; NaN for an infinite one.
 
     |x| = m 2^e with an integer m of 53 bits. Those bits of 2/pi whose product with it is a multiple of 4 are left out;
@@ -134,20 +134,20 @@ def radians(x: jax.Array, quarters: jax.Array, negative: jax.Array, upper: jax.A
     sum_of_first = first + second
     tail = (second - (sum_of_first - first)) + (third + fourth)
     fraction = sum_of_first + tail
-    rest = tail - (fraction - sum_of_first)
+    remainder = tail - (fraction - sum_of_first)
     bits = jax.lax.bitcast_convert_type(fraction, jnp.uint64)
     top = jax.lax.bitcast_convert_type(bits & word(2**64 - 2**27), jnp.float64)
     bottom = fraction - top
     p_top, p_bottom, p_rest = HALF_PI_SPLIT
     angle = fraction * (p_top + p_bottom)
     excess = (((angle - top * p_top) - top * p_bottom) - bottom * p_top) - bottom * p_bottom
-    excess = excess - (fraction * p_rest + rest * (p_top + p_bottom))
-    below = (negative == word(1)) ^ (x < 0.0)
+    excess = excess - (fraction * p_rest + remainder * (p_top + p_bottom))
+    negated = (negative == word(1)) ^ (x < 0.0)
     quarters = jnp.where(x < 0.0, word(0) - quarters, quarters)
-    nothing = x - x  # NaN of an infinite number
+    not_a_number = x - x  # NaN of an infinite number
     return Reduced(
-        jax.lax.bitcast_convert_type(quarters, jnp.int64), jnp.where(below, -angle, angle) + nothing,
-        jnp.where(below, -excess, excess),
+        jax.lax.bitcast_convert_type(quarters, jnp.int64), jnp.where(negated, -angle, angle) + not_a_number,
+        jnp.where(negated, -excess, excess),
     )  # fmt: skip
 
 
@@ -163,8 +163,8 @@ def cosine_of(reduced: Reduced) -> jax.Array:
     _, angle, excess = reduced
     z = angle * angle
     half = 0.5 * z
-    near = 1.0 - half
-    return near + (((1.0 - near) - half) + (z * z * polynomial(COSINE_SERIES, z) + angle * excess))
+    leading = 1.0 - half
+    return leading + (((1.0 - leading) - half) + (z * z * polynomial(COSINE_SERIES, z) + angle * excess))
 
 
 def sine(reduced: Reduced) -> jax.Array:
@@ -203,14 +203,14 @@ def tan(x: jax.Array) -> jax.Array:
 
 def far_sin(x: jax.Array) -> jax.Array:
     """The sine beyond."""
-    return sine(far(x.astype(jnp.float64))).astype(x.dtype)
+    return sine(reduced_far(x.astype(jnp.float64))).astype(x.dtype)
 
 
 def far_cos(x: jax.Array) -> jax.Array:
     """The cosine beyond."""
-    return cosine(far(x.astype(jnp.float64))).astype(x.dtype)
+    return cosine(reduced_far(x.astype(jnp.float64))).astype(x.dtype)
 
 
 def far_tan(x: jax.Array) -> jax.Array:
     """The tangent beyond."""
-    return tangent(far(x.astype(jnp.float64))).astype(x.dtype)
+    return tangent(reduced_far(x.astype(jnp.float64))).astype(x.dtype)

@@ -80,17 +80,17 @@ def erf_inv(x: jax.Array) -> jax.Array:
     y = (1.0 - x) * (1.0 + x)
     fraction, k = mantissa(y)
     w = -logarithm(fraction - 1.0, jnp.zeros_like(x), k)
-    near, *tails = zip(INVERSE_ERROR[width(x)], INVERSE_ERROR_RANGES[width(x)], strict=True)
+    central_coefficients, *tails = zip(INVERSE_ERROR[width(x)], INVERSE_ERROR_RANGES[width(x)], strict=True)
 
     def tail() -> jax.Array:
         root = jnp.sqrt(w)
-        *others, (coefficients, (_, centre)) = tails
+        *intervals, (coefficients, (_, centre)) = tails
         value = jnp.asarray(polynomial(coefficients, root - centre))
-        for coefficients, (end, centre) in reversed(others):
+        for coefficients, (end, centre) in reversed(intervals):
             value = jnp.where(w < end, polynomial(coefficients, root - centre), value)
         return jnp.where(y > 0.0, value, jnp.where(y == 0.0, jnp.inf, jnp.nan))
 
-    coefficients, (end, centre) = near
+    coefficients, (end, centre) = central_coefficients
     central = polynomial(coefficients, w - centre)
     return x * jax.lax.cond(y > math.exp(-end), lambda: jnp.asarray(central), tail)
 
@@ -116,11 +116,11 @@ def arc_tangent(x: jax.Array) -> jax.Array:
 def angle(y: jax.Array, x: jax.Array) -> jax.Array:
     """The angle of (x, y) in [-pi, pi]; sides whose sum overflows, or whose digits are few, are scaled."""
     longer = jnp.maximum(jnp.abs(x), jnp.abs(y))
-    (most, smaller), (least, larger) = SIDES[width(x)]
-    scale = jnp.where(longer > most, smaller, jnp.where(longer < least, larger, 1.0))
-    both = jnp.isinf(x) & jnp.isinf(y)  # a diagonal
+    (largest, smaller), (smallest, larger) = SIDES[width(x)]
+    scale = jnp.where(longer > largest, smaller, jnp.where(longer < smallest, larger, 1.0))
+    diagonal = jnp.isinf(x) & jnp.isinf(y)  # a diagonal
     across, along = jnp.abs(y) * scale, x * scale
-    magnitude = atan2(jnp.where(both, 1.0, across), jnp.where(both, jnp.sign(x), along))
+    magnitude = atan2(jnp.where(diagonal, 1.0, across), jnp.where(diagonal, jnp.sign(x), along))
     magnitude = jnp.where((x == 0.0) & (y == 0.0) & is_negative(x), math.pi, magnitude)
     return jnp.where(is_negative(y), -magnitude, magnitude)
 

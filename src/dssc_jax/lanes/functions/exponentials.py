@@ -83,25 +83,25 @@ def exp(x: jax.Array) -> jax.Array:
     Infinity is selected, so that fast arithmetic does not contract the last product with a difference: e^inf - inf is
     NaN.
     """
-    n, rest = exponential(x)
-    return jnp.where(x == jnp.inf, x, scaled(1.0 + rest, n))
+    n, remainder = exponential(x)
+    return jnp.where(x == jnp.inf, x, scaled(1.0 + remainder, n))
 
 
 def exp2(x: jax.Array) -> jax.Array:
     """2^x; infinity as in :func:`exp`."""
     bounded = jnp.clip(x, *BINARY_EXPONENTS[width(x)])
     n = jnp.round(bounded)
-    rest = less_one((bounded - n) * math.log(2.0))
-    return jnp.where(x == jnp.inf, x, scaled(1.0 + rest, jnp.where(jnp.isnan(n), 0.0, n)))
+    remainder = less_one((bounded - n) * math.log(2.0))
+    return jnp.where(x == jnp.inf, x, scaled(1.0 + remainder, jnp.where(jnp.isnan(n), 0.0, n)))
 
 
 def expm1(x: jax.Array) -> jax.Array:
     """e^x - 1, also near 0."""
-    n, rest = exponential(x)
-    far = jnp.abs(n) > 60.0
-    factor = exponential_of_two(jnp.where(far, 0.0, n), x)
-    value = factor * rest + (factor - 1.0)
-    value = jnp.where(n == 0.0, rest, jnp.where(far, scaled(1.0 + rest, n) - 1.0, value))
+    n, remainder = exponential(x)
+    steep = jnp.abs(n) > 60.0
+    factor = exponential_of_two(jnp.where(steep, 0.0, n), x)
+    value = factor * remainder + (factor - 1.0)
+    value = jnp.where(n == 0.0, remainder, jnp.where(steep, scaled(1.0 + remainder, n) - 1.0, value))
     return jnp.where(jnp.isnan(x) | (x == 0.0), x, value)
 
 
@@ -119,8 +119,8 @@ def logarithm(f: jax.Array, correction: jax.Array, k: jax.Array) -> jax.Array:
     s = f / (2.0 + f)
     z = s * s
     half = 0.5 * f * f
-    rest = s * (half + z * polynomial(LOG_SERIES, z)) + (k * low + correction)
-    return k * high - ((half - rest) - f)
+    remainder = s * (half + z * polynomial(LOG_SERIES, z)) + (k * low + correction)
+    return k * high - ((half - remainder) - f)
 
 
 def normalised(x: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -146,8 +146,8 @@ def log(x: jax.Array) -> jax.Array:
 def log2(x: jax.Array) -> jax.Array:
     """The logarithm to base 2."""
     fraction, k = normalised(x)
-    nothing = jnp.zeros_like(x)
-    return log_at_edges(x, k + logarithm(fraction - 1.0, nothing, nothing) * (1.0 / math.log(2.0)))
+    zero = jnp.zeros_like(x)
+    return log_at_edges(x, k + logarithm(fraction - 1.0, zero, zero) * (1.0 / math.log(2.0)))
 
 
 def log1p(x: jax.Array) -> jax.Array:
@@ -155,9 +155,9 @@ def log1p(x: jax.Array) -> jax.Array:
     u = 1.0 + x
     lost = jnp.where(x > 1.0, 1.0 - (u - x), x - (u - 1.0))
     fraction, k = mantissa(u)
-    near = k == 0.0
-    f = jnp.where(near, x, fraction - 1.0)
-    value = logarithm(f, jnp.where(near, 0.0, lost / u), k)
+    unscaled = k == 0.0
+    f = jnp.where(unscaled, x, fraction - 1.0)
+    value = logarithm(f, jnp.where(unscaled, 0.0, lost / u), k)
     return jnp.where(x == 0.0, x, log_at_edges(u, value))
 
 
@@ -176,8 +176,8 @@ def logistic(x: jax.Array) -> jax.Array:
 
 def half_exponential(x: jax.Array) -> jax.Array:
     """e^x/2, which overflows later than e^x."""
-    n, rest = exponential(x)
-    return scaled(1.0 + rest, n - 1.0)
+    n, remainder = exponential(x)
+    return scaled(1.0 + remainder, n - 1.0)
 
 
 def sinh(x: jax.Array) -> jax.Array:

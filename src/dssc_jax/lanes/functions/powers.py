@@ -67,10 +67,10 @@ def logarithm_pair(x: jax.Array) -> TwoPartNumber:
     """
     fraction, k = normalised(x)
     f = fraction - 1.0
-    below = exact_sum(jnp.full_like(f, 2.0), f)
-    s_high = f / below.high
-    covered = exact_product(s_high, below.high)
-    s = TwoPartNumber(s_high, (((f - covered.high) - covered.low) - s_high * below.low) / below.high)
+    denominator = exact_sum(jnp.full_like(f, 2.0), f)
+    s_high = f / denominator.high
+    covered = exact_product(s_high, denominator.high)
+    s = TwoPartNumber(s_high, (((f - covered.high) - covered.low) - s_high * denominator.low) / denominator.high)
     z = pair_product(s, s)
     correction = z.high * polynomial(SERIES, z.high)
     start = exact_sum(jnp.full_like(f, THIRD[0]), correction)
@@ -78,8 +78,8 @@ def logarithm_pair(x: jax.Array) -> TwoPartNumber:
     high, low = LN_2[64]
     first = exact_sum(k * high, 2.0 * s.high)
     second = exact_sum(first.high, 2.0 * term.high)
-    rest = (first.low + second.low) + (k * low + 2.0 * (s.low + term.low))
-    return exact_sum(second.high, rest)
+    remainder = (first.low + second.low) + (k * low + 2.0 * (s.low + term.low))
+    return exact_sum(second.high, remainder)
 
 
 def magnitude(x: jax.Array, y: jax.Array) -> jax.Array:
@@ -90,8 +90,8 @@ def magnitude(x: jax.Array, y: jax.Array) -> jax.Array:
     n, r, lost = reduced(exponent.high)
     outside = jnp.abs(exponent.high) > -EXPONENTS[64][0]  # where the result is 0 or infinite
     lost = jnp.where(outside, 0.0, lost + (exponent.low + limited * log.low))
-    rest = less_one(r)
-    return scaled(1.0 + (rest + lost * (1.0 + rest)), n)
+    remainder = less_one(r)
+    return scaled(1.0 + (remainder + lost * (1.0 + remainder)), n)
 
 
 def power(x: jax.Array, y: jax.Array) -> jax.Array:
@@ -103,10 +103,10 @@ def power(x: jax.Array, y: jax.Array) -> jax.Array:
     value = magnitude(base, jnp.where(jnp.isnan(y), 0.0, exponent)).astype(x.dtype)
     grows = (size == 0.0) == (y < 0.0)
     value = jnp.where(ordinary, value, jnp.where(grows, jnp.inf, 0.0))
-    whole = jnp.floor(y) == y
-    odd = whole & (jnp.abs(y - 2.0 * jnp.floor(0.5 * y)) == 1.0)
+    integral = jnp.floor(y) == y
+    odd = integral & (jnp.abs(y - 2.0 * jnp.floor(0.5 * y)) == 1.0)
     value = jnp.where(odd & is_negative(x), -value, value)
-    value = jnp.where((x < 0.0) & ordinary & ~whole, jnp.nan, value)
+    value = jnp.where((x < 0.0) & ordinary & ~integral, jnp.nan, value)
     value = jnp.where(jnp.isnan(x) | jnp.isnan(y), jnp.nan, value)
     value = jnp.where(y == 1.0, x, value)
     return jnp.where((y == 0.0) | (x == 1.0), 1.0, value)

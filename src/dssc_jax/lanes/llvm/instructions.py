@@ -88,8 +88,8 @@ class Instructions:
     def repeated(self, dtype: np.dtype, name: str) -> str:
         """A vector whose elements are all a scalar."""
         scalar, kind = scalar_type(dtype), self.kind(dtype, True)
-        one = self.emit(f"insertelement {kind} poison, {scalar} {name}, i64 0", "s")
-        return self.emit(f"shufflevector {kind} {one}, {kind} poison, <{self.width} x i32> zeroinitializer", "s")
+        inserted = self.emit(f"insertelement {kind} poison, {scalar} {name}, i64 0", "s")
+        return self.emit(f"shufflevector {kind} {inserted}, {kind} poison, <{self.width} x i32> zeroinitializer", "s")
 
     def name(self, value: Value, name: str) -> None:
         """Remember the register of a value; a uniform one also as a vector."""
@@ -127,7 +127,7 @@ class Instructions:
 
     # Operations
 
-    def any(self, mask: str) -> str:
+    def any_lane(self, mask: str) -> str:
         """Whether a truth value holds in any lane."""
         kind = self.kind(BOOL, True)
         return self.call(f"llvm.vector.reduce.or.v{self.width}i1", "i1", (kind, mask))
@@ -141,7 +141,7 @@ class Instructions:
             return self.input(value, wide)
         if operation == "any":
             (mask,) = value.operands
-            return self.any(self.read(mask, True)) if self.is_vector(mask) else self.read(mask, False)
+            return self.any_lane(self.read(mask, True)) if self.is_vector(mask) else self.read(mask, False)
         if operation == "lookup":
             return self.lookup(value, wide)
         if operation == "rarely":
@@ -182,17 +182,17 @@ class Instructions:
         kind, mask = self.kind(value.dtype, wide), self.read(condition, wide)
         function = f"{value.detail.name}_{self.width if wide else 1}"
         self.subroutines[function] = value.detail, self.width if wide else 1
-        given = ", ".join(f"{self.kind(x.dtype, wide)} {self.read(x, wide)}" for x in arguments)
+        passed = ", ".join(f"{self.kind(x.dtype, wide)} {self.read(x, wide)}" for x in arguments)
         value_now = self.read(usual, wide)
-        taken = self.any(mask) if wide else mask
-        inside, end, before = self.fresh("rare"), self.fresh("end"), self.current()
+        taken = self.any_lane(mask) if wide else mask
+        inside, end, entry = self.fresh("rare"), self.fresh("end"), self.current()
         self.lines.append(f"  br i1 {taken}, label %{inside}, label %{end}, !prof !0")
         self.begin(inside)
-        rare = self.emit(f"call {kind} @{function}({given})")
+        rare = self.emit(f"call {kind} @{function}({passed})")
         chosen = self.emit(f"select {self.kind(BOOL, wide)} {mask}, {kind} {rare}, {kind} {value_now}")
         self.lines.append(f"  br label %{end}")
         self.begin(end)
-        return self.emit(f"phi {kind} [ {value_now}, %{before} ], [ {chosen}, %{inside} ]")
+        return self.emit(f"phi {kind} [ {value_now}, %{entry} ], [ {chosen}, %{inside} ]")
 
     def arithmetic(self, operation: str, dtype: np.dtype, wide: bool, names: Sequence[str]) -> str:
         """An operation with the type of its operands."""
@@ -211,8 +211,8 @@ class Instructions:
             return self.call(f"llvm.abs.{self.suffix(dtype, wide)}", kind, (kind, names[0]), ("i1", "false"))
         if operation in ("floor", "ceil", "round", "trunc"):
             return names[0]
-        own = SIGNED if dtype.kind == "i" else UNSIGNED
-        return self.emit(f"{INTEGERS.get(operation) or own[operation]} {kind} {names[0]}, {names[1]}")
+        notation = SIGNED if dtype.kind == "i" else UNSIGNED
+        return self.emit(f"{INTEGERS.get(operation) or notation[operation]} {kind} {names[0]}, {names[1]}")
 
     def zero(self, dtype: np.dtype, wide: bool) -> str:
         """Zero."""
@@ -245,10 +245,10 @@ class Instructions:
         if value.operands[1].operation == "constant":
             first, second = second, first
         if value.dtype.kind != "f":
-            below = self.compare("gt" if operation == "max" else "lt", value.dtype, wide, [first, second])
-            return self.emit(f"select {mask} {below}, {kind} {first}, {kind} {second}")
-        below = self.emit(f"fcmp {'ogt' if operation == 'max' else 'olt'} {kind} {first}, {second}")
-        chosen = self.emit(f"select {mask} {below}, {kind} {first}, {kind} {second}")
+            beyond_first = self.compare("gt" if operation == "max" else "lt", value.dtype, wide, [first, second])
+            return self.emit(f"select {mask} {beyond_first}, {kind} {first}, {kind} {second}")
+        beyond_first = self.emit(f"fcmp {'ogt' if operation == 'max' else 'olt'} {kind} {first}, {second}")
+        chosen = self.emit(f"select {mask} {beyond_first}, {kind} {first}, {kind} {second}")
         if any(operand.operation == "constant" and operand.detail == operand.detail for operand in value.operands):
             return chosen
         missing = self.emit(f"fcmp uno {kind} {first}, {first}")
@@ -280,10 +280,10 @@ class Instructions:
         name = f"@t{len(self.tables)}"
         numbers = ", ".join(f"{scalar} {literal(number, dtype)}" for number in table)
         self.tables.append(f"{name} = private constant [{count} x {scalar}] [{numbers}]")
-        most = f"{scalar_type(index.dtype)} {count - 1}"  # a loop computes ahead beyond its end
-        limit = (self.kind(index.dtype, wide), f"splat ({most})" if wide else str(count - 1))
-        given = (self.kind(index.dtype, wide), self.read(index, wide))
-        register = self.call(f"llvm.umin.{self.suffix(index.dtype, wide)}", limit[0], given, limit)
+        largest = f"{scalar_type(index.dtype)} {count - 1}"  # a loop computes ahead beyond its end
+        limit = (self.kind(index.dtype, wide), f"splat ({largest})" if wide else str(count - 1))
+        typed = (self.kind(index.dtype, wide), self.read(index, wide))
+        register = self.call(f"llvm.umin.{self.suffix(index.dtype, wide)}", limit[0], typed, limit)
         if not wide:
             place = self.emit(f"getelementptr {scalar}, ptr {name}, {scalar_type(index.dtype)} {register}", "p")
             return self.from_memory(value.dtype, False, self.emit(f"load {scalar}, ptr {place}"))

@@ -145,13 +145,14 @@ class LoadedCode:
         lock, stopped = threading.Lock(), threading.Event()
 
         def work() -> float:  # holds the columns as long as it runs, whoever else lets go of them
-            given, wanted = addresses(inputs), addresses(outputs)
+            read = addresses(inputs)
+            written = addresses(outputs)
             while True:
                 with lock:
                     first = next(starts, None)
                 if first is None or stopped.is_set():
                     return time.perf_counter()
-                self._function(given.ctypes.data, wanted.ctypes.data, first, min(first + part, lanes))
+                self._function(read.ctypes.data, written.ctypes.data, first, min(first + part, lanes))
 
         running: list[Future[float]] = [workers(threads).submit(work) for _ in range(min(threads, -(-lanes // part)))]
 

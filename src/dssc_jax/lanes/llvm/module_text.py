@@ -94,7 +94,7 @@ class Emitter(Instructions):
 
     def loop(self, loop: CodeLoop) -> None:
         """A loop that tests at its end; what is common to all lanes is computed ahead where that is worthwhile."""
-        top, end, before = self.fresh("loop"), self.fresh("end"), self.label
+        top, end, entry = self.fresh("loop"), self.fresh("end"), self.label
         alive = [
             i
             for i, pair in enumerate(zip(loop.states, loop.results, strict=True))
@@ -107,55 +107,55 @@ class Emitter(Instructions):
             self.lines.append(f"  br i1 {self.read(loop.guard, False)}, label %{top}, label %{end}")
         self.begin(top)
         holes = self.opened([loop.states[i] for i in alive])
-        again = self.turns(loop, chosen, alive) if chosen else self.turn(loop)
-        self.lines.append(f"  br i1 {again}, label %{top}, label %{end}")
-        last = self.label
+        proceed = self.turns(loop, chosen, alive) if chosen else self.turn(loop)
+        self.lines.append(f"  br i1 {proceed}, label %{top}, label %{end}")
+        final = self.label
         for hole, i in zip(holes, alive, strict=True):
-            self.fill(hole, loop.states[i], (loop.begin[i], before), (loop.then[i], last))
+            self.fill(hole, loop.states[i], (loop.begin[i], entry), (loop.following[i], final))
         self.begin(end)
         names = {}
         for i in alive:
             wide = loop.states[i].varying
-            here = f"[ {self.read(loop.then[i], wide)}, %{last} ]"
+            incoming = f"[ {self.read(loop.following[i], wide)}, %{final} ]"
             if loop.guard is not None:
-                here = f"[ {self.read(loop.begin[i], wide)}, %{before} ], {here}"
-            names[i] = self.emit(f"phi {self.kind(loop.results[i].dtype, wide)} {here}")
+                incoming = f"[ {self.read(loop.begin[i], wide)}, %{entry} ], {incoming}"
+            names[i] = self.emit(f"phi {self.kind(loop.results[i].dtype, wide)} {incoming}")
         for i in alive:
             self.name(loop.results[i], names[i])
 
     def turn(self, loop: CodeLoop) -> str:
         """The body of a loop; whether it goes on."""
         self.block(loop.body)
-        assert loop.again is not None
-        return self.read(loop.again, False)
+        assert loop.proceed is not None
+        return self.read(loop.proceed, False)
 
     def turns(self, loop: CodeLoop, chosen: AheadPlan, alive: Sequence[int]) -> str:
         """Several turns of a loop, with their uniform values computed ahead; whether it goes on after the last."""
         inner, out = self.fresh("turn"), self.fresh("out")
         ahead = Ahead(self, chosen, self.window)
         ahead.write(loop)
-        before = self.label
+        entry = self.label
         self.allocated += ahead.allocations()
         self.computed |= {id(value) for value in chosen.values}
         varying = [i for i in alive if i not in chosen.counters]
         first = {i: self.read(loop.states[i], True) for i in varying}
         self.lines.append(f"  br label %{inner}")
         self.begin(inner)
-        now, next_turn = f"%{self.fresh('t')}", f"%{self.fresh('t')}"
+        turn_value, next_turn = f"%{self.fresh('t')}", f"%{self.fresh('t')}"
         at = len(self.lines)
         self.lines.append("")
         holes = self.opened([loop.states[i] for i in varying])
-        ahead.load(now)
-        again = self.turn(loop)
-        self.lines.append(f"  {next_turn} = add i64 {now}, 1")
+        ahead.load(turn_value)
+        proceed = self.turn(loop)
+        self.lines.append(f"  {next_turn} = add i64 {turn_value}, 1")
         left = self.emit(f"icmp ult i64 {next_turn}, {TURNS}")
-        both = self.emit(f"and i1 {left}, {again}")
-        self.lines.append(f"  br i1 {both}, label %{inner}, label %{out}")
-        self.lines[at] = f"  {now} = phi i64 [ 0, %{before} ], [ {next_turn}, %{self.label} ]"
+        proceed_both = self.emit(f"and i1 {left}, {proceed}")
+        self.lines.append(f"  br i1 {proceed_both}, label %{inner}, label %{out}")
+        self.lines[at] = f"  {turn_value} = phi i64 [ 0, %{entry} ], [ {next_turn}, %{self.label} ]"
         for hole, i in zip(holes, varying, strict=True):
-            self.fill(hole, loop.states[i], (first[i], before), (loop.then[i], self.label))
+            self.fill(hole, loop.states[i], (first[i], entry), (loop.following[i], self.label))
         self.begin(out)
-        return again
+        return proceed
 
     def opened(self, states: Sequence[Value]) -> list[int]:
         """Name states at the top of a loop; the lines where :meth:`fill` writes where they come from."""
@@ -182,8 +182,8 @@ class Emitter(Instructions):
         for number, (block, values) in enumerate(zip(branch.sides, branch.values, strict=True)):
             if any(id(node) in self.alive for node in block.nodes):
                 mask = self.inverted(condition, varying) if number else condition
-                wanted = {i: (values[i], result.varying) for i, result in alive.items()}
-                sides.append(self.side(self.any(mask) if varying else mask, block, wanted))
+                merged = {i: (values[i], result.varying) for i, result in alive.items()}
+                sides.append(self.side(self.any_lane(mask) if varying else mask, block, merged))
             else:  # its values are known before
                 sides.append({i: self.read(values[i], alive[i].varying) for i in alive})
         for i, result in alive.items():
@@ -197,18 +197,18 @@ class Emitter(Instructions):
 
     def side(self, taken: str, block: CodeBlock, values: dict[int, tuple[Value, bool]]) -> dict[int, str]:
         """One side of a branch, which is skipped if no lane takes it; registers of its values, wide or not."""
-        inside, end, before = self.fresh("side"), self.fresh("end"), self.label
+        inside, end, entry = self.fresh("side"), self.fresh("end"), self.label
         self.lines.append(f"  br i1 {taken}, label %{inside}, label %{end}")
         self.begin(inside)
         self.block(block)
         reads = {i: self.read(value, wide) for i, (value, wide) in values.items()}
-        last = self.label
+        final = self.label
         self.lines.append(f"  br label %{end}")
         self.begin(end)
         joined = {}
         for i, (value, wide) in values.items():
             kind = self.kind(value.dtype, wide)
-            joined[i] = self.emit(f"phi {kind} [ zeroinitializer, %{before} ], [ {reads[i]}, %{last} ]")
+            joined[i] = self.emit(f"phi {kind} [ zeroinitializer, %{entry} ], [ {reads[i]}, %{final} ]")
         return joined
 
     # Memory
@@ -251,8 +251,8 @@ class SubroutineEmitter(Emitter):
         assert isinstance(result, Value)
         self.block(self.program.body)
         kind = self.kind(result.dtype, True)
-        given = [f"{self.kind(dtype, True)} %a{i}" for i, dtype in enumerate(self.program.inputs)]
-        head = f"define internal {kind} @{name}({', '.join(given)}) #1 {{"
+        parameters = [f"{self.kind(dtype, True)} %a{i}" for i, dtype in enumerate(self.program.inputs)]
+        head = f"define internal {kind} @{name}({', '.join(parameters)}) #1 {{"
         return [head, "entry:", *self.lines, f"  ret {kind} {self.read(result, True)}", "}"]
 
 

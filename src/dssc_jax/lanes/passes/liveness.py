@@ -33,12 +33,12 @@ def reachable(program: Program) -> set[int]:
             waiting += node.operands
             if node.operation in ("state", "result"):
                 loop, position = node.detail
-                waiting += [loop, loop.begin[position], loop.then[position]]
+                waiting += [loop, loop.begin[position], loop.following[position]]
             elif node.operation == "joined":
                 branch, position = node.detail
                 waiting += [branch, branch.values[0][position], branch.values[1][position]]
         elif isinstance(node, CodeLoop):
-            waiting += [value for value in (node.guard, node.again) if value is not None]
+            waiting += [value for value in (node.guard, node.proceed) if value is not None]
         elif isinstance(node, Branch):
             waiting.append(node.condition)
         elif isinstance(node, Record):

@@ -32,9 +32,9 @@ def opposite_pairs(loops: list[CodeLoop]) -> set[Pair]:
     holding, refuted = set(candidates), list[Pair]()
     dependent: dict[Pair, list[Pair]] = {}
     for pair, loop in candidates.items():
-        _, one, other = pair
-        for values in (loop.begin, loop.then):
-            condition = opposite(values[one], values[other])
+        _, value, negated = pair
+        for values in (loop.begin, loop.following):
+            condition = opposite(values[value], values[negated])
             if condition is False or (condition is not True and condition not in candidates):
                 refuted.append(pair)
             elif condition is not True:
@@ -61,8 +61,8 @@ def turns_behind(loop: CodeLoop, position: int) -> int:
     passed = set[int]()
     while position not in passed:
         passed.add(position)
-        then = loop.then[position]
-        source = then.operands[0] if then.operation == "neg" else then
+        following = loop.following[position]
+        source = following.operands[0] if following.operation == "neg" else following
         if source.operation != "state" or source.detail[0] is not loop:
             break
         position = source.detail[1]
@@ -74,14 +74,14 @@ def loops_of(block: CodeBlock) -> list[CodeLoop]:
     return [node for inner in all_blocks(block) for node in inner.nodes if isinstance(node, CodeLoop)]
 
 
-def opposite(one: Value, other: Value) -> bool | Pair:
+def opposite(value: Value, negated: Value) -> bool | Pair:
     """Whether the second value is the negative of the first, or the pair of states that decides it."""
-    if other.operation == "neg" and other.operands[0] is one:
+    if negated.operation == "neg" and negated.operands[0] is value:
         return True
-    if one.operation == other.operation == "constant":
-        return one.dtype == other.dtype and one.dtype.kind == "f" and bool(one.detail == -other.detail)
-    if one.operation == other.operation and one.operation in ("state", "result"):
-        (loop, position), (other_loop, negative) = one.detail, other.detail
+    if value.operation == negated.operation == "constant":
+        return value.dtype == negated.dtype and value.dtype.kind == "f" and bool(value.detail == -negated.detail)
+    if value.operation == negated.operation and value.operation in ("state", "result"):
+        (loop, position), (other_loop, negative) = value.detail, negated.detail
         return loop is other_loop and (id(loop), position, negative)
     return False
 
@@ -90,13 +90,13 @@ def remove(loop: CodeLoop, negatives: dict[int, int]) -> None:
     """Compute states from their negatives, in the body and behind the loop."""
     outside = loop.body.parent
     assert outside is not None
-    behind = outside.nodes.index(loop) + 1
-    for values, block, place in ((loop.states, loop.body, 0), (loop.results, outside, behind)):
+    after_loop = outside.nodes.index(loop) + 1
+    for values, block, place in ((loop.states, loop.body, 0), (loop.results, outside, after_loop)):
         changed = [values[negative] for negative in negatives]
         for value, position in zip(changed, negatives.values(), strict=True):
             value.operation, value.operands, value.detail = "neg", (values[position],), None
         block.nodes[place:place] = changed
-    for values in (loop.begin, loop.states, loop.then, loop.results):
+    for values in (loop.begin, loop.states, loop.following, loop.results):
         values[:] = [value for position, value in enumerate(values) if position not in negatives]
     for values in (loop.states, loop.results):
         for position, value in enumerate(values):

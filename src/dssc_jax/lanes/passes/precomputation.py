@@ -24,12 +24,12 @@ class AheadPlan:
     Args:
         counters: Positions of the uniform states, and by how much each grows in a turn.
         values: The uniform values of the body, in order.
-        wanted: Those of them, and of the counters, that a turn reads.
+        outputs: Those of them, and of the counters, that a turn reads.
     """
 
     counters: dict[int, int]
     values: list[Value]
-    wanted: list[Value]
+    outputs: list[Value]
 
 
 def planned(loop: CodeLoop, alive: Set[int]) -> AheadPlan | None:
@@ -54,18 +54,18 @@ def planned(loop: CodeLoop, alive: Set[int]) -> AheadPlan | None:
         return None
     ahead = set(map(id, values))
     read = {id(part) for node in nodes if id(node) not in ahead for part in read_by(node)}
-    read |= {id(loop.again), *(id(loop.then[i]) for i in states)}
+    read |= {id(loop.proceed), *(id(loop.following[i]) for i in states)}
     known = [*(loop.states[i] for i in counters), *values]
     return AheadPlan(counters, values, [value for value in known if id(value) in read])
 
 
 def step(loop: CodeLoop, position: int) -> int:
     """By how much a state grows in every turn; 0 if it does something else."""
-    state, then = loop.states[position], loop.then[position]
-    if then.operation == "add" and then.dtype.kind in "iu":
-        for one, other in (then.operands, then.operands[::-1]):
-            if one is state and other.operation == "constant":
-                return int(other.detail)
+    state, following = loop.states[position], loop.following[position]
+    if following.operation == "add" and following.dtype.kind in "iu":
+        for left, right in (following.operands, following.operands[::-1]):
+            if left is state and right.operation == "constant":
+                return int(right.detail)
     return 0
 
 
@@ -109,12 +109,12 @@ class Ahead(Instructions):
         for position, growth in self.chosen.counters.items():
             state = loop.states[position]
             scalar = scalar_type(state.dtype)
-            later = ", ".join(f"{scalar} {growth * turn}" for turn in range(TURNS))
+            offsets = ", ".join(f"{scalar} {growth * turn}" for turn in range(TURNS))
             start = self.repeated(state.dtype, self.lanes.read(state, False))
-            self.names[id(state), True] = self.emit(f"add {self.kind(state.dtype, True)} {start}, <{later}>")
+            self.names[id(state), True] = self.emit(f"add {self.kind(state.dtype, True)} {start}, <{offsets}>")
         for value in ordered(self.chosen.values, self.window):
             self.name(value, self.value(value))
-        for value in self.chosen.wanted:
+        for value in self.chosen.outputs:
             register, dtype = self.names[id(value), True], stored_type(value.dtype)
             if value.dtype == BOOL:
                 register = self.emit(f"zext {self.kind(BOOL, True)} {register} to {self.kind(dtype, True)}")
@@ -123,12 +123,12 @@ class Ahead(Instructions):
 
     def allocations(self) -> list[str]:
         """Memory for what is stored, to be reserved once."""
-        pairs = ((self.buffers[id(value)], stored_type(value.dtype)) for value in self.chosen.wanted)
+        pairs = ((self.buffers[id(value)], stored_type(value.dtype)) for value in self.chosen.outputs)
         return [f"  {buffer} = alloca {self.kind(dtype, True)}, align 64" for buffer, dtype in pairs]
 
     def load(self, turn: str) -> None:
         """Read the values of one turn as scalars of the lanes."""
-        for value in self.chosen.wanted:
+        for value in self.chosen.outputs:
             dtype = stored_type(value.dtype)
             scalar = scalar_type(dtype)
             place = self.emit(f"getelementptr {scalar}, ptr {self.buffers[id(value)]}, i64 {turn}", "p")

@@ -38,7 +38,7 @@ def ordered(nodes: Sequence[Any], window: int) -> list[Any]:
     free = [i for i in range(len(nodes)) if not missing[i]]  # operands are placed; a heap by place
     waiting: list[tuple[float, int, int]] = []  # and within the window; a heap by when its operands are known
     ready: list[tuple[int, int]] = []  # and these are known; a heap by the cycles that remain
-    order, first, now = [], 0, 0.0
+    order, first, time = [], 0, 0.0
     while len(order) < len(nodes):
         while done[first]:
             first += 1
@@ -46,18 +46,18 @@ def ordered(nodes: Sequence[Any], window: int) -> list[Any]:
             i = heappop(free)
             heappush(waiting, (known_at[i], -remaining[i], i))
         if not ready:
-            now = max(now, waiting[0][0])
-        while waiting and waiting[0][0] <= now:
+            time = max(time, waiting[0][0])
+        while waiting and waiting[0][0] <= time:
             heappush(ready, heappop(waiting)[1:])
         _, i = heappop(ready)
         order.append(nodes[i])
         done[i] = True
         for user in users[i]:
             missing[user] -= 1
-            known_at[user] = max(known_at[user], now + cycles(nodes[i]))
+            known_at[user] = max(known_at[user], time + cycles(nodes[i]))
             if not missing[user]:
                 heappush(free, user)
-        now += 1.0 / AT_A_TIME
+        time += 1.0 / AT_A_TIME
     return order
 
 

@@ -25,6 +25,6 @@ def is_unsigned(value: Value, within: frozenset[tuple[int, int]] = frozenset()) 
         case "state" | "result":
             loop, position = value.detail
             state = id(loop), position
-            ends = loop.begin[position], loop.then[position]
+            ends = loop.begin[position], loop.following[position]
             return state in within or all(is_unsigned(end, within | {state}) for end in ends)
     return False

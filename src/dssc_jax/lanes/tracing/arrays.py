@@ -170,8 +170,8 @@ def reduction(operation: str) -> Callable[..., Any]:
 
     def rule(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
         axes, tensor = params["axes"], as_tensor(operands[0], build)
-        others = [axis for axis in range(tensor.ndim) if axis not in axes]
-        rows = np.transpose(tensor, [*others, *axes]).reshape(*(tensor.shape[axis] for axis in others), -1)
+        kept = [axis for axis in range(tensor.ndim) if axis not in axes]
+        rows = np.transpose(tensor, [*kept, *axes]).reshape(*(tensor.shape[axis] for axis in kept), -1)
         if not rows.shape[-1]:
             raise Unsupported("a reduction of nothing")
         return combined(lambda row: reduce(lambda x, y: build.add(operation, x, y), row), rows)
@@ -201,8 +201,8 @@ def dot_general(build: Builder, operands: Sequence[Any], params: Mapping[str, An
     result = np.empty((left.shape[0], left.shape[1], right.shape[1]), object)
     for batch, i, j in np.ndindex(*result.shape):
         products = [build.add("mul", x, y) for x, y in zip(left[batch, i], right[batch, j], strict=True)]
-        nothing = build.constant(0, np.dtype(equation.outvars[0].aval.dtype))
-        result[batch, i, j] = reduce(lambda x, y: build.add("add", x, y), products) if products else nothing
+        zero = build.constant(0, np.dtype(equation.outvars[0].aval.dtype))
+        result[batch, i, j] = reduce(lambda x, y: build.add("add", x, y), products) if products else zero
     return from_tensor(result.reshape(left_shapes[0] + left_shapes[1] + right_shapes[1]))
 
 
@@ -214,9 +214,9 @@ def cumulative_rule(operation: str) -> Callable[..., Any]:
         steps = range(tensor.shape[-1])
         order = list(reversed(steps)) if params["reverse"] else list(steps)
         for position in np.ndindex(tensor.shape[:-1]):
-            for before, after in pairwise(order):
+            for previous, after in pairwise(order):
                 tensor[(*position, after)] = build.add(
-                    operation, tensor[(*position, before)], tensor[(*position, after)]
+                    operation, tensor[(*position, previous)], tensor[(*position, after)]
                 )
         return np.moveaxis(tensor, -1, params["axis"])
 

@@ -48,15 +48,15 @@ def row(build: Builder, table: Any, at: Value) -> Any:
 def wide_index(build: Builder, start: Value) -> Value:
     """An index in a signed type that holds every array's size and all of the index's own values that matter."""
     if start.dtype == np.dtype(np.uint64):  # beyond the largest signed number: the end of every array
-        most = build.constant(np.iinfo(np.int64).max, start.dtype)
-        return build.add("convert", build.add("min", start, most), dtype=np.dtype(np.int64))
+        limit = build.constant(np.iinfo(np.int64).max, start.dtype)
+        return build.add("convert", build.add("min", start, limit), dtype=np.dtype(np.int64))
     wide = start.dtype.itemsize == 8 or start.dtype == np.dtype(np.uint32)
     return build.add("convert", start, dtype=np.dtype(np.int64) if wide else INDEX_TYPE)
 
 
-def clipped(build: Builder, start: Value, most: int) -> Value:
+def clipped(build: Builder, start: Value, limit: int) -> Value:
     """A wide index within 0 .. most."""
-    return build.add("min", build.add("max", start, build.constant(0, start.dtype)), build.constant(most, start.dtype))
+    return build.add("min", build.add("max", start, build.constant(0, start.dtype)), build.constant(limit, start.dtype))
 
 
 def window(build: Builder, operand: Any, starts: Sequence[Value], sizes: Sequence[int]) -> Tensor:
@@ -67,7 +67,7 @@ def window(build: Builder, operand: Any, starts: Sequence[Value], sizes: Sequenc
     for axis in varied:
         start = clipped(build, starts[axis], limits[axis])
         start = build.add("convert", start, dtype=INDEX_TYPE)
-        stride = int(np.prod([limits[later] + 1 for later in varied if later > axis]))
+        stride = int(np.prod([limits[inner] + 1 for inner in varied if inner > axis]))
         part = build.add("mul", start, build.constant(stride, INDEX_TYPE))
         flat_start = part if flat_start is None else build.add("add", flat_start, part)
     result = np.empty(tuple(sizes), object)
@@ -149,13 +149,13 @@ def replaced(
             range(at, at + size - part + 1) for at, size, part in zip(offset, operand.shape, update.shape, strict=True)
         ]
         for position in product(*choices):
-            here = build.constant(True, np.dtype(bool))
+            hit = build.constant(True, np.dtype(bool))
             for axis, at in enumerate(position):
                 start = build.constant(at - offset[axis], starts[axis].dtype)
-                here = build.add("and", build.add("eq", starts[axis], start), here)
+                hit = build.add("and", build.add("eq", starts[axis], start), hit)
             old: Any = result[position]
             new: Any = update[offset]
-            result[position] = build.add("select", here, combine(old, new), old)
+            result[position] = build.add("select", hit, combine(old, new), old)
     return result
 
 

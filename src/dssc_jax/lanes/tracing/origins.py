@@ -95,9 +95,9 @@ def translate_with_origins(lane: Any, *arguments: Any) -> tuple[Program, Any, di
     Raises:
         Unsupported: An operation has no rule.
     """
-    own = OriginTranslator(Builder())
-    program, shape = traced_program(own, lane, *arguments)
-    return program, shape, own.origins
+    translator = OriginTranslator(Builder())
+    program, shape = traced_program(translator, lane, *arguments)
+    return program, shape, translator.origins
 
 
 def origin_of(equation: Any) -> Origin:
@@ -113,10 +113,10 @@ def model_places(equation: Any) -> Iterator[Place]:
     traceback = getattr(getattr(equation, "source_info", None), "traceback", None)
     if traceback is None:
         return
-    for code, last in zip(*traceback.raw_frames(), strict=True):
+    for code, instruction in zip(*traceback.raw_frames(), strict=True):
         if not any(part in code.co_filename for part in LIBRARY):
             positions = list(code.co_positions())
-            yield Place(code, positions[last // 2] if last // 2 < len(positions) else (None,) * 4)
+            yield Place(code, positions[instruction // 2] if instruction // 2 < len(positions) else (None,) * 4)
 
 
 @cache
@@ -179,13 +179,13 @@ def assigned_name(places: Sequence[Place]) -> str:
 
 def target_name(target: ast.AST, elements: list[int]) -> str:
     """The name in a target of an assignment that gets the element of a value."""
-    rest = list(elements)
-    while isinstance(target, ast.Tuple) and rest:
-        position = rest.pop()
+    remaining = list(elements)
+    while isinstance(target, ast.Tuple) and remaining:
+        position = remaining.pop()
         if position >= len(target.elts):
             return ""
         target = target.elts[position]
-    return target.id if isinstance(target, ast.Name) and not rest and not target.id.startswith("_") else ""
+    return target.id if isinstance(target, ast.Name) and not remaining and not target.id.startswith("_") else ""
 
 
 def field_name(code: CodeType, call: ast.Call, position: int) -> str:

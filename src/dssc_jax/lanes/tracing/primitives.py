@@ -54,11 +54,11 @@ def division(operation: str) -> ElementRule:
         x, y = operands
         if dtype.kind == "f":
             return build.add(operation, x, y)
-        zero, one = build.constant(0, dtype), build.constant(1, dtype)
+        zero, unit = build.constant(0, dtype), build.constant(1, dtype)
         by_zero = build.add("eq", y, zero)
         signed = dtype.kind == "i"
         unusual = build.add("or", by_zero, build.add("eq", y, build.constant(-1, dtype))) if signed else by_zero
-        quotient = build.add(operation, x, build.add("select", unusual, one, y))
+        quotient = build.add(operation, x, build.add("select", unusual, unit, y))
         if operation == "rem":  # by 1 it is 0, and so it is by -1
             return build.add("select", by_zero, x, quotient)
         if signed:
@@ -81,11 +81,11 @@ def shift(operation: str, taken_as: str = "") -> ElementRule:
         width, plain = 8 * dtype.itemsize, np.dtype(f"u{dtype.itemsize}")
         kind = np.dtype(f"{taken_as or dtype.kind}{dtype.itemsize}")
         x, count = (build.add("bitcast", value, dtype=kind) for value in operands)
-        most = build.constant(width - 1, kind)
+        limit = build.constant(width - 1, kind)
         inside = build.add("lt", build.add("bitcast", count, dtype=plain), build.constant(width, plain))
-        some = build.add(operation, x, build.add("select", inside, count, most))
-        beyond = some if taken_as == "i" else build.constant(0, kind)
-        return build.add("bitcast", build.add("select", inside, some, beyond), dtype=dtype)
+        shifted = build.add(operation, x, build.add("select", inside, count, limit))
+        past_end = shifted if taken_as == "i" else build.constant(0, kind)
+        return build.add("bitcast", build.add("select", inside, shifted, past_end), dtype=dtype)
 
     return translate
 
@@ -94,26 +94,26 @@ def sign_of(build: Builder, operands: Sequence[Value], params: Mapping[str, Any]
     """The sign; NaN and zeros are their own."""
     (x,) = operands
     zero = build.constant(0, dtype)
-    below = x if dtype.kind == "u" else build.add(
+    reached = x if dtype.kind == "u" else build.add(
         "select", build.add("lt", x, zero), build.constant(-1, dtype), x)  # fmt: skip
-    return build.add("select", build.add("gt", x, zero), build.constant(1, dtype), below)
+    return build.add("select", build.add("gt", x, zero), build.constant(1, dtype), reached)
 
 
 def clamp(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
     """The middle operand, at least the first and at most the last."""
-    least, x, most = operands
-    return build.add("min", build.add("max", x, least), most)
+    floor, x, limit = operands
+    return build.add("min", build.add("max", x, floor), limit)
 
 
 def select_n(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
     """The case that the first operand counts."""
-    which, *cases = operands
-    if which.dtype == BOOL:
-        return build.add("select", which, cases[-1], cases[0])
+    index, *cases = operands
+    if index.dtype == BOOL:
+        return build.add("select", index, cases[-1], cases[0])
     chosen = cases[-1]
     for number, case in reversed(list(enumerate(cases[:-1]))):
-        below = build.add("le", which, build.constant(number, which.dtype))
-        chosen = build.add("select", below, case, chosen)
+        reached = build.add("le", index, build.constant(number, index.dtype))
+        chosen = build.add("select", reached, case, chosen)
     return chosen
 
 
@@ -149,10 +149,10 @@ def in_total_order(operation: str) -> ElementRule:
 
     def translate(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
         a, b = operands
-        last = build.add("ne", b, b)
+        unequal = build.add("ne", b, b)
         if operation == "lt":
-            last = build.add("and", last, build.add("eq", a, a))
-        return build.add("or", build.add(operation, a, b), last)
+            unequal = build.add("and", unequal, build.add("eq", a, a))
+        return build.add("or", build.add(operation, a, b), unequal)
 
     return translate
 
@@ -173,9 +173,10 @@ def rounded_by(build: Builder, x: Value, method: str) -> Value:
     if method == "TO_NEAREST_EVEN":
         return build.add("round", x)
     half = build.add("trunc", x)
-    rest = build.add("abs", build.add("sub", x, half))
-    one = sign_of(build, [x], {}, x.dtype)
-    return build.add("select", build.add("ge", rest, build.constant(0.5, x.dtype)), build.add("add", half, one), half)
+    distance = build.add("abs", build.add("sub", x, half))
+    unit = sign_of(build, [x], {}, x.dtype)
+    beyond_half = build.add("ge", distance, build.constant(0.5, x.dtype))
+    return build.add("select", beyond_half, build.add("add", half, unit), half)
 
 
 def same_width(equation: Any) -> str | None:
@@ -187,8 +188,8 @@ def same_width(equation: Any) -> str | None:
 def keeps_precision(equation: Any) -> str | None:
     """Refuse a reduction to fewer bits than the type has."""
     digits = np.finfo(equation.outvars[0].aval.dtype)
-    wanted = equation.params["exponent_bits"], equation.params["mantissa_bits"]
-    return None if wanted == (digits.nexp, digits.nmant) else "fewer bits than the type has"
+    lengths = equation.params["exponent_bits"], equation.params["mantissa_bits"]
+    return None if lengths == (digits.nexp, digits.nmant) else "fewer bits than the type has"
 
 
 def real_power(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:

@@ -41,15 +41,15 @@ def translate(lane: Callable[..., Any], *arguments: Any, fast: bool = False) -> 
     return traced_program(Translator(Builder(fast)), lane, *arguments)
 
 
-def traced_program(own: "Translator", lane: Callable[..., Any], *arguments: Any) -> tuple[Program, Any]:
+def traced_program(translator: "Translator", lane: Callable[..., Any], *arguments: Any) -> tuple[Program, Any]:
     """As :func:`translate`, by a given translator."""
     traced, shape = jax.make_jaxpr(lane, axis_env=[(AXIS, 1)], return_shape=True)(*arguments)
     for aval in (*traced.in_avals, *traced.out_avals):
         require_type(aval, SCALARS)
-    build = own.build
+    build = translator.build
     types = [np.dtype(aval.dtype) for aval in traced.in_avals]  # those of the arguments, in JAX's present precision
     inputs = [build.input(position, dtype) for position, dtype in enumerate(types)]
-    outputs = own.run(traced, inputs)
+    outputs = translator.run(traced, inputs)
     return Program(types, build.here, [output(value) for value in outputs]), shape
 
 
@@ -209,16 +209,16 @@ def refuse_recordings(operands: Sequence[Any]) -> None:
 
 def assembled(likes: Sequence[Any], scalars: Sequence[Value]) -> list[Any]:
     """Values of the same kinds from their scalars, the inverse of :func:`components`."""
-    rest, values = list(scalars), []
+    remaining, values = list(scalars), []
     for like in likes:
         if isinstance(like, Value):
-            values.append(rest.pop(0))
+            values.append(remaining.pop(0))
         elif isinstance(like, Key):
-            values.append(Key(rest.pop(0), rest.pop(0)))
+            values.append(Key(remaining.pop(0), remaining.pop(0)))
         else:
             tensor = np.empty(like.shape, object)
-            tensor.ravel()[:] = rest[: tensor.size]
-            del rest[: tensor.size]
+            tensor.ravel()[:] = remaining[: tensor.size]
+            del remaining[: tensor.size]
             values.append(tensor)
     return values
 
@@ -255,20 +255,20 @@ def largest_over_lanes(translator: Translator, equation: JaxprEqn, operands: lis
     for operand in operands:
         if not isinstance(operand, Value):
             raise Unsupported("a maximum over the lanes of arrays")
-        some = build.add("any", build.add("ne", operand, build.constant(0, operand.dtype)))
-        results.append(build.add("convert", some, dtype=operand.dtype))
+        varying = build.add("any", build.add("ne", operand, build.constant(0, operand.dtype)))
+        results.append(build.add("convert", varying, dtype=operand.dtype))
     return results
 
 
-def while_rule(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
+def while_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
     """A loop that ends when no lane goes on; a lane that ended before keeps its state."""
-    params, build = equation.params, own.build
+    params, build = equation.params, translator.build
     head, body = params["cond_jaxpr"], params["body_jaxpr"]
     first, second = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
     head_constants, constants, begin = operands[:first], operands[first:second], operands[second:]
     flags = [is_varying(value) for value in operands]
-    varying, lanes_differ = own.varying_results.of_while(head.jaxpr, body.jaxpr, flags, first, second)
-    enter = own.run(head, [*head_constants, *begin])[0]
+    varying, lanes_differ = translator.varying_results.of_while(head.jaxpr, body.jaxpr, flags, first, second)
+    enter = translator.run(head, [*head_constants, *begin])[0]
     scalars = flat(begin, build)
     differs = [bool(flag) for flag, value in zip(varying, begin, strict=True) for _ in components(value, build)]
     guard = None if enter.operation == "constant" and enter.detail else build.add("any", enter)
@@ -276,21 +276,21 @@ def while_rule(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list
         [*scalars, *([enter] if lanes_differ else [])], [*differs, *([True] if lanes_differ else [])], guard
     )
     states = loop.states[: len(scalars)]
-    then = own.run(body, [*constants, *assembled(begin, states)])
-    after = flat(then, build)
-    again = own.run(head, [*head_constants, *then])[0]
+    following = translator.run(body, [*constants, *assembled(begin, states)])
+    after = flat(following, build)
+    proceed = translator.run(head, [*head_constants, *following])[0]
     if lanes_differ:
         running = loop.states[-1]
         after = [build.add("select", running, new, old) for new, old in zip(after, states, strict=True)]
-        again = build.add("and", running, again)
-        after.append(again)
-        again = build.add("any", again)
-    return assembled(begin, build.close(loop, after, again)[: len(scalars)])
+        proceed = build.add("and", running, proceed)
+        after.append(proceed)
+        proceed = build.add("any", proceed)
+    return assembled(begin, build.close(loop, after, proceed)[: len(scalars)])
 
 
-def scan_rule(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
+def scan_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
     """A loop of known length over the rows of some arrays; what it stacks is recorded."""
-    params, build = equation.params, own.build
+    params, build = equation.params, translator.build
     length, body = params["length"], params["jaxpr"]
     first, carried = parts_of_scan(equation)
     second = first + carried
@@ -303,35 +303,35 @@ def scan_rule(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list[
     recordings = [Recording(length, np.dtype(type_of(variable).dtype)) for variable in kept]
     if any(type_of(variable).shape != (length,) or is_key(type_of(variable)) for variable in kept):
         raise Unsupported("a loop that records arrays")
-    flags = own.varying_results.of_scan(body.jaxpr, [is_varying(value) for value in operands], first, second)
+    flags = translator.varying_results.of_scan(body.jaxpr, [is_varying(value) for value in operands], first, second)
     scalars, index = flat(begin, build), np.dtype(np.int32)
     differs = [bool(flag) for flag, value in zip(flags, begin, strict=True) for _ in components(value, build)]
     loop = build.loop([build.constant(0, index), *scalars], [False, *differs], None)
     turn, *states = loop.states
     at = build.add("sub", build.constant(length - 1, index), turn) if params["reverse"] else turn
     slices = [indexing.row(build, table, at) for table in rows]
-    results = own.run(body, [*constants, *assembled(begin, states), *slices])
+    results = translator.run(body, [*constants, *assembled(begin, states), *slices])
     for recording, value in zip(recordings, results[carried:], strict=True):
         build.record(recording, turn, *components(value, build))
     after = build.add("add", turn, build.constant(1, index))
-    again = build.add("lt", after, build.constant(length, index))
-    ended = build.close(loop, [after, *flat(results[:carried], build)], again)
+    proceed = build.add("lt", after, build.constant(length, index))
+    ended = build.close(loop, [after, *flat(results[:carried], build)], proceed)
     return [*assembled(begin, ended[1:]), *recordings]
 
 
-def cond(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
+def cond(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
     """One of several programs; a lane's own choice."""
-    which, *rest = operands
-    build, branches = own.build, equation.params["branches"]
-    condition = which.operands[0] if which.operation == "convert" and which.operands[0].dtype == BOOL else None
+    index, *remaining = operands
+    build, branches = translator.build, equation.params["branches"]
+    condition = index.operands[0] if index.operation == "convert" and index.operands[0].dtype == BOOL else None
 
     def chosen(number: int) -> list[Any]:
         if number == len(branches) - 1:
-            return own.run(branches[number], rest)
+            return translator.run(branches[number], remaining)
         if condition is not None:  # a truth value that JAX has made a number
-            here = build.add("xor", condition, build.constant(True, BOOL))
+            taken = build.add("xor", condition, build.constant(True, BOOL))
         else:
-            here = build.add("le", which, build.constant(number, which.dtype))
+            taken = build.add("le", index, build.constant(number, index.dtype))
         kinds: list[list[Any]] = []
 
         def side(results: Callable[[], list[Any]]) -> Callable[[], list[Value]]:
@@ -341,8 +341,8 @@ def cond(own: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
 
             return scalars
 
-        sides = side(lambda: own.run(branches[number], rest)), side(lambda: chosen(number + 1))
-        joined = build.branch(here, sides)
+        sides = side(lambda: translator.run(branches[number], remaining)), side(lambda: chosen(number + 1))
+        joined = build.branch(taken, sides)
         return assembled(kinds[0], joined)
 
     return chosen(0)

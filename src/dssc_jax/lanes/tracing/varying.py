@@ -52,7 +52,7 @@ class VaryingResults:
             for equation in jaxpr.eqns:
                 scope.update(zip(equation.outvars, self._equation(equation, read(equation.invars)), strict=True))
             self._known[id(jaxpr)] = jaxpr, read(jaxpr.outvars)
-        return [through(mask, operands) for mask in self._known[id(jaxpr)][1]]
+        return [varying_mask(mask, operands) for mask in self._known[id(jaxpr)][1]]
 
     def of_while(
         self, head: Jaxpr, body: Jaxpr, operands: Sequence[int], first: int, second: int
@@ -89,9 +89,9 @@ class VaryingResults:
             state = self.of_scan(params["jaxpr"].jaxpr, operands, constants, constants + carried)
             return [*state, *[1] * (count - len(state))]
         if name == "cond":
-            which, rest = operands[0], operands[1:]
-            sides = [self.of(branch.jaxpr, rest) for branch in params["branches"]]
-            return [reduce(or_, masks, which) for masks in zip(*sides, strict=True)]
+            index, *arguments = operands
+            sides = [self.of(branch.jaxpr, arguments) for branch in params["branches"]]
+            return [reduce(or_, masks, index) for masks in zip(*sides, strict=True)]
         inner = params.get("jaxpr", params.get("call_jaxpr"))
         if isinstance(inner, ClosedJaxpr | Jaxpr):
             jaxpr = inner.jaxpr if isinstance(inner, ClosedJaxpr) else inner
@@ -100,7 +100,7 @@ class VaryingResults:
         return [reduce(or_, operands, 0)] * count
 
 
-def through(mask: int, operands: Sequence[int]) -> int:
+def varying_mask(mask: int, operands: Sequence[int]) -> int:
     """A result's mask in terms of what the operands come from."""
     joined = mask & 1
     while mask := mask & ~1:
