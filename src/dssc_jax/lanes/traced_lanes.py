@@ -11,6 +11,7 @@ from dssc_jax.lanes.llvm import machine
 from dssc_jax.lanes.llvm.module_text import module_text
 from dssc_jax.lanes.passes.liveness import operation_counts
 from dssc_jax.lanes.passes.negated_states import join_opposites
+from dssc_jax.lanes.passes.verify import verify
 from dssc_jax.lanes.program import Program, Recording
 from dssc_jax.lanes.tracing.translate import translate
 
@@ -52,8 +53,10 @@ class TracedLanes:
 
     def __init__(self, lane: Callable[..., Any], arguments: tuple[Any, ...], width: int | None, strict: bool) -> None:
         self.program, results = translate(lane, *arguments, fast=not strict)
+        verify(self.program)
         if not strict:
             join_opposites(self.program)
+            verify(self.program)
         packing = best_packing(self.program)
         width = width or packing.vectors * machine.vector_bits() // number_bits(self.program)
         self.text = module_text(self.program, width, strict, packing.window)

@@ -13,12 +13,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import JaxprEqn
 
 from dssc_jax.lanes.functions import circular, exponentials
 from dssc_jax.lanes.functions.approximations import atan, atan2, polynomial
 from dssc_jax.lanes.functions.exponentials import is_negative, logarithm, mantissa, width
 from dssc_jax.lanes.functions.powers import power
-from dssc_jax.lanes.tracing.specification import REAL, WHOLE, Specification, TranslationRule, absent, rule
+from dssc_jax.lanes.tracing.specification import REAL, WHOLE, Specification, TranslationRule, absent, array_type, rule
 
 INVERSE_ERROR = {
     64: (
@@ -148,9 +149,9 @@ def accurate(function: Callable[..., Any]) -> TranslationRule:
     return rule(function, REAL, accuracy=absent)
 
 
-def real_base(equation: Any) -> str | None:
+def real_base(equation: JaxprEqn) -> str | None:
     """Refuse a power of an integer; an exponent may be one."""
-    return None if np.dtype(equation.invars[0].aval.dtype) in REAL else "a power of an integer"
+    return None if np.dtype(array_type(equation.invars[0]).dtype) in REAL else "a power of an integer"
 
 
 def circular_rule(usually: Callable[..., Any], rarely: Callable[..., Any]) -> RareRule:

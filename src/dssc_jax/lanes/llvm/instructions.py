@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from dssc_jax.lanes.interface import stored_type
+from dssc_jax.lanes.operations import COMPARISONS
 from dssc_jax.lanes.passes.signs import is_unsigned
-from dssc_jax.lanes.program import BOOL, COMPARISONS, Subroutine, Value
+from dssc_jax.lanes.program import BOOL, Subroutine, Value
 
 FAST, STRICT = "contract nsz ", ""
 FLOATS = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv", "rem": "frem"}

@@ -5,14 +5,13 @@ else is assumed: a NaN is an outcome. Strict arithmetic does neither.
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 from dssc_jax.lanes.interface import ENTRY_POINT, stored_type
 from dssc_jax.lanes.llvm.instructions import FAST, STRICT, Instructions, scalar_type
 from dssc_jax.lanes.passes.liveness import reachable
 from dssc_jax.lanes.passes.precomputation import TURNS, Ahead, AheadPlan, planned
 from dssc_jax.lanes.passes.scheduling import ordered
-from dssc_jax.lanes.program import BOOL, Branch, CodeBlock, CodeLoop, Program, Record, Value
+from dssc_jax.lanes.program import BOOL, Branch, CodeBlock, CodeLoop, Node, Program, Record, Value
 
 WIDE = '"prefer-vector-width"="512" "min-legal-vector-width"="512"'
 ATTRIBUTES = (
@@ -88,7 +87,7 @@ class Emitter(Instructions):
             else:
                 self.branch(node)
 
-    def is_needed(self, node: Any) -> bool:
+    def is_needed(self, node: Node) -> bool:
         """Whether a result depends on a node, and it is not yet computed."""
         return id(node) in self.alive and id(node) not in self.computed
 

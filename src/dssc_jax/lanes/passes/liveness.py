@@ -1,26 +1,26 @@
 """What of a program its results depend on."""
 
 from collections import Counter
-from typing import Any
 
 from dssc_jax.lanes.program import (
     Branch,
     CodeBlock,
     CodeLoop,
+    Node,
     Program,
     Record,
     Recording,
     Value,
     all_blocks,
     inner_blocks,
-)  # fmt: skip
+)
 
 
 def reachable(program: Program) -> set[int]:
     """Identities of the values, loops and branches that a result depends on."""
     seen: set[int] = set()
-    waiting: list[Any] = [value for value in program.outputs if isinstance(value, Value)]
-    records: dict[int, list[Any]] = {}
+    waiting: list[Node] = [value for value in program.outputs if isinstance(value, Value)]
+    records: dict[int, list[Node]] = {}
     collect_records(program.body, (), records)
     for value in program.outputs:
         waiting += records[id(value)] if isinstance(value, Recording) else []
@@ -46,7 +46,7 @@ def reachable(program: Program) -> set[int]:
     return seen
 
 
-def collect_records(block: CodeBlock, around: tuple[Any, ...], records: dict[int, list[Any]]) -> None:
+def collect_records(block: CodeBlock, around: tuple[Node, ...], records: dict[int, list[Node]]) -> None:
     """The records of each recording, with the loops and branches around them."""
     for node in block.nodes:
         if isinstance(node, Record):

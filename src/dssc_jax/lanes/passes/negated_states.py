@@ -6,6 +6,7 @@ No loop needs to carry both. Zeros may change their sign by it, so this is for f
 from collections.abc import Iterator
 from itertools import permutations
 
+from dssc_jax.lanes.operations import Operation
 from dssc_jax.lanes.program import CodeBlock, CodeLoop, Program, Value, all_blocks
 
 Pair = tuple[int, int, int]
@@ -94,7 +95,7 @@ def remove(loop: CodeLoop, negatives: dict[int, int]) -> None:
     for values, block, place in ((loop.states, loop.body, 0), (loop.results, outside, after_loop)):
         changed = [values[negative] for negative in negatives]
         for value, position in zip(changed, negatives.values(), strict=True):
-            value.operation, value.operands, value.detail = "neg", (values[position],), None
+            value.operation, value.operands, value.detail = Operation.NEG, (values[position],), None
         block.nodes[place:place] = changed
     for values in (loop.begin, loop.states, loop.following, loop.results):
         values[:] = [value for position, value in enumerate(values) if position not in negatives]

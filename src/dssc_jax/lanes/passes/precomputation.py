@@ -113,6 +113,7 @@ class Ahead(Instructions):
             start = self.repeated(state.dtype, self.lanes.read(state, False))
             self.names[id(state), True] = self.emit(f"add {self.kind(state.dtype, True)} {start}, <{offsets}>")
         for value in ordered(self.chosen.values, self.window):
+            assert isinstance(value, Value)
             self.name(value, self.value(value))
         for value in self.chosen.outputs:
             register, dtype = self.names[id(value), True], stored_type(value.dtype)

@@ -10,16 +10,15 @@ precedes it in the trace. The wider it is, the more values are alive at a time, 
 from collections.abc import Iterator, Sequence
 from heapq import heappop, heappush
 from itertools import chain
-from typing import Any
 
-from dssc_jax.lanes.program import Branch, CodeLoop, Value, inner_blocks, read_by
+from dssc_jax.lanes.program import Branch, CodeLoop, Node, Value, inner_blocks, read_by
 
 CYCLES = {"add": 3, "sub": 3, "mul": 3, "div": 15, "sqrt": 20, "rem": 40, "lookup": 20}
 OTHER_CYCLES = 2
 AT_A_TIME = 3  # operations that begin in a cycle
 
 
-def ordered(nodes: Sequence[Any], window: int) -> list[Any]:
+def ordered(nodes: Sequence[Node], window: int) -> list[Node]:
     """The nodes of a block in the order in which to emit them.
 
     Args:
@@ -61,7 +60,7 @@ def ordered(nodes: Sequence[Any], window: int) -> list[Any]:
     return order
 
 
-def users_of(nodes: Sequence[Any]) -> list[list[int]]:
+def users_of(nodes: Sequence[Node]) -> list[list[int]]:
     """For each node the positions of those that read it."""
     users: list[list[int]] = [[] for _ in nodes]
     maker = {id(value): i for i, node in enumerate(nodes) for value in made_by(node)}
@@ -71,14 +70,14 @@ def users_of(nodes: Sequence[Any]) -> list[list[int]]:
     return users
 
 
-def made_by(node: Any) -> Sequence[Value]:
+def made_by(node: Node) -> Sequence[Value]:
     """The values that a node computes for its block."""
     if isinstance(node, CodeLoop | Branch):
         return node.results
     return (node,) if isinstance(node, Value) else ()
 
 
-def read_within(node: Any) -> Iterator[Value]:
+def read_within(node: Node) -> Iterator[Value]:
     """The values that a node and its blocks read."""
     yield from read_by(node)
     for block in inner_blocks(node):
@@ -86,6 +85,6 @@ def read_within(node: Any) -> Iterator[Value]:
             yield from read_within(part)
 
 
-def cycles(node: Any) -> int:
+def cycles(node: Node) -> int:
     """Until the values of a node are known; loops and branches are not modelled."""
     return CYCLES.get(node.operation, OTHER_CYCLES) if isinstance(node, Value) else 0

@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from jax.extend.core import JaxprEqn
 
 from dssc_jax.lanes.program import Builder, Value
 from dssc_jax.lanes.tracing.specification import (
@@ -17,14 +18,16 @@ from dssc_jax.lanes.tracing.specification import (
     SCALARS,
     TRUTH,
     WHOLE,
+    Parameters,
     Specification,
     TranslationRule,
     absent,
     anything,
+    array_type,
     element_type,
     result_type,
     rule,
-)  # fmt: skip
+)
 from dssc_jax.lanes.unsupported import Unsupported
 
 Tensor = np.ndarray
@@ -58,7 +61,7 @@ def elementwise(function: Callable[..., Any], build: Builder, operands: Sequence
     return results
 
 
-def broadcast(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
+def broadcast(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """An array repeated along new axes."""
     shape, axes = params["shape"], params["broadcast_dimensions"]
     if not shape:
@@ -73,7 +76,7 @@ def broadcast(build: Builder, operands: Sequence[Any], params: Mapping[str, Any]
 def moving(function: Callable[[Any, Mapping[str, Any]], Any]) -> Callable[..., Any]:
     """A rule that moves the elements of one array by a function of NumPy."""
 
-    def rule(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
+    def rule(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
         operand = operands[0] if isinstance(operands[0], np.ndarray) else as_tensor(operands[0], build)
         result = np.asarray(function(operand, params))
         return scalar_of(build, result)
@@ -88,67 +91,67 @@ def scalar_of(build: Builder, result: Tensor) -> Any:
     return result[()] if result.dtype == object else build.constant(result, result.dtype)
 
 
-def strided(operand: Tensor, params: Mapping[str, Any]) -> Tensor:
+def strided(operand: Tensor, params: Parameters) -> Tensor:
     """A part of an array between fixed indices."""
     strides = params["strides"] or [1] * operand.ndim
     parts = zip(params["start_indices"], params["limit_indices"], strides, strict=True)
     return operand[tuple(slice(start, stop, step) for start, stop, step in parts)]
 
 
-def reshaped(operand: Tensor, params: Mapping[str, Any]) -> Tensor:
+def reshaped(operand: Tensor, params: Parameters) -> Tensor:
     """The same elements in another shape."""
     return operand.reshape(params["new_sizes"])
 
 
-def squeezed(operand: Tensor, params: Mapping[str, Any]) -> Tensor:
+def squeezed(operand: Tensor, params: Parameters) -> Tensor:
     """Without axes of size 1."""
     return np.squeeze(operand, tuple(params["dimensions"]))
 
 
-def expanded(operand: Tensor, params: Mapping[str, Any]) -> Tensor:
+def expanded(operand: Tensor, params: Parameters) -> Tensor:
     """With new axes of size 1."""
     return np.expand_dims(operand, tuple(params["dimensions"]))
 
 
-def transposed(operand: Tensor, params: Mapping[str, Any]) -> Tensor:
+def transposed(operand: Tensor, params: Parameters) -> Tensor:
     """With its axes in another order."""
     return np.transpose(operand, params["permutation"])
 
 
-def reversed_along(operand: Tensor, params: Mapping[str, Any]) -> Tensor:
+def reversed_along(operand: Tensor, params: Parameters) -> Tensor:
     """Backwards along some axes."""
     return np.flip(operand, params["dimensions"])
 
 
-def concatenate(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
+def concatenate(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """Arrays one after another."""
     known = all(operand.dtype != object for operand in operands)
     parts = operands if known else [as_tensor(operand, build) for operand in operands]
     return np.concatenate(parts, params["dimension"])
 
 
-def stack(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
+def stack(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """Arrays beside one another along a new axis."""
     return np.stack([as_tensor(operand, build) for operand in operands], params["axis"])
 
 
-def unstack(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> list[Any]:
+def unstack(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> list[Any]:
     """The parts of an array along an axis, without that axis."""
     parts = np.moveaxis(as_tensor(operands[0], build), params["axis"], 0)
     return [from_tensor(np.asarray(part, object)) for part in parts]
 
 
-def split_array(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> list[Any]:
+def split_array(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> list[Any]:
     """An array in several parts."""
     return np.split(operands[0], np.cumsum(params["sizes"])[:-1], params["axis"])
 
 
-def pad(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
+def pad(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """An array with a margin, and gaps between its elements."""
     operand, margin = as_tensor(operands[0], build), operands[1]
     if any(low < 0 or high < 0 for low, high, _ in params["padding_config"]):
         raise Unsupported("a negative margin")
-    result = np.empty(equation.outvars[0].aval.shape, object)
+    result = np.empty(array_type(equation.outvars[0]).shape, object)
     result.ravel()[:] = [margin] * result.size
     inside = tuple(
         slice(low, low + (size - 1) * (gap + 1) + 1 if size else low, gap + 1)
@@ -158,7 +161,7 @@ def pad(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equa
     return result
 
 
-def iota(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
+def iota(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """The index of each element along an axis."""
     shape, axis = params["shape"], params["dimension"]
     line = np.arange(shape[axis], dtype=params["dtype"])
@@ -168,7 +171,7 @@ def iota(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equ
 def reduction(operation: str) -> Callable[..., Any]:
     """A rule that combines the elements along some axes."""
 
-    def rule(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
+    def rule(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
         axes, tensor = params["axes"], as_tensor(operands[0], build)
         kept = [axis for axis in range(tensor.ndim) if axis not in axes]
         rows = np.transpose(tensor, [*kept, *axes]).reshape(*(tensor.shape[axis] for axis in kept), -1)
@@ -187,7 +190,7 @@ def combined(function: Callable[[Sequence[Value]], Value], rows: Tensor) -> Any:
     return from_tensor(result)
 
 
-def dot_general(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
+def dot_general(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """Sums of products."""
     (left_sum, right_sum), (left_batch, right_batch) = params["dimension_numbers"]
     sides = []
@@ -201,7 +204,7 @@ def dot_general(build: Builder, operands: Sequence[Any], params: Mapping[str, An
     result = np.empty((left.shape[0], left.shape[1], right.shape[1]), object)
     for batch, i, j in np.ndindex(*result.shape):
         products = [build.add("mul", x, y) for x, y in zip(left[batch, i], right[batch, j], strict=True)]
-        zero = build.constant(0, np.dtype(equation.outvars[0].aval.dtype))
+        zero = build.constant(0, np.dtype(array_type(equation.outvars[0]).dtype))
         result[batch, i, j] = reduce(lambda x, y: build.add("add", x, y), products) if products else zero
     return from_tensor(result.reshape(left_shapes[0] + left_shapes[1] + right_shapes[1]))
 
@@ -209,7 +212,7 @@ def dot_general(build: Builder, operands: Sequence[Any], params: Mapping[str, An
 def cumulative_rule(operation: str) -> Callable[..., Any]:
     """A rule for partial sums and their like."""
 
-    def rule(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
+    def rule(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
         tensor = np.moveaxis(as_tensor(operands[0], build), params["axis"], -1).copy()
         steps = range(tensor.shape[-1])
         order = list(reversed(steps)) if params["reverse"] else list(steps)
@@ -223,13 +226,13 @@ def cumulative_rule(operation: str) -> Callable[..., Any]:
     return rule
 
 
-def same_precision(precision: Any, equation: Any) -> bool:
+def same_precision(precision: Any, equation: JaxprEqn) -> bool:
     """Any precision of JAX's enumeration: a processor computes all in the type itself. An algorithm is none."""
     parts = precision if isinstance(precision, tuple) else (precision,)
     return all(part is None or getattr(part, "name", "") in ("DEFAULT", "HIGH", "HIGHEST") for part in parts)
 
 
-def of_one_type(equation: Any) -> str | None:
+def of_one_type(equation: JaxprEqn) -> str | None:
     """Refuse a sum of products whose operands and result differ in type."""
     types = {element_type(variable.aval) for variable in (*equation.invars, *equation.outvars)}
     return None if len(types) == 1 else "operands and results of several types"

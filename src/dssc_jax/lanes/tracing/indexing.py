@@ -4,15 +4,26 @@ A table that is known before the run is read in memory; any other array by a cha
 taken as a signed number that can hold the size of the array.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from itertools import product
 from typing import Any
 
 import numpy as np
+from jax.extend.core import JaxprEqn
 
 from dssc_jax.lanes.program import Builder, Value
 from dssc_jax.lanes.tracing.arrays import Tensor, as_tensor, elementwise, from_tensor
-from dssc_jax.lanes.tracing.specification import NUMBER_TYPES, SCALARS, TranslationRule, absent, anything, one_of, rule
+from dssc_jax.lanes.tracing.specification import (
+    NUMBER_TYPES,
+    SCALARS,
+    Parameters,
+    TranslationRule,
+    absent,
+    anything,
+    array_type,
+    one_of,
+    rule,
+)
 from dssc_jax.lanes.unsupported import Unsupported
 
 MOST_SELECTS = 1024  # elements of an array that are chosen from one by one
@@ -86,7 +97,7 @@ def index_rows(build: Builder, indices: Any) -> list[list[Value]]:
     return [[wide_index(build, index) for index in vector] for vector in rows]
 
 
-def gather(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
+def gather(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """Windows of an array at indices of the run."""
     operand, indices = operands
     numbers, sizes = params["dimension_numbers"], params["slice_sizes"]
@@ -101,14 +112,14 @@ def gather(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], e
         part = window(build, operand, starts, sizes)
         if fill:
             inside = lies_within(build, operand.shape, starts, sizes)
-            missing = filler(build, params["fill_value"], np.dtype(equation.outvars[0].aval.dtype))
+            missing = filler(build, params["fill_value"], np.dtype(array_type(equation.outvars[0]).dtype))
             part = elementwise(lambda x, inside=inside, missing=missing: build.add("select", inside, x, missing),
                                build, [part])  # fmt: skip
         points.append(np.squeeze(part, tuple(numbers.collapsed_slice_dims)))
     stacked = np.empty((len(points), *points[0].shape), object)
     for i, part in enumerate(points):
         stacked[i] = from_tensor(part)
-    shape = equation.outvars[0].aval.shape
+    shape = array_type(equation.outvars[0]).shape
     batch = [axis for axis in range(len(shape)) if axis not in numbers.offset_dims]
     grid = stacked.reshape((*(shape[axis] for axis in batch), *points[0].shape))
     return from_tensor(np.transpose(grid, np.argsort([*batch, *numbers.offset_dims])) if shape else grid)
@@ -159,7 +170,7 @@ def replaced(
     return result
 
 
-def dynamic_slice(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
+def dynamic_slice(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """A window of an array."""
     operand, *starts = operands
     wide = [wide_index(build, start) for start in starts]
@@ -167,7 +178,7 @@ def dynamic_slice(build: Builder, operands: Sequence[Any], params: Mapping[str, 
                   params["slice_sizes"])  # fmt: skip
 
 
-def dynamic_update_slice(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
+def dynamic_update_slice(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """An array with a window replaced."""
     operand, update, *starts = operands
     target, new = as_tensor(operand, build), as_tensor(update, build)
@@ -176,10 +187,10 @@ def dynamic_update_slice(build: Builder, operands: Sequence[Any], params: Mappin
     return replaced(build, target, inside, new, lambda old, new: new)
 
 
-def scatter(operation: str) -> Callable[[Builder, Sequence[Any], Mapping[str, Any], Any], Any]:
+def scatter(operation: str) -> Callable[..., Tensor]:
     """An array with windows combined with others, at indices of the run."""
 
-    def rule(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
+    def rule(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
         operand, indices, updates = operands
         numbers = params["dimension_numbers"]
         target, new = as_tensor(operand, build), as_tensor(updates, build)
@@ -201,7 +212,7 @@ def scatter(operation: str) -> Callable[[Builder, Sequence[Any], Mapping[str, An
     return rule
 
 
-def unbatched(numbers: Any, equation: Any) -> bool:
+def unbatched(numbers: Any, equation: JaxprEqn) -> bool:
     """Dimension numbers of a gather or scatter without batches."""
     return not numbers.operand_batching_dims
 

@@ -15,6 +15,8 @@ from pathlib import Path
 from types import CodeType
 from typing import Any, NamedTuple
 
+from jax.extend.core import JaxprEqn
+
 from dssc_jax.lanes.program import Builder, Program, Value
 from dssc_jax.lanes.tracing.translate import INLINED, Translator, traced_program
 
@@ -62,7 +64,7 @@ class OriginTranslator(Translator):
         self.origins: dict[int, Origin] = {}
         self._outer: Any = None
 
-    def equation(self, equation: Any, operands: list[Any]) -> Sequence[Any]:
+    def equation(self, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
         """The results of one equation; those within a library's function have the origin of its call."""
         inside = self._outer is not None
         calls = equation.primitive.name in INLINED
@@ -100,7 +102,7 @@ def translate_with_origins(lane: Any, *arguments: Any) -> tuple[Program, Any, di
     return program, shape, translator.origins
 
 
-def origin_of(equation: Any) -> Origin:
+def origin_of(equation: JaxprEqn) -> Origin:
     """The origin of an equation's results."""
     places = list(model_places(equation))
     if not places:
@@ -108,7 +110,7 @@ def origin_of(equation: Any) -> Origin:
     return Origin(assigned_name(places), *function_at(places[0]))
 
 
-def model_places(equation: Any) -> Iterator[Place]:
+def model_places(equation: JaxprEqn) -> Iterator[Place]:
     """The places in models that led to an equation, innermost first."""
     traceback = getattr(getattr(equation, "source_info", None), "traceback", None)
     if traceback is None:

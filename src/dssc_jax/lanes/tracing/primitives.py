@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from jax.extend.core import JaxprEqn
 
 from dssc_jax.lanes.program import BOOL, Builder, Value
 from dssc_jax.lanes.tracing.specification import (
@@ -17,13 +18,15 @@ from dssc_jax.lanes.tracing.specification import (
     SIGNED_INTEGERS,
     TRUTH,
     WHOLE,
+    Parameters,
     Specification,
     TranslationRule,
     absent,
     anything,
+    array_type,
     one_of,
     rule,
-)  # fmt: skip
+)
 
 ElementRule = Callable[[Builder, Sequence[Value], Mapping[str, Any], np.dtype], Value]
 
@@ -36,7 +39,7 @@ def same_operation(operation: str) -> ElementRule:
 def larger_or_smaller(operation: str) -> ElementRule:
     """The larger or smaller number; of truth values, whether one or both hold."""
 
-    def translate(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+    def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
         logic = {"max": "or", "min": "and"}
         return build.add(logic[operation] if dtype == BOOL else operation, *operands)
 
@@ -50,7 +53,7 @@ def division(operation: str) -> ElementRule:
     the remainder is x; the quotient by -1 is -x, which wraps.
     """
 
-    def translate(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+    def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
         x, y = operands
         if dtype.kind == "f":
             return build.add(operation, x, y)
@@ -77,7 +80,7 @@ def shift(operation: str, taken_as: str = "") -> ElementRule:
         taken_as: The kind of integer whose shift it is, whatever the type: "i" copies the sign bit, "u" moves zeros in.
     """
 
-    def translate(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+    def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
         width, plain = 8 * dtype.itemsize, np.dtype(f"u{dtype.itemsize}")
         kind = np.dtype(f"{taken_as or dtype.kind}{dtype.itemsize}")
         x, count = (build.add("bitcast", value, dtype=kind) for value in operands)
@@ -90,7 +93,7 @@ def shift(operation: str, taken_as: str = "") -> ElementRule:
     return translate
 
 
-def sign_of(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+def sign_of(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
     """The sign; NaN and zeros are their own."""
     (x,) = operands
     zero = build.constant(0, dtype)
@@ -99,13 +102,13 @@ def sign_of(build: Builder, operands: Sequence[Value], params: Mapping[str, Any]
     return build.add("select", build.add("gt", x, zero), build.constant(1, dtype), reached)
 
 
-def clamp(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+def clamp(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
     """The middle operand, at least the first and at most the last."""
     floor, x, limit = operands
     return build.add("min", build.add("max", x, floor), limit)
 
 
-def select_n(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+def select_n(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
     """The case that the first operand counts."""
     index, *cases = operands
     if index.dtype == BOOL:
@@ -117,7 +120,7 @@ def select_n(build: Builder, operands: Sequence[Value], params: Mapping[str, Any
     return chosen
 
 
-def convert(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+def convert(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
     """The same number in another type."""
     (x,) = operands
     if dtype == BOOL and x.dtype != BOOL:
@@ -138,7 +141,7 @@ def whole_power(build: Builder, x: Value, exponent: int) -> Value:
     return build.constant(1, x.dtype) if result is None else result
 
 
-def finite(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+def finite(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
     """Whether a number is neither infinite nor NaN."""
     (x,) = operands
     return build.add("lt", build.add("abs", x), build.constant(np.inf, x.dtype))
@@ -147,7 +150,7 @@ def finite(build: Builder, operands: Sequence[Value], params: Mapping[str, Any],
 def in_total_order(operation: str) -> ElementRule:
     """A comparison with NaN above all numbers; JAX itself makes the signs of 0 and of NaN alike before."""
 
-    def translate(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+    def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
         a, b = operands
         unequal = build.add("ne", b, b)
         if operation == "lt":
@@ -157,13 +160,13 @@ def in_total_order(operation: str) -> ElementRule:
     return translate
 
 
-def complement(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+def complement(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
     """Every bit inverted."""
     ones = build.constant(True if dtype == BOOL else -1, dtype)
     return build.add("xor", operands[0], ones)
 
 
-def same_value(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+def same_value(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
     """The operand itself."""
     return operands[0]
 
@@ -179,40 +182,40 @@ def rounded_by(build: Builder, x: Value, method: str) -> Value:
     return build.add("select", beyond_half, build.add("add", half, unit), half)
 
 
-def same_width(equation: Any) -> str | None:
+def same_width(equation: JaxprEqn) -> str | None:
     """Refuse bits that become more or fewer numbers, and truth values, which have no bits."""
-    sizes = {np.dtype(variable.aval.dtype).itemsize for variable in (*equation.invars, *equation.outvars)}
+    sizes = {np.dtype(array_type(variable).dtype).itemsize for variable in (*equation.invars, *equation.outvars)}
     return None if len(sizes) == 1 else "bits of another width"
 
 
-def keeps_precision(equation: Any) -> str | None:
+def keeps_precision(equation: JaxprEqn) -> str | None:
     """Refuse a reduction to fewer bits than the type has."""
-    digits = np.finfo(equation.outvars[0].aval.dtype)
+    digits = np.finfo(array_type(equation.outvars[0]).dtype)
     lengths = equation.params["exponent_bits"], equation.params["mantissa_bits"]
     return None if lengths == (digits.nexp, digits.nmant) else "fewer bits than the type has"
 
 
-def real_power(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+def real_power(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
     """A whole power."""
     return whole_power(build, operands[0], params["y"])
 
 
-def square(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+def square(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
     """The product with itself."""
     return build.add("mul", operands[0], operands[0])
 
 
-def reciprocal_root(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+def reciprocal_root(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
     """1/x^(1/2)."""
     return build.add("div", build.constant(1, dtype), build.add("sqrt", operands[0]))
 
 
-def same_bits(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+def same_bits(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
     """The bits of a number as those of another type."""
     return build.add("bitcast", *operands, dtype=dtype)
 
 
-def rounding(build: Builder, operands: Sequence[Value], params: Mapping[str, Any], dtype: np.dtype) -> Value:
+def rounding(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
     """The nearest whole number."""
     return rounded_by(build, operands[0], params["rounding_method"].name)
 

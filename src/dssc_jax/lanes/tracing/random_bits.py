@@ -4,12 +4,13 @@ Reference:
     J. K. Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import jax
 import numpy as np
+from jax.extend.core import JaxprEqn
 
 from dssc_jax.lanes.program import Builder, Value
 from dssc_jax.lanes.tracing.arrays import as_tensor
@@ -18,13 +19,15 @@ from dssc_jax.lanes.tracing.specification import (
     UNSIGNED_INTEGERS,
     WHOLE,
     Condition,
+    Parameters,
     Specification,
     TranslationRule,
     Types,
     anything,
+    array_type,
     one_of,
     rule,
-)  # fmt: skip
+)
 from dssc_jax.lanes.unsupported import Unsupported
 
 WORD = np.dtype(np.uint32)
@@ -70,13 +73,13 @@ def require_threefry(key_type: Any) -> None:
         raise Unsupported(f"random numbers of another generator, {key_type}")
 
 
-def fold_in(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Key:
+def fold_in(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Key:
     """A key derived from a key and a number."""
     key, number = operands
     return Key(*threefry(build, key, build.constant(0, WORD), build.add("convert", number, dtype=WORD)))
 
 
-def seed(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Key:
+def seed(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Key:
     """The key of a seed: its upper and its lower word."""
     (number,) = operands
     if number.dtype.itemsize < 8:
@@ -104,7 +107,7 @@ def shaped(elements: Sequence[Any], shape: tuple[int, ...]) -> Any:
     return tensor.reshape(shape)
 
 
-def bits(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
+def bits(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """Random words of 8, 16, 32 or 64 bits."""
     (key,), width, shape = operands, params["bit_width"], params["shape"]
     dtype, words = np.dtype(f"u{width // 8}"), []
@@ -117,7 +120,7 @@ def bits(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equ
     return shaped(words, shape)
 
 
-def split_key(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
+def split_key(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """Several keys from one, as rows of words."""
     (key,), shape = operands, params["shape"]
     return shaped_keys([Key(*pair) for pair in counter_blocks(build, key, shape)], shape)
@@ -133,12 +136,12 @@ def shaped_keys(keys: Sequence[Key], shape: tuple[int, ...]) -> Any:
     return tensor.reshape(shape)
 
 
-def unwrap(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Any:
+def unwrap(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """The two words of a key as an array."""
     return shaped([operands[0].high, operands[0].low], (2,))
 
 
-def wrap(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equation: Any) -> Key:
+def wrap(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Key:
     """A key from an array of two words."""
     words = as_tensor(operands[0], build)
     if words.shape != (2,):
@@ -146,9 +149,9 @@ def wrap(build: Builder, operands: Sequence[Any], params: Mapping[str, Any], equ
     return Key(*words)
 
 
-def of_scalars(equation: Any) -> str | None:
+def of_scalars(equation: JaxprEqn) -> str | None:
     """Refuse arrays of keys or seeds."""
-    return "an array of random keys" if any(variable.aval.shape for variable in equation.invars) else None
+    return "an array of random keys" if any(array_type(variable).shape for variable in equation.invars) else None
 
 
 def of_single_key(translate: Callable[..., Any], types: Types, **parameters: Condition) -> TranslationRule:

@@ -6,12 +6,13 @@ adds. The program then runs as plain XLA. :meth:`Specification.require` is the o
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import JaxprEqn
+from jax.core import ShapedArray
+from jax.extend.core import JaxprEqn, Literal, Var
 
 from dssc_jax.lanes.unsupported import Unsupported
 
@@ -26,17 +27,22 @@ SCALARS = NUMBER_TYPES | TRUTH
 MOVED_TYPES = SCALARS | {KEY}
 """Types whose elements a rule only moves."""
 
-Types = frozenset[Any]
-Condition = Callable[[Any, JaxprEqn], bool]
+Variable: TypeAlias = Var | Literal
+ElementType: TypeAlias = np.dtype | str
+"""NumPy's type of elements, :data:`KEY`, or the name of another type."""
+Types: TypeAlias = frozenset[np.dtype] | frozenset[np.dtype | str]
+Parameters: TypeAlias = Mapping[str, Any]
+"""Parameters of an equation, whose types depend on its primitive."""
+Condition = Callable[[object, JaxprEqn], bool]
 """(value of a parameter, equation) -> whether the rule translates it exactly."""
 
 
-def anything(value: Any, equation: JaxprEqn) -> bool:
+def anything(value: object, equation: JaxprEqn) -> bool:
     """Any value: the rule reads it, or it has no effect on a lane."""
     return True
 
 
-def absent(value: Any, equation: JaxprEqn) -> bool:
+def absent(value: object, equation: JaxprEqn) -> bool:
     """No value, or an empty one."""
     return value is None or (isinstance(value, tuple | list) and not value)
 
@@ -47,7 +53,7 @@ def result_type(value: Any, equation: JaxprEqn) -> bool:
     return value is None or types == {np.dtype(value)}
 
 
-def one_of(*values: Any) -> Condition:
+def one_of(*values: object) -> Condition:
     """One of a few values, or of their names in an enumeration."""
     return lambda value, equation: getattr(value, "name", value) in values
 
@@ -103,8 +109,19 @@ def rule(translate: Callable[..., Any], types: Types | None, **parameters: Condi
     return TranslationRule(translate, Specification(types, parameters))
 
 
-def element_type(aval: Any) -> Any:
-    """The type of an array's elements: NumPy's, :data:`KEY`, or the name of another type."""
+def array_type(variable: Variable) -> ShapedArray:
+    """Shape and dtype of an operand or a result.
+
+    Raises:
+        Unsupported: It is no array.
+    """
+    if not isinstance(variable.aval, ShapedArray):
+        raise Unsupported(f"elements of type {variable.aval}")
+    return variable.aval
+
+
+def element_type(aval: object) -> ElementType:
+    """The type of an array's elements."""
     dtype = getattr(aval, "dtype", None)
     if dtype is None:
         return str(aval)
@@ -113,7 +130,7 @@ def element_type(aval: Any) -> Any:
     return np.dtype(dtype)
 
 
-def require_type(aval: Any, types: Types) -> None:
+def require_type(aval: object, types: Types) -> None:
     """Require elements of one of some types.
 
     Raises:
@@ -126,7 +143,7 @@ def require_type(aval: Any, types: Types) -> None:
         raise Unsupported(generator if foreign else f"elements of type {actual}")
 
 
-def abbreviated(value: Any) -> str:
+def abbreviated(value: object) -> str:
     """A parameter's value for a message."""
     text = " ".join(str(getattr(value, "name", value)).split())
     return text if len(text) <= 60 else f"{text[:57]}..."
