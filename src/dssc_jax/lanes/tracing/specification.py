@@ -11,7 +11,6 @@ from typing import Any, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import ShapedArray
 from jax.extend.core import JaxprEqn, Literal, Var
 
 from dssc_jax.lanes.unsupported import Unsupported
@@ -109,15 +108,17 @@ def rule(translate: Callable[..., Any], types: Types | None, **parameters: Condi
     return TranslationRule(translate, Specification(types, parameters))
 
 
-def array_type(variable: Variable) -> ShapedArray:
+def array_type(variable: Variable) -> jax.ShapeDtypeStruct:
     """Shape and dtype of an operand or a result.
 
     Raises:
         Unsupported: It is no array.
     """
-    if not isinstance(variable.aval, ShapedArray):
+    shape = getattr(variable.aval, "shape", None)
+    dtype = getattr(variable.aval, "dtype", None)
+    if shape is None or dtype is None:
         raise Unsupported(f"elements of type {variable.aval}")
-    return variable.aval
+    return jax.ShapeDtypeStruct(shape, dtype)
 
 
 def element_type(aval: object) -> ElementType:
