@@ -29,7 +29,7 @@ def environment() -> dict[str, Any]:
     import jax
 
     from dssc_jax.console.kinds import kinds
-    from dssc_jax.lanes import forms
+    from dssc_jax.engine import forms
     from dssc_jax.study.measuring import KNOWN
 
     packages = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy", "xarray", "zarr", "optax")

@@ -21,7 +21,7 @@ from typing import Any
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Block, Engine, Layout, computing, execute, lanes_in
-from dssc_jax.lanes import machine
+from dssc_jax.lanes.llvm import machine
 from dssc_jax.results.blocks import Chunks
 from dssc_jax.results.manifest import Manifest, listed, machinery_differences
 from dssc_jax.results.store import Store
