@@ -2,9 +2,10 @@
 
 import importlib
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.results import result as results
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.analysis_folder import read_description
@@ -53,7 +54,7 @@ def kind_in(folder: Path) -> str | None:
     raise ConfigError(str(folder), f"is not a results folder: it has no {MANIFEST} or {names}{remark}")
 
 
-def description(folder: Path) -> dict[str, Any]:
+def description(folder: Path) -> JsonObject:
     """The description of a folder's content: the manifest of a result, or the description of an analysis.
 
     Raises:

@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 
 from dssc_jax.cli.output import say
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.design import noise_warning, rate_warning
 from dssc_jax.engine.integration import integration_error
 from dssc_jax.models.uav.plausibility import implausible
 from dssc_jax.models.uav.vehicle import Vehicle
-from dssc_jax.results.summary import JsonObject
 from dssc_jax.study import Described, Study
 
 

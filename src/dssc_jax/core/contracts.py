@@ -24,9 +24,9 @@ from dssc_jax.core.signals import (
     Scalar,
     Signal,
     State,
-    Table,
 )
 from dssc_jax.core.smoothness import Declaration
+from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import ChannelUnits
 from dssc_jax.core.vectors import Vec3
 
@@ -193,7 +193,7 @@ class Controller(NamedTuple):
     synthesised: Callable[[Params], tuple[Scalar, Scalar]] | None = None
     describing: Callable[[Params], HarmonicBalance] | None = None
     tunable: tuple[str, ...] | Callable[[Params], tuple[str, ...]] = ()
-    from_dssc: Callable[[Params], Table] | None = None
+    from_dssc: Callable[[Params], TomlTable] | None = None
     limit: str = ""
     info: type | None = None
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, NamedTuple, TypeAlias
 
-from dssc_jax.core.signals import Table
+from dssc_jax.core.toml import TomlTable
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,9 @@ class Entry(NamedTuple):
     summary: str
     option: str | None = None
     default: Any = None
-    base: Table = {}  # noqa: RUF012  (never changed)
-    default_of: Callable[[Table], Any] | None = None
-    example: Table = {}  # noqa: RUF012  (never changed)
+    base: TomlTable = {}  # noqa: RUF012  (never changed)
+    default_of: Callable[[TomlTable], Any] | None = None
+    example: TomlTable = {}  # noqa: RUF012  (never changed)
 
     @property
     def default_member(self) -> Any:

@@ -14,9 +14,6 @@ State: TypeAlias = Any
 
 Info: TypeAlias = Any
 
-Table: TypeAlias = dict[str, Any]
-"""A table of a study file: its values are what TOML holds."""
-
 ProgressCallback: TypeAlias = Callable[[int, int | None], None]
 """Called with the number of finished lanes or steps and the total number; None: the total is not known."""
 

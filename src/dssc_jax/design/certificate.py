@@ -1,7 +1,8 @@
 """The certificate of a design: Table 1, Lyapunov matrices, positive functions, small gain, and guarantees."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.design.arrays import Numeric
 from dssc_jax.design.bounds import Bounds, Constants, Numbers, derive, in_range, require_plain
 from dssc_jax.design.lyapunov import attack_q, eigenvalues_of_p, functions_are_positive, q_is_positive
@@ -60,7 +61,7 @@ class Certificate(NamedTuple):
         """Whether Theorem 1 holds: Table 1 strictly, and phi_b above the derived small-gain bound."""
         return self.table and self.interconnected
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """For JSON; NaN and infinity must still be replaced."""
         rows = [
             {

@@ -3,11 +3,12 @@
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
+from dssc_jax.core.toml import TomlTable
 from dssc_jax.design import Bounds, Free, Modulation, Parameters, Recipe, derive, synthesise
 from dssc_jax.design.bounds import Numbers, require_plain
 from dssc_jax.design.feasibility import RANGES, Criterion, DesignGoal, edges, optimise
@@ -86,7 +87,7 @@ def load_design(path: str | Path, *, complete: bool = True) -> DesignFile:
         raise (error if error.where == str(path) else error.within(str(path))) from None
 
 
-def parse_design(table: dict[str, Any], name: str, complete: bool = True) -> DesignFile:
+def parse_design(table: TomlTable, name: str, complete: bool = True) -> DesignFile:
     """The content of a design file."""
     for key in table:
         if key not in DESIGN_TABLES:
@@ -120,7 +121,7 @@ def parse_design(table: dict[str, Any], name: str, complete: bool = True) -> Des
     return DesignFile(name, bounds, synthesise(bounds, free, Recipe(recipe)), free, goal, modulation, at_edges)
 
 
-def searched_parameters(table: dict[str, Any], bounds: Bounds) -> tuple[Free, DesignGoal, tuple[str, ...]]:
+def searched_parameters(table: TomlTable, bounds: Bounds) -> tuple[Free, DesignGoal, tuple[str, ...]]:
     """Find the free parameters for the goal, and those at an end of their range.
 
     Parameters given in ``[free]`` are fixed, the others are varied.

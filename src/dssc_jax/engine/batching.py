@@ -18,6 +18,7 @@ import jax
 import numpy as np
 
 from dssc_jax.closed_loop.draw import Run, simulate_draw
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine import forms
@@ -265,7 +266,7 @@ def lanes_in(block: Block) -> int:
     return math.prod(part.stop - part.start for part in block)
 
 
-def computing() -> dict[str, Any]:
+def computing() -> JsonObject:
     """Factors other than the study that affect a result's last digits: versions, device, compiler settings."""
     device = jax.devices()[0]
     return {

@@ -6,7 +6,7 @@ substeps and with twice as many. A method of order p leaves about 1/(2^p - 1) of
 """
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from dssc_jax.closed_loop.hold import is_exact
 from dssc_jax.closed_loop.requirements import ended_early
 from dssc_jax.closed_loop.sample import held_parts
 from dssc_jax.core.integrators import ORDERS
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.engine.batching import Arrays, Engine, evaluate, lane_numbers
 from dssc_jax.statistics.order import typical_size
 from dssc_jax.study import Study
@@ -74,7 +75,7 @@ class IntegrationError(NamedTuple):
         remedy = f"set loop.substeps = {self.remedy}, or shorten loop.sample_time"
         return f"the integration between the samples is too coarse: {self.text}; {remedy}"
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """For JSON; an infinite change is None."""
         finite = self.change if np.isfinite(self.change) else None
         return self._asdict() | {"change": finite, "text": self.text, "warning": self.warning}

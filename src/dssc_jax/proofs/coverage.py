@@ -2,11 +2,11 @@
 
 import math
 from dataclasses import asdict
-from typing import Any
 
 import jax
 
 from dssc_jax.core.contracts import Differentiator, Sensor
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.registry import Discretisation
 from dssc_jax.design.certification import Ends, NotCovered, disturbance_bounds, ends_of, reference_bounds
 from dssc_jax.models.actuators import NO_DYNAMICS
@@ -157,7 +157,7 @@ def initial_errors(study: Study, ends: Ends) -> tuple[Interval, ...]:
     return tuple((min(a, b) - begin, max(a, b) - begin) for a, b, begin in pairs)
 
 
-def unmodelled_of(study: Study, ends: Ends) -> dict[str, Any]:
+def unmodelled_of(study: Study, ends: Ends) -> JsonObject:
     """The problem's G(mu s) and its delay.
 
     Raises:
@@ -181,7 +181,7 @@ def unmodelled_of(study: Study, ends: Ends) -> dict[str, Any]:
     return absent | {"numerator": numerator, "denominator": denominator, "mu": (float(low.mu), float(high.mu))}
 
 
-def controller_of(study: Study) -> dict[str, Any]:
+def controller_of(study: Study) -> JsonObject:
     """The controller's part of a problem.
 
     Raises:

@@ -1,9 +1,9 @@
 """What is to be proved, in plain numbers: one loop with intervals, from a study and into a certificate's file."""
 
 from dataclasses import asdict, dataclass
-from typing import Any
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.json_types import JsonObject
 
 Interval = tuple[float, float]
 Box = dict[str, Interval]
@@ -42,7 +42,7 @@ class ProofProblem:
     sample_time: float
     l0: float
     form: str
-    functions: dict[str, Any]
+    functions: JsonObject
     rho: float | None
     nominal: tuple[float, float, bool] | None
     k_p: Interval
@@ -66,7 +66,7 @@ class ProofProblem:
         """A hash of its numbers."""
         return hash((self.sample_time, self.l0, self.k_p, self.a_p, self.mu, self.delay))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """The problem as JSON's types."""
         return asdict(self)
 
@@ -90,7 +90,7 @@ class ProofProblem:
 TUPLES = ("k_p", "a_p", "mu", "zero_a", "zero_c", "numerator", "denominator", "reference", "by_state")
 
 
-def problem_from(content: dict[str, Any]) -> ProofProblem:
+def problem_from(content: JsonObject) -> ProofProblem:
     """A problem from JSON's types.
 
     Raises:

@@ -5,11 +5,11 @@ import itertools
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.proofs import BOXES
 from dssc_jax.proofs.coverage import problem_of
@@ -61,7 +61,7 @@ class Proved:
         """Share of the box's volume that is proved; 1/mu on a logarithmic scale."""
         return 1.0 if self.complete else float(sum(volume(proof.box, self.problem) for proof in self.proofs))
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> JsonObject:
         """The outcome in plain numbers."""
         finite = bool(self.proofs)
         failures = [
@@ -100,7 +100,7 @@ class Proved:
             f"|e| = {self.largest_error:.4g} {y} and ends within |e| <= {self.error:.4g} {y}."
         )
 
-    def certificate(self) -> dict[str, Any]:
+    def certificate(self) -> JsonObject:
         """The certificate as JSON's types; it holds the proved boxes only."""
         proofs = [proof.to_dict() for proof in self.proofs]
         return {"version": VERSION, "complete": self.complete, "problem": self.problem.to_dict(), "proofs": proofs}

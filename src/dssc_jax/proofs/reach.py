@@ -2,12 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from dssc_jax.core.bisection import bisect
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.design.certification import widened
 from dssc_jax.proofs import SWEEP_BOXES
 from dssc_jax.proofs.coverage import problem_of
@@ -51,7 +51,7 @@ class ProvedReach:
         sentence = f"Proved up to {self.name} = {self.proved:.4g}{alone}; not at {self.refused:.4g}: {self.reason}."
         return f"{sentence} {self.last.statement()}"
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> JsonObject:
         """The outcome in plain numbers."""
         return {
             "over": self.name,

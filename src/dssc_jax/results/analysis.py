@@ -10,9 +10,10 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.results.analysis_folder import read_analysis, save
 from dssc_jax.results.fields import STORED_APART, restored_fields, stored_fields
-from dssc_jax.results.summary import JsonObject, jsonable
+from dssc_jax.results.summary import jsonable
 from dssc_jax.study import Study
 
 if TYPE_CHECKING:

@@ -4,13 +4,14 @@ import hashlib
 import json
 from collections.abc import Hashable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.results.array_files import ArrayFiles
 from dssc_jax.results.digests import sum_of
 from dssc_jax.results.manifest import DATA, SCHEMA, SUMMARY, Manifest, code_entries, unsealed, write_json, write_sealed
@@ -34,7 +35,7 @@ class Stored(NamedTuple):
 
     study: Study
     dataset: xr.Dataset
-    settings: dict[str, Any]
+    settings: JsonObject
 
 
 def require_free(folder: Path, kind: str, study: Study) -> None:
@@ -55,9 +56,7 @@ def require_free(folder: Path, kind: str, study: Study) -> None:
         raise ConfigError(str(folder), rule)
 
 
-def save(
-    folder: Path, kind: str, study: Study, dataset: xr.Dataset, summary: dict[str, Any], settings: dict[str, Any]
-) -> Path:
+def save(folder: Path, kind: str, study: Study, dataset: xr.Dataset, summary: JsonObject, settings: JsonObject) -> Path:
     """Write the folder of an analysis; one of the same kind and study is overwritten.
 
     Args:

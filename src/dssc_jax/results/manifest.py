@@ -2,11 +2,12 @@
 
 import json
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.files import PARTIAL
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.engine.batching import Layout
 from dssc_jax.results import lock
 from dssc_jax.results.theorem import theorem_mark
@@ -16,7 +17,7 @@ from dssc_jax.study.described import describe
 from dssc_jax.study.laws import is_number
 from dssc_jax.study.tables import require_shallow
 
-Manifest: TypeAlias = dict[str, Any]
+Manifest: TypeAlias = JsonObject
 """The content of a manifest.json, whose fields are checked when it is read."""
 
 SCHEMA = 3
@@ -50,7 +51,7 @@ def write_sealed(path: Path, content: dict[str, object]) -> None:
     write_json(path, content | {SEAL: hash_of(content)})
 
 
-def unsealed(path: Path, content: object) -> dict[str, Any]:
+def unsealed(path: Path, content: object) -> JsonObject:
     """The content that was passed to :func:`write_sealed`.
 
     Args:

@@ -3,12 +3,12 @@
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.study import Study
 
 PROOFS_FILE = "proofs.json"
@@ -28,8 +28,8 @@ class SweepProofs:
 
     study_hash: str
     axes: dict[str, tuple[float, ...]]
-    points: list[dict[str, Any]]
-    certificates: list[dict[str, Any]]
+    points: list[JsonObject]
+    certificates: list[JsonObject]
     seconds: float
 
     @property

@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from dssc_jax.closed_loop.requirements import ended_early, violated
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.signals import Outcome
 from dssc_jax.results.fields import MERGED
 from dssc_jax.results.schema import outcome_codes
@@ -21,10 +22,10 @@ QUANTILES = (0.05, 0.5, 0.95)
 BATCH_LANES = 2**20  # summarised at once
 BATCH_POINTS = 4096
 FEW_PAIRS = 3  # of requirements: shown even where no draw violates both
-SummaryRow: TypeAlias = dict[str, Any]
+SummaryRow: TypeAlias = JsonObject
 """Statements about one point, or about one requirement at a point."""
 
-Summary: TypeAlias = dict[str, Any]
+Summary: TypeAlias = JsonObject
 """A result's summary for JSON; its ``points`` are rows."""
 
 
@@ -201,10 +202,6 @@ def most_violated(point: SummaryRow) -> str:
     """The requirement violated by most draws of a point, with their number; ``-`` if no draw violates any."""
     worst = max(point["requirements"], key=lambda requirement: requirement["failures"], default=None)
     return f"{worst['name']} ({worst['failures']})" if worst and worst["failures"] else "-"
-
-
-JsonObject: TypeAlias = dict[str, Any]
-"""A JSON object: strings, numbers, booleans, None, and lists and objects of these."""
 
 
 def jsonable(content: object) -> Any:

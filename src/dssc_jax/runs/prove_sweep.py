@@ -10,16 +10,16 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
-from typing import Any
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.proofs import SWEEP_BOXES
 from dssc_jax.proofs.coverage import problem_of
 from dssc_jax.proofs.problem import ProofProblem
 from dssc_jax.results.proofs import SweepProofs
 from dssc_jax.study import Study
 
-PointOutcome = tuple[dict[str, Any], dict[str, Any]]
+PointOutcome = tuple[JsonObject, JsonObject]
 """Summary and certificate of one point."""
 
 
@@ -69,7 +69,7 @@ def prove_sweep(
     return SweepProofs(study.hash, study.axes, summaries, certificates, time.perf_counter() - began)
 
 
-def foreign_points(study: Study, certificates: Sequence[dict[str, Any]]) -> list[int]:
+def foreign_points(study: Study, certificates: Sequence[JsonObject]) -> list[int]:
     """Numbers of the sweep points whose certificate belongs to another loop."""
     problems = (json.loads(json.dumps(problem_of(point).to_dict())) for point in sweep_points(study))
     pairs = enumerate(zip(problems, certificates, strict=True))

@@ -2,11 +2,11 @@
 
 import secrets
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.engine.batching import Arrays, Lanes, computing
 from dssc_jax.engine.reference import Agreement, agreement, deviations, recompute, stored_lanes
 from dssc_jax.results.manifest import machinery_differences
@@ -53,7 +53,7 @@ class Verification:
     lanes: int
     seed: int
     deviation: float
-    worst: dict[str, Any] | None
+    worst: JsonObject | None
     verdict: str
     undecided: int
     otherwise: list[str]
@@ -64,7 +64,7 @@ class Verification:
         """Whether the stored lanes agree with the study."""
         return self.verdict == "agrees"
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """For JSON."""
         return asdict(self) | {"verified": self.verified}
 
@@ -109,7 +109,7 @@ def verify(result: Result, draws: int = LANES, seed: int | None = None) -> Verif
     )
 
 
-def worst_lane(result: Result, lanes: Lanes, computed: Arrays, compared: Agreement, at: int) -> dict[str, Any]:
+def worst_lane(result: Result, lanes: Lanes, computed: Arrays, compared: Agreement, at: int) -> JsonObject:
     """The value with the largest deviation, and its location."""
     name = str(compared.variable[at])
     study = result.study

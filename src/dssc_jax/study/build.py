@@ -21,6 +21,7 @@ from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.quantities import extent
 from dssc_jax.core.registry import single
+from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.trace_memory.memory import remembered
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.models.actuators import UNMODELLED
@@ -82,7 +83,7 @@ FIXED_TABLES: dict[str, type[BaseModel]] = {
 }
 
 
-def validate_fixed(table: dict[str, Any]) -> StudyTable:
+def validate_fixed(table: TomlTable) -> StudyTable:
     """The fixed tables, validated."""
     try:
         return StudyTable.model_validate(table)
@@ -104,7 +105,7 @@ class Parts(NamedTuple):
     requirements: tuple[Requirement, ...]
 
 
-def build(table: dict[str, Any]) -> Parts:
+def build(table: TomlTable) -> Parts:
     """Look up and parse every part of a study.
 
     Raises:
@@ -116,7 +117,7 @@ def build(table: dict[str, Any]) -> Parts:
         raise with_section(error, table, {"": StudyTable, **FIXED_TABLES}, REGISTRIES) from None
 
 
-def parsed_parts(table: dict[str, Any]) -> Parts:
+def parsed_parts(table: TomlTable) -> Parts:
     """The parts of a study; see :func:`build`."""
     config = validate_fixed(table)
     plant = parse_whole(config.plant, "plant")
@@ -163,7 +164,7 @@ def parsed_parts(table: dict[str, Any]) -> Parts:
     return Parts(config, loop, template, units, numbers, measures, requirements)
 
 
-def parse_units(table: dict[str, Any], plant: Plant, channels: tuple[str, ...]) -> tuple[ChannelUnits, ...]:
+def parse_units(table: TomlTable, plant: Plant, channels: tuple[str, ...]) -> tuple[ChannelUnits, ...]:
     """Units and meanings of each channel: the plant's own, overridden by ``[units]`` and ``[units.CHANNEL]``.
 
     Raises:
@@ -198,7 +199,7 @@ def by_name(numbers: Iterable[Number]) -> dict[str, Number]:
     return merged_numbers
 
 
-def clock(config: StudyTable) -> dict[str, Any]:
+def clock(config: StudyTable) -> TomlTable:
     """The loop's fields about time: sampling, integration, and the end of settled draws."""
     loop = config.loop
     return {
@@ -236,13 +237,13 @@ def with_bounded_jitter(sensor: Component, path: str, sample_time: float) -> Com
     return replace(sensor, numbers=tuple(bounded))
 
 
-def parse_whole(table: dict[str, Any], slot: str) -> Component:
+def parse_whole(table: TomlTable, slot: str) -> Component:
     """Parse the component of a slot that the loop has once."""
     component = parse_component(table, REGISTRIES[slot], slot)
     return replace(component, numbers=tuple(number.under(slot, slot) for number in component.numbers))
 
 
-def parse_winds(table: dict[str, Any] | list[dict[str, Any]]) -> Component:
+def parse_winds(table: TomlTable | list[TomlTable]) -> Component:
     """Parse the wind, or the sum of the winds in a list; a number of the second one is called ``wind.1.speed``.
 
     Raises:
@@ -262,7 +263,7 @@ def parse_winds(table: dict[str, Any] | list[dict[str, Any]]) -> Component:
     return Component(" + ".join(part.kind for part in parts), model, tuple(part.params for part in parts), numbers)
 
 
-def parse_reference(table: dict[str, Any], channels: tuple[str, ...], units: tuple[ChannelUnits, ...]) -> Component:
+def parse_reference(table: TomlTable, channels: tuple[str, ...], units: tuple[ChannelUnits, ...]) -> Component:
     """Parse the reference: one signal, or a trajectory in which ``[reference.x]`` replaces that of channel x."""
     slot = "reference"
     if len(channels) == 1:
@@ -283,7 +284,7 @@ def parse_reference(table: dict[str, Any], channels: tuple[str, ...], units: tup
     return Component(joint.kind, model, params, tuple(numbers))
 
 
-def parse_channels(table: dict[str, Any], slot: str, channels: tuple[str, ...]) -> list[Component]:
+def parse_channels(table: TomlTable, slot: str, channels: tuple[str, ...]) -> list[Component]:
     """Parse one component per channel. A table ``[controller.x]`` overrides ``[controller]``, which applies to all.
 
     A number that no channel overrides is one number for all channels: one draw of its law, one axis.
@@ -372,7 +373,7 @@ def nearest_number(name: str, config: StudyTable, numbers: Mapping[str, Number])
     return nearest(name, numbers)
 
 
-def check_swept_parts(table: dict[str, Any], config: StudyTable, channels: tuple[str, ...]) -> None:
+def check_swept_parts(table: TomlTable, config: StudyTable, channels: tuple[str, ...]) -> None:
     """Require that the rules spanning several fields of a part hold for all swept values.
 
     The parts are parsed once more, with a law of the swept values in place of each swept number.

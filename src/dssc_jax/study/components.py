@@ -20,6 +20,7 @@ from dssc_jax.core.contracts import Plant, Preset, as_given
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, Registry, Slot, single
+from dssc_jax.core.toml import TomlTable
 from dssc_jax.study.importing import imported
 from dssc_jax.study.laws import Law, is_law, is_number, parse_law
 from dssc_jax.study.tables import merged
@@ -99,7 +100,7 @@ def parse_numbers(value: object, quantity: Quantity, depth: int = 1) -> Any:
     return tuple(parse_numbers(item, quantity, depth - 1) for item in value)
 
 
-def flattened(name: str, value: object) -> dict[str, Any]:
+def flattened(name: str, value: object) -> TomlTable:
     """The numbers of a list, or of rows, by dotted name; a number alone has the name itself."""
     if not isinstance(value, tuple):
         return {name: value}
@@ -253,7 +254,7 @@ def require_measure(kind: str, plant: Plant) -> None:
         raise ConfigError("kind", rule) from None
 
 
-def member_of(entry: Entry, table: dict[str, Any]) -> Any:
+def member_of(entry: Entry, table: TomlTable) -> Any:
     """The member of an entry that the table's option selects."""
     if entry.option is None:
         return entry.members[None]
@@ -267,7 +268,7 @@ def member_of(entry: Entry, table: dict[str, Any]) -> Any:
     raise ConfigError(entry.option, f"must be one of {', '.join(map(str, valid))}, got {choice!r}; {hint}")
 
 
-def as_table(value: object, path: str = "") -> dict[str, Any]:
+def as_table(value: object, path: str = "") -> TomlTable:
     """A copy of a table.
 
     Raises:
@@ -309,7 +310,7 @@ def parse_component(value: object, registry: Registry, path: str = "", default: 
 
 
 def parse_params(
-    table: dict[str, Any], params: Any, preset: Any = None, choices: tuple[str, ...] = ()
+    table: TomlTable, params: Any, preset: Any = None, choices: tuple[str, ...] = ()
 ) -> tuple[Any, tuple[Number, ...]]:
     """An instance of a parameter type from its table, and its numbers in the order of its fields.
 
@@ -340,9 +341,7 @@ def parse_params(
     return params(**fields), tuple(number for name in specs for number in numbers.get(name, ()))
 
 
-def parse_part(
-    name: str, spec: FieldSpec, table: dict[str, Any], defaults: dict[str, Any]
-) -> tuple[Any, tuple[Number, ...]]:
+def parse_part(name: str, spec: FieldSpec, table: TomlTable, defaults: TomlTable) -> tuple[Any, tuple[Number, ...]]:
     """The parameters and numbers of the part in a field; None if neither table nor defaults give it.
 
     Raises:
@@ -368,9 +367,7 @@ def parse_part(
     )
 
 
-def parse_plain(
-    table: dict[str, Any], params: Any, defaults: dict[str, Any], choices: tuple[str, ...]
-) -> dict[str, Any]:
+def parse_plain(table: TomlTable, params: Any, defaults: TomlTable, choices: tuple[str, ...]) -> TomlTable:
     """The fields of a parameter type that are numbers, lists of numbers, or choices.
 
     Raises:

@@ -15,6 +15,7 @@ from dssc_jax.closed_loop.loop import Loop
 from dssc_jax.closed_loop.metrics import Metric, Scope, available_metrics
 from dssc_jax.core.contracts import NoParams, Plant
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.units import ANGLE, POSITION, ChannelUnits
 from dssc_jax.study.build import clock, info_fields, validate_fixed
@@ -100,12 +101,12 @@ class Described(Study):
         refusal: The message when a simulation is requested.
     """
 
-    code: dict[str, Any]
+    code: JsonObject
     description: Description
     refusal: ConfigError
 
     @classmethod
-    def of(cls, table: Mapping[str, object], source: str, code: dict[str, Any], content: object) -> "Described":
+    def of(cls, table: Mapping[str, object], source: str, code: JsonObject, content: object) -> "Described":
         """Build a study from its table and the result of :func:`describe`.
 
         Raises:
@@ -179,7 +180,7 @@ def numbers_of(description: Description) -> dict[str, Number]:
     }
 
 
-def describe(study: Study, certified: np.ndarray | None, silence: str) -> dict[str, Any]:
+def describe(study: Study, certified: np.ndarray | None, silence: str) -> JsonObject:
     """The data that :meth:`Described.of` needs in addition to a study's table, for JSON.
 
     Args:
@@ -211,7 +212,7 @@ def describe(study: Study, certified: np.ndarray | None, silence: str) -> dict[s
     }
 
 
-def received(manifest: Mapping[str, Any], source: str, trust_code: bool = False) -> Study:
+def received(manifest: JsonObject, source: str, trust_code: bool = False) -> Study:
     """The study of a folder, which may come from anyone: the code it refers to is loaded only on request.
 
     Args:

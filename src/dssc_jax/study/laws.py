@@ -6,12 +6,13 @@ A law maps the unit interval to its values, so that random, Sobol and Latin-hype
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeGuard
+from typing import TypeGuard
 
 import numpy as np
 import scipy
 
 from dssc_jax.core.errors import nearest
+from dssc_jax.core.toml import TomlTable
 
 Arguments = tuple[float, ...]
 
@@ -252,7 +253,7 @@ def is_law(value: object) -> bool:
     return isinstance(value, dict) and len(value) == 1 and next(iter(value)) in LAWS
 
 
-def parse_law(table: dict[str, Any]) -> Law:
+def parse_law(table: TomlTable) -> Law:
     """Parse a law from its table.
 
     Raises:

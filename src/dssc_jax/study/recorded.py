@@ -10,6 +10,7 @@ from typing import Any
 
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
+from dssc_jax.core.toml import TomlTable
 
 FIELDS = ("file", "column", "columns", "time_column")
 SLOTS = ("reference", "disturbance", "wind", "sensor")
@@ -22,7 +23,7 @@ MOST_COLUMNS = 10_000
 """Columns of a file; a table of more takes minutes to read."""
 
 
-def with_records(table: Mapping[str, object], folder: Path) -> dict[str, Any]:
+def with_records(table: Mapping[str, object], folder: Path) -> TomlTable:
     """A study's table with the times and values of each record in place of its file.
 
     Args:
@@ -51,7 +52,7 @@ def recorded_slot(value: object, folder: Path, slot: str) -> Any:
     return inlined_table | channels
 
 
-def inlined(part: Mapping[str, Any], folder: Path, slot: str) -> dict[str, Any]:
+def inlined(part: Mapping[str, Any], folder: Path, slot: str) -> TomlTable:
     """A table with the record's times and values in place of ``file``, ``column``, ``columns`` and ``time_column``."""
     components = SEVERAL.get(slot.partition(".")[0])
     targets = components or ("value",)

@@ -11,6 +11,7 @@ from dssc_jax.closed_loop.step_response import crossing
 from dssc_jax.closed_loop.window import Window, window_defaults, window_entries
 from dssc_jax.core.errors import nearest
 from dssc_jax.core.integrators import Integrator
+from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import parse_unit
 from dssc_jax.study.laws import is_number
 
@@ -338,18 +339,18 @@ class StudyTable(BaseModel):
         default={}, description='rank correlation of two uncertain numbers, as `"a, b" = 0.5`'
     )
     loop: LoopTable = Field(description="clock and precision")
-    plant: dict[str, Any] = Field(description="model of the plant")
-    controller: dict[str, Any] = Field(description="controller and its gains")
-    units: dict[str, Any] = Field(default={}, description="units and meanings of the output and the command")
-    reference: dict[str, Any] = Field(default={"kind": "zero"}, description="desired output")
-    sensor: dict[str, Any] = Field(default={"kind": "ideal"}, description="model of the sensors")
-    differentiator: dict[str, Any] = Field(default={"kind": "none"}, description="estimator of the output's derivative")
-    unmodelled: dict[str, Any] = Field(default={"kind": "none"}, description="dynamics between command and plant")
-    disturbance: dict[str, Any] = Field(default={"kind": "none"}, description="disturbance at the plant's input")
-    wind: dict[str, Any] | list[dict[str, Any]] = Field(
+    plant: TomlTable = Field(description="model of the plant")
+    controller: TomlTable = Field(description="controller and its gains")
+    units: TomlTable = Field(default={}, description="units and meanings of the output and the command")
+    reference: TomlTable = Field(default={"kind": "zero"}, description="desired output")
+    sensor: TomlTable = Field(default={"kind": "ideal"}, description="model of the sensors")
+    differentiator: TomlTable = Field(default={"kind": "none"}, description="estimator of the output's derivative")
+    unmodelled: TomlTable = Field(default={"kind": "none"}, description="dynamics between command and plant")
+    disturbance: TomlTable = Field(default={"kind": "none"}, description="disturbance at the plant's input")
+    wind: TomlTable | list[TomlTable] = Field(
         default={"kind": "none"}, description="wind, for a vehicle; several tables `[[wind]]` add up"
     )
-    compare: dict[str, dict[str, Any]] = Field(default={}, description="gains of other controllers, for `compare`")
+    compare: dict[str, TomlTable] = Field(default={}, description="gains of other controllers, for `compare`")
     metrics: MetricsTable = Field(default=MetricsTable(), description="metrics and their window")
     requirement: list[RequirementTable] = Field(default=[], description="bounds that a draw must keep")
     envelope: list[EnvelopeTable] = Field(default=[], description="bounds over time that a draw must keep")

@@ -5,7 +5,6 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jax.tree_util import keystr, tree_flatten_with_path
@@ -16,6 +15,7 @@ from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
+from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import ChannelUnits
 from dssc_jax.study.build import build
 from dssc_jax.study.components import Number
@@ -48,7 +48,7 @@ class Study:
         requirements: The requirements.
     """
 
-    table: dict[str, Any]
+    table: TomlTable
     source: str
     config: StudyTable
     loop: Loop

@@ -5,9 +5,10 @@ from typing import Any
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.toml import TomlTable
 
 
-def plant_table(system: Any) -> dict[str, Any]:
+def plant_table(system: Any) -> TomlTable:
     """The ``[plant]`` table of a linear system, of kind ``state_space`` or ``transfer_function``.
 
     The study then contains the system's numbers, and no reference to code. Any of them may be replaced by a law.

@@ -11,6 +11,7 @@ import tomli_w
 
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.toml import TomlTable
 from dssc_jax.study.laws import is_law
 from dssc_jax.study.separators import toml_hint
 
@@ -21,7 +22,7 @@ LONG_NAME = re.compile(rf"^[ \t\[]*+{DOTTED_NAME}|[{{,][ \t]*+{DOTTED_NAME}", re
 """Detected before parsing, because the parser's time grows with the square of a dotted name's length."""
 
 
-def read_toml(path: str | Path) -> dict[str, Any]:
+def read_toml(path: str | Path) -> TomlTable:
     """The content of a TOML file.
 
     Raises:
@@ -103,7 +104,7 @@ def is_index(part: str) -> bool:
     return part.isascii() and part.isdecimal() and len(part) < 10
 
 
-def set_dotted(table: dict[str, Any], name: str, value: object) -> None:
+def set_dotted(table: TomlTable, name: str, value: object) -> None:
     """Set ``table[a][b][c]`` for the name ``a.b.c``; missing tables are created, list items are given by index.
 
     Raises:
@@ -133,7 +134,7 @@ def set_dotted(table: dict[str, Any], name: str, value: object) -> None:
         raise ConfigError(name, f"leads nowhere: '{key}' is not in a table")
 
 
-def changed(table: Mapping[str, object], changes: Mapping[str, object], source: str) -> dict[str, Any]:
+def changed(table: Mapping[str, object], changes: Mapping[str, object], source: str) -> TomlTable:
     """A copy of a table from ``source`` with other values, by dotted name.
 
     Raises:
@@ -149,7 +150,7 @@ def changed(table: Mapping[str, object], changes: Mapping[str, object], source: 
     return copied
 
 
-def merged(common: dict[str, Any], override: dict[str, Any]) -> dict[str, Any]:
+def merged(common: TomlTable, override: TomlTable) -> TomlTable:
     """``common`` with the values of ``override``, table by table; a law or a table of another kind replaces a table."""
     result = dict(common)
     for name, value in override.items():
@@ -162,7 +163,7 @@ def merged(common: dict[str, Any], override: dict[str, Any]) -> dict[str, Any]:
     return result
 
 
-def has_dotted(table: dict[str, Any], name: str) -> bool:
+def has_dotted(table: TomlTable, name: str) -> bool:
     """Whether a table contains the dotted name, or a part of it that is not a table."""
     inner: Any = table
     for part in name.split("."):

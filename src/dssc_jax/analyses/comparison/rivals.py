@@ -8,18 +8,19 @@ its other gains have their defaults.
 """
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
+from dssc_jax.core.toml import TomlTable
 from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.models.controllers.dssc_forms import DsscGains, switching_gain
 from dssc_jax.study import Law, Study
 from dssc_jax.study.components import field_specs, lookup
 from dssc_jax.study.tables import merged
 
-ControllerTable = dict[str, Any]
+ControllerTable = TomlTable
 LIMITED = "limited"
 
 

@@ -12,6 +12,7 @@ from dssc_jax.analyses.defaults import CANDIDATES, MOST_CANDIDATES, TUNING_DRAWS
 from dssc_jax.closed_loop.requirements import worst_slack
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Outcome
+from dssc_jax.core.toml import TomlTable
 from dssc_jax.engine.batching import BLOCK
 from dssc_jax.engine.evaluation import Evaluator
 from dssc_jax.study import Study
@@ -156,7 +157,7 @@ def candidate_points(study: Study, extents: Mapping[str, tuple[float, float]], b
     return dict(zip(extents, np.clip(columns, low, high), strict=True))
 
 
-def with_gains(table: dict[str, Any], gains: Mapping[str, float]) -> dict[str, Any]:
+def with_gains(table: TomlTable, gains: Mapping[str, float]) -> TomlTable:
     """A controller's table with the tuned gains."""
     holder = {"controller": copy.deepcopy(table)}
     for name, value in gains.items():

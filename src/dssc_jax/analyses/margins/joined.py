@@ -8,10 +8,10 @@ import numpy as np
 import xarray as xr
 
 from dssc_jax.analyses.margins.result import MarginAnswer, Margins
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.results.analysis import restored, settings
 from dssc_jax.results.fields import MERGED
-from dssc_jax.results.summary import JsonObject
 from dssc_jax.study import Study
 
 

@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.margins.search import CLOCK, Censoring, Critical, Walk
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.design.certification import Reach, reach
 from dssc_jax.results.analysis import Analysis
-from dssc_jax.results.summary import JsonObject
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson
 from dssc_jax.statistics.order import binomial_quantile
 from dssc_jax.study import Study

@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from dssc_jax.analyses.margins.result import Margins
 from dssc_jax.analyses.margins.search import CLOCK, Critical, FirstViolated, Walk, search_critical
 from dssc_jax.core.bisection import bisect
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.design.certification import NotCovered
 from dssc_jax.engine.batching import BLOCK, Arrays, Clock, Engine, Layout, drawn, execute
@@ -85,7 +86,7 @@ def margin(
     return replace(margins, proof=proof_along(study, walk, over)) if prove else margins
 
 
-def proof_along(study: Study, walk: Walk, over: str) -> dict[str, Any]:
+def proof_along(study: Study, walk: Walk, over: str) -> JsonObject:
     """How far along a walk the sampled loop is proved, or why a proof does not cover it."""
     from dssc_jax.proofs.reach import proved_up_to
 

@@ -19,10 +19,10 @@ from dssc_jax.analyses.theory.chattering import SAMPLES_IN_MU, chattering, time_
 from dssc_jax.analyses.theory.linearised import kind_of
 from dssc_jax.analyses.theory.local import Time, local_margin
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.results.analysis import Analysis
-from dssc_jax.results.summary import JsonObject
 from dssc_jax.study import Study
 
 VALUES = 9  # time constants

@@ -7,9 +7,9 @@ import numpy as np
 from scipy.special import logit
 
 from dssc_jax.analyses.tuning.problem import Problem
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.engine.evaluation import Derivative
-from dssc_jax.results.summary import JsonObject
 
 DIFFERENCE_STEP = 1e-5  # of the differences
 STRIDE, HALF = 0.03, 0.5  # a typical step of a search, and the relative error allowed in predicting its effect

@@ -19,13 +19,13 @@ from dssc_jax.analyses.tuning.proving import Aimed
 from dssc_jax.analyses.tuning.verdict import Verdict
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.design import Free
 from dssc_jax.engine.batching import Arrays
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.fields import MERGED, STORED_APART
 from dssc_jax.results.manifest import write_json
-from dssc_jax.results.summary import JsonObject
 from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.study import Study
 from dssc_jax.study.schema import TuneTable

@@ -2,7 +2,6 @@
 
 import json
 import time
-from typing import Any
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from dssc_jax.analyses.tuning.result import Counterexample, SearchFacts, Tuned, 
 from dssc_jax.analyses.tuning.search import method_of, search
 from dssc_jax.analyses.tuning.verdict import judge_tuning
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import Arrays
 from dssc_jax.study import Study
@@ -125,7 +125,7 @@ def useful(gradients: GradientAgreement) -> bool:
     return min(gradients.useful, gradients.predictive) >= USEFUL
 
 
-def verified(certificate: dict[str, Any]) -> dict[str, Any]:
+def verified(certificate: JsonObject) -> JsonObject:
     """A certificate as its file will hold it, verified once more from that alone.
 
     Raises:

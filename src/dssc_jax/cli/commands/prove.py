@@ -16,6 +16,7 @@ from dssc_jax.console.proofs import show_proof, show_sweep_verdicts, show_verdic
 from dssc_jax.console.terminal import output, progress_bar
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.design.certification import NotCovered
 from dssc_jax.proofs import BOXES, SWEEP_BOXES
 from dssc_jax.proofs.certificate_text import certificate_content
@@ -25,7 +26,6 @@ from dssc_jax.proofs.verifier.verdict import ProofVerdict
 from dssc_jax.proofs.words import loop_in_words
 from dssc_jax.results.manifest import MANIFEST
 from dssc_jax.results.result import load_result
-from dssc_jax.results.summary import JsonObject
 from dssc_jax.runs.prove_sweep import foreign_points
 from dssc_jax.study import Described, Study
 

@@ -15,7 +15,6 @@ from dssc_jax.core.signals import (
     ReferencePoint,
     Scalar,
     State,
-    Table,
     TrackingError,
     tracking_error,
 )
@@ -28,6 +27,7 @@ from dssc_jax.core.smoothness import (
     not_smooth,
     piecewise,
 )
+from dssc_jax.core.toml import TomlTable
 from dssc_jax.models.controllers.dssc_forms import (
     ControlSample,
     DsscGains,
@@ -126,7 +126,7 @@ def tunable_functions(gains: DsscGains) -> tuple[str, ...]:
     return tuple(f"functions.{name}" for name in getattr(gains.functions, "tunable", ()))
 
 
-def constant_gains(gains: DsscGains) -> Table:
+def constant_gains(gains: DsscGains) -> TomlTable:
     """The gains of SSC that correspond to DSSC's: the functions' values at the origin."""
     at = gains.functions.at(0.0, 0.0, nominal(gains.l0))
     constants = {"kind": "constant", **{name: float(value) for name, value in at._asdict().items()}}

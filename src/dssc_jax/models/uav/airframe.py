@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.signals import Table
+from dssc_jax.core.toml import TomlTable
 from dssc_jax.models.uav.vehicle import ROUNDED_TO_ZERO
 
 LINE = re.compile(
@@ -50,7 +50,7 @@ class Airframe(NamedTuple):
         notes: What the file does not give, or gives in another form than the model has.
     """
 
-    vehicle: Table
+    vehicle: TomlTable
     notes: tuple[str, ...]
 
 
@@ -84,7 +84,7 @@ def common(values: list[float], subject: str) -> float:
     return mean
 
 
-def rotors_of(parameters: Mapping[str, float]) -> Table:
+def rotors_of(parameters: Mapping[str, float]) -> TomlTable:
     """Angles, spins, arm and torque over thrust from CA_ROTOR_COUNT and CA_ROTORi_; raises ConfigError."""
     count = parameters.get("CA_ROTOR_COUNT", 0.0)
     if count not in range(4, MOST_ROTORS + 1):
@@ -116,13 +116,13 @@ def rotors_of(parameters: Mapping[str, float]) -> Table:
     }
 
 
-def properties_of(parameters: Mapping[str, float]) -> Table:
+def properties_of(parameters: Mapping[str, float]) -> TomlTable:
     """Mass, inertia, largest thrust and lag from SIH_, as far as they are given.
 
     The inertia is that of the whole vehicle, so the rotors' own is zero. PX4's lag is one of thrust; near hover, where
     thrust is linear in speed, the speed has the same.
     """
-    properties: Table = {}
+    properties: TomlTable = {}
     if "SIH_MASS" in parameters:
         properties["mass"] = parameters["SIH_MASS"]
     inertia = [parameters[name] for name in ("SIH_IXX", "SIH_IYY", "SIH_IZZ") if name in parameters]
@@ -150,7 +150,7 @@ def read_airframe(text: str, base: str = "m600_quadrotor") -> Airframe:
     parameters = parameters_in(text)
     if not any(name.startswith("CA_") for name in parameters):
         raise ConfigError("", "sets no parameter CA_..; a PX4 airframe or parameter file is needed")
-    vehicle: Table = {"kind": base} | rotors_of(parameters)
+    vehicle: TomlTable = {"kind": base} | rotors_of(parameters)
     relative = vehicle["arm"] >= 0.99 and all(
         parameters.get(f"CA_ROTOR{i}_P{c}", 0.0) in (-1.0, -0.866, -0.5, 0.0, 0.5, 0.866, 1.0)
         for i in range(len(vehicle["spins"]))
