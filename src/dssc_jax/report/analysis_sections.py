@@ -43,10 +43,9 @@ def tables(caption: str, content: Mapping[str, object], meanings: Meanings, plac
     for name, value in content.items():
         text = cell(value)
         if text is not None:
-            unit, meaning = explanation(meanings, entry_key(meanings, place, name))
-            single.append((name.replace("_", " "), meaning, text, unit))
+            single.append((number_label(meanings, entry_key(meanings, place, name), name), text))
     if single:
-        yield table(caption, ("number", "meaning", "value", "unit"), single, words=4)
+        yield table(caption, ("number", "value"), single, words=2)
     for name, value in content.items():
         key = entry_key(meanings, place, name)
         label = f"{caption}: {name.replace('_', ' ')}"
@@ -54,7 +53,7 @@ def tables(caption: str, content: Mapping[str, object], meanings: Meanings, plac
         rows = summary_rows(value)
         columns = columns_of(rows)
         if columns:
-            head = [column_head(meanings, entry_key(meanings, group, column), column) for column in columns]
+            head = [number_label(meanings, entry_key(meanings, group, column), column) for column in columns]
             cells = []
             for row_name, row in rows.items():
                 cells.append((row_name, *(cell(row.get(column)) or "" for column in columns)))
@@ -64,26 +63,24 @@ def tables(caption: str, content: Mapping[str, object], meanings: Meanings, plac
 
 
 def entry_key(meanings: Meanings, place: str, name: str) -> str:
-    """The key of an entry in the part of a summary at ``place``; entries of a mapping of numbers share its key."""
+    """The key of an entry in the part of a summary at ``place``; entries of a mapping of numbers share its key.
+
+    An entry without a meaning has its name as key, or that of the part that it belongs to.
+    """
     for entry in (f"{place}.{name}".removeprefix("."), f"{place}.NAME".removeprefix(".")):
         if any(key == entry or key.startswith((f"{entry}.", f"{entry}[")) for key in meanings):
             return entry
-    return place
+    return place or name
 
 
-def explanation(meanings: Meanings, key: str) -> tuple[str, str]:
-    """Unit and meaning of the number with a key; both empty if it has none, the unit also if it is 1."""
+def number_label(meanings: Meanings, key: str, name: str) -> h.Node:
+    """The name of a number, and below it its meaning and unit, if it has them."""
+    label = name.replace("_", " ")
     field = meanings.get(key)
     if field is None:
-        return "", ""
-    return "" if field.unit == "1" else field.unit, field.meaning
-
-
-def column_head(meanings: Meanings, key: str, column: str) -> h.Node:
-    """The head of a column: its name and unit, and its meaning below."""
-    unit, meaning = explanation(meanings, key)
-    name = column.replace("_", " ")
-    return [f"{name} [{unit}]" if unit else name, meaning and h.span(".meaning")[meaning]]
+        return label
+    unit = "" if field.unit in ("", "1") else f" [{field.unit}]"
+    return [label, h.span(".meaning")[f"{field.meaning}{unit}"]]
 
 
 def summary_rows(value: object) -> dict[str, Mapping[str, object]]:

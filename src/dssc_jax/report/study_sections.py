@@ -84,7 +84,8 @@ def dependence(study: Study) -> str:
 def sketch(law: Law) -> h.Element:
     """A small plot of a law's density, with a logarithmic axis if the law is logarithmic."""
     values = law.quantile((np.arange(BINS * BIN_LEVELS) + 0.5) / (BINS * BIN_LEVELS))
-    low, high = float(values.min()), float(values.max())
+    low = float(values.min())
+    high = float(values.max())
     shown = np.log(values) if law.logarithmic else values
     counts, _ = np.histogram(shown, bins=BINS)
     width, height = SKETCH
