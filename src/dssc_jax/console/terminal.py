@@ -122,7 +122,11 @@ def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | 
 
 def is_prose(cells: Sequence[str]) -> bool:
     """Whether a column may be folded: words, not numbers or intervals."""
-    return any(sum(word.isalpha() for word in cell.split()) > len(cell.split()) // 2 for cell in cells if " " in cell)
+    for cell in cells:
+        words = cell.split()
+        if " " in cell and sum(word.isalpha() for word in words) > len(words) // 2:
+            return True
+    return False
 
 
 def show_blocks(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | None) -> None:

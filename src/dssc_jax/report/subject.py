@@ -76,30 +76,31 @@ class Subject:
 
     @property
     def point(self) -> dict[str, float]:
-        """The swept parameters' values at that point."""
+        """The swept parameters' values at the point shown in detail."""
         return {name: self.result.study.axes[name][i] for name, i in self.index.items()}
 
     @cached_property
     def point_result(self) -> Result:
-        """The result at that point."""
+        """The result at the point shown in detail."""
         return self.result.at(self.index)
 
     @cached_property
     def point_summary(self) -> SummaryRow:
-        """The summary of that point."""
+        """The summary of the point shown in detail."""
         shape = tuple(len(values) for values in self.result.study.axes.values())
         return self.summary["points"][np.ravel_multi_index(tuple(self.index.values()), shape) if shape else 0]
 
     @property
     def point_phrase(self) -> str:
-        """That point's values as the end of a phrase; empty for a run."""
+        """The values at the point shown in detail, as the end of a phrase; empty for a run."""
         at = " and ".join(f"{name} = {value:.4g}" for name, value in self.point.items())
         return f" at {at}, the point where nearest to half of the draws fail" if at else ""
 
     @cached_property
     def trajectories(self) -> list[xr.Dataset]:
-        """The worst draws simulated again; ``agreement`` and ``deviation`` compare them with the stored ones.
+        """The worst draws of the point shown in detail, simulated again.
 
+        The attributes ``agreement`` and ``deviation`` compare them with the stored ones.
         Empty for a study whose code is not loaded.
         """
         if not self.worst or isinstance(self.result.study, Described):
