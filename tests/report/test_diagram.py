@@ -6,7 +6,7 @@ from itertools import combinations
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.report.diagram import FITS, diagram, words
+from dssc_jax.report.diagram import LINE_LENGTH, diagram, words
 from dssc_jax.study.library import find
 from tests.conftest import CASE_2, UNCERTAIN
 
@@ -81,4 +81,4 @@ def test_it_stays_within_its_frame(name):
     lines = re.findall(r'<text class="line"[^>]*>([^<]*)<', drawn)
     assert len(lines) > 2
     for line in lines:
-        assert len(line) <= FITS
+        assert len(line) <= LINE_LENGTH

@@ -161,9 +161,9 @@ def test_worst_draws_are_the_worst(ran):
     slacks = ran.dataset["slack_error_max_after_2"].values
     chosen = worst_draws(ran, 3)
     assert sorted(slacks)[:3] == [slacks[draw] for draw in chosen]
-    about = Subject(ran, 2)
-    assert [run.attrs["draw"] for run in about.trajectories] == chosen[:2]
-    assert max(run.attrs["deviation"] for run in about.trajectories) < 1e-9
+    subject = Subject(ran, 2)
+    assert [run.attrs["draw"] for run in subject.trajectories] == chosen[:2]
+    assert max(run.attrs["deviation"] for run in subject.trajectories) < 1e-9
 
 
 def test_among_draws_that_end_early_the_earliest_is_worst(ran):
@@ -174,10 +174,10 @@ def test_among_draws_that_end_early_the_earliest_is_worst(ran):
 
 
 def test_a_sweep_is_looked_at_where_half_fail(swept):
-    about = Subject(swept)
+    subject = Subject(swept)
     share = swept.failed.mean("draw")
-    assert abs(float(share.isel(about.index)) - 0.5) == float(abs(share - 0.5).min())
-    assert about.close.failed.dims == ("draw",)
+    assert abs(float(share.isel(subject.index)) - 0.5) == float(abs(share - 0.5).min())
+    assert subject.point_result.failed.dims == ("draw",)
 
 
 def test_correlated_numbers_are_not_told_as_independent(ran):
@@ -204,8 +204,8 @@ def test_without_requirements_and_laws():
 
 
 def test_a_section_more_is_a_function_more(ran, monkeypatch):
-    def made(about):
-        return elements.Section("more", "One more", f"{about.result.study.name} has it")
+    def made(subject):
+        return elements.Section("more", "One more", f"{subject.result.study.name} has it")
 
     monkeypatch.setattr("dssc_jax.report.page.SECTIONS", (*SECTIONS, made))
     assert "uncertain has it" in html(ran, worst=0)

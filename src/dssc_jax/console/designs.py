@@ -1,6 +1,6 @@
 """A design and its certificate as tables, for the terminal and for LaTeX."""
 
-from typing import Any, NamedTuple, get_type_hints
+from typing import NamedTuple, get_type_hints
 
 from rich.markup import escape
 
@@ -21,7 +21,7 @@ class DesignTable(NamedTuple):
     rows: list[TableRow]
 
 
-def figures(value: Any) -> str:
+def figures(value: float | None) -> str:
     """Format a number; a dash if there is none."""
     return "-" if value is None or value != value else f"{value:.5g}"
 
@@ -49,15 +49,10 @@ def parameter_rows(numbers: Parameters | Constants) -> list[TableRow]:
 
 def inequality_table(certificate: Certificate) -> DesignTable:
     """The inequalities of Table 1 with slacks, as derived and as printed."""
-    rows = [
-        (
-            i.name,
-            *(figures(x) for x in (i.value, i.bound, i.slack, i.printed_slack)),
-            i.state.value.replace("_", " "),
-            i.equation,
-        )
-        for i in certificate.inequalities
-    ]
+    rows = []
+    for i in certificate.inequalities:
+        numbers = [figures(number) for number in (i.value, i.bound, i.slack, i.printed_slack)]
+        rows.append((i.name, *numbers, i.state.value.replace("_", " "), i.equation))
     head = ("inequality", "value", "must exceed", "slack", "printed slack", "state", "equation")
     return DesignTable("Design inequalities, for all k_p", head, rows)
 
@@ -71,16 +66,18 @@ READINGS = {
 
 def small_gain_table(certificate: Certificate) -> DesignTable:
     """The three readings of the small-gain condition."""
-    rows = [
-        (name, *map(figures, (certificate.phi_b, bound, certificate.phi_b - bound)), READINGS[name])
-        for name, bound in certificate.small_gain._asdict().items()
-    ]
+    phi_b = certificate.phi_b
+    rows = []
+    for name, bound in certificate.small_gain._asdict().items():
+        rows.append((name, figures(phi_b), figures(bound), figures(phi_b - bound), READINGS[name]))
     return DesignTable("Small gain", ("reading", "phi_b", "must exceed", "slack", "source"), rows)
 
 
 def guarantee_table(design: DesignFile, certificate: Certificate) -> DesignTable:
     """The guarantees: residuals, rate, proofs, and what a running loop needs."""
-    g, proofs, needs = certificate.guarantee, certificate.lyapunov, certificate.practice
+    g = certificate.guarantee
+    proofs = certificate.lyapunov
+    needs = certificate.practice
     rows = [
         ("ultimate bound of |e|", figures(g.e), "m"),
         ("ultimate bound of |sigma|", figures(g.sigma), "m/s"),

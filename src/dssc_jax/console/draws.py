@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
@@ -13,18 +13,19 @@ if TYPE_CHECKING:
     from dssc_jax.runs.verify import Verification
 
 
-def show_draw(attributes: Mapping[str, Any], files: list[Path]) -> None:
+def show_draw(attributes: Mapping[str, str | float], files: list[Path]) -> None:
     """Print how one draw ended, its drawn numbers and its metrics."""
-    study, ended = (escape(str(attributes[name])) for name in ("study", "verdict"))
-    output().print(f"[bold]{study}[/bold] draw {attributes['draw']}: {ended}")
+    study = escape(str(attributes["study"]))
+    verdict = escape(str(attributes["verdict"]))
+    output().print(f"[bold]{study}[/bold] draw {attributes['draw']}: {verdict}")
     skipped = {"study", "draw", "outcome", "outcome_meaning", "verdict", "agreement", "deviation"}
     if attributes["failed_at"] != attributes["failed_at"]:  # NaN: it did not
         skipped.add("failed_at")
     rows = [(name, f"{value:.6g}") for name, value in attributes.items() if name not in skipped]
     show_table(("number", "value"), rows)
     if "agreement" in attributes:
-        verdict = VERDICTS[attributes["agreement"]].format(attributes["deviation"])
-        output().print(f"computed again by the plain program, the draw {verdict}")
+        agreement = VERDICTS[str(attributes["agreement"])].format(attributes["deviation"])
+        output().print(f"computed again by the plain program, the draw {agreement}")
     show_files(files)
 
 

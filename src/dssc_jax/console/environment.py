@@ -4,52 +4,66 @@ import platform
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
+import jax
+
+from dssc_jax.console.kinds import HEADS, KindDescription, kinds
 from dssc_jax.console.terminal import output, show_table
 from dssc_jax.core import files
+from dssc_jax.engine import forms
+from dssc_jax.study.laws import LAWS
+from dssc_jax.study.measuring import KNOWN
+
+
+class MetricDescription(TypedDict):
+    """Unit and meaning of a metric, and of what it is measured."""
+
+    unit: str
+    meaning: str
+    of: str
+
+
+class Environment(TypedDict):
+    """Versions, devices, compiler, and every kind and metric by name."""
+
+    versions: dict[str, str]
+    devices: list[str]
+    compiler: list[str]
+    kinds: dict[str, dict[str, KindDescription]]
+    metrics: dict[str, MetricDescription]
 
 
 def machine() -> str:
     """Processor, versions and date, to be given with a measurement."""
-    import jax
-
     model = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
-        names = [
-            line.partition(":")[2].strip() for line in files.read_text(cpuinfo).splitlines() if "model name" in line
-        ]
+        names = []
+        for line in files.read_text(cpuinfo).splitlines():
+            if "model name" in line:
+                names.append(line.partition(":")[2].strip())
         model = f"{len(names)} cores of {names[0]}" if names else model
     return f"{model}, Python {platform.python_version()}, JAX {jax.__version__}, {datetime.now(UTC):%Y-%m-%d}"
 
 
-def environment() -> dict[str, Any]:
+def environment() -> Environment:
     """Versions, devices, compiler and registries."""
-    import jax
-
-    from dssc_jax.console.kinds import kinds
-    from dssc_jax.engine import forms
-    from dssc_jax.study.measuring import KNOWN
-
+    metrics: dict[str, MetricDescription] = {}
+    for name, metric in KNOWN.items():
+        metrics[name] = {"unit": metric.unit, "meaning": metric.meaning, "of": metric.scope.value}
     packages = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy", "xarray", "zarr", "optax")
     return {
         "versions": {"python": platform.python_version(), **{name: version(name) for name in packages}},
         "devices": [str(device) for device in jax.devices()],
         "compiler": forms.compiler_settings(),
         "kinds": kinds(),
-        "metrics": {
-            name: {"unit": metric.unit, "meaning": metric.meaning, "of": metric.scope.value}
-            for name, metric in KNOWN.items()
-        },
+        "metrics": metrics,
     }
 
 
-def show_environment(environment: dict[str, Any]) -> None:
+def show_environment(environment: Environment) -> None:
     """Print the environment."""
-    from dssc_jax.console.kinds import HEADS
-    from dssc_jax.study.laws import LAWS
-
     console = output()
     console.print("  ".join(f"{name} {number}" for name, number in environment["versions"].items()))
     console.print(
@@ -58,11 +72,11 @@ def show_environment(environment: dict[str, Any]) -> None:
     )
     for slot, its_kinds in environment["kinds"].items():
         rows = []
-        for kind, about in its_kinds.items():
-            options = "; ".join(f"{name}: {' | '.join(map(str, values))}" for name, values in about["options"].items())
-            rows.append((kind, about["summary"], ", ".join(about["fields"]), options))
+        for kind, described in its_kinds.items():
+            options = [f"{name}: {' | '.join(map(str, values))}" for name, values in described["options"].items()]
+            rows.append((kind, described["summary"], ", ".join(described["fields"]), "; ".join(options)))
         show_table((f"[{HEADS.get(slot, slot)}]", "what", "fields", "options"), rows)
-    rows = [(name, about["meaning"], about["unit"], about["of"]) for name, about in environment["metrics"].items()]
+    rows = [(name, metric["meaning"], metric["unit"], metric["of"]) for name, metric in environment["metrics"].items()]
     show_table(("metric", "what", "unit", "of each"), rows)
     rows = [(name, law.signature, law.rule[0]) for name, law in LAWS.items()]
     show_table(("law", "arguments", "rule"), rows)

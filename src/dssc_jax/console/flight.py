@@ -14,17 +14,17 @@ SIGNIFICANCE = 0.05  # of the test of a log
 def show_code(summary: dict[str, Any]) -> None:
     """Print each channel's functions and cost, and how to check them."""
     rows = []
-    for each in summary["channels"]:
-        operations = each["operations"]
+    for channel in summary["channels"]:
+        operations = channel["operations"]
         slow = sum(operations.get(name, 0) for name in ("div", "sqrt", "rem"))
         rows.append(
             (
-                f"{each['prefix']}_step",
+                f"{channel['prefix']}_step",
                 str(sum(operations.values())),
                 str(slow),
-                str(each["chain"]),
-                str(each["state_bytes"]),
-                str(each["parameter_bytes"]),
+                str(channel["chain"]),
+                str(channel["state_bytes"]),
+                str(channel["parameter_bytes"]),
             )
         )
     show_table(("function", "operations", "quotients, roots", "longest chain", "state [bytes]", "parameters"), rows)
@@ -35,8 +35,8 @@ def show_code(summary: dict[str, Any]) -> None:
     )
     fmu = summary.get("fmu")
     if fmu is not None:
-        how = "with its library" if fmu["library"] else f"without a library, its sources only: {fmu['reason']}"
-        console.print(f"wrote {summary['folder']}/{fmu['file']}, {how}", soft_wrap=True, markup=False)
+        content = "with its library" if fmu["library"] else f"without a library, its sources only: {fmu['reason']}"
+        console.print(f"wrote {summary['folder']}/{fmu['file']}, {content}", soft_wrap=True, markup=False)
 
 
 def show_log_comparison(comparison: LogComparison, files: list[Path]) -> None:
@@ -97,19 +97,20 @@ def show_rank(answer: LogAnswer) -> None:
 def show_fit(summary: Mapping[str, Any]) -> None:
     """Print the estimates with their intervals, what was assumed of the residual, and the laws as TOML."""
     say = partial(output().print, soft_wrap=True, markup=False)
-    how = "replayed commands, because the log lacks some" if summary["replayed"] else "logged commands"
-    say(f"{summary['study']}: {summary['samples']} outputs, simulated for the {how}")
+    commands = "replayed commands, because the log lacks some" if summary["replayed"] else "logged commands"
+    say(f"{summary['study']}: {summary['samples']} outputs, simulated for the {commands}")
     rows = []
-    for name, own in summary["numbers"].items():
-        low, high = own["interval_90"]
-        rows.append((f"{name} [{own['unit']}]", f"{own['estimate']:.6g}", f"{low:.6g} to {high:.6g}", own["prior"]))
+    for name, number in summary["numbers"].items():
+        low, high = number["interval_90"]
+        interval = f"{low:.6g} to {high:.6g}"
+        rows.append((f"{name} [{number['unit']}]", f"{number['estimate']:.6g}", interval, number["prior"]))
     show_table(("number", "estimate", "90 % interval", "law in the study"), rows)
     for channel, noise in summary["noise"].items():
         say(residual_text(f"residual{f' of {channel}' if channel else ''}", noise, summary["noise_unit"][channel]))
     say(f"{summary['starts_here']} of {summary['starts']} starts of the search end in this minimum")
-    for other in summary["other_minima"]:
-        values = ", ".join(f"{name} = {value:.4g}" for name, value in other["values"].items())
-        say(f"{other['starts']} end where the residual is {other['ratio']:.3g} times as large: {values}")
+    for minimum in summary["other_minima"]:
+        values = ", ".join(f"{name} = {value:.4g}" for name, value in minimum["values"].items())
+        say(f"{minimum['starts']} end where the residual is {minimum['ratio']:.3g} times as large: {values}")
     for name in summary["outside_laws"]:
         say(f"the estimate of {name} lies outside its law in the study: compare units, columns and start of the log")
     for name, width in summary["kept"].items():
@@ -128,8 +129,8 @@ def residual_text(label: str, noise: Mapping[str, Any], unit: str) -> str:
     text = f"{label}: {noise['rms']:.4g} {unit} rms of an output with a standard deviation of {noise['output_std']:.4g}"
     if noise["correlated_share"] == 0.0:
         return f"{text}, white with a probability of {100 * noise['white_probability']:.3g} %"
-    share, time = 100 * noise["correlated_share"], noise["correlation_time"]
-    return f"{text}, {share:.3g} % of its variance correlated over {time:.3g} s"
+    share = 100 * noise["correlated_share"]
+    return f"{text}, {share:.3g} % of its variance correlated over {noise['correlation_time']:.3g} s"
 
 
 def plain_number(value: float | None) -> str:

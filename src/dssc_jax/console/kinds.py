@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from enum import Enum
-from typing import Any
+from typing import Any, NamedTuple, TypeAlias, TypedDict
 
 from dssc_jax.console.terminal import output, show_table
 from dssc_jax.core.contracts import Preset
@@ -17,9 +17,22 @@ from dssc_jax.study.laws import LAWS
 from dssc_jax.study.measuring import KNOWN
 from dssc_jax.study.sections import params_of
 
+FieldRow: TypeAlias = tuple[str, str, str, str, str]
+"""A field of a kind, with the columns :data:`KIND_COLUMNS`."""
+
 TRAJECTORY = "trajectory"
 HEADS = {TRAJECTORY: "reference, of a plant of several channels"}
 REQUIRED = "required"
+KIND_COLUMNS = ("field", "unit", "meaning", "admissible", "default")
+
+
+class KindDescription(TypedDict):
+    """A kind's summary, field names, option values by name, and the description of each field by column."""
+
+    summary: str
+    fields: list[str]
+    options: dict[str, list[str]]
+    about: dict[str, dict[str, str]]
 
 
 def registries() -> dict[str, Registry]:
@@ -44,40 +57,43 @@ def parts(params: type, place: str) -> dict[str, Registry]:
     return by_slot
 
 
-def kinds() -> dict[str, dict[str, Any]]:
+def kinds() -> dict[str, dict[str, KindDescription]]:
     """Summary, fields and options of every kind, by table."""
-    by_table: dict[str, dict[str, Any]] = {}
+    by_table: dict[str, dict[str, KindDescription]] = {}
     for slot, registry in registries().items():
-        by_table[slot] = {
-            kind: {
-                "summary": entry.summary,
-                "fields": [name for name, spec in field_specs(params_of(entry)).items() if not spec.derived],
-                "options": options_of(entry),
-                "about": {row[0]: dict(zip(KIND_COLUMNS[1:], row[1:], strict=True)) for row in rows_of(entry)},
-            }
-            for kind, entry in registry.items()
-        }
+        by_table[slot] = {kind: description_of(entry) for kind, entry in registry.items()}
     return by_table
 
 
-def options_of(entry: Entry) -> dict[str, list[Any]]:
+def description_of(entry: Entry) -> KindDescription:
+    """The description of a kind."""
+    field_rows = {}
+    for name, *values in rows_of(entry):
+        field_rows[name] = dict(zip(KIND_COLUMNS[1:], values, strict=True))
+    return {
+        "summary": entry.summary,
+        "fields": [name for name, spec in field_specs(params_of(entry)).items() if not spec.derived],
+        "options": options_of(entry),
+        "about": field_rows,
+    }
+
+
+def options_of(entry: Entry) -> dict[str, list[str]]:
     """The possible values of an entry's options, by name."""
     return {entry.option: [key.value for key in entry.members]} if entry.option else {}
 
 
-KIND_COLUMNS = ("field", "unit", "meaning", "admissible", "default")
-
-
-def rows_of(entry: Entry) -> list[tuple[str, str, str, str, str]]:
-    """Every field of a kind, with the columns :data:`COLUMNS`; nested fields have dotted names."""
-    params, preset = params_of(entry), getattr(entry.default_member, "defaults", None)
+def rows_of(entry: Entry) -> list[FieldRow]:
+    """Every field of a kind; nested fields have dotted names."""
+    params = params_of(entry)
+    preset = getattr(entry.default_member, "defaults", None)
     rows = list(fields(params, "", preset))
     for name, values in options_of(entry).items():
         rows.append((name, "", "option", " | ".join(map(str, values)), text_of(entry.default)))
     return rows
 
 
-def fields(params: type, prefix: str, preset: Any) -> Iterator[tuple[str, str, str, str, str]]:
+def fields(params: type, prefix: str, preset: "NamedTuple | None") -> Iterator[FieldRow]:
     """Rows of a parameter type; ``preset`` is an instance whose values are the defaults."""
     defaults = getattr(params, "_field_defaults", {}) if preset is None else preset._asdict()
     for name, spec in field_specs(params).items():
@@ -93,10 +109,10 @@ def fields(params: type, prefix: str, preset: Any) -> Iterator[tuple[str, str, s
                 yield f"{prefix}{name}", "", "a table; absent: none of it", "", "absent"
             yield from fields(spec.core, f"{prefix}{name}.", inner)
         else:
-            yield f"{prefix}{name}", *about(spec), text_of(default)
+            yield f"{prefix}{name}", *field_columns(spec), text_of(default)
 
 
-def about(spec: FieldSpec) -> tuple[str, str, str]:
+def field_columns(spec: FieldSpec) -> tuple[str, str, str]:
     """Unit, meaning and admissible values of a field."""
     if isinstance(spec.mark, Quantity):
         meaning = spec.mark.meaning + ("", " (a list)", " (a list of rows)")[spec.depth]
@@ -113,7 +129,7 @@ def about(spec: FieldSpec) -> tuple[str, str, str]:
     return "", "option", "true | false"
 
 
-def text_of(default: Any) -> str:
+def text_of(default: object) -> str:
     """A default value as text."""
     if isinstance(default, Enum):
         return str(default.value)
@@ -135,8 +151,8 @@ def entry_of(model: Any, name: str) -> Entry:
     if hasattr(model, "params") and hasattr(model.params, "_fields"):
         return single(model, f"a {type(model).__name__.lower()} of your own")
     if hasattr(model, "_fields"):
-        own = type(model) if not isinstance(model, type) else model
-        return single(Preset(own, None if own is model else model), "parameters of your own")
+        preset = Preset(model, None) if isinstance(model, type) else Preset(type(model), model)
+        return single(preset, "parameters of your own")
     raise ConfigError(name, f"must be a model or its parameters, got {type(model).__name__}")
 
 
@@ -149,8 +165,8 @@ def show_kind(name: str) -> None:
     Raises:
         ConfigError: there is none.
     """
-    every = registries()
-    entries = {slot: registry[name] for slot, registry in every.items() if name in registry}
+    by_table = registries()
+    entries = {slot: registry[name] for slot, registry in by_table.items() if name in registry}
     if ":" in name:
         entries = {"your own": entry_of(imported(name, name), name)}
     if name in LAWS:
@@ -160,7 +176,7 @@ def show_kind(name: str) -> None:
         metric = KNOWN[name]
         output().print(f"metric {name} [{metric.unit}]: {metric.meaning}, of each {metric.scope.value}", markup=False)
     if not entries and name not in LAWS and name not in KNOWN:
-        valid = {kind for registry in every.values() for kind in registry} | LAWS.keys() | KNOWN.keys()
+        valid = {kind for registry in by_table.values() for kind in registry} | LAWS.keys() | KNOWN.keys()
         raise ConfigError(name, f"is no kind; {nearest(name, valid)}")
     for slot, entry in entries.items():
         output().print(f'[{HEADS.get(slot, slot)}] kind = "{name}": {entry.summary}', markup=False)

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from rich.markup import escape
 
@@ -63,7 +62,7 @@ def share_texts(answer: MarginAnswer) -> list[str]:
     return [f"{100 * share:.3g} %" for share in (answer.fail_at_start, answer.pass_to_end, answer.non_monotone)]
 
 
-def show_reach(proof: Mapping[str, Any] | None) -> None:
+def show_reach(proof: Mapping[str, object] | None) -> None:
     """Print how far the sampled loop is proved, if that was asked."""
     if proof is not None:
         output().print(proof["statement"], markup=False, soft_wrap=True)

@@ -17,10 +17,10 @@ def show_proof(summary: dict[str, Any], path: Path | None) -> None:
     console = output()
     console.print(summary["statement"], soft_wrap=True, markup=False)
     if summary["failures"]:
-        rows = [
-            (*(f"{low:.4g} .. {high:.4g}" for low, high in each["box"].values()), each["text"])
-            for each in summary["failures"][:MOST_SHOWN]
-        ]
+        rows = []
+        for failure in summary["failures"][:MOST_SHOWN]:
+            ranges = [f"{low:.4g} .. {high:.4g}" for low, high in failure["box"].values()]
+            rows.append((*ranges, failure["text"]))
         show_table((*summary["failures"][0]["box"], "not proved because"), rows)
     if path is not None:
         console.print(f"wrote {path}", soft_wrap=True, markup=False)

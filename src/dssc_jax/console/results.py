@@ -1,10 +1,9 @@
 """Print results: a run, a sweep."""
 
 import math
-from collections.abc import Mapping
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.markup import escape
@@ -14,14 +13,15 @@ from dssc_jax.console.terminal import output, show_table
 from dssc_jax.results.influence import idle_text
 from dssc_jax.results.result import headline
 from dssc_jax.results.schema import outcome_codes
-from dssc_jax.results.summary import most_violated
+from dssc_jax.results.summary import SummaryRow, most_violated
 from dssc_jax.statistics import compare_failures, describe_probability, rounded_probability
 
 if TYPE_CHECKING:
     from dssc_jax.results.result import Result
     from dssc_jax.study import Study
 
-WIDEST_ROWS, WIDEST_COLUMNS = 40, 24
+WIDEST_ROWS = 40
+WIDEST_COLUMNS = 24
 MOST_PAIRED = 6  # points of a sweep whose failures are compared with those of the first, draw by draw
 STAYS_FINITE = "that the draw stays finite"
 SHARE = ("probability", "95 % interval")
@@ -31,7 +31,8 @@ VERDICT_MARKS = {True: "yes", False: "no", None: "-"}
 def show_result(result: "Result") -> None:
     """Print failure probabilities with their intervals, and the files."""
     console = output()
-    axes, required = result.study.axes, "; ".join(rule.text for rule in result.study.requirements)
+    axes = result.study.axes
+    required = "; ".join(rule.text for rule in result.study.requirements)
     console.print(f"[bold]{escape(result.study.name)}[/bold]  required: {escape(required or STAYS_FINITE)}")
     if not axes:
         console.print(describe_probability(result.failed.values, result.method), markup=False)
@@ -66,10 +67,10 @@ def show_paired(result: "Result") -> None:
     if len(axes) != 1 or not 2 <= len(values) <= MOST_PAIRED or result.study.config.sampling != "random":
         return
     (name,) = axes
-    first, *others = result.failed.transpose(name, "draw").values
+    failures = result.failed.transpose(name, "draw").values
     rows = []
-    for value, failed in zip(values[1:], others, strict=True):
-        pair = compare_failures(failed, first)
+    for value, failed in zip(values[1:], failures[1:], strict=True):
+        pair = compare_failures(failed, failures[0])
         low, high = pair.interval
         difference = f"{pair.difference:+.3g} in [{low:+.3g}, {high:+.3g}]"
         rows.append((f"{value:.5g}", str(pair.only_a), str(pair.only_b), difference, f"{pair.p_value:.3g}"))
@@ -82,28 +83,28 @@ def show_figures(figures: list[Path]) -> None:
     output().print(f"figures {', '.join(str(path) for path in figures)}", soft_wrap=True, markup=False)
 
 
-def show_point(study: "Study", point: dict[str, Any]) -> None:
+def show_point(study: "Study", point: SummaryRow) -> None:
     """Print each requirement, joint violations, early ends, and the metrics' quantiles."""
     if point["requirements"]:
-        rows = [
-            (each["text"], *failure_cells(each, point["draws"]), str(each["alone"])) for each in point["requirements"]
-        ]
+        rows = []
+        for requirement in point["requirements"]:
+            cells = failure_cells(requirement, point["draws"])
+            rows.append((requirement["text"], *cells, str(requirement["alone"])))
         show_table(("requirement", "violated by", *SHARE, "by it alone"), rows)
     if point["overlaps"]:
-        rows = [
-            (" and ".join(pair["names"]), *failure_cells(pair, point["draws"]), str(pair["draws"]))
-            for pair in point["overlaps"]
-        ]
+        rows = []
+        for pair in point["overlaps"]:
+            rows.append((" and ".join(pair["names"]), *failure_cells(pair, point["draws"]), str(pair["draws"])))
         show_table(("both", "violated by", *SHARE, "not by early ends"), rows)
     if point["ended_early"]:
         counts = {name: point["outcomes"][name] for code, name in outcome_codes(study).items() if ended_early(code)}
         ways = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in counts.items() if n)
         output().print(f"ended early, and so violated every requirement: {ways}")
     units = {measure.name: measure.unit for measure in study.measures}
-    rows = [
-        (name_with_unit(name, units[name]), *(quantile_text(quantiles, level) for level in ("q5", "q50", "q95")))
-        for name, quantiles in point["metrics"].items()
-    ]
+    rows = []
+    for name, quantiles in point["metrics"].items():
+        texts = [quantile_text(quantiles, level) for level in ("q5", "q50", "q95")]
+        rows.append((name_with_unit(name, units[name]), *texts))
     show_table(("metric (ended early: inf)", "5 %", "median", "95 %"), rows)
 
 
@@ -112,7 +113,7 @@ def name_with_unit(name: str, unit: str) -> str:
     return name if unit == "1" else f"{name} [{unit}]"
 
 
-def quantile_text(quantiles: Mapping[str, Any], level: str) -> str:
+def quantile_text(quantiles: SummaryRow, level: str) -> str:
     """A quantile with its interval, if there is one."""
 
     def number(value: float | None, infinite: str) -> str:
@@ -124,7 +125,7 @@ def quantile_text(quantiles: Mapping[str, Any], level: str) -> str:
     return f"{quantiles[level]:.4g} [{number(low, '-inf')}, {number(high, 'inf')}]"
 
 
-def failure_cells(row: Mapping[str, Any], draws: int) -> tuple[str, str, str]:
+def failure_cells(row: SummaryRow, draws: int) -> tuple[str, str, str]:
     """Failures, their probability, and its interval; without failures the upper bound is given, never 0."""
     low, high = row["interval"]
     probability = f"{row['probability']:.4g}" if row["failures"] else f"<= {high:.3g}"
@@ -133,8 +134,9 @@ def failure_cells(row: Mapping[str, Any], draws: int) -> tuple[str, str, str]:
 
 def show_points(result: "Result") -> None:
     """Print one row for each sweep point, with the headline metric's median; only the first ones if there are many."""
-    axes, metric = result.study.axes, headline(result).name
-    several = len(result.study.requirements) > 1
+    axes = result.study.axes
+    metric = headline(result).name
+    has_several_requirements = len(result.study.requirements) > 1
     result = result.with_theorem()
     certifiable = "certified" in result.dataset
     rows = []
@@ -142,32 +144,36 @@ def show_points(result: "Result") -> None:
         values = [f"{point[name]:.5g}" for name in axes]
         middle = point["metrics"].get(metric, {}).get("q50")
         shown = "inf" if middle is None else f"{middle:.4g}"
-        worst = [most_violated(point)] if several else []
+        worst = [most_violated(point)] if has_several_requirements else []
         marks = [VERDICT_MARKS[point["certified"]]] if certifiable else []
         rows.append((*values, *failure_cells(point, point["draws"]), *worst, shown, *marks))
-    worst = ["most violated"] if several else []
+    worst = ["most violated"] if has_several_requirements else []
     show_table((*axes, "failures", *SHARE, *worst, f"median {metric}", *(["certified"] if certifiable else [])), rows)
-    more = math.prod(map(len, axes.values())) - len(rows)
-    if more:
-        output().print(f"... and {more} more points in summary.json")
+    hidden = math.prod(map(len, axes.values())) - len(rows)
+    if hidden:
+        output().print(f"... and {hidden} more points in summary.json")
+
+
+def percent_text(percent: float, failures: int) -> str:
+    """The share of failures in a cell of the grid; a dot if there are none."""
+    if failures == 0:
+        return "."
+    return "<1" if percent < 0.5 else f"{percent:.0f}"
 
 
 def show_grid(result: "Result", axes: list[str]) -> None:
     """Print the failure probability in per cent over two axes; values are skipped if there are very many."""
     down, across = axes
     down_values, across_values = (np.asarray(result.study.axes[name]) for name in axes)
-    by_row, by_column = -(-len(down_values) // WIDEST_ROWS), -(-len(across_values) // WIDEST_COLUMNS)
+    by_row = -(-len(down_values) // WIDEST_ROWS)
+    by_column = -(-len(across_values) // WIDEST_COLUMNS)
     failed = result.failed.transpose(down, across, "draw").values[::by_row, ::by_column]
     share = 100.0 * failed.mean(-1)
     head = (f"{down} \\ {across}", *(f"{value:.3g}" for value in across_values[::by_column]))
     rows = []
     for value, row, counts in zip(down_values[::by_row], share, failed.sum(-1), strict=True):
-        rows.append(
-            (
-                f"{value:.3g}",
-                *("." if n == 0 else "<1" if p < 0.5 else f"{p:.0f}" for p, n in zip(row, counts, strict=True)),
-            )
-        )
+        cells = [percent_text(percent, count) for percent, count in zip(row, counts, strict=True)]
+        rows.append((f"{value:.3g}", *cells))
     draws = failed.shape[-1]
     bound = describe_probability(np.zeros(draws, dtype=bool), result.method)
     show_table(head, rows, title=f"failures in % of {draws} draws; '.': {bound}; all intervals in summary.json")

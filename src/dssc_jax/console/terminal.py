@@ -72,27 +72,29 @@ def progress_bar(
     )
     bar = Progress(*columns, console=console, disable=quiet and not console.is_terminal)
     task = bar.add_task(f"{study.name} (compiling)", total=None)
-    counted = most = 0
+    counted = 0
+    limit = 0
     announced = False
 
     def advance(done: int, total: int | None) -> None:
-        nonlocal counted, most, announced
+        nonlocal counted, limit, announced
         if compiles and not announced:
             announce_compiling(study, quiet)
         announced = True
-        counted, most = done, done if total is None else total
+        counted = done
+        limit = done if total is None else total
         bar.start()  # not before the first call: bad input shows no bar
         bar.update(task, completed=done, total=total, description=study.name if done else f"{study.name} (compiling)")
 
     try:
         yield advance
-        if counted < most:
+        if counted < limit:
             bar.update(task, total=counted)
     finally:
         if bar.live.is_started:
             bar.stop()
-    if counted < most and not bar.disable:
-        notify(f"{study.name} stopped early after {counted:,} of at most {most:,} {of}: {early}")
+    if counted < limit and not bar.disable:
+        notify(f"{study.name} stopped early after {counted:,} of at most {limit:,} {of}: {early}")
 
 
 def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | None = None) -> None:
@@ -104,9 +106,9 @@ def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | 
     console = output()
     widths = [max(len(line) for line in column) for column in zip(head, *rows, strict=True)]
     widest = widths.index(max(widths))
-    rest = sum(widths) - widths[widest] + 2 * (len(widths) - 1)
-    fits = rest + widths[widest] <= console.width
-    if not fits and (console.width - rest < FOLDED or not is_prose([row[widest] for row in rows])):
+    fixed = sum(widths) - widths[widest] + 2 * (len(widths) - 1)
+    fits = fixed + widths[widest] <= console.width
+    if not fits and (console.width - fixed < FOLDED or not is_prose([row[widest] for row in rows])):
         show_blocks(head, rows, title)
         return
     table = Table(title_justify="left", box=None, header_style="bold", pad_edge=False, padding=(0, 2, 0, 0))
@@ -120,7 +122,11 @@ def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | 
 
 def is_prose(cells: Sequence[str]) -> bool:
     """Whether a column may be folded: words, not numbers or intervals."""
-    return any(sum(word.isalpha() for word in cell.split()) > len(cell.split()) // 2 for cell in cells if " " in cell)
+    for cell in cells:
+        words = cell.split()
+        if " " in cell and sum(word.isalpha() for word in words) > len(words) // 2:
+            return True
+    return False
 
 
 def show_blocks(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | None) -> None:
@@ -129,9 +135,9 @@ def show_blocks(head: Sequence[str], rows: Sequence[Sequence[str]], title: str |
     if title is not None:
         console.print(title, markup=False)
     width = max(map(len, head[1:]), default=0)
-    for first, *others in rows:
+    for first, *cells in rows:
         console.print(f"[bold]{escape(f'{head[0]} ' if head[0] else '')}{escape(first)}[/bold]")
-        for name, cell in zip(head[1:], others, strict=True):
+        for name, cell in zip(head[1:], cells, strict=True):
             console.print(f"  {name:<{width}}  {cell}", markup=False, soft_wrap=True)
 
 

@@ -8,6 +8,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.exploration.live import LiveStudy
 from dssc_jax.results.result import Result
 from dssc_jax.study import Study
 
@@ -60,7 +61,6 @@ def explore(
         from dssc_jax.exploration.result_page import ResultPage
 
         return ResultPage(subject)
-    from dssc_jax.exploration.live import LiveStudy
     from dssc_jax.exploration.study_page import StudyPage
 
     return StudyPage(LiveStudy(subject, sliders, draws))

@@ -7,9 +7,15 @@ import htpy as h
 
 from dssc_jax.study import Study
 
-WIDTH, HEIGHT, GAP = 158, 66, 44  # of a block, and between blocks
-FORWARD, ABOVE, BACK = 150, 34, 256  # upper edges of the rows of blocks
-MARGIN, RADIUS, FITS = 14, 9, 24  # FITS: characters across a block
+WIDTH = 158  # of a block
+HEIGHT = 66
+GAP = 44  # between blocks
+FORWARD_ROW = 150  # upper edges of the rows of blocks
+UPPER_ROW = 34
+FEEDBACK_ROW = 256
+MARGIN = 14
+RADIUS = 9  # of a junction
+LINE_LENGTH = 24  # characters across a block
 ABSENT = ("none", "ideal")
 NAMES = {
     "reference": "reference",
@@ -32,21 +38,18 @@ class Drawing:
     def block(self, x: int, y: int, title: str, lines: Sequence[str]) -> None:
         """Add a block with its title and up to two lines below."""
         texts = [title, *(shortened(line) for line in lines if line)]
-        first = y + HEIGHT // 2 - 8 * (len(texts) - 1) + 5
-        self.parts.append(
-            h.g[
-                h.title[" ".join((title, *lines))],
-                h.rect(".block", x=x, y=y, width=WIDTH, height=HEIGHT, rx=6),
-                (
-                    h.text(class_="title" if i == 0 else "line", x=x + WIDTH // 2, y=first + 16 * i)[text]
-                    for i, text in enumerate(texts)
-                ),
-            ]
-        )
+        first_baseline = y + HEIGHT // 2 - 8 * (len(texts) - 1) + 5
+        labels = []
+        for i, text in enumerate(texts):
+            label = h.text(class_="title" if i == 0 else "line", x=x + WIDTH // 2, y=first_baseline + 16 * i)
+            labels.append(label[text])
+        frame = h.rect(".block", x=x, y=y, width=WIDTH, height=HEIGHT, rx=6)
+        self.parts.append(h.g[h.title[" ".join((title, *lines))], frame, labels])
 
     def arrow(self, *points: tuple[int, int], label: str = "") -> None:
         """Add a line through points with an arrowhead at the last; the label is above its first stretch."""
-        (x, y), (x2, y2) = points[0], points[1]
+        x, y = points[0]
+        x2, y2 = points[1]
         path = "M" + "L".join(f"{a} {b}" for a, b in points)
         self.parts.append(h.path(".wire", d=path, marker_end="url(#arrow)"))
         if label:
@@ -72,8 +75,8 @@ def present(study: Study, slot: str) -> bool:
     table = getattr(study.config, slot)
     if isinstance(table, list):
         return any(part.get("kind") not in ABSENT for part in table)
-    own = [table[name] for name in study.loop.channels if name and name in table]
-    return any(part.get("kind", table["kind"]) not in ABSENT for part in (table, *own))
+    channel_tables = [table[name] for name in study.loop.channels if name and name in table]
+    return any(part.get("kind", table["kind"]) not in ABSENT for part in (table, *channel_tables))
 
 
 def has_nominal(study: Study) -> bool:
@@ -86,10 +89,10 @@ def notes(study: Study, slot: str) -> list[str]:
     table = getattr(study.config, slot)
     functions = table.get("functions") if isinstance(table, dict) else None
     inner = f": {functions['kind']}" if isinstance(functions, dict) and "kind" in functions else ""
-    marks = (("~", study.laws), ("⇄", study.axes))
-    uncertain = [f"{mark} {name.rpartition('.')[2]}" for mark, names in marks for name in within(names, slot)]
-    few = len(uncertain) <= 2
-    return [part_kind(study, slot) + inner, "  ".join(uncertain) if few else f"~ {len(uncertain)} uncertain or swept"]
+    marked = [f"~ {name.rpartition('.')[2]}" for name in within(study.laws, slot)]
+    marked += [f"⇄ {name.rpartition('.')[2]}" for name in within(study.axes, slot)]
+    numbers = "  ".join(marked) if len(marked) <= 2 else f"~ {len(marked)} uncertain or swept"
+    return [part_kind(study, slot) + inner, numbers]
 
 
 def within(names: Iterable[str], slot: str) -> list[str]:
@@ -99,7 +102,7 @@ def within(names: Iterable[str], slot: str) -> list[str]:
 
 def shortened(text: str) -> str:
     """Text shortened to fit into a block."""
-    return text if len(text) <= FITS else f"{text[: FITS - 1]}…"
+    return text if len(text) <= LINE_LENGTH else f"{text[: LINE_LENGTH - 1]}…"
 
 
 def words(study: Study) -> str:
@@ -113,39 +116,39 @@ def words(study: Study) -> str:
 def diagram(study: Study) -> h.Element:
     """The loop as an SVG element: the forward path from reference to output, its inputs, and the feedback."""
     drawing = Drawing()
-    middle, several = FORWARD + HEIGHT // 2, len(study.loop.channels) > 1
-    drawing.block(MARGIN, FORWARD, NAMES["reference"], notes(study, "reference"))
+    middle = FORWARD_ROW + HEIGHT // 2
+    drawing.block(MARGIN, FORWARD_ROW, NAMES["reference"], notes(study, "reference"))
     x = MARGIN + WIDTH
     drawing.arrow((x, middle), (x + GAP, middle), label="yₘ")
     controller = x + GAP
-    drawing.block(controller, FORWARD, NAMES["controller"], notes(study, "controller"))
+    drawing.block(controller, FORWARD_ROW, NAMES["controller"], notes(study, "controller"))
     x = controller + WIDTH
-    above = x - WIDTH  # where the upper row is free
+    upper_x = x - WIDTH  # where the upper row is free
     if has_nominal(study):
-        x = add(drawing, x, middle, "nominal control", [], above, "u", "uₙ")
-        above = x
+        x = add(drawing, x, middle, "nominal control", [], upper_x, "u", "uₙ")
+        upper_x = x
     if present(study, "unmodelled"):
         drawing.arrow((x, middle), (x + GAP, middle), label="uₚ" if has_nominal(study) else "u")
-        drawing.block(x + GAP, FORWARD, NAMES["unmodelled"], notes(study, "unmodelled"))
+        drawing.block(x + GAP, FORWARD_ROW, NAMES["unmodelled"], notes(study, "unmodelled"))
         x += GAP + WIDTH
-        above = x - WIDTH
+        upper_x = x - WIDTH
     if present(study, "disturbance"):
-        x = add(drawing, x, middle, NAMES["disturbance"], notes(study, "disturbance"), above, "", "d")
+        x = add(drawing, x, middle, NAMES["disturbance"], notes(study, "disturbance"), upper_x, "", "d")
     drawing.arrow((x, middle), (x + GAP, middle))
     plant = x + GAP
-    drawing.block(plant, FORWARD, NAMES["plant"], notes(study, "plant"))
+    drawing.block(plant, FORWARD_ROW, NAMES["plant"], notes(study, "plant"))
     if present(study, "wind"):
-        drawing.block(plant, ABOVE, NAMES["wind"], notes(study, "wind"))
-        drawing.arrow((plant + WIDTH // 2, ABOVE + HEIGHT), (plant + WIDTH // 2, FORWARD))
+        drawing.block(plant, UPPER_ROW, NAMES["wind"], notes(study, "wind"))
+        drawing.arrow((plant + WIDTH // 2, UPPER_ROW + HEIGHT), (plant + WIDTH // 2, FORWARD_ROW))
     end = plant + WIDTH
     drawing.arrow((end, middle), (end + GAP + MARGIN, middle))
     drawing.parts.append(h.text(".signal", x=end + GAP, y=middle - 9)["y"])
     bottom = feed_back(drawing, study, end + GAP // 2, middle, controller + WIDTH // 2)
-    if several:
+    if len(study.loop.channels) > 1:
         text = f"Everything but reference, wind and plant is there in each channel: {', '.join(study.loop.channels)}."
         bottom += 2 * MARGIN
         drawing.parts.append(h.text(".note", x=MARGIN, y=bottom)[text])
-    top = ABOVE if any((has_nominal(study), present(study, "disturbance"), present(study, "wind"))) else FORWARD
+    top = UPPER_ROW if any((has_nominal(study), present(study, "disturbance"), present(study, "wind"))) else FORWARD_ROW
     size = (end + GAP + 2 * MARGIN, bottom - top + 2 * MARGIN)
     head = h.marker("#arrow", viewBox="0 0 8 8", refX=8, refY=4, markerWidth=8, markerHeight=8, orient="auto")
     box = f"0 {top - MARGIN} {size[0]} {size[1]}"
@@ -155,19 +158,23 @@ def diagram(study: Study) -> h.Element:
 
 
 def add(
-    drawing: Drawing, x: int, middle: int, title: str, lines: Sequence[str], above: int, before: str, label: str
+    drawing: Drawing, x: int, middle: int, title: str, lines: Sequence[str], upper_x: int, path_label: str, label: str
 ) -> int:
-    """Add a block in the upper row whose signal is added to the forward path; return where the path continues."""
-    node = max(x + GAP, above + WIDTH + GAP)
-    drawing.block(above, ABOVE, title, lines)
-    drawing.arrow((x, middle), (node - RADIUS, middle), label=before)
-    drawing.parts.append(h.text(".signal", x=above + WIDTH + GAP // 2, y=ABOVE + HEIGHT // 2 - 7)[label])
-    drawing.arrow((above + WIDTH, ABOVE + HEIGHT // 2), (node, ABOVE + HEIGHT // 2), (node, middle - RADIUS))
+    """Add a block in the upper row whose signal is added to the forward path.
+
+    Returns:
+        Where the path continues.
+    """
+    node = max(x + GAP, upper_x + WIDTH + GAP)
+    drawing.block(upper_x, UPPER_ROW, title, lines)
+    drawing.arrow((x, middle), (node - RADIUS, middle), label=path_label)
+    drawing.parts.append(h.text(".signal", x=upper_x + WIDTH + GAP // 2, y=UPPER_ROW + HEIGHT // 2 - 7)[label])
+    drawing.arrow((upper_x + WIDTH, UPPER_ROW + HEIGHT // 2), (node, UPPER_ROW + HEIGHT // 2), (node, middle - RADIUS))
     drawing.junction(node, middle)
     return node + RADIUS
 
 
-def feed_back(drawing: Drawing, study: Study, start: int, middle: int, into: int) -> int:
+def feed_back(drawing: Drawing, study: Study, start: int, middle: int, target: int) -> int:
     """Draw the feedback from the output, through sensor and differentiator if there are any, into the controller.
 
     Returns:
@@ -175,12 +182,12 @@ def feed_back(drawing: Drawing, study: Study, start: int, middle: int, into: int
     """
     drawing.parts.append(h.circle(".node", cx=start, cy=middle, r=3))
     slots = [slot for slot in ("sensor", "differentiator") if present(study, slot)]
-    row = BACK + HEIGHT // 2 if slots else BACK
-    here = [(start, middle), (start, row)]
+    row = FEEDBACK_ROW + HEIGHT // 2 if slots else FEEDBACK_ROW
+    points = [(start, middle), (start, row)]
     for i, slot in enumerate(slots):
         right = start - GAP - i * (WIDTH + GAP)
-        drawing.arrow(*here, (right, row))
-        drawing.block(right - WIDTH, BACK, NAMES[slot], notes(study, slot))
-        here = [(right - WIDTH, row)]
-    drawing.arrow(*here, (into, row), (into, FORWARD + HEIGHT))
-    return BACK + HEIGHT if slots else BACK
+        drawing.arrow(*points, (right, row))
+        drawing.block(right - WIDTH, FEEDBACK_ROW, NAMES[slot], notes(study, slot))
+        points = [(right - WIDTH, row)]
+    drawing.arrow(*points, (target, row), (target, FORWARD_ROW + HEIGHT))
+    return FEEDBACK_ROW + HEIGHT if slots else FEEDBACK_ROW

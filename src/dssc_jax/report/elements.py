@@ -74,10 +74,10 @@ def table(caption: str, head: Sequence[h.Node], rows: Sequence[Sequence[h.Node]]
 
 def row_of(row: Sequence[h.Node], look: Sequence[str | None]) -> h.Element:
     """One row, with its header."""
-    first, *rest = row
+    name, *values = row
     return h.tr[
-        h.th(scope="row", class_=look[0])[first],
-        (h.td(class_=c)[cell] for cell, c in zip(rest, look[1:], strict=True)),
+        h.th(scope="row", class_=look[0])[name],
+        (h.td(class_=c)[cell] for cell, c in zip(values, look[1:], strict=True)),
     ]
 
 

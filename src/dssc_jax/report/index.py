@@ -3,7 +3,7 @@
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from urllib.parse import quote
 
 import htpy as h
@@ -15,6 +15,7 @@ from dssc_jax.report.page import REPORT, is_current, page, write, write_page
 from dssc_jax.report.study_sections import moment
 from dssc_jax.results import store
 from dssc_jax.results.analysis import Analysis
+from dssc_jax.results.summary import SummaryRow, extreme_points
 
 INDEX = "index.html"
 MARKS = {store.MANIFEST, *(f"{kind}.json" for kind in KINDS)}
@@ -44,10 +45,10 @@ def folders(root: Path) -> Iterator[Path]:
             yield child
             continue
         for place, inner, files in os.walk(child):
-            whole = not MARKS.isdisjoint(files)
-            if whole:
+            has_result = not MARKS.isdisjoint(files)
+            if has_result:
                 places.append(Path(place))
-            inner[:] = [] if whole else sorted(set(inner) - {store.DATA})
+            inner[:] = [] if has_result else sorted(set(inner) - {store.DATA})
         yield from places or [child]
 
 
@@ -57,14 +58,15 @@ def index_row(folder: Path, made: Callable[[Path], None]) -> IndexRow:
     if folder.is_symlink():
         return row._replace(trouble="is a symbolic link, which the index does not follow")
     try:
-        about = description(folder)
-        row = row._replace(study=str(about["study"].get("name", "")), started=str(about.get("started", "")))
-        result, page = load(folder), folder / REPORT
+        described = description(folder)
+        row = row._replace(study=str(described["study"].get("name", "")), started=str(described.get("started", "")))
+        result = load(folder)
+        page = folder / REPORT
         if not is_current(page, result):
             made(write(result, page))
         if isinstance(result, Analysis):
             return row._replace(kind=result.title, answer=result.headline)
-        return row._replace(**point_numbers(result.summary()["points"]))
+        return point_numbers(row, result.summary()["points"])
     except ConfigError as error:
         return row._replace(trouble=error.rule)
     except OSError as error:
@@ -73,17 +75,17 @@ def index_row(folder: Path, made: Callable[[Path], None]) -> IndexRow:
         return row._replace(trouble=f"its report cannot be made: {type(error).__name__}: {error}")
 
 
-def point_numbers(points: list[dict[str, Any]]) -> dict[str, Any]:
-    """Size, probability and interval; for a sweep, those of its best and its worst point."""
-    best, most = (pick(points, key=lambda point: point["probability"]) for pick in (min, max))
-    shown = [best] if len(points) == 1 else [best, most]
+def point_numbers(row: IndexRow, points: list[SummaryRow]) -> IndexRow:
+    """The row with size, probability and interval; for a sweep, those of its best and its worst point."""
+    best, worst = extreme_points(points)
+    shown = [best] if len(points) == 1 else [best, worst]
     size = counted(best["draws"], "draw") + (f" at {len(points):,} points" if len(points) > 1 else "")
-    return {
-        "size": size,
-        "probability": " to ".join(probability_text(point["probability"], point["interval"]) for point in shown),
-        "interval": interval(best["interval"]) if len(points) == 1 else "",
-        "worst": most["probability"],
-    }
+    return row._replace(
+        size=size,
+        probability=" to ".join(probability_text(point["probability"], point["interval"]) for point in shown),
+        interval=interval(best["interval"]) if len(points) == 1 else "",
+        worst=worst["probability"],
+    )
 
 
 def write_index(root: str | Path, made: Callable[[Path], None] = lambda page: None) -> tuple[Path, list[IndexRow]]:
@@ -113,24 +115,18 @@ def index_html(root: Path, rows: list[IndexRow]) -> str:
     good = sorted((row for row in rows if not row.trouble), key=lambda row: row.worst)
     good = sorted(sorted(good, key=lambda row: row.started, reverse=True), key=lambda row: row.study)
     bad = [row for row in rows if row.trouble]
-    runs, analyses = [row for row in good if not row.kind], [row for row in good if row.kind]
+    runs = [row for row in good if not row.kind]
+    analyses = [row for row in good if row.kind]
     body: list[h.Node] = []
 
     def link(row: IndexRow) -> h.Element:
         return h.a(href=quote(os.fsencode((row.folder / REPORT).relative_to(root))))[row.study]
 
     if runs:
-        cells = [
-            (
-                link(row),
-                moment(row.started),
-                h.code[str(row.folder.relative_to(root))],
-                row.size,
-                row.probability,
-                row.interval,
-            )
-            for row in runs
-        ]
+        cells = []
+        for row in runs:
+            folder = h.code[str(row.folder.relative_to(root))]
+            cells.append((link(row), moment(row.started), folder, row.size, row.probability, row.interval))
         head = ("study", "started", "folder", "size", "failure probability", "95 % interval")
         body.append(section("runs", "Runs", table("A sweep shows its best and its worst point", head, cells, words=4)))
     if analyses:

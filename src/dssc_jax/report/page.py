@@ -57,17 +57,17 @@ def html(result: Result | Analysis, worst: int = WORST_DRAWS) -> str:
     """
     if isinstance(result, Analysis):
         return html_of_analysis(result)
-    about = Subject(result, worst)
-    short, long = result_sections.headline_verdict(about)
+    subject = Subject(result, worst)
+    short, long = result_sections.headline_verdict(subject)
     verdict = facts([("failure probability", [h.strong[short], h.span[long]])], "verdict")
-    sections = [make(about) for make in SECTIONS]
+    sections = [make(subject) for make in SECTIONS]
     return report(result.study, "Robustness report", verdict, sections)
 
 
 def html_of_analysis(analysis: Analysis) -> str:
     """The report of an analysis."""
-    about = AnalysisSubject(analysis)
-    sections = [make(about) for make in ANALYSIS_SECTIONS]
+    subject = AnalysisSubject(analysis)
+    sections = [make(subject) for make in ANALYSIS_SECTIONS]
     return report(analysis.study, analysis.title, h.p(".lead")[analysis.headline], sections)
 
 
@@ -130,10 +130,13 @@ def write_page(text: str, path: Path, result: Result | Analysis | None = None) -
     Args:
         text: The page.
         path: The file.
-        result: What the page shows, which its last line names with a digest of the page; None: it has no such line.
+        result: The result or analysis that the page shows. The last line names it, with a digest of the page; None: the
+            page has no such line.
     """
-    whole = text.encode("utf-8", "replace")
-    files.write_bytes(path, whole if result is None else whole + mark_of(whole, result))
+    content = text.encode("utf-8", "replace")
+    if result is not None:
+        content += mark_of(content, result)
+    files.write_bytes(path, content)
 
 
 def mark_of(content: bytes, result: Result | Analysis) -> bytes:

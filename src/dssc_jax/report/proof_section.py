@@ -15,25 +15,26 @@ CLAIM = (
 )
 
 
-def proofs(about: Subject) -> Section | None:
+def proofs(subject: Subject) -> Section | None:
     """How the points stand, and the proved bounds of |e|; None without proofs."""
-    result = about.result
+    result = subject.result
     if "proved" not in result.dataset:
         return None
     axes = list(result.study.axes)
     share = result.failed.mean("draw").transpose(*axes).values
-    proved, error = (result.dataset[name].transpose(*axes).values for name in ("proved", "proved_error"))
+    proved = result.dataset["proved"].transpose(*axes).values
+    error = result.dataset["proved_error"].transpose(*axes).values
     kinds = standing_of(proved, share)
     counts = [(text, f"{np.count_nonzero(kinds == kind):,}") for kind, (_, text) in enumerate(STANDINGS)]
     body: list[h.Node] = [table(counted(proved.size, "point"), ("how a point stands", "points"), counts), h.p[CLAIM]]
     if sum(size > 1 for size in proved.shape) == 2:
         text = f"{np.count_nonzero(proved)} of {proved.size} points are proved."
         body.append(figure(inline(lambda: plotting.standing(result), text, "standing"), text))
-    rows = [
-        (*(number(result.study.axes[name][i]) for name, i in zip(axes, at, strict=True)), number(float(error[at])))
-        for at in np.ndindex(proved.shape)
-        if proved[at]
-    ]
+    rows = []
+    for at in np.ndindex(proved.shape):
+        if proved[at]:
+            values = [number(result.study.axes[name][i]) for name, i in zip(axes, at, strict=True)]
+            rows.append((*values, number(float(error[at]))))
     if rows:
         unit = result.dataset["proved_error"].attrs["units"]
         listed = table("Proved points", (*axes, f"largest |e| once settled, proved [{unit}]"), rows)

@@ -1,7 +1,6 @@
 """Sections on the answer: outcome, sweep, metrics, causes, worst draws, chattering."""
 
 from functools import partial
-from typing import Any
 
 import htpy as h
 import numpy as np
@@ -31,41 +30,46 @@ from dssc_jax.report.vector import inline
 from dssc_jax.results.influence import by_influence, idle_text
 from dssc_jax.results.result import Result, headline
 from dssc_jax.results.schema import ENDINGS, outcome_codes
-from dssc_jax.results.summary import most_violated
+from dssc_jax.results.summary import SummaryRow, extreme_points, most_violated
 from dssc_jax.statistics.order import upper_quantiles
 from dssc_jax.study import Described
 
-MOST_ROWS, MOST_FACTORS = 400, 24
+MOST_ROWS = 400
+MOST_FACTORS = 24
 CERTIFIED_TEXT = {None: "-", True: "yes", False: "no"}
 UNSHOWN = "They are not simulated again here, which would run code that is not part of dssc_jax: "
 CHATTER = ("command_tv", "sampling_ratio", "sampling_ratio_above_1", "outside_sliding")
 
 
-def outcome(about: Subject) -> Section:
+def outcome(subject: Subject) -> Section:
     """How the draws ended, with intervals; for a sweep, its points, and how the draws ended at one of them."""
-    if about.result.study.axes:
-        return Section("outcome", "The outcome", [*points_section(about), *ways(about), integration(about)])
-    certificate = about.result.certificate and h.p[h.strong[about.result.certificate], "."]
-    return Section("outcome", "The outcome", [*ways(about), certificate, integration(about)])
+    if subject.result.study.axes:
+        return Section("outcome", "The outcome", [*points_section(subject), *ways(subject), integration(subject)])
+    certificate = subject.result.certificate and h.p[h.strong[subject.result.certificate], "."]
+    return Section("outcome", "The outcome", [*ways(subject), certificate, integration(subject)])
 
 
-def integration(about: Subject) -> h.Node:
+def integration(subject: Subject) -> h.Node:
     """The error of integration between the samples; none if it was not checked."""
-    text = about.result.integration
+    text = subject.result.integration
     return text and h.p[f"Integration: {text}."]
 
 
-def ways(about: Subject) -> list[h.Node]:
+def ways(subject: Subject) -> list[h.Node]:
     """All outcomes of the draws, each requirement separately, and which requirements are violated together."""
-    close, point = about.close, about.said
-    ended, method, draws = close.dataset["outcome"].values, close.method, point["draws"]
+    result = subject.point_result
+    point = subject.point_summary
+    ended = result.dataset["outcome"].values
+    method = result.method
+    draws = point["draws"]
     rows: list[tuple[h.Node, ...]] = []
     for code, words in ENDINGS.items():
-        if code in outcome_codes(close.study):
-            bounds, n = method.interval(ended == code).tolist(), int(np.count_nonzero(ended == code))
+        if code in outcome_codes(result.study):
+            bounds = method.interval(ended == code).tolist()
+            n = int(np.count_nonzero(ended == code))
             rows.append((words, f"{n:,}", probability_text(n / draws, bounds), interval(bounds), ""))
-    for each in point["requirements"]:
-        rows.append((f"violates {each['text']}", *fails(each), f"{each['alone']:,}"))
+    for requirement in point["requirements"]:
+        rows.append((f"violates {requirement['text']}", *fails(requirement), f"{requirement['alone']:,}"))
     rows.append((h.strong["fails in any way"], *fails(point), ""))
     head = ("how a draw ended", "draws", "probability", f"{LEVEL} interval", "this alone")
     note = (
@@ -73,78 +77,93 @@ def ways(about: Subject) -> list[h.Node]:
         f"({counted(point['ended_early'], 'draw')} here). Intervals: {method.name}, each at {LEVEL} on its own. Where "
         f"none of the {draws:,} draws ended in a given way, the table shows the upper bound of its probability."
     )
-    return [table(f"Outcomes of {counted(draws, 'draw')}{about.where}", head, rows), h.p[note], *together(point)]
+    return [
+        table(f"Outcomes of {counted(draws, 'draw')}{subject.point_phrase}", head, rows),
+        h.p[note],
+        *together(point),
+    ]
 
 
-def together(point: dict[str, Any]) -> list[h.Node]:
+def together(point: SummaryRow) -> list[h.Node]:
     """Pairs of requirements that the same draws violate, if there are at least two requirements."""
     if len(point["requirements"]) < 2:
         return []
     pairs = [pair for pair in point["overlaps"] if pair["draws"]]
     if not pairs:
         return [h.p["No draw that ran to its end violates two requirements."]]
-    text = {each["name"]: each["text"] for each in point["requirements"]}
-    rows = [(*(text[name] for name in pair["names"]), f"{pair['draws']:,}") for pair in pairs]
+    text = {requirement["name"]: requirement["text"] for requirement in point["requirements"]}
+    rows = []
+    for pair in pairs:
+        first, second = pair["names"]
+        rows.append((text[first], text[second], f"{pair['draws']:,}"))
     caption = "Requirements that the same draws violate, without draws that ended early"
     return [table(caption, ("requirement", "and requirement", "draws"), rows, words=2)]
 
 
-def fails(point: dict[str, Any]) -> tuple[str, str, str]:
+def fails(point: SummaryRow) -> tuple[str, str, str]:
     """Failures at a point, or of one requirement there, with their probability and its interval."""
     bounds = point["interval"]
     return f"{point['failures']:,}", probability_text(point["probability"], bounds), interval(bounds)
 
 
-def points_section(about: Subject) -> list[h.Node]:
+def points_section(subject: Subject) -> list[h.Node]:
     """Points of a sweep: the best, the worst, the one shown in detail; and a collapsed table of all."""
-    study, points = about.result.study, about.summary["points"]
-    names = [(name, study.quantities[name].unit) for name in study.axes]
-    swept = [name if unit == "1" else f"{name} [{unit}]" for name, unit in names]
-    middle = f"median {headline(about.result).name}"
+    study = subject.result.study
+    points = subject.summary["points"]
+    swept = []
+    for name in study.axes:
+        unit = study.quantities[name].unit
+        swept.append(name if unit == "1" else f"{name} [{unit}]")
+    middle = f"median {headline(subject.result).name}"
     violated = ["most violated"] if len(study.requirements) > 1 else []
     head = (*swept, "failures", "probability", f"{LEVEL} interval", *violated, middle, "certified")
-    best, most = (pick(points, key=lambda point: point["probability"]) for pick in (min, max))
-    picked = {"least failures": best, "nearest to half": about.said, "most failures": most}
-    some = [(name, *point_cells(about, point)) for name, point in picked.items()]
-    every = [point_cells(about, point) for point in points[:MOST_ROWS]]
-    more = f"; the first {MOST_ROWS} of {len(points):,}, all are in summary.json" if len(points) > MOST_ROWS else ""
-    caption = f"{counted(study.config.draws, 'draw')} at each point{more}"
+    best, worst = extreme_points(points)
+    picked = {"least failures": best, "nearest to half": subject.point_summary, "most failures": worst}
+    picked_rows = [(name, *point_cells(subject, point)) for name, point in picked.items()]
+    rows = [point_cells(subject, point) for point in points[:MOST_ROWS]]
+    cut = f"; the first {MOST_ROWS} of {len(points):,}, all are in summary.json" if len(points) > MOST_ROWS else ""
+    caption = f"{counted(study.config.draws, 'draw')} at each point{cut}"
     note = (
-        f"Intervals: {about.result.method.name}, each at {LEVEL} on its own; the draws of all points are the same, "
+        f"Intervals: {subject.result.method.name}, each at {LEVEL} on its own; the draws of all points are the same, "
         "so that differences between points are sharper than the intervals suggest."
     )
     return [
-        table("Three points of the sweep", ("point", *head), some),
+        table("Three points of the sweep", ("point", *head), picked_rows),
         h.p[note],
-        folded(f"All {counted(len(points), 'point')}", table(caption, head, every)),
+        folded(f"All {counted(len(points), 'point')}", table(caption, head, rows)),
     ]
 
 
-def point_cells(about: Subject, point: dict[str, Any]) -> tuple[h.Node, ...]:
+def point_cells(subject: Subject, point: SummaryRow) -> tuple[h.Node, ...]:
     """A row for a sweep point: its values, failures with interval, the main failure, the median, the certificate."""
-    where = (number(point[name]) for name in about.result.study.axes)
-    middle = point["metrics"][headline(about.result).name]["q50"]
+    values = (number(point[name]) for name in subject.result.study.axes)
+    middle = point["metrics"][headline(subject.result).name]["q50"]
     main_failure = [most_violated(point)] if len(point["requirements"]) > 1 else []
-    return *where, *fails(point), *main_failure, number(middle), CERTIFIED_TEXT[point["certified"]]
+    return *values, *fails(point), *main_failure, number(middle), CERTIFIED_TEXT[point["certified"]]
 
 
-def sweep_section(about: Subject) -> Section | None:
+def sweep_section(subject: Subject) -> Section | None:
     """Failure probability and the headline metric over the sweep."""
-    result = about.result
+    result = subject.result
     if not result.study.axes:
         return None
     shown = [name for name, values in result.study.axes.items() if len(values) > 1][:2]
-    rest = [f"{name} = {values[0]:g}" for name, values in result.study.axes.items() if name not in shown]
-    held = f" Held: {', '.join(rest)}." if rest else ""
-    shares = [point["probability"] for point in about.summary["points"]]
+    fixed = [f"{name} = {values[0]:g}" for name, values in result.study.axes.items() if name not in shown]
+    held = f" Held: {', '.join(fixed)}." if fixed else ""
+    shares = [point["probability"] for point in subject.summary["points"]]
     over = " and ".join(shown or result.study.axes)
-    low, high = number(min(shares)), number(max(shares))
-    text = f"Failure probability over {over}: from {low} to {high}. All points are in the table of the outcome."
+    span = f"from {number(min(shares))} to {number(max(shares))}"
+    text = f"Failure probability over {over}: {span}. All points are in the table of the outcome."
     metric = headline(result).name
     hatched = " (hatched)" if "certified" in result.with_theorem().dataset else ""
-    texts = (result.certificate and f"{result.certificate}{hatched}", idle_text(result))
+    sentences = ""
+    if result.certificate:
+        sentences += f"{result.certificate}{hatched}. "
+    idle = idle_text(result)
+    if idle:
+        sentences += f"{idle}. "
     captions = (
-        f"Failure probability. {''.join(f'{text}. ' for text in texts if text)}{held}".rstrip(),
+        f"Failure probability. {sentences}{held}".rstrip(),
         f"Median of {metric}: half of the draws are below.{held}",
     )
     pictures = (
@@ -154,24 +173,25 @@ def sweep_section(about: Subject) -> Section | None:
     return Section("sweep", "The sweep", h.div(".pair")[map(figure, pictures, captions)])
 
 
-def metrics(about: Subject) -> Section:
+def metrics(subject: Subject) -> Section:
     """Quantiles of every metric."""
-    study, close = about.result.study, about.close
+    study = subject.result.study
+    result = subject.point_result
     rows = []
     for measure in study.measures:
-        quantiles = upper_quantiles(close.dataset[measure.name].values, (0.05, 0.5, 0.95))
-        unit = unit_of(close, measure)
+        quantiles = upper_quantiles(result.dataset[measure.name].values, (0.05, 0.5, 0.95))
+        unit = unit_of(result, measure)
         bounding = [requirement for requirement in study.requirements if requirement.measure == measure]
         bounds = [f"{'≤' if r.maximum is not None else '≥'} {r.bound:g}" for r in bounding]
-        meaning = close.dataset[measure.name].attrs["long_name"]
+        meaning = result.dataset[measure.name].attrs["long_name"]
         rows.append((h.code[measure.name], meaning, unit, *map(number, quantiles), " ".join(bounds)))
     head = ("metric", "meaning", "unit", "5 %", "median", "95 %", "required")
-    name = headline(about.result).name
+    name = headline(subject.result).name
     text = f"Share of draws at or below each value of {name}; its quantiles are in the table."
-    picture = inline(lambda: plotting.distribution(close), text, "distribution")
+    picture = inline(lambda: plotting.distribution(result), text, "distribution")
     caption = f"Distribution of {name} with the interval of each share."
     body = [
-        h.p[f"Quantiles over draws{about.where}. A draw that ended early counts as ∞."],
+        h.p[f"Quantiles over draws{subject.point_phrase}. A draw that ended early counts as ∞."],
         table("Quantiles of the metrics", head, rows, words=3),
         h.div(".pair")[figure(picture, caption)],
     ]
@@ -184,44 +204,44 @@ def unit_of(result: Result, measure: Measure) -> str:
     return "" if unit == "1" else unit
 
 
-def causes(about: Subject) -> Section | None:
+def causes(subject: Subject) -> Section | None:
     """Failures against each uncertain number."""
-    close = about.close
-    names = by_influence(close, shown_laws(close))[:MOST_FACTORS]
-    failures = int(close.failed.sum())
-    if not names or not 0 < failures < close.failed.size:
+    result = subject.point_result
+    names = by_influence(result, shown_laws(result))[:MOST_FACTORS]
+    failures = int(result.failed.sum())
+    if not names or not 0 < failures < result.failed.size:
         return None
     pictures = []
     for i, name in enumerate(names):
         text = f"Failure probability against {name}, in bins of equal count, with intervals."
-        picture = inline(partial(plotting.factor, close, name), text, f"cause{i}")
-        pictures.append(figure(picture, [h.code[name], f": {close.study.quantities[name].meaning}"]))
-    left = len(close.study.laws) - len(names)
-    more = f" The most influential are shown; {counted(left, 'number')} more are in the dataset." if left > 0 else ""
+        picture = inline(partial(plotting.factor, result, name), text, f"cause{i}")
+        pictures.append(figure(picture, [h.code[name], f": {result.study.quantities[name].meaning}"]))
+    left = len(result.study.laws) - len(names)
+    hidden = f" The most influential are shown; {counted(left, 'number')} more are in the dataset." if left > 0 else ""
     note = (
-        f"Failure probability{about.where}, in bins of equal count of one uncertain number while all the others vary, "
-        f"with {LEVEL} intervals. A slope shows that failures depend on the number.{more}"
+        f"Failure probability{subject.point_phrase}, in bins of equal count of one uncertain number while all the "
+        f"others vary, with {LEVEL} intervals. A slope shows that failures depend on the number.{hidden}"
     )
     return Section("causes", "What failures depend on", [h.p[note], h.div(".grid")[pictures]])
 
 
-def worst_draws_section(about: Subject) -> Section | None:
+def worst_draws_section(subject: Subject) -> Section | None:
     """The draws with the smallest slacks, over time."""
-    if about.worst and isinstance(about.result.study, Described):
-        names = ", ".join(about.result.study.code)
+    if subject.worst and isinstance(subject.result.study, Described):
+        names = ", ".join(subject.result.study.code)
         return Section("worst", "The worst draws", h.p[UNSHOWN, h.code[names], "."])
-    if not about.trajectories:
+    if not subject.trajectories:
         return None
-    laws = about.result.study.laws
+    laws = subject.result.study.laws
     body: list[h.Node] = [
         h.p[
-            f"The draws with the smallest slack{about.where}, simulated again. ",
+            f"The draws with the smallest slack{subject.point_phrase}, simulated again. ",
             h.code["dssc-jax replay"],
             " simulates any draw again, given its index.",
         ]
     ]
-    for rank, run in enumerate(about.trajectories):
-        drawn = [(name, with_unit(run.attrs[name], about.result.study.quantities[name].unit)) for name in laws]
+    for rank, run in enumerate(subject.trajectories):
+        drawn = [(name, with_unit(run.attrs[name], subject.result.study.quantities[name].unit)) for name in laws]
         text = run_caption(run)
         picture = inline(partial(untitled, run), text, f"worst{rank}")
         agrees = f"Computed again, it {VERDICTS[run.attrs['agreement']].format(run.attrs['deviation'])}."
@@ -242,31 +262,32 @@ def run_caption(run: xr.Dataset) -> str:
     return f"Draw {run.attrs['draw']} over time: it {run.attrs['verdict']}{at}."
 
 
-def chattering_section(about: Subject) -> Section | None:
+def chattering_section(subject: Subject) -> Section | None:
     """How much the command moves, and whether the sampling is fast enough for the gains."""
-    study, close = about.result.study, about.close
+    study = subject.result.study
+    result = subject.point_result
     measures = [measure for measure in study.measures if measure.kind in CHATTER]
     if not measures:
         return None
     rows = []
     for measure in measures:
-        values = close.dataset[measure.name].values
+        values = result.dataset[measure.name].values
         middle, high, largest = upper_quantiles(values, (0.5, 0.95, 1.0))
-        unit = unit_of(close, measure)
+        unit = unit_of(result, measure)
         rows.append((h.code[measure.name], measure.meaning, unit, number(middle), number(high), number(largest)))
     head = ("metric", "meaning", "unit", "median", "95 %", "largest")
     body: list[h.Node] = [
         h.p[
             "A total variation of the command far above its range means that it switches. A sampling ratio above 1 "
             "means that the sampled loop chatters or diverges, since the hold is too slow for the gain.",
-            above_one(about),
-            off_reference(about),
+            above_one(subject),
+            off_reference(subject),
         ],
-        table(f"Chattering{about.where}", head, rows, words=3),
+        table(f"Chattering{subject.point_phrase}", head, rows, words=3),
     ]
     if study.axes and any(measure.name == "command_tv" for measure in measures):
         picture = inline(
-            lambda: plotting.typical(about.result, metric="command_tv"),
+            lambda: plotting.typical(subject.result, metric="command_tv"),
             "Median total variation of the command over the sweep.",
             "chattering",
         )
@@ -274,30 +295,31 @@ def chattering_section(about: Subject) -> Section | None:
     return Section("chattering", "Chattering", body)
 
 
-def above_one(about: Subject) -> str:
+def above_one(subject: Subject) -> str:
     """The number of lanes whose sampling ratio exceeds 1 at some time; for a vehicle, in any channel."""
-    names = [measure.name for measure in about.result.study.measures if measure.kind == "sampling_ratio"]
+    names = [measure.name for measure in subject.result.study.measures if measure.kind == "sampling_ratio"]
     if not names:
         return ""
-    ratios = np.max([about.result.dataset[name].values for name in names], axis=0)
-    ended, above = int(np.count_nonzero(np.isfinite(ratios))), int(np.count_nonzero(ratios > 1.0))
-    return f" Of {ended:,} simulated loops that ran to their end, {above:,} have one at some time."
+    ratios = np.max([subject.result.dataset[name].values for name in names], axis=0)
+    ended = np.count_nonzero(np.isfinite(ratios))
+    exceeding = np.count_nonzero(ratios > 1.0)
+    return f" Of {ended:,} simulated loops that ran to their end, {exceeding:,} have one at some time."
 
 
-def off_reference(about: Subject) -> str:
+def off_reference(subject: Subject) -> str:
     """The warning that measurement noise moves the loop off its reference, if it is predicted to."""
-    study = about.result.study
+    study = subject.result.study
     text = None if isinstance(study, Described) else noise_warning(study)
     return f" In this study, {text}." if text else ""
 
 
-def headline_verdict(about: Subject) -> tuple[str, str]:
+def headline_verdict(subject: Subject) -> tuple[str, str]:
     """The result in a few characters, and in one sentence."""
-    points = about.summary["points"]
-    if not about.result.study.axes:
+    points = subject.summary["points"]
+    if not subject.result.study.axes:
         (point,) = points
-        said = f"{point['failures']:,} of {point['draws']:,} draws fail; {LEVEL} interval {interval(point['interval'])}"
-        return probability_text(point["probability"], point["interval"]), said
-    best, most = (pick(points, key=lambda point: point["probability"]) for pick in (min, max))
-    text = " to ".join(probability_text(point["probability"], point["interval"]) for point in (best, most))
+        text = f"{point['failures']:,} of {point['draws']:,} draws fail; {LEVEL} interval {interval(point['interval'])}"
+        return probability_text(point["probability"], point["interval"]), text
+    best, worst = extreme_points(points)
+    text = " to ".join(probability_text(point["probability"], point["interval"]) for point in (best, worst))
     return text, f"from the best to the worst of {counted(len(points), 'point')}, {best['draws']:,} draws each"

@@ -1,7 +1,7 @@
 """Sections on the question: the study, the loop, the laws; and the provenance of the answer."""
 
+from collections.abc import Mapping
 from datetime import datetime
-from typing import Any
 
 import htpy as h
 import numpy as np
@@ -10,16 +10,18 @@ import tomli_w
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.report.diagram import diagram
 from dssc_jax.report.elements import Section, counted, facts, figure, folded, number, scrolled, table, with_unit
-from dssc_jax.report.subject import About, Subject
+from dssc_jax.report.subject import StudySubject, Subject
+from dssc_jax.results.manifest import Manifest
 from dssc_jax.study import Law, Study
 
-BINS, EACH = 36, 60  # of a density's sketch, and levels in each
+BINS = 36  # of a density's sketch
+BIN_LEVELS = 60
 SKETCH = (132, 34)
 
 
-def question(about: Subject) -> Section:
+def question(subject: Subject) -> Section:
     """The study's question, in sentences."""
-    study = about.result.study
+    study = subject.result.study
     clock = study.config.loop
     swept = [
         f"{name} over {counted(len(values), 'value')} from {number(min(values))} to "
@@ -48,16 +50,16 @@ def sentence(requirement: Requirement) -> h.Node:
     return [f"{requirement.measure.meaning}{channel}{requirement.measure.window_text}: {side} ", h.strong[bound]]
 
 
-def loop(about: About) -> Section:
+def loop(subject: StudySubject) -> Section:
     """The block diagram."""
-    study = about.result.study
+    study = subject.result.study
     caption = "The loop that is simulated. ~ marks numbers that a law gives, ⇄ numbers that are swept."
     return Section("loop", "The loop", figure(scrolled("Block diagram", diagram(study)), caption))
 
 
-def laws(about: About) -> Section | None:
+def laws(subject: StudySubject) -> Section | None:
     """Every uncertain number with its law."""
-    study = about.result.study
+    study = subject.result.study
     if not study.laws:
         return None
     rows = []
@@ -65,9 +67,9 @@ def laws(about: About) -> Section | None:
         low, middle, high = law.quantile(np.array([0.05, 0.5, 0.95]))
         quantity = study.quantities[name]
         unit = "" if quantity.unit == "1" else f" [{quantity.unit}]"
-        what = [h.code[name], h.span(".meaning")[f"{quantity.meaning}{unit}"]]
+        label = [h.code[name], h.span(".meaning")[f"{quantity.meaning}{unit}"]]
         drawn = [sketch(law), law.logarithmic and h.span(".meaning")["logarithmic axis"]]
-        rows.append((what, str(law), drawn, number(middle), f"{number(low)} to {number(high)}"))
+        rows.append((label, str(law), drawn, number(middle), f"{number(low)} to {number(high)}"))
     head = ("number", "law", "density", "median", "5 to 95 %")
     caption = f"Laws of the uncertain numbers, {dependence(study)}"
     return Section("laws", "What is uncertain", table(caption, head, rows, words=3))
@@ -81,8 +83,9 @@ def dependence(study: Study) -> str:
 
 def sketch(law: Law) -> h.Element:
     """A small plot of a law's density, with a logarithmic axis if the law is logarithmic."""
-    values = law.quantile((np.arange(BINS * EACH) + 0.5) / (BINS * EACH))
-    low, high = float(values.min()), float(values.max())
+    values = law.quantile((np.arange(BINS * BIN_LEVELS) + 0.5) / (BINS * BIN_LEVELS))
+    low = float(values.min())
+    high = float(values.max())
     shown = np.log(values) if law.logarithmic else values
     counts, _ = np.histogram(shown, bins=BINS)
     width, height = SKETCH
@@ -96,10 +99,11 @@ def sketch(law: Law) -> h.Element:
     ]
 
 
-def provenance(about: Subject) -> Section:
+def provenance(subject: Subject) -> Section:
     """The provenance of the numbers, and how to reproduce them."""
-    result, manifest = about.result, about.result.manifest
-    study, device = result.study, part(manifest, "device")
+    manifest = subject.result.manifest
+    study = subject.result.study
+    device = part(manifest, "device")
     versions = "  ".join(f"{name} {version}" for name, version in part(manifest, "versions").items())
     sizes = [len(values) for values in study.axes.values()]
     pairs: list[tuple[str, h.Node]] = [
@@ -113,23 +117,23 @@ def provenance(about: Subject) -> Section:
         ("machine", f"{device.get('count', '?')} of {device.get('kind', '?')} ({device.get('platform', '?')})"),
         ("versions", versions),
     ]
-    again = ["Save it as a file and give it to ", h.code["dssc-jax run"], " or ", h.code["dssc-jax sweep"], "."]
-    return Section("provenance", "Provenance", [facts(pairs, "facts wide"), listing(study, again)])
+    usage = ["Save it as a file and give it to ", h.code["dssc-jax run"], " or ", h.code["dssc-jax sweep"], "."]
+    return Section("provenance", "Provenance", [facts(pairs, "facts wide"), listing(study, usage)])
 
 
-def listing(study: Study, again: h.Node) -> h.Element:
+def listing(study: Study, usage: h.Node) -> h.Element:
     """The study file, and how to use it."""
     text = tomli_w.dumps(without_none(study.table))
-    return folded("The study file", [h.p[again], h.pre(tabindex="0")[h.code[text]]], on_paper=True)
+    return folded("The study file", [h.p[usage], h.pre(tabindex="0")[h.code[text]]], on_paper=True)
 
 
-def part(manifest: dict[str, Any], name: str) -> dict[str, Any]:
+def part(manifest: Manifest, name: str) -> Manifest:
     """A table of the manifest; empty if it is damaged, which affects only the entries shown from it."""
     table = manifest.get(name)
     return table if isinstance(table, dict) else {}
 
 
-def spent(times: dict[str, Any]) -> str:
+def spent(times: Manifest) -> str:
     """Time and throughput of the run."""
     try:
         rate = f", {times['rate'] / 1e6:.0f} million draw samples a second" if times.get("rate") else ""
@@ -146,8 +150,15 @@ def moment(text: str) -> str:
         return text or "not recorded"
 
 
-def without_none(content: Any) -> Any:
-    """Remove None values, since TOML has no null; an absent name means the same."""
-    if isinstance(content, dict):
-        return {name: without_none(value) for name, value in content.items() if value is not None}
-    return [without_none(value) for value in content] if isinstance(content, list | tuple) else content
+def without_none(table: Mapping[str, object]) -> dict[str, object]:
+    """A table without its None values, since TOML has no null; an absent name means the same."""
+    return {name: value_without_none(value) for name, value in table.items() if value is not None}
+
+
+def value_without_none(value: object) -> object:
+    """A value of a table; the tables in it have no None values."""
+    if isinstance(value, dict):
+        return without_none(value)
+    if isinstance(value, list | tuple):
+        return [value_without_none(element) for element in value]
+    return value

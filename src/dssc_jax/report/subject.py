@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import xarray as xr
@@ -10,6 +10,7 @@ import xarray as xr
 from dssc_jax.analyses.defaults import WORST_DRAWS
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.result import Result, headline
+from dssc_jax.results.summary import JsonObject, Summary, SummaryRow
 from dssc_jax.runs.trajectory import agreement_of, recorder
 from dssc_jax.study import Described, Study
 
@@ -23,7 +24,7 @@ class Studied(Protocol):
         ...
 
 
-class About(Protocol):
+class StudySubject(Protocol):
     """The subject of a report of any kind."""
 
     @property
@@ -43,7 +44,7 @@ class AnalysisSubject:
     result: Analysis
 
     @cached_property
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> JsonObject:
         """The analysis in plain numbers."""
         return self.result.summary()
 
@@ -61,7 +62,7 @@ class Subject:
     worst: int = WORST_DRAWS
 
     @cached_property
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Summary:
         """Every point's failures, interval and quantiles."""
         return self.result.summary()
 
@@ -70,35 +71,36 @@ class Subject:
         """The point shown in detail: for a sweep, the one with the failure probability nearest to one half."""
         axes = list(self.result.study.axes)
         share = self.result.failed.mean("draw").transpose(*axes).values
-        nearest = np.unravel_index(np.argmin(np.abs(share - 0.5)), share.shape)
-        return dict(zip(axes, map(int, nearest), strict=True))
+        half = np.unravel_index(np.argmin(np.abs(share - 0.5)), share.shape)
+        return dict(zip(axes, map(int, half), strict=True))
 
     @property
     def point(self) -> dict[str, float]:
-        """The swept parameters' values at that point."""
+        """The swept parameters' values at the point shown in detail."""
         return {name: self.result.study.axes[name][i] for name, i in self.index.items()}
 
     @cached_property
-    def close(self) -> Result:
-        """The result at that point."""
+    def point_result(self) -> Result:
+        """The result at the point shown in detail."""
         return self.result.at(self.index)
 
     @cached_property
-    def said(self) -> dict[str, Any]:
-        """The summary of that point."""
+    def point_summary(self) -> SummaryRow:
+        """The summary of the point shown in detail."""
         shape = tuple(len(values) for values in self.result.study.axes.values())
         return self.summary["points"][np.ravel_multi_index(tuple(self.index.values()), shape) if shape else 0]
 
     @property
-    def where(self) -> str:
-        """That point's values as the end of a phrase; empty for a run."""
+    def point_phrase(self) -> str:
+        """The values at the point shown in detail, as the end of a phrase; empty for a run."""
         at = " and ".join(f"{name} = {value:.4g}" for name, value in self.point.items())
         return f" at {at}, the point where nearest to half of the draws fail" if at else ""
 
     @cached_property
     def trajectories(self) -> list[xr.Dataset]:
-        """The worst draws simulated again; ``agreement`` and ``deviation`` compare them with the stored ones.
+        """The worst draws of the point shown in detail, simulated again.
 
+        The attributes ``agreement`` and ``deviation`` compare them with the stored ones.
         Empty for a study whose code is not loaded.
         """
         if not self.worst or isinstance(self.result.study, Described):
@@ -106,7 +108,7 @@ class Subject:
         study = self.result.study
         record = recorder(study)
         flights = []
-        for draw in worst_draws(self.close, self.worst):
+        for draw in worst_draws(self.point_result, self.worst):
             run = record(draw, self.point)
             agreement = agreement_of(self.result, run)
             run.attrs |= {"deviation": float(agreement.deviation[0]), "agreement": agreement.verdict}
@@ -114,17 +116,17 @@ class Subject:
         return flights
 
 
-def worst_draws(close: Result, count: int) -> list[int]:
+def worst_draws(result: Result, count: int) -> list[int]:
     """Draws of one point, sorted by the smallest slack relative to its bound; early ends are sorted by their time.
 
     Without requirements, they are sorted by the largest value of the headline metric.
     """
-    required = close.study.requirements
+    required = result.study.requirements
     if required:
-        slack = np.min([close.dataset[r.name].values / r.scale for r in required], axis=0)
+        slack = np.min([result.dataset[r.name].values / r.scale for r in required], axis=0)
     else:
-        value = close.dataset[headline(close).name].values
+        value = result.dataset[headline(result).name].values
         slack = -np.where(np.isnan(value), np.inf, value)
-    ended = close.dataset["failed_at"].values
+    ended = result.dataset["failed_at"].values
     order = np.lexsort((np.where(np.isnan(ended), np.inf, ended), slack))
     return [int(draw) for draw in order[:count]]

@@ -198,6 +198,15 @@ def nullable(values: np.ndarray) -> list[object]:
     return objects.tolist()
 
 
+def extreme_points(points: Sequence[SummaryRow]) -> tuple[SummaryRow, SummaryRow]:
+    """The points with the lowest and with the highest failure probability."""
+
+    def probability(point: SummaryRow) -> float:
+        return point["probability"]
+
+    return min(points, key=probability), max(points, key=probability)
+
+
 def most_violated(point: SummaryRow) -> str:
     """The requirement violated by most draws of a point, with their number; ``-`` if no draw violates any."""
     worst = max(point["requirements"], key=lambda requirement: requirement["failures"], default=None)

@@ -209,7 +209,7 @@ MEMBERS = {
 }
 
 
-def default_form(table: Table) -> Discretisation:
+def default_form(table: TomlTable) -> Discretisation:
     """The sampled form of a controller's table that does not give it: that of its state-dependent functions."""
     functions = table.get("functions")
     kind = functions.get("kind") if isinstance(functions, dict) else None
